@@ -1,0 +1,1 @@
+"""Simulated focused plenoptic cameras with known truth."""

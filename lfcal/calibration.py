@@ -1,0 +1,139 @@
+"""A calibrated camera: lattice, vignetting and how well they fit, with its JSON file."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import CameraFileError
+from .lattice import Lattice
+from .vignetting import Vignetting
+
+__all__ = ["Calibration", "load"]
+
+_SCHEMA = "lfcal-camera"
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Where the microimages of a camera are and what they can be used for.
+
+    Parameters
+    ----------
+    lattice : Lattice
+        Centres, pitch and usable radius.
+    vignetting : Vignetting or None
+        Illumination inside each microimage; None where it is flat or unknown.
+    source : str
+        What it was measured on: `"white"`, `"scene"`, `"published"` or `"truth"`.
+    residual_rms : float [px]
+        RMS distance of single microimages from the fitted lattice, NaN where not measured.
+    lenses_used : int
+        Microimages that took part in the fit.
+    confidence : float
+        0..1, how sure the lattice is the right one.
+    warnings : tuple of str
+        What a user should know before trusting it.
+    """
+
+    lattice: Lattice
+    vignetting: Vignetting | None = None
+    source: str = "published"
+    residual_rms: float = float("nan")
+    lenses_used: int = 0
+    confidence: float = 1.0
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of the flats this camera makes [px]."""
+        return self.lattice.image_size
+
+    def to_dict(self) -> dict[str, Any]:
+        """The camera as plain numbers and strings, as written by `save`."""
+        vignetting = self.vignetting and {"step": self.vignetting.step, "profile": self.vignetting.profile.tolist()}
+        return {
+            "schema": _SCHEMA,
+            "version": _VERSION,
+            "image_size": list(self.image_size),
+            "lattice": {
+                "origin": self.lattice.origin.tolist(),
+                "basis": self.lattice.basis.tolist(),
+                "radius": self.lattice.radius,
+                "pitch": self.lattice.pitch,
+            },
+            "vignetting": vignetting,
+            "source": self.source,
+            "fit": {
+                "residual_rms": None if np.isnan(self.residual_rms) else self.residual_rms,
+                "lenses_used": self.lenses_used,
+                "confidence": self.confidence,
+            },
+            "warnings": list(self.warnings),
+        }
+
+    @classmethod
+    def from_dict(cls, data: Any, where: str = "camera file") -> Calibration:
+        """Rebuild a camera from `to_dict`; raises CameraFileError naming the field that is wrong."""
+        if not isinstance(data, dict) or data.get("schema") != _SCHEMA:
+            raise CameraFileError(f"{where}: not an {_SCHEMA} file; make one with 'lfcal calibrate IMAGE -o {where}'")
+        if data.get("version") != _VERSION:
+            raise CameraFileError(
+                f"{where}: version {data.get('version')!r} is not known (this toolkit reads {_VERSION}); calibrate again"
+            )
+        try:
+            lattice, fit, vignetting = data["lattice"], data["fit"], data["vignetting"]
+            residual = fit["residual_rms"]
+            return cls(
+                lattice=Lattice(lattice["origin"], lattice["basis"], tuple(data["image_size"]), lattice["radius"]),
+                vignetting=vignetting and Vignetting(vignetting["profile"], vignetting["step"]),
+                source=str(data["source"]),
+                residual_rms=float("nan") if residual is None else float(residual),
+                lenses_used=int(fit["lenses_used"]),
+                confidence=float(fit["confidence"]),
+                warnings=tuple(str(w) for w in data["warnings"]),
+            )
+        except KeyError as error:
+            raise CameraFileError(f"{where}: field {error} is missing; calibrate again") from error
+        except (TypeError, ValueError) as error:
+            raise CameraFileError(f"{where}: {error}; calibrate again") from error
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the camera as JSON; the file appears whole or not at all."""
+        target = Path(path)
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as stream:
+                json.dump(self.to_dict(), stream, indent=2)
+                stream.write("\n")
+            os.replace(temporary, target)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+
+
+def load(path: str | os.PathLike[str]) -> Calibration:
+    """Read a camera file written by `Calibration.save`.
+
+    Raises
+    ------
+    CameraFileError
+        If the file is missing, is not JSON, or a field is wrong.
+    """
+    source = Path(path)
+    try:
+        text = source.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CameraFileError(f"{source}: cannot be read as a camera file ({error})") from error
+    try:
+        data = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise CameraFileError(f"{source}: not valid JSON ({error}); make one with 'lfcal calibrate'") from error
+    return Calibration.from_dict(data, str(source))

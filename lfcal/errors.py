@@ -1,0 +1,19 @@
+"""The one family of errors: each says what was wrong, where, and what to do."""
+
+__all__ = ["CalibrationError", "CameraFileError", "FlatError", "LightFieldError"]
+
+
+class LightFieldError(Exception):
+    """Anything this toolkit refuses to do; the message names the cause and the remedy."""
+
+
+class FlatError(LightFieldError, ValueError):
+    """An image cannot be read or cannot be a flat (raw plenoptic picture)."""
+
+
+class CalibrationError(LightFieldError, ValueError):
+    """No trustworthy microlens lattice was found, or a lattice does not fit a flat."""
+
+
+class CameraFileError(LightFieldError, ValueError):
+    """A camera file is missing, damaged, or belongs to another image size."""

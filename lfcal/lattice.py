@@ -1,0 +1,130 @@
+"""Microlens lattice: where the centre of each microimage lies on the flat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Lattice", "reduce_basis"]
+
+# A third lattice direction counts as a neighbour when it is at most this much longer than
+# the two shortest ones: 1 for hexagons, 1.41 for squares.
+_NEIGHBOUR_STRETCH = 1.25
+
+
+def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
+    """Shortest basis of the lattice that `basis` spans (Lagrange-Gauss reduction), in one canonical form.
+
+    Parameters
+    ----------
+    basis : (2, 2) array_like [px]
+        Rows are two independent lattice vectors.
+
+    Returns
+    -------
+    (2, 2) float64 [px]
+        Rows `a1, a2`: `a1` points within 45 degrees of +x where a shortest vector does, `a2`
+        follows it clockwise on the screen (y down) at 60 to 90 degrees.
+    """
+    a, b = np.array(basis, dtype=np.float64)
+    if not np.isfinite([a, b]).all() or abs(a[0] * b[1] - a[1] * b[0]) <= 1e-12 * (a @ a + b @ b):
+        raise ValueError(f"basis must be two independent finite vectors, got {np.asarray(basis).tolist()}")
+    while True:
+        if a @ a > b @ b:
+            a, b = b, a
+        b = b - np.round((a @ b) / (a @ a)) * a
+        if b @ b >= (a @ a) * (1 - 1e-12):
+            break
+    candidates = [v for v in (a, b, a - b, a + b) if v @ v <= (b @ b) * (1 + 1e-6)]
+    candidates += [-v for v in candidates]
+    # Length decides before direction only where lengths differ: the two short vectors must stay a basis.
+    first = max(candidates, key=lambda v: (round(v[0] / np.hypot(*v), 6), v[1]))
+    rest = [v for v in candidates if first[0] * v[1] - first[1] * v[0] > 1e-9 * (b @ b)]
+    second = max(rest, key=lambda v: (round(-v @ v / (b @ b), 6), v @ first))
+    return np.array([first, second])
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Centres `c(i, j) = origin + i*a1 + j*a2` of all microimages on one flat.
+
+    Parameters
+    ----------
+    origin : (2,) float64 [px]
+        Centre of microimage (0, 0), order `x, y`, pixel centres at integers.
+    basis : (2, 2) float64 [px]
+        Rows `a1, a2`.
+    image_size : (int, int) [px]
+        Width and height of the flat.
+    radius : float [px]
+        Usable microimage radius `R`.
+    """
+
+    origin: NDArray[np.float64]
+    basis: NDArray[np.float64]
+    image_size: tuple[int, int]
+    radius: float
+
+    def __post_init__(self) -> None:
+        origin = np.array(self.origin, dtype=np.float64)
+        basis = np.array(self.basis, dtype=np.float64)
+        if origin.shape != (2,) or not np.isfinite(origin).all():
+            raise ValueError(f"origin must be two finite numbers, got {self.origin!r}")
+        if basis.shape != (2, 2) or not np.isfinite(basis).all() or abs(np.linalg.det(basis)) < 1e-6:
+            raise ValueError(f"basis must be two independent finite vectors, got {self.basis!r}")
+        width, height = (int(v) for v in self.image_size)
+        if width < 1 or height < 1:
+            raise ValueError(f"image_size must be positive (width, height), got {self.image_size!r}")
+        if not (np.isfinite(self.radius) and self.radius > 0):
+            raise ValueError(f"radius must be a positive number of px, got {self.radius!r}")
+        origin.flags.writeable = basis.flags.writeable = False
+        object.__setattr__(self, "origin", origin)
+        object.__setattr__(self, "basis", basis)
+        object.__setattr__(self, "image_size", (width, height))
+        object.__setattr__(self, "radius", float(self.radius))
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    @cached_property
+    def steps(self) -> NDArray[np.int64]:
+        """(k, 2) index steps to the nearest neighbours, opposite steps `k/2` apart: k = 6 (hexagonal) or 4."""
+        a1, a2 = self.basis
+        half = [(1, 0), (0, 1)]
+        longest = max(np.hypot(*a1), np.hypot(*a2))
+        diagonal = min((a1 + a2, (1, 1)), (a1 - a2, (1, -1)), key=lambda d: np.hypot(*d[0]))
+        if np.hypot(*diagonal[0]) <= _NEIGHBOUR_STRETCH * longest:
+            half.append(diagonal[1])
+        return np.array(half + [(-i, -j) for i, j in half], dtype=np.int64)
+
+    @cached_property
+    def pitch(self) -> float:
+        """D: mean distance between neighbouring microimage centres [px]."""
+        return float(np.linalg.norm(self.steps @ self.basis, axis=1).mean())
+
+    @cached_property
+    def _indices(self) -> NDArray[np.int64]:
+        width, height = self.image_size
+        corners = np.array([(-0.5, -0.5), (width - 0.5, -0.5), (-0.5, height - 0.5), (width - 0.5, height - 0.5)])
+        bounds = self.to_index(corners)
+        low, high = np.floor(bounds.min(0)).astype(int), np.ceil(bounds.max(0)).astype(int)
+        i, j = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1), indexing="xy")
+        ij = np.column_stack([i.ravel(), j.ravel()])
+        centres = self.origin + ij @ self.basis
+        inside = ((centres >= -0.5) & (centres < np.array([width, height]) - 0.5)).all(1)
+        return ij[inside]
+
+    def indices(self) -> NDArray[np.int64]:
+        """(n, 2) lattice indices `i, j` of all microimages whose centre lies on the flat, rows of `j` in order."""
+        return self._indices.copy()
+
+    def centres(self) -> NDArray[np.float64]:
+        """(n, 2) float64 centres `x, y` [px], in the order of `indices()`."""
+        return self.origin + self._indices @ self.basis
+
+    def to_index(self, points: ArrayLike) -> NDArray[np.float64]:
+        """(n, 2) real-valued lattice indices of flat positions `points` (n, 2) [px]."""
+        return (np.asarray(points, dtype=np.float64) - self.origin) @ np.linalg.inv(self.basis)

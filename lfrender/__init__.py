@@ -1,0 +1,1 @@
+"""Depth analysis and rendering of focused plenoptic flats."""
