@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["Lattice", "reduce_basis"]
 
 # A third lattice direction counts as a neighbour when it is at most this much longer than
-# the two shortest ones: 1 for hexagons, 1.41 for squares.
-_NEIGHBOUR_STRETCH = 1.25
+# the geometric mean of the two shortest ones: 1 for hexagons, 1.41 for squares.
+_NEIGHBOUR_STRETCH = 1.2
 
 
 def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
@@ -94,9 +94,9 @@ class Lattice:
         """(k, 2) index steps to the nearest neighbours, opposite steps `k/2` apart: k = 6 (hexagonal) or 4."""
         a1, a2 = self.basis
         half = [(1, 0), (0, 1)]
-        longest = max(np.hypot(*a1), np.hypot(*a2))
+        typical = np.sqrt(np.hypot(*a1) * np.hypot(*a2))
         diagonal = min((a1 + a2, (1, 1)), (a1 - a2, (1, -1)), key=lambda d: np.hypot(*d[0]))
-        if np.hypot(*diagonal[0]) <= _NEIGHBOUR_STRETCH * longest:
+        if np.hypot(*diagonal[0]) <= _NEIGHBOUR_STRETCH * typical:
             half.append(diagonal[1])
         return np.array(half + [(-i, -j) for i, j in half], dtype=np.int64)
 
