@@ -1,8 +1,11 @@
 """Calibration of focused plenoptic cameras: find the microimages on a flat."""
 
+from . import console
 from .calibration import Calibration, load
 from .errors import CalibrationError, CameraFileError, FlatError, LightFieldError
+from .flat import read_flat
 from .lattice import Lattice
+from .outfile import OutputError, check_output, whole_file
 from .vignetting import Vignetting
 
 __all__ = [
@@ -12,6 +15,11 @@ __all__ = [
     "FlatError",
     "Lattice",
     "LightFieldError",
+    "OutputError",
     "Vignetting",
+    "check_output",
+    "console",
     "load",
+    "read_flat",
+    "whole_file",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import zlib
 
@@ -293,10 +294,9 @@ def test_truncated_jpeg_is_refused_or_read_right(tmp_path, rgb8):
         with pytest.raises(FlatError):
             read_flat(path)
     path.write_bytes(data[:-2])
-    try:
+    # All pixels are there when only the end marker is missing: reading them is fine, reading others is not.
+    with contextlib.suppress(FlatError):
         np.testing.assert_array_equal(read_flat(path), whole)
-    except FlatError:
-        pass
 
 
 def test_flipped_bits_never_escape_as_another_error(tmp_path, rgb8, rgb16, capfd):
@@ -318,7 +318,8 @@ def test_flipped_bits_never_escape_as_another_error(tmp_path, rgb8, rgb16, capfd
                 assert flat.ndim == 2 or flat.shape[2] == 3
                 if name == "flat.png":
                     np.testing.assert_array_equal(flat, pixels)
+    assert capfd.readouterr().err == ""
 
 
 def test_large_sensor_is_below_the_limit():
-    assert 25_000 * 22_000 <= MAX_PIXELS
+    assert MAX_PIXELS >= 25_000 * 22_000

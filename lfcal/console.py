@@ -1,0 +1,158 @@
+"""What the command lines share: one-line errors, stages with their times, and a report for people or programs."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .errors import LightFieldError
+
+__all__ = ["Program", "Report", "report_options"]
+
+_USER_ERROR = 2
+
+
+class Program(click.Group):
+    """A command group whose user errors are one line on stderr and exit code 2."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        kwargs["standalone_mode"] = False
+        try:
+            # A library's warnings are for developers; what a user has to know is in the warnings of a result.
+            with warnings.catch_warnings():
+                if not sys.warnoptions:
+                    warnings.simplefilter("ignore")
+                code = super().main(*args, **kwargs)
+        except click.exceptions.NoArgsIsHelpError as error:
+            click.echo(error.ctx.get_help() if error.ctx else str(error), err=True)
+            sys.exit(_USER_ERROR)
+        except click.ClickException as error:
+            self._fail(error.format_message())
+        except LightFieldError as error:
+            self._fail(str(error))
+        except MemoryError:
+            self._fail("not enough memory for an image of this size")
+        except BrokenPipeError:
+            # The reader of our output has gone; without this Python complains again when it flushes at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            sys.exit(1)
+        except OSError as error:
+            self._fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        except (KeyboardInterrupt, click.Abort):
+            click.echo("interrupted", err=True)
+            sys.exit(130)
+        sys.exit(code if isinstance(code, int) else 0)
+
+    def _fail(self, message: str) -> None:
+        click.echo(f"{self.name or 'error'}: {' '.join(message.split())}", err=True)
+        sys.exit(_USER_ERROR)
+
+
+class Report:
+    """Progress and figures of one command.
+
+    Parameters
+    ----------
+    as_json : bool
+        Print the figures as one JSON object on stdout instead of as text.
+    quiet : bool
+        Print nothing but warnings; with `as_json`, nothing but the JSON object.
+    """
+
+    def __init__(self, as_json: bool = False, quiet: bool = False) -> None:
+        self.as_json = as_json
+        self.quiet = quiet
+        self.seconds: dict[str, float] = {}
+        self._announced = False
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time a stage; on a terminal, say that it is running."""
+        start = time.perf_counter()
+        with self._status(name):
+            yield
+        self.seconds[name] = time.perf_counter() - start
+
+    def announce_compilation(self, *packages: str) -> None:
+        """Say, once, that kernels are being compiled if these packages have none compiled so far."""
+        if self.quiet or self._announced or all(_has_compiled_kernels(name) for name in packages):
+            return
+        self._announced = True
+        if not self.as_json or sys.stderr.isatty():
+            click.echo("compiling kernels, once per installation ...", err=self.as_json)
+
+    def finish(self, figures: Mapping[str, Any]) -> None:
+        """Print the figures, with the seconds of all stages, and the warnings among them on stderr."""
+        figures = {**figures, "seconds": {name: round(value, 4) for name, value in self.seconds.items()}}
+        if self.as_json:
+            click.echo(json.dumps(_plain(figures)))
+            return
+        for warning in figures.get("warnings", ()):
+            click.echo(f"warning: {warning}", err=True)
+        if not self.quiet:
+            rows = {name: _text(value) for name, value in figures.items() if name != "warnings"}
+            width = max(map(len, rows)) + 2
+            for name, value in rows.items():
+                click.echo(f"{name.replace('_', ' '):{width}}{value}")
+
+    def _status(self, name: str) -> Any:
+        if self.quiet or self.as_json or not sys.stderr.isatty():
+            return nullcontext()
+        from rich.console import Console
+
+        return Console(stderr=True).status(f"{name} ...")
+
+
+def report_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the options `--json` and `--quiet`."""
+    command = click.option("--quiet", is_flag=True, help="Print nothing but warnings.")(command)
+    return click.option("--json", "as_json", is_flag=True, help="Print the figures as one JSON object.")(command)
+
+
+def _has_compiled_kernels(package: str) -> bool:
+    """Whether Numba's cache holds anything for a package, at any of the three places Numba may keep it."""
+    spec = sys.modules.get(package)
+    if spec is None or not spec.__file__:
+        return True
+    folder = Path(spec.__file__).parent
+    if not any("njit" in file.read_text(encoding="utf-8") for file in folder.glob("*.py")):
+        return True
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    places = [folder.glob("__pycache__/*.nbi")]
+    for cache in [Path(named)] if named else [Path.home() / ".cache/numba", Path.home() / "Library/Caches/numba"]:
+        places.append(cache.glob(f"{folder.name}_*/*.nbi"))
+    return any(next(iter(place), None) for place in places)
+
+
+def _plain(value: Any) -> Any:
+    """`value` as JSON can hold it: NumPy to Python, NaN and infinity to null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, os.PathLike) else value
+
+
+def _text(value: Any) -> str:
+    value = _plain(value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_text(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return "  ".join(_text(item) for item in value)
+    if value is None:
+        return "unknown"
+    return f"{value:.5g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,75 @@
+"""Output files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from .errors import LightFieldError
+
+__all__ = ["OutputError", "check_output", "whole_file"]
+
+
+class OutputError(LightFieldError, OSError):
+    """A result cannot be written where or how it was asked for."""
+
+
+@contextmanager
+def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a new file in the folder of `path` to write into, and move it there if nothing went wrong.
+
+    The new file has the suffix of `path`, for writers that choose the format by it, and the permissions any other
+    new file of this user has.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be made, written or moved.
+    """
+    target = Path(path)
+    temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
+    try:
+        temporary.open("xb").close()
+        yield temporary
+        os.replace(temporary, target)
+    except OutputError:
+        raise
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written ({error.strerror or error})") from error
+    finally:
+        # The folder itself may not be there or not be changeable: that is already reported above.
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def check_output(path: str | os.PathLike[str], suffixes: Collection[str]) -> None:
+    """Refuse an output that could not be written, before anything is computed for it.
+
+    Parameters
+    ----------
+    path : path-like
+        Where the result is to go.
+    suffixes : collection of str
+        Allowed endings such as `".json"`, compared without regard to case.
+
+    Raises
+    ------
+    OutputError
+        If the ending is not allowed, `path` is a folder, or no file can be made beside it.
+    """
+    target = Path(path)
+    if target.suffix.lower() not in suffixes:
+        raise OutputError(f"{target}: unknown output format '{target.suffix}'; use {', '.join(sorted(suffixes))}")
+    if target.is_dir():
+        raise OutputError(f"{target}: is a folder; give a file name")
+    if not target.parent.is_dir():
+        raise OutputError(f"{target}: the folder '{target.parent}' does not exist")
+    probe = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
+    try:
+        probe.open("xb").close()
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written ({error.strerror or error})") from error

@@ -1,0 +1,61 @@
+"""Output files appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import stat
+
+import pytest
+
+from lfcal import OutputError, check_output, whole_file
+
+
+def test_file_appears_with_its_content_and_ordinary_permissions(tmp_path):
+    with whole_file(tmp_path / "a.json") as temporary:
+        assert temporary.suffix == ".json"
+        assert not (tmp_path / "a.json").exists()
+        temporary.write_text("42")
+    assert (tmp_path / "a.json").read_text() == "42"
+    assert os.listdir(tmp_path) == ["a.json"]
+    (tmp_path / "ordinary").touch()
+    assert stat.S_IMODE((tmp_path / "a.json").stat().st_mode) == stat.S_IMODE((tmp_path / "ordinary").stat().st_mode)
+
+
+def test_nothing_is_left_and_the_old_file_stays_when_writing_fails(tmp_path):
+    (tmp_path / "a.json").write_text("old")
+    with pytest.raises(KeyError), whole_file(tmp_path / "a.json") as temporary:
+        temporary.write_text("half of the n")
+        raise KeyError
+    assert os.listdir(tmp_path) == ["a.json"]
+    assert (tmp_path / "a.json").read_text() == "old"
+
+
+def test_operating_system_errors_name_the_file(tmp_path):
+    with pytest.raises(OutputError, match=r"a\.json: cannot be written"), whole_file(tmp_path / "no" / "a.json"):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("a.txt", "unknown output format"),
+        ("a", "unknown"),
+        ("no/a.json", "does not exist"),
+        ("dir.json", "is a folder"),
+    ],
+)
+def test_impossible_outputs_are_refused_beforehand(tmp_path, name, reason):
+    (tmp_path / "dir.json").mkdir()
+    with pytest.raises(OutputError, match=reason):
+        check_output(tmp_path / name, {".json"})
+
+
+def test_possible_outputs_leave_no_trace(tmp_path):
+    check_output(tmp_path / "a.JSON", {".json"})
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError):
+        check_output(tmp_path / "file" / "a.json", {".json"})
