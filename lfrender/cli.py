@@ -1,0 +1,244 @@
+"""Command line of lfrender: analyse depth, render pictures, show what the toolkit does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from lfcal import check_output, console
+
+from .picture import check_picture, write_picture
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from lfcal import Calibration
+
+    from .depthmap import DepthMap
+    from .rendering import Rendering
+
+__all__ = ["main"]
+
+_PATH = click.Path(path_type=Path)
+_CAMERA = "Camera file of lfcal, or a published calibration (.xml, .cfg)."
+
+
+def _preset(command: Any) -> Any:
+    return click.option(
+        "--preset",
+        type=click.Choice(["fast", "balanced", "accurate"]),
+        default="balanced",
+        show_default=True,
+        help="How much time the depth analysis may take.",
+    )(command)
+
+
+@click.group(cls=console.Program, name="lfrender", context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="lfrender", prog_name="lfrender")
+def main() -> None:
+    """Depth and full-resolution pictures from focused plenoptic captures."""
+
+
+@main.command()
+@click.argument("flat", type=_PATH)
+@click.option("-c", "--camera", type=_PATH, required=True, help=_CAMERA)
+@click.option("-o", "--output", type=_PATH, required=True, metavar="DEPTH.npz", help="Depth map to write.")
+@_preset
+@console.report_options
+def analyze(flat: Path, camera: Path, output: Path, preset: str, as_json: bool, quiet: bool) -> None:
+    """Find for every microlens of FLAT its patch size and whether it is telescopic or binocular."""
+    report = console.Report(as_json, quiet)
+    check_output(output, {".npz"})
+    with report.stage("read"):
+        from lfcal import read_flat
+
+        pixels = read_flat(flat)
+    with report.stage("calibrate"):
+        calibration = _read_camera(camera, pixels)
+    with report.stage("analyze"):
+        depth = _analyze(report, pixels, calibration, preset)
+    with report.stage("write"):
+        depth.save(output)
+    report.finish({"depth": str(output), **_camera_figures(calibration), **_depth_figures(depth)})
+
+
+@main.command()
+@click.argument("flat", type=_PATH)
+@click.option("-o", "--output", type=_PATH, required=True, metavar="PICTURE", help="Picture to write: .tif, .png, ...")
+@click.option("-c", "--camera", type=_PATH, help=_CAMERA + " Without it, the camera is calibrated from FLAT.")
+@click.option("--white", type=_PATH, help="Calibrate from this white image of the same camera.")
+@click.option("--depth", "depth_file", type=_PATH, help="Depth map made by 'lfrender analyze'.")
+@click.option(
+    "--patch-size", type=float, help="One signed patch size [px] for all lenses: > 0 telescopic, < 0 binocular."
+)
+@click.option("--traditional", is_flag=True, help="One pixel per microlens, the mean of its microimage.")
+@click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
+@click.option("--alpha", is_flag=True, help="Make pixels that no lens has seen transparent (TIFF, PNG, WebP).")
+@_preset
+@console.report_options
+def render(
+    flat: Path,
+    output: Path,
+    camera: Path | None,
+    white: Path | None,
+    depth_file: Path | None,
+    patch_size: float | None,
+    traditional: bool,
+    scale: float | None,
+    alpha: bool,
+    preset: str,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Render FLAT as one picture that is sharp wherever any mode of the camera is.
+
+    Without --depth, --patch-size and --traditional the depth is analysed first.
+    """
+    report = console.Report(as_json, quiet)
+    _at_most_one("--depth", depth_file, "--patch-size", patch_size, "--traditional", traditional or None)
+    _at_most_one("--camera", camera, "--white", white)
+    _at_most_one("--scale", scale, "--traditional", traditional or None)
+    check_picture(output, alpha=alpha)
+    with report.stage("read"):
+        from lfcal import read_flat
+
+        pixels = read_flat(flat)
+        check_picture(output, pixels.dtype, alpha)
+    with report.stage("calibrate"):
+        calibration = _camera_of(report, pixels, camera, white)
+    depth = None
+    if not traditional and patch_size is None:
+        with report.stage("analyze"):
+            depth = _read_depth(depth_file) if depth_file else _analyze(report, pixels, calibration, preset)
+    with report.stage("render"):
+        picture = _render(report, pixels, calibration, depth, patch_size, traditional, scale)
+    with report.stage("write"):
+        write_picture(output, picture, alpha=alpha, settings=_settings(depth, patch_size, traditional, preset))
+    figures = {**_camera_figures(calibration), **(_depth_figures(depth) if depth else {})}
+    report.finish({"picture": str(output), **_picture_figures(picture, calibration), **figures})
+
+
+@main.command()
+@click.option(
+    "-o", "--output", type=_PATH, default=Path("lfrender-demo"), show_default=True, help="Folder for pictures and page."
+)
+@console.report_options
+def demo(output: Path, as_json: bool, quiet: bool) -> None:
+    """Simulate a capture, run the whole chain on it, and show pictures and figures on an HTML page."""
+    from .demo import run_demo
+
+    report = console.Report(as_json, quiet)
+    report.finish(run_demo(output, report))
+
+
+def _read_camera(path: Path, pixels: NDArray[np.generic]) -> Calibration:
+    """A camera file for flats of this size, in our form or as published."""
+    from lfcal import CameraFileError, load, read_published
+
+    size = (pixels.shape[1], pixels.shape[0])
+    if path.suffix.lower() in (".xml", ".cfg"):
+        return read_published(path, size)
+    calibration = load(path)
+    if calibration.image_size != size:
+        was, now = ("{} x {}".format(*pair) for pair in (calibration.image_size, size))
+        raise CameraFileError(f"{path}: made for images of {was} px, this one has {now}; calibrate again")
+    return calibration
+
+
+def _camera_of(report: Any, pixels: NDArray[np.generic], camera: Path | None, white: Path | None) -> Calibration:
+    if camera:
+        return _read_camera(camera, pixels)
+    from lfcal import FlatError, calibrate, read_flat
+
+    if white is None:
+        report.announce_compilation("lfcal")
+        return calibrate(pixels)
+    white_pixels = read_flat(white)
+    if white_pixels.shape[:2] != pixels.shape[:2]:
+        sizes = " and ".join(f"{image.shape[1]} x {image.shape[0]}" for image in (white_pixels, pixels))
+        raise FlatError(f"{white}: white image and flat must be of one size, they have {sizes} px")
+    report.announce_compilation("lfcal")
+    return calibrate(white_pixels, kind="white")
+
+
+def _read_depth(path: Path) -> DepthMap:
+    from .depthmap import DepthMap
+
+    return DepthMap.load(path)
+
+
+def _analyze(report: Any, pixels: NDArray[np.generic], calibration: Calibration, preset: str) -> DepthMap:
+    from . import analyze as run
+
+    report.announce_compilation("lfrender")
+    return run(pixels, calibration, preset=preset)
+
+
+def _render(
+    report: Any,
+    pixels: NDArray[np.generic],
+    calibration: Calibration,
+    depth: DepthMap | None,
+    patch_size: float | None,
+    traditional: bool,
+    scale: float | None,
+) -> Rendering:
+    from . import render as run
+    from . import traditional as run_traditional
+
+    report.announce_compilation("lfrender")
+    if traditional:
+        return run_traditional(pixels, calibration)
+    return run(pixels, calibration, depth, patch_size=patch_size, scale=scale)
+
+
+def _at_most_one(*pairs: Any) -> None:
+    given = [name for name, value in zip(pairs[::2], pairs[1::2], strict=True) if value is not None]
+    if len(given) > 1:
+        raise click.UsageError(f"{given[0]} and {given[1]} exclude each other")
+
+
+def _settings(depth: DepthMap | None, patch_size: float | None, traditional: bool, preset: str) -> dict[str, Any]:
+    if traditional:
+        return {"rendering": "traditional"}
+    if patch_size is not None:
+        return {"rendering": "one patch size", "patch_size": patch_size}
+    return {"rendering": "all in focus", "preset": preset}
+
+
+def _camera_figures(calibration: Calibration) -> dict[str, Any]:
+    return {
+        "pitch": calibration.lattice.pitch,
+        "lenses": len(calibration.lattice),
+        "camera_source": calibration.source,
+        "camera_confidence": calibration.confidence,
+        "warnings": list(calibration.warnings),
+    }
+
+
+def _depth_figures(depth: DepthMap) -> dict[str, Any]:
+    import numpy as np
+
+    mode = np.asarray(depth.mode)
+    shares = {name: float(np.mean(mode == code)) for name, code in _MODES.items()} if mode.size else {}
+    sizes = np.abs(np.asarray(depth.patch_size))[mode != 0]
+    return {"modes": shares, "patch_size_median": float(np.median(sizes)) if sizes.size else float("nan")}
+
+
+_MODES = {"telescopic": 1, "binocular": -1, "unresolved": 0}
+
+
+def _picture_figures(picture: Rendering, calibration: Calibration) -> dict[str, Any]:
+    import numpy as np
+
+    affine = np.asarray(picture.affine)
+    per_pixel = float(np.sqrt(abs(np.linalg.det(affine[:, :2]))))
+    return {
+        "size": [picture.image.shape[1], picture.image.shape[0]],
+        "scale": calibration.lattice.pitch / per_pixel,
+        "valid": float(np.mean(picture.valid)),
+        "affine": affine,
+    }

@@ -1,0 +1,22 @@
+"""What all tests share: the data that may lie beside the repository, and what to do where it does not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+_SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="session")
+def shared():
+    """Gives a file or folder of the captures and ray-traced flats beside the repository, or skips the test."""
+
+    def find(*parts: str) -> Path:
+        path = _SHARED.joinpath(*parts)
+        if not path.exists():
+            pytest.skip(f"{Path(*parts)} is not there: no folder 'shared' with it beside the repository")
+        return path
+
+    return find
