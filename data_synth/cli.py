@@ -1,0 +1,121 @@
+"""`lfsynth`: simulate a named scene and write the flat, the white image and the truth to a folder."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .camera import LATTICES, Camera
+from .scenes import SCENES
+
+__all__ = ["main"]
+
+
+class _OneLine(click.Command):
+    """A command whose errors are one line on stderr with exit code 2."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return super().main(*args, **{**kwargs, "standalone_mode": False})
+        except click.Abort:
+            click.echo("lfsynth: interrupted", err=True)
+            sys.exit(130)
+        except click.ClickException as error:
+            _fail(error.format_message())
+        except (ValueError, OSError) as error:
+            _fail(str(error))
+
+
+def _fail(message: str) -> None:
+    click.echo(f"lfsynth: {' '.join(message.split())}", err=True)
+    sys.exit(2)
+
+
+class _Pair(click.ParamType):
+    """Two numbers with a separator between, such as 1100x900."""
+
+    def __init__(self, name: str, separator: str, kind: type) -> None:
+        self.name, self.separator, self.kind = name, separator, kind
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if isinstance(value, tuple):
+            return value
+        parts = value.lower().split(self.separator)
+        try:
+            if len(parts) == 2:
+                return self.kind(parts[0]), self.kind(parts[1])
+        except ValueError:
+            pass
+        self.fail(f"{value!r} is not {self.name}", param, ctx)
+
+
+def _list_scenes(ctx: click.Context, _param: click.Parameter, wanted: bool) -> None:
+    if not wanted or ctx.resilient_parsing:
+        return
+    for name, make in SCENES.items():
+        click.echo(f"{name:10s} {(make.__doc__ or '').strip().splitlines()[0]}")
+    ctx.exit()
+
+
+@click.command(cls=_OneLine)
+@click.argument("scene", type=click.Choice(list(SCENES)))
+@click.option(
+    "-o", "--output", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder to write."
+)
+@click.option("--size", type=_Pair("WIDTHxHEIGHT", "x", int), default="1100x1100", show_default=True, help="Flat [px].")
+@click.option("--pitch", type=float, default=23.2, show_default=True, help="Distance D between microimages [px].")
+@click.option("--lattice", type=click.Choice(list(LATTICES)), default="hex", show_default=True)
+@click.option("--rotation", type=float, default=0.0, show_default=True, help="Of the lattice, clockwise [degrees].")
+@click.option("--types", type=click.Choice(["1", "3"]), default="1", show_default=True, help="Kinds of microlenses.")
+@click.option("--noise", type=_Pair("FULL_WELL,READ", ",", float), help="Electrons, e.g. 12000,5; none if absent.")
+@click.option("--bits", type=click.Choice(["8", "16"]), default="8", show_default=True)
+@click.option("--linear", is_flag=True, help="Store linear values instead of sRGB.")
+@click.option("--samples", type=int, default=32, show_default=True, help="Rays per pixel.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the scene, the sampling and the noise.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_scenes, help="List the scenes.")
+def main(
+    scene: str,
+    output: Path,
+    size: tuple[int, int],
+    pitch: float,
+    lattice: str,
+    rotation: float,
+    types: str,
+    noise: tuple[float, float] | None,
+    bits: str,
+    linear: bool,
+    samples: int,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Simulate SCENE with a focused plenoptic camera and write flat, white image and truth to a folder."""
+    from .simulator import simulate
+
+    started = time.perf_counter()
+    focus = (-0.45, -0.3, -0.2) if types == "3" else 0.04
+    camera = Camera.design(size, pitch, lattice, rotation, focus=focus)
+    capture = simulate(
+        SCENES[scene](camera, seed=seed),
+        camera,
+        samples=samples,
+        seed=seed,
+        noise=noise,
+        bits=int(bits),
+        gamma=not linear,
+    )
+    capture.save(output)
+    summary = capture.summary() | {"folder": str(output), "seconds": round(time.perf_counter() - started, 2)}
+    if as_json:
+        click.echo(json.dumps(summary))
+        return
+    click.echo(
+        f"{output}: {scene}, {size[0]} x {size[1]} px, {summary['lenses']} lenses "
+        f"({summary['telescopic']} telescopic, {summary['binocular']} binocular, "
+        f"{summary['unresolvable']} unresolvable), {summary['seconds']} s"
+    )

@@ -1,0 +1,175 @@
+"""Named scenes. Each places its surfaces by the wanted `s / D`, so that any camera can photograph it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+from .facade import facade
+from .foliage import branches, leaf_mass
+from .surfaces import Patch, Scene, Sphere, box
+from .textures import bricks, dead_leaves, fractal_noise, text_page
+
+__all__ = ["SCENES", "blank", "clutter", "house", "periodic", "plane", "ramp", "slope"]
+
+# Largest texture, texels on one side: finer ones cost memory and show nothing more on a flat this coarse.
+_LARGEST_TEXTURE = 6000
+Texture = NDArray[np.float32]
+
+
+def house(camera: Camera, *, far: float = 0.3, near: float = -0.3, seed: int = 0) -> Scene:
+    """The paper's house behind branches: telescopic front of the house, binocular branches and leaves, one flat.
+
+    Parameters
+    ----------
+    far, near : float
+        `s / D` of the house and of the middle layer of branches.
+    """
+    rng = np.random.default_rng(seed)
+    shape = _texels(camera, far)
+    unit = shape[1] / 60
+    surfaces = [_sheet(camera, far, facade(shape, unit, rng))]
+    shape = _texels(camera, near)
+    scale = shape[1] / 60
+    cover = np.zeros((64, 64), np.float32)
+    cover[:, :6] = 0.7
+    cover[52:, :16] = 0.6
+    cover[40:52, 57:] = 0.7
+    thicket = leaf_mass(shape, rng, cover, leaf=1.8 * scale)
+    surfaces.append(_sheet(camera, near - 0.05, thicket))
+    boughs = [
+        [(-0.02, 0.95, -0.75)],
+        [(-0.02, 0.45, -0.2)],
+        [(1.02, 0.3, 2.8)],
+    ]
+    for roots, ratio in zip(boughs, (near, near * 1.1, near * 0.93), strict=True):
+        wood = branches(shape, rng, roots, thickness=1.9 * scale, leaf=1.5 * scale)
+        surfaces.append(_sheet(camera, ratio, wood))
+    return Scene("house", tuple(surfaces))
+
+
+def plane(camera: Camera, *, ratio: float = -0.3, seed: int = 0) -> Scene:
+    """One plane facing the camera, rich in detail, at `s / D = ratio`."""
+    return Scene("plane", (_sheet(camera, ratio, _rich(_texels(camera, ratio), seed)),))
+
+
+def slope(camera: Camera, *, left: float = -0.55, right: float = -0.14, seed: int = 0) -> Scene:
+    """One slanted plane whose `s / D` runs from `left` to `right` over the flat, both of one sign."""
+    if left * right <= 0:
+        raise ValueError(f"left and right must have the same sign (the focal plane lies between), got {left}, {right}")
+    width, height = camera.width, camera.height
+    depths = camera.depth_at([left, right])
+    corners = camera.place([(0, 0), (width, 0), (0, height)], [depths[0], depths[1], depths[0]])
+    # A lens sees beyond the flat by its magnification; the plane is carried on by as much, in object space.
+    across, down = corners[1] - corners[0], corners[2] - corners[0]
+    down = down * depths.max() / depths[0]
+    centre = camera.place((width / 2, height / 2), 0.5 * (corners[0, 2] + corners[1, 2]))
+    margin = 1 + 2 * max(_margin(camera, left), _margin(camera, right)) / min(width, height)
+    across, down = across * min(margin, 1.9), down * margin
+    if centre[2] - abs(across[2]) / 2 <= 0:
+        raise ValueError(f"no plane in front of the camera runs from s/D = {left} to {right}")
+    texture = _rich(_texels(camera, min(left, right, key=abs)), seed)
+    return Scene("slope", (Patch(centre - across / 2 - down / 2, across, down, texture),))
+
+
+def clutter(camera: Camera, *, near: float = -0.5, far: float = -0.15, count: int = 40, seed: int = 0) -> Scene:
+    """Balls, boxes and tilted cards before a wall, depth edges everywhere, `s / D` between `near` and `far`."""
+    rng = np.random.default_rng(seed)
+    unit = min(camera.width, camera.height)
+    tile = (max(64, unit // 3),) * 2
+    textures = [
+        _rich(tile, seed + 1),
+        bricks(tile, rng, course=tile[0] / 16),
+        text_page(tile, rng, size=max(0.4, tile[0] / 500)),
+        dead_leaves(tile, rng, smallest=2, largest=tile[0] / 8),
+        text_page(tile, rng, ink=(250, 240, 120), paper=(120, 30, 40), size=max(0.4, tile[0] / 350)),
+    ]
+    surfaces: list[Patch | Sphere] = [_sheet(camera, far, _rich(_texels(camera, far), seed))]
+    for k in range(count):
+        ratio = near + (far - near) * (0.05 + 0.8 * rng.random())
+        depth = camera.depth_at(ratio)
+        at = rng.random(2) * (camera.width, camera.height)
+        centre = camera.place(at, depth)
+        size = camera.place(at + np.array([unit * rng.uniform(0.04, 0.11), 0]), depth)[0] - centre[0]
+        axes = size * _rotation(rng)
+        texture = textures[k % len(textures)]
+        if k % 3 == 0:
+            surfaces.append(Sphere(centre, size, texture))
+        elif k % 3 == 1:
+            surfaces += box(centre, axes * rng.uniform(0.5, 1.0, (3, 1)), texture)
+        else:
+            across, down = 2 * axes[0] * (1, 1, 0.3), 2 * axes[1] * (1, 1, 0.3)
+            surfaces.append(Patch(centre - across / 2 - down / 2, across, down, texture))
+    return Scene("clutter", tuple(surfaces))
+
+
+def ramp(camera: Camera, *, ratio: float = -0.3, seed: int = 0) -> Scene:
+    """A smooth ramp of brightness: hardly any texture. `seed` is accepted and not needed."""
+    level = np.linspace(0.08, 0.9, 256, dtype=np.float32)
+    return Scene("ramp", (_sheet(camera, ratio, np.repeat(np.tile(level, (2, 1))[..., None], 3, 2)),))
+
+
+def blank(camera: Camera, *, ratio: float = -0.3, seed: int = 0) -> Scene:
+    """An even grey plane without texture. `seed` is accepted and not needed."""
+    return Scene("blank", (_sheet(camera, ratio, np.full((2, 2, 3), 0.5, np.float32)),))
+
+
+def periodic(camera: Camera, *, ratio: float = -0.3, period: float = 0.5, seed: int = 0) -> Scene:
+    """A grid that repeats every `period * D / (s / D)` flat pixels of the scene, i.e. `period * D` inside a microimage.
+
+    `seed` is accepted and not needed.
+    """
+    height, width = _texels(camera, ratio)
+    step = period / abs(ratio) * camera.pitch * width / (camera.width + 2 * _margin(camera, ratio))
+    rows, columns = np.mgrid[0:height, 0:width] * (2 * np.pi / step)
+    pattern = (0.5 + 0.22 * np.sin(columns) + 0.22 * np.sin(rows)).astype(np.float32)
+    return Scene("periodic", (_sheet(camera, ratio, np.repeat(pattern[..., None], 3, 2)),))
+
+
+SCENES: dict[str, Callable[..., Scene]] = {
+    "house": house,
+    "plane": plane,
+    "slope": slope,
+    "clutter": clutter,
+    "ramp": ramp,
+    "blank": blank,
+    "periodic": periodic,
+}
+
+
+def _margin(camera: Camera, ratio: float) -> float:
+    """How far beyond the flat its outermost lenses see the plane at `s / D = ratio`, with reserve [px]."""
+    return camera.pitch * (1.0 + 0.75 / abs(ratio))
+
+
+def _texels(camera: Camera, ratio: float) -> tuple[int, int]:
+    """Height and width of a texture for a whole sheet: one texel per flat pixel of the scene, within reason."""
+    margin = _margin(camera, ratio)
+    size = np.array([camera.height, camera.width]) + 2 * margin
+    height, width = np.ceil(size * min(1.0, _LARGEST_TEXTURE / size.max())).astype(int).tolist()
+    return height, width
+
+
+def _sheet(camera: Camera, ratio: float, texture: Texture) -> Patch:
+    """A plane facing the camera that fills the field of view at `s / D = ratio`."""
+    margin = _margin(camera, ratio)
+    left, top, right, bottom = -margin, -margin, camera.width - 1 + margin, camera.height - 1 + margin
+    corner, across, down = camera.place([(left, top), (right, top), (left, bottom)], camera.depth_at(ratio))
+    return Patch(corner, across - corner, down - corner, texture)
+
+
+def _rich(shape: tuple[int, int], seed: int) -> Texture:
+    """Detail at every scale with every lens-sized place textured."""
+    rng = np.random.default_rng(seed)
+    leaves = dead_leaves(shape, rng, smallest=2.0, largest=max(20.0, min(shape) / 12))
+    grain = np.exp(0.35 * fractal_noise(shape, rng, coarsest=64, persistence=0.85))[..., None]
+    return np.clip(leaves * grain, 0, 1).astype(np.float32)
+
+
+def _rotation(rng: np.random.Generator) -> NDArray[np.float64]:
+    """A rotation drawn evenly from all of them."""
+    q, r = np.linalg.qr(rng.standard_normal((3, 3)))
+    return q * np.sign(np.diag(r))

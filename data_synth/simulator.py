@@ -1,0 +1,204 @@
+"""Take the picture: trace the flat and the white image, and note down the truth."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Vignetting
+
+from .camera import Camera
+from .capture import Capture, Truth
+from .surfaces import Scene
+from .transfer import EXPOSURE, develop
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["simulate"]
+
+_REFERENCE_STEP = 2
+_REFERENCE_SAMPLES = 16
+# Beyond this share of D neighbouring microimages have too little in common to be compared.
+_LARGEST_RATIO = 0.75
+# Relative contrast below which a lens counts as textureless, the radius it is taken in (of D), and the spread
+# of s (of D) from which on a lens sees several depths.
+_LEAST_CONTRAST = 0.02
+_DISC = 0.36
+_MIXED_SPREAD = 0.06
+
+
+def simulate(
+    scene: Scene,
+    camera: Camera,
+    *,
+    samples: int = 32,
+    seed: int = 0,
+    noise: tuple[float, float] | None = None,
+    bits: int = 8,
+    gamma: bool = True,
+) -> Capture:
+    """Render the flat of a scene by tracing rays through both lenses, together with all that is true about it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Surfaces in object space, for example from `SCENES["house"](camera)`.
+    camera : Camera
+    samples : int
+        Rays per pixel and microlens; 32 leave about 1 % RMS of sampling noise on a detailed scene.
+    seed : int
+        Of sampling and noise; the same seed gives the same capture bit for bit.
+    noise : (full_well, read) or None [electrons]
+        Photon noise of a sensor that saturates at `full_well` electrons, and its read noise.
+    bits : 8 or 16
+    gamma : bool
+        Store through the sRGB curve; False stores linear values.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+    """
+    if not 1 <= samples <= 1 << 16:
+        raise ValueError(f"samples must be 1 to {1 << 16}, got {samples}")
+    if bits not in (8, 16):
+        raise ValueError(f"bits must be 8 or 16, got {bits}")
+    if not 0 <= seed < 1 << 32:
+        raise ValueError(f"seed must be 0 to {(1 << 32) - 1}, got {seed}")
+    if noise is not None and not (len(noise) == 2 and np.isfinite(noise).all() and noise[0] > 0 and noise[1] >= 0):
+        raise ValueError(f"noise must be (full_well > 0, read >= 0) in electrons, got {noise}")
+    from . import tracing
+
+    table, texels = tracing.pack(scene)
+    flat = tracing.sensor(table, texels, scene.background, camera, samples, seed)[..., :3]
+    # Rays of its own: a white image that shared the flat's sampling errors would cancel them.
+    white = tracing.sensor(table[:0], texels, (1.0, 1.0, 1.0), camera, samples, seed + 1)[..., 3]
+    streams = np.random.default_rng(seed).spawn(2)
+
+    def store(
+        picture: NDArray[np.float32], light: tuple[float, float] | None, rng: np.random.Generator
+    ) -> NDArray[Any]:
+        return develop(picture, noise=light, bits=bits, gamma=gamma, rng=rng)
+
+    recipe = {"scene": scene.name, "samples": samples, "seed": seed, "noise": noise and list(noise)}
+    return Capture(
+        flat=store(flat, noise, streams[0]),
+        white=store(white, noise, streams[1]),
+        truth=_truth(scene, camera, table, texels, flat, white, seed, lambda picture: store(picture, None, streams[0])),
+        camera=camera,
+        recipe=recipe | {"bits": bits, "gamma": gamma, "exposure": EXPOSURE},
+    )
+
+
+def _truth(
+    scene: Scene,
+    camera: Camera,
+    table: NDArray[np.float64],
+    texels: NDArray[np.float32],
+    flat: NDArray[np.float32],
+    white: NDArray[np.float32],
+    seed: int,
+    store: Callable[[NDArray[np.float32]], NDArray[Any]],
+) -> Truth:
+    """Everything known about the capture, from chief rays and the noise-free flat."""
+    from . import tracing
+
+    lattice = camera.lattice
+    centres, ij = lattice.centres(), lattice.indices()
+    rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
+    pixels = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64)
+    own = _nearest_centres(camera, pixels)
+    start, slope = _chief_rays(camera, pixels, own)
+    inside = np.hypot(*start.T) <= camera.aperture / 2
+    disparity = np.full(len(pixels), np.nan)
+    disparity[inside] = camera.patch_size(tracing.nearest(table, texels, start[inside], slope[inside]))
+    disparity = disparity.reshape(flat.shape[:2])
+
+    patch_size = camera.patch_size(tracing.nearest(table, texels, *_chief_rays(camera, centres, centres)))
+    contrast, mixed = _look_into_discs(camera, centres, flat @ np.array([0.2126, 0.7152, 0.0722]), disparity)
+    resolvable = (np.abs(patch_size) <= _LARGEST_RATIO * camera.pitch) & (contrast >= _LEAST_CONTRAST)
+    mode = np.where(resolvable, np.sign(patch_size), 0).astype(np.int8)
+
+    size = (camera.width // _REFERENCE_STEP or 1, camera.height // _REFERENCE_STEP or 1)
+    affine = np.array([[_REFERENCE_STEP, 0.0, 0.5], [0.0, _REFERENCE_STEP, 0.5]])
+    reference = tracing.pinhole(table, texels, scene.background, camera, affine, size, _REFERENCE_SAMPLES, seed)
+    v, u = np.mgrid[0 : size[1], 0 : size[0]]
+    points = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ affine.T
+    depths = tracing.nearest(table, texels, *_chief_rays(camera, points, points))
+    return Truth(
+        calibration=camera.calibration(_vignetting(camera, pixels - own, white.ravel())),
+        patch_size=patch_size,
+        mode=mode,
+        magnification=np.where(mode != 0, camera.pitch / np.abs(patch_size), np.nan),
+        mixed=mixed,
+        contrast=contrast,
+        lens_type=((ij[:, 0] - ij[:, 1]) % len(camera.microlens_focal_lengths)).astype(np.int8),
+        disparity=disparity.astype(np.float32),
+        reference=store(reference[..., :3]),
+        reference_affine=affine,
+        reference_patch_size=camera.patch_size(depths).reshape(v.shape).astype(np.float32),
+    )
+
+
+def _nearest_centres(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 2) the microimage centre nearest to each flat position: of a shortest basis, one of four corners."""
+    lattice = camera.lattice
+    corner = np.floor(lattice.to_index(points))
+    best = np.full(len(points), np.inf)
+    centres = np.empty_like(points)
+    for step in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        candidate = lattice.origin + (corner + step) @ lattice.basis
+        distance = ((points - candidate) ** 2).sum(1)
+        closer = distance < best
+        best[closer], centres[closer] = distance[closer], candidate[closer]
+    return centres
+
+
+def _chief_rays(
+    camera: Camera, pixels: NDArray[np.float64], centres: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rays from flat positions through the middle of their microlens: start on the main lens and slope behind it."""
+    sensor = (pixels - camera.principal_point) * camera.pixel
+    lens = (centres - camera.principal_point) * camera.pixel / camera.spread
+    slope = (lens - sensor) / camera.sensor_distance
+    start = lens + slope * camera.mla_distance
+    return start, slope - start / camera.focal_length
+
+
+def _look_into_discs(
+    camera: Camera, centres: NDArray[np.float64], luminance: NDArray[np.float64], disparity: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Per lens: relative contrast, and whether the disc of 0.36 D shows several depths (2nd to 98th percentile)."""
+    radius = _DISC * camera.pitch
+    reach = int(np.ceil(radius)) + 1
+    contrast, mixed = np.zeros(len(centres)), np.zeros(len(centres), bool)
+    for n, (x, y) in enumerate(centres):
+        left, top = max(round(x) - reach, 0), max(round(y) - reach, 0)
+        window = np.s_[top : round(y) + reach + 1, left : round(x) + reach + 1]
+        light, depth = luminance[window], disparity[window]
+        rows, columns = np.ogrid[: light.shape[0], : light.shape[1]]
+        disc = (columns + left - x) ** 2 + (rows + top - y) ** 2 <= radius * radius
+        values, depths = light[disc], depth[disc]
+        if values.size and values.mean() > 0:
+            contrast[n] = values.std() / values.mean()
+        depths = np.sort(depths[np.isfinite(depths)])
+        if depths.size:
+            low, high = depths[int(0.02 * (depths.size - 1))], depths[int(np.ceil(0.98 * (depths.size - 1)))]
+            mixed[n] = high - low > _MIXED_SPREAD * camera.pitch
+    return contrast, mixed
+
+
+def _vignetting(camera: Camera, delta: NDArray[np.float64], white: NDArray[np.float32]) -> Vignetting:
+    """Mean illumination of all microimages over the distance from their centres, out to the half pitch."""
+    step = 0.5
+    bins = np.rint(np.hypot(*delta.T) / step).astype(int)
+    last = max(int(np.ceil(camera.pitch / 2 / step)), 2)
+    kept = bins <= last
+    count = np.bincount(bins[kept], minlength=last + 1)
+    light = np.bincount(bins[kept], white[kept], minlength=last + 1)
+    found = count > 0
+    profile = np.interp(np.arange(last + 1), np.flatnonzero(found), light[found] / count[found])
+    return Vignetting(profile / max(profile.max(), 1e-12), step)

@@ -1,0 +1,325 @@
+"""Ray tracing: from sensor points through a microlens and the main lens to the nearest surface.
+
+A ray in object space is `P(z) = -(A + S * z)`: it leaves the main lens at `A` [mm] with slope `S`, and the
+minus is the half turn of object space that keeps pictures upright. Camera vector of the kernels (mm and px):
+
+    0 pixel  1, 2 principal point  3 focal length  4 dL  5 b  6 main aperture radius  7 microlens radius
+    8, 9 origin  10..13 basis  14..17 inverse basis  18 spread  19 cos^4  20, 21 stop distance and radius (0: none)
+    22 reach: largest distance of a lit point from its microimage centre [px]
+
+Rows of the surface table: 0 kind, 1..3 corner or centre, 4..6 normal (4: radius of a sphere), 7..9 and 10..12
+duals of the edges, 13 texture offset, 14, 15 its width and height, 16 whether alpha cuts, 17..22 bounds.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from .camera import Camera
+from .surfaces import Patch, Scene
+
+__all__ = ["nearest", "pack", "pinhole", "sensor"]
+
+_PATCH, _SPHERE = 0.0, 1.0
+_COLUMNS = 23
+
+
+def pack(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Surface table, nearest first, and one array of all texels (n, 4) float32; shared textures are stored once."""
+    table = np.zeros((len(scene.surfaces), _COLUMNS))
+    texels: list[NDArray[np.float32]] = [np.zeros((1, 4), np.float32)]
+    placed: dict[int, int] = {}
+    used = 1
+    for row, surface in zip(table, sorted(scene.surfaces, key=lambda s: s.bounds[0, 2]), strict=True):
+        texture = surface.texture
+        height, width, channels = texture.shape
+        if id(texture) not in placed:
+            placed[id(texture)] = used
+            block = np.ones((height * width, 4), np.float32)
+            block[:, :channels] = texture.reshape(-1, channels)
+            texels.append(block)
+            used += len(block)
+        row[13:17] = placed[id(texture)], width, height, channels == 4
+        row[17:23] = surface.bounds.ravel()
+        if isinstance(surface, Patch):
+            normal = np.cross(surface.across, surface.down)
+            area = normal @ normal
+            row[0], row[1:4], row[4:7] = _PATCH, surface.corner, normal
+            row[7:10] = np.cross(surface.down, normal) / area
+            row[10:13] = np.cross(normal, surface.across) / area
+        else:
+            row[0], row[1:4], row[4] = _SPHERE, surface.centre, surface.radius
+    return table, np.concatenate(texels)
+
+
+def _camera_vector(camera: Camera) -> NDArray[np.float64]:
+    basis = np.array(camera.basis)
+    aperture, lens = camera.aperture / 2, camera.fill * camera.microlens_pitch / 2
+    # Edge rays of the microlens land beside the geometric microimage by its defocus on the main lens.
+    defocus = max(
+        abs(camera.spread - camera.sensor_distance / f) * lens / camera.pixel for f in camera.microlens_focal_lengths
+    )
+    head = [camera.pixel, *camera.principal_point, camera.focal_length, camera.mla_distance, camera.sensor_distance]
+    stop = camera.stop or (0.0, 0.0)
+    return np.array(
+        [*head, aperture, lens, *camera.origin, *basis.ravel(), *np.linalg.inv(basis).ravel(), camera.spread]
+        + [float(camera.natural_vignetting), stop[0], stop[1] / 2, camera.microimage_radius + defocus]
+    )
+
+
+def _in_bands(draw: Callable[[int, int], None], rows: int) -> None:
+    """Call `draw(first, last)` over all rows, in bands on all cores; the result does not depend on their number."""
+    workers = os.cpu_count() or 1
+    edges = np.linspace(0, rows, min(rows, 4 * workers) + 1).astype(int)
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(draw, edges[:-1].tolist(), edges[1:].tolist()))
+
+
+def sensor(
+    table: NDArray[np.float64],
+    texels: NDArray[np.float32],
+    background: tuple[float, float, float],
+    camera: Camera,
+    samples: int,
+    seed: int,
+) -> NDArray[np.float32]:
+    """Mean radiance per sensor pixel, (H, W, 4) float32: R, G, B and the share of light a white scene would give."""
+    picture = np.zeros((camera.height, camera.width, 4), np.float32)
+    powers = 1 / np.array(camera.microlens_focal_lengths)
+    args = (_camera_vector(camera), powers, table, texels, np.array(background), _sequence(samples), seed)
+    _in_bands(lambda first, last: _sensor_rows(picture, first, last, *args), camera.height)
+    return picture
+
+
+def pinhole(
+    table: NDArray[np.float64],
+    texels: NDArray[np.float32],
+    background: tuple[float, float, float],
+    camera: Camera,
+    affine: NDArray[np.float64],
+    size: tuple[int, int],
+    samples: int,
+    seed: int,
+) -> NDArray[np.float32]:
+    """What a pinhole at the main-lens centre sees, (h, w, 4) float32, pixel `(u, v)` at scene point `affine @ (u, v, 1)`."""
+    picture = np.zeros((size[1], size[0], 4), np.float32)
+    args = (_camera_vector(camera), table, texels, np.array(background), affine, _sequence(samples), seed)
+    _in_bands(lambda first, last: _pinhole_rows(picture, first, last, *args), size[1])
+    return picture
+
+
+def nearest(
+    table: NDArray[np.float64], texels: NDArray[np.float32], start: NDArray[np.float64], slope: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Depth [mm] of the nearest surface along rays that leave the main lens at `start` with `slope`, both (n, 2).
+
+    NaN where nothing is hit.
+    """
+    depth = np.full(len(start), np.nan)
+    _in_bands(lambda first, last: _nearest_rows(depth, first, last, start, slope, table, texels), len(start))
+    return depth
+
+
+def _sequence(samples: int) -> NDArray[np.float64]:
+    """(samples, 4) points that fill the unit cube evenly (Roberts' additive recurrence of the golden-ratio family)."""
+    base = 1.0
+    for _ in range(64):
+        base = (1 + base) ** (1 / 5)
+    return np.mod(0.5 + np.arange(samples)[:, None] * base ** -np.arange(1.0, 5.0), 1.0)
+
+
+@njit(cache=True, nogil=True)
+def _hash(seed: int, x: int, y: int, k: int) -> float:
+    """A number in 0..1 that looks random over its arguments (SplitMix64 finaliser)."""
+    z = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(x) * np.uint64(0xBF58476D1CE4E5B9)
+    z += np.uint64(y) * np.uint64(0x94D049BB133111EB) + np.uint64(k) * np.uint64(0xD6E8FEB86659FD93)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return np.float64(z >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _texel(texels, row, u, v, channel):
+    """Bilinear texture value; texel centres at (k + 0.5) / size, clamped at the edge."""
+    width, height = int(row[14]), int(row[15])
+    x = min(max(u * width - 0.5, 0.0), width - 1.0)
+    y = min(max(v * height - 0.5, 0.0), height - 1.0)
+    i, j = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
+    right, below = min(1, width - 1), min(1, height - 1) * width
+    p = int(row[13]) + j * width + i
+    fx, fy = x - i, y - j
+    upper = texels[p, channel] * (1 - fx) + texels[p + right, channel] * fx
+    lower = texels[p + below, channel] * (1 - fx) + texels[p + below + right, channel] * fx
+    return upper * (1 - fy) + lower * fy
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _meet_patch(row, ox, oy, dx, dy):
+    """Depth and texture coordinates where the ray meets the patch; depth inf where it does not."""
+    along = row[4] * dx + row[5] * dy + row[6]
+    z = (row[4] * (row[1] - ox) + row[5] * (row[2] - oy) + row[6] * row[3]) / along
+    if not 0.0 < z < np.inf:
+        return np.inf, 0.0, 0.0
+    px, py, pz = ox + dx * z - row[1], oy + dy * z - row[2], z - row[3]
+    u = row[7] * px + row[8] * py + row[9] * pz
+    v = row[10] * px + row[11] * py + row[12] * pz
+    if u < 0.0 or u > 1.0 or v < 0.0 or v > 1.0:
+        return np.inf, 0.0, 0.0
+    return z, u, v
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _meet_sphere(row, ox, oy, dx, dy):
+    """Depth and texture coordinates where the ray first meets the sphere; depth inf where it does not."""
+    cx, cy, radius = ox - row[1], oy - row[2], row[4]
+    a = dx * dx + dy * dy + 1.0
+    half = cx * dx + cy * dy - row[3]
+    root = half * half - a * (cx * cx + cy * cy + row[3] * row[3] - radius * radius)
+    if root < 0.0:
+        return np.inf, 0.0, 0.0
+    z = (-half - math.sqrt(root)) / a
+    if z <= 0.0:
+        return np.inf, 0.0, 0.0
+    nx, ny, nz = (cx + dx * z) / radius, (cy + dy * z) / radius, (z - row[3]) / radius
+    return z, math.atan2(nx, -nz) / (2 * math.pi) + 0.5, math.asin(min(max(ny, -1.0), 1.0)) / math.pi + 0.5
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _hit(table, texels, chosen, count, ax, ay, sx, sy):
+    """Nearest of the `chosen` surfaces (nearest bounds first): table row or -1, depth, texture coordinates."""
+    best, depth, best_u, best_v = -1, np.inf, 0.0, 0.0
+    for k in range(count):
+        row = table[chosen[k]]
+        if row[19] > depth:
+            break
+        if row[0] == _PATCH:
+            z, u, v = _meet_patch(row, -ax, -ay, -sx, -sy)
+        else:
+            z, u, v = _meet_sphere(row, -ax, -ay, -sx, -sy)
+        if z < depth and (row[16] == 0.0 or _texel(texels, row, u, v, 3) >= 0.5):
+            best, depth, best_u, best_v = chosen[k], z, u, v
+    return best, depth, best_u, best_v
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _choose(chosen, table, ax, ay, sx, sy, start_spread, slope_spread):
+    """List the surfaces that a bundle around the ray can meet: starts and slopes differ by the spreads at most."""
+    count = 0
+    for k in range(len(table)):
+        row = table[k]
+        near, far = row[19], row[22]
+        x0, x1 = -(ax + sx * near), -(ax + sx * far)
+        y0, y1 = -(ay + sy * near), -(ay + sy * far)
+        room = start_spread + slope_spread * far
+        if max(x0, x1) + room >= row[17] and min(x0, x1) - room <= row[20]:
+            if max(y0, y1) + room >= row[18] and min(y0, y1) - room <= row[21]:
+                chosen[count] = k
+                count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add(picture, x, y, table, texels, background, found, u, v, weight):
+    """Add the radiance at a hit to one pixel, its weight to the fourth channel."""
+    for c in range(3):
+        value = background[c] if found < 0 else _texel(texels, table[found], u, v, c)
+        picture[y, x, c] += weight * value
+    picture[y, x, 3] += weight
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _through_lens(picture, x, y, cam, cx, cy, power, table, texels, background, points, shift, chosen):
+    """Add the light that reaches pixel `(x, y)` through one microlens with centre `(cx, cy)` [mm]."""
+    pixel, focal, dl, b = cam[0], cam[3], cam[4], cam[5]
+    px, py = (x - cam[1]) * pixel, (y - cam[2]) * pixel
+    # A ray from sensor point `p` over microlens point `c + r` leaves the lens with slope (c + r - p) / b - r * power.
+    bend = 1 / b - power
+    slope_x, slope_y = (cx - px) / b, (cy - py) / b
+    ax, ay = cx + slope_x * dl, cy + slope_y * dl
+    half, lens = 0.71 * pixel, cam[7]
+    start_spread = half * dl / b + lens * abs(1 + bend * dl)
+    slope_spread = half * abs(1 / b - dl / (b * focal)) + lens * abs(bend - (1 + bend * dl) / focal)
+    count = _choose(chosen, table, ax, ay, slope_x - ax / focal, slope_y - ay / focal, start_spread, slope_spread)
+    for k in range(len(points)):
+        ux = px + ((points[k, 0] + shift[0]) % 1.0 - 0.5) * pixel
+        uy = py + ((points[k, 1] + shift[1]) % 1.0 - 0.5) * pixel
+        radius = lens * math.sqrt((points[k, 2] + shift[2]) % 1.0)
+        angle = 2 * math.pi * (points[k, 3] + shift[3])
+        rx, ry = radius * math.cos(angle), radius * math.sin(angle)
+        sx, sy = (cx + rx - ux) / b, (cy + ry - uy) / b
+        weight = 1.0 / (1 + sx * sx + sy * sy) ** 2 if cam[19] > 0 else 1.0
+        sx, sy = sx - rx * power, sy - ry * power
+        ax, ay = cx + rx + sx * dl, cy + ry + sy * dl
+        if ax * ax + ay * ay > cam[6] * cam[6]:
+            continue
+        sx, sy = sx - ax / focal, sy - ay / focal
+        qx, qy = ax + sx * cam[20], ay + sy * cam[20]
+        if cam[21] > 0 and qx * qx + qy * qy > cam[21] * cam[21]:
+            continue
+        found, _, u, v = _hit(table, texels, chosen, count, ax, ay, sx, sy)
+        _add(picture, x, y, table, texels, background, found, u, v, weight / len(points))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sensor_rows(picture, first, last, cam, powers, table, texels, background, points, seed):
+    """Sum the light of all microlenses that can reach each pixel of rows `first` to `last`."""
+    chosen, shift = np.empty(len(table), np.int64), np.empty(4)
+    reach = cam[22] + 0.71
+    for y in range(first, last):
+        for x in range(picture.shape[1]):
+            for k in range(4):
+                shift[k] = _hash(seed, x, y, k)
+            dx, dy = x - cam[8], y - cam[9]
+            low_i = math.floor(dx * cam[14] + dy * cam[16]) - 1
+            low_j = math.floor(dx * cam[15] + dy * cam[17]) - 1
+            for j in range(low_j, low_j + 4):
+                for i in range(low_i, low_i + 4):
+                    ex = cam[8] + i * cam[10] + j * cam[12]
+                    ey = cam[9] + i * cam[11] + j * cam[13]
+                    if (x - ex) ** 2 + (y - ey) ** 2 > reach * reach:
+                        continue
+                    cx, cy = (ex - cam[1]) * cam[0] / cam[18], (ey - cam[2]) * cam[0] / cam[18]
+                    power = powers[(i - j) % len(powers)]
+                    _through_lens(picture, x, y, cam, cx, cy, power, table, texels, background, points, shift, chosen)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pinhole_rows(picture, first, last, cam, table, texels, background, affine, points, seed):
+    """Mean radiance over each output pixel for rays through the main-lens centre."""
+    chosen = np.empty(len(table), np.int64)
+    scale = cam[0] / (cam[18] * cam[4])
+    room = 0.71 * scale * max(abs(affine[0, 0]) + abs(affine[1, 0]), abs(affine[0, 1]) + abs(affine[1, 1]))
+    for y in range(first, last):
+        for x in range(picture.shape[1]):
+            for k in range(-1, len(points)):
+                u, v = float(x), float(y)
+                if k >= 0:
+                    u += (points[k, 0] + _hash(seed, x, y, 0)) % 1.0 - 0.5
+                    v += (points[k, 1] + _hash(seed, x, y, 1)) % 1.0 - 0.5
+                sx = -(affine[0, 0] * u + affine[0, 1] * v + affine[0, 2] - cam[1]) * scale
+                sy = -(affine[1, 0] * u + affine[1, 1] * v + affine[1, 2] - cam[2]) * scale
+                if k < 0:
+                    count = _choose(chosen, table, 0.0, 0.0, sx, sy, 0.0, room)
+                    continue
+                found, _, tu, tv = _hit(table, texels, chosen, count, 0.0, 0.0, sx, sy)
+                _add(picture, x, y, table, texels, background, found, tu, tv, 1.0 / len(points))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest_rows(depth, first, last, start, slope, table, texels):
+    """Depth along each ray `first` to `last`."""
+    chosen = np.empty(len(table), np.int64)
+    for n in range(first, last):
+        ax, ay, sx, sy = start[n, 0], start[n, 1], slope[n, 0], slope[n, 1]
+        count = _choose(chosen, table, ax, ay, sx, sy, 0.0, 0.0)
+        found, z, _, _ = _hit(table, texels, chosen, count, ax, ay, sx, sy)
+        if found >= 0:
+            depth[n] = z
