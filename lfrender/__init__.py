@@ -1,1 +1,30 @@
 """Depth analysis and rendering of focused plenoptic flats."""
+
+from typing import Any
+
+__all__ = ["DepthMap", "Rendering", "analyze", "default_scale", "render", "traditional", "write_picture"]
+
+_HOMES = {
+    "DepthMap": "depthmap",
+    "Rendering": "rendering",
+    "analyze": "analyze",
+    "default_scale": "render",
+    "render": "render",
+    "traditional": "traditional",
+    "write_picture": "picture",
+}
+
+
+def __getattr__(name: str) -> Any:
+    # The kernels bring a compiler along: nobody should wait for it who only asks for help.
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    value = getattr(import_module(f".{_HOMES[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,113 @@
+"""Agreement between neighbouring lenses: semi-global matching on the lattice."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+__all__ = ["aggregate", "lens_costs"]
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+def _lens_costs(pair, forward, backward, out):
+    """Mean pair cost of each lens over all neighbours that it has."""
+    half = forward.shape[1]
+    for lens in prange(len(out)):
+        count = 0
+        for k in range(out.shape[1]):
+            out[lens, k] = 0.0
+        for d in range(half):
+            if forward[lens, d] >= 0:
+                count += 1
+                for k in range(out.shape[1]):
+                    out[lens, k] += pair[lens, d, k]
+            other = backward[lens, d]
+            if other >= 0:
+                count += 1
+                for k in range(out.shape[1]):
+                    out[lens, k] += pair[other, d, k]
+        for k in range(out.shape[1]):
+            out[lens, k] = out[lens, k] / count if count else 1.0
+
+
+def lens_costs(
+    pair: NDArray[np.float32], forward: NDArray[np.int32], backward: NDArray[np.int32]
+) -> NDArray[np.float32]:
+    """(n, k) float32 cost of each lens and shift: the mean over its pairs with all neighbours."""
+    out = np.empty((len(pair), pair.shape[2]), np.float32)
+    _lens_costs(pair, forward, backward, out)
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _walk(cost, chain, slope, jump, total):
+    """One path of semi-global matching along the lenses of `chain`, added to `total`."""
+    labels = cost.shape[1]
+    message = np.zeros(labels, np.float32)
+    for step in range(len(chain)):
+        lens = chain[step]
+        low = np.float32(np.inf)
+        for k in range(labels):
+            message[k] += cost[lens, k]
+            total[lens, k] += message[k]
+            low = min(low, message[k])
+        for k in range(labels):
+            message[k] = min(message[k] - low, jump)
+        for k in range(1, labels):
+            message[k] = min(message[k], message[k - 1] + slope)
+        for k in range(labels - 2, -1, -1):
+            message[k] = min(message[k], message[k + 1] + slope)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _walk_all(cost, chains, starts, slope, jump, total):
+    for c in prange(len(starts) - 1):
+        _walk(cost, chains[starts[c] : starts[c + 1]], slope, jump, total)
+
+
+def _chains(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """All straight rows of lenses in one lattice direction, one after the other, and where each starts."""
+    current = np.flatnonzero(backward < 0).astype(np.int32)
+    # Follow all rows at once: each round moves every row on by one lens.
+    rounds = []
+    owner = np.arange(len(current))
+    while len(current):
+        rounds.append((current, owner))
+        following = forward[current]
+        keep = following >= 0
+        current, owner = following[keep], owner[keep]
+    lenses = np.concatenate([r[0] for r in rounds])
+    owners = np.concatenate([r[1] for r in rounds])
+    place = np.argsort(owners, kind="stable")
+    order = lenses[place].astype(np.int32)
+    lengths = np.bincount(owners)
+    return order, np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+
+
+def aggregate(
+    cost: NDArray[np.float32],
+    forward: NDArray[np.int32],
+    backward: NDArray[np.int32],
+    slope: float,
+    jump: float,
+) -> NDArray[np.float32]:
+    """Sum of path costs from all lattice directions (Hirschmueller, Semi-Global Matching, 2008, section 2.2).
+
+    Parameters
+    ----------
+    cost : (n, k) float32
+        Cost of each lens at each of k evenly spaced shifts.
+    forward, backward : (n, d) int32
+        Neighbour rows in `d` directions and in their opposites, -1 where there is none.
+    slope : float
+        Price of a step of one shift between neighbours.
+    jump : float
+        Largest price between neighbours: a depth edge.
+    """
+    total = np.zeros_like(cost)
+    for d in range(forward.shape[1]):
+        for ahead, behind in ((forward[:, d], backward[:, d]), (backward[:, d], forward[:, d])):
+            chains, starts = _chains(ahead, behind)
+            _walk_all(cost, chains, starts, np.float32(slope), np.float32(jump), total)
+    return total

@@ -1,0 +1,135 @@
+"""Depth of a flat: signed patch size of every microlens, from nothing but its neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration
+
+from .agreement import aggregate, lens_costs
+from .depthmap import DepthMap
+from .flatcheck import check_flat
+from .matching import lens_statistics, pair_costs
+from .modes import confidence, fill, parabola_peak
+from .neighbours import neighbour_rows
+from .radiance import GrayFlat, gray_flat
+from .refinement import refine
+from .surface import spread
+
+__all__ = ["PRESETS", "analyze"]
+
+
+@dataclass(frozen=True)
+class _Preset:
+    """What an analysis spends: pitch it searches at [px], shift step [px], every n-th row, refinement steps."""
+
+    search_pitch: float
+    step: float
+    row_step: int
+    iterations: int
+
+
+PRESETS = {
+    "fast": _Preset(search_pitch=18, step=1.0, row_step=2, iterations=2),
+    "balanced": _Preset(search_pitch=30, step=0.75, row_step=1, iterations=4),
+    "accurate": _Preset(search_pitch=60, step=0.5, row_step=1, iterations=8),
+}
+
+# Beyond this share of the pitch neighbouring microimages share too little to tell (GEOMETRY.md).
+_RESOLVABLE = 0.75
+# The search reaches a little further, so that the last resolvable shift has a rising flank on both sides.
+_SEARCHED = 0.82
+# Contrast that fixed-pattern shading inside microimages may fake, in shares of their brightness.
+_SHADING = 0.02
+# A lens carries texture when its contrast exceeds the noise this many times.
+_TEXTURED = 3.0
+# Prices of semi-global matching in units of the match cost (0 perfect, 1 unrelated).
+_SLOPE_PER_PIXEL, _JUMP = 0.03, 0.3
+_SURE = 0.5
+
+
+def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -> DepthMap:
+    """Estimate the signed patch size, mode and magnification of every microlens.
+
+    Neighbouring microimages are correlated over all signed shifts at once (Lumsdaine and Georgiev
+    2008, sections 4 to 6: telescopic and binocular differ only in the sign), lenses support each
+    other along the lattice, and the best shift is refined on the pixels.
+
+    Parameters
+    ----------
+    flat : (H, W) or (H, W, C) array
+        Raw capture; integers are taken relative to the range of their type, floats to 1.
+    calibration : Calibration
+        Of the same image size.
+    preset : {"fast", "balanced", "accurate"}
+        How much time to spend.
+
+    Returns
+    -------
+    DepthMap
+
+    Raises
+    ------
+    FlatError
+        If `flat` is not a picture of finite numbers.
+    CalibrationError
+        If `calibration` was made for another image size.
+    """
+    if preset not in PRESETS:
+        raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
+    flat = check_flat(flat, calibration)
+    setting = PRESETS[preset]
+    lattice = calibration.lattice
+    neighbours = neighbour_rows(lattice, lattice.steps)
+    fine = gray_flat(flat, calibration)
+    noise, shading, textured = _texture(fine)
+    coarse, factor = fine, max(1, int(lattice.pitch / setting.search_pitch))
+    if factor > 1:
+        coarse = gray_flat(flat, calibration, factor)
+    shifts, total = _search(coarse, neighbours, setting, noise / factor, textured)
+    best = total.argmin(1)
+    start = (shifts[best] + parabola_peak(total, best) * (shifts[1] - shifts[0])) * factor
+    sure = confidence(total, best, neighbours.shape[1], max(1, round(1.5 / setting.step)))
+    scale = np.maximum(3 * noise, 0.5 * shading)
+    refined, error = refine(
+        fine, neighbours, np.where(textured, start, np.nan).astype(np.float32), scale, setting.iterations
+    ).T
+    resolved = textured & (sure >= _SURE) & (np.abs(refined) <= _RESOLVABLE * lattice.pitch)
+    gap = max(1.0, 0.05 * lattice.pitch)
+    drawn = fill(np.where(resolved, refined, start).astype(np.float32), resolved, neighbours, gap)
+    trust = np.where(resolved, sure, 0.05).astype(np.float32)
+    return DepthMap(
+        patch_size=np.where(resolved, refined, np.nan),
+        standard_error=np.where(resolved, error, np.inf),
+        confidence=np.where(textured, sure, 0),
+        drawn=drawn,
+        surface=spread(fine, lattice, drawn, trust, noise),
+        pitch=lattice.pitch,
+        image_size=lattice.image_size,
+        preset=preset,
+    )
+
+
+def _texture(fine: GrayFlat) -> tuple[float, NDArray[np.float32], NDArray[np.bool_]]:
+    """Noise of a pixel, contrast of every lens, and which lenses carry enough of it to be matched."""
+    mean, contrast, roughness = lens_statistics(fine).T
+    # The least rough microimages show the noise alone; 8-bit rounding is the least there is.
+    noise = max(float(np.percentile(roughness, 2)), 1 / 255 / np.sqrt(12))
+    return noise, contrast, contrast > np.hypot(_TEXTURED * noise, _SHADING * mean)
+
+
+def _search(
+    coarse: GrayFlat, neighbours: NDArray[np.int32], setting: _Preset, noise: float, textured: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Shifts [px of `coarse`] and their aggregated cost for every lens."""
+    half = neighbours.shape[1] // 2
+    forward, backward = neighbours[:, :half], neighbours[:, half:]
+    side = int(np.ceil(_SEARCHED * coarse.pitch / setting.step))
+    shifts = (np.arange(-side, side + 1) * setting.step).astype(np.float32)
+    means = lens_statistics(coarse)[:, 0]
+    pair = pair_costs(coarse, forward, means, textured, shifts, noise, _SHADING, setting.row_step)
+    cost = lens_costs(pair, forward, backward)
+    return shifts, aggregate(cost, forward, backward, _SLOPE_PER_PIXEL * setting.step, _JUMP)

@@ -1,0 +1,147 @@
+"""The answer of the depth analysis: patch size, mode, magnification and confidence of every lens."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import LightFieldError, whole_file
+
+from .surface import Surface
+
+__all__ = ["BINOCULAR", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap"]
+
+TELESCOPIC, BINOCULAR, UNRESOLVED = 1, -1, 0
+_VERSION = 1
+
+
+class DepthFileError(LightFieldError, ValueError):
+    """A depth file is missing, damaged, or belongs to another camera."""
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """Depth of every lens, in the order of `lattice.centres()`, and of every place of the picture.
+
+    Parameters
+    ----------
+    patch_size : (n,) float32 [px]
+        Signed patch size `s` of GEOMETRY.md: positive telescopic, negative binocular, NaN where unresolved.
+    standard_error : (n,) float32 [px]
+        Of `patch_size`, from the curvature of the match and the residual; inf where unknown.
+    confidence : (n,) float32
+        0..1, the probability that `patch_size` is the right optimum of the match.
+    drawn : (n,) float32 [px]
+        `patch_size`, with unresolved lenses filled from their neighbours; finite.
+    surface : Surface
+        `drawn`, carried on to a regular grid of scene points with depth edges settled on the pixels.
+    pitch : float [px]
+    image_size : (int, int) [px]
+        Width and height of the flat.
+    preset : str
+        Preset it was analysed with.
+    """
+
+    patch_size: NDArray[np.float32]
+    standard_error: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    drawn: NDArray[np.float32]
+    surface: Surface
+    pitch: float
+    image_size: tuple[int, int]
+    preset: str = field(default="balanced")
+
+    def __post_init__(self) -> None:
+        n = len(self.patch_size)
+        for name in ("patch_size", "standard_error", "confidence", "drawn"):
+            values = np.array(getattr(self, name), dtype=np.float32)
+            if values.shape != (n,):
+                raise ValueError(f"{name} must have one value per lens ({n}), got shape {values.shape}")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        if not np.isfinite(self.drawn).all() or not np.isfinite(self.surface.patch_size).all():
+            raise ValueError("drawn and surface must be finite")
+        object.__setattr__(self, "image_size", (int(self.image_size[0]), int(self.image_size[1])))
+
+    def __len__(self) -> int:
+        return len(self.patch_size)
+
+    @cached_property
+    def mode(self) -> NDArray[np.int8]:
+        """(n,) int8: 1 telescopic, -1 binocular, 0 unresolved."""
+        return np.sign(np.nan_to_num(self.patch_size)).astype(np.int8)
+
+    @cached_property
+    def magnification(self) -> NDArray[np.float32]:
+        """(n,) float32: M = D / |s| (Lumsdaine and Georgiev 2008, section 6); NaN where unresolved."""
+        with np.errstate(divide="ignore"):
+            return (self.pitch / np.abs(self.patch_size)).astype(np.float32)
+
+    @cached_property
+    def filled(self) -> NDArray[np.bool_]:
+        """(n,) bool: lenses that are drawn with their neighbours' depth since they have none of their own."""
+        return np.isnan(self.patch_size)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write as `.npz`; the file appears whole or not at all."""
+        with whole_file(Path(path)) as temporary, open(temporary, "wb") as stream:
+            np.savez(
+                stream,
+                version=np.int64(_VERSION),
+                patch_size=self.patch_size,
+                mode=self.mode,
+                magnification=self.magnification,
+                confidence=self.confidence,
+                standard_error=self.standard_error,
+                drawn=self.drawn,
+                filled=self.filled,
+                surface=self.surface.patch_size,
+                surface_first=np.array(self.surface.first, dtype=np.float64),
+                surface_spacing=np.float64(self.surface.spacing),
+                pitch=np.float64(self.pitch),
+                image_size=np.array(self.image_size, dtype=np.int64),
+                preset=np.array(self.preset),
+            )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> DepthMap:
+        """Read a file written by `save`.
+
+        Raises
+        ------
+        DepthFileError
+            If the file is missing, is not such a file, or a field is wrong.
+        """
+        remedy = "make one with 'lfrender analyze'"
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                version = int(data["version"])
+                if version != _VERSION:
+                    raise DepthFileError(f"{path}: version {version} is not known (this is {_VERSION}); {remedy}")
+                first = data["surface_first"]
+                return cls(
+                    patch_size=data["patch_size"],
+                    standard_error=data["standard_error"],
+                    confidence=data["confidence"],
+                    drawn=data["drawn"],
+                    surface=Surface(
+                        np.ascontiguousarray(data["surface"], np.float32),
+                        (float(first[0]), float(first[1])),
+                        float(data["surface_spacing"]),
+                    ),
+                    pitch=float(data["pitch"]),
+                    image_size=(int(data["image_size"][0]), int(data["image_size"][1])),
+                    preset=str(data["preset"]),
+                )
+        except DepthFileError:
+            raise
+        except OSError as error:
+            raise DepthFileError(f"{path}: cannot be read as a depth file ({error.strerror or error})") from error
+        except (KeyError, ValueError, TypeError, IndexError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+            raise DepthFileError(f"{path}: not a whole depth file ({error}); {remedy}") from error

@@ -1,0 +1,39 @@
+"""What every public function asks of a flat before it works on it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration, CalibrationError, FlatError
+
+__all__ = ["check_flat"]
+
+
+def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
+    """The flat as an (H, W, C) array that the kernels can read, or a clear error.
+
+    Raises
+    ------
+    FlatError
+        If it is not a gray or colour picture of finite numbers.
+    CalibrationError
+        If the calibration was made for another image size.
+    """
+    array = np.asarray(flat)
+    if array.ndim == 2:
+        array = array[:, :, None]
+    if array.ndim != 3 or not 1 <= array.shape[2] <= 4:
+        raise FlatError(f"flat must be (H, W) or (H, W, 1 to 4), got shape {np.shape(flat)}")
+    if array.dtype not in (np.uint8, np.uint16, np.float32):
+        if array.dtype.kind != "f":
+            raise FlatError(f"flat must be uint8, uint16 or float, got {array.dtype}")
+        array = array.astype(np.float32)
+    size = (array.shape[1], array.shape[0])
+    if size != calibration.image_size:
+        was, now = ("{} x {}".format(*pair) for pair in (calibration.image_size, size))
+        raise CalibrationError(f"calibration is for images of {was} px, the flat has {now}; calibrate on this flat")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        bad = np.argwhere(~np.isfinite(array))[0]
+        raise FlatError(f"flat has a NaN or infinite pixel at x={bad[1]}, y={bad[0]}; replace such pixels first")
+    return np.ascontiguousarray(array)

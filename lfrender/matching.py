@@ -1,0 +1,178 @@
+"""Correlation of neighbouring microimages over signed shifts."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from .radiance import GrayFlat
+
+__all__ = ["lens_statistics", "pair_costs"]
+
+# Part of a difference in mean brightness that counts as mismatch: neighbouring lenses may differ a
+# little in gain, but on a smooth slope their means are all that tells the depth.
+_OFFSET_WEIGHT = np.float32(0.5)
+# Share of a microimage that must be common before a match is fully trusted.
+_FULL_TRUST = 0.35
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+def _lens_statistics(image, centres, radius, out):
+    """Mean, standard deviation and RMS second difference of every microimage."""
+    height, width = image.shape
+    for lens in prange(len(centres)):
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        total = np.float32(0.0)
+        squares = np.float32(0.0)
+        rough = np.float32(0.0)
+        count = 0
+        top, bottom = max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius)))
+        middle = image[min(max(int(cy), 0), height - 1), min(max(int(cx), 0), width - 1)]
+        for y in range(top, bottom + 1):
+            half = np.sqrt(max(np.float32(0.0), radius * radius - (y - cy) * (y - cy)))
+            left, right = max(1, int(np.ceil(cx - half))), min(width - 2, int(np.floor(cx + half)))
+            for x in range(left, right + 1):
+                value = image[y, x] - middle
+                total += value
+                squares += value * value
+                # Checkerboard mask: blind to planes and straight slopes (Immerkaer 1996).
+                lap = (
+                    image[y - 1, x - 1]
+                    + image[y - 1, x + 1]
+                    + image[y + 1, x - 1]
+                    + image[y + 1, x + 1]
+                    - 2 * (image[y - 1, x] + image[y + 1, x] + image[y, x - 1] + image[y, x + 1])
+                    + 4 * image[y, x]
+                )
+                rough += lap * lap
+                count += 1
+        mean = total / max(count, 1)
+        out[lens, 0] = middle + mean
+        out[lens, 1] = np.sqrt(max(np.float32(0.0), squares / max(count, 1) - mean * mean))
+        out[lens, 2] = np.sqrt(rough / max(count, 1) / 36.0)
+
+
+def lens_statistics(gray: GrayFlat) -> NDArray[np.float32]:
+    """(n, 3) float32: mean, standard deviation and noise-like roughness of each microimage, white = 1."""
+    out = np.zeros((len(gray.centres), 3), np.float32)
+    _lens_statistics(gray.image, gray.centres, np.float32(gray.radius), out)
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
+    """Sums over all pixels of lens a whose partner, `(tx, ty)` away, lies in lens b."""
+    height, width = image.shape
+    x0, y0 = int(np.floor(tx)), int(np.floor(ty))
+    fx, fy = np.float32(tx - x0), np.float32(ty - y0)
+    w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
+    w10, w11 = (1 - fx) * fy, fx * fy
+    sa = sb = saa = sbb = sab = np.float32(0.0)
+    count = 0
+    r2 = radius * radius
+    # Centre of lens b's disc as seen from lens a's pixels.
+    qx, qy = bx - tx, by - ty
+    top = max(int(np.ceil(max(ay, qy) - radius)), max(0, -y0))
+    bottom = min(int(np.floor(min(ay, qy) + radius)), min(height - 1, height - 2 - y0))
+    for y in range(top, bottom + 1, row_step):
+        ha = r2 - (y - ay) * (y - ay)
+        hb = r2 - (y - qy) * (y - qy)
+        if ha <= 0 or hb <= 0:
+            continue
+        ha, hb = np.sqrt(ha), np.sqrt(hb)
+        left = max(int(np.ceil(max(ax - ha, qx - hb))), max(0, -x0))
+        right = min(int(np.floor(min(ax + ha, qx + hb))), min(width - 1, width - 2 - x0))
+        n = right - left + 1
+        if n <= 0:
+            continue
+        row = image[y, left : right + 1]
+        upper = image[y + y0, left + x0 : right + x0 + 2]
+        lower = image[y + y0 + 1, left + x0 : right + x0 + 2]
+        count += n
+        for k in range(n):
+            a = row[k] - mean
+            b = w00 * upper[k] + w01 * upper[k + 1] + w10 * lower[k] + w11 * lower[k + 1] - mean
+            sa += a
+            sb += b
+            saa += a * a
+            sbb += b * b
+            sab += a * b
+    return count, sa, sb, saa, sbb, sab
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+def _pair_costs(image, centres, radius, pitch, rows, means, active, shifts, noise, shading, row_step, full, out):
+    for lens in prange(len(centres)):
+        ax, ay = centres[lens, 0], centres[lens, 1]
+        for d in range(rows.shape[1]):
+            other = rows[lens, d]
+            for k in range(len(shifts)):
+                out[lens, d, k] = 1.0
+            if other < 0 or not (active[lens] or active[other]):
+                continue
+            bx, by = centres[other, 0], centres[other, 1]
+            mean = np.float32(0.5) * (means[lens] + means[other])
+            floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
+            for k in range(len(shifts)):
+                grow = 1.0 + shifts[k] / pitch
+                count, sa, sb, saa, sbb, sab = _moments(
+                    image, ax, ay, bx, by, radius, (bx - ax) * grow, (by - ay) * grow, mean, row_step
+                )
+                if count < 4:
+                    continue
+                inverse = np.float32(1.0) / count
+                ma, mb = sa * inverse, sb * inverse
+                variance = (saa + sbb) * inverse - ma * ma - mb * mb
+                offset = _OFFSET_WEIGHT * (ma - mb) * (ma - mb)
+                residual = variance - 2 * (sab * inverse - ma * mb) + offset
+                quality = (residual + floor) / (variance + offset + floor)
+                trust = min(np.float32(1.0), count * row_step / full)
+                out[lens, d, k] = 1.0 - trust * (1.0 - quality)
+
+
+def pair_costs(
+    gray: GrayFlat,
+    rows: NDArray[np.int32],
+    means: NDArray[np.float32],
+    active: NDArray[np.bool_],
+    shifts: NDArray[np.float32],
+    noise: float,
+    shading: float,
+    row_step: int = 1,
+) -> NDArray[np.float32]:
+    """How badly each lens agrees with its neighbours if the scene had each of some patch sizes.
+
+    The cost is `1 - rho`, the correlation coefficient over the pixels that both microimages show
+    at that shift, half-way invariant to a difference of their means, shrunk toward 1 where noise
+    or shading explain the contrast or where they share few pixels.
+
+    Parameters
+    ----------
+    gray : GrayFlat
+    rows : (n, d) int32
+        One neighbour of each lens in `d` directions, -1 where there is none.
+    means : (n,) float32
+        Mean brightness of each lens.
+    active : (n,) bool
+        Pairs without an active lens are not matched and cost 1.
+    shifts : (k,) float32 [px of `gray`]
+        Signed patch sizes to try.
+    noise : float
+        Standard deviation of a pixel.
+    shading : float
+        Fixed contrast inside every microimage, as a share of its mean.
+    row_step : int
+        Only every `row_step`-th row of pixels is read.
+
+    Returns
+    -------
+    (n, d, k) float32
+    """
+    out = np.empty((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
+    full = np.float32(_FULL_TRUST * np.pi * gray.radius**2)
+    _pair_costs(
+        gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, active,
+        shifts.astype(np.float32), np.float32(noise), np.float32(shading), row_step, full, out,
+    )  # fmt: skip
+    return out

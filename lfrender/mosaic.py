@@ -1,0 +1,130 @@
+"""Drawing kernels: every output pixel from the microimages that see its scene point."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+__all__ = ["draw_rows"]
+
+# Most lenses that may share one scene point; the nearest come first.
+MAX_LENSES = 37
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def _patch_size(surface, x, y, grid_x, grid_y, cell, edge):
+    """Patch size at scene point (x, y): linear between grid values, nearest across a depth edge."""
+    rows, columns = surface.shape
+    gx = min(max((x - grid_x) / cell, np.float32(0.0)), np.float32(columns - 1))
+    gy = min(max((y - grid_y) / cell, np.float32(0.0)), np.float32(rows - 1))
+    i, j = min(int(gx), max(columns - 2, 0)), min(int(gy), max(rows - 2, 0))
+    i1, j1 = min(i + 1, columns - 1), min(j + 1, rows - 1)
+    fx, fy = gx - i, gy - j
+    a, b, c, d = surface[j, i], surface[j, i1], surface[j1, i], surface[j1, i1]
+    if max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) < edge:
+        return (1 - fy) * ((1 - fx) * a + fx * b) + fy * ((1 - fx) * c + fx * d)
+    return surface[j1 if fy > 0.5 else j, i1 if fx > 0.5 else i]
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+def draw_rows(
+    flat, gains, gain_step, origin, inverse, basis, offsets, radius, pitch,
+    surface, grid_x, grid_y, cell, edge, scale, first, spacing, oversample, reach, tolerance, out, weight_out,
+):  # fmt: skip
+    """Fill `out` (h, w, C) with the mean over the lenses that see each point, `weight_out` with their number.
+
+    A lens counts with the square of its illumination, less toward its rim, and only as far as
+    its colour agrees with the most central lens's within `tolerance` (0: the most central lens alone).
+    """
+    height, width, channels = flat.shape
+    rows, columns, _ = out.shape
+    last_gain = len(gains) - 1
+    r2 = radius * radius
+    t2 = tolerance * tolerance
+    for v in prange(rows):
+        values = np.empty((MAX_LENSES, 4), np.float32)
+        weights = np.empty(MAX_LENSES, np.float32)
+        total = np.empty(4, np.float32)
+        for u in range(columns):
+            centre_x, centre_y = first + u * spacing, first + v * spacing
+            s_here = _patch_size(surface, np.float32(centre_x), np.float32(centre_y), grid_x, grid_y, cell, edge)
+            n_sub = min(max(int(np.ceil(abs(s_here) / scale - np.float32(0.05))), 1), oversample)
+            for k in range(channels):
+                total[k] = 0.0
+            total_weight = np.float32(0.0)
+            for sub in range(n_sub * n_sub):
+                x = centre_x + ((sub % n_sub + np.float32(0.5)) / n_sub - np.float32(0.5)) * spacing
+                y = centre_y + ((sub // n_sub + np.float32(0.5)) / n_sub - np.float32(0.5)) * spacing
+                s = (
+                    s_here
+                    if n_sub == 1
+                    else _patch_size(surface, np.float32(x), np.float32(y), grid_x, grid_y, cell, edge)
+                )
+                slope = s / pitch
+                ox, oy = x - origin[0], y - origin[1]
+                i = np.rint(ox * inverse[0, 0] + oy * inverse[1, 0])
+                j = np.rint(ox * inverse[0, 1] + oy * inverse[1, 1])
+                base_x = np.float32(ox - (i * basis[0, 0] + j * basis[1, 0]))
+                base_y = np.float32(oy - (i * basis[0, 1] + j * basis[1, 1]))
+                limit = min(radius / max(abs(slope), np.float32(1e-6)), reach)
+                limit2 = limit * limit
+                found = 0
+                best = np.float32(np.inf)
+                best_at = 0
+                for o in range(len(offsets)):
+                    # offsets are sorted: beyond this one none can be near enough
+                    if offsets[o, 2] > limit + np.float32(0.75) * pitch or found == MAX_LENSES:
+                        break
+                    ex, ey = base_x - offsets[o, 0], base_y - offsets[o, 1]
+                    d2 = ex * ex + ey * ey
+                    if d2 > limit2:
+                        continue
+                    dx, dy = -ex * slope, -ey * slope
+                    px, py = x - ex + dx, y - ey + dy
+                    if not (px >= 0 and py >= 0 and px <= width - 1 and py <= height - 1):
+                        continue
+                    if x - ex < -0.5 or y - ey < -0.5 or x - ex >= width - 0.5 or y - ey >= height - 0.5:
+                        continue
+                    delta2 = dx * dx + dy * dy
+                    gain = gains[min(int(delta2 / gain_step), last_gain)]
+                    ix, iy = min(int(px), width - 2), min(int(py), height - 2)
+                    fx, fy = np.float32(px - ix), np.float32(py - iy)
+                    w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
+                    w10, w11 = (1 - fx) * fy, fx * fy
+                    for k in range(channels):
+                        values[found, k] = gain * (
+                            w00 * np.float32(flat[iy, ix, k])
+                            + w01 * np.float32(flat[iy, ix + 1, k])
+                            + w10 * np.float32(flat[iy + 1, ix, k])
+                            + w11 * np.float32(flat[iy + 1, ix + 1, k])
+                        )
+                    weights[found] = (np.float32(1.02) - d2 / limit2) / (gain * gain)
+                    if d2 < best:
+                        best, best_at = d2, found
+                    found += 1
+                if found == 0:
+                    continue
+                if t2 <= 0:
+                    for k in range(channels):
+                        total[k] += values[best_at, k]
+                    total_weight += 1
+                    continue
+                for n in range(found):
+                    difference = np.float32(0.0)
+                    for k in range(channels):
+                        e = values[n, k] - values[best_at, k]
+                        difference += e * e
+                    agree = t2 / (t2 + difference / channels)
+                    weights[n] *= agree * agree
+                norm = np.float32(0.0)
+                for n in range(found):
+                    norm += weights[n]
+                for k in range(channels):
+                    mixed = np.float32(0.0)
+                    for n in range(found):
+                        mixed += weights[n] * values[n, k]
+                    total[k] += mixed / norm
+                total_weight += 1
+            weight_out[v, u] = total_weight / (n_sub * n_sub)
+            for k in range(channels):
+                out[v, u, k] = total[k] / total_weight if total_weight > 0 else np.float32(0.0)

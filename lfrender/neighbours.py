@@ -1,0 +1,40 @@
+"""Who is next to whom: lens rows by lattice index and the neighbours of every lens."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Lattice
+
+__all__ = ["lens_grid", "neighbour_rows"]
+
+
+def lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Row of each lens by its lattice index.
+
+    Returns
+    -------
+    grid : (nj, ni) int32
+        Row in `lattice.centres()` of lens `(i, j)` at `grid[j - low[1], i - low[0]]`, -1 where there is none.
+    low : (2,) int64
+        Smallest `i` and `j`.
+    """
+    ij = lattice.indices()
+    low = ij.min(0)
+    size = ij.max(0) - low + 1
+    grid = np.full((size[1], size[0]), -1, np.int32)
+    grid[ij[:, 1] - low[1], ij[:, 0] - low[0]] = np.arange(len(ij), dtype=np.int32)
+    return grid, low
+
+
+def neighbour_rows(lattice: Lattice, steps: NDArray[np.int64]) -> NDArray[np.int32]:
+    """(n, k) rows of the lenses `steps` (k, 2) index steps away from each lens, -1 where there is none."""
+    grid, low = lens_grid(lattice)
+    ij = lattice.indices() - low
+    rows = np.full((len(ij), len(steps)), -1, np.int32)
+    for k, step in enumerate(steps):
+        i, j = (ij + step).T
+        inside = (i >= 0) & (j >= 0) & (i < grid.shape[1]) & (j < grid.shape[0])
+        rows[inside, k] = grid[j[inside], i[inside]]
+    return rows

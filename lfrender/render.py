@@ -1,0 +1,149 @@
+"""Pictures from a flat: all-in-focus, at one patch size, and traditional."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration, CalibrationError, Lattice
+
+from .analyze import analyze
+from .depthmap import DepthMap
+from .flatcheck import check_flat
+from .mosaic import draw_rows
+from .radiance import gain_table, white_level
+from .rendering import Rendering
+from .surface import Surface
+
+__all__ = ["default_scale", "render"]
+
+# Lenses farther than this many pitches from a scene point add little but blur.
+_REACH = 2.2
+# Colour difference, as a share of white, at which a lens counts a quarter: ghosts differ by more.
+_AGREEMENT = 0.25
+# Finest sampling of one output pixel, per side, where patches shrink into it.
+_OVERSAMPLE = 8
+_LARGEST_SCALE_SHARE = 0.98
+
+
+def default_scale(depth: DepthMap) -> float:
+    """Output pixels per pitch that keep the flat's resolution where patches are largest [px per pitch].
+
+    The paper's full resolution (section 4): as many output pixels per lens as its patch has.
+    """
+    sizes = np.abs(depth.patch_size[np.isfinite(depth.patch_size)])
+    if sizes.size == 0:
+        return 1.0
+    return max(1.0, float(np.quantile(sizes, _LARGEST_SCALE_SHARE)))
+
+
+def render(
+    flat: NDArray,
+    calibration: Calibration,
+    depth: DepthMap | None = None,
+    *,
+    patch_size: float | None = None,
+    scale: float | None = None,
+    blend: bool | None = None,
+) -> Rendering:
+    """Draw the scene that a flat shows, sharp at every depth.
+
+    Every output pixel is a scene point `X`; a lens at `c` shows it at `c - (X - c) * s / D`
+    (Lumsdaine and Georgiev 2008, sections 4 and 5, for both modes by the sign of `s`).
+
+    Parameters
+    ----------
+    flat : (H, W) or (H, W, C) array, uint8, uint16 or float
+    calibration : Calibration
+        Of the same image size.
+    depth : DepthMap, optional
+        Of this flat; analysed first where it is not given.
+    patch_size : float, optional [px]
+        One signed patch size for all places: the paper's figures 15 and 16. No depth is needed then.
+    scale : float, optional
+        Output pixels per pitch; by default the flat's full resolution: the largest patch, or `|patch_size|`.
+    blend : bool, optional
+        True averages all lenses that agree on a point, False reads each point from the lens
+        whose centre is nearest. By default True for a depth map and False for one patch size.
+
+    Returns
+    -------
+    Rendering
+        Image of the flat's dtype and channels.
+
+    Raises
+    ------
+    FlatError, CalibrationError
+        As `analyze`; also if `depth` belongs to another flat size or lattice.
+    ValueError
+        If both `depth` and `patch_size` are given, or a number makes no picture.
+    """
+    pixels = check_flat(flat, calibration)
+    lattice = calibration.lattice
+    if patch_size is not None:
+        if depth is not None:
+            raise ValueError("give either depth or patch_size, not both")
+        if not 0 < abs(patch_size) < lattice.pitch:
+            raise ValueError(f"patch_size must lie between 0 and the pitch {lattice.pitch:.1f} px, got {patch_size}")
+        surface = Surface(np.full((1, 1), patch_size, np.float32), (0.0, 0.0), 1.0)
+        scale = abs(patch_size) if scale is None else scale
+    else:
+        depth = analyze(pixels, calibration) if depth is None else depth
+        if depth.image_size != calibration.image_size or len(depth) != len(lattice):
+            raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
+        surface = depth.surface
+        scale = default_scale(depth) if scale is None else scale
+    if not (np.isfinite(scale) and 0 < scale <= 4 * lattice.pitch):
+        raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * lattice.pitch:.0f}), got {scale}")
+    blend = patch_size is None if blend is None else blend
+    image, lenses, affine = _draw(pixels, calibration, surface, float(scale), blend)
+    if np.ndim(flat) == 2:
+        image = image[:, :, 0]
+    return Rendering(_like(image, np.asarray(flat).dtype), affine, lenses > 0, float(scale))
+
+
+def _draw(
+    pixels: NDArray, calibration: Calibration, surface: Surface, scale: float, blend: bool
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+    """The picture in the flat's units, what was seen of each pixel (0..1), and the affine to scene coordinates."""
+    lattice = calibration.lattice
+    width, height = lattice.image_size
+    spacing = lattice.pitch / scale
+    columns, rows = max(1, round(width / spacing)), max(1, round(height / spacing))
+    first = 0.5 * spacing - 0.5
+    image = np.empty((rows, columns, pixels.shape[2]), np.float32)
+    seen = np.empty((rows, columns), np.float32)
+    gains, gain_step = gain_table(calibration)
+    single = np.float32
+    draw_rows(
+        pixels, gains, single(gain_step), lattice.origin, np.linalg.inv(lattice.basis), lattice.basis,
+        lens_offsets(lattice, _REACH * lattice.pitch), single(lattice.radius), single(lattice.pitch),
+        surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
+        single(max(0.5, 0.03 * lattice.pitch)), single(scale), first, spacing, _OVERSAMPLE,
+        single(_REACH * lattice.pitch), single(_AGREEMENT * white_level(pixels) if blend else 0.0), image, seen,
+    )  # fmt: skip
+    affine = np.array([[spacing, 0.0, first], [0.0, spacing, first]])
+    return image, seen, affine
+
+
+def lens_offsets(lattice: Lattice, reach: float) -> NDArray[np.float32]:
+    """(k, 3) float32: offsets `x, y` and distances [px] of all lattice points about one within `reach` and a pitch."""
+    limit = reach + lattice.pitch
+    span = np.arange(-1, 2) if limit <= 0 else np.arange(-_span(lattice, limit), _span(lattice, limit) + 1)
+    offsets = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2) @ lattice.basis
+    distance = np.linalg.norm(offsets, axis=1)
+    order = np.argsort(distance, kind="stable")
+    order = order[distance[order] <= limit]
+    return np.column_stack([offsets, distance])[order].astype(np.float32)
+
+
+def _span(lattice: Lattice, limit: float) -> int:
+    """Largest lattice index of a point within `limit` of the origin."""
+    return int(np.ceil(limit * np.linalg.norm(np.linalg.inv(lattice.basis), axis=0).max()))
+
+
+def _like(image: NDArray[np.float32], dtype: np.dtype) -> NDArray:
+    """Round and clip to the range of `dtype`."""
+    if dtype.kind == "f":
+        return image.astype(dtype, copy=False)
+    return np.clip(np.rint(image), 0, np.iinfo(dtype).max).astype(dtype)

@@ -1,0 +1,91 @@
+"""The traditional picture of a plenoptic camera: one pixel per microlens."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from lfcal import Calibration
+
+from .flatcheck import check_flat
+from .neighbours import lens_grid
+from .radiance import gain_table
+from .render import _like
+from .rendering import Rendering
+
+__all__ = ["traditional"]
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+def _lens_means(flat, centres, radius, gains, gain_step, out):
+    height, width, channels = flat.shape
+    last = len(gains) - 1
+    for lens in prange(len(centres)):
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        count = 0
+        for k in range(channels):
+            out[lens, k] = 0.0
+        for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
+            half = np.sqrt(max(0.0, radius * radius - (y - cy) * (y - cy)))
+            for x in range(max(0, int(np.ceil(cx - half))), min(width - 1, int(np.floor(cx + half))) + 1):
+                gain = gains[min(int(((x - cx) ** 2 + (y - cy) ** 2) / gain_step), last)]
+                for k in range(channels):
+                    out[lens, k] += gain * np.float32(flat[y, x, k])
+                count += 1
+        for k in range(channels):
+            out[lens, k] /= max(count, 1)
+
+
+def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
+    """One pixel per microlens: the mean of its microimage (Lumsdaine and Georgiev 2008, section 3).
+
+    On a lattice that is not the pixel grid, each pixel is interpolated between the lenses around it.
+
+    Parameters
+    ----------
+    flat : (H, W) or (H, W, C) array
+    calibration : Calibration
+
+    Returns
+    -------
+    Rendering
+        At one output pixel per pitch.
+    """
+    pixels = check_flat(flat, calibration)
+    lattice = calibration.lattice
+    gains, gain_step = gain_table(calibration)
+    means = np.empty((len(lattice), pixels.shape[2]), np.float32)
+    _lens_means(pixels, lattice.centres(), lattice.radius, gains, gain_step, means)
+    width, height = lattice.image_size
+    pitch = lattice.pitch
+    columns, rows = max(1, round(width / pitch)), max(1, round(height / pitch))
+    first = 0.5 * pitch - 0.5
+    v, u = np.mgrid[:rows, :columns]
+    image = _between_lenses(calibration, means, np.stack([u, v], -1).reshape(-1, 2) * pitch + first)
+    image = image.reshape(rows, columns, -1)
+    if np.ndim(flat) == 2:
+        image = image[:, :, 0]
+    affine = np.array([[pitch, 0.0, first], [0.0, pitch, first]])
+    return Rendering(_like(image, np.asarray(flat).dtype), affine, np.ones((rows, columns), bool), 1.0)
+
+
+def _between_lenses(
+    calibration: Calibration, means: NDArray[np.float32], points: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Lens means at scene points, linear between the lenses of a lattice cell, the nearest at the border."""
+    grid, low = lens_grid(calibration.lattice)
+    index = calibration.lattice.to_index(points) - low
+    corner = np.floor(index).astype(int)
+    part = index - corner
+    total = np.zeros((len(points), means.shape[1]), np.float32)
+    weights = np.zeros(len(points), np.float32)
+    for di, dj in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        i, j = corner[:, 0] + di, corner[:, 1] + dj
+        inside = (i >= 0) & (j >= 0) & (i < grid.shape[1]) & (j < grid.shape[0])
+        lens = np.where(inside, grid[np.where(inside, j, 0), np.where(inside, i, 0)], -1)
+        weight = np.abs(1 - di - part[:, 0]) * np.abs(1 - dj - part[:, 1]) + np.float32(1e-6)
+        weight = np.where(lens >= 0, weight, 0).astype(np.float32)
+        total += weight[:, None] * means[lens]
+        weights += weight
+    return total / np.maximum(weights, 1e-9)[:, None]
