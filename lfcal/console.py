@@ -125,7 +125,7 @@ def _has_compiled_kernels(package: str) -> bool:
     if spec is None or not spec.__file__:
         return True
     folder = Path(spec.__file__).parent
-    if not any("njit" in file.read_text(encoding="utf-8") for file in folder.glob("*.py")):
+    if not any("\n@njit" in file.read_text(encoding="utf-8") for file in folder.glob("*.py")):
         return True
     named = os.environ.get("NUMBA_CACHE_DIR")
     places = [folder.glob("__pycache__/*.nbi")]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lfcal import check_output, console
+from lfcal import LightFieldError, check_output, console
 
 from .picture import check_picture, write_picture
 
@@ -118,7 +118,7 @@ def render(
     with report.stage("write"):
         write_picture(output, picture, alpha=alpha, settings=_settings(depth, patch_size, traditional, preset))
     figures = {**_camera_figures(calibration), **(_depth_figures(depth) if depth else {})}
-    report.finish({"picture": str(output), **_picture_figures(picture, calibration), **figures})
+    report.finish({"picture": str(output), **_picture_figures(picture), **figures})
 
 
 @main.command()
@@ -171,7 +171,7 @@ def _read_depth(path: Path) -> DepthMap:
 
 
 def _analyze(report: Any, pixels: NDArray[np.generic], calibration: Calibration, preset: str) -> DepthMap:
-    from . import analyze as run
+    from .analyze import analyze as run
 
     report.announce_compilation("lfrender")
     return run(pixels, calibration, preset=preset)
@@ -186,13 +186,20 @@ def _render(
     traditional: bool,
     scale: float | None,
 ) -> Rendering:
-    from . import render as run
-    from . import traditional as run_traditional
+    from .render import render as run
+    from .traditional import traditional as run_traditional
 
     report.announce_compilation("lfrender")
     if traditional:
         return run_traditional(pixels, calibration)
-    return run(pixels, calibration, depth, patch_size=patch_size, scale=scale)
+    try:
+        return run(pixels, calibration, depth, patch_size=patch_size, scale=scale)
+    except LightFieldError:
+        raise
+    except ValueError as error:
+        if patch_size is None and scale is None:
+            raise
+        raise click.UsageError(str(error)) from error
 
 
 def _at_most_one(*pairs: Any) -> None:
@@ -231,14 +238,12 @@ def _depth_figures(depth: DepthMap) -> dict[str, Any]:
 _MODES = {"telescopic": 1, "binocular": -1, "unresolved": 0}
 
 
-def _picture_figures(picture: Rendering, calibration: Calibration) -> dict[str, Any]:
+def _picture_figures(picture: Rendering) -> dict[str, Any]:
     import numpy as np
 
-    affine = np.asarray(picture.affine)
-    per_pixel = float(np.sqrt(abs(np.linalg.det(affine[:, :2]))))
     return {
         "size": [picture.image.shape[1], picture.image.shape[0]],
-        "scale": calibration.lattice.pitch / per_pixel,
+        "scale": picture.scale,
         "valid": float(np.mean(picture.valid)),
-        "affine": affine,
+        "affine": picture.affine,
     }

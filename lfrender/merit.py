@@ -116,10 +116,24 @@ def resample(
         for dv in steps:
             offset = (to_reference @ [du, dv, 1.0])[1::-1]
             for plane, out in zip(planes, total, strict=True):
-                out += affine_transform(plane, matrix, offset, shape, order=1, cval=np.nan, prefilter=False)
-    inside = np.asarray(np.isfinite(total).all(axis=0))
+                out += affine_transform(plane, matrix, offset, shape, order=1, mode="nearest", prefilter=False)
+    inside = _reached(to_reference, steps, reference.shape[:2], shape)
     picture = np.moveaxis(np.where(inside, total / n**2, 0.0), 0, -1)
     return picture.reshape(*shape, *reference.shape[2:]), inside
+
+
+def _reached(
+    to_reference: NDArray[np.float64], steps: NDArray[np.float64], size: tuple[int, ...], shape: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """Pixels of the grid whose outermost samples all lie on the area of the reference's pixels."""
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    inside = np.ones(shape, bool)
+    limits = np.array([size[1], size[0]]) - 0.5 + 1e-9
+    for du in (steps[0], steps[-1]):
+        for dv in (steps[0], steps[-1]):
+            where = np.stack([u + du, v + dv, np.ones(shape)], -1) @ to_reference[:2].T
+            inside &= ((where >= -0.5 - 1e-9) & (where <= limits)).all(-1)
+    return inside
 
 
 def centre_error(lattice: Lattice, truth: Lattice) -> float:

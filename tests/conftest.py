@@ -20,3 +20,20 @@ def shared():
         return path
 
     return find
+
+
+@pytest.fixture(scope="session")
+def house():
+    """A small simulated capture with both modes, and its truth."""
+    from data_synth import SCENES, Camera, simulate
+
+    camera = Camera.design(size=(520, 400), pitch=20.3, lattice="hex", rotation=1.3)
+    return simulate(SCENES["house"](camera), camera, samples=16, seed=4)
+
+
+@pytest.fixture(scope="session")
+def house_files(house, tmp_path_factory):
+    """The folder of that capture: flat.png, white.png, camera.json (true)."""
+    folder = tmp_path_factory.mktemp("house")
+    house.save(folder)
+    return folder

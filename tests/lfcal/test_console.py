@@ -77,7 +77,7 @@ def test_text_report_puts_warnings_on_stderr_and_quiet_keeps_only_them(capsys):
 
 
 def test_compilation_is_announced_once_and_only_without_a_cache(tmp_path, monkeypatch, capsys):
-    (tmp_path / "kernel.py").write_text("@njit(cache=True)\n")
+    (tmp_path / "kernel.py").write_text("from numba import njit\n\n@njit(cache=True)\ndef work(): ...\n")
     monkeypatch.setitem(sys.modules, "fresh", SimpleNamespace(__file__=str(tmp_path / "__init__.py")))
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     report = Report()

@@ -1,0 +1,193 @@
+"""The lfrender command: whole chains, the figures it prints, and how it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from click.testing import CliRunner
+
+import lfcal
+from lfrender.cli import main
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments], catch_exceptions=False)
+
+
+def figures_of(*arguments):
+    result = run(*arguments, "--json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def assert_refused(result, *words):
+    assert result.exit_code == 2, result.output
+    assert result.stderr.count("\n") == 1
+    for word in words:
+        assert word in result.stderr
+
+
+def test_analyze_then_render_with_its_depth(house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    analysed = figures_of("analyze", flat, "-c", camera, "-o", tmp_path / "depth.npz", "--preset", "fast")
+    assert analysed["modes"]["telescopic"] > 0.3
+    assert analysed["modes"]["binocular"] > 0.1
+    assert sum(analysed["modes"].values()) == pytest.approx(1)
+    drawn = figures_of("render", flat, "-c", camera, "--depth", tmp_path / "depth.npz", "-o", tmp_path / "picture.tif")
+    assert set(drawn["seconds"]) == {"read", "calibrate", "analyze", "render", "write"}
+    picture = lfcal.read_flat(tmp_path / "picture.tif")
+    assert list(picture.shape[1::-1]) == drawn["size"]
+    assert picture.dtype == np.uint8
+    assert picture.std() > 20
+    assert sorted(os.listdir(tmp_path)) == ["depth.npz", "picture.tif"]
+
+
+def test_render_without_a_depth_file_gives_the_same_picture(house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    figures_of("analyze", flat, "-c", camera, "-o", tmp_path / "depth.npz")
+    figures_of("render", flat, "-c", camera, "--depth", tmp_path / "depth.npz", "-o", tmp_path / "two.png")
+    figures_of("render", flat, "-c", camera, "-o", tmp_path / "one.png")
+    np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "one.png"), lfcal.read_flat(tmp_path / "two.png"))
+
+
+def test_render_calibrates_from_the_flat_or_a_white_image(house, house_files, tmp_path):
+    flat = house_files / "flat.png"
+    for options, source in [((), "scene"), (("--white", house_files / "white.png"), "white")]:
+        drawn = figures_of("render", flat, *options, "-o", tmp_path / "picture.png")
+        assert drawn["camera_source"] == source
+        assert drawn["pitch"] == pytest.approx(house.camera.pitch, abs=0.1)
+
+
+def test_scale_is_the_number_of_pixels_per_pitch(house, house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    drawn = figures_of(
+        "render", flat, "-c", camera, "--patch-size", "5", "--scale", "10", "-o", tmp_path / "picture.png"
+    )
+    assert drawn["scale"] == pytest.approx(10)
+    width, height = house.camera.width, house.camera.height
+    assert drawn["size"] == pytest.approx([width / house.camera.pitch * 10, height / house.camera.pitch * 10], rel=0.1)
+
+
+def test_traditional_picture_has_one_pixel_per_lens(house, house_files, tmp_path):
+    drawn = figures_of(
+        "render", house_files / "flat.png", "-c", house_files / "camera.json", "--traditional", "-o", tmp_path / "t.png"
+    )
+    assert drawn["scale"] == pytest.approx(1, rel=0.1)
+    assert np.prod(drawn["size"]) == pytest.approx(len(house.truth.mode), rel=0.35)
+
+
+def test_alpha_marks_the_pixels_nothing_has_seen(house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    drawn = figures_of("render", flat, "-c", camera, "--patch-size", "-6", "--alpha", "-o", tmp_path / "picture.tif")
+    alpha = tifffile.imread(tmp_path / "picture.tif")[..., 3]
+    assert np.mean(alpha == 255) == pytest.approx(drawn["valid"])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--traditional", "--patch-size", "5"),
+        ("--traditional", "--depth", "depth.npz"),
+        ("--traditional", "--scale", "4"),
+        ("--camera", "a.json", "--white", "b.png"),
+        ("--scale", "0"),
+        ("--scale", "-3"),
+        ("--patch-size", "much"),
+        ("--preset", "best"),
+    ],
+)
+def test_options_that_make_no_sense_are_one_line(house_files, tmp_path, options):
+    assert_refused(run("render", house_files / "flat.png", *options, "-o", tmp_path / "picture.png"))
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("scale", ["nan", "inf", "1e9"])
+def test_impossible_scales_and_patch_sizes_are_refused(house_files, tmp_path, scale):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    assert_refused(run("render", flat, "-c", camera, "--patch-size", "5", "--scale", scale, "-o", tmp_path / "p.png"))
+    if scale != "1e9":
+        assert_refused(run("render", flat, "-c", camera, "--patch-size", scale, "-o", tmp_path / "p.png"))
+    assert os.listdir(tmp_path) == []
+
+
+def test_camera_of_another_image_size_is_refused(house, house_files, tmp_path):
+    cv2.imwrite(str(tmp_path / "part.png"), house.flat[:-10, :-20])
+    for command in (("analyze", "-o", tmp_path / "d.npz"), ("render", "-o", tmp_path / "p.png")):
+        arguments = (command[0], tmp_path / "part.png", "-c", house_files / "camera.json", *command[1:])
+        assert_refused(run(*arguments), "520 x 400", "500 x 390")
+    assert_refused(
+        run("render", tmp_path / "part.png", "--white", house_files / "white.png", "-o", tmp_path / "p.png"), "one size"
+    )
+    assert os.listdir(tmp_path) == ["part.png"]
+
+
+def test_depth_of_another_camera_or_no_depth_at_all_is_refused(house, house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    (tmp_path / "text.npz").write_text("no depth")
+    (tmp_path / "empty.npz").touch()
+    for name in ("text.npz", "empty.npz", "missing.npz", ""):
+        assert_refused(run("render", flat, "-c", camera, "--depth", tmp_path / name, "-o", tmp_path / "p.png"))
+    figures_of("analyze", flat, "-c", camera, "-o", tmp_path / "depth.npz", "--preset", "fast")
+    cv2.imwrite(str(tmp_path / "part.png"), house.flat[:-10, :-20])
+    lattice = house.truth.calibration.lattice
+    part = lfcal.Calibration(lfcal.Lattice(lattice.origin, lattice.basis, (500, 390), lattice.radius))
+    part.save(tmp_path / "part.json")
+    assert_refused(
+        run(
+            "render", tmp_path / "part.png", "-c", tmp_path / "part.json",
+            "--depth", tmp_path / "depth.npz", "-o", tmp_path / "p.png",
+        )
+    )  # fmt: skip
+    assert not (tmp_path / "p.png").exists()
+
+
+@pytest.mark.parametrize("name", ["missing.png", "empty.png", "truncated.png", "text.png", "nan.tif", "tiny.png", ""])
+def test_bad_flats_are_one_line_and_leave_no_file(house, house_files, tmp_path, name):
+    data = (house_files / "flat.png").read_bytes()
+    (tmp_path / "empty.png").touch()
+    (tmp_path / "truncated.png").write_bytes(data[: len(data) // 2])
+    (tmp_path / "text.png").write_text("no picture\n")
+    tifffile.imwrite(tmp_path / "nan.tif", np.full(house.flat.shape, np.inf, np.float32))
+    cv2.imwrite(str(tmp_path / "tiny.png"), house.flat[:40, :40])
+    before = sorted(os.listdir(tmp_path))
+    assert_refused(run("render", tmp_path / name, "-o", tmp_path / "picture.png"))
+    assert_refused(run("analyze", tmp_path / name, "-c", house_files / "camera.json", "-o", tmp_path / "depth.npz"))
+    assert sorted(os.listdir(tmp_path)) == before
+
+
+def test_bad_outputs_are_refused_before_the_flat_is_read(tmp_path):
+    for output in ("picture.gif", "picture", "nowhere/picture.png", "."):
+        assert_refused(run("render", tmp_path / "missing.png", "-o", tmp_path / output))
+        assert_refused(run("analyze", tmp_path / "missing.png", "-c", "c.json", "-o", tmp_path / output))
+    assert_refused(run("render", tmp_path / "missing.png", "--alpha", "-o", tmp_path / "picture.jpg"), "alpha")
+
+
+def test_sixteen_bits_do_not_go_into_jpeg(house, tmp_path):
+    cv2.imwrite(str(tmp_path / "flat.png"), house.flat.astype(np.uint16) * 257)
+    assert_refused(run("render", tmp_path / "flat.png", "-o", tmp_path / "picture.jpg"), "uint16")
+
+
+def test_published_calibrations_are_accepted(shared, tmp_path):
+    flat = shared("captures", "Fujita2.png")
+    for name in ("Fujita2.published.xml", "Fujita2.published.cfg"):
+        camera = shared("captures", name)
+        drawn = figures_of("render", flat, "-c", camera, "--patch-size", "-7", "-o", tmp_path / "picture.tif")
+        assert drawn["camera_source"] == "published"
+        assert drawn["pitch"] == pytest.approx(23.2, abs=0.3)
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\nfrom lfrender.cli import main\n"
+        "try: main(['render', '--help'])\nexcept SystemExit as end: assert end.code == 0\n"
+        "print([m for m in ('numba', 'scipy', 'cv2', 'PIL', 'tifffile', 'skimage', 'rich') if m in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip().endswith("[]")
