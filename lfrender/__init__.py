@@ -7,16 +7,17 @@ __all__ = ["DepthMap", "Rendering", "analyze", "default_scale", "render", "tradi
 _HOMES = {
     "DepthMap": "depthmap",
     "Rendering": "rendering",
-    "analyze": "analyze",
-    "default_scale": "render",
-    "render": "render",
-    "traditional": "traditional",
+    "analyze": "analysis",
+    "default_scale": "drawing",
+    "render": "drawing",
+    "traditional": "lens_means",
     "write_picture": "picture",
 }
 
 
 def __getattr__(name: str) -> Any:
-    # The kernels bring a compiler along: nobody should wait for it who only asks for help.
+    # The kernels bring a compiler along: nobody should wait for it who only asks for help. No module may
+    # bear the name of a function here, or importing the one would hide the other.
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

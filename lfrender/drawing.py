@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, CalibrationError, Lattice
 
-from .analyze import analyze
+from .analysis import analyze
 from .depthmap import DepthMap
 from .flatcheck import check_flat
 from .mosaic import draw_rows

@@ -11,7 +11,7 @@ from lfcal import Calibration
 from .flatcheck import check_flat
 from .neighbours import lens_grid
 from .radiance import gain_table
-from .render import _like
+from .drawing import _like
 from .rendering import Rendering
 
 __all__ = ["traditional"]
