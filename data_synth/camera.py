@@ -192,7 +192,7 @@ class Camera:
 
     @cached_property
     def lattice(self) -> Lattice:
-        """Where the chief rays (main-lens centre through microlens centre) meet the sensor, and the microimage radius."""
+        """Where the chief rays (main-lens centre through microlens centre) meet the sensor; radius of a microimage."""
         radius = min(self.microimage_radius, self._shortest_step / 2)
         return Lattice(np.array(self.origin), np.array(self.basis), (self.width, self.height), radius)
 

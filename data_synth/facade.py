@@ -38,7 +38,7 @@ def facade(shape: tuple[int, int], unit: float, rng: np.random.Generator) -> NDA
             size = (height - top if is_door else pane_h, pane_w)
             view = _door(size, unit, rng) if is_door else _window(size, unit, rng, row * columns + column)
             wall[top : top + size[0], left : left + pane_w] = view
-    _sign(wall, roof_end + storey - round(1.4 * unit), round(2.2 * unit), unit, rng)
+    _sign(wall, roof_end + storey - round(1.4 * unit), round(2.2 * unit), rng)
     return wall
 
 
@@ -73,13 +73,13 @@ def _window(shape: tuple[int, int], unit: float, rng: np.random.Generator, numbe
     height, width = shape
     kind = number % 3
     if kind == 0:
-        room = dead_leaves(shape, rng, smallest=0.12 * unit, largest=3 * unit)
+        room = dead_leaves(shape, rng, smallest=0.25 * unit, largest=4 * unit)
     elif kind == 1:
         room = text_page(shape, rng, ink=(228, 224, 200), paper=(38, 44, 66), size=max(0.4, unit / 26))
     else:
         folds = np.sin(np.arange(width) * (2 * np.pi / (0.8 * unit)) + 2 * fractal_noise((height, width), rng))
         cloth = linear(np.array((196, 150, 70), np.uint8)) * (0.6 + 0.35 * folds[..., None])
-        room = tint(cloth.astype(np.float32), fractal_noise(shape, rng, coarsest=16, persistence=0.9), 0.3)
+        room = tint(cloth.astype(np.float32), fractal_noise(shape, rng, coarsest=16, persistence=0.8), 0.3)
     frame = linear(np.array((240, 238, 230), np.uint8))
     edge, bar = max(2, round(0.35 * unit)), max(1, round(0.18 * unit))
     room[:edge] = room[-edge:] = frame
@@ -102,26 +102,19 @@ def _door(shape: tuple[int, int], unit: float, rng: np.random.Generator) -> NDAr
             right, bottom = left + round(0.35 * width), top + round(0.26 * height)
             cv2.rectangle(door, (left, top), (right, bottom), (24, 58, 38), max(2, round(0.2 * unit)))
             cv2.rectangle(door, (left + 3, top + 3), (right - 3, bottom - 3), (62, 122, 84), max(1, round(0.1 * unit)))
-    grain = cv2.resize(fractal_noise((height // 6 + 2, width), rng, coarsest=16, persistence=0.9), (width, height))
-    return tint(linear(door), grain, 0.35)
+    grain = fractal_noise((height // 6 + 2, width), rng, coarsest=16, persistence=0.8)
+    return tint(linear(door), np.asarray(cv2.resize(grain, (width, height)), np.float32), 0.35)
 
 
-def _sign(wall: NDArray[np.float32], top: int, height: int, unit: float, rng: np.random.Generator) -> None:
+def _sign(wall: NDArray[np.float32], top: int, height: int, rng: np.random.Generator) -> None:
     """A dark board with light letters across the middle of the house."""
     width = wall.shape[1]
     left, right = round(0.2 * width), round(0.8 * width)
     board = np.empty((height, right - left, 3), np.uint8)
     board[:] = (26, 30, 62)
-    scale = height / 40
-    text = "FOCUSED PLENOPTIC HOUSE No 2.0   " * 4
-    cv2.putText(
-        board,
-        text,
-        (round(0.3 * unit), round(0.76 * height)),
-        cv2.FONT_HERSHEY_DUPLEX,
-        scale,
-        (236, 224, 150),
-        max(1, round(2 * scale)),
-        cv2.LINE_AA,
-    )
+    text, font = "FOCUSED PLENOPTIC HOUSE No 2.0", cv2.FONT_HERSHEY_DUPLEX
+    letters, _ = cv2.getTextSize(text, font, 1.0, 2)
+    scale = min(0.9 * board.shape[1] / letters[0], 0.6 * height / letters[1])
+    start = (round((board.shape[1] - scale * letters[0]) / 2), round((height + scale * letters[1]) / 2))
+    cv2.putText(board, text, start, font, scale, (236, 224, 150), max(1, round(2 * scale)), cv2.LINE_AA)
     wall[top : top + height, left:right] = tint(linear(board), fractal_noise(board.shape[:2], rng, coarsest=16), 0.12)

@@ -60,7 +60,7 @@ def leaf_mass(
 
 
 def _cut_out(colour: NDArray[np.uint8], mask: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.float32]:
-    skin = tint(linear(colour), fractal_noise(mask.shape, rng, coarsest=24, persistence=0.85), 0.4)
+    skin = tint(linear(colour), fractal_noise(mask.shape, rng, coarsest=24, persistence=0.75), 0.4)
     return np.dstack([skin, mask.astype(np.float32) / 255]).astype(np.float32)
 
 

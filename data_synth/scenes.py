@@ -15,7 +15,9 @@ from .textures import bricks, dead_leaves, fractal_noise, text_page
 
 __all__ = ["SCENES", "blank", "clutter", "house", "periodic", "plane", "ramp", "slope"]
 
-# Largest texture, texels on one side: finer ones cost memory and show nothing more on a flat this coarse.
+# Texels are as wide as the pixels of the reference picture; on the flat everything is two to eight times coarser.
+# Beyond the largest side they widen, to bound memory.
+_TEXEL = 2.0
 _LARGEST_TEXTURE = 6000
 Texture = NDArray[np.float32]
 
@@ -75,21 +77,27 @@ def slope(camera: Camera, *, left: float = -0.55, right: float = -0.14, seed: in
     return Scene("slope", (Patch(centre - across / 2 - down / 2, across, down, texture),))
 
 
-def clutter(camera: Camera, *, near: float = -0.5, far: float = -0.15, count: int = 40, seed: int = 0) -> Scene:
-    """Balls, boxes and tilted cards before a wall, depth edges everywhere, `s / D` between `near` and `far`."""
+def clutter(camera: Camera, *, far: float = -0.55, near: float = -0.15, count: int = 40, seed: int = 0) -> Scene:
+    """Balls, boxes and tilted cards before a wall at `far`, up to `near`: binocular, depth edges everywhere.
+
+    Parameters
+    ----------
+    far, near : float
+        `s / D` of the wall and of the nearest object; of binocular places the nearest have the smallest `|s|`.
+    """
     rng = np.random.default_rng(seed)
     unit = min(camera.width, camera.height)
-    tile = (max(64, unit // 3),) * 2
+    tile = (max(48, unit // 8),) * 2
     textures = [
         _rich(tile, seed + 1),
-        bricks(tile, rng, course=tile[0] / 16),
-        text_page(tile, rng, size=max(0.4, tile[0] / 500)),
-        dead_leaves(tile, rng, smallest=2, largest=tile[0] / 8),
-        text_page(tile, rng, ink=(250, 240, 120), paper=(120, 30, 40), size=max(0.4, tile[0] / 350)),
+        bricks(tile, rng, course=tile[0] / 8),
+        text_page(tile, rng, size=max(0.4, tile[0] / 150)),
+        dead_leaves(tile, rng, smallest=3, largest=tile[0] / 5),
+        text_page(tile, rng, ink=(250, 240, 120), paper=(120, 30, 40), size=max(0.4, tile[0] / 110)),
     ]
     surfaces: list[Patch | Sphere] = [_sheet(camera, far, _rich(_texels(camera, far), seed))]
     for k in range(count):
-        ratio = near + (far - near) * (0.05 + 0.8 * rng.random())
+        ratio = far + (near - far) * (0.1 + 0.9 * rng.random())
         depth = camera.depth_at(ratio)
         at = rng.random(2) * (camera.width, camera.height)
         centre = camera.place(at, depth)
@@ -146,10 +154,10 @@ def _margin(camera: Camera, ratio: float) -> float:
 
 
 def _texels(camera: Camera, ratio: float) -> tuple[int, int]:
-    """Height and width of a texture for a whole sheet: one texel per flat pixel of the scene, within reason."""
+    """Height and width of a texture for a whole sheet."""
     margin = _margin(camera, ratio)
     size = np.array([camera.height, camera.width]) + 2 * margin
-    height, width = np.ceil(size * min(1.0, _LARGEST_TEXTURE / size.max())).astype(int).tolist()
+    height, width = np.ceil(size * min(1 / _TEXEL, _LARGEST_TEXTURE / size.max())).astype(int).tolist()
     return height, width
 
 
@@ -164,8 +172,8 @@ def _sheet(camera: Camera, ratio: float, texture: Texture) -> Patch:
 def _rich(shape: tuple[int, int], seed: int) -> Texture:
     """Detail at every scale with every lens-sized place textured."""
     rng = np.random.default_rng(seed)
-    leaves = dead_leaves(shape, rng, smallest=2.0, largest=max(20.0, min(shape) / 12))
-    grain = np.exp(0.35 * fractal_noise(shape, rng, coarsest=64, persistence=0.85))[..., None]
+    leaves = dead_leaves(shape, rng, smallest=3.0, largest=max(20.0, min(shape) / 12))
+    grain = np.exp(0.3 * fractal_noise(shape, rng, coarsest=64, persistence=0.75))[..., None]
     return np.clip(leaves * grain, 0, 1).astype(np.float32)
 
 

@@ -65,7 +65,7 @@ def dead_leaves(
     """
     height, width = shape
     canvas = np.empty((height, width, 3), np.uint8)
-    canvas[:] = rng.integers(40, 220, 3)
+    canvas[:] = 128
     # A density of radii falling with the cube makes every scale cover the same area.
     covered, radii = 0.0, []
     while covered < 3.0 * height * width:
@@ -73,12 +73,12 @@ def dead_leaves(
         covered += float(np.pi * (batch**2).sum())
         radii.append(batch)
     sizes = np.concatenate(radii)
-    # Large ones first would look tidy; but small ones drawn early would all be covered: mix half by half.
-    order = np.argsort(-sizes * np.exp(1.2 * rng.standard_normal(len(sizes))))
     centres = rng.random((len(sizes), 2)) * (width, height)
-    colours = rng.integers(15, 245, (len(sizes), 3))
+    # Mostly light and dark, some colour: correlations must not live on hue alone.
+    colours = rng.integers(20, 236, (len(sizes), 1)) + rng.normal(0, 28, (len(sizes), 3))
+    colours = np.clip(np.rint(colours), 0, 255).astype(int)
     angles = rng.integers(0, 180, len(sizes))
-    for k in order:
+    for k in range(len(sizes)):
         axes = (round(sizes[k] * 16), round(sizes[k] * 10))
         at = (round(centres[k, 0] * 16), round(centres[k, 1] * 16))
         _ellipse(canvas, at, axes, float(angles[k]), colours[k].tolist())
@@ -112,7 +112,7 @@ def bricks(shape: tuple[int, int], rng: np.random.Generator, *, course: float = 
     joint = 0.09
     mortar = ((rows / course - layer) < joint) | ((along - stone) < joint / 2.4)
     wall[mortar] = linear(np.array((190, 182, 170), np.uint8))
-    return tint(wall, fractal_noise(shape, rng, coarsest=64, persistence=0.85), 0.22)
+    return tint(wall, fractal_noise(shape, rng, coarsest=64, persistence=0.75), 0.22)
 
 
 def text_page(

@@ -66,12 +66,11 @@ def _camera_vector(camera: Camera) -> NDArray[np.float64]:
     defocus = max(
         abs(camera.spread - camera.sensor_distance / f) * lens / camera.pixel for f in camera.microlens_focal_lengths
     )
-    head = [camera.pixel, *camera.principal_point, camera.focal_length, camera.mla_distance, camera.sensor_distance]
     stop = camera.stop or (0.0, 0.0)
-    return np.array(
-        [*head, aperture, lens, *camera.origin, *basis.ravel(), *np.linalg.inv(basis).ravel(), camera.spread]
-        + [float(camera.natural_vignetting), stop[0], stop[1] / 2, camera.microimage_radius + defocus]
-    )
+    values = [camera.pixel, *camera.principal_point, camera.focal_length, camera.mla_distance, camera.sensor_distance]
+    values += [aperture, lens, *camera.origin, *basis.ravel(), *np.linalg.inv(basis).ravel(), camera.spread]
+    values += [float(camera.natural_vignetting), stop[0], stop[1] / 2, camera.microimage_radius + defocus]
+    return np.array(values)
 
 
 def _in_bands(draw: Callable[[int, int], None], rows: int) -> None:
@@ -108,7 +107,7 @@ def pinhole(
     samples: int,
     seed: int,
 ) -> NDArray[np.float32]:
-    """What a pinhole at the main-lens centre sees, (h, w, 4) float32, pixel `(u, v)` at scene point `affine @ (u, v, 1)`."""
+    """Pinhole picture from the main-lens centre, (h, w, 4) float32; pixel `(u, v)` lies at `X = affine @ (u, v, 1)`."""
     picture = np.zeros((size[1], size[0], 4), np.float32)
     args = (_camera_vector(camera), table, texels, np.array(background), affine, _sequence(samples), seed)
     _in_bands(lambda first, last: _pinhole_rows(picture, first, last, *args), size[1])
@@ -128,11 +127,16 @@ def nearest(
 
 
 def _sequence(samples: int) -> NDArray[np.float64]:
-    """(samples, 4) points that fill the unit cube evenly (Roberts' additive recurrence of the golden-ratio family)."""
+    """(samples, 4) places of a ray: in the unit pixel, and on the unit disc of the microlens.
+
+    They fill the four dimensions evenly (Roberts' additive recurrence of the golden-ratio family).
+    """
     base = 1.0
     for _ in range(64):
         base = (1 + base) ** (1 / 5)
-    return np.mod(0.5 + np.arange(samples)[:, None] * base ** -np.arange(1.0, 5.0), 1.0)
+    even = np.mod(0.5 + np.arange(samples)[:, None] * base ** -np.arange(1.0, 5.0), 1.0)
+    radius, angle = np.sqrt(even[:, 2]), 2 * np.pi * even[:, 3]
+    return np.column_stack([even[:, :2], radius * np.cos(angle), radius * np.sin(angle)])
 
 
 @njit(cache=True, nogil=True)
@@ -146,19 +150,33 @@ def _hash(seed: int, x: int, y: int, k: int) -> float:
     return np.float64(z >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
+@njit(cache=True, nogil=True)
+def _wrapped(value):
+    """A value in 0..2 brought to 0..1."""
+    return value - 1.0 if value >= 1.0 else value
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _texel(texels, row, u, v, channel):
-    """Bilinear texture value; texel centres at (k + 0.5) / size, clamped at the edge."""
+def _corner(row, u, v):
+    """Where to interpolate a texture: first texel, steps to the next ones, and shares of those.
+
+    Texel centres lie at (k + 0.5) / size; beyond the outermost ones their value goes on.
+    """
     width, height = int(row[14]), int(row[15])
     x = min(max(u * width - 0.5, 0.0), width - 1.0)
     y = min(max(v * height - 0.5, 0.0), height - 1.0)
     i, j = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
     right, below = min(1, width - 1), min(1, height - 1) * width
-    p = int(row[13]) + j * width + i
-    fx, fy = x - i, y - j
-    upper = texels[p, channel] * (1 - fx) + texels[p + right, channel] * fx
-    lower = texels[p + below, channel] * (1 - fx) + texels[p + below + right, channel] * fx
-    return upper * (1 - fy) + lower * fy
+    return int(row[13]) + j * width + i, right, below, x - i, y - j
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _opaque(texels, row, u, v):
+    """Whether the cut-out texture has something at `(u, v)`."""
+    p, right, below, fx, fy = _corner(row, u, v)
+    upper = texels[p, 3] * (1 - fx) + texels[p + right, 3] * fx
+    lower = texels[p + below, 3] * (1 - fx) + texels[p + below + right, 3] * fx
+    return upper * (1 - fy) + lower * fy >= 0.5
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -204,7 +222,7 @@ def _hit(table, texels, chosen, count, ax, ay, sx, sy):
             z, u, v = _meet_patch(row, -ax, -ay, -sx, -sy)
         else:
             z, u, v = _meet_sphere(row, -ax, -ay, -sx, -sy)
-        if z < depth and (row[16] == 0.0 or _texel(texels, row, u, v, 3) >= 0.5):
+        if z < depth and (row[16] == 0.0 or _opaque(texels, row, u, v)):
             best, depth, best_u, best_v = chosen[k], z, u, v
     return best, depth, best_u, best_v
 
@@ -219,24 +237,30 @@ def _choose(chosen, table, ax, ay, sx, sy, start_spread, slope_spread):
         x0, x1 = -(ax + sx * near), -(ax + sx * far)
         y0, y1 = -(ay + sy * near), -(ay + sy * far)
         room = start_spread + slope_spread * far
-        if max(x0, x1) + room >= row[17] and min(x0, x1) - room <= row[20]:
-            if max(y0, y1) + room >= row[18] and min(y0, y1) - room <= row[21]:
-                chosen[count] = k
-                count += 1
+        across = max(x0, x1) + room >= row[17] and min(x0, x1) - room <= row[20]
+        if across and max(y0, y1) + room >= row[18] and min(y0, y1) - room <= row[21]:
+            chosen[count] = k
+            count += 1
     return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add(picture, x, y, table, texels, background, found, u, v, weight):
-    """Add the radiance at a hit to one pixel, its weight to the fourth channel."""
-    for c in range(3):
-        value = background[c] if found < 0 else _texel(texels, table[found], u, v, c)
-        picture[y, x, c] += weight * value
-    picture[y, x, 3] += weight
+def _add(total, table, texels, background, found, u, v, weight):
+    """Add the radiance at a hit to `total`, its weight to the fourth channel."""
+    total[3] += weight
+    if found < 0:
+        for c in range(3):
+            total[c] += weight * background[c]
+        return
+    p, right, below, fx, fy = _corner(table[found], u, v)
+    a, b, c, d = weight * (1 - fx) * (1 - fy), weight * fx * (1 - fy), weight * (1 - fx) * fy, weight * fx * fy
+    for k in range(3):
+        total[k] += a * texels[p, k] + b * texels[p + right, k]
+        total[k] += c * texels[p + below, k] + d * texels[p + below + right, k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _through_lens(picture, x, y, cam, cx, cy, power, table, texels, background, points, shift, chosen):
+def _through_lens(total, x, y, cam, cx, cy, power, table, texels, background, points, shift, chosen):
     """Add the light that reaches pixel `(x, y)` through one microlens with centre `(cx, cy)` [mm]."""
     pixel, focal, dl, b = cam[0], cam[3], cam[4], cam[5]
     px, py = (x - cam[1]) * pixel, (y - cam[2]) * pixel
@@ -248,34 +272,36 @@ def _through_lens(picture, x, y, cam, cx, cy, power, table, texels, background, 
     start_spread = half * dl / b + lens * abs(1 + bend * dl)
     slope_spread = half * abs(1 / b - dl / (b * focal)) + lens * abs(bend - (1 + bend * dl) / focal)
     count = _choose(chosen, table, ax, ay, slope_x - ax / focal, slope_y - ay / focal, start_spread, slope_spread)
+    cosine, sine = lens * math.cos(2 * math.pi * shift[2]), lens * math.sin(2 * math.pi * shift[2])
+    per_b, per_focal, share = 1 / b, 1 / focal, 1.0 / len(points)
     for k in range(len(points)):
-        ux = px + ((points[k, 0] + shift[0]) % 1.0 - 0.5) * pixel
-        uy = py + ((points[k, 1] + shift[1]) % 1.0 - 0.5) * pixel
-        radius = lens * math.sqrt((points[k, 2] + shift[2]) % 1.0)
-        angle = 2 * math.pi * (points[k, 3] + shift[3])
-        rx, ry = radius * math.cos(angle), radius * math.sin(angle)
-        sx, sy = (cx + rx - ux) / b, (cy + ry - uy) / b
+        ux = px + (_wrapped(points[k, 0] + shift[0]) - 0.5) * pixel
+        uy = py + (_wrapped(points[k, 1] + shift[1]) - 0.5) * pixel
+        rx = cosine * points[k, 2] - sine * points[k, 3]
+        ry = sine * points[k, 2] + cosine * points[k, 3]
+        sx, sy = (cx + rx - ux) * per_b, (cy + ry - uy) * per_b
         weight = 1.0 / (1 + sx * sx + sy * sy) ** 2 if cam[19] > 0 else 1.0
         sx, sy = sx - rx * power, sy - ry * power
         ax, ay = cx + rx + sx * dl, cy + ry + sy * dl
         if ax * ax + ay * ay > cam[6] * cam[6]:
             continue
-        sx, sy = sx - ax / focal, sy - ay / focal
+        sx, sy = sx - ax * per_focal, sy - ay * per_focal
         qx, qy = ax + sx * cam[20], ay + sy * cam[20]
         if cam[21] > 0 and qx * qx + qy * qy > cam[21] * cam[21]:
             continue
         found, _, u, v = _hit(table, texels, chosen, count, ax, ay, sx, sy)
-        _add(picture, x, y, table, texels, background, found, u, v, weight / len(points))
+        _add(total, table, texels, background, found, u, v, weight * share)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _sensor_rows(picture, first, last, cam, powers, table, texels, background, points, seed):
     """Sum the light of all microlenses that can reach each pixel of rows `first` to `last`."""
-    chosen, shift = np.empty(len(table), np.int64), np.empty(4)
+    chosen, shift, total = np.empty(len(table), np.int64), np.empty(3), np.empty(4)
     reach = cam[22] + 0.71
     for y in range(first, last):
         for x in range(picture.shape[1]):
-            for k in range(4):
+            total[:] = 0.0
+            for k in range(3):
                 shift[k] = _hash(seed, x, y, k)
             dx, dy = x - cam[8], y - cam[9]
             low_i = math.floor(dx * cam[14] + dy * cam[16]) - 1
@@ -288,29 +314,35 @@ def _sensor_rows(picture, first, last, cam, powers, table, texels, background, p
                         continue
                     cx, cy = (ex - cam[1]) * cam[0] / cam[18], (ey - cam[2]) * cam[0] / cam[18]
                     power = powers[(i - j) % len(powers)]
-                    _through_lens(picture, x, y, cam, cx, cy, power, table, texels, background, points, shift, chosen)
+                    _through_lens(total, x, y, cam, cx, cy, power, table, texels, background, points, shift, chosen)
+            for k in range(4):
+                picture[y, x, k] = total[k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _pinhole_rows(picture, first, last, cam, table, texels, background, affine, points, seed):
     """Mean radiance over each output pixel for rays through the main-lens centre."""
-    chosen = np.empty(len(table), np.int64)
+    chosen, shift, total = np.empty(len(table), np.int64), np.empty(2), np.empty(4)
     scale = cam[0] / (cam[18] * cam[4])
     room = 0.71 * scale * max(abs(affine[0, 0]) + abs(affine[1, 0]), abs(affine[0, 1]) + abs(affine[1, 1]))
     for y in range(first, last):
         for x in range(picture.shape[1]):
+            total[:] = 0.0
+            shift[0], shift[1] = _hash(seed, x, y, 0), _hash(seed, x, y, 1)
             for k in range(-1, len(points)):
                 u, v = float(x), float(y)
                 if k >= 0:
-                    u += (points[k, 0] + _hash(seed, x, y, 0)) % 1.0 - 0.5
-                    v += (points[k, 1] + _hash(seed, x, y, 1)) % 1.0 - 0.5
+                    u += _wrapped(points[k, 0] + shift[0]) - 0.5
+                    v += _wrapped(points[k, 1] + shift[1]) - 0.5
                 sx = -(affine[0, 0] * u + affine[0, 1] * v + affine[0, 2] - cam[1]) * scale
                 sy = -(affine[1, 0] * u + affine[1, 1] * v + affine[1, 2] - cam[2]) * scale
                 if k < 0:
                     count = _choose(chosen, table, 0.0, 0.0, sx, sy, 0.0, room)
                     continue
                 found, _, tu, tv = _hit(table, texels, chosen, count, 0.0, 0.0, sx, sy)
-                _add(picture, x, y, table, texels, background, found, tu, tv, 1.0 / len(points))
+                _add(total, table, texels, background, found, tu, tv, 1.0 / len(points))
+            for k in range(4):
+                picture[y, x, k] = total[k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
