@@ -136,10 +136,12 @@ def demo(output: Path, as_json: bool, quiet: bool) -> None:
 
 def _read_camera(path: Path, pixels: NDArray[np.generic]) -> Calibration:
     """A camera file for flats of this size, in our form or as published."""
-    from lfcal import CameraFileError, load, read_published
+    from lfcal import CameraFileError, load
 
     size = (pixels.shape[1], pixels.shape[0])
     if path.suffix.lower() in (".xml", ".cfg"):
+        from lfcal import read_published
+
         return read_published(path, size)
     calibration = load(path)
     if calibration.image_size != size:
@@ -171,7 +173,7 @@ def _read_depth(path: Path) -> DepthMap:
 
 
 def _analyze(report: Any, pixels: NDArray[np.generic], calibration: Calibration, preset: str) -> DepthMap:
-    from .analyze import analyze as run
+    from . import analyze as run
 
     report.announce_compilation("lfrender")
     return run(pixels, calibration, preset=preset)
@@ -186,8 +188,8 @@ def _render(
     traditional: bool,
     scale: float | None,
 ) -> Rendering:
-    from .render import render as run
-    from .traditional import traditional as run_traditional
+    from . import render as run
+    from . import traditional as run_traditional
 
     report.announce_compilation("lfrender")
     if traditional:

@@ -15,15 +15,13 @@ from data_synth import SCENES, Camera, Capture, simulate
 from lfcal import Calibration, OutputError, calibrate
 from lfcal.console import Report
 
-from .analyze import analyze
+from . import analyze, render, traditional
 from .demo_page import write_page
 from .depth_picture import magnification_picture, mode_picture
 from .depthmap import DepthMap
 from .merit import centre_error, compare_pictures, magnification_error, mode_share, nearest_lens, resample
 from .picture import write_picture
-from .render import render
 from .rendering import Rendering
-from .traditional import traditional
 
 __all__ = ["run_demo"]
 
