@@ -1,6 +1,7 @@
 """Calibration of focused plenoptic cameras: find the microimages on a flat."""
 
 from . import console
+from .calibrate import calibrate
 from .calibration import Calibration, load
 from .errors import CalibrationError, CameraFileError, FlatError, LightFieldError
 from .flat import read_flat
@@ -17,6 +18,7 @@ __all__ = [
     "LightFieldError",
     "OutputError",
     "Vignetting",
+    "calibrate",
     "check_output",
     "console",
     "load",

@@ -13,6 +13,8 @@ __all__ = ["Lattice", "reduce_basis"]
 # A third lattice direction counts as a neighbour when it is at most this much longer than
 # the geometric mean of the two shortest ones: 1 for hexagons, 1.41 for squares.
 _NEIGHBOUR_STRETCH = 1.2
+# Squared lengths this near to each other count as equal, so that measured hexagons get the basis of exact ones.
+_SAME_LENGTH = 5e-3
 
 
 def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
@@ -38,12 +40,21 @@ def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
         b = b - np.round((a @ b) / (a @ a)) * a
         if b @ b >= (a @ a) * (1 - 1e-12):
             break
-    candidates = [v for v in (a, b, a - b, a + b) if v @ v <= (b @ b) * (1 + 1e-6)]
+    candidates = [v for v in (a, b, a - b, a + b) if v @ v <= (b @ b) * (1 + _SAME_LENGTH)]
     candidates += [-v for v in candidates]
-    # Length decides before direction only where lengths differ: the two short vectors must stay a basis.
-    first = max(candidates, key=lambda v: (round(v[0] / np.hypot(*v), 6), v[1]))
-    rest = [v for v in candidates if first[0] * v[1] - first[1] * v[0] > 1e-9 * (b @ b)]
-    second = max(rest, key=lambda v: (round(-v @ v / (b @ b), 6), v @ first))
+    best: tuple[tuple[float, ...], NDArray[np.float64], NDArray[np.float64]] | None = None
+    for first in candidates:
+        for second in candidates:
+            turn, lean = first[0] * second[1] - first[1] * second[0], first @ second
+            if turn <= 1e-9 * (b @ b) or lean < -1e-6 * (b @ b):
+                continue
+            # Lengths decide before directions, and directions only where they clearly differ.
+            size = (first @ first + second @ second) / (b @ b)
+            rank = (-round(size / _SAME_LENGTH), round(first[0] / np.hypot(*first), 6), first[1], lean)
+            if best is None or rank > best[0]:
+                best = (rank, first, second)
+    assert best is not None
+    first, second = best[1:]
     return np.array([first, second])
 
 

@@ -1,0 +1,82 @@
+"""Pictures in which microimages look alike whatever the scene shows: local brightness and local breaks.
+
+Brightness against its surroundings carries dark gaps and rims. Breaks, the steep steps where one microimage ends and
+the next begins, carry the lattice where a camera has already flattened the gaps away.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["breaks", "level_locally", "tone"]
+
+# Contrast below this share of the mean tone is taken for noise and not blown up.
+_NOISE_FLOOR = 0.02
+# Pixels further than this from their surroundings, in local standard deviations, tell no more than "far".
+_CLIP = 3.0
+
+
+def tone(image: NDArray[Any]) -> NDArray[np.float32]:
+    """Square root of the luminance, scaled to mean 1, which makes photon noise alike in light and shade.
+
+    Parameters
+    ----------
+    image : (h, w) or (h, w, 3) array of finite numbers
+        Raw values; negative ones (dark noise) count as 0.
+
+    Returns
+    -------
+    (h, w) float32
+        All zero where the image is all zero.
+    """
+    import cv2
+
+    if image.ndim == 3:
+        if image.dtype == np.uint8:
+            grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY).astype(np.float32)
+        else:
+            grey = cv2.transform(np.asarray(image, dtype=np.float32), np.array([[0.299, 0.587, 0.114]], np.float32))
+    else:
+        grey = np.array(image, dtype=np.float32)
+    np.maximum(grey, 0, out=grey)
+    np.sqrt(grey, out=grey)
+    mean = float(grey.mean())
+    if mean > 0:
+        grey *= np.float32(1 / mean)
+    return grey
+
+
+def breaks(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(h, w) float32 square root of the gradient magnitude of a `tone` picture."""
+    import cv2
+
+    dx = cv2.Sobel(picture, cv2.CV_32F, 1, 0)
+    dy = cv2.Sobel(picture, cv2.CV_32F, 0, 1)
+    steepness = cv2.magnitude(dx, dy)
+    return np.sqrt(steepness, out=steepness)
+
+
+def level_locally(picture: NDArray[np.float32], window: float) -> NDArray[np.float32]:
+    """Picture minus its local mean over its local standard deviation, clipped.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+    window : float [px]
+        Side of the square over which mean and standard deviation are taken.
+    """
+    import cv2
+
+    size = (max(3, int(window) | 1),) * 2
+    mean = cv2.blur(picture, size)
+    spread = cv2.sqrBoxFilter(picture, cv2.CV_32F, size)
+    spread -= mean * mean
+    np.maximum(spread, 0, out=spread)
+    np.sqrt(spread, out=spread)
+    spread += np.float32(_NOISE_FLOOR)
+    levelled = cv2.subtract(picture, mean, dst=mean)
+    levelled /= spread
+    return np.clip(levelled, -_CLIP, _CLIP, out=levelled)

@@ -1,0 +1,264 @@
+"""Global fit: one lattice through all microimages at once, every pixel of which votes.
+
+Each microimage is compared with the radial profile that all of them have in common; the shift that would make it
+agree better is a Gauss-Newton step for that lens. Steps of all lenses are pooled, robustly, into the six
+parameters of the lattice: two of the origin, four of the basis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from .lattice import Lattice
+
+__all__ = ["LatticeFit", "RadialProfile", "fit_lattice", "radial_profile", "whole_lenses"]
+
+# Distance between samples of a radial profile [px]: edges of discs are about one pixel wide.
+_STEP = 0.25
+# Residuals beyond this many standard deviations have no say (Tukey's biweight).
+_OUTLIER = 4.685
+_CHUNKS = 64
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _accumulate_profile(picture, centres, faces, reach, step, chunks, total, square, count):
+    lenses = centres.shape[0]
+    for chunk in prange(chunks):
+        for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
+            cx, cy = centres[lens, 0], centres[lens, 1]
+            for y in range(int(np.ceil(cy - reach)), int(np.floor(cy + reach)) + 1):
+                dy = y - cy
+                half = np.sqrt(max(reach * reach - dy * dy, 0.0))
+                for x in range(int(np.ceil(cx - half)), int(np.floor(cx + half)) + 1):
+                    dx = x - cx
+                    inside = True
+                    for face in range(faces.shape[0]):
+                        if dx * faces[face, 0] + dy * faces[face, 1] > 0.5:
+                            inside = False
+                            break
+                    if not inside:
+                        continue
+                    place = np.sqrt(dx * dx + dy * dy) / step
+                    ring = int(place)
+                    part = place - ring
+                    value = picture[y, x]
+                    total[chunk, ring] += value * (1 - part)
+                    total[chunk, ring + 1] += value * part
+                    square[chunk, ring] += value * value * (1 - part)
+                    square[chunk, ring + 1] += value * value * part
+                    count[chunk, ring] += 1 - part
+                    count[chunk, ring + 1] += part
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _accumulate_steps(picture, centres, faces, reach, step, level, slope, weight, cutoff, normal, right):
+    for lens in prange(centres.shape[0]):
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        xx = xy = yy = bx = by = 0.0
+        for y in range(int(np.ceil(cy - reach)), int(np.floor(cy + reach)) + 1):
+            dy = y - cy
+            half = np.sqrt(max(reach * reach - dy * dy, 0.0))
+            for x in range(int(np.ceil(cx - half)), int(np.floor(cx + half)) + 1):
+                dx = x - cx
+                rho = np.sqrt(dx * dx + dy * dy)
+                if rho < 1.0:
+                    continue
+                inside = True
+                for face in range(faces.shape[0]):
+                    if dx * faces[face, 0] + dy * faces[face, 1] > 0.5:
+                        inside = False
+                        break
+                if not inside:
+                    continue
+                place = rho / step
+                ring = int(place)
+                part = place - ring
+                w = weight[ring] * (1 - part) + weight[ring + 1] * part
+                residual = picture[y, x] - (level[ring] * (1 - part) + level[ring + 1] * part)
+                far = residual * residual * w / (cutoff * cutoff)
+                if far >= 1:
+                    continue
+                w *= (1 - far) * (1 - far)
+                g = -(slope[ring] * (1 - part) + slope[ring + 1] * part) / rho
+                gx, gy = g * dx, g * dy
+                xx += w * gx * gx
+                xy += w * gx * gy
+                yy += w * gy * gy
+                bx += w * gx * residual
+                by += w * gy * residual
+        normal[lens, 0, 0] += xx
+        normal[lens, 0, 1] += xy
+        normal[lens, 1, 0] += xy
+        normal[lens, 1, 1] += yy
+        right[lens, 0] += bx
+        right[lens, 1] += by
+
+
+@dataclass(frozen=True)
+class RadialProfile:
+    """Mean and variance of a feature over the distance to the nearest microimage centre.
+
+    Parameters
+    ----------
+    mean, variance : (k,) float64
+        At radii `0, step, 2*step, ...`.
+    step : float [px]
+    """
+
+    mean: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    step: float
+
+    @property
+    def slope(self) -> NDArray[np.float64]:
+        """(k,) derivative of the mean [1/px]."""
+        return np.gradient(self.mean, self.step)
+
+
+@dataclass(frozen=True)
+class LatticeFit:
+    """A fitted lattice and how its microimages agree with it.
+
+    Parameters
+    ----------
+    origin, basis : (2,), (2, 2) float64 [px]
+    residual_rms : float [px]
+        Robust RMS distance of single microimages from the lattice.
+    uncertainty : float [px]
+        Standard error of a centre, RMS over the flat, as the scatter of the microimages implies.
+    lenses_used : int
+        Microimages with a say.
+    halves_differ : float [px]
+        RMS distance over the flat between lattices fitted to two independent halves of the microimages.
+    """
+
+    origin: NDArray[np.float64]
+    basis: NDArray[np.float64]
+    residual_rms: float
+    uncertainty: float
+    lenses_used: int
+    halves_differ: float
+
+
+def _cell_faces(lattice: Lattice) -> tuple[NDArray[np.float64], float]:
+    """Normals (k, 2) such that `delta @ normal <= 0.5` inside the cell of a lens, and the cell's circumradius [px]."""
+    steps = lattice.steps @ lattice.basis
+    if len(steps) == 4:
+        # Corners of an oblique cell are cut by the shorter diagonal.
+        a1, a2 = lattice.basis
+        diagonal = min(a1 + a2, a1 - a2, key=lambda d: float(d @ d))
+        steps = np.vstack([steps, diagonal, -diagonal])
+    faces = steps / (steps**2).sum(1, keepdims=True)
+    corners = []
+    for a in range(len(faces)):
+        for b in range(a):
+            pair = faces[[a, b]]
+            if abs(np.linalg.det(pair)) > 1e-9:
+                corner = np.linalg.solve(pair, [0.5, 0.5])
+                if (faces @ corner <= 0.5 + 1e-9).all():
+                    corners.append(float(np.hypot(*corner)))
+    return faces, max(corners)
+
+
+def whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Indices (n, 2) and centres (n, 2) of lenses at least `margin` px inside the flat."""
+    centres, indices = lattice.centres(), lattice.indices()
+    width, height = lattice.image_size
+    limit = np.array([width - 1, height - 1]) - margin
+    keep = ((centres >= margin) & (centres <= limit)).all(1)
+    return indices[keep], centres[keep]
+
+
+def radial_profile(picture: NDArray[np.float32], lattice: Lattice, every: int = 1) -> RadialProfile:
+    """Profile of `picture` (h, w) over all whole cells of the lattice (or every so many)."""
+    faces, reach = _cell_faces(lattice)
+    _, centres = whole_lenses(lattice, reach + 1)
+    centres = np.ascontiguousarray(centres[::every])
+    rings = int(reach / _STEP) + 3
+    total, square, count = (np.zeros((_CHUNKS, rings)) for _ in range(3))
+    _accumulate_profile(picture, centres, faces, reach, _STEP, _CHUNKS, total, square, count)
+    summed, squares, number = total.sum(0), square.sum(0), count.sum(0)
+    filled = number > 1e-6
+    if filled.sum() < 2:
+        return RadialProfile(np.zeros(rings), np.ones(rings), np.zeros(rings), _STEP)
+    at = np.arange(rings)
+    mean = np.interp(at, at[filled], summed[filled] / number[filled])
+    variance = np.interp(at, at[filled], squares[filled] / number[filled]) - mean**2
+    floor = 1e-4 * float(np.var(mean)) + 1e-12
+    return RadialProfile(mean, np.maximum(variance, floor), number, _STEP)
+
+
+def _pool(
+    normal: NDArray[np.float64], right: NDArray[np.float64], indices: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
+    """Robust least squares of lens steps: change (3, 2) of origin and basis, shifts, lens weights and their scale."""
+    count = len(indices)
+    design = np.column_stack([np.ones(count), indices]).astype(np.float64)
+    ridge = 1e-9 * np.trace(normal.sum(0)) / max(count, 1) * np.eye(2)
+    shifts = np.linalg.solve(normal + ridge, right[..., None])[..., 0]
+    weight = np.ones(count)
+    change = np.zeros((3, 2))
+    scale = 1.0
+    for _ in range(8):
+        left = np.einsum("n,np,nq,nab->paqb", weight, design, design, normal).reshape(6, 6)
+        force = np.einsum("n,np,na->pa", weight, design, right).reshape(6)
+        change = np.linalg.lstsq(left, force, rcond=1e-12)[0].reshape(3, 2)
+        miss = shifts - design @ change
+        far = np.einsum("na,nab,nb->n", miss, normal, miss)
+        scale = float(np.median(far)) / 1.386 + 1e-30
+        weight = np.clip(1 - far / (scale * _OUTLIER**2), 0, None) ** 2
+    return change, shifts, weight, scale
+
+
+def fit_lattice(pictures: list[NDArray[np.float32]], lattice: Lattice, passes: int = 5, every: int = 1) -> LatticeFit:
+    """Fit origin and basis to all whole microimages.
+
+    Parameters
+    ----------
+    pictures : list of (h, w) float32
+        Features that are the same function of the distance to the centre in all microimages.
+    lattice : Lattice [px]
+        Start, right to a fraction of the pitch over the whole flat.
+    passes : int
+        Gauss-Newton steps.
+    every : int
+        Use every so many lenses.
+    """
+    origin, basis = lattice.origin.copy(), lattice.basis.copy()
+    indices, weight, shifts, change, scale, normal = (np.empty(0),) * 6  # type: ignore[assignment]
+    right = np.empty(0)
+    for _ in range(passes):
+        current = Lattice(origin, basis, lattice.image_size, lattice.radius)
+        faces, reach = _cell_faces(current)
+        indices, centres = whole_lenses(current, reach + 1)
+        indices, centres = indices[::every], np.ascontiguousarray(centres[::every])
+        normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
+        for picture in pictures:
+            profile = radial_profile(picture, current, every)
+            _accumulate_steps(
+                picture, centres, faces, reach, profile.step, profile.mean, profile.slope,
+                1 / profile.variance, _OUTLIER, normal, right,
+            )  # fmt: skip
+        change, shifts, weight, scale = _pool(normal, right, indices)
+        origin = origin + change[0]
+        basis = basis + change[1:]
+    design = np.column_stack([np.ones(len(indices)), indices])
+    miss = shifts - design @ change
+    good = weight > 0
+    residual = float(np.sqrt(np.average((miss[good] ** 2).sum(1), weights=weight[good])))
+    halves = []
+    for start in (0, 1):
+        part = np.arange(len(indices)) % 2 == start
+        halves.append(_pool(normal[part], right[part], indices[part])[0])
+    gap = design @ (halves[0] - halves[1])
+    differ = float(np.sqrt((gap**2).sum(1).mean()))
+    left = np.einsum("n,np,nq,nab->paqb", weight, design, design, normal).reshape(6, 6)
+    covariance = np.linalg.pinv(left) * scale
+    spread = np.einsum("np,paqa,nq->n", design, covariance.reshape(3, 2, 3, 2), design)
+    uncertainty = float(np.sqrt(max(spread.mean(), 0.0)))
+    return LatticeFit(origin, basis, residual, uncertainty, int(good.sum()), differ)

@@ -1,0 +1,117 @@
+"""Folding: lay all microimages over each other and average them, over the whole flat or tile by tile.
+
+What the lattice carries adds up, what the scene shows averages out (the average microimage).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+__all__ = ["TileFolds", "fold_tiles"]
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _fold(picture, inverse, side, rows, columns, bins, stride, total, count):
+    height, width = picture.shape
+    for tile in prange(rows * columns):
+        y0 = (tile // columns) * side
+        x0 = (tile % columns) * side
+        for y in range(y0, min(y0 + side, height), stride):
+            u = x0 * inverse[0, 0] + y * inverse[1, 0]
+            v = x0 * inverse[0, 1] + y * inverse[1, 1]
+            u -= np.floor(u)
+            v -= np.floor(v)
+            for x in range(x0, min(x0 + side, width)):
+                a = int(u * bins)
+                b = int(v * bins)
+                if a >= bins:
+                    a = bins - 1
+                if b >= bins:
+                    b = bins - 1
+                total[tile, b, a] += picture[y, x]
+                count[tile, b, a] += 1
+                u += inverse[0, 0]
+                v += inverse[0, 1]
+                if u >= 1:
+                    u -= 1
+                elif u < 0:
+                    u += 1
+                if v >= 1:
+                    v -= 1
+                elif v < 0:
+                    v += 1
+
+
+@dataclass(frozen=True)
+class TileFolds:
+    """Average cell of the lattice in each tile of a flat.
+
+    Parameters
+    ----------
+    total, count : (t, bins, bins) float32
+        Sum of pixels and their number, by fractional lattice coordinate: column along `a1`, row along `a2`,
+        bin `k` covers `[k, k + 1) / bins` of the cell whose corner is flat position (0, 0).
+    centre : (t, 2) float64 [px]
+        Middle of each tile, order x, y.
+    basis : (2, 2) float64 [px]
+        Lattice the tiles were folded on.
+    grid : (int, int)
+        Rows and columns of tiles.
+    """
+
+    total: NDArray[np.float32]
+    count: NDArray[np.float32]
+    centre: NDArray[np.float64]
+    basis: NDArray[np.float64]
+    grid: tuple[int, int]
+
+    @property
+    def bins(self) -> int:
+        """Bins along each lattice vector."""
+        return self.total.shape[1]
+
+    def harmonics(self) -> NDArray[np.complex64]:
+        """(t, bins, bins) Fourier coefficients of each tile, index `[t, k, h]` for harmonic `h*b1 + k*b2`."""
+        level = self.total.sum((1, 2), keepdims=True) / np.maximum(self.count.sum((1, 2), keepdims=True), 1)
+        # Summed deviations, not means: bins no pixel fell into must not count as dark.
+        return np.fft.fft2(self.total - level * self.count).astype(np.complex64)
+
+    def mean(self, chosen: Any = slice(None)) -> NDArray[np.float64]:
+        """(bins, bins) average cell over the `chosen` tiles; empty bins take the overall mean."""
+        total, count = self.total[chosen].sum(0, dtype=np.float64), self.count[chosen].sum(0, dtype=np.float64)
+        level = total.sum() / max(count.sum(), 1)
+        return np.where(count > 0, total / np.maximum(count, 1), level)
+
+
+def fold_tiles(
+    picture: NDArray[np.float32], basis: NDArray[np.float64], side: int, bins: int, stride: int = 1
+) -> TileFolds:
+    """Fold a picture on a lattice with its origin at (0, 0), tile by tile.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+    basis : (2, 2) float64 [px]
+    side : int [px]
+        Side of the square tiles.
+    bins : int
+        Bins along each lattice vector.
+    stride : int
+        Use every so many rows.
+    """
+    height, width = picture.shape
+    rows, columns = max(1, round(height / side)), max(1, round(width / side))
+    side = max(-(-height // rows), -(-width // columns))
+    rows, columns = -(-height // side), -(-width // side)
+    total = np.zeros((rows * columns, bins, bins), dtype=np.float32)
+    count = np.zeros_like(total)
+    _fold(picture, np.linalg.inv(basis), side, rows, columns, bins, stride, total, count)
+    y, x = np.divmod(np.arange(rows * columns), columns)
+    right, low = np.minimum((x + 1) * side, width), np.minimum((y + 1) * side, height)
+    centre = np.column_stack([(x * side + right - 1) / 2, (y * side + low - 1) / 2])
+    return TileFolds(total, count, centre, np.array(basis, dtype=np.float64), (rows, columns))

@@ -1,0 +1,123 @@
+"""Where in the cell of the lattice the microimages have their centres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .lattice import reduce_basis
+
+__all__ = ["CentreGuess", "nearest_distance", "round_centres", "true_cell"]
+
+# Shifted onto itself by a true sub-period the average cell correlates above this; a disc with gaps never does.
+_SAME_CELL = 0.7
+_RINGS = 24
+
+
+@dataclass(frozen=True)
+class CentreGuess:
+    """A possible microimage centre.
+
+    Parameters
+    ----------
+    position : (2,) float64
+        Fractional lattice coordinates, 0..1.
+    roundness : float
+        Share of the variance of the average cell that the distance to this point explains, 0..1.
+    """
+
+    position: NDArray[np.float64]
+    roundness: float
+
+
+def true_cell(
+    cells: list[NDArray[np.float64]], basis: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], tuple[float, ...]]:
+    """Smaller lattice on which the average cells already repeat, else `basis` itself.
+
+    Arrays with several lens types repeat exactly only with a cell two, three or four times as large, and their
+    blur differs from lens to lens; but microimages of all types have the same outline.
+
+    Parameters
+    ----------
+    cells : list of (bins, bins) float64
+        Average cell of each feature; `bins` a multiple of 6.
+    basis : (2, 2) float64 [px]
+
+    Returns
+    -------
+    basis : (2, 2) float64 [px]
+    correlations : tuple of float
+        Correlation at the best sub-period of index 2 and of index 3.
+    """
+    bins = cells[0].shape[0]
+    best: list[tuple[float, tuple[int, int], int]] = []
+    for index, shifts in ((2, [(1, 0), (0, 1), (1, 1)]), (3, [(1, 0), (0, 1), (1, 1), (1, 2)])):
+        ranked = []
+        for shift in shifts:
+            agreement = []
+            for cell in cells:
+                g = cell - cell.mean()
+                rolled = np.roll(g, (-shift[1] * bins // index, -shift[0] * bins // index), axis=(0, 1))
+                agreement.append(float((g * rolled).sum() / max((g * g).sum(), 1e-30)))
+            ranked.append((float(np.mean(agreement)), shift, index))
+        best.append(max(ranked))
+    strongest = max(best)
+    correlations = tuple(value for value, _, _ in best)
+    if strongest[0] < _SAME_CELL:
+        return basis, correlations
+    _, shift, index = strongest
+    step = np.array(shift) / index @ basis
+    options = [np.array([step, vector]) for vector in basis]
+    finer = max(options, key=lambda option: abs(np.linalg.det(option)))
+    return reduce_basis(finer), correlations
+
+
+def nearest_distance(basis: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
+    """(bins, bins) distance [px] of each bin corner `[row / bins, column / bins]` to the nearest lattice point."""
+    column, row = np.meshgrid(np.arange(bins) / bins, np.arange(bins) / bins)
+    place = np.column_stack([column.ravel(), row.ravel()])
+    corners = np.array([(i, j) for i in (-1, 0, 1, 2) for j in (-1, 0, 1, 2)])
+    steps = (place[:, None] - corners[None]) @ basis
+    return np.hypot(steps[..., 0], steps[..., 1]).min(1).reshape(bins, bins)
+
+
+def round_centres(
+    cells: list[NDArray[np.float64]], weights: list[float], basis: NDArray[np.float64]
+) -> list[CentreGuess]:
+    """Points around which the average cells are round, roundest first; they are at least 0.2 pitch apart.
+
+    Parameters
+    ----------
+    cells : list of (bins, bins) float64
+        Average cell of each feature; bin `k` covers `[k, k + 1) / bins`.
+    weights : list of float
+        Weight of each feature.
+    basis : (2, 2) float64 [px]
+    """
+    bins = cells[0].shape[0]
+    distance = nearest_distance(basis, bins)
+    ring = np.minimum((distance / (distance.max() + 1e-9) * _RINGS).astype(int), _RINGS - 1)
+    roundness = np.zeros((bins, bins))
+    for cell, weight in zip(cells, weights, strict=True):
+        g = cell - cell.mean()
+        spectrum = np.fft.fft2(g)
+        explained = np.zeros((bins, bins))
+        for k in range(_RINGS):
+            mask = ring == k
+            if mask.any():
+                sums = np.fft.ifft2(spectrum * np.conj(np.fft.fft2(mask.astype(float)))).real
+                explained += sums**2 / mask.sum()
+        roundness += weight * explained / max((g * g).sum(), 1e-30)
+    roundness /= max(sum(weights), 1e-30)
+    pitch = np.sqrt(abs(np.linalg.det(basis)))
+    guesses: list[CentreGuess] = []
+    remaining = roundness.copy()
+    while len(guesses) < 4 and remaining.max() > 0:
+        row, column = np.unravel_index(int(remaining.argmax()), remaining.shape)
+        position = (np.array([column, row]) + 0.5) / bins
+        guesses.append(CentreGuess(position, float(remaining[row, column])))
+        remaining[np.roll(distance, (row, column), axis=(0, 1)) < 0.3 * pitch] = 0
+    return guesses

@@ -1,0 +1,231 @@
+"""Candidate microlens periods from the narrow peaks of tiled power spectra.
+
+Microimages repeat with one and the same period all over a flat, scene content does not: only the lattice makes
+peaks that are one frequency bin wide and stand at all integer combinations of two frequencies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .features import breaks, level_locally
+from .lattice import reduce_basis
+
+__all__ = ["Candidate", "Spectrum", "candidate_bases", "spectrum_of"]
+
+_WINDOW = 1024
+# Shortest period that leaves a microimage anything to see, and fewest periods across a window.
+_SHORTEST_PERIOD = 4.0
+_FEWEST_PERIODS = 4.0
+# Side of the box over which the background of the spectrum is averaged [bins].
+_BACKGROUND = 21
+# A node of the reciprocal lattice is occupied above this many standard deviations of the whitened log power.
+_OCCUPIED = 4.0
+_PEAKS = 40
+_SEEDS = 14
+# Lowest nodes (half plane) on which a candidate is judged: the first four shells of a hexagonal lattice.
+_NODES = 12
+# Distance of a peak from its node that is still "on" it [bins].
+_ON_NODE = 1.0
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Whitened log power of a flat.
+
+    Parameters
+    ----------
+    prominence : (n, n // 2 + 1) float32
+        Log power above its local background, in standard deviations; row `n // 2` is zero vertical frequency.
+    size : int [px]
+        Side n of the windows it was taken from.
+    reduction : int
+        How many times the flat was made smaller first.
+    """
+
+    prominence: NDArray[np.float32]
+    size: int
+    reduction: int
+
+    def at(self, frequency: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Largest prominence within a bin of each `frequency` (k, 2) [cycles per px of the reduced flat]."""
+        rows, columns = self.prominence.shape
+        flip = np.where(frequency[:, :1] < 0, -1.0, 1.0)
+        place = np.rint(frequency * flip * self.size).astype(int)
+        best = np.full(len(frequency), -np.inf, dtype=np.float32)
+        for dy in (-1, 0, 1):
+            for dx in (-1, 0, 1):
+                x = np.clip(np.abs(place[:, 0] + dx), 0, columns - 1)
+                y = (place[:, 1] + dy + self.size // 2) % rows
+                np.maximum(best, self.prominence[y, x], out=best)
+        return best
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A lattice basis [px of the flat] and how well the spectrum supports it, 0..1."""
+
+    basis: NDArray[np.float64]
+    support: float
+
+
+def _windows(height: int, width: int, size: int) -> list[tuple[int, int]]:
+    """Top left corners `(y, x)` of up to five windows: the middle, then corners that do not repeat it."""
+    middle = ((height - size) // 2, (width - size) // 2)
+    rows = [0, height - size] if height >= 1.5 * size else [middle[0]]
+    columns = [0, width - size] if width >= 1.5 * size else [middle[1]]
+    corners = [(y, x) for y in rows for x in columns]
+    return [middle] + [c for c in corners if c != middle]
+
+
+def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | None:
+    """Average log power spectrum of brightness and breaks over a few windows, whitened.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+        As made by `features.tone`.
+    reduction : int
+        Look at the flat made smaller by this factor, which brings long periods into the window.
+
+    Returns
+    -------
+    Spectrum or None
+        None where the reduced flat is too small for four of the shortest periods.
+    """
+    import cv2
+    from scipy import fft
+
+    if reduction > 1:
+        picture = cv2.resize(picture, None, fx=1 / reduction, fy=1 / reduction, interpolation=cv2.INTER_AREA)
+    height, width = picture.shape
+    size = min(_WINDOW, min(height, width)) // 2 * 2
+    if size < _FEWEST_PERIODS * _SHORTEST_PERIOD:
+        return None
+    taper = np.hanning(size).astype(np.float32)
+    log_power = np.zeros((size, size // 2 + 1), dtype=np.float32)
+    windows = _windows(height, width, size)
+    for y, x in windows:
+        window = picture[y : y + size, x : x + size]
+        for feature in (window, breaks(window)):
+            levelled = level_locally(feature, size / 10)
+            levelled *= taper[:, None]
+            levelled *= taper
+            transform = fft.rfft2(levelled)
+            log_power += np.log(transform.real**2 + transform.imag**2 + np.float32(1e-6))
+    log_power /= 2 * len(windows)
+    log_power = np.fft.fftshift(log_power, axes=0)
+    # Mirror the half plane across zero frequency before averaging: there is no edge at fx = 0.
+    margin = _BACKGROUND
+    mirrored = np.roll(log_power[::-1, margin:0:-1], 1 - size % 2, axis=0)
+    background = cv2.blur(np.hstack([mirrored, log_power]), (_BACKGROUND, _BACKGROUND))[:, margin:]
+    prominence = log_power - background
+    middle = float(np.median(prominence))
+    spread = 1.4826 * float(np.median(np.abs(prominence - middle))) + 1e-6
+    return Spectrum((prominence - middle) / np.float32(spread), size, reduction)
+
+
+def _peaks(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Strongest narrow peaks: frequencies (k, 2) [cycles per px], refined within the bin, and prominences (k,)."""
+    import cv2
+
+    p = spectrum.prominence
+    n = spectrum.size
+    highest = cv2.dilate(p, np.ones((5, 5), np.uint8))
+    y, x = np.nonzero((p >= highest) & (p > _OCCUPIED))
+    fy = y - n // 2
+    period = n / np.maximum(np.hypot(x, fy), 1e-9)
+    keep = (period >= _SHORTEST_PERIOD) & (period <= n / _FEWEST_PERIODS) & ((x > 0) | (fy > 0))
+    keep &= (x < p.shape[1] - 1) & (y > 0) & (y < n - 1)
+    y, x = y[keep], x[keep]
+    order = np.argsort(-p[y, x], kind="stable")[:_PEAKS]
+    y, x = y[order], x[order]
+    strength = p[y, x].astype(np.float64)
+
+    def vertex(below: NDArray, above: NDArray) -> NDArray:
+        bend = below - 2 * strength + above
+        return np.where(bend < 0, np.clip(0.5 * (below - above) / np.minimum(bend, -1e-9), -0.5, 0.5), 0.0)
+
+    left = np.where(x > 0, p[y, np.abs(x - 1)], strength)
+    dx = vertex(left, p[y, x + 1]) * (x > 0)
+    dy = vertex(p[y - 1, x], p[y + 1, x])
+    return np.column_stack([x + dx, y - n // 2 + dy]) / n, strength
+
+
+def _snap(
+    reciprocal: NDArray[np.float64], peaks: NDArray[np.float64], strength: NDArray[np.float64], size: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Least-squares reciprocal basis through all peaks that lie on its nodes, and which peaks those are."""
+    on = np.zeros(len(peaks), dtype=bool)
+    for _ in range(4):
+        index = peaks @ np.linalg.inv(reciprocal)
+        node = np.rint(index)
+        on = (np.hypot(*((index - node) @ reciprocal).T) * size < _ON_NODE) & (np.abs(node).sum(1) > 0)
+        weight = np.sqrt(strength[on])[:, None]
+        if np.linalg.matrix_rank(node[on]) < 2:
+            break
+        reciprocal = np.linalg.lstsq(node[on] * weight, peaks[on] * weight, rcond=None)[0]
+    return reciprocal, on
+
+
+def _lowest_nodes(reciprocal: NDArray[np.float64], count: int) -> NDArray[np.int64]:
+    """(count, 2) indices of the nodes nearest to zero frequency, one of each opposite pair."""
+    span = np.arange(-5, 6)
+    h, k = (v.ravel() for v in np.meshgrid(span, span))
+    half = (h > 0) | ((h == 0) & (k > 0))
+    index = np.column_stack([h[half], k[half]])
+    order = np.argsort(np.hypot(*(index @ reciprocal).T), kind="stable")
+    return index[order[:count]]
+
+
+def candidate_bases(spectrum: Spectrum, count: int = 6) -> list[Candidate]:
+    """Lattices whose harmonics explain the peaks, best supported first.
+
+    Support is the share of peaks on the nodes of the candidate (a fraction of the true period misses most) times
+    the share of its lowest nodes that are occupied (a multiple of the true period leaves most empty).
+
+    Returns
+    -------
+    list of Candidate
+        Empty where no two independent periods stand out.
+    """
+    peaks, strength = _peaks(spectrum)
+    found: list[Candidate] = []
+    if len(peaks) < 3:
+        return found
+    n = spectrum.size
+    # Low frequencies are the likely fundamentals, strong peaks the sure ones: seeds of both kinds.
+    by_period = np.argsort(np.hypot(*peaks.T), kind="stable")[:_SEEDS]
+    seeds = list(dict.fromkeys([*range(min(_SEEDS, len(peaks))), *by_period.tolist()]))
+    seen: set[tuple[float, ...]] = set()
+    for a, b in combinations(seeds, 2):
+        pair = peaks[[a, b]]
+        if abs(np.linalg.det(pair)) < 0.2 * np.hypot(*pair[0]) * np.hypot(*pair[1]):
+            continue
+        reciprocal = reduce_basis(pair)
+        if np.hypot(*reciprocal.T).min() * n < _FEWEST_PERIODS * 0.9:
+            continue
+        key = tuple(np.round(reciprocal.ravel() * n * 0.7))
+        if key in seen:
+            continue
+        seen.add(key)
+        reciprocal, on = _snap(reciprocal, peaks, strength, n)
+        if on.sum() < 3 or abs(np.linalg.det(reciprocal)) < 1e-9:
+            continue
+        chance = min(0.9, np.pi * (_ON_NODE / n) ** 2 / abs(np.linalg.det(reciprocal)))
+        covered = max(0.0, (strength[on].sum() / strength.sum() - chance) / (1 - chance))
+        nodes = _lowest_nodes(reciprocal, _NODES) @ reciprocal
+        nodes = nodes[np.abs(nodes).max(1) < 0.45]
+        occupied = float((spectrum.at(nodes) > _OCCUPIED).mean()) if len(nodes) >= 3 else 0.0
+        basis = reduce_basis(np.linalg.inv(reciprocal).T) * spectrum.reduction
+        found.append(Candidate(basis, float(covered * occupied)))
+    found.sort(key=lambda c: -c.support)
+    distinct: list[Candidate] = []
+    for candidate in found:
+        if all(np.abs(candidate.basis - other.basis).max() > 0.02 * np.abs(other.basis).max() for other in distinct):
+            distinct.append(candidate)
+    return distinct[:count]
