@@ -7,6 +7,7 @@ import io
 import json
 import os
 import tempfile
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -165,9 +166,12 @@ def load_capture(folder: str | os.PathLike[str]) -> Capture:
         with np.load(source / "truth.npz") as stored:
             arrays = {name: stored[name] for name in _ARRAYS}
         recipe = about["recipe"]
-    except (KeyError, TypeError) as error:
-        raise ValueError(f"{source}: truth is incomplete ({error}); simulate it again") from error
+    except (KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{source}: truth is incomplete or damaged ({error}); simulate it again") from error
+    size = (camera.height, camera.width)
     flat, white, reference = (_read_png(source / f"{name}.png") for name in ("flat", "white", "reference"))
+    if flat.shape != (*size, 3) or white.shape != size or arrays["disparity"].shape != size:
+        raise ValueError(f"{source}: flat, white image and truth differ in size; simulate it again")
     return Capture(flat, white, Truth(calibration=calibration, reference=reference, **arrays), camera, recipe)
 
 

@@ -126,7 +126,7 @@ def blank(camera: Camera, *, ratio: float = -0.3, seed: int = 0) -> Scene:
 
 
 def periodic(camera: Camera, *, ratio: float = -0.3, period: float = 0.5, seed: int = 0) -> Scene:
-    """A grid that repeats every `period * D / (s / D)` flat pixels of the scene, i.e. `period * D` inside a microimage.
+    """A grid that repeats every `period * D` inside each microimage.
 
     `seed` is accepted and not needed.
     """
