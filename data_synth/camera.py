@@ -92,6 +92,7 @@ class Camera:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name} must be a positive number, got {value!r}")
+            object.__setattr__(self, name, float(value))
         if self.fill > 1:
             raise ValueError(f"fill must be at most 1 (touching microlenses), got {self.fill}")
         focal = tuple(float(f) for f in self.microlens_focal_lengths)

@@ -27,7 +27,7 @@ _LARGEST_RATIO = 0.75
 # of s (of D) from which on a lens sees several depths.
 _LEAST_CONTRAST = 0.02
 _DISC = 0.36
-_MIXED_SPREAD = 0.06
+_MIXED_SPREAD = 0.07
 
 
 def simulate(
