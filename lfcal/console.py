@@ -100,7 +100,7 @@ class Report:
         for warning in figures.get("warnings", ()):
             click.echo(f"warning: {warning}", err=True)
         if not self.quiet:
-            rows = {name: _text(value) for name, value in figures.items() if name != "warnings"}
+            rows = _rows({name: value for name, value in figures.items() if name != "warnings"})
             width = max(map(len, rows)) + 2
             for name, value in rows.items():
                 click.echo(f"{name.replace('_', ' '):{width}}{value}")
@@ -147,10 +147,21 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, os.PathLike) else value
 
 
+def _rows(figures: Mapping[str, Any]) -> dict[str, str]:
+    """Name and text of each figure; a group of groups becomes one row for each of them."""
+    rows = {}
+    for name, value in figures.items():
+        if isinstance(value, Mapping) and any(isinstance(item, Mapping) for item in value.values()):
+            rows.update({f"{name}, {inner}": _text(item) for inner, item in value.items()})
+        else:
+            rows[name] = _text(value)
+    return rows
+
+
 def _text(value: Any) -> str:
     value = _plain(value)
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_text(item)}" for key, item in value.items())
+        return ", ".join(f"{key.replace('_', ' ')} {_text(item)}" for key, item in value.items())
     if isinstance(value, list):
         return "  ".join(_text(item) for item in value)
     if value is None:

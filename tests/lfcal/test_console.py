@@ -76,6 +76,13 @@ def test_text_report_puts_warnings_on_stderr_and_quiet_keeps_only_them(capsys):
     assert err == "warning: dark\n"
 
 
+def test_groups_of_figures_become_rows(capsys):
+    Report().finish({"merit": {"all_in_focus": {"psnr": 21.84, "ssim": 0.8}}, "modes": {"telescopic": 0.25}})
+    out = capsys.readouterr().out
+    assert "merit, all in focus  psnr 21.84, ssim 0.8" in out
+    assert "telescopic 0.25" in out
+
+
 def test_compilation_is_announced_once_and_only_without_a_cache(tmp_path, monkeypatch, capsys):
     (tmp_path / "kernel.py").write_text("from numba import njit\n\n@njit(cache=True)\ndef work(): ...\n")
     monkeypatch.setitem(sys.modules, "fresh", SimpleNamespace(__file__=str(tmp_path / "__init__.py")))

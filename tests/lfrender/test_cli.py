@@ -154,7 +154,7 @@ def test_bad_flats_are_one_line_and_leave_no_file(house, house_files, tmp_path, 
     (tmp_path / "empty.png").touch()
     (tmp_path / "truncated.png").write_bytes(data[: len(data) // 2])
     (tmp_path / "text.png").write_text("no picture\n")
-    tifffile.imwrite(tmp_path / "nan.tif", np.full(house.flat.shape, np.inf, np.float32))
+    tifffile.imwrite(tmp_path / "nan.tif", np.full(house.flat.shape, np.inf, np.float32), photometric="rgb")
     cv2.imwrite(str(tmp_path / "tiny.png"), house.flat[:40, :40])
     before = sorted(os.listdir(tmp_path))
     assert_refused(run("render", tmp_path / name, "-o", tmp_path / "picture.png"))
