@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -12,10 +12,13 @@ from .outfile import check_output
 
 if TYPE_CHECKING:
     from .calibration import Calibration
+    from .lattice import Lattice
 
 __all__ = ["main"]
 
 _PATH = click.Path(path_type=Path)
+# Sides that differ by less than this share, and angles this near to 90 degrees (as a cosine), count as square.
+_SQUARE_TOLERANCE = 0.03
 
 
 @click.group(cls=Program, name="lfcal", context_settings={"help_option_names": ["-h", "--help"]})
@@ -35,7 +38,7 @@ def main() -> None:
     help="What IMAGE shows: an evenly lit white surface, or any scene.",
 )
 @report_options
-def calibrate(image: Path, output: Path, kind: str, as_json: bool, quiet: bool) -> None:
+def calibrate(image: Path, output: Path, kind: Literal["auto", "white", "scene"], as_json: bool, quiet: bool) -> None:
     """Find the microlens lattice on IMAGE, a white image or any scene capture, and write it as a camera file."""
     report = Report(as_json, quiet)
     check_output(output, {".json"})
@@ -63,16 +66,14 @@ def info(camera: Path, as_json: bool, quiet: bool) -> None:
 
 def describe(camera: Calibration) -> dict[str, Any]:
     """The figures of a calibration a person asks for, in words and pixels."""
-    import numpy as np
-
     lattice = camera.lattice
-    a1, a2 = lattice.basis
-    shape = "hexagonal" if len(lattice.steps) == 6 else "square" if _is_square(a1, a2) else "rectangular or oblique"
+    shape, rows, rotation = _orientation(lattice)
     return {
         "size": list(camera.image_size),
         "lattice": shape,
+        "rows": rows,
+        "rotation_degrees": rotation,
         "pitch": lattice.pitch,
-        "rotation_degrees": float(np.degrees(np.arctan2(a1[1], a1[0]))),
         "radius": lattice.radius,
         "origin": lattice.origin,
         "basis": lattice.basis,
@@ -85,7 +86,21 @@ def describe(camera: Calibration) -> dict[str, Any]:
     }
 
 
-def _is_square(a1: Any, a2: Any) -> bool:
-    """Whether two basis vectors are equally long and perpendicular to within five per cent."""
-    long, short = max(a1 @ a1, a2 @ a2), min(a1 @ a1, a2 @ a2)
-    return bool(abs(a1 @ a2) < 0.05 * long and short > 0.9 * long)
+def _orientation(lattice: Lattice) -> tuple[str, str, float]:
+    """Shape, which way the rows of nearest neighbours run, and how far they are turned from there [degrees]."""
+    import numpy as np
+
+    a1, a2 = lattice.basis
+    lengths = np.hypot(*a1), np.hypot(*a2)
+    hexagonal = len(lattice.steps) == 6
+    if hexagonal:
+        shape = "hexagonal"
+    elif abs(a1 @ a2) > _SQUARE_TOLERANCE * lengths[0] * lengths[1]:
+        shape = "oblique"
+    else:
+        shape = "square" if min(lengths) > (1 - _SQUARE_TOLERANCE) * max(lengths) else "rectangular"
+    period = 60.0 if hexagonal else 90.0
+    turned = (float(np.degrees(np.arctan2(a1[1], a1[0]))) + period / 2) % period - period / 2
+    if hexagonal and abs(turned) > 15:
+        return shape, "vertical", turned - np.copysign(30.0, turned)
+    return shape, "horizontal" if hexagonal else "both ways", turned

@@ -74,8 +74,8 @@ def _cards(figures: Mapping[str, Any]) -> str:
     cards = {
         "all in focus": _decibel(best["psnr"]),
         "better than the best single patch size": _decibel(best["psnr"] - max(m["psnr"] for m in fixed)),
-        "modes right": f"{figures['mode_right']['all']:.1%}",
-        "error of M, median": f"{figures['magnification_error']['all']:.1%}",
+        "modes right, lenses that see one depth": f"{figures['mode_right']['one_depth']:.1%}",
+        "error of M, median, all lenses": f"{figures['magnification_error']['all']:.1%}",
         "centres off, from the capture alone": f"{figures['calibration']['scene']['centre_error']:.3f} px",
     }
     return "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in cards.items())

@@ -54,6 +54,23 @@ def test_info_says_what_calibrate_said(house_files):
     assert "20.3" in text and "hexagonal" in text
 
 
+@pytest.mark.parametrize(
+    ("basis", "words", "rotation"),
+    [
+        ([[20, 0], [10, 300**0.5]], ("hexagonal", "horizontal"), 0.0),
+        ([[0, 20], [300**0.5, 10]], ("hexagonal", "vertical"), 0.0),
+        ([[20, 0.3], [-0.3, 20]], ("square", "both ways"), 0.859),
+        ([[20, 0], [0, 25]], ("rectangular", "both ways"), 0.0),
+        ([[20, 0], [4, 20]], ("oblique", "both ways"), 0.0),
+    ],
+)
+def test_info_names_the_shape_of_the_lattice_and_its_rotation(tmp_path, basis, words, rotation):
+    lfcal.Calibration(lfcal.Lattice([100, 100], basis, (300, 200), 9)).save(tmp_path / "camera.json")
+    figures = json.loads(run("info", tmp_path / "camera.json", "--json").stdout)
+    assert (figures["lattice"], figures["rows"]) == words
+    assert figures["rotation_degrees"] == pytest.approx(rotation, abs=0.001)
+
+
 def test_quiet_prints_nothing(house_files):
     result = run("info", house_files / "camera.json", "--quiet")
     assert (result.exit_code, result.output) == (0, "")
