@@ -41,7 +41,7 @@ def main() -> None:
 def calibrate(image: Path, output: Path, kind: Literal["auto", "white", "scene"], as_json: bool, quiet: bool) -> None:
     """Find the microlens lattice on IMAGE, a white image or any scene capture, and write it as a camera file."""
     report = Report(as_json, quiet)
-    check_output(output, {".json"})
+    check_output(output, {".json"}, [image])
     with report.stage("read"):
         from . import calibrate as run
         from . import read_flat

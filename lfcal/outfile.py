@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -45,7 +45,9 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-def check_output(path: str | os.PathLike[str], suffixes: Collection[str]) -> None:
+def check_output(
+    path: str | os.PathLike[str], suffixes: Collection[str], inputs: Iterable[str | os.PathLike[str] | None] = ()
+) -> None:
     """Refuse an output that could not be written, before anything is computed for it.
 
     Parameters
@@ -54,11 +56,13 @@ def check_output(path: str | os.PathLike[str], suffixes: Collection[str]) -> Non
         Where the result is to go.
     suffixes : collection of str
         Allowed endings such as `".json"`, compared without regard to case.
+    inputs : iterable of path-like or None
+        Files that are read for it and must not be replaced by it.
 
     Raises
     ------
     OutputError
-        If the ending is not allowed, `path` is a folder, or no file can be made beside it.
+        If the ending is not allowed, `path` is a folder or one of the inputs, or no file can be made beside it.
     """
     target = Path(path)
     if target.suffix.lower() not in suffixes:
@@ -67,6 +71,9 @@ def check_output(path: str | os.PathLike[str], suffixes: Collection[str]) -> Non
         raise OutputError(f"{target}: is a folder; give a file name")
     if not target.parent.is_dir():
         raise OutputError(f"{target}: the folder '{target.parent}' does not exist")
+    for source in inputs:
+        if source is not None and target.exists() and Path(source).exists() and target.samefile(source):
+            raise OutputError(f"{target}: is an input of this command; give another output")
     probe = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
     try:
         probe.open("xb").close()

@@ -51,7 +51,7 @@ def main() -> None:
 def analyze(flat: Path, camera: Path, output: Path, preset: str, as_json: bool, quiet: bool) -> None:
     """Find for every microlens of FLAT its patch size and whether it is telescopic or binocular."""
     report = console.Report(as_json, quiet)
-    check_output(output, {".npz"})
+    check_output(output, {".npz"}, [flat, camera])
     with report.stage("read"):
         from lfcal import read_flat
 
@@ -101,7 +101,7 @@ def render(
     _at_most_one("--depth", depth_file, "--patch-size", patch_size, "--traditional", traditional or None)
     _at_most_one("--camera", camera, "--white", white)
     _at_most_one("--scale", scale, "--traditional", traditional or None)
-    check_picture(output, alpha=alpha)
+    check_picture(output, alpha=alpha, inputs=[flat, camera, white, depth_file])
     with report.stage("read"):
         from lfcal import read_flat
 

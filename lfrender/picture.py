@@ -6,7 +6,7 @@ import json
 import os
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,12 @@ class PictureError(LightFieldError, ValueError):
     """A picture cannot be written in the format that was asked for."""
 
 
-def check_picture(path: str | os.PathLike[str], dtype: Any = None, alpha: bool = False) -> None:
+def check_picture(
+    path: str | os.PathLike[str],
+    dtype: Any = None,
+    alpha: bool = False,
+    inputs: Iterable[str | os.PathLike[str] | None] = (),
+) -> None:
     """Refuse a picture file that could not be written, before the picture is computed.
 
     Parameters
@@ -44,15 +49,17 @@ def check_picture(path: str | os.PathLike[str], dtype: Any = None, alpha: bool =
         Its pixel type, where already known.
     alpha : bool
         Whether it will have an alpha channel.
+    inputs : iterable of path-like or None
+        Files that are read for it and must not be replaced by it.
 
     Raises
     ------
     OutputError
-        If the ending is unknown or the folder cannot be written.
+        If the ending is unknown, the folder cannot be written, or `path` is one of the inputs.
     PictureError
         If the format cannot hold such pixels.
     """
-    check_output(path, _FORMATS)
+    check_output(path, _FORMATS, inputs)
     suffix = Path(path).suffix.lower()
     if dtype is not None and np.dtype(dtype).name not in _FORMATS[suffix]:
         raise PictureError(f"{path}: {suffix} cannot hold {np.dtype(dtype).name} pixels; use .tif")

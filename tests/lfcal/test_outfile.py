@@ -59,3 +59,10 @@ def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OutputError):
         check_output(tmp_path / "file" / "a.json", {".json"})
+
+
+def test_an_input_is_not_replaced(tmp_path):
+    (tmp_path / "a.json").touch()
+    with pytest.raises(OutputError, match="input"):
+        check_output(tmp_path / "a.json", {".json"}, [None, tmp_path / "." / "a.json"])
+    check_output(tmp_path / "a.json", {".json"}, [tmp_path / "b.json"])

@@ -169,6 +169,18 @@ def test_bad_outputs_are_refused_before_the_flat_is_read(tmp_path):
     assert_refused(run("render", tmp_path / "missing.png", "--alpha", "-o", tmp_path / "picture.jpg"), "alpha")
 
 
+def test_inputs_are_never_replaced(house, tmp_path):
+    for name in ("flat.png", "white.png"):
+        cv2.imwrite(str(tmp_path / name), house.flat)
+    before = (tmp_path / "flat.png").read_bytes()
+    os.symlink(tmp_path / "flat.png", tmp_path / "link.png")
+    for output in ("flat.png", "white.png", "link.png"):
+        assert_refused(
+            run("render", tmp_path / "flat.png", "--white", tmp_path / "white.png", "-o", tmp_path / output), "input"
+        )
+    assert (tmp_path / "flat.png").read_bytes() == before
+
+
 def test_sixteen_bits_do_not_go_into_jpeg(house, tmp_path):
     cv2.imwrite(str(tmp_path / "flat.png"), house.flat.astype(np.uint16) * 257)
     assert_refused(run("render", tmp_path / "flat.png", "-o", tmp_path / "picture.jpg"), "uint16")
