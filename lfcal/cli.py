@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from .console import Program, Report, report_options
+from .console import Program, Report, about, report_options
 from .outfile import check_output
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def calibrate(image: Path, output: Path, kind: Literal["auto", "white", "scene"]
 
         flat = read_flat(image)
     report.announce_compilation("lfcal")
-    with report.stage("calibrate"):
+    with report.stage("calibrate"), about(image):
         camera = run(flat, kind=kind)
     camera.save(output)
     report.finish({"camera": str(output), **describe(camera)})

@@ -17,7 +17,7 @@ import click
 
 from .errors import LightFieldError
 
-__all__ = ["Program", "Report", "report_options"]
+__all__ = ["Program", "Report", "about", "report_options"]
 
 _USER_ERROR = 2
 
@@ -111,6 +111,17 @@ class Report:
         from rich.console import Console
 
         return Console(stderr=True).status(f"{name} ...")
+
+
+@contextmanager
+def about(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Make errors of this toolkit name the file they are about, where they do not yet."""
+    try:
+        yield
+    except LightFieldError as error:
+        if str(path) in str(error):
+            raise
+        raise type(error)(f"{path}: {error}") from error
 
 
 def report_options(command: Callable[..., Any]) -> Callable[..., Any]:

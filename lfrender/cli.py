@@ -108,7 +108,7 @@ def render(
         pixels = read_flat(flat)
         check_picture(output, pixels.dtype, alpha)
     with report.stage("calibrate"):
-        calibration = _camera_of(report, pixels, camera, white)
+        calibration = _camera_of(report, flat, pixels, camera, white)
     depth = None
     if not traditional and patch_size is None:
         with report.stage("analyze"):
@@ -150,20 +150,24 @@ def _read_camera(path: Path, pixels: NDArray[np.generic]) -> Calibration:
     return calibration
 
 
-def _camera_of(report: Any, pixels: NDArray[np.generic], camera: Path | None, white: Path | None) -> Calibration:
+def _camera_of(
+    report: Any, flat: Path, pixels: NDArray[np.generic], camera: Path | None, white: Path | None
+) -> Calibration:
     if camera:
         return _read_camera(camera, pixels)
     from lfcal import FlatError, calibrate, read_flat
 
     if white is None:
         report.announce_compilation("lfcal")
-        return calibrate(pixels)
+        with console.about(flat):
+            return calibrate(pixels)
     white_pixels = read_flat(white)
     if white_pixels.shape[:2] != pixels.shape[:2]:
         sizes = " and ".join(f"{image.shape[1]} x {image.shape[0]}" for image in (white_pixels, pixels))
         raise FlatError(f"{white}: white image and flat must be of one size, they have {sizes} px")
     report.announce_compilation("lfcal")
-    return calibrate(white_pixels, kind="white")
+    with console.about(white):
+        return calibrate(white_pixels, kind="white")
 
 
 def _read_depth(path: Path) -> DepthMap:

@@ -112,7 +112,7 @@ def bad_images(tmp_path, house):
     ],
 )
 def test_bad_images_are_one_line_and_leave_no_file(bad_images, tmp_path, name):
-    assert_refused(run("calibrate", bad_images / name, "-o", tmp_path / "camera.json"))
+    assert_refused(run("calibrate", bad_images / name, "-o", tmp_path / "camera.json"), str(bad_images / name))
     assert not (tmp_path / "camera.json").exists()
     assert os.listdir(tmp_path) == ["bad"]
 
