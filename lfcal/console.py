@@ -67,11 +67,14 @@ class Report:
         Print the figures as one JSON object on stdout instead of as text.
     quiet : bool
         Print nothing but warnings; with `as_json`, nothing but the JSON object.
+    log_stages : bool
+        Print a line for each stage where there is no terminal to show it on: for long commands.
     """
 
-    def __init__(self, as_json: bool = False, quiet: bool = False) -> None:
+    def __init__(self, as_json: bool = False, quiet: bool = False, log_stages: bool = False) -> None:
         self.as_json = as_json
         self.quiet = quiet
+        self.log_stages = log_stages
         self.seconds: dict[str, float] = {}
         self._announced = False
 
@@ -106,7 +109,11 @@ class Report:
                 click.echo(f"{name.replace('_', ' '):{width}}{value}")
 
     def _status(self, name: str) -> Any:
-        if self.quiet or self.as_json or not sys.stderr.isatty():
+        if self.quiet:
+            return nullcontext()
+        if not sys.stderr.isatty():
+            if self.log_stages and not self.as_json:
+                click.echo(f"{name} ...")
             return nullcontext()
         from rich.console import Console
 

@@ -130,7 +130,7 @@ def demo(output: Path, as_json: bool, quiet: bool) -> None:
     """Simulate a capture, run the whole chain on it, and show pictures and figures on an HTML page."""
     from .demo import run_demo
 
-    report = console.Report(as_json, quiet)
+    report = console.Report(as_json, quiet, log_stages=True)
     report.finish(run_demo(output, report))
 
 

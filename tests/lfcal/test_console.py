@@ -76,6 +76,13 @@ def test_text_report_puts_warnings_on_stderr_and_quiet_keeps_only_them(capsys):
     assert err == "warning: dark\n"
 
 
+def test_stages_are_logged_only_on_demand(capsys):
+    for options, lines in [({}, ""), ({"log_stages": True}, "work ...\n"), ({"log_stages": True, "as_json": True}, "")]:
+        with Report(**options).stage("work"):
+            pass
+        assert capsys.readouterr().out == lines
+
+
 def test_groups_of_figures_become_rows(capsys):
     Report().finish({"merit": {"all_in_focus": {"psnr": 21.84, "ssim": 0.8}}, "modes": {"telescopic": 0.25}})
     out = capsys.readouterr().out
