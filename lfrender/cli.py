@@ -116,7 +116,7 @@ def render(
     with report.stage("render"):
         picture = _render(report, pixels, calibration, depth, patch_size, traditional, scale)
     with report.stage("write"):
-        write_picture(output, picture, alpha=alpha, settings=_settings(depth, patch_size, traditional, preset))
+        write_picture(output, picture, alpha=alpha, settings=_settings(depth, patch_size))
     figures = {**_camera_figures(calibration), **(_depth_figures(depth) if depth else {})}
     report.finish({"picture": str(output), **_picture_figures(picture), **figures})
 
@@ -214,12 +214,13 @@ def _at_most_one(*pairs: Any) -> None:
         raise click.UsageError(f"{given[0]} and {given[1]} exclude each other")
 
 
-def _settings(depth: DepthMap | None, patch_size: float | None, traditional: bool, preset: str) -> dict[str, Any]:
-    if traditional:
-        return {"rendering": "traditional"}
+def _settings(depth: DepthMap | None, patch_size: float | None) -> dict[str, Any]:
+    """How a picture was rendered, as stored in its file."""
+    if depth is not None:
+        return {"rendering": "all in focus", "preset": depth.preset}
     if patch_size is not None:
         return {"rendering": "one patch size", "patch_size": patch_size}
-    return {"rendering": "all in focus", "preset": preset}
+    return {"rendering": "traditional"}
 
 
 def _camera_figures(calibration: Calibration) -> dict[str, Any]:

@@ -46,6 +46,10 @@ def test_analyze_then_render_with_its_depth(house_files, tmp_path):
     assert list(picture.shape[1::-1]) == drawn["size"]
     assert picture.dtype == np.uint8
     assert picture.std() > 20
+    with tifffile.TiffFile(tmp_path / "picture.tif") as tiff:
+        description = json.loads(tiff.pages[0].description)
+    assert description["affine"] == drawn["affine"]
+    assert (description["rendering"], description["preset"]) == ("all in focus", "fast")
     assert sorted(os.listdir(tmp_path)) == ["depth.npz", "picture.tif"]
 
 
