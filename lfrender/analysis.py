@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration
+from lfcal import Calibration, Lattice
 
 from .agreement import aggregate, lens_costs
 from .depthmap import DepthMap
@@ -15,8 +15,9 @@ from .flatcheck import check_flat
 from .matching import lens_statistics, pair_costs
 from .modes import confidence, fill, parabola_peak
 from .neighbours import neighbour_rows
-from .radiance import GrayFlat, gray_flat
+from .radiance import GrayFlat, gray_flat, shrink
 from .refinement import refine
+from .shading import flatten_shading
 from .surface import spread
 
 __all__ = ["PRESETS", "analyze"]
@@ -45,7 +46,7 @@ _SEARCHED = 0.82
 # Contrast that fixed-pattern shading inside microimages may fake, in shares of their brightness.
 _SHADING = 0.02
 # A lens carries texture when its contrast exceeds the noise this many times.
-_TEXTURED = 3.0
+_TEXTURED = 1.5
 # Prices of semi-global matching in units of the match cost (0 perfect, 1 unrelated).
 _SLOPE_PER_PIXEL, _JUMP = 0.03, 0.3
 _SURE = 0.5
@@ -84,16 +85,13 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
     setting = PRESETS[preset]
     lattice = calibration.lattice
     neighbours = neighbour_rows(lattice, lattice.steps)
-    fine = gray_flat(flat, calibration)
-    noise, shading, textured = _texture(fine)
-    coarse, factor = fine, max(1, int(lattice.pitch / setting.search_pitch))
-    if factor > 1:
-        coarse = gray_flat(flat, calibration, factor)
-    shifts, total = _search(coarse, neighbours, setting, noise / factor, textured)
+    fine, noise, contrast, textured = _texture(gray_flat(flat, calibration), lattice)
+    factor = max(1, int(lattice.pitch / setting.search_pitch))
+    shifts, total = _search(shrink(fine, factor), neighbours, setting, noise / factor, textured)
     best = total.argmin(1)
     start = (shifts[best] + parabola_peak(total, best) * (shifts[1] - shifts[0])) * factor
     sure = confidence(total, best, neighbours.shape[1], max(1, round(1.5 / setting.step)))
-    scale = np.maximum(3 * noise, 0.5 * shading)
+    scale = np.maximum(3 * noise, 0.5 * contrast)
     refined, error = refine(
         fine, neighbours, np.where(textured, start, np.nan).astype(np.float32), scale, setting.iterations
     ).T
@@ -113,12 +111,14 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
     )
 
 
-def _texture(fine: GrayFlat) -> tuple[float, NDArray[np.float32], NDArray[np.bool_]]:
-    """Noise of a pixel, contrast of every lens, and which lenses carry enough of it to be matched."""
-    mean, contrast, roughness = lens_statistics(fine).T
-    # The least rough microimages show the noise alone; 8-bit rounding is the least there is.
-    noise = max(float(np.percentile(roughness, 2)), 1 / 255 / np.sqrt(12))
-    return noise, contrast, contrast > np.hypot(_TEXTURED * noise, _SHADING * mean)
+def _texture(gray: GrayFlat, lattice: Lattice) -> tuple[GrayFlat, float, NDArray[np.float32], NDArray[np.bool_]]:
+    """The flat without fixed shading, its noise, each lens's contrast, and which lenses have enough of it."""
+    mean, contrast, roughness = lens_statistics(gray).T
+    flattened = flatten_shading(gray, lattice, mean, contrast)
+    mean, contrast, roughness = lens_statistics(flattened).T
+    # The least rough microimages show the noise alone; rounding and coding leave a grey level in any case.
+    noise = max(float(np.percentile(roughness, 2)), 1 / 255)
+    return flattened, noise, contrast, contrast > np.hypot(_TEXTURED * noise, _SHADING * mean)
 
 
 def _search(
@@ -129,7 +129,7 @@ def _search(
     forward, backward = neighbours[:, :half], neighbours[:, half:]
     side = int(np.ceil(_SEARCHED * coarse.pitch / setting.step))
     shifts = (np.arange(-side, side + 1) * setting.step).astype(np.float32)
-    means = lens_statistics(coarse)[:, 0]
-    pair = pair_costs(coarse, forward, means, textured, shifts, noise, _SHADING, setting.row_step)
+    means, contrast, _ = lens_statistics(coarse).T
+    pair = pair_costs(coarse, forward, means, contrast, textured, shifts, noise, _SHADING, setting.row_step)
     cost = lens_costs(pair, forward, backward)
     return shifts, aggregate(cost, forward, backward, _SLOPE_PER_PIXEL * setting.step, _JUMP)

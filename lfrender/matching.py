@@ -15,6 +15,10 @@ __all__ = ["lens_statistics", "pair_costs"]
 _OFFSET_WEIGHT = np.float32(0.5)
 # Share of a microimage that must be common before a match is fully trusted.
 _FULL_TRUST = 0.35
+# Shading that correction leaves behind looks like weak texture without disparity: a match this near
+# zero (in pitches) is doubted by half where the contrast (white = 1) is only this.
+_SHADED_REACH = np.float32(0.08)
+_SHADED = np.float32(0.03)
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=True)
@@ -102,7 +106,9 @@ def _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=True)
-def _pair_costs(image, centres, radius, pitch, rows, means, active, shifts, noise, shading, row_step, full, out):
+def _pair_costs(
+    image, centres, radius, pitch, rows, means, contrast, active, shifts, noise, shading, row_step, full, out
+):
     for lens in prange(len(centres)):
         ax, ay = centres[lens, 0], centres[lens, 1]
         for d in range(rows.shape[1]):
@@ -114,6 +120,8 @@ def _pair_costs(image, centres, radius, pitch, rows, means, active, shifts, nois
             bx, by = centres[other, 0], centres[other, 1]
             mean = np.float32(0.5) * (means[lens] + means[other])
             floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
+            texture = min(contrast[lens], contrast[other])
+            doubt = _SHADED**2 / (_SHADED**2 + texture * texture)
             for k in range(len(shifts)):
                 grow = 1.0 + shifts[k] / pitch
                 count, sa, sb, saa, sbb, sab = _moments(
@@ -128,6 +136,7 @@ def _pair_costs(image, centres, radius, pitch, rows, means, active, shifts, nois
                 residual = variance - 2 * (sab * inverse - ma * mb) + offset
                 quality = (residual + floor) / (variance + offset + floor)
                 trust = min(np.float32(1.0), count * row_step / full)
+                trust *= 1 - doubt * np.exp(-((shifts[k] / (_SHADED_REACH * pitch)) ** 2))
                 out[lens, d, k] = 1.0 - trust * (1.0 - quality)
 
 
@@ -135,6 +144,7 @@ def pair_costs(
     gray: GrayFlat,
     rows: NDArray[np.int32],
     means: NDArray[np.float32],
+    contrast: NDArray[np.float32],
     active: NDArray[np.bool_],
     shifts: NDArray[np.float32],
     noise: float,
@@ -152,8 +162,8 @@ def pair_costs(
     gray : GrayFlat
     rows : (n, d) int32
         One neighbour of each lens in `d` directions, -1 where there is none.
-    means : (n,) float32
-        Mean brightness of each lens.
+    means, contrast : (n,) float32
+        Mean and standard deviation of each lens.
     active : (n,) bool
         Pairs without an active lens are not matched and cost 1.
     shifts : (k,) float32 [px of `gray`]
@@ -172,7 +182,7 @@ def pair_costs(
     out = np.empty((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
     full = np.float32(_FULL_TRUST * np.pi * gray.radius**2)
     _pair_costs(
-        gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, active,
+        gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, contrast, active,
         shifts.astype(np.float32), np.float32(noise), np.float32(shading), row_step, full, out,
     )  # fmt: skip
     return out

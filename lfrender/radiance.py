@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 
-__all__ = ["GrayFlat", "gain_table", "gray_flat"]
+__all__ = ["GrayFlat", "gain_table", "gray_flat", "shrink", "white_level"]
 
 # A gain above this would lift more noise than picture at the rim of a microimage.
 _MAX_GAIN = 4.0
@@ -29,15 +29,12 @@ class GrayFlat:
     radius : float [px of `image`]
         Radius up to which a microimage is trusted.
     pitch : float [px of `image`]
-    factor : int
-        Flat pixels per pixel of `image`.
     """
 
     image: NDArray[np.float32]
     centres: NDArray[np.float32]
     radius: float
     pitch: float
-    factor: int
 
 
 def gain_table(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
@@ -63,61 +60,48 @@ def white_level(flat: NDArray) -> float:
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=True)
-def _correct_gray(flat, scale, origin, inverse, basis, gains, step, factor, out):
-    """Mean over channels and over factor x factor pixels, times the gain of the nearest lens."""
+def _correct_gray(flat, scale, origin, inverse, basis, gains, step, out):
+    """Mean over channels times the gain of the nearest lens."""
     height, width = out.shape
     channels = flat.shape[2]
-    weight = np.float32(scale / (channels * factor * factor))
+    weight = np.float32(scale / channels)
     last = len(gains) - 1
-    for v in prange(height):
-        for u in range(width):
+    for y in prange(height):
+        for x in range(width):
             total = np.float32(0.0)
-            for dy in range(factor):
-                for dx in range(factor):
-                    for k in range(channels):
-                        total += np.float32(flat[v * factor + dy, u * factor + dx, k])
-            x = (u + 0.5) * factor - 0.5 - origin[0]
-            y = (v + 0.5) * factor - 0.5 - origin[1]
-            i = np.rint(x * inverse[0, 0] + y * inverse[1, 0])
-            j = np.rint(x * inverse[0, 1] + y * inverse[1, 1])
-            dx0 = x - i * basis[0, 0] - j * basis[1, 0]
-            dy0 = y - i * basis[0, 1] - j * basis[1, 1]
-            nearest = dx0 * dx0 + dy0 * dy0
+            for k in range(channels):
+                total += np.float32(flat[y, x, k])
+            i = np.rint((x - origin[0]) * inverse[0, 0] + (y - origin[1]) * inverse[1, 0])
+            j = np.rint((x - origin[0]) * inverse[0, 1] + (y - origin[1]) * inverse[1, 1])
+            dx = x - origin[0] - i * basis[0, 0] - j * basis[1, 0]
+            dy = y - origin[1] - i * basis[0, 1] - j * basis[1, 1]
+            nearest = dx * dx + dy * dy
             for di in range(-1, 2):
                 for dj in range(-1, 2):
-                    ex = dx0 - di * basis[0, 0] - dj * basis[1, 0]
-                    ey = dy0 - di * basis[0, 1] - dj * basis[1, 1]
+                    ex = dx - di * basis[0, 0] - dj * basis[1, 0]
+                    ey = dy - di * basis[0, 1] - dj * basis[1, 1]
                     nearest = min(nearest, ex * ex + ey * ey)
-            out[v, u] = total * weight * gains[min(int(nearest / step), last)]
+            out[y, x] = total * weight * gains[min(int(nearest / step), last)]
 
 
-def gray_flat(flat: NDArray, calibration: Calibration, factor: int = 1) -> GrayFlat:
-    """Brightness of `flat`, corrected for vignetting, shrunk by the whole number `factor`.
-
-    Parameters
-    ----------
-    flat : (H, W) or (H, W, C) array
-    calibration : Calibration
-    factor : int
-        Each pixel of the result is the mean of `factor` x `factor` flat pixels.
-    """
+def gray_flat(flat: NDArray, calibration: Calibration) -> GrayFlat:
+    """Brightness of `flat` (H, W, C), corrected for vignetting."""
     lattice = calibration.lattice
-    planes = flat[:, :, None] if flat.ndim == 2 else flat
-    height, width = planes.shape[0] // factor, planes.shape[1] // factor
-    image = np.empty((height, width), np.float32)
+    image = np.empty(flat.shape[:2], np.float32)
     gains, step = gain_table(calibration)
-    _correct_gray(
-        planes,
-        1.0 / white_level(flat),
-        lattice.origin,
-        np.linalg.inv(lattice.basis),
-        lattice.basis,
-        gains,
-        step,
-        factor,
-        image,
-    )
-    centres = (lattice.centres() + 0.5) / factor - 0.5
-    # One pixel of the shrunken picture mixes light from beyond the rim.
-    radius = lattice.radius / factor - 0.5 * (factor > 1)
-    return GrayFlat(image, centres.astype(np.float32), radius, lattice.pitch / factor, factor)
+    inverse = np.linalg.inv(lattice.basis)
+    _correct_gray(flat, 1.0 / white_level(flat), lattice.origin, inverse, lattice.basis, gains, step, image)
+    return GrayFlat(image, lattice.centres().astype(np.float32), lattice.radius, lattice.pitch)
+
+
+def shrink(gray: GrayFlat, factor: int) -> GrayFlat:
+    """`gray` at a whole fraction of its resolution: each pixel is the mean of `factor` x `factor`."""
+    import cv2
+
+    if factor == 1:
+        return gray
+    height, width = (n // factor for n in gray.image.shape)
+    image = cv2.resize(gray.image[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
+    centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)
+    # Half a pixel at the rim mixes light from beyond it.
+    return GrayFlat(image, centres, gray.radius / factor - 0.5, gray.pitch / factor)
