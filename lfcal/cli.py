@@ -104,3 +104,7 @@ def _orientation(lattice: Lattice) -> tuple[str, str, float]:
     if hexagonal and abs(turned) > 15:
         return shape, "vertical", turned - np.copysign(30.0, turned)
     return shape, "horizontal" if hexagonal else "both ways", turned
+
+
+if __name__ == "__main__":
+    main()

@@ -7,6 +7,7 @@ calibrate and render, so every format is checked for completeness here before it
 from __future__ import annotations
 
 import io
+import logging
 import os
 import re
 import stat
@@ -220,6 +221,10 @@ def _read_pnm(data: bytes) -> NDArray[Any]:
 def _read_tiff(source: Path) -> NDArray[Any]:
     import tifffile
 
+    # What tifffile remarks on damaged files is in our error; without a handler Python would print it as well.
+    log = logging.getLogger("tifffile")
+    if not log.hasHandlers():
+        log.addHandler(logging.NullHandler())
     with tifffile.TiffFile(source) as tiff:
         pages = [page for page in tiff.pages if not page.is_reduced]  # type: ignore[union-attr]
         if len(pages) != 1:
@@ -262,13 +267,13 @@ def _tiff_pixels(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
 def _from_opencv(data: bytes, grey: bool = False) -> NDArray[Any]:
     import cv2
 
-    logging = cv2.utils.logging
-    level = logging.getLogLevel()
-    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    log = cv2.utils.logging
+    level = log.getLogLevel()
+    log.setLogLevel(log.LOG_LEVEL_SILENT)
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     finally:
-        logging.setLogLevel(level)
+        log.setLogLevel(level)
     if pixels is None:
         raise FlatError("damaged image file: its pixels cannot be decoded")
     _check_size(pixels.shape[1], pixels.shape[0])

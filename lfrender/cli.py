@@ -254,3 +254,7 @@ def _picture_figures(picture: Rendering) -> dict[str, Any]:
         "valid": float(np.mean(picture.valid)),
         "affine": picture.affine,
     }
+
+
+if __name__ == "__main__":
+    main()

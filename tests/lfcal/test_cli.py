@@ -117,6 +117,18 @@ def test_bad_images_are_one_line_and_leave_no_file(bad_images, tmp_path, name):
     assert os.listdir(tmp_path) == ["bad"]
 
 
+def test_decoders_say_nothing_of_their_own(tmp_path, house):
+    tifffile.imwrite(tmp_path / "damaged.tif", house.white, metadata=None)
+    data = bytearray((tmp_path / "damaged.tif").read_bytes())
+    data[60:90] = bytes(range(60, 90))
+    (tmp_path / "damaged.tif").write_bytes(data)
+    command = [sys.executable, "-m", "lfcal.cli", "calibrate", "damaged.tif", "-o", "camera.json"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "damaged.tif" in result.stderr
+
+
 def test_bad_outputs_are_refused_before_the_image_is_read(tmp_path):
     for output, word in [("camera.txt", ".json"), ("nowhere/camera.json", "does not exist"), (".", "")]:
         assert_refused(run("calibrate", tmp_path / "missing.png", "-o", tmp_path / output), word)
