@@ -7,6 +7,7 @@ from .errors import CalibrationError, CameraFileError, FlatError, LightFieldErro
 from .flat import read_flat
 from .lattice import Lattice
 from .outfile import OutputError, check_output, whole_file
+from .published import read_published
 from .vignetting import Vignetting
 
 __all__ = [
@@ -23,5 +24,6 @@ __all__ = [
     "console",
     "load",
     "read_flat",
+    "read_published",
     "whole_file",
 ]

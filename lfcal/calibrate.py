@@ -12,10 +12,20 @@ from .errors import CalibrationError, FlatError
 from .lattice import Lattice
 
 if TYPE_CHECKING:
-    from .fit import LatticeFit
     from .search import FirstLattice
 
 __all__ = ["calibrate"]
+
+# Two halves of a flat must show average microimages that correlate at least so much.
+_REPEATS = 0.8
+# Halves that put the lattice further apart than this share of the pitch have not found one.
+_SCATTERED = 0.1
+# Below this confidence a person should look.
+_SURE = 0.7
+# Scatter inside the microimages of a white image, as a share of the depth of the gaps.
+_EVEN_INSIDE = 0.15
+# Relative spread of the tones of an image that shows nothing.
+_EVEN = 1e-4
 
 
 def _checked(image: ArrayLike) -> NDArray[Any]:
@@ -42,14 +52,15 @@ def calibrate(image: ArrayLike, kind: Literal["auto", "white", "scene"] = "auto"
 
     Parameters
     ----------
-    image : (h, w) or (h, w, 3) array_like, any unsigned, signed or float type
+    image : (h, w) or (h, w, 3) array_like, any integer or float type
         Raw sensor picture: a white image or any scene.
     kind : {"auto", "white", "scene"}
-        What the flat shows; `"auto"` decides by how much of the picture the lattice alone explains.
+        What the flat shows; `"auto"` decides by whether microimages are evenly lit inside.
 
     Returns
     -------
     Calibration
+        Its `confidence` is the weakest of several independent tests; below 0.7 there is also a warning.
 
     Raises
     ------
@@ -63,23 +74,73 @@ def calibrate(image: ArrayLike, kind: Literal["auto", "white", "scene"] = "auto"
     flat = _checked(image)
     # Compiled code is loaded only when a flat is there to be calibrated.
     from .features import tone
-    from .fit import fit_lattice
     from .search import first_lattice
     from .vignetting import measure_vignetting
 
     picture = tone(flat)
-    if float(picture.max()) == 0 or float(picture.std()) < 1e-4:
+    if float(picture.max()) == 0 or float(picture.std()) < _EVEN * float(picture.mean()):
         raise CalibrationError("the image is one even grey; give a flat with light on it and without saturation")
     start = first_lattice(picture)
-    fit = fit_lattice(start.pictures, start.lattice)
-    lattice = Lattice(fit.origin, fit.basis, start.lattice.image_size, start.lattice.radius)
+    _trust(start.repeatability)
+    white = kind == "white" or (kind == "auto" and _evenly_lit(start))
+    lattice, residual, lenses, differ = _refined(start, white)
+    if not differ < _SCATTERED * lattice.pitch:
+        raise CalibrationError(
+            f"two halves of the microimages of {lattice.pitch:.1f} px pitch disagree about the lattice; "
+            "give a sharper flat or a white image"
+        )
     vignetting, radius = measure_vignetting(picture, lattice)
-    lattice = Lattice(fit.origin, fit.basis, lattice.image_size, radius)
-    source = kind if kind != "auto" else "scene"
-    return Calibration(lattice, vignetting, source, fit.residual_rms, fit.lenses_used, _confidence(start, fit))
+    confidence = float(np.clip(min(start.repeatability, 1 - differ / (_SCATTERED * lattice.pitch)), 0, 1))
+    warnings = []
+    if confidence < _SURE:
+        warnings.append(
+            f"the lattice is uncertain (confidence {confidence:.2f}, halves of the flat differ by {differ:.2f} px); "
+            "check the circles on the flat or calibrate on a white image"
+        )
+    return Calibration(
+        Lattice(lattice.origin, lattice.basis, lattice.image_size, radius),
+        vignetting,
+        "white" if white else "scene",
+        residual,
+        lenses,
+        confidence,
+        tuple(warnings),
+    )
 
 
-def _confidence(start: FirstLattice, fit: LatticeFit) -> float:
-    """0..1: coherence, roundness and agreement of independent halves, the weakest of which decides."""
-    agreement = 1 / (1 + (fit.halves_differ / (0.02 * start.lattice.pitch)) ** 2)
-    return float(np.clip(min(start.coherence * 2, start.roundness * 1.5, agreement), 0, 1))
+def _trust(repeatability: float) -> None:
+    """CalibrationError where two halves of the flat do not show the same average microimage."""
+    if repeatability < _REPEATS:
+        raise CalibrationError(
+            "no microimages found: something repeats on the image, but not alike in all of it; "
+            "give a raw flat from the sensor, not a rendered or scaled picture"
+        )
+
+
+def _evenly_lit(start: FirstLattice) -> bool:
+    """Whether the insides of microimages vary by little against the depth of the gaps between them."""
+    from .fit import radial_profile
+
+    profile = radial_profile(start.brightness, start.lattice)
+    radii = np.arange(len(profile.mean)) * profile.step
+    inner = radii < 0.5 * start.lattice.radius
+    noise = float(np.sqrt(np.average(profile.variance[inner], weights=radii[inner] + profile.step)))
+    depth = float(np.ptp(profile.mean))
+    return noise < _EVEN_INSIDE * depth
+
+
+def _refined(start: FirstLattice, white: bool) -> tuple[Lattice, float, int, float]:
+    """Final lattice, residual of single lenses [px], lenses used, and disagreement of halves [px].
+
+    On a white image the brightness of every pixel is what the lattice predicts. On a scene only the breaks at the
+    rims are: brightness there also shows where a camera has flattened its pictures with another white image.
+    """
+    from .fit import fit_lattice
+
+    found = start.lattice
+    fit = fit_lattice(start.brightness if white else start.breaks, found)
+    if not white and not fit.halves_differ < start.halves_differ:
+        # Rims too faint for single lenses: what whole tiles have in common is the better measure.
+        return found, fit.residual_rms, fit.lenses_used, start.halves_differ
+    lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius)
+    return lattice, fit.residual_rms, fit.lenses_used, fit.halves_differ

@@ -86,7 +86,8 @@ class Calibration:
             raise CameraFileError(f"{where}: not an {_SCHEMA} file; make one with 'lfcal calibrate IMAGE -o {where}'")
         if data.get("version") != _VERSION:
             raise CameraFileError(
-                f"{where}: version {data.get('version')!r} is not known (this toolkit reads {_VERSION}); calibrate again"
+                f"{where}: version {data.get('version')!r} is not known "
+                f"(this toolkit reads {_VERSION}); calibrate again"
             )
         try:
             lattice, fit, vignetting = data["lattice"], data["fit"], data["vignetting"]
@@ -119,21 +120,50 @@ class Calibration:
             raise
 
 
-def load(path: str | os.PathLike[str]) -> Calibration:
-    """Read a camera file written by `Calibration.save`.
+def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None) -> Calibration:
+    """Read a camera file written by `Calibration.save`, or one published by others (see `read_published`).
+
+    Parameters
+    ----------
+    path : path-like
+    image_size : (int, int) or None [px]
+        Width and height of the flats; needed only for published files that do not say.
 
     Raises
     ------
     CameraFileError
-        If the file is missing, is not JSON, or a field is wrong.
+        If the file is missing, is not of a known kind, a field is wrong, or it belongs to another image size.
     """
     source = Path(path)
     try:
-        text = source.read_text(encoding="utf-8")
+        text = source.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise CameraFileError(f"{source}: cannot be read as a camera file ({error})") from error
+    if _looks_published(text):
+        from .published import parse_published
+
+        return parse_published(text, image_size, str(source))
     try:
         data = json.loads(text)
     except (json.JSONDecodeError, RecursionError) as error:
         raise CameraFileError(f"{source}: not valid JSON ({error}); make one with 'lfcal calibrate'") from error
-    return Calibration.from_dict(data, str(source))
+    camera = Calibration.from_dict(data, str(source))
+    if image_size is not None and tuple(image_size) != camera.image_size:
+        raise CameraFileError(
+            f"{source}: is for flats of {camera.image_size[0]} x {camera.image_size[1]} px, "
+            f"not of {image_size[0]} x {image_size[1]} px; calibrate on a flat of that size"
+        )
+    return camera
+
+
+def _looks_published(text: str) -> bool:
+    """Whether `text` is XML or begins with a line `key : number`."""
+    first = next((line for line in text.splitlines() if line.strip()), "").strip()
+    key, colon, value = first.partition(":")
+    if first.startswith("<"):
+        return True
+    try:
+        float(value)
+    except ValueError:
+        return False
+    return bool(colon) and key.strip().isidentifier()

@@ -34,6 +34,7 @@ def tone(image: NDArray[Any]) -> NDArray[np.float32]:
     """
     import cv2
 
+    grey: Any
     if image.ndim == 3:
         if image.dtype == np.uint8:
             grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY).astype(np.float32)
@@ -71,12 +72,12 @@ def level_locally(picture: NDArray[np.float32], window: float) -> NDArray[np.flo
     import cv2
 
     size = (max(3, int(window) | 1),) * 2
-    mean = cv2.blur(picture, size)
-    spread = cv2.sqrBoxFilter(picture, cv2.CV_32F, size)
+    mean: Any = cv2.blur(picture, size)
+    spread: Any = cv2.sqrBoxFilter(picture, cv2.CV_32F, size)
     spread -= mean * mean
     np.maximum(spread, 0, out=spread)
     np.sqrt(spread, out=spread)
     spread += np.float32(_NOISE_FLOOR)
-    levelled = cv2.subtract(picture, mean, dst=mean)
+    levelled: Any = cv2.subtract(picture, mean, dst=mean)
     levelled /= spread
     return np.clip(levelled, -_CLIP, _CLIP, out=levelled)

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from .errors import CalibrationError
 from .lattice import Lattice
 
 __all__ = ["LatticeFit", "RadialProfile", "fit_lattice", "radial_profile", "whole_lenses"]
@@ -22,6 +23,7 @@ _STEP = 0.25
 # Residuals beyond this many standard deviations have no say (Tukey's biweight).
 _OUTLIER = 4.685
 _CHUNKS = 64
+_FEWEST_LENSES = 12
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -215,50 +217,64 @@ def _pool(
     return change, shifts, weight, scale
 
 
-def fit_lattice(pictures: list[NDArray[np.float32]], lattice: Lattice, passes: int = 5, every: int = 1) -> LatticeFit:
+def fit_lattice(picture: NDArray[np.float32], lattice: Lattice, passes: int = 6, every: int = 1) -> LatticeFit:
     """Fit origin and basis to all whole microimages.
 
     Parameters
     ----------
-    pictures : list of (h, w) float32
-        Features that are the same function of the distance to the centre in all microimages.
+    picture : (h, w) float32
+        A feature that is the same function of the distance to the centre in all microimages.
     lattice : Lattice [px]
         Start, right to a fraction of the pitch over the whole flat.
     passes : int
-        Gauss-Newton steps.
+        Most Gauss-Newton steps; fewer are taken when nothing moves any more.
     every : int
         Use every so many lenses.
+
+    Raises
+    ------
+    CalibrationError
+        If fewer than a dozen whole microimages are on the flat.
     """
     origin, basis = lattice.origin.copy(), lattice.basis.copy()
-    indices, weight, shifts, change, scale, normal = (np.empty(0),) * 6  # type: ignore[assignment]
-    right = np.empty(0)
     for _ in range(passes):
         current = Lattice(origin, basis, lattice.image_size, lattice.radius)
         faces, reach = _cell_faces(current)
         indices, centres = whole_lenses(current, reach + 1)
         indices, centres = indices[::every], np.ascontiguousarray(centres[::every])
+        if len(centres) < _FEWEST_LENSES:
+            raise CalibrationError(
+                f"only {len(centres)} whole microimages of {current.pitch:.1f} px pitch fit on the flat, "
+                f"at least {_FEWEST_LENSES} are needed; give the whole sensor"
+            )
         normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
-        for picture in pictures:
-            profile = radial_profile(picture, current, every)
-            _accumulate_steps(
-                picture, centres, faces, reach, profile.step, profile.mean, profile.slope,
-                1 / profile.variance, _OUTLIER, normal, right,
-            )  # fmt: skip
+        profile = radial_profile(picture, current, every)
+        _accumulate_steps(
+            picture, centres, faces, reach, profile.step, profile.mean, profile.slope,
+            1 / profile.variance, _OUTLIER, normal, right,
+        )  # fmt: skip
         change, shifts, weight, scale = _pool(normal, right, indices)
         origin = origin + change[0]
         basis = basis + change[1:]
-    design = np.column_stack([np.ones(len(indices)), indices])
+        design = np.column_stack([np.ones(len(indices)), indices])
+        moved = float(np.sqrt(((design @ change) ** 2).sum(1).mean()))
+        spread = _standard_error(design, normal, weight, scale)
+        if moved < 0.1 * spread:
+            break
     miss = shifts - design @ change
-    good = weight > 0
-    residual = float(np.sqrt(np.average((miss[good] ** 2).sum(1), weights=weight[good])))
-    halves = []
-    for start in (0, 1):
-        part = np.arange(len(indices)) % 2 == start
-        halves.append(_pool(normal[part], right[part], indices[part])[0])
+    residual = float(np.sqrt(np.average((miss**2).sum(1), weights=weight)))
+    parity = indices.sum(1) % 2
+    halves = [_pool(normal[parity == side], right[parity == side], indices[parity == side])[0] for side in (0, 1)]
     gap = design @ (halves[0] - halves[1])
     differ = float(np.sqrt((gap**2).sum(1).mean()))
+    return LatticeFit(origin, basis, residual, spread, int((weight > 0).sum()), differ)
+
+
+def _standard_error(
+    design: NDArray[np.float64], normal: NDArray[np.float64], weight: NDArray[np.float64], scale: float
+) -> float:
+    """Standard error of a centre, RMS over the flat [px], as the scatter of the lenses implies."""
     left = np.einsum("n,np,nq,nab->paqb", weight, design, design, normal).reshape(6, 6)
-    covariance = np.linalg.pinv(left) * scale
-    spread = np.einsum("np,paqa,nq->n", design, covariance.reshape(3, 2, 3, 2), design)
-    uncertainty = float(np.sqrt(max(spread.mean(), 0.0)))
-    return LatticeFit(origin, basis, residual, uncertainty, int(good.sum()), differ)
+    covariance = np.linalg.pinv(left).reshape(3, 2, 3, 2) * scale
+    spread = np.einsum("np,paqa,nq->n", design, covariance, design)
+    return float(np.sqrt(max(spread.mean(), 0.0)))

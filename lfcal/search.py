@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from .coherence import refine_basis
 from .errors import CalibrationError
 from .features import breaks, level_locally
-from .folding import fold_tiles
+from .folding import TileFolds, fold_tiles
+from .harmonics import fit_harmonics
 from .lattice import Lattice, reduce_basis
 from .origin import round_centres, true_cell
 from .spectrum import candidate_bases, spectrum_of
@@ -20,16 +21,42 @@ __all__ = ["FirstLattice", "first_lattice"]
 _BINS = 36
 # Tiles this many pitches wide hold enough lenses for an average and are small against a wandering period.
 _TILE = 8
+# Small flats are still cut into this many tiles each way where that leaves them so many pitches wide.
+_TILES = 5
+_LEAST_TILE = 2.5
 
 
 @dataclass(frozen=True)
 class FirstLattice:
-    """First lattice, good to a fraction of the pitch, with the pictures it was found in."""
+    """A lattice, good to a fraction of a pixel or so, with the pictures it was found in.
+
+    Parameters
+    ----------
+    lattice : Lattice [px]
+        Its radius is half the distance to the nearest neighbour.
+    brightness, breaks : (h, w) float32
+        Locally levelled features.
+    coherence : float
+        Share of the harmonics' energy that all tiles have in common, 0..1.
+    roundness : float
+        Share of the variance of the average microimage that the distance to its centre explains, 0..1.
+    halves_differ, tile_rms : float [px]
+        Agreement of independent halves of the tiles, and of single tiles, with the lattice.
+    support : float
+        Share of the tiles that agree with the lattice, 0..1.
+    repeatability : float
+        Correlation of the average microimages of two independent halves of the tiles, the weaker feature of both.
+    """
 
     lattice: Lattice
-    pictures: list[NDArray[np.float32]]
+    brightness: NDArray[np.float32]
+    breaks: NDArray[np.float32]
     coherence: float
     roundness: float
+    halves_differ: float
+    tile_rms: float
+    support: float
+    repeatability: float
 
 
 def _first_basis(picture: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -53,30 +80,68 @@ def _first_basis(picture: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
-    """Lattice from the spectrum, its periods made coherent and its origin put on the round centres."""
+    """Lattice from the spectrum, its periods made coherent, its origin on the round centres, fitted to all tiles.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+        As made by `features.tone`.
+
+    Raises
+    ------
+    CalibrationError
+        If nothing repeats in two directions.
+    """
     height, width = picture.shape
     basis = _first_basis(picture)
     edges = breaks(picture)
-    pictures: list[NDArray[np.float32]] = []
     coherence = 0.0
-    cells: list[NDArray[np.float64]] = []
     for _ in range(3):
         pitch = float(np.sqrt(abs(np.linalg.det(basis))))
-        pictures = [level_locally(feature, 2 * pitch) for feature in (picture, edges)]
-        side = int(_TILE * pitch)
-        basis, coherence = refine_basis([fold_tiles(feature, basis, side, _BINS) for feature in pictures])
-        cells = [fold_tiles(feature, basis, max(height, width), _BINS).mean() for feature in pictures]
+        levelled = [level_locally(feature, 2 * pitch) for feature in (picture, edges)]
+        side = int(max(_LEAST_TILE * pitch, min(_TILE * pitch, min(height, width) / _TILES)))
+        basis, coherence = refine_basis([fold_tiles(feature, basis, side, _BINS) for feature in levelled])
+        folds = [fold_tiles(feature, basis, side, _BINS) for feature in levelled]
+        cells = [fold.mean() for fold in folds]
         finer, _ = true_cell(cells, basis)
         if np.array_equal(finer, basis):
             break
         basis = finer
     centre = round_centres(cells, [1.0, 1.0], basis)[0]
-    origin = centre.position @ basis
     middle = (np.array([width, height]) - 1) / 2
-    origin = origin + np.rint((middle - origin) @ np.linalg.inv(basis)) @ basis
-    basis = reduce_basis(basis)
+    origin = _nearest_to(middle, centre.position @ basis, basis)
+    fit = fit_harmonics(folds[1:], origin)
+    origin, basis = _nearest_to(middle, fit.origin, fit.basis), reduce_basis(fit.basis)
     lattice = Lattice(origin, basis, (width, height), _inradius(basis))
-    return FirstLattice(lattice, pictures, coherence, centre.roundness)
+    return FirstLattice(
+        lattice,
+        levelled[0],
+        levelled[1],
+        coherence,
+        centre.roundness,
+        fit.halves_differ,
+        fit.tile_rms,
+        fit.support,
+        min(_repeatability(fold) for fold in folds),
+    )
+
+
+def _repeatability(fold: TileFolds) -> float:
+    """Correlation of the average cells of the two colours of a checkerboard of tiles."""
+    rows, columns = np.divmod(np.arange(len(fold.centre)), fold.grid[1])
+    colour = (rows + columns) % 2
+    if not 0 < colour.sum() < len(colour):
+        return 0.0
+    a, b = (fold.mean(colour == side).ravel() for side in (0, 1))
+    spread = a.std() * b.std()
+    return float(np.mean((a - a.mean()) * (b - b.mean())) / spread) if spread > 0 else 0.0
+
+
+def _nearest_to(
+    place: NDArray[np.float64], origin: NDArray[np.float64], basis: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The lattice point next to `place`."""
+    return origin + np.rint((place - origin) @ np.linalg.inv(basis)) @ basis
 
 
 def _inradius(basis: NDArray[np.float64]) -> float:

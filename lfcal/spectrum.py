@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,7 +102,8 @@ def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | 
     from scipy import fft
 
     if reduction > 1:
-        picture = cv2.resize(picture, None, fx=1 / reduction, fy=1 / reduction, interpolation=cv2.INTER_AREA)
+        smaller: Any = cv2.resize(picture, None, fx=1 / reduction, fy=1 / reduction, interpolation=cv2.INTER_AREA)
+        picture = smaller
     height, width = picture.shape
     size = min(_WINDOW, min(height, width)) // 2 * 2
     if size < _FEWEST_PERIODS * _SHORTEST_PERIOD:
@@ -120,9 +122,9 @@ def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | 
     log_power /= 2 * len(windows)
     log_power = np.fft.fftshift(log_power, axes=0)
     # Mirror the half plane across zero frequency before averaging: there is no edge at fx = 0.
-    margin = _BACKGROUND
+    margin = min(_BACKGROUND, size // 4)
     mirrored = np.roll(log_power[::-1, margin:0:-1], 1 - size % 2, axis=0)
-    background = cv2.blur(np.hstack([mirrored, log_power]), (_BACKGROUND, _BACKGROUND))[:, margin:]
+    background = cv2.blur(np.hstack([mirrored, log_power]), (margin | 1, margin | 1))[:, margin:]
     prominence = log_power - background
     middle = float(np.median(prominence))
     spread = 1.4826 * float(np.median(np.abs(prominence - middle))) + 1e-6

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,7 +40,7 @@ class Vignetting:
 
     def at(self, radius: ArrayLike) -> NDArray[np.float64]:
         """Relative illumination at distances `radius` [px] from the microimage centre."""
-        return np.interp(radius, np.arange(len(self.profile)) * self.step, self.profile)
+        return np.interp(np.asarray(radius, dtype=np.float64), np.arange(len(self.profile)) * self.step, self.profile)
 
 
 def measure_vignetting(picture: NDArray[np.float32], lattice: Lattice) -> tuple[Vignetting, float]:
@@ -63,7 +64,7 @@ def measure_vignetting(picture: NDArray[np.float32], lattice: Lattice) -> tuple[
 
     light = picture * picture
     window = (max(3, int(2 * lattice.pitch) | 1),) * 2
-    local = cv2.blur(light, window)
+    local: Any = cv2.blur(light, window)
     local += np.float32(1e-3)
     light /= local
     np.minimum(light, 3, out=light)
