@@ -82,10 +82,19 @@ class TileFolds:
         return np.fft.fft2(self.total - level * self.count).astype(np.complex64)
 
     def mean(self, chosen: Any = slice(None)) -> NDArray[np.float64]:
-        """(bins, bins) average cell over the `chosen` tiles; empty bins take the overall mean."""
+        """(bins, bins) average cell over the `chosen` tiles, at the resolution of the pixels."""
         total, count = self.total[chosen].sum(0, dtype=np.float64), self.count[chosen].sum(0, dtype=np.float64)
         level = total.sum() / max(count.sum(), 1)
-        return np.where(count > 0, total / np.maximum(count, 1), level)
+        # Where the pitch is a whole number of pixels all microimages are sampled alike and leave bins empty.
+        for axis, length in ((1, np.hypot(*self.basis[0])), (0, np.hypot(*self.basis[1]))):
+            width = int(np.ceil(self.bins / length)) | 1
+            total, count = (_periodic_box(v, width, axis) for v in (total, count))
+        return np.where(count > 0.5, total / np.maximum(count, 0.5), level)
+
+
+def _periodic_box(values: NDArray[np.float64], width: int, axis: int) -> NDArray[np.float64]:
+    """Sums of `width` (odd) neighbours along `axis`, wrapping around."""
+    return np.sum([np.roll(values, k, axis) for k in range(-(width // 2), width // 2 + 1)], axis=0)
 
 
 def fold_tiles(

@@ -19,6 +19,7 @@ from .folding import TileFolds
 __all__ = ["HarmonicFit", "fit_harmonics"]
 
 _HIGHEST = 6
+_SHORTEST_HARMONIC = 2.2
 # A harmonic takes part when its mean over the tiles is this many squared standard errors from zero.
 _SIGNIFICANT = 9.0
 _OUTLIER = 4.685
@@ -53,7 +54,9 @@ def _coefficients(
     folds: list[TileFolds], origin: NDArray[np.float64]
 ) -> tuple[NDArray[np.complex128], NDArray[np.int64]]:
     """Coefficients (t, m) relative to `origin`, bounded in size, and their harmonics (m, 2)."""
-    span = range(-_HIGHEST, _HIGHEST + 1)
+    # Finer harmonics than two pixels are aliases of coarser ones.
+    highest = max(1, min(_HIGHEST, int(np.hypot(*folds[0].basis.T).min() / _SHORTEST_HARMONIC)))
+    span = range(-highest, highest + 1)
     index = np.array([(h, k) for h in span for k in span if h > 0 or (h == 0 and k > 0)])
     bins = folds[0].bins
     phase = index @ (origin @ np.linalg.inv(folds[0].basis)) - index.sum(1) * 0.5 / bins

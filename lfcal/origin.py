@@ -9,11 +9,16 @@ from numpy.typing import NDArray
 
 from .lattice import reduce_basis
 
-__all__ = ["CentreGuess", "nearest_distance", "round_centres", "true_cell"]
+__all__ = ["CentreGuess", "lens_centre", "nearest_distance", "round_centres", "true_cell"]
 
 # Shifted onto itself by a true sub-period the average cell correlates above this; a disc with gaps never does.
 _SAME_CELL = 0.7
 _RINGS = 24
+# Part of the pitch around a centre that is lens for any fill.
+_CORE = 0.25
+_NEARLY_AS_ROUND = 0.5
+# A gap is darker than this share of a lens unless the picture has been flattened.
+_DARKER = 0.85
 
 
 @dataclass(frozen=True)
@@ -82,6 +87,32 @@ def nearest_distance(basis: NDArray[np.float64], bins: int) -> NDArray[np.float6
     corners = np.array([(i, j) for i in (-1, 0, 1, 2) for j in (-1, 0, 1, 2)])
     steps = (place[:, None] - corners[None]) @ basis
     return np.hypot(steps[..., 0], steps[..., 1]).min(1).reshape(bins, bins)
+
+
+def lens_centre(guesses: list[CentreGuess], light: NDArray[np.float64], basis: NDArray[np.float64]) -> CentreGuess:
+    """The guess that is a lens and no gap: the roundest, unless one nearly as round gets clearly more light.
+
+    Gaps of a square array are as round as the lenses, and no lens is darker than the gaps around it; only cameras
+    that flatten their pictures leave gaps slightly brighter.
+
+    Parameters
+    ----------
+    guesses : list of CentreGuess
+        Roundest first.
+    light : (bins, bins) float64
+        Average cell of the light itself.
+    basis : (2, 2) float64 [px]
+    """
+    bins = light.shape[0]
+    inside = nearest_distance(basis, bins) < _CORE * np.sqrt(abs(np.linalg.det(basis)))
+
+    def brightness(guess: CentreGuess) -> float:
+        column, row = np.floor(guess.position * bins).astype(int)
+        return float(light[np.roll(inside, (row, column), axis=(0, 1))].mean())
+
+    rivals = [g for g in guesses if g.roundness > _NEARLY_AS_ROUND * guesses[0].roundness]
+    brightest = max(rivals, key=brightness)
+    return brightest if brightness(guesses[0]) < _DARKER * brightness(brightest) else guesses[0]
 
 
 def round_centres(

@@ -13,12 +13,15 @@ from .features import breaks, level_locally
 from .folding import TileFolds, fold_tiles
 from .harmonics import fit_harmonics
 from .lattice import Lattice, reduce_basis
-from .origin import round_centres, true_cell
+from .origin import lens_centre, round_centres, true_cell
 from .spectrum import candidate_bases, spectrum_of
 
 __all__ = ["FirstLattice", "first_lattice"]
 
 _BINS = 36
+# Support of a candidate by the spectrum above which longer periods are not looked for, and below which it is none.
+_CLEAR = 0.3
+_VAGUE = 0.1
 # Tiles this many pitches wide hold enough lenses for an average and are small against a wandering period.
 _TILE = 8
 # Small flats are still cut into this many tiles each way where that leaves them so many pitches wide.
@@ -69,9 +72,9 @@ def _first_basis(picture: NDArray[np.float32]) -> NDArray[np.float64]:
         for candidate in candidate_bases(spectrum, 1):
             if best is None or candidate.support > best.support:
                 best = candidate
-        if best is not None and best.support > 0.4:
+        if best is not None and best.support > _CLEAR:
             break
-    if best is None or best.support < 0.1:
+    if best is None or best.support < _VAGUE:
         raise CalibrationError(
             "no pattern repeats in two directions all over the image; "
             "give a raw flat from the sensor, not a rendered or scaled picture"
@@ -107,7 +110,8 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
         if np.array_equal(finer, basis):
             break
         basis = finer
-    centre = round_centres(cells, [1.0, 1.0], basis)[0]
+    light = fold_tiles(picture * picture, basis, side, _BINS).mean()
+    centre = lens_centre(round_centres(cells, [1.0, 1.0], basis), light, basis)
     middle = (np.array([width, height]) - 1) / 2
     origin = _nearest_to(middle, centre.position @ basis, basis)
     fit = fit_harmonics(folds[1:], origin)

@@ -21,6 +21,8 @@ __all__ = ["Candidate", "Spectrum", "candidate_bases", "spectrum_of"]
 _WINDOW = 1024
 # Shortest period that leaves a microimage anything to see, and fewest periods across a window.
 _SHORTEST_PERIOD = 4.0
+# Harmonics count almost up to two pixels, where the sensor's own colour mosaic begins.
+_SHORTEST_HARMONIC = 2.2
 _FEWEST_PERIODS = 4.0
 # Side of the box over which the background of the spectrum is averaged [bins].
 _BACKGROUND = 21
@@ -141,7 +143,7 @@ def _peaks(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]
     y, x = np.nonzero((p >= highest) & (p > _OCCUPIED))
     fy = y - n // 2
     period = n / np.maximum(np.hypot(x, fy), 1e-9)
-    keep = (period >= _SHORTEST_PERIOD) & (period <= n / _FEWEST_PERIODS) & ((x > 0) | (fy > 0))
+    keep = (period >= _SHORTEST_HARMONIC) & (period <= n / _FEWEST_PERIODS) & ((x > 0) | (fy > 0))
     keep &= (x < p.shape[1] - 1) & (y > 0) & (y < n - 1)
     y, x = y[keep], x[keep]
     order = np.argsort(-p[y, x], kind="stable")[:_PEAKS]
@@ -209,7 +211,8 @@ def candidate_bases(spectrum: Spectrum, count: int = 6) -> list[Candidate]:
         if abs(np.linalg.det(pair)) < 0.2 * np.hypot(*pair[0]) * np.hypot(*pair[1]):
             continue
         reciprocal = reduce_basis(pair)
-        if np.hypot(*reciprocal.T).min() * n < _FEWEST_PERIODS * 0.9:
+        lengths = np.hypot(*reciprocal.T)
+        if lengths.min() * n < _FEWEST_PERIODS * 0.9 or lengths.max() > 1 / (_SHORTEST_PERIOD * np.sqrt(0.75)):
             continue
         key = tuple(np.round(reciprocal.ravel() * n * 0.7))
         if key in seen:
@@ -219,7 +222,7 @@ def candidate_bases(spectrum: Spectrum, count: int = 6) -> list[Candidate]:
         if on.sum() < 3 or abs(np.linalg.det(reciprocal)) < 1e-9:
             continue
         chance = min(0.9, np.pi * (_ON_NODE / n) ** 2 / abs(np.linalg.det(reciprocal)))
-        covered = max(0.0, (strength[on].sum() / strength.sum() - chance) / (1 - chance))
+        covered = max(0.0, ((strength[on] ** 2).sum() / (strength**2).sum() - chance) / (1 - chance))
         nodes = _lowest_nodes(reciprocal, _NODES) @ reciprocal
         nodes = nodes[np.abs(nodes).max(1) < 0.45]
         occupied = float((spectrum.at(nodes) > _OCCUPIED).mean()) if len(nodes) >= 3 else 0.0
