@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba import njit, prange
 from numpy.typing import NDArray
 
 __all__ = ["breaks", "level_locally", "tone"]
@@ -60,6 +61,16 @@ def breaks(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.sqrt(steepness, out=steepness)
 
 
+@njit(cache=True, nogil=True, parallel=True)
+def _divide_by_spread(picture, mean, square, floor, clip):
+    height, width = picture.shape
+    for y in prange(height):
+        for x in range(width):
+            m = mean[y, x]
+            value = (picture[y, x] - m) / (np.sqrt(max(square[y, x] - m * m, np.float32(0))) + floor)
+            mean[y, x] = min(max(value, -clip), clip)
+
+
 def level_locally(picture: NDArray[np.float32], window: float) -> NDArray[np.float32]:
     """Picture minus its local mean over its local standard deviation, clipped.
 
@@ -73,11 +84,6 @@ def level_locally(picture: NDArray[np.float32], window: float) -> NDArray[np.flo
 
     size = (max(3, int(window) | 1),) * 2
     mean: Any = cv2.blur(picture, size)
-    spread: Any = cv2.sqrBoxFilter(picture, cv2.CV_32F, size)
-    spread -= mean * mean
-    np.maximum(spread, 0, out=spread)
-    np.sqrt(spread, out=spread)
-    spread += np.float32(_NOISE_FLOOR)
-    levelled: Any = cv2.subtract(picture, mean, dst=mean)
-    levelled /= spread
-    return np.clip(levelled, -_CLIP, _CLIP, out=levelled)
+    square: Any = cv2.sqrBoxFilter(picture, cv2.CV_32F, size)
+    _divide_by_spread(picture, mean, square, np.float32(_NOISE_FLOOR), np.float32(_CLIP))
+    return mean

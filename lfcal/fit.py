@@ -23,11 +23,18 @@ _STEP = 0.25
 # Residuals beyond this many standard deviations have no say (Tukey's biweight).
 _OUTLIER = 4.685
 _CHUNKS = 64
+# Share of the information on the centre that may be left out to save pixels.
+_SPARE = 0.02
+# The first steps need only so many lenses, and move by more than the rest can correct.
+_SKETCH_LENSES = 500
+_SKETCH_PASSES = 3
 _FEWEST_LENSES = 12
+# Steps below this share of the standard error change nothing.
+_SETTLED = 0.3
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _accumulate_profile(picture, centres, faces, reach, step, chunks, total, square, count):
+def _accumulate_profile(picture, centres, faces, inner, reach, step, chunks, total, square, count):
     lenses = centres.shape[0]
     for chunk in prange(chunks):
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
@@ -37,14 +44,16 @@ def _accumulate_profile(picture, centres, faces, reach, step, chunks, total, squ
                 half = np.sqrt(max(reach * reach - dy * dy, 0.0))
                 for x in range(int(np.ceil(cx - half)), int(np.floor(cx + half)) + 1):
                     dx = x - cx
-                    inside = True
-                    for face in range(faces.shape[0]):
-                        if dx * faces[face, 0] + dy * faces[face, 1] > 0.5:
-                            inside = False
-                            break
-                    if not inside:
-                        continue
-                    place = np.sqrt(dx * dx + dy * dy) / step
+                    rho = np.sqrt(dx * dx + dy * dy)
+                    if rho > inner:
+                        inside = True
+                        for face in range(faces.shape[0]):
+                            if dx * faces[face, 0] + dy * faces[face, 1] > 0.5:
+                                inside = False
+                                break
+                        if not inside:
+                            continue
+                    place = rho / step
                     ring = int(place)
                     part = place - ring
                     value = picture[y, x]
@@ -57,41 +66,47 @@ def _accumulate_profile(picture, centres, faces, reach, step, chunks, total, squ
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _accumulate_steps(picture, centres, faces, reach, step, level, slope, weight, cutoff, normal, right):
+def _accumulate_steps(picture, centres, faces, inner, first, reach, step, level, slope, weight, cutoff, normal, right):
     for lens in prange(centres.shape[0]):
         cx, cy = centres[lens, 0], centres[lens, 1]
         xx = xy = yy = bx = by = 0.0
         for y in range(int(np.ceil(cy - reach)), int(np.floor(cy + reach)) + 1):
             dy = y - cy
             half = np.sqrt(max(reach * reach - dy * dy, 0.0))
-            for x in range(int(np.ceil(cx - half)), int(np.floor(cx + half)) + 1):
-                dx = x - cx
-                rho = np.sqrt(dx * dx + dy * dy)
-                if rho < 1.0:
-                    continue
-                inside = True
-                for face in range(faces.shape[0]):
-                    if dx * faces[face, 0] + dy * faces[face, 1] > 0.5:
-                        inside = False
-                        break
-                if not inside:
-                    continue
-                place = rho / step
-                ring = int(place)
-                part = place - ring
-                w = weight[ring] * (1 - part) + weight[ring + 1] * part
-                residual = picture[y, x] - (level[ring] * (1 - part) + level[ring + 1] * part)
-                far = residual * residual * w / (cutoff * cutoff)
-                if far >= 1:
-                    continue
-                w *= (1 - far) * (1 - far)
-                g = -(slope[ring] * (1 - part) + slope[ring + 1] * part) / rho
-                gx, gy = g * dx, g * dy
-                xx += w * gx * gx
-                xy += w * gx * gy
-                yy += w * gy * gy
-                bx += w * gx * residual
-                by += w * gy * residual
+            start, stop = int(np.ceil(cx - half)), int(np.floor(cx + half)) + 1
+            left = right_side = stop
+            if abs(dy) < first:
+                hole = np.sqrt(first * first - dy * dy)
+                left, right_side = int(np.ceil(cx - hole)), int(np.floor(cx + hole)) + 1
+            for side in range(2):
+                low, high = (start, min(left, stop)) if side == 0 else (max(right_side, start), stop)
+                for x in range(low, high):
+                    dx = x - cx
+                    rho = np.sqrt(dx * dx + dy * dy)
+                    if rho > inner:
+                        inside = True
+                        for face in range(faces.shape[0]):
+                            if dx * faces[face, 0] + dy * faces[face, 1] > 0.5:
+                                inside = False
+                                break
+                        if not inside:
+                            continue
+                    place = rho / step
+                    ring = int(place)
+                    part = place - ring
+                    w = weight[ring] * (1 - part) + weight[ring + 1] * part
+                    residual = picture[y, x] - (level[ring] * (1 - part) + level[ring + 1] * part)
+                    far = residual * residual * w / (cutoff * cutoff)
+                    if far >= 1:
+                        continue
+                    w *= (1 - far) * (1 - far)
+                    g = -(slope[ring] * (1 - part) + slope[ring + 1] * part) / max(rho, 1e-6)
+                    gx, gy = g * dx, g * dy
+                    xx += w * gx * gx
+                    xy += w * gx * gy
+                    yy += w * gy * gy
+                    bx += w * gx * residual
+                    by += w * gy * residual
         normal[lens, 0, 0] += xx
         normal[lens, 0, 1] += xy
         normal[lens, 1, 0] += xy
@@ -108,6 +123,8 @@ class RadialProfile:
     ----------
     mean, variance : (k,) float64
         At radii `0, step, 2*step, ...`.
+    weight : (k,) float64
+        Pixels that took part.
     step : float [px]
     """
 
@@ -120,6 +137,12 @@ class RadialProfile:
     def slope(self) -> NDArray[np.float64]:
         """(k,) derivative of the mean [1/px]."""
         return np.gradient(self.mean, self.step)
+
+    @property
+    def first(self) -> float:
+        """Radius [px] inside of which pixels say next to nothing about the centre."""
+        information = np.cumsum(self.weight * self.slope**2 / self.variance)
+        return max(1.0, (int(np.searchsorted(information, _SPARE * information[-1])) - 1) * self.step)
 
 
 @dataclass(frozen=True)
@@ -183,7 +206,7 @@ def radial_profile(picture: NDArray[np.float32], lattice: Lattice, every: int = 
     centres = np.ascontiguousarray(centres[::every])
     rings = int(reach / _STEP) + 3
     total, square, count = (np.zeros((_CHUNKS, rings)) for _ in range(3))
-    _accumulate_profile(picture, centres, faces, reach, _STEP, _CHUNKS, total, square, count)
+    _accumulate_profile(picture, centres, faces, _inner(faces), reach, _STEP, _CHUNKS, total, square, count)
     summed, squares, number = total.sum(0), square.sum(0), count.sum(0)
     filled = number > 1e-6
     if filled.sum() < 2:
@@ -237,29 +260,18 @@ def fit_lattice(picture: NDArray[np.float32], lattice: Lattice, passes: int = 6,
         If fewer than a dozen whole microimages are on the flat.
     """
     origin, basis = lattice.origin.copy(), lattice.basis.copy()
-    for _ in range(passes):
+    sketches = _SKETCH_PASSES if len(lattice) > 2 * _SKETCH_LENSES * every else 0
+    for turn in range(sketches + passes):
         current = Lattice(origin, basis, lattice.image_size, lattice.radius)
-        faces, reach = _cell_faces(current)
-        indices, centres = whole_lenses(current, reach + 1)
-        indices, centres = indices[::every], np.ascontiguousarray(centres[::every])
-        if len(centres) < _FEWEST_LENSES:
-            raise CalibrationError(
-                f"only {len(centres)} whole microimages of {current.pitch:.1f} px pitch fit on the flat, "
-                f"at least {_FEWEST_LENSES} are needed; give the whole sensor"
-            )
-        normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
-        profile = radial_profile(picture, current, every)
-        _accumulate_steps(
-            picture, centres, faces, reach, profile.step, profile.mean, profile.slope,
-            1 / profile.variance, _OUTLIER, normal, right,
-        )  # fmt: skip
+        stride = max(1, len(lattice) // _SKETCH_LENSES) if turn < sketches else every
+        indices, normal, right = _lens_steps(picture, current, stride)
         change, shifts, weight, scale = _pool(normal, right, indices)
         origin = origin + change[0]
         basis = basis + change[1:]
         design = np.column_stack([np.ones(len(indices)), indices])
         moved = float(np.sqrt(((design @ change) ** 2).sum(1).mean()))
         spread = _standard_error(design, normal, weight, scale)
-        if moved < 0.1 * spread:
+        if turn >= sketches and moved < _SETTLED * spread:
             break
     miss = shifts - design @ change
     residual = float(np.sqrt(np.average((miss**2).sum(1), weights=weight)))
@@ -268,6 +280,32 @@ def fit_lattice(picture: NDArray[np.float32], lattice: Lattice, passes: int = 6,
     gap = design @ (halves[0] - halves[1])
     differ = float(np.sqrt((gap**2).sum(1).mean()))
     return LatticeFit(origin, basis, residual, spread, int((weight > 0).sum()), differ)
+
+
+def _lens_steps(
+    picture: NDArray[np.float32], lattice: Lattice, stride: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Indices (n, 2), normal matrices (n, 2, 2) and right sides (n, 2) of the steps of every `stride`-th lens."""
+    faces, reach = _cell_faces(lattice)
+    indices, centres = whole_lenses(lattice, reach + 1)
+    indices, centres = indices[::stride], np.ascontiguousarray(centres[::stride])
+    if len(centres) < _FEWEST_LENSES:
+        raise CalibrationError(
+            f"only {len(centres)} whole microimages of {lattice.pitch:.1f} px pitch fit on the flat, "
+            f"at least {_FEWEST_LENSES} are needed; give the whole sensor"
+        )
+    normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
+    profile = radial_profile(picture, lattice, stride)
+    _accumulate_steps(
+        picture, centres, faces, _inner(faces), profile.first, reach, profile.step, profile.mean, profile.slope,
+        1 / profile.variance, _OUTLIER, normal, right,
+    )  # fmt: skip
+    return indices, normal, right
+
+
+def _inner(faces: NDArray[np.float64]) -> float:
+    """Radius of the circle inside a cell with these faces [px]."""
+    return float(0.5 / np.hypot(*faces.T).max())
 
 
 def _standard_error(

@@ -37,10 +37,8 @@ class CentreGuess:
     roundness: float
 
 
-def true_cell(
-    cells: list[NDArray[np.float64]], basis: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], tuple[float, ...]]:
-    """Smaller lattice on which the average cells already repeat, else `basis` itself.
+def true_cell(cells: list[NDArray[np.float64]], basis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Smallest lattice on which the average cells already repeat, `basis` itself or a finer one.
 
     Arrays with several lens types repeat exactly only with a cell two, three or four times as large, and their
     blur differs from lens to lens; but microimages of all types have the same outline.
@@ -50,34 +48,34 @@ def true_cell(
     cells : list of (bins, bins) float64
         Average cell of each feature; `bins` a multiple of 6.
     basis : (2, 2) float64 [px]
-
-    Returns
-    -------
-    basis : (2, 2) float64 [px]
-    correlations : tuple of float
-        Correlation at the best sub-period of index 2 and of index 3.
     """
     bins = cells[0].shape[0]
-    best: list[tuple[float, tuple[int, int], int]] = []
+    lattice = np.eye(2)
     for index, shifts in ((2, [(1, 0), (0, 1), (1, 1)]), (3, [(1, 0), (0, 1), (1, 1), (1, 2)])):
-        ranked = []
         for shift in shifts:
-            agreement = []
-            for cell in cells:
-                g = cell - cell.mean()
-                rolled = np.roll(g, (-shift[1] * bins // index, -shift[0] * bins // index), axis=(0, 1))
-                agreement.append(float((g * rolled).sum() / max((g * g).sum(), 1e-30)))
-            ranked.append((float(np.mean(agreement)), shift, index))
-        best.append(max(ranked))
-    strongest = max(best)
-    correlations = tuple(value for value, _, _ in best)
-    if strongest[0] < _SAME_CELL:
-        return basis, correlations
-    _, shift, index = strongest
-    step = np.array(shift) / index @ basis
-    options = [np.array([step, vector]) for vector in basis]
-    finer = max(options, key=lambda option: abs(np.linalg.det(option)))
-    return reduce_basis(finer), correlations
+            step = np.array(shift) / index
+            agreement = [_repeats(cell, np.rint(step * bins).astype(int)) for cell in cells]
+            if np.mean(agreement) > _SAME_CELL:
+                lattice = _with_step(lattice, step)
+    return reduce_basis(lattice @ basis) if abs(np.linalg.det(lattice)) < 0.99 else basis
+
+
+def _repeats(cell: NDArray[np.float64], shift: NDArray[np.int64]) -> float:
+    """Correlation of a periodic picture with itself shifted by `shift` (columns, rows)."""
+    g = cell - cell.mean()
+    return float((g * np.roll(g, (-shift[1], -shift[0]), axis=(0, 1))).sum() / max((g * g).sum(), 1e-30))
+
+
+def _with_step(lattice: NDArray[np.float64], step: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Smallest lattice that holds all points of `lattice` (rows of a basis) and `step`."""
+    place = step @ np.linalg.inv(lattice)
+    index = next((k for k in (1, 2, 3) if np.abs(k * place - np.rint(k * place)).max() < 1e-6), 1)
+    if index == 1:
+        return lattice
+    # Of all lattices between a lattice and its refinement by one step, the right one has 1/index of the area.
+    options = [np.array([step, row]) for row in (*lattice, lattice[0] + lattice[1])]
+    area = abs(np.linalg.det(lattice)) / index
+    return min(options, key=lambda option: abs(abs(np.linalg.det(option)) - area))
 
 
 def nearest_distance(basis: NDArray[np.float64], bins: int) -> NDArray[np.float64]:

@@ -104,12 +104,11 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
         levelled = [level_locally(feature, 2 * pitch) for feature in (picture, edges)]
         side = int(max(_LEAST_TILE * pitch, min(_TILE * pitch, min(height, width) / _TILES)))
         basis, coherence = refine_basis([fold_tiles(feature, basis, side, _BINS) for feature in levelled])
-        folds = [fold_tiles(feature, basis, side, _BINS) for feature in levelled]
-        cells = [fold.mean() for fold in folds]
-        finer, _ = true_cell(cells, basis)
-        if np.array_equal(finer, basis):
+        basis, changed = _right_cell(levelled, basis, side)
+        if not changed:
             break
-        basis = finer
+    folds = [fold_tiles(feature, basis, side, _BINS) for feature in levelled]
+    cells = [fold.mean() for fold in folds]
     light = fold_tiles(picture * picture, basis, side, _BINS).mean()
     centre = lens_centre(round_centres(cells, [1.0, 1.0], basis), light, basis)
     middle = (np.array([width, height]) - 1) / 2
@@ -128,6 +127,23 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
         fit.support,
         min(_repeatability(fold) for fold in folds),
     )
+
+
+def _right_cell(
+    levelled: list[NDArray[np.float32]], basis: NDArray[np.float64], side: int
+) -> tuple[NDArray[np.float64], bool]:
+    """The cell that holds one microimage, and whether that is another than the one of `basis`.
+
+    Folded on two and three cells each way, the average picture must repeat from cell to cell (else there are gaps
+    or several sizes among what was taken for microimages), and must not repeat within a cell.
+    """
+    for multiple in (1, 2, 3):
+        wide = basis * multiple
+        cells = [fold_tiles(feature, wide, side, _BINS).mean() for feature in levelled]
+        found = true_cell(cells, wide)
+        if abs(abs(np.linalg.det(found) / np.linalg.det(basis)) - 1) > 0.1:
+            return found, True
+    return basis, False
 
 
 def _repeatability(fold: TileFolds) -> float:
