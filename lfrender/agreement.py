@@ -6,10 +6,12 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from .fastmath import FAST
+
 __all__ = ["aggregate", "lens_costs"]
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _lens_costs(pair, forward, backward, out):
     """Mean pair cost of each lens over all neighbours that it has."""
     half = forward.shape[1]
@@ -40,7 +42,7 @@ def lens_costs(
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=FAST)
 def _walk(cost, chain, slope, jump, total):
     """One path of semi-global matching along the lenses of `chain`, added to `total`."""
     labels = cost.shape[1]

@@ -13,7 +13,7 @@ from .agreement import aggregate, lens_costs
 from .depthmap import DepthMap
 from .flatcheck import check_flat
 from .matching import lens_statistics, pair_costs
-from .modes import confidence, fill, parabola_peak
+from .modes import confidence, fill, parabola_peak, second_best
 from .neighbours import neighbour_rows
 from .radiance import GrayFlat, gray_flat, shrink
 from .refinement import refine
@@ -50,6 +50,8 @@ _TEXTURED = 1.5
 # Prices of semi-global matching in units of the match cost (0 perfect, 1 unrelated).
 _SLOPE_PER_PIXEL, _JUMP = 0.03, 0.3
 _SURE = 0.5
+# A second depth is tried on the pixels when it matches the lens at most this much worse.
+_SECOND = 0.3
 
 
 def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -> DepthMap:
@@ -87,7 +89,7 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
     neighbours = neighbour_rows(lattice, lattice.steps)
     fine, noise, contrast, textured = _texture(gray_flat(flat, calibration), lattice)
     factor = max(1, int(lattice.pitch / setting.search_pitch))
-    shifts, total = _search(shrink(fine, factor), neighbours, setting, noise / factor, textured)
+    shifts, cost, total = _search(shrink(fine, factor), neighbours, setting, noise / factor, textured)
     best = total.argmin(1)
     start = (shifts[best] + parabola_peak(total, best) * (shifts[1] - shifts[0])) * factor
     sure = confidence(total, best, neighbours.shape[1], max(1, round(1.5 / setting.step)))
@@ -98,13 +100,21 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
     resolved = textured & (sure >= _SURE) & (np.abs(refined) <= _RESOLVABLE * lattice.pitch)
     gap = max(1.0, 0.05 * lattice.pitch)
     drawn = fill(np.where(resolved, refined, start).astype(np.float32), resolved, neighbours, gap)
+    other, other_cost = second_best(cost, best, max(2, round(2 / setting.step)))
+    credible = other_cost < cost[np.arange(len(best)), best] + _SECOND
+    seconds = np.where(credible & textured, shifts[other] * factor, np.nan).astype(np.float32)
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
+    surface = spread(fine, lattice, drawn, seconds, trust, noise)
+    # A lens that sees two depths answers with the one in its middle.
+    middle = surface.at(lattice.centres())
+    crossed = resolved & (np.abs(middle - drawn) > gap)
+    patch_size = np.where(crossed, middle, np.where(resolved, refined, np.nan))
     return DepthMap(
-        patch_size=np.where(resolved, refined, np.nan),
-        standard_error=np.where(resolved, error, np.inf),
-        confidence=np.where(textured, sure, 0),
-        drawn=drawn,
-        surface=spread(fine, lattice, drawn, trust, noise),
+        patch_size=patch_size,
+        standard_error=np.where(crossed, np.maximum(error, setting.step * factor), np.where(resolved, error, np.inf)),
+        confidence=np.where(crossed, _SURE * sure, np.where(textured, sure, 0)),
+        drawn=np.where(crossed, middle, drawn),
+        surface=surface,
         pitch=lattice.pitch,
         image_size=lattice.image_size,
         preset=preset,
@@ -123,8 +133,8 @@ def _texture(gray: GrayFlat, lattice: Lattice) -> tuple[GrayFlat, float, NDArray
 
 def _search(
     coarse: GrayFlat, neighbours: NDArray[np.int32], setting: _Preset, noise: float, textured: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Shifts [px of `coarse`] and their aggregated cost for every lens."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Shifts [px of `coarse`], their cost for every lens, and that cost aggregated over the lattice."""
     half = neighbours.shape[1] // 2
     forward, backward = neighbours[:, :half], neighbours[:, half:]
     side = int(np.ceil(_SEARCHED * coarse.pitch / setting.step))
@@ -132,4 +142,4 @@ def _search(
     means, contrast, _ = lens_statistics(coarse).T
     pair = pair_costs(coarse, forward, means, contrast, textured, shifts, noise, _SHADING, setting.row_step)
     cost = lens_costs(pair, forward, backward)
-    return shifts, aggregate(cost, forward, backward, _SLOPE_PER_PIXEL * setting.step, _JUMP)
+    return shifts, cost, aggregate(cost, forward, backward, _SLOPE_PER_PIXEL * setting.step, _JUMP)

@@ -8,16 +8,17 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 
+from .drawing import _like
+from .fastmath import FAST
 from .flatcheck import check_flat
 from .neighbours import lens_grid
 from .radiance import gain_table
-from .drawing import _like
 from .rendering import Rendering
 
 __all__ = ["traditional"]
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _lens_means(flat, centres, radius, gains, gain_step, out):
     height, width, channels = flat.shape
     last = len(gains) - 1

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from .fastmath import FAST
 from .radiance import GrayFlat
 
 __all__ = ["lens_statistics", "pair_costs"]
@@ -21,7 +22,7 @@ _SHADED_REACH = np.float32(0.08)
 _SHADED = np.float32(0.03)
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _lens_statistics(image, centres, radius, out):
     """Mean, standard deviation and RMS second difference of every microimage."""
     height, width = image.shape
@@ -64,7 +65,7 @@ def lens_statistics(gray: GrayFlat) -> NDArray[np.float32]:
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
 def _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
     """Sums over all pixels of lens a whose partner, `(tx, ty)` away, lies in lens b."""
     height, width = image.shape
@@ -105,7 +106,7 @@ def _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
     return count, sa, sb, saa, sbb, sab
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _pair_costs(
     image, centres, radius, pitch, rows, means, contrast, active, shifts, noise, shading, row_step, full, out
 ):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["confidence", "fill", "parabola_peak"]
+__all__ = ["confidence", "fill", "parabola_peak", "second_best"]
 
 # Cost difference that makes one shift e times as likely as another (measured on simulated scenes).
 _TEMPERATURE = 0.05
@@ -70,3 +70,34 @@ def fill(
         mean = np.where(same, around, 0).sum(1) / np.maximum(count, 1)
         result[unknown] = np.where(count > 0, mean, result[unknown])
     return result
+
+
+def second_best(
+    cost: NDArray[np.float32], best: NDArray[np.int64], apart: int
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """The lowest local minimum of each lens's own cost at least `apart` steps from its best shift.
+
+    A lens across a depth edge matches at both depths; the second is in its own cost, not in the
+    aggregated one.
+
+    Parameters
+    ----------
+    cost : (n, k) float32
+        Cost of each lens before aggregation.
+    best : (n,) int
+        Chosen shift of each lens.
+
+    Returns
+    -------
+    index : (n,) int
+    value : (n,) float32
+        Cost there, inf where there is no other minimum.
+    """
+    inner = np.full_like(cost, np.inf)
+    middle = cost[:, 1:-1]
+    lowest = (middle <= cost[:, :-2]) & (middle < cost[:, 2:])
+    inner[:, 1:-1] = np.where(lowest, middle, np.inf)
+    steps = np.arange(cost.shape[1])
+    inner[np.abs(steps - best[:, None]) < apart] = np.inf
+    index = inner.argmin(1)
+    return index, inner[np.arange(len(cost)), index]

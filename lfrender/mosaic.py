@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from .fastmath import FAST
+
 __all__ = ["draw_rows"]
 
 # Most lenses that may share one scene point; the nearest come first.
 MAX_LENSES = 37
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
 def _patch_size(surface, x, y, grid_x, grid_y, cell, edge):
     """Patch size at scene point (x, y): linear between grid values, nearest across a depth edge."""
     rows, columns = surface.shape
@@ -26,7 +28,7 @@ def _patch_size(surface, x, y, grid_x, grid_y, cell, edge):
     return surface[j1 if fy > 0.5 else j, i1 if fx > 0.5 else i]
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def draw_rows(
     flat, gains, gain_step, origin, inverse, basis, offsets, radius, pitch,
     surface, grid_x, grid_y, cell, edge, scale, first, spacing, oversample, reach, tolerance, out, weight_out,

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 
+from .fastmath import FAST
+
 __all__ = ["GrayFlat", "gain_table", "gray_flat", "shrink", "white_level"]
 
 # A gain above this would lift more noise than picture at the rim of a microimage.
@@ -59,7 +61,7 @@ def white_level(flat: NDArray) -> float:
     return float(np.iinfo(flat.dtype).max) if flat.dtype.kind in "ui" else 1.0
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _correct_gray(flat, scale, origin, inverse, basis, gains, step, out):
     """Mean over channels times the gain of the nearest lens."""
     height, width = out.shape

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from .fastmath import FAST
 from .radiance import GrayFlat
 
 __all__ = ["refine"]
@@ -14,7 +15,7 @@ __all__ = ["refine"]
 _MAX_STEP = 1.0
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
 def _accumulate(image, ax, ay, bx, by, radius, s, pitch, scale2, offset):
     """Normal equation of one pair for a change of s, residuals weighted after Geman and McClure."""
     height, width = image.shape
@@ -72,7 +73,7 @@ def _accumulate(image, ax, ay, bx, by, radius, s, pitch, scale2, offset):
     return hessian, gradient, energy, weights, residuals, count
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _refine(image, centres, radius, pitch, rows, start, scale2, iterations, out):
     for lens in prange(len(centres)):
         s = start[lens]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
+from .fastmath import FAST
 from .neighbours import neighbour_rows
 from .radiance import GrayFlat
 
@@ -30,7 +31,7 @@ _NEARBY = 4.2
 _SIGNIFICANT = np.float32(2.0)
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True)
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _subtract_shading(image, centres, rows, weights, means, contrast, radius, out):
     height, width = image.shape
     side = int(2 * radius) + 3

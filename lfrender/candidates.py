@@ -1,0 +1,172 @@
+"""Depths that compete for each scene point, and how well the microimages agree on each."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from .fastmath import FAST
+
+__all__ = ["MOST_CANDIDATES", "propose"]
+
+MOST_CANDIDATES = 5
+# Half width of the patch on which candidate depths compete, in samples.
+_PATCH = 1
+# Lenses compared with the most central one for each candidate.
+_MOST_VIEWS = 12
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _sample(image, x, y):
+    height, width = image.shape
+    x = min(max(x, np.float32(0.0)), np.float32(width - 1.001))
+    y = min(max(y, np.float32(0.0)), np.float32(height - 1.001))
+    i, j = int(x), int(y)
+    fx, fy = np.float32(x - i), np.float32(y - j)
+    return (1 - fy) * ((1 - fx) * image[j, i] + fx * image[j, i + 1]) + fy * (
+        (1 - fx) * image[j + 1, i] + fx * image[j + 1, i + 1]
+    )
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, patch, costs):
+    """How badly the nearest lens and the better half of the others agree on the patch at (x, y)."""
+    side = 2 * _PATCH + 1
+    size = side * side
+    first = members[0]
+    px = centres[first, 0] - (x - centres[first, 0]) * slope
+    py = centres[first, 1] - (y - centres[first, 1]) * slope
+    mean_a = squares_a = np.float32(0.0)
+    for k in range(size):
+        patch[k] = _sample(image, px + (k % side - _PATCH) * step, py + (k // side - _PATCH) * step)
+        mean_a += patch[k]
+        squares_a += patch[k] * patch[k]
+    mean_a /= size
+    variance_a = max(squares_a / size - mean_a * mean_a, np.float32(0.0))
+    found = 0
+    for m in range(1, count):
+        lens = members[m]
+        dx = -(x - centres[lens, 0]) * slope
+        dy = -(y - centres[lens, 1]) * slope
+        if dx * dx + dy * dy > radius * radius:
+            continue
+        qx, qy = centres[lens, 0] + dx, centres[lens, 1] + dy
+        sb = sbb = sdd = np.float32(0.0)
+        for k in range(size):
+            b = _sample(image, qx + (k % side - _PATCH) * step, qy + (k // side - _PATCH) * step)
+            sb += b
+            sbb += b * b
+            sdd += (b - patch[k]) * (b - patch[k])
+        mean_b = sb / size
+        variance_b = max(sbb / size - mean_b * mean_b, np.float32(0.0))
+        cost = (sdd / size + floor) / (variance_a + variance_b + (mean_a - mean_b) ** 2 + floor)
+        # Insertion keeps the costs sorted.
+        at = found
+        while at > 0 and costs[at - 1] > cost:
+            costs[at] = costs[at - 1]
+            at -= 1
+        costs[at] = cost
+        found += 1
+        if found == _MOST_VIEWS:
+            break
+    if found == 0:
+        return np.float32(1.0)
+    best = np.float32(0.0)
+    half = (found + 1) // 2
+    for m in range(half):
+        best += costs[m]
+    return best / half
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def propose(
+    image, centres, radius, pitch, values, seconds, trust, grid, low, origin, inverse, ring, gap, floor,
+    first, spacing, vote2, step, depths, costs,
+):  # fmt: skip
+    """Candidate depths of each scene point, from the lenses around it, in `depths`, their mismatch in `costs`.
+
+    Unused places are NaN. A point on whose depth all lenses around agree has one candidate, of cost 0.
+    """
+    rows, columns, most = depths.shape
+    nearby = len(ring)
+    for v in prange(rows):
+        members = np.empty(nearby, np.int32)
+        distance = np.empty(nearby, np.float32)
+        sizes = np.empty(2 * nearby, np.float32)
+        weights = np.empty(2 * nearby, np.float32)
+        patch = np.empty((2 * _PATCH + 1) ** 2, np.float32)
+        sorted_costs = np.empty(nearby, np.float32)
+        for u in range(columns):
+            x, y = np.float32(first + u * spacing), np.float32(first + v * spacing)
+            for k in range(most):
+                depths[v, u, k] = np.nan
+                costs[v, u, k] = np.inf
+            ox, oy = first + u * spacing - origin[0], first + v * spacing - origin[1]
+            i = int(np.rint(ox * inverse[0, 0] + oy * inverse[1, 0]))
+            j = int(np.rint(ox * inverse[0, 1] + oy * inverse[1, 1]))
+            count = 0
+            for r in range(nearby):
+                ci, cj = i + ring[r, 0] - low[0], j + ring[r, 1] - low[1]
+                if ci < 0 or cj < 0 or cj >= grid.shape[0] or ci >= grid.shape[1]:
+                    continue
+                lens = grid[cj, ci]
+                if lens < 0:
+                    continue
+                d = (x - centres[lens, 0]) ** 2 + (y - centres[lens, 1]) ** 2
+                at = count
+                while at > 0 and distance[at - 1] > d:
+                    distance[at], members[at] = distance[at - 1], members[at - 1]
+                    at -= 1
+                distance[at], members[at] = d, lens
+                count += 1
+            # Votes, sorted by patch size: every lens's answer, and its second best.
+            votes = 0
+            everyone = np.float32(0.0)
+            for m in range(count):
+                if distance[m] > vote2 and m > 0:
+                    break
+                lens = members[m]
+                w = trust[lens] * np.exp(-3 * distance[m] / (pitch * pitch))
+                everyone += w
+                for second in range(2):
+                    s = seconds[lens] if second else values[lens]
+                    if not np.isfinite(s):
+                        continue
+                    at = votes
+                    while at > 0 and sizes[at - 1] > s:
+                        sizes[at], weights[at] = sizes[at - 1], weights[at - 1]
+                        at -= 1
+                    sizes[at], weights[at] = s, np.float32(0.25) * w if second else w
+                    votes += 1
+            # Clusters of votes are the candidates; the weightiest are kept.
+            found = 0
+            start = 0
+            while start < votes:
+                stop = start + 1
+                while stop < votes and sizes[stop] - sizes[stop - 1] <= gap:
+                    stop += 1
+                weight = total = np.float32(0.0)
+                for m in range(start, stop):
+                    weight += weights[m]
+                    total += weights[m] * sizes[m]
+                at = min(found, most - 1)
+                if found < most or weight > costs[v, u, most - 1]:
+                    while at > 0 and costs[v, u, at - 1] < weight:
+                        costs[v, u, at], depths[v, u, at] = costs[v, u, at - 1], depths[v, u, at - 1]
+                        at -= 1
+                    costs[v, u, at], depths[v, u, at] = weight, total / weight
+                    found = min(found + 1, most)
+                start = stop
+            if found <= 1:
+                costs[v, u, 0] = 0.0
+                continue
+            for k in range(found):
+                share = costs[v, u, k] / everyone
+                costs[v, u, k] = _mismatch(
+                    image, centres, members, count, x, y, depths[v, u, k] / pitch, radius, step, floor,
+                    patch, sorted_costs,
+                ) + _PRIOR * max(np.float32(0.0), 1 - share)  # fmt: skip
+
+
+# Price of a depth that none of the lenses around votes for, in units of the mismatch.
+_PRIOR = np.float32(0.07)
