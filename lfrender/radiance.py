@@ -16,6 +16,10 @@ __all__ = ["GrayFlat", "gain_table", "gray_flat", "shrink", "white_level"]
 
 # A gain above this would lift more noise than picture at the rim of a microimage.
 _MAX_GAIN = 4.0
+# Where a lens delivers less than this share of its light, the correction is as uncertain as weak texture.
+_TRUSTED_LIGHT = 0.9
+# No microimage is trusted over less than this share of the pitch: nothing would be left to compare.
+_LEAST_TRUSTED = 0.3
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,20 @@ def gray_flat(flat: NDArray, calibration: Calibration) -> GrayFlat:
     gains, step = gain_table(calibration)
     inverse = np.linalg.inv(lattice.basis)
     _correct_gray(flat, 1.0 / white_level(flat), lattice.origin, inverse, lattice.basis, gains, step, image)
-    return GrayFlat(image, lattice.centres().astype(np.float32), lattice.radius, lattice.pitch)
+    return GrayFlat(image, lattice.centres().astype(np.float32), trusted_radius(calibration), lattice.pitch)
+
+
+def trusted_radius(calibration: Calibration) -> float:
+    """Radius [px] inside which microimages can be compared: off the rim, and where shading needs little correction."""
+    lattice = calibration.lattice
+    # Interpolation reads one pixel further.
+    radius = lattice.radius - 1.0
+    if calibration.vignetting is not None:
+        distance = np.arange(0.0, lattice.radius, 0.25)
+        dim = distance[calibration.vignetting.at(distance) < _TRUSTED_LIGHT]
+        if dim.size:
+            radius = min(radius, float(dim[0]))
+    return max(radius, _LEAST_TRUSTED * lattice.pitch)
 
 
 def shrink(gray: GrayFlat, factor: int) -> GrayFlat:
