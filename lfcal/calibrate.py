@@ -20,6 +20,8 @@ __all__ = ["calibrate"]
 _REPEATS = 0.8
 # Halves that put the lattice further apart than this share of the pitch have not found one.
 _SCATTERED = 0.1
+# Window, in pitches, in which breaks are levelled: wider than a rim, narrower than what the scene shows in a lens.
+_RIM = 0.5
 # Below this confidence a person should look.
 _SURE = 0.7
 # Scatter inside the microimages of a white image, as a share of the depth of the gaps.
@@ -83,7 +85,7 @@ def calibrate(image: ArrayLike, kind: Literal["auto", "white", "scene"] = "auto"
     start = first_lattice(picture)
     _trust(start.repeatability)
     white = kind == "white" or (kind == "auto" and _evenly_lit(start))
-    lattice, residual, lenses, differ = _refined(start, white)
+    lattice, residual, lenses, differ = _refined(picture, start, white)
     if not differ < _SCATTERED * lattice.pitch:
         raise CalibrationError(
             f"two halves of the microimages of {lattice.pitch:.1f} px pitch disagree about the lattice; "
@@ -111,10 +113,9 @@ def calibrate(image: ArrayLike, kind: Literal["auto", "white", "scene"] = "auto"
 def _trust(repeatability: float) -> None:
     """CalibrationError where two halves of the flat do not show the same average microimage."""
     if repeatability < _REPEATS:
-        raise CalibrationError(
-            "no microimages found: something repeats on the image, but not alike in all of it; "
-            "give a raw flat from the sensor, not a rendered or scaled picture"
-        )
+        from .search import NO_MICROIMAGES
+
+        raise CalibrationError(NO_MICROIMAGES)
 
 
 def _evenly_lit(start: FirstLattice) -> bool:
@@ -129,16 +130,18 @@ def _evenly_lit(start: FirstLattice) -> bool:
     return noise < _EVEN_INSIDE * depth
 
 
-def _refined(start: FirstLattice, white: bool) -> tuple[Lattice, float, int, float]:
+def _refined(picture: NDArray[np.float32], start: FirstLattice, white: bool) -> tuple[Lattice, float, int, float]:
     """Final lattice, residual of single lenses [px], lenses used, and disagreement of halves [px].
 
     On a white image the brightness of every pixel is what the lattice predicts. On a scene only the breaks at the
     rims are: brightness there also shows where a camera has flattened its pictures with another white image.
     """
+    from .features import breaks, level_locally
     from .fit import fit_lattice
 
     found = start.lattice
-    fit = fit_lattice(start.brightness if white else start.breaks, found)
+    feature = start.brightness if white else level_locally(breaks(picture), _RIM * found.pitch)
+    fit = fit_lattice(feature, found)
     if not white and not fit.halves_differ < start.halves_differ:
         # Rims too faint for single lenses: what whole tiles have in common is the better measure.
         return found, fit.residual_rms, fit.lenses_used, start.halves_differ

@@ -31,6 +31,7 @@ _SKETCH_PASSES = 3
 _FEWEST_LENSES = 12
 # Steps below this share of the standard error change nothing.
 _SETTLED = 0.3
+_RUNAWAY = 0.05
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -268,6 +269,8 @@ def fit_lattice(picture: NDArray[np.float32], lattice: Lattice, passes: int = 6,
         change, shifts, weight, scale = _pool(normal, right, indices)
         origin = origin + change[0]
         basis = basis + change[1:]
+        if not np.abs(basis @ np.linalg.inv(lattice.basis) - np.eye(2)).max() < _RUNAWAY:
+            raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
         design = np.column_stack([np.ones(len(indices)), indices])
         moved = float(np.sqrt(((design @ change) ** 2).sum(1).mean()))
         spread = _standard_error(design, normal, weight, scale)

@@ -50,14 +50,14 @@ def true_cell(cells: list[NDArray[np.float64]], basis: NDArray[np.float64]) -> N
     basis : (2, 2) float64 [px]
     """
     bins = cells[0].shape[0]
-    lattice = np.eye(2)
+    # Everything in sixths of a cell, the common measure of halves and thirds.
+    generators = [(6, 0), (0, 6)]
     for index, shifts in ((2, [(1, 0), (0, 1), (1, 1)]), (3, [(1, 0), (0, 1), (1, 1), (1, 2)])):
         for shift in shifts:
-            step = np.array(shift) / index
-            agreement = [_repeats(cell, np.rint(step * bins).astype(int)) for cell in cells]
-            if np.mean(agreement) > _SAME_CELL:
-                lattice = _with_step(lattice, step)
-    return reduce_basis(lattice @ basis) if abs(np.linalg.det(lattice)) < 0.99 else basis
+            step = np.array(shift) * bins // index
+            if np.mean([_repeats(cell, step) for cell in cells]) > _SAME_CELL:
+                generators.append((shift[0] * 6 // index, shift[1] * 6 // index))
+    return reduce_basis(_span(generators) / 6 @ basis) if len(generators) > 2 else basis
 
 
 def _repeats(cell: NDArray[np.float64], shift: NDArray[np.int64]) -> float:
@@ -66,16 +66,14 @@ def _repeats(cell: NDArray[np.float64], shift: NDArray[np.int64]) -> float:
     return float((g * np.roll(g, (-shift[1], -shift[0]), axis=(0, 1))).sum() / max((g * g).sum(), 1e-30))
 
 
-def _with_step(lattice: NDArray[np.float64], step: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Smallest lattice that holds all points of `lattice` (rows of a basis) and `step`."""
-    place = step @ np.linalg.inv(lattice)
-    index = next((k for k in (1, 2, 3) if np.abs(k * place - np.rint(k * place)).max() < 1e-6), 1)
-    if index == 1:
-        return lattice
-    # Of all lattices between a lattice and its refinement by one step, the right one has 1/index of the area.
-    options = [np.array([step, row]) for row in (*lattice, lattice[0] + lattice[1])]
-    area = abs(np.linalg.det(lattice)) / index
-    return min(options, key=lambda option: abs(abs(np.linalg.det(option)) - area))
+def _span(generators: list[tuple[int, int]]) -> NDArray[np.float64]:
+    """Basis (2, 2) of all integer combinations of `generators`, by Euclid's algorithm on the columns."""
+    x, y, rest = 0, 0, 0
+    for gx, gy in generators:
+        while gx:
+            x, y, gx, gy = gx, gy, x % gx, y - (x // gx) * gy
+        rest = int(np.gcd(rest, gy))
+    return np.array([(x, y % rest), (0, rest)], dtype=np.float64)
 
 
 def nearest_distance(basis: NDArray[np.float64], bins: int) -> NDArray[np.float64]:

@@ -22,6 +22,13 @@ _BINS = 36
 # Support of a candidate by the spectrum above which longer periods are not looked for, and below which it is none.
 _CLEAR = 0.3
 _VAGUE = 0.1
+# A refinement moves a basis by a thousandth; one that moves it by more than this share follows something else.
+_RUNAWAY = 0.05
+
+NO_MICROIMAGES = (
+    "no microimages found: something repeats on the image, but not alike in all of it; "
+    "give a raw flat from the sensor, not a rendered or scaled picture"
+)
 # Tiles this many pitches wide hold enough lenses for an average and are small against a wandering period.
 _TILE = 8
 # Small flats are still cut into this many tiles each way where that leaves them so many pitches wide.
@@ -103,7 +110,8 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
         pitch = float(np.sqrt(abs(np.linalg.det(basis))))
         levelled = [level_locally(feature, 2 * pitch) for feature in (picture, edges)]
         side = int(max(_LEAST_TILE * pitch, min(_TILE * pitch, min(height, width) / _TILES)))
-        basis, coherence = refine_basis([fold_tiles(feature, basis, side, _BINS) for feature in levelled])
+        refined, coherence = refine_basis([fold_tiles(feature, basis, side, _BINS) for feature in levelled])
+        basis = _kept(refined, basis)
         basis, changed = _right_cell(levelled, basis, side)
         if not changed:
             break
@@ -114,6 +122,7 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
     middle = (np.array([width, height]) - 1) / 2
     origin = _nearest_to(middle, centre.position @ basis, basis)
     fit = fit_harmonics(folds[1:], origin)
+    _kept(fit.basis, basis)
     origin, basis = _nearest_to(middle, fit.origin, fit.basis), reduce_basis(fit.basis)
     lattice = Lattice(origin, basis, (width, height), _inradius(basis))
     return FirstLattice(
@@ -127,6 +136,13 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
         fit.support,
         min(_repeatability(fold) for fold in folds),
     )
+
+
+def _kept(refined: NDArray[np.float64], basis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`refined`, or CalibrationError where it has run away from `basis`."""
+    if not np.abs(refined @ np.linalg.inv(basis) - np.eye(2)).max() < _RUNAWAY:
+        raise CalibrationError(NO_MICROIMAGES)
+    return refined
 
 
 def _right_cell(
