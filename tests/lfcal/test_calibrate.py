@@ -1,0 +1,176 @@
+"""The calibration as a whole: right on known lattices of all kinds, a clear refusal on everything else."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from skimage import data
+
+import lfcal
+
+_ANGLES = [0.0, 0.7, 11.0, 30.0, 45.0, 90.0]
+
+
+@pytest.mark.parametrize("shape", ["HEXAGON", "SQUARE"])
+@pytest.mark.parametrize(("pitch", "degrees"), [(6.4, 11), (9.3, 0), (14.3, 0.7), (23.2, 90), (40, 30), (70.4, 45)])
+def test_white_image_places_centres_within_a_hundredth_pixel(whites, shape, pitch, degrees):
+    basis = whites.turned(getattr(whites, shape), pitch, degrees)
+    image, origin = whites.white_image(basis, (1000, 800))
+    camera = lfcal.calibrate(image)
+    assert camera.source == "white"
+    assert camera.confidence > 0.9
+    assert whites.rms(whites.centre_errors(camera.lattice, origin, basis)) < 0.01
+    assert len(camera.lattice.steps) == (6 if shape == "HEXAGON" else 4)
+
+
+@pytest.mark.parametrize("degrees", _ANGLES)
+def test_lattice_of_14_px_is_found_at_any_angle(whites, degrees):
+    for shape in (whites.HEXAGON, whites.SQUARE):
+        basis = whites.turned(shape, 14.3, degrees)
+        image, origin = whites.white_image(basis, (500, 420), seed=3)
+        camera = lfcal.calibrate(image)
+        assert whites.rms(whites.centre_errors(camera.lattice, origin, basis)) < 0.02
+
+
+def test_120_px_microimages_are_found_from_three_dozen_lenses(whites):
+    basis = whites.turned(whites.HEXAGON, 120.0, 11)
+    image, origin = whites.white_image(basis, (1000, 800))
+    assert whites.rms(whites.centre_errors(lfcal.calibrate(image).lattice, origin, basis)) < 0.03
+
+
+@pytest.mark.parametrize("shape", [[[1, 0], [0, 1.3]], [[1, 0], [0, 2.0]], [[1, 0], [0.3, 1.1]]])
+@pytest.mark.parametrize("degrees", [0, 17])
+def test_rectangular_and_sheared_lattices_are_found(whites, shape, degrees):
+    basis = whites.turned(np.array(shape, float), 20.3, degrees)
+    image, origin = whites.white_image(basis, (800, 700))
+    camera = lfcal.calibrate(image)
+    assert whites.rms(whites.centre_errors(camera.lattice, origin, basis)) < 0.01
+
+
+@pytest.mark.parametrize("fill", [0.5, 0.7, 1.0, 1.1])
+def test_lenses_are_never_taken_for_gaps_whatever_the_fill(whites, fill):
+    for shape in (whites.HEXAGON, whites.SQUARE):
+        basis = whites.turned(shape, 20.3, 3)
+        image, origin = whites.white_image(basis, (700, 600), fill=fill)
+        assert whites.rms(whites.centre_errors(lfcal.calibrate(image).lattice, origin, basis)) < 0.02
+
+
+@pytest.mark.parametrize("change", [{"soft": 8.0}, {"noise": 0.1}, {"gap": 0.9}])
+def test_soft_noisy_or_faint_discs_are_found(whites, change):
+    basis = whites.turned(whites.HEXAGON, 20.3, 3)
+    image, origin = whites.white_image(basis, (800, 700), **change)
+    assert whites.rms(whites.centre_errors(lfcal.calibrate(image).lattice, origin, basis)) < 0.03
+
+
+def test_three_lens_types_of_different_brightness_are_one_lattice(whites):
+    basis = whites.turned(whites.HEXAGON, 23.2, 90)
+    image, origin = whites.white_image(basis, (800, 700), noise=0.0)
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    index = np.rint((np.stack([x, y], -1) - origin) @ np.linalg.inv(basis))
+    gain = np.array([1.0, 0.9, 0.8])[((index[..., 0] - index[..., 1]) % 3).astype(int)]
+    camera = lfcal.calibrate((image * gain).astype(np.uint16))
+    assert whites.rms(whites.centre_errors(camera.lattice, origin, basis)) < 0.1
+
+
+def test_usable_radius_is_where_light_falls_to_half(whites):
+    basis = whites.turned(whites.HEXAGON, 40.0, 5)
+    image, _ = whites.white_image(basis, (900, 800), fill=0.8)
+    camera = lfcal.calibrate(image)
+    assert camera.lattice.radius == pytest.approx(16.0, abs=0.15)
+    assert camera.vignetting.at(8.0) == pytest.approx(1.0, abs=0.02)
+    assert camera.vignetting.at(19.0) < 0.15
+
+
+def test_any_pixel_type_gives_the_same_lattice(whites):
+    basis = whites.turned(whites.HEXAGON, 20.3, 3)
+    image, _ = whites.white_image(basis, (500, 400))
+    reference = lfcal.calibrate(image).lattice
+    rgb = np.repeat(image[..., None], 3, axis=2)
+    for same in (image.astype(np.float64) / 65535, rgb, rgb.astype(np.float32)):
+        np.testing.assert_allclose(lfcal.calibrate(same).lattice.origin, reference.origin, atol=1e-3)
+
+
+def test_scene_alone_places_centres_of_a_simulated_camera(house, whites):
+    camera = lfcal.calibrate(house.flat, kind="scene")
+    true = house.camera.lattice
+    assert camera.source == "scene"
+    assert whites.rms(whites.centre_errors(camera.lattice, true.origin, true.basis)) < 0.2
+
+
+@pytest.mark.parametrize(
+    "name", ["camera", "coins", "astronaut", "coffee", "chelsea", "page", "text", "brick", "grass"]
+)
+def test_photograph_is_refused_in_one_line(name):
+    with pytest.raises(lfcal.CalibrationError) as error:
+        lfcal.calibrate(getattr(data, name)())
+    assert "\n" not in str(error.value) and "give" in str(error.value)
+
+
+def _patterns():
+    rng = np.random.default_rng(1)
+    x = np.arange(600)
+    yield "noise", rng.integers(0, 255, (500, 600)).astype(np.uint8)
+    yield "grating", np.tile(np.uint8(127 + 100 * np.sin(x / 4.0)), (500, 1))
+    yield "noisy grating", np.clip(127 + 100 * np.sin(x / 4.0) + 20 * rng.standard_normal((500, 600)), 0, 255)
+    yield "even grey", np.full((300, 300), 90, np.uint8)
+    yield "black", np.zeros((300, 300), np.uint16)
+
+
+@pytest.mark.parametrize(("name", "image"), list(_patterns()))
+def test_image_without_a_lattice_is_refused(name, image):
+    with pytest.raises(lfcal.CalibrationError):
+        lfcal.calibrate(image)
+
+
+@pytest.mark.parametrize(
+    ("image", "reason"),
+    [
+        (np.full((100, 100), np.nan), "NaN"),
+        (np.where(np.eye(100) > 0, np.inf, 1.0), "infinite"),
+        (np.zeros((10, 10)), "too small"),
+        (np.zeros((50, 50, 4), np.uint8), "shape"),
+        (np.zeros((0, 5)), "non-empty"),
+        (np.ones((64, 64), complex), "real"),
+    ],
+)
+def test_what_cannot_be_a_flat_is_named(image, reason):
+    with pytest.raises(lfcal.FlatError, match=reason):
+        lfcal.calibrate(image)
+
+
+def test_flat_of_fewer_than_four_pitches_is_refused(whites):
+    image, _ = whites.white_image(whites.turned(whites.SQUARE, 60.0, 3), (200, 180))
+    with pytest.raises(lfcal.CalibrationError):
+        lfcal.calibrate(image)
+
+
+def test_unknown_kind_is_an_error():
+    with pytest.raises(ValueError, match="kind"):
+        lfcal.calibrate(np.zeros((64, 64)), kind="grey")
+
+
+@pytest.mark.parametrize("folder", ["s3_r5", "s2_sq", "s4b_tspc", "s5b_tspc"])
+@pytest.mark.parametrize(("picture", "limit"), [("flat.png", 0.02), ("white.png", 0.002)])
+def test_ray_traced_camera_is_calibrated(shared, whites, folder, picture, limit):
+    truth = json.loads(shared("truth", folder, "truth.json").read_text())["camera"]
+    camera = lfcal.calibrate(lfcal.read_flat(shared("truth", folder, picture)))
+    assert camera.source == picture.split(".")[0].replace("flat", "scene")
+    assert whites.rms(whites.centre_errors(camera.lattice, truth["origin_px"], truth["basis_px"])) < limit
+
+
+def test_raytrix_scene_agrees_with_its_published_calibration(shared, whites):
+    flat = lfcal.read_flat(shared("captures", "Fujita2.png"))
+    published = lfcal.load(shared("captures", "Fujita2.published.xml"), (2048, 2048)).lattice
+    found = lfcal.calibrate(flat).lattice
+    assert np.abs(whites.centre_errors(found, published.origin, published.basis)).max() < 0.5
+
+
+@pytest.mark.parametrize("name", ["Boys2", "MiniGarden2"])
+def test_single_focus_scene_is_near_its_coarse_published_corners(shared, whites, name):
+    flat = lfcal.read_flat(shared("captures", f"{name}.webp"))
+    published = lfcal.load(shared("captures", f"{name}.published.xml"), flat.shape[1::-1]).lattice
+    found = lfcal.calibrate(flat).lattice
+    assert np.abs(whites.centre_errors(found, published.origin, published.basis)).max() < 8
+    assert found.pitch == pytest.approx(70.35, abs=0.1)

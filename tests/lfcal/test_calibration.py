@@ -1,0 +1,59 @@
+"""Camera files: what is written comes back, what is damaged is refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import lfcal
+
+
+@pytest.fixture
+def camera():
+    lattice = lfcal.Lattice((10.25, 7.5), [[20.0, 0.5], [9.5, 17.0]], (200, 100), 9.5)
+    vignetting = lfcal.Vignetting([1.0, 0.9, 0.5], 4.0)
+    return lfcal.Calibration(lattice, vignetting, "white", 0.01, 40, 0.97, ("look",))
+
+
+def test_saved_camera_comes_back_exactly(camera, tmp_path):
+    camera.save(tmp_path / "camera.json")
+    back = lfcal.load(tmp_path / "camera.json")
+    assert back.to_dict() == camera.to_dict()
+    np.testing.assert_array_equal(back.lattice.basis, camera.lattice.basis)
+
+
+def test_unmeasured_residual_comes_back_as_nan(camera, tmp_path):
+    lfcal.Calibration(camera.lattice).save(tmp_path / "camera.json")
+    assert np.isnan(lfcal.load(tmp_path / "camera.json").residual_rms)
+
+
+def test_camera_of_another_image_size_is_refused(camera, tmp_path):
+    camera.save(tmp_path / "camera.json")
+    assert lfcal.load(tmp_path / "camera.json", (200, 100)).image_size == (200, 100)
+    with pytest.raises(lfcal.CameraFileError, match="200 x 100"):
+        lfcal.load(tmp_path / "camera.json", (100, 200))
+
+
+@pytest.mark.parametrize("field", ["lattice", "fit", "source", "warnings", "image_size", "vignetting"])
+def test_missing_field_is_named(camera, tmp_path, field):
+    data = camera.to_dict()
+    del data[field]
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(lfcal.CameraFileError, match=field):
+        lfcal.load(path)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"schema": "lfcal-camera", "version": 99}', "\x00"])
+def test_other_files_are_refused(tmp_path, text):
+    path = tmp_path / "camera.json"
+    path.write_text(text)
+    with pytest.raises(lfcal.CameraFileError, match=r"camera\.json"):
+        lfcal.load(path)
+
+
+def test_missing_file_is_a_camera_file_error(tmp_path):
+    with pytest.raises(lfcal.CameraFileError, match="nowhere"):
+        lfcal.load(tmp_path / "nowhere.json")

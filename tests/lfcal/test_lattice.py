@@ -1,0 +1,60 @@
+"""Lattices: reduction to one canonical basis, neighbours, and the lenses on a flat."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfcal import Lattice
+from lfcal.lattice import reduce_basis
+
+_UNIMODULAR = st.sampled_from(
+    [[[1, 0], [0, 1]], [[2, 1], [1, 1]], [[1, -3], [0, 1]], [[0, 1], [1, 0]], [[-1, 0], [5, 1]]]
+)
+
+
+def _turn(basis, degrees):
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.asarray(basis) @ np.array([[c, s], [-s, c]])
+
+
+@given(
+    st.floats(0, 360),
+    st.floats(-0.5, 0.5),
+    st.floats(0.8, 3.0),
+    st.floats(3.0, 200.0),
+    _UNIMODULAR,
+)
+def test_reduced_basis_spans_the_same_lattice_at_60_to_90_degrees(degrees, lean, height, pitch, mixture):
+    basis = _turn([[pitch, 0], [lean * pitch, height * pitch]], degrees)
+    reduced = reduce_basis(np.array(mixture) @ basis)
+    index = reduced @ np.linalg.inv(basis)
+    assert np.abs(index - np.rint(index)).max() < 1e-6
+    assert np.linalg.det(reduced) == pytest.approx(abs(np.linalg.det(basis)), rel=1e-9)
+    cosine = reduced[0] @ reduced[1] / np.prod(np.hypot(*reduced.T))
+    assert -1e-3 < cosine < 0.51
+
+
+@pytest.mark.parametrize("basis", [[[1, 0], [2, 0]], [[0, 0], [1, 1]], [[1, np.nan], [0, 1]]])
+def test_degenerate_basis_is_refused(basis):
+    with pytest.raises(ValueError, match="basis"):
+        reduce_basis(basis)
+
+
+@given(st.floats(0, 90))
+def test_hexagons_have_six_neighbours_and_squares_four(degrees):
+    for basis, count in (([[20, 0], [10, 20 * np.sqrt(0.75)]], 6), ([[20, 0], [0, 20]], 4)):
+        lattice = Lattice((3, 4), reduce_basis(_turn(basis, degrees)), (100, 100), 9)
+        assert len(lattice.steps) == count
+        assert lattice.pitch == pytest.approx(20)
+
+
+def test_every_lens_on_the_flat_is_listed_once():
+    lattice = Lattice((50.2, 40.1), _turn([[10, 0], [5, 9]], 20), (100, 80), 4)
+    centres = lattice.centres()
+    wide = lattice.origin + np.array([(i, j) for i in range(-30, 31) for j in range(-30, 31)]) @ lattice.basis
+    inside = ((wide >= -0.5) & (wide < [99.5, 79.5])).all(1)
+    assert len(lattice) == len(centres) == inside.sum()
+    np.testing.assert_allclose(lattice.to_index(centres), lattice.indices(), atol=1e-9)
