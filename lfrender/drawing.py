@@ -14,13 +14,14 @@ from .mosaic import draw_rows
 from .radiance import gain_table, white_level
 from .rendering import Rendering
 from .surface import Surface
+from .visibility import lens_depths
 
 __all__ = ["default_scale", "render"]
 
 # Lenses farther than this many pitches from a scene point add little but blur.
 _REACH = 2.2
 # Colour difference, as a share of white, at which a lens counts a quarter: ghosts differ by more.
-_AGREEMENT = 0.25
+_AGREEMENT = 0.4
 # Finest sampling of one output pixel, per side, where patches shrink into it.
 _OVERSAMPLE = 8
 _LARGEST_SCALE_SHARE = 0.98
@@ -113,10 +114,13 @@ def _draw(
     first = 0.5 * spacing - 0.5
     image = np.empty((rows, columns, pixels.shape[2]), np.float32)
     seen = np.empty((rows, columns), np.float32)
+    seen_depth = np.empty((0, 0), np.float32)
+    if blend and surface.patch_size.size > 1:
+        seen_depth = lens_depths(surface, lattice, _REACH * lattice.pitch)
     gains, gain_step = gain_table(calibration)
     single = np.float32
     draw_rows(
-        pixels, gains, single(gain_step), lattice.origin, np.linalg.inv(lattice.basis), lattice.basis,
+        pixels, seen_depth, gains, single(gain_step), lattice.origin, np.linalg.inv(lattice.basis), lattice.basis,
         lens_offsets(lattice, _REACH * lattice.pitch), single(lattice.radius), single(lattice.pitch),
         surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
         single(max(0.5, 0.03 * lattice.pitch)), single(scale), first, spacing, _OVERSAMPLE,

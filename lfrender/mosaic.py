@@ -11,6 +11,8 @@ __all__ = ["draw_rows"]
 
 # Most lenses that may share one scene point; the nearest come first.
 MAX_LENSES = 37
+# Weight of a lens that sees something else: it counts only where no lens sees the point.
+_HIDDEN = np.float32(1e-4)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -30,18 +32,19 @@ def _patch_size(surface, x, y, grid_x, grid_y, cell, edge):
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def draw_rows(
-    flat, gains, gain_step, origin, inverse, basis, offsets, radius, pitch,
+    flat, seen, gains, gain_step, origin, inverse, basis, offsets, radius, pitch,
     surface, grid_x, grid_y, cell, edge, scale, first, spacing, oversample, reach, tolerance, out, weight_out,
 ):  # fmt: skip
     """Fill `out` (h, w, C) with the mean over the lenses that see each point, `weight_out` with their number.
 
     A lens counts with the square of its illumination, less toward its rim, and only as far as
     its colour agrees with the most central lens's within `tolerance` (0: the most central lens alone).
+    A lens whose pixel sees another depth, by `seen` (H, W) [px], hardly counts; (0, 0) `seen` means not known.
     """
     height, width, channels = flat.shape
     rows, columns, _ = out.shape
     last_gain = len(gains) - 1
-    r2 = radius * radius
+    known = seen.size > 0
     t2 = tolerance * tolerance
     for v in prange(rows):
         values = np.empty((MAX_LENSES, 4), np.float32)
@@ -101,6 +104,11 @@ def draw_rows(
                             + w11 * np.float32(flat[iy + 1, ix + 1, k])
                         )
                     weights[found] = (np.float32(1.02) - d2 / limit2) / (gain * gain)
+                    if known:
+                        depth = seen[int(py + 0.5), int(px + 0.5)]
+                        if abs(depth - s) > 2 * edge:
+                            weights[found] *= _HIDDEN
+                            d2 += limit2
                     if d2 < best:
                         best, best_at = d2, found
                     found += 1

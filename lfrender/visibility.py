@@ -1,0 +1,75 @@
+"""What each microimage pixel sees: the surface carried into every lens, nearer places hiding farther ones."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from lfcal import Lattice
+
+from .fastmath import FAST
+from .surface import Surface
+
+__all__ = ["lens_depths"]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _nearness(s, pitch):
+    """Grows toward the camera: telescopic places first, then through the microlenses to binocular ones.
+
+    With the image at a = D * b / s in front of the microlenses (GEOMETRY.md), nearer objects have their
+    image farther back: s rises from 0 to D, goes on at -D behind the microlenses, and rises to 0 again.
+    """
+    return s if s > 0 else s + 2 * pitch
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, reach, out):
+    rows, columns = surface.shape
+    height, width = out.shape
+    for lens in prange(len(centres)):
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        low_u = max(0, int(np.ceil((cx - reach - first_x) / spacing)))
+        high_u = min(columns - 1, int(np.floor((cx + reach - first_x) / spacing)))
+        low_v = max(0, int(np.ceil((cy - reach - first_y) / spacing)))
+        high_v = min(rows - 1, int(np.floor((cy + reach - first_y) / spacing)))
+        for v in range(low_v, high_v + 1):
+            for u in range(low_u, high_u + 1):
+                s = surface[v, u]
+                dx = -(first_x + u * spacing - cx) * s / pitch
+                dy = -(first_y + v * spacing - cy) * s / pitch
+                # The grid value stands for a square of this size in the microimage.
+                half = np.float32(0.5) * abs(s) / pitch * spacing + np.float32(0.25)
+                if dx * dx + dy * dy > (radius + half) ** 2:
+                    continue
+                near = _nearness(s, pitch)
+                for y in range(int(np.ceil(cy + dy - half)), int(np.floor(cy + dy + half)) + 1):
+                    for x in range(int(np.ceil(cx + dx - half)), int(np.floor(cx + dx + half)) + 1):
+                        if x < 0 or y < 0 or x >= width or y >= height:
+                            continue
+                        if (x - cx) * (x - cx) + (y - cy) * (y - cy) > radius * radius:
+                            continue
+                        before = out[y, x]
+                        if np.isnan(before) or _nearness(before, pitch) < near:
+                            out[y, x] = s
+
+
+def lens_depths(surface: Surface, lattice: Lattice, reach: float) -> NDArray[np.float32]:
+    """(H, W) float32 [px]: patch size of what each flat pixel sees through its lens, NaN where that is unknown.
+
+    Parameters
+    ----------
+    surface : Surface
+    lattice : Lattice
+    reach : float [px]
+        Scene points farther than this from a lens are not looked for in it.
+    """
+    width, height = lattice.image_size
+    out = np.full((height, width), np.nan, np.float32)
+    radius = min(lattice.radius, lattice.pitch / 2)
+    _lens_depths(
+        surface.patch_size, np.float32(surface.first[0]), np.float32(surface.first[1]), np.float32(surface.spacing),
+        lattice.centres().astype(np.float32), np.float32(radius), np.float32(lattice.pitch), np.float32(reach), out,
+    )  # fmt: skip
+    return out
