@@ -35,7 +35,7 @@ class _Preset:
 
 PRESETS = {
     "fast": _Preset(search_pitch=18, step=1.0, row_step=2, iterations=2),
-    "balanced": _Preset(search_pitch=30, step=0.75, row_step=1, iterations=4),
+    "balanced": _Preset(search_pitch=30, step=0.75, row_step=2, iterations=4),
     "accurate": _Preset(search_pitch=60, step=0.5, row_step=1, iterations=8),
 }
 
