@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 
 from .errors import CameraFileError
 from .lattice import Lattice
+from .outfile import whole_file
 from .vignetting import Vignetting
 
 __all__ = ["Calibration", "load"]
@@ -108,16 +108,8 @@ class Calibration:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the camera as JSON; the file appears whole or not at all."""
-        target = Path(path)
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                json.dump(self.to_dict(), stream, indent=2)
-                stream.write("\n")
-            os.replace(temporary, target)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+        with whole_file(path) as temporary:
+            temporary.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
 
 
 def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None) -> Calibration:

@@ -1,6 +1,14 @@
 """Depth analysis and rendering of focused plenoptic flats."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .analysis import analyze
+    from .depthmap import DepthMap
+    from .drawing import default_scale, render
+    from .lens_means import traditional
+    from .picture import write_picture
+    from .rendering import Rendering
 
 __all__ = ["DepthMap", "Rendering", "analyze", "default_scale", "render", "traditional", "write_picture"]
 

@@ -79,7 +79,7 @@ def _between_lenses(
     index = calibration.lattice.to_index(points) - low
     corner = np.floor(index).astype(int)
     part = index - corner
-    total = np.zeros((len(points), means.shape[1]), np.float32)
+    total: NDArray[np.float32] = np.zeros((len(points), means.shape[1]), np.float32)
     weights = np.zeros(len(points), np.float32)
     for di, dj in ((0, 0), (1, 0), (0, 1), (1, 1)):
         i, j = corner[:, 0] + di, corner[:, 1] + dj
@@ -89,4 +89,5 @@ def _between_lenses(
         weight = np.where(lens >= 0, weight, 0).astype(np.float32)
         total += weight[:, None] * means[lens]
         weights += weight
-    return total / np.maximum(weights, 1e-9)[:, None]
+    total /= np.maximum(weights, np.float32(1e-9))[:, None]
+    return total

@@ -123,4 +123,4 @@ def shrink(gray: GrayFlat, factor: int) -> GrayFlat:
     image = cv2.resize(gray.image[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
     centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)
     # Half a pixel at the rim mixes light from beyond it.
-    return GrayFlat(image, centres, gray.radius / factor - 0.5, gray.pitch / factor)
+    return GrayFlat(image.astype(np.float32, copy=False), centres, gray.radius / factor - 0.5, gray.pitch / factor)
