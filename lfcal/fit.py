@@ -8,6 +8,7 @@ parameters of the lattice: two of the origin, four of the basis.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -32,6 +33,7 @@ _FEWEST_LENSES = 12
 # Steps below this share of the standard error change nothing.
 _SETTLED = 0.3
 _RUNAWAY = 0.05
+_GOLDEN = 0.6180339887498949
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -200,11 +202,11 @@ def whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int64], ND
     return indices[keep], centres[keep]
 
 
-def radial_profile(picture: NDArray[np.float32], lattice: Lattice, every: int = 1) -> RadialProfile:
-    """Profile of `picture` (h, w) over all whole cells of the lattice (or every so many)."""
+def radial_profile(picture: NDArray[np.float32], lattice: Lattice, lenses: int = 1000) -> RadialProfile:
+    """Profile of `picture` (h, w) over whole cells of the lattice, about so many of them, evenly spread."""
     faces, reach = _cell_faces(lattice)
     _, centres = whole_lenses(lattice, reach + 1)
-    centres = np.ascontiguousarray(centres[::every])
+    centres = np.ascontiguousarray(centres[:: max(1, len(centres) // lenses)])
     rings = int(reach / _STEP) + 3
     total, square, count = (np.zeros((_CHUNKS, rings)) for _ in range(3))
     _accumulate_profile(picture, centres, faces, _inner(faces), reach, _STEP, _CHUNKS, total, square, count)
@@ -231,17 +233,16 @@ def _pool(
     change = np.zeros((3, 2))
     scale = 1.0
     for _ in range(8):
-        left = np.einsum("n,np,nq,nab->paqb", weight, design, design, normal).reshape(6, 6)
-        force = np.einsum("n,np,na->pa", weight, design, right).reshape(6)
-        change = np.linalg.lstsq(left, force, rcond=1e-12)[0].reshape(3, 2)
+        force = (design.T @ (weight[:, None] * right)).reshape(6)
+        change = np.linalg.lstsq(_information(design, normal, weight), force, rcond=1e-12)[0].reshape(3, 2)
         miss = shifts - design @ change
-        far = np.einsum("na,nab,nb->n", miss, normal, miss)
+        far = ((normal @ miss[..., None])[..., 0] * miss).sum(1)
         scale = float(np.median(far)) / 1.386 + 1e-30
         weight = np.clip(1 - far / (scale * _OUTLIER**2), 0, None) ** 2
     return change, shifts, weight, scale
 
 
-def fit_lattice(picture: NDArray[np.float32], lattice: Lattice, passes: int = 6, every: int = 1) -> LatticeFit:
+def fit_lattice(picture: NDArray[np.float32], lattice: Lattice, passes: int = 3, pixels: float = 6e6) -> LatticeFit:
     """Fit origin and basis to all whole microimages.
 
     Parameters
@@ -252,15 +253,18 @@ def fit_lattice(picture: NDArray[np.float32], lattice: Lattice, passes: int = 6,
         Start, right to a fraction of the pitch over the whole flat.
     passes : int
         Most Gauss-Newton steps; fewer are taken when nothing moves any more.
-    every : int
-        Use every so many lenses.
+    pixels : float
+        Use only as many lenses, evenly spread, as have so many pixels in all.
 
     Raises
     ------
     CalibrationError
         If fewer than a dozen whole microimages are on the flat.
     """
-    origin, basis = lattice.origin.copy(), lattice.basis.copy()
+    origin: NDArray[Any] = lattice.origin
+    basis: NDArray[Any] = lattice.basis
+    every = int(np.ceil(lattice.image_size[0] * lattice.image_size[1] / pixels))
+    every = max(1, min(every, len(lattice) // _SKETCH_LENSES))
     sketches = _SKETCH_PASSES if len(lattice) > 2 * _SKETCH_LENSES * every else 0
     for turn in range(sketches + passes):
         current = Lattice(origin, basis, lattice.image_size, lattice.radius)
@@ -278,7 +282,7 @@ def fit_lattice(picture: NDArray[np.float32], lattice: Lattice, passes: int = 6,
             break
     miss = shifts - design @ change
     residual = float(np.sqrt(np.average((miss**2).sum(1), weights=weight)))
-    parity = indices.sum(1) % 2
+    parity = np.arange(len(indices)) % 2
     halves = [_pool(normal[parity == side], right[parity == side], indices[parity == side])[0] for side in (0, 1)]
     gap = design @ (halves[0] - halves[1])
     differ = float(np.sqrt((gap**2).sum(1).mean()))
@@ -288,17 +292,19 @@ def fit_lattice(picture: NDArray[np.float32], lattice: Lattice, passes: int = 6,
 def _lens_steps(
     picture: NDArray[np.float32], lattice: Lattice, stride: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Indices (n, 2), normal matrices (n, 2, 2) and right sides (n, 2) of the steps of every `stride`-th lens."""
+    """Indices (n, 2), normal matrices (n, 2, 2) and right sides (n, 2) of the steps of one lens in `stride`."""
     faces, reach = _cell_faces(lattice)
     indices, centres = whole_lenses(lattice, reach + 1)
-    indices, centres = indices[::stride], np.ascontiguousarray(centres[::stride])
+    # Multiples of the golden ratio spread the chosen lenses evenly, where every n-th one would favour some columns.
+    chosen = np.arange(len(centres)) * _GOLDEN % 1 < 1 / stride
+    indices, centres = indices[chosen], np.ascontiguousarray(centres[chosen])
     if len(centres) < _FEWEST_LENSES:
         raise CalibrationError(
             f"only {len(centres)} whole microimages of {lattice.pitch:.1f} px pitch fit on the flat, "
             f"at least {_FEWEST_LENSES} are needed; give the whole sensor"
         )
     normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
-    profile = radial_profile(picture, lattice, stride)
+    profile = radial_profile(picture, lattice)
     _accumulate_steps(
         picture, centres, faces, _inner(faces), profile.first, reach, profile.step, profile.mean, profile.slope,
         1 / profile.variance, _OUTLIER, normal, right,
@@ -315,7 +321,16 @@ def _standard_error(
     design: NDArray[np.float64], normal: NDArray[np.float64], weight: NDArray[np.float64], scale: float
 ) -> float:
     """Standard error of a centre, RMS over the flat [px], as the scatter of the lenses implies."""
-    left = np.einsum("n,np,nq,nab->paqb", weight, design, design, normal).reshape(6, 6)
-    covariance = np.linalg.pinv(left).reshape(3, 2, 3, 2) * scale
-    spread = np.einsum("np,paqa,nq->n", design, covariance, design)
-    return float(np.sqrt(max(spread.mean(), 0.0)))
+    covariance = np.linalg.pinv(_information(design, normal, weight)).reshape(3, 2, 3, 2) * scale
+    moments = design.T @ design / len(design)
+    return float(np.sqrt(max(np.einsum("paqa,pq->", covariance, moments), 0.0)))
+
+
+def _information(
+    design: NDArray[np.float64], normal: NDArray[np.float64], weight: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(6, 6) normal matrix of the lattice: x and y of the origin, then of `a1`, then of `a2`."""
+    blocks = np.empty((3, 2, 3, 2))
+    for a, b in ((0, 0), (0, 1), (1, 1)):
+        blocks[:, a, :, b] = blocks[:, b, :, a] = design.T @ (design * (weight * normal[:, a, b])[:, None])
+    return blocks.reshape(6, 6)

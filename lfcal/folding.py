@@ -16,12 +16,13 @@ __all__ = ["TileFolds", "fold_tiles"]
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _fold(picture, inverse, side, rows, columns, bins, stride, total, count):
+def _fold(picture, inverse, side, columns, bins, tiles, total, count):
     height, width = picture.shape
-    for tile in prange(rows * columns):
+    for place in prange(len(tiles)):
+        tile = tiles[place]
         y0 = (tile // columns) * side
         x0 = (tile % columns) * side
-        for y in range(y0, min(y0 + side, height), stride):
+        for y in range(y0, min(y0 + side, height)):
             u = x0 * inverse[0, 0] + y * inverse[1, 0]
             v = x0 * inverse[0, 1] + y * inverse[1, 1]
             u -= np.floor(u)
@@ -33,8 +34,8 @@ def _fold(picture, inverse, side, rows, columns, bins, stride, total, count):
                     a = bins - 1
                 if b >= bins:
                     b = bins - 1
-                total[tile, b, a] += picture[y, x]
-                count[tile, b, a] += 1
+                total[place, b, a] += picture[y, x]
+                count[place, b, a] += 1
                 u += inverse[0, 0]
                 v += inverse[0, 1]
                 if u >= 1:
@@ -98,7 +99,7 @@ def _periodic_box(values: NDArray[np.float64], width: int, axis: int) -> NDArray
 
 
 def fold_tiles(
-    picture: NDArray[np.float32], basis: NDArray[np.float64], side: int, bins: int, stride: int = 1
+    picture: NDArray[np.float32], basis: NDArray[np.float64], side: int, bins: int, most: int | None = None
 ) -> TileFolds:
     """Fold a picture on a lattice with its origin at (0, 0), tile by tile.
 
@@ -110,17 +111,20 @@ def fold_tiles(
         Side of the square tiles.
     bins : int
         Bins along each lattice vector.
-    stride : int
-        Use every so many rows.
+    most : int or None
+        Fold only about so many tiles, evenly spread; all of them with None.
     """
     height, width = picture.shape
     rows, columns = max(1, round(height / side)), max(1, round(width / side))
     side = max(-(-height // rows), -(-width // columns))
     rows, columns = -(-height // side), -(-width // side)
-    total = np.zeros((rows * columns, bins, bins), dtype=np.float32)
+    tiles = np.arange(rows * columns)
+    if most is not None and len(tiles) > most:
+        tiles = np.unique(np.linspace(0, len(tiles) - 1, most).astype(int))
+    total = np.zeros((len(tiles), bins, bins), dtype=np.float32)
     count = np.zeros_like(total)
-    _fold(picture, np.linalg.inv(basis), side, rows, columns, bins, stride, total, count)
-    y, x = np.divmod(np.arange(rows * columns), columns)
+    _fold(picture, np.linalg.inv(basis), side, columns, bins, tiles, total, count)
+    y, x = np.divmod(tiles, columns)
     right, low = np.minimum((x + 1) * side, width), np.minimum((y + 1) * side, height)
     centre = np.column_stack([(x * side + right - 1) / 2, (y * side + low - 1) / 2])
     return TileFolds(total, count, centre, np.array(basis, dtype=np.float64), (rows, columns))

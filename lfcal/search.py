@@ -34,6 +34,11 @@ _TILE = 8
 # Small flats are still cut into this many tiles each way where that leaves them so many pitches wide.
 _TILES = 5
 _LEAST_TILE = 2.5
+# So many tiles are enough to see what an average cell looks like.
+_FEW_TILES = 60
+# Features are levelled in windows of so many pitches, anew where that was wrong by the other factor.
+_LEVEL = 2.0
+_LEVEL_AGAIN = 2.0
 
 
 @dataclass(frozen=True)
@@ -105,10 +110,12 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
     height, width = picture.shape
     basis = _first_basis(picture)
     edges = breaks(picture)
-    coherence = 0.0
+    coherence, window = 0.0, 0.0
     for _ in range(3):
         pitch = float(np.sqrt(abs(np.linalg.det(basis))))
-        levelled = [level_locally(feature, 2 * pitch) for feature in (picture, edges)]
+        if not 1 / _LEVEL_AGAIN <= _LEVEL * pitch / max(window, 1e-9) <= _LEVEL_AGAIN:
+            window = _LEVEL * pitch
+            levelled = [level_locally(feature, window) for feature in (picture, edges)]
         side = int(max(_LEAST_TILE * pitch, min(_TILE * pitch, min(height, width) / _TILES)))
         refined, coherence = refine_basis([fold_tiles(feature, basis, side, _BINS) for feature in levelled])
         basis = _kept(refined, basis)
@@ -117,7 +124,7 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
             break
     folds = [fold_tiles(feature, basis, side, _BINS) for feature in levelled]
     cells = [fold.mean() for fold in folds]
-    light = fold_tiles(picture * picture, basis, side, _BINS).mean()
+    light = fold_tiles(picture, basis, side, _BINS, _FEW_TILES).mean() ** 2
     centre = lens_centre(round_centres(cells, [1.0, 1.0], basis), light, basis)
     middle = (np.array([width, height]) - 1) / 2
     origin = _nearest_to(middle, centre.position @ basis, basis)
@@ -155,7 +162,7 @@ def _right_cell(
     """
     for multiple in (1, 2, 3):
         wide = basis * multiple
-        cells = [fold_tiles(feature, wide, side, _BINS).mean() for feature in levelled]
+        cells = [fold_tiles(feature, wide, side, _BINS, _FEW_TILES).mean() for feature in levelled]
         found = true_cell(cells, wide)
         if abs(abs(np.linalg.det(found) / np.linalg.det(basis)) - 1) > 0.1:
             return found, True

@@ -29,7 +29,7 @@ _BACKGROUND = 21
 # A node of the reciprocal lattice is occupied above this many standard deviations of the whitened log power.
 _OCCUPIED = 4.0
 _PEAKS = 40
-_SEEDS = 14
+_SEEDS = 10
 # Lowest nodes (half plane) on which a candidate is judged: the first four shells of a hexagonal lattice.
 _NODES = 12
 # Distance of a peak from its node that is still "on" it [bins].
@@ -77,12 +77,11 @@ class Candidate:
 
 
 def _windows(height: int, width: int, size: int) -> list[tuple[int, int]]:
-    """Top left corners `(y, x)` of up to five windows: the middle, then corners that do not repeat it."""
+    """Top left corners `(y, x)` of up to three windows: the middle, then two far ends where they are not the middle."""
     middle = ((height - size) // 2, (width - size) // 2)
-    rows = [0, height - size] if height >= 1.5 * size else [middle[0]]
-    columns = [0, width - size] if width >= 1.5 * size else [middle[1]]
-    corners = [(y, x) for y in rows for x in columns]
-    return [middle] + [c for c in corners if c != middle]
+    rows = (0, height - size) if height >= 1.5 * size else (middle[0], middle[0])
+    columns = (0, width - size) if width >= 1.5 * size else (middle[1], middle[1])
+    return list(dict.fromkeys([middle, (rows[0], columns[0]), (rows[1], columns[1])]))
 
 
 def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | None:

@@ -174,3 +174,15 @@ def test_single_focus_scene_is_near_its_coarse_published_corners(shared, whites,
     found = lfcal.calibrate(flat).lattice
     assert np.abs(whites.centre_errors(found, published.origin, published.basis)).max() < 8
     assert found.pitch == pytest.approx(70.35, abs=0.1)
+
+
+def test_flattened_capture_shows_its_lattice_by_breaks_alone(shared, whites):
+    flat = lfcal.read_flat(shared("captures", "TempleBoatGiantR32.webp"))
+    published = lfcal.load(shared("captures", "TempleBoatGiantR32.published.xml"), (6464, 4852)).lattice
+    camera = lfcal.calibrate(flat)
+    assert camera.lattice.pitch == pytest.approx(published.pitch, rel=1e-3)
+    # The angle in the published file contradicts the pixels toward the corners: compared in the middle only.
+    offset = whites.centre_errors(camera.lattice, published.origin, published.basis)
+    middle = np.abs(camera.lattice.centres() - [3232, 2426]).max(1) < 300
+    assert np.abs(offset[middle]).max() < 1.0
+    assert camera.vignetting.profile[: int(0.95 * camera.lattice.radius / camera.vignetting.step)].min() > 0.9
