@@ -230,12 +230,12 @@ def _pool(
     ridge = 1e-9 * np.trace(normal.sum(0)) / max(count, 1) * np.eye(2)
     shifts = np.linalg.solve(normal + ridge, right[..., None])[..., 0]
     weight = np.ones(count)
-    change = np.zeros((3, 2))
+    change: NDArray[Any] = np.zeros((3, 2))
     scale = 1.0
     for _ in range(8):
         force = (design.T @ (weight[:, None] * right)).reshape(6)
         change = np.linalg.lstsq(_information(design, normal, weight), force, rcond=1e-12)[0].reshape(3, 2)
-        miss = shifts - design @ change
+        miss: NDArray[Any] = shifts - design @ change
         far = ((normal @ miss[..., None])[..., 0] * miss).sum(1)
         scale = float(np.median(far)) / 1.386 + 1e-30
         weight = np.clip(1 - far / (scale * _OUTLIER**2), 0, None) ** 2
