@@ -34,9 +34,9 @@ class _Preset:
 
 
 PRESETS = {
-    "fast": _Preset(search_pitch=18, step=1.0, row_step=2, iterations=2),
-    "balanced": _Preset(search_pitch=30, step=0.75, row_step=2, iterations=4),
-    "accurate": _Preset(search_pitch=60, step=0.5, row_step=1, iterations=8),
+    "fast": _Preset(search_pitch=16, step=1.0, row_step=2, iterations=2),
+    "balanced": _Preset(search_pitch=24, step=0.75, row_step=2, iterations=4),
+    "accurate": _Preset(search_pitch=40, step=0.5, row_step=1, iterations=8),
 }
 
 # Beyond this share of the pitch neighbouring microimages share too little to tell (GEOMETRY.md).
@@ -88,7 +88,7 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
     lattice = calibration.lattice
     neighbours = neighbour_rows(lattice, lattice.steps)
     fine, noise, contrast, textured = _texture(gray_flat(flat, calibration), lattice)
-    factor = max(1, int(lattice.pitch / setting.search_pitch))
+    factor = max(1, round(lattice.pitch / setting.search_pitch))
     shifts, cost, total = _search(shrink(fine, factor), neighbours, setting, noise / factor, textured)
     best = total.argmin(1)
     start = (shifts[best] + parabola_peak(total, best) * (shifts[1] - shifts[0])) * factor
