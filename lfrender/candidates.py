@@ -7,13 +7,17 @@ from numba import njit, prange
 
 from .fastmath import FAST
 
-__all__ = ["MOST_CANDIDATES", "propose"]
+__all__ = ["MOST_CANDIDATES", "calm_lenses", "propose"]
 
 MOST_CANDIDATES = 5
 # Half width of the patch on which candidate depths compete, in samples.
 _PATCH = 1
 # Lenses compared with the most central one for each candidate.
-_MOST_VIEWS = 12
+_MOST_VIEWS = 8
+# Price of a depth that none of the lenses around votes for, in units of the mismatch.
+_PRIOR = np.float32(0.07)
+# Lenses below this trust say nothing about the places around them where others do.
+_TRUSTED = np.float32(0.1)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -78,9 +82,65 @@ def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, 
     return best / half
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _lens_at(grid, low, i, j):
+    ci, cj = i - low[0], j - low[1]
+    if ci < 0 or cj < 0 or cj >= grid.shape[0] or ci >= grid.shape[1]:
+        return -1
+    return grid[cj, ci]
+
+
+@njit(cache=True, nogil=True)
+def _coprime_stride(n):
+    """A step near the golden section of `n` that visits all of 0..n-1."""
+    stride = max(1, int(0.618 * n))
+    while True:
+        a, b = n, stride
+        while b:
+            a, b = b, a % b
+        if a == 1:
+            return stride
+        stride -= 1
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def calm_lenses(values, seconds, trust, indices, grid, low, ring, gap):
+    """(n,) bool: lenses that agree with all trusted lenses of `ring` about them to within one `gap`."""
+    calm = np.empty(len(values), np.bool_)
+    for lens in prange(len(values)):
+        lowest = highest = values[lens]
+        single = True
+        for r in range(len(ring)):
+            other = _lens_at(grid, low, indices[lens, 0] + ring[r, 0], indices[lens, 1] + ring[r, 1])
+            if other < 0 or trust[other] < _TRUSTED:
+                continue
+            lowest = min(lowest, values[other])
+            highest = max(highest, values[other])
+            single = single and not np.isfinite(seconds[other])
+        calm[lens] = single and highest - lowest <= gap
+    return calm
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _mean_around(centres, values, trust, grid, low, ring, i, j, x, y, vote2):
+    """Weighted mean of the answers of the lenses around a scene point."""
+    weight = total = np.float32(0.0)
+    for r in range(len(ring)):
+        lens = _lens_at(grid, low, i + ring[r, 0], j + ring[r, 1])
+        if lens < 0:
+            continue
+        d = (x - centres[lens, 0]) ** 2 + (y - centres[lens, 1]) ** 2
+        if d >= vote2:
+            continue
+        w = trust[lens] * (1 - d / vote2) ** 2
+        weight += w
+        total += w * values[lens]
+    return total / weight
+
+
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def propose(
-    image, centres, radius, pitch, values, seconds, trust, grid, low, origin, inverse, ring, gap, floor,
+    image, centres, radius, pitch, values, seconds, trust, calm, grid, low, origin, inverse, ring, gap, floor,
     first, spacing, vote2, step, depths, costs,
 ):  # fmt: skip
     """Candidate depths of each scene point, from the lenses around it, in `depths`, their mismatch in `costs`.
@@ -89,7 +149,10 @@ def propose(
     """
     rows, columns, most = depths.shape
     nearby = len(ring)
-    for v in prange(rows):
+    # Contested places come in clusters: strides spread them over the threads.
+    stride = _coprime_stride(rows)
+    for row in prange(rows):
+        v = row * stride % rows
         members = np.empty(nearby, np.int32)
         distance = np.empty(nearby, np.float32)
         sizes = np.empty(2 * nearby, np.float32)
@@ -104,12 +167,14 @@ def propose(
             ox, oy = first + u * spacing - origin[0], first + v * spacing - origin[1]
             i = int(np.rint(ox * inverse[0, 0] + oy * inverse[1, 0]))
             j = int(np.rint(ox * inverse[0, 1] + oy * inverse[1, 1]))
+            lens = _lens_at(grid, low, i, j)
+            if lens >= 0 and calm[lens]:
+                depths[v, u, 0] = _mean_around(centres, values, trust, grid, low, ring, i, j, x, y, vote2)
+                costs[v, u, 0] = 0.0
+                continue
             count = 0
             for r in range(nearby):
-                ci, cj = i + ring[r, 0] - low[0], j + ring[r, 1] - low[1]
-                if ci < 0 or cj < 0 or cj >= grid.shape[0] or ci >= grid.shape[1]:
-                    continue
-                lens = grid[cj, ci]
+                lens = _lens_at(grid, low, i + ring[r, 0], j + ring[r, 1])
                 if lens < 0:
                     continue
                 d = (x - centres[lens, 0]) ** 2 + (y - centres[lens, 1]) ** 2
@@ -126,7 +191,9 @@ def propose(
                 if distance[m] > vote2 and m > 0:
                     break
                 lens = members[m]
-                w = trust[lens] * np.exp(-3 * distance[m] / (pitch * pitch))
+                if m > 0 and trust[lens] < _TRUSTED:
+                    continue
+                w = trust[lens] * max(1 - distance[m] / vote2, np.float32(1e-3)) ** 2
                 everyone += w
                 for second in range(2):
                     s = seconds[lens] if second else values[lens]
@@ -167,6 +234,3 @@ def propose(
                     patch, sorted_costs,
                 ) + _PRIOR * max(np.float32(0.0), 1 - share)  # fmt: skip
 
-
-# Price of a depth that none of the lenses around votes for, in units of the mismatch.
-_PRIOR = np.float32(0.07)

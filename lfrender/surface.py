@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
-from .candidates import MOST_CANDIDATES, propose
+from .candidates import MOST_CANDIDATES, calm_lenses, propose
 from .fastmath import FAST
 from .neighbours import lens_grid
 from .radiance import GrayFlat
@@ -138,8 +138,9 @@ def spread(
     ring = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
     ring = ring[np.linalg.norm(ring @ lattice.basis, axis=1) < _LOOKING * pitch]
     gap = np.float32(max(0.75, 0.04 * pitch))
+    calm = calm_lenses(values, seconds, trust, lattice.indices(), grid, low, ring, gap)
     propose(
-        gray.image, gray.centres, np.float32(gray.radius), np.float32(pitch), values, seconds, trust, grid, low,
+        gray.image, gray.centres, np.float32(gray.radius), np.float32(pitch), values, seconds, trust, calm, grid, low,
         lattice.origin, np.linalg.inv(lattice.basis), ring, gap, np.float32(2 * noise * noise),
         -0.5, spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), depths, costs,
     )  # fmt: skip
