@@ -19,7 +19,7 @@ from .visibility import lens_depths
 __all__ = ["default_scale", "render"]
 
 # Lenses farther than this many pitches from a scene point add little but blur.
-_REACH = 2.2
+_REACH = 1.7
 # Colour difference, as a share of white, at which a lens counts a quarter: ghosts differ by more.
 _AGREEMENT = 0.4
 # Finest sampling of one output pixel, per side, where patches shrink into it.
