@@ -22,6 +22,8 @@ _REPEATS = 0.8
 _SCATTERED = 0.1
 # Window, in pitches, in which breaks are levelled: wider than a rim, narrower than what the scene shows in a lens.
 _RIM = 0.5
+# What the scene shows limits the fit of a scene capture: more pixels than these change nothing.
+_SCENE_PIXELS = 2.5e6
 # Below this confidence a person should look.
 _SURE = 0.7
 # Scatter inside the microimages of a white image, as a share of the depth of the gaps.
@@ -141,7 +143,7 @@ def _refined(picture: NDArray[np.float32], start: FirstLattice, white: bool) -> 
 
     found = start.lattice
     feature = start.brightness if white else level_locally(breaks(picture), _RIM * found.pitch)
-    fit = fit_lattice(feature, found)
+    fit = fit_lattice(feature, found) if white else fit_lattice(feature, found, pixels=_SCENE_PIXELS)
     if not white and not fit.halves_differ < start.halves_differ:
         # Rims too faint for single lenses: what whole tiles have in common is the better measure.
         return found, fit.residual_rms, fit.lenses_used, start.halves_differ

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import os
@@ -51,6 +52,8 @@ class Program(click.Group):
         except (KeyboardInterrupt, click.Abort):
             click.echo("interrupted", err=True)
             sys.exit(130)
+        # Without this the interpreter looks through all objects of all libraries for garbage before it exits.
+        gc.freeze()
         sys.exit(code if isinstance(code, int) else 0)
 
     def _fail(self, message: str) -> None:

@@ -100,7 +100,6 @@ def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | 
         None where the reduced flat is too small for four of the shortest periods.
     """
     import cv2
-    from scipy import fft
 
     if reduction > 1:
         smaller: Any = cv2.resize(picture, None, fx=1 / reduction, fy=1 / reduction, interpolation=cv2.INTER_AREA)
@@ -118,7 +117,7 @@ def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | 
             levelled = level_locally(feature, size / 10)
             levelled *= taper[:, None]
             levelled *= taper
-            transform = fft.rfft2(levelled)
+            transform = np.fft.rfft2(levelled)
             log_power += np.log(transform.real**2 + transform.imag**2 + np.float32(1e-6))
     log_power /= 2 * len(windows)
     log_power = np.fft.fftshift(log_power, axes=0)

@@ -25,18 +25,23 @@ __all__ = ["PRESETS", "analyze"]
 
 @dataclass(frozen=True)
 class _Preset:
-    """What an analysis spends: pitch it searches at [px], shift step [px], every n-th row, refinement steps."""
+    """What an analysis spends: pitch it searches at [px], shift step [px], every n-th row, refinement steps.
+
+    Detail is sharper in a picture made smaller for the search than in the flat itself, where it has at
+    least the microlenses' blur: `full_step` is enough there.
+    """
 
     search_pitch: float
     step: float
+    full_step: float
     row_step: int
     iterations: int
 
 
 PRESETS = {
-    "fast": _Preset(search_pitch=16, step=1.0, row_step=2, iterations=2),
-    "balanced": _Preset(search_pitch=24, step=0.75, row_step=2, iterations=4),
-    "accurate": _Preset(search_pitch=40, step=0.5, row_step=1, iterations=8),
+    "fast": _Preset(search_pitch=16, step=1.0, full_step=1.0, row_step=2, iterations=2),
+    "balanced": _Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=4),
+    "accurate": _Preset(search_pitch=40, step=0.5, full_step=0.5, row_step=1, iterations=8),
 }
 
 # Beyond this share of the pitch neighbouring microimages share too little to tell (GEOMETRY.md).
@@ -89,10 +94,11 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
     neighbours = neighbour_rows(lattice, lattice.steps)
     fine, noise, contrast, textured = _texture(gray_flat(flat, calibration), lattice)
     factor = max(1, round(lattice.pitch / setting.search_pitch))
-    shifts, cost, total = _search(shrink(fine, factor), neighbours, setting, noise / factor, textured)
+    step = setting.step if factor > 1 else max(setting.step, setting.full_step)
+    shifts, cost, total = _search(shrink(fine, factor), neighbours, step, setting.row_step, noise / factor, textured)
     best = total.argmin(1)
     start = (shifts[best] + parabola_peak(total, best) * (shifts[1] - shifts[0])) * factor
-    sure = confidence(total, best, neighbours.shape[1], max(1, round(1.5 / setting.step)))
+    sure = confidence(total, best, neighbours.shape[1], max(1, round(1.5 / step)))
     scale = np.maximum(3 * noise, 0.5 * contrast)
     refined, error = refine(
         fine, neighbours, np.where(textured, start, np.nan).astype(np.float32), scale, setting.iterations
@@ -100,7 +106,7 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
     resolved = textured & (sure >= _SURE) & (np.abs(refined) <= _RESOLVABLE * lattice.pitch)
     gap = max(1.0, 0.05 * lattice.pitch)
     drawn = fill(np.where(resolved, refined, start).astype(np.float32), resolved, neighbours, gap)
-    other, other_cost = second_best(cost, best, max(2, round(2 / setting.step)))
+    other, other_cost = second_best(cost, best, max(2, round(2 / step)))
     credible = other_cost < cost[np.arange(len(best)), best] + _SECOND
     seconds = np.where(credible & textured, shifts[other] * factor, np.nan).astype(np.float32)
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
@@ -111,7 +117,7 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
     patch_size = np.where(crossed, middle, np.where(resolved, refined, np.nan))
     return DepthMap(
         patch_size=patch_size,
-        standard_error=np.where(crossed, np.maximum(error, setting.step * factor), np.where(resolved, error, np.inf)),
+        standard_error=np.where(crossed, np.maximum(error, step * factor), np.where(resolved, error, np.inf)),
         confidence=np.where(crossed, _SURE * sure, np.where(textured, sure, 0)),
         drawn=np.where(crossed, middle, drawn),
         surface=surface,
@@ -132,14 +138,19 @@ def _texture(gray: GrayFlat, lattice: Lattice) -> tuple[GrayFlat, float, NDArray
 
 
 def _search(
-    coarse: GrayFlat, neighbours: NDArray[np.int32], setting: _Preset, noise: float, textured: NDArray[np.bool_]
+    coarse: GrayFlat,
+    neighbours: NDArray[np.int32],
+    step: float,
+    row_step: int,
+    noise: float,
+    textured: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Shifts [px of `coarse`], their cost for every lens, and that cost aggregated over the lattice."""
     half = neighbours.shape[1] // 2
     forward, backward = neighbours[:, :half], neighbours[:, half:]
-    side = int(np.ceil(_SEARCHED * coarse.pitch / setting.step))
-    shifts = (np.arange(-side, side + 1) * setting.step).astype(np.float32)
+    side = int(np.ceil(_SEARCHED * coarse.pitch / step))
+    shifts = (np.arange(-side, side + 1) * step).astype(np.float32)
     means, contrast, _ = lens_statistics(coarse).T
-    pair = pair_costs(coarse, forward, means, contrast, textured, shifts, noise, _SHADING, setting.row_step)
+    pair = pair_costs(coarse, forward, means, contrast, textured, shifts, noise, _SHADING, row_step)
     cost = lens_costs(pair, forward, backward)
-    return shifts, cost, aggregate(cost, forward, backward, _SLOPE_PER_PIXEL * setting.step, _JUMP)
+    return shifts, cost, aggregate(cost, forward, backward, _SLOPE_PER_PIXEL * step, _JUMP)

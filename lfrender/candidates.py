@@ -233,4 +233,3 @@ def propose(
                     image, centres, members, count, x, y, depths[v, u, k] / pitch, radius, step, floor,
                     patch, sorted_costs,
                 ) + _PRIOR * max(np.float32(0.0), 1 - share)  # fmt: skip
-

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -102,6 +104,7 @@ def render(
     _at_most_one("--camera", camera, "--white", white)
     _at_most_one("--scale", scale, "--traditional", traditional or None)
     check_picture(output, alpha=alpha, inputs=[flat, camera, white, depth_file])
+    _import_meanwhile()
     with report.stage("read"):
         from lfcal import read_flat
 
@@ -132,6 +135,11 @@ def demo(output: Path, as_json: bool, quiet: bool) -> None:
 
     report = console.Report(as_json, quiet, log_stages=True)
     report.finish(run_demo(output, report))
+
+
+def _import_meanwhile() -> None:
+    """Import what will be needed while the flat is being decoded, which leaves the interpreter idle."""
+    Thread(target=import_module, args=(f"{__package__}.drawing",)).start()
 
 
 def _read_camera(path: Path, pixels: NDArray[np.generic]) -> Calibration:

@@ -114,16 +114,17 @@ def _draw(
     first = 0.5 * spacing - 0.5
     image = np.empty((rows, columns, pixels.shape[2]), np.float32)
     seen = np.empty((rows, columns), np.float32)
+    edge = max(0.5, 0.03 * lattice.pitch)
     seen_depth = np.empty((0, 0), np.float32)
     if blend and surface.patch_size.size > 1:
-        seen_depth = lens_depths(surface, lattice, _REACH * lattice.pitch)
+        seen_depth = lens_depths(surface, lattice, _REACH * lattice.pitch, edge)
     gains, gain_step = gain_table(calibration)
     single = np.float32
     draw_rows(
         pixels, seen_depth, gains, single(gain_step), lattice.origin, np.linalg.inv(lattice.basis), lattice.basis,
         lens_offsets(lattice, _REACH * lattice.pitch), single(lattice.radius), single(lattice.pitch),
         surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
-        single(max(0.5, 0.03 * lattice.pitch)), single(scale), first, spacing, _OVERSAMPLE,
+        single(edge), single(scale), first, spacing, _OVERSAMPLE,
         single(_REACH * lattice.pitch), single(_AGREEMENT * white_level(pixels) if blend else 0.0), image, seen,
     )  # fmt: skip
     affine = np.array([[spacing, 0.0, first], [0.0, spacing, first]])

@@ -13,6 +13,8 @@ __all__ = ["refine"]
 
 # Each step may move this far [px]: the starting value is the best of a finer grid.
 _MAX_STEP = 1.0
+# Steps shrink with their square: after this one [px] the next would not show.
+_SETTLED = 0.02
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -103,7 +105,7 @@ def _refine(image, centres, radius, pitch, rows, start, scale2, iterations, out)
                 break
             step = gradient / hessian
             s += min(max(step, -_MAX_STEP), _MAX_STEP)
-            if abs(step) < 1e-3:
+            if abs(step) < _SETTLED:
                 break
         if hessian > 1e-9 and abs(s - start[lens]) < 2.5:
             out[lens, 0] = s

@@ -25,7 +25,7 @@ def _nearness(s, pitch):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, reach, out):
+def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, out):
     rows, columns = surface.shape
     height, width = out.shape
     for lens in prange(len(centres)):
@@ -34,6 +34,13 @@ def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, rea
         high_u = min(columns - 1, int(np.floor((cx + reach - first_x) / spacing)))
         low_v = max(0, int(np.ceil((cy - reach - first_y) / spacing)))
         high_v = min(rows - 1, int(np.floor((cy + reach - first_y) / spacing)))
+        lowest = highest = surface[min(low_v, rows - 1), min(low_u, columns - 1)]
+        for v in range(low_v, high_v + 1):
+            for u in range(low_u, high_u + 1):
+                lowest = min(lowest, surface[v, u])
+                highest = max(highest, surface[v, u])
+        if highest - lowest < edge:
+            continue
         for v in range(low_v, high_v + 1):
             for u in range(low_u, high_u + 1):
                 s = surface[v, u]
@@ -55,8 +62,10 @@ def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, rea
                             out[y, x] = s
 
 
-def lens_depths(surface: Surface, lattice: Lattice, reach: float) -> NDArray[np.float32]:
-    """(H, W) float32 [px]: patch size of what each flat pixel sees through its lens, NaN where that is unknown.
+def lens_depths(surface: Surface, lattice: Lattice, reach: float, edge: float) -> NDArray[np.float32]:
+    """(H, W) float32 [px]: patch size of what each flat pixel sees through its lens.
+
+    NaN where that is unknown, or where nothing can hide anything: around lenses with no depth edge in reach.
 
     Parameters
     ----------
@@ -64,12 +73,15 @@ def lens_depths(surface: Surface, lattice: Lattice, reach: float) -> NDArray[np.
     lattice : Lattice
     reach : float [px]
         Scene points farther than this from a lens are not looked for in it.
+    edge : float [px]
+        Patch sizes that differ by less belong to one surface.
     """
     width, height = lattice.image_size
     out = np.full((height, width), np.nan, np.float32)
     radius = min(lattice.radius, lattice.pitch / 2)
     _lens_depths(
         surface.patch_size, np.float32(surface.first[0]), np.float32(surface.first[1]), np.float32(surface.spacing),
-        lattice.centres().astype(np.float32), np.float32(radius), np.float32(lattice.pitch), np.float32(reach), out,
+        lattice.centres().astype(np.float32), np.float32(radius), np.float32(lattice.pitch), np.float32(reach),
+        np.float32(edge), out,
     )  # fmt: skip
     return out
