@@ -18,7 +18,7 @@ from .radiance import GrayFlat
 __all__ = ["Surface", "spread"]
 
 # Grid values per pitch: fine enough that a depth edge moves less than a traditional pixel.
-_CELLS_PER_PITCH = 8
+_CELLS_PER_PITCH = 7
 # Lenses within this many pitches vote for depths, those within the second number look at them.
 _VOTING, _LOOKING = 1.45, 2.1
 # Price of a depth edge between neighbouring grid values, and of a slant by one gap.
