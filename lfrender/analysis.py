@@ -18,7 +18,7 @@ from .neighbours import neighbour_rows
 from .radiance import GrayFlat, gray_flat, shrink
 from .refinement import refine
 from .shading import flatten_shading
-from .surface import spread
+from .spreading import spread
 
 __all__ = ["PRESETS", "analyze"]
 

@@ -1,0 +1,123 @@
+"""From the depth of lenses to the depth of every scene point, edges settled on the pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from lfcal import Lattice
+
+from .candidates import MOST_CANDIDATES, calm_lenses, propose
+from .fastmath import FAST
+from .neighbours import lens_grid
+from .radiance import GrayFlat
+from .surface import Surface
+
+__all__ = ["spread"]
+
+# Grid values per pitch: fine enough that a depth edge moves less than a traditional pixel.
+_CELLS_PER_PITCH = 7
+# Lenses within this many pitches vote for depths, those within the second number look at them.
+_VOTING, _LOOKING = 1.45, 2.1
+# Price of a depth edge between neighbouring grid values, and of a slant by one gap.
+_JUMP, _SLANT = np.float32(1.2), np.float32(0.1)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _walk(depths, costs, gap, total):
+    """One path of semi-global matching over the candidates of a line of scene points."""
+    most = depths.shape[1]
+    message = np.zeros(most, np.float32)
+    previous = np.zeros(most, np.float32)
+    low = np.float32(0.0)
+    for p in range(len(depths)):
+        lowest = np.float32(np.inf)
+        for k in range(most):
+            s = depths[p, k]
+            if np.isnan(s):
+                message[k] = np.inf
+                continue
+            best = np.float32(0.0)
+            if p > 0:
+                best = _JUMP
+                for q in range(most):
+                    t = depths[p - 1, q]
+                    if np.isnan(t):
+                        break
+                    apart = abs(s - t) / gap
+                    best = min(best, previous[q] - low + min(_JUMP, _SLANT * apart if apart < 1 else _JUMP))
+            message[k] = costs[p, k] + best
+            total[p, k] += message[k]
+            lowest = min(lowest, message[k])
+        low = lowest
+        for k in range(most):
+            previous[k] = message[k]
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _settle(depths, costs, gap, out):
+    """Choose one candidate per scene point with the support of its row and column, both ways."""
+    rows, columns, most = depths.shape
+    total = np.zeros_like(costs)
+    for v in prange(rows):
+        _walk(depths[v], costs[v], gap, total[v])
+        _walk(depths[v, ::-1], costs[v, ::-1], gap, total[v, ::-1])
+    for u in prange(columns):
+        _walk(depths[:, u], costs[:, u], gap, total[:, u])
+        _walk(depths[::-1, u], costs[::-1, u], gap, total[::-1, u])
+    for v in prange(rows):
+        for u in range(columns):
+            best = 0
+            for k in range(1, most):
+                if not np.isnan(depths[v, u, k]) and total[v, u, k] < total[v, u, best]:
+                    best = k
+            out[v, u] = depths[v, u, best]
+
+
+def spread(
+    gray: GrayFlat,
+    lattice: Lattice,
+    values: NDArray[np.float32],
+    seconds: NDArray[np.float32],
+    trust: NDArray[np.float32],
+    noise: float,
+) -> Surface:
+    """Patch size of every scene point from the patch sizes of the lenses around it.
+
+    Where they agree the answer is their weighted mean. Where they do not, each candidate depth is
+    tried on the pixels, where the better half of the views decides (an occluder hides the rest), and
+    the candidates of neighbouring points support each other (semi-global matching, Hirschmueller 2008).
+
+    Parameters
+    ----------
+    gray : GrayFlat
+        At the flat's own resolution.
+    lattice : Lattice
+    values, seconds : (n,) float32 [px]
+        Patch size of each lens, finite, and its second best, NaN where there is none.
+    trust : (n,) float32
+        Weight of each lens, positive.
+    noise : float
+        Standard deviation of a pixel of `gray`.
+    """
+    width, height = lattice.image_size
+    pitch = lattice.pitch
+    spacing = pitch / _CELLS_PER_PITCH
+    shape = (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1)
+    depths = np.empty((*shape, MOST_CANDIDATES), np.float32)
+    costs = np.empty_like(depths)
+    grid, low = lens_grid(lattice)
+    span = np.arange(-3, 4)
+    ring = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
+    ring = ring[np.linalg.norm(ring @ lattice.basis, axis=1) < _LOOKING * pitch]
+    gap = np.float32(max(0.75, 0.04 * pitch))
+    calm = calm_lenses(values, seconds, trust, lattice.indices(), grid, low, ring, gap)
+    propose(
+        gray.image, gray.centres, np.float32(gray.radius), np.float32(pitch), values, seconds, trust, calm, grid, low,
+        lattice.origin, np.linalg.inv(lattice.basis), ring, gap, np.float32(2 * noise * noise),
+        -0.5, spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), depths, costs,
+    )  # fmt: skip
+    out = np.empty(shape, np.float32)
+    _settle(depths, costs, gap, out)
+    return Surface(out, (-0.5, -0.5), spacing)
