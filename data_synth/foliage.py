@@ -10,6 +10,8 @@ from .textures import fractal_noise, linear, tint
 
 __all__ = ["branches", "leaf_mass"]
 
+# Boughs end in twigs of this thickness, in leaf lengths.
+_TWIG = 0.25
 _BARK = ((92, 70, 50), (70, 54, 40), (112, 90, 66), (58, 48, 44))
 
 
@@ -75,16 +77,16 @@ def _grow(
 ) -> None:
     """Draw one bough in short pieces that taper, bend and fork."""
     length = 0.0
-    while thickness > 1.6:
+    while thickness > max(1.6, _TWIG * leaf):
         step = 1.6 * thickness + 3
         angle += 0.16 * rng.standard_normal()
         to = at + step * np.array([np.cos(angle), np.sin(angle)])
         _limb(colour, mask, at, to, thickness, rng)
         at, length = to, length + step
         thickness *= 0.965
-        if thickness < 0.45 * leaf and rng.random() < 0.4:
+        if thickness < 0.45 * leaf and rng.random() < 0.3:
             _leaf(colour, mask, at, angle + rng.choice([-1, 1]) * rng.uniform(0.5, 1.4), leaf, rng)
-        if rng.random() < 0.085:
+        if rng.random() < 0.05:
             turn = rng.choice([-1, 1]) * rng.uniform(0.4, 0.9)
             _grow(colour, mask, at, angle + turn, thickness * rng.uniform(0.5, 0.75), leaf, rng)
         if not (-step < at[0] < mask.shape[1] + step and -step < at[1] < mask.shape[0] + step):

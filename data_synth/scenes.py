@@ -37,18 +37,16 @@ def house(camera: Camera, *, far: float = 0.3, near: float = -0.3, seed: int = 0
     shape = _texels(camera, near)
     scale = shape[1] / 60
     cover = np.zeros((64, 64), np.float32)
-    cover[:, :6] = 0.7
-    cover[52:, :16] = 0.6
-    cover[40:52, 57:] = 0.7
+    cover[:, :5] = 0.9
+    cover[54:, :12] = 0.9
     thicket = leaf_mass(shape, rng, cover, leaf=1.8 * scale)
     surfaces.append(_sheet(camera, near - 0.05, thicket))
     boughs = [
         [(-0.02, 0.95, -0.75)],
-        [(-0.02, 0.45, -0.2)],
         [(1.02, 0.3, 2.8)],
     ]
-    for roots, ratio in zip(boughs, (near, near * 1.1, near * 0.93), strict=True):
-        wood = branches(shape, rng, roots, thickness=1.9 * scale, leaf=1.5 * scale)
+    for roots, ratio in zip(boughs, (near, near * 0.93), strict=True):
+        wood = branches(shape, rng, roots, thickness=2.2 * scale, leaf=1.8 * scale)
         surfaces.append(_sheet(camera, ratio, wood))
     return Scene("house", tuple(surfaces))
 
