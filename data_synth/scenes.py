@@ -44,8 +44,9 @@ def house(camera: Camera, *, far: float = 0.3, near: float = -0.3, seed: int = 0
     boughs = [
         [(-0.02, 0.95, -0.75)],
         [(1.02, 0.3, 2.8)],
+        [(1.02, 0.98, 3.6)],
     ]
-    for roots, ratio in zip(boughs, (near, near * 0.93), strict=True):
+    for roots, ratio in zip(boughs, (near, near * 0.93, near * 1.1), strict=True):
         wood = branches(shape, rng, roots, thickness=2.2 * scale, leaf=1.8 * scale)
         surfaces.append(_sheet(camera, ratio, wood))
     return Scene("house", tuple(surfaces))
