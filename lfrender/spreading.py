@@ -20,6 +20,8 @@ __all__ = ["spread"]
 _CELLS_PER_PITCH = 7
 # Lenses within this many pitches vote for depths, those within the second number look at them.
 _VOTING, _LOOKING = 1.45, 2.1
+# Specks are smaller than about half of a square of so many grid values to each side.
+_SPECK = 2
 # Price of a depth edge between neighbouring grid values, and of a slant by one gap.
 _JUMP, _SLANT = np.float32(1.2), np.float32(0.1)
 
@@ -75,6 +77,28 @@ def _settle(depths, costs, gap, out):
             out[v, u] = depths[v, u, best]
 
 
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _without_specks(chosen, depths, gap, out):
+    """Give contested points that most of the points about them contradict the median of those."""
+    rows, columns = chosen.shape
+    side = 2 * _SPECK + 1
+    for v in prange(rows):
+        window = np.empty(side * side, np.float32)
+        for u in range(columns):
+            here = chosen[v, u]
+            out[v, u] = here
+            if np.isnan(depths[v, u, 1]):
+                continue
+            count = agree = 0
+            for y in range(max(0, v - _SPECK), min(rows, v + _SPECK + 1)):
+                for x in range(max(0, u - _SPECK), min(columns, u + _SPECK + 1)):
+                    window[count] = chosen[y, x]
+                    count += 1
+                    agree += abs(chosen[y, x] - here) <= gap
+            if 2 * agree < count:
+                out[v, u] = np.sort(window[:count])[count // 2]
+
+
 def spread(
     gray: GrayFlat,
     lattice: Lattice,
@@ -118,6 +142,8 @@ def spread(
         lattice.origin, np.linalg.inv(lattice.basis), ring, gap, np.float32(2 * noise * noise),
         -0.5, spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), depths, costs,
     )  # fmt: skip
-    out = np.empty(shape, np.float32)
-    _settle(depths, costs, gap, out)
+    chosen = np.empty(shape, np.float32)
+    _settle(depths, costs, gap, chosen)
+    out = np.empty_like(chosen)
+    _without_specks(chosen, depths, gap, out)
     return Surface(out, (-0.5, -0.5), spacing)
