@@ -1,0 +1,1 @@
+"""Measurements that stand in the documentation, each a command of its own."""
