@@ -1,29 +1,40 @@
 """Calibration of focused plenoptic cameras: find the microimages on a flat."""
 
 from . import console
+from .agreement import Agreement, agreement
 from .calibrate import calibrate
 from .calibration import Calibration, load
+from .compare import LatticeDifference, compare
 from .errors import CalibrationError, CameraFileError, FlatError, LightFieldError
+from .exchange import convert, read_camera
 from .flat import read_flat
 from .lattice import Lattice
 from .outfile import OutputError, check_output, whole_file
 from .published import read_published
+from .show import show
 from .vignetting import Vignetting
 
 __all__ = [
+    "Agreement",
     "Calibration",
     "CalibrationError",
     "CameraFileError",
     "FlatError",
     "Lattice",
+    "LatticeDifference",
     "LightFieldError",
     "OutputError",
     "Vignetting",
+    "agreement",
     "calibrate",
     "check_output",
+    "compare",
     "console",
+    "convert",
     "load",
+    "read_camera",
     "read_flat",
     "read_published",
+    "show",
     "whole_file",
 ]

@@ -12,13 +12,10 @@ from .outfile import check_output
 
 if TYPE_CHECKING:
     from .calibration import Calibration
-    from .lattice import Lattice
 
 __all__ = ["main"]
 
 _PATH = click.Path(path_type=Path)
-# Sides that differ by less than this share, and angles this near to 90 degrees (as a cosine), count as square.
-_SQUARE_TOLERANCE = 0.03
 
 
 @click.group(cls=Program, name="lfcal", context_settings={"help_option_names": ["-h", "--help"]})
@@ -54,20 +51,148 @@ def calibrate(image: Path, output: Path, kind: Literal["auto", "white", "scene"]
     report.finish({"camera": str(output), **describe(camera)})
 
 
+def _sized(command: Any) -> Any:
+    """Give a command the two ways to say how large the flats of a published file are."""
+    command = click.option("--image", type=_PATH, help="An image of that size, instead of --size.")(command)
+    return click.option(
+        "--size", metavar="WxH", help="Size of the flats [px], for files that do not say (.xml, .csv)."
+    )(command)
+
+
 @main.command()
 @click.argument("camera", type=_PATH)
+@_sized
 @report_options
-def info(camera: Path, as_json: bool, quiet: bool) -> None:
+def info(camera: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
     """Show what is in the camera file CAMERA."""
-    from . import load
+    calibration = _read(camera, _size(size, image))
+    Report(as_json, quiet).finish({"camera": str(camera), **describe(calibration)})
 
-    Report(as_json, quiet).finish({"camera": str(camera), **describe(load(camera))})
+
+@main.command()
+@click.argument("camera", type=_PATH)
+@click.option("--image", type=_PATH, required=True, help="A white image or scene capture of that camera.")
+@click.option("-o", "--output", type=_PATH, required=True, metavar="SHOW.png", help="Picture to write.")
+@report_options
+def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) -> None:
+    """Draw the centres and circles of CAMERA over the centre and corners of an image."""
+    report = Report(as_json, quiet)
+    check_output(output, {".png"}, [camera, image])
+    with report.stage("read"):
+        from . import read_flat, whole_file
+
+        flat = read_flat(image)
+        calibration = _read(camera, (flat.shape[1], flat.shape[0]))
+    report.announce_compilation("lfcal")
+    with report.stage("show"):
+        from PIL import Image
+
+        from . import show as run
+
+        picture = Image.fromarray(run(calibration, flat))
+    with report.stage("write"), whole_file(output) as temporary:
+        picture.save(temporary, compress_level=4)
+    report.finish({"picture": str(output), **describe(calibration)})
+
+
+@main.command()
+@click.argument("a", type=_PATH)
+@click.argument("b", type=_PATH)
+@_sized
+@report_options
+def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
+    """Say how far apart the cameras A and B put the microimages: B minus A, in pixels."""
+    from . import compare as run
+
+    given = _size(size, image)
+    first, second = _read_pair(a, b, given)
+    difference = run(first, second)
+    figures = {
+        "rms": round(difference.rms, 6),
+        "max": round(difference.max, 6),
+        "mean_shift": difference.mean_shift.round(6),
+        "scale": round(difference.scale, 9),
+        "rotation_degrees": round(difference.rotation_degrees, 7),
+    }
+    names = ("top", "middle", "bottom"), ("left", "centre", "right")
+    field = {
+        f"{row} {column}": difference.field[r, c].round(6)
+        for r, row in enumerate(names[0])
+        for c, column in enumerate(names[1])
+    }
+    warnings = [f"{path}: {w}" for path, camera in ((a, first), (b, second)) for w in camera.warnings]
+    Report(as_json, quiet).finish({"a": str(a), "b": str(b), **figures, "field": field, "warnings": warnings})
+
+
+@main.command()
+@click.argument("camera", type=_PATH)
+@click.option("-o", "--output", type=_PATH, required=True, metavar="FILE", help=".xml, .cfg, .csv or .json to write.")
+@_sized
+@report_options
+def convert(camera: Path, output: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
+    """Write CAMERA in a form that other programs read, or theirs in ours."""
+    from . import convert as run
+
+    check_output(output, {".xml", ".cfg", ".csv", ".json"}, [camera, image])
+    calibration = _read(camera, _size(size, image))
+    run(calibration, output)
+    Report(as_json, quiet).finish({"written": str(output), **describe(calibration)})
+
+
+def _size(size: str | None, image: Path | None) -> tuple[int, int] | None:
+    """Width and height [px] that `--size` or `--image` name."""
+    if size is not None and image is not None:
+        raise click.UsageError("--size and --image exclude each other")
+    if image is not None:
+        from . import read_flat
+
+        height, width = read_flat(image).shape[:2]
+        return width, height
+    if size is None:
+        return None
+    width_text, _, height_text = size.lower().partition("x")
+    try:
+        width, height = int(width_text), int(height_text)
+    except ValueError:
+        width = height = 0
+    if width < 1 or height < 1:
+        raise click.UsageError(f"--size {size}: give width and height in pixels, such as 2048x1536")
+    return width, height
+
+
+def _read(path: Path, size: tuple[int, int] | None) -> Calibration:
+    """A camera file of any form, or an error that names the option that says what is missing."""
+    from .errors import CameraFileError
+    from .exchange import read_camera
+
+    try:
+        return read_camera(path, size)
+    except CameraFileError as error:
+        if size is None and "image_size" in str(error):
+            raise CameraFileError(f"{path}: does not say how large its flats are; add --size WxH or --image") from error
+        raise
+
+
+def _read_pair(a: Path, b: Path, size: tuple[int, int] | None) -> tuple[Calibration, Calibration]:
+    """Two cameras, the size of one taken for the other where that does not say."""
+    from .errors import CameraFileError
+
+    try:
+        first = _read(a, size)
+    except CameraFileError:
+        if size is not None:
+            raise
+        second = _read(b, None)
+        return _read(a, second.image_size), second
+    return first, _read(b, size or first.image_size)
 
 
 def describe(camera: Calibration) -> dict[str, Any]:
     """The figures of a calibration a person asks for, in words and pixels."""
+    from .orientation import orientation
+
     lattice = camera.lattice
-    shape, rows, rotation = _orientation(lattice)
+    shape, rows, rotation = orientation(lattice)
     return {
         "size": list(camera.image_size),
         "lattice": shape,
@@ -84,26 +209,6 @@ def describe(camera: Calibration) -> dict[str, Any]:
         "confidence": camera.confidence,
         "warnings": list(camera.warnings),
     }
-
-
-def _orientation(lattice: Lattice) -> tuple[str, str, float]:
-    """Shape, which way the rows of nearest neighbours run, and how far they are turned from there [degrees]."""
-    import numpy as np
-
-    a1, a2 = lattice.basis
-    lengths = np.hypot(*a1), np.hypot(*a2)
-    hexagonal = len(lattice.steps) == 6
-    if hexagonal:
-        shape = "hexagonal"
-    elif abs(a1 @ a2) > _SQUARE_TOLERANCE * lengths[0] * lengths[1]:
-        shape = "oblique"
-    else:
-        shape = "square" if min(lengths) > (1 - _SQUARE_TOLERANCE) * max(lengths) else "rectangular"
-    period = 60.0 if hexagonal else 90.0
-    turned = (float(np.degrees(np.arctan2(a1[1], a1[0]))) + period / 2) % period - period / 2
-    if hexagonal and abs(turned) > 15:
-        return shape, "vertical", turned - np.copysign(30.0, turned)
-    return shape, "horizontal" if hexagonal else "both ways", turned
 
 
 if __name__ == "__main__":

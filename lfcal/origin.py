@@ -144,7 +144,17 @@ def round_centres(
     remaining = roundness.copy()
     while len(guesses) < 4 and remaining.max() > 0:
         row, column = np.unravel_index(int(remaining.argmax()), remaining.shape)
-        position = (np.array([column, row]) + 0.5) / bins
+        position = (np.array([column, row]) + 0.5 + _summit(roundness, int(row), int(column))) / bins % 1
         guesses.append(CentreGuess(position, float(remaining[row, column])))
         remaining[np.roll(distance, (row, column), axis=(0, 1)) < 0.3 * pitch] = 0
     return guesses
+
+
+def _summit(values: NDArray[np.float64], row: int, column: int) -> NDArray[np.float64]:
+    """Offset (column, row) [bins] of the top of the parabola through a maximum of a periodic picture."""
+    offset = np.zeros(2)
+    for axis, line in enumerate((np.roll(values[row], 1 - column), np.roll(values[:, column], 1 - row))):
+        below, top, above = line[:3]
+        bend = below - 2 * top + above
+        offset[axis] = np.clip(0.5 * (below - above) / bend, -0.5, 0.5) if bend < 0 else 0.0
+    return offset

@@ -150,12 +150,25 @@ def _read_camera(path: Path, pixels: NDArray[np.generic]) -> Calibration:
     if path.suffix.lower() in (".xml", ".cfg"):
         from lfcal import read_published
 
-        return read_published(path, size)
+        return _checked(read_published(path, size), pixels)
     calibration = load(path)
     if calibration.image_size != size:
         was, now = ("{} x {}".format(*pair) for pair in (calibration.image_size, size))
         raise CameraFileError(f"{path}: made for images of {was} px, this one has {now}; calibrate again")
     return calibration
+
+
+def _checked(calibration: Calibration, pixels: NDArray[np.generic]) -> Calibration:
+    """A published calibration, with a warning where the pixels contradict it."""
+    from dataclasses import replace
+
+    from lfcal import agreement
+
+    misfit = agreement(calibration, pixels).warning
+    if misfit is None:
+        return calibration
+    warning = f"as published, {misfit}; calibrate on this flat instead: leave out -c"
+    return replace(calibration, warnings=(*calibration.warnings, warning))
 
 
 def _camera_of(

@@ -1,0 +1,161 @@
+"""Cameras in the forms other programs read: `RayCalibData` XML, key : value pairs, and a table of centres."""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .calibration import Calibration, load
+from .errors import CameraFileError
+from .lattice import Lattice
+from .outfile import check_output, whole_file
+from .published import parse_published
+
+__all__ = ["convert", "read_camera"]
+
+_SUFFIXES = {".json", ".xml", ".cfg", ".csv"}
+_COLUMNS = ["i", "j", "x", "y"]
+# Centres that a form puts further than this from where they are [px] are not kept by it.
+_KEPT = 1e-3
+
+
+def convert(calibration: Calibration, path: str | os.PathLike[str]) -> None:
+    """Write a camera in the form its suffix names; the file appears whole or not at all.
+
+    `.json` is our own form and keeps everything. `.xml` (`RayCalibData`) keeps lattice and radius, `.cfg`
+    (key : value, with four corner centres) a hexagonal lattice, `.csv` the columns `i, j, x, y` of all centres.
+
+    Raises
+    ------
+    OutputError
+        If the suffix is of no known form or the file cannot be written.
+    CameraFileError
+        If the form cannot hold this lattice.
+    """
+    check_output(path, _SUFFIXES)
+    suffix = Path(path).suffix.lower()
+    if suffix == ".json":
+        calibration.save(path)
+        return
+    text = {".xml": _as_xml, ".cfg": _as_pairs, ".csv": _as_table}[suffix](calibration.lattice)
+    if suffix != ".csv":
+        _check_kept(calibration.lattice, parse_published(text, calibration.image_size, str(path)).lattice, str(path))
+    with whole_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def read_camera(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None) -> Calibration:
+    """Read a camera in any form that `convert` writes.
+
+    Parameters
+    ----------
+    path : path-like
+    image_size : (int, int) or None [px]
+        Width and height of the flats; needed for `.xml` and `.csv`, which do not say.
+
+    Raises
+    ------
+    CameraFileError
+        If the file is missing, damaged, of no known kind, or belongs to another image size.
+    """
+    if Path(path).suffix.lower() != ".csv":
+        return load(path, image_size)
+    if image_size is None:
+        raise CameraFileError(f"{path}: does not say how large its flats are; give image_size as (width, height)")
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            rows = list(csv.reader(file))
+        if not rows or [name.strip() for name in rows[0]] != _COLUMNS:
+            raise ValueError(f"the first line is not {','.join(_COLUMNS)}")
+        values = np.array([[float(cell) for cell in row] for row in rows[1:] if row])
+        if values.ndim != 2 or values.shape[1] != 4 or not np.isfinite(values).all():
+            raise ValueError("each line must hold four finite numbers")
+        design = np.column_stack([np.ones(len(values)), values[:, :2]])
+        if np.linalg.matrix_rank(design) < 3:
+            raise ValueError("at least three centres that are not in one row are needed")
+        origin, *basis = np.linalg.lstsq(design, values[:, 2:], rcond=None)[0]
+        lattice = Lattice(origin, np.array(basis), image_size, 1.0)
+        return Calibration(Lattice(origin, np.array(basis), image_size, _inradius(lattice)))
+    except (OSError, ValueError, csv.Error) as error:
+        raise CameraFileError(f"{path}: cannot be read as a table of centres ({error})") from error
+
+
+def _central(lattice: Lattice) -> NDArray[np.float64]:
+    """The centre (2,) [px] next to the middle of the flat."""
+    middle = (np.array(lattice.image_size) - 1) / 2
+    index = lattice.to_index(middle[None])[0]
+    return middle + (np.rint(index) - index) @ lattice.basis
+
+
+def _inradius(lattice: Lattice) -> float:
+    return float(np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min() / 2)
+
+
+def _as_xml(lattice: Lattice) -> str:
+    """`RayCalibData`: y points up, the basis in pitches lies along x before the rotation turns it."""
+    up = lattice.basis * [1, -1]
+    rotation = float(np.arctan2(up[0, 1], up[0, 0]))
+    cos, sin = np.cos(rotation), np.sin(rotation)
+    base = up @ np.array([[cos, -sin], [sin, cos]]) / lattice.pitch
+    base[0, 1] = 0.0
+    offset = (_central(lattice) - (np.array(lattice.image_size) - 1) / 2) * [1, -1]
+
+    def point(name: str, units: str, xy: NDArray[np.float64]) -> str:
+        return f'  <{name} units="{units}">\n    <x>{xy[0]:.12f}</x>\n    <y>{xy[1]:.12f}</y>\n  </{name}>\n'
+
+    return (
+        '<?xml version="1.0"?>\n<RayCalibData version="1.0">\n'
+        + point("offset", "pix", offset)
+        + f'  <diameter units="pix">{lattice.pitch:.12f}</diameter>\n'
+        + f'  <rotation units="rad">{rotation:.12f}</rotation>\n'
+        + f'  <lens_border units="pix">{lattice.pitch / 2 - lattice.radius:.12f}</lens_border>\n'
+        + point("lens_base_x", "lens", base[0])
+        + point("lens_base_y", "lens", base[1])
+        + "</RayCalibData>\n"
+    )
+
+
+def _as_pairs(lattice: Lattice) -> str:
+    """Key : value pairs with the centres of four microimages at the corners of a parallelogram."""
+    if len(lattice.steps) != 6:
+        raise CameraFileError("the key : value form holds hexagonal lattices only; write .xml, .csv or .json")
+    steps = lattice.steps @ lattice.basis
+    upright = np.abs(steps[:, 1]).max() > np.abs(steps[:, 0]).max()
+    axis = 1 if upright else 0
+    along = steps[steps[:, axis].argmax()]
+    # Two rows further the microimages stand side by side again.
+    sideways = max((2 * step - along for step in steps), key=lambda v: v[1 - axis] / np.hypot(*v))
+    across, down = (sideways, along) if upright else (along, sideways)
+    width, height = lattice.image_size
+    columns, rows = (max(1, int(size / np.hypot(*v)) - 1) for size, v in ((width, across), (height, down)))
+    first = _central(lattice) - (columns // 2) * across - (rows // 2) * down
+    corners = {
+        "LeftTop": first,
+        "RightTop": first + columns * across,
+        "LeftBottom": first + rows * down,
+        "RightBottom": first + columns * across + rows * down,
+    }
+    lines = [f"LensletWidth : {width}", f"LensletHeight : {height}", f"MIDiameter : {lattice.pitch:.12f}"]
+    lines.append(f"MLADirection : {int(upright)}")
+    for name, corner in corners.items():
+        lines += [f"{name}MICenterX : {corner[0]:.9f}", f"{name}MICenterY : {corner[1]:.9f}"]
+    return "\n".join(lines) + "\n"
+
+
+def _as_table(lattice: Lattice) -> str:
+    """The columns `i, j, x, y` of all microimages whose centre lies on the flat."""
+    rows = zip(lattice.indices(), lattice.centres(), strict=True)
+    return ",".join(_COLUMNS) + "\n" + "".join(f"{i},{j},{x:.9f},{y:.9f}\n" for (i, j), (x, y) in rows)
+
+
+def _check_kept(lattice: Lattice, again: Lattice, where: str) -> None:
+    """CameraFileError where a form does not bring the same centres back."""
+    index = again.to_index(lattice.centres())
+    apart = (index - np.rint(index)) @ again.basis
+    same_cell = abs(abs(np.linalg.det(again.basis) / np.linalg.det(lattice.basis)) - 1) < _KEPT
+    if not same_cell or np.abs(apart).max() > _KEPT:
+        raise CameraFileError(f"{where}: this form cannot hold the lattice to {_KEPT} px; write .json or .csv")
