@@ -9,10 +9,19 @@ from numpy.typing import NDArray
 
 from .lattice import reduce_basis
 
-__all__ = ["CentreGuess", "lens_centre", "nearest_distance", "round_centres", "true_cell"]
+__all__ = [
+    "CentreGuess",
+    "is_board",
+    "lens_centre",
+    "nearest_distance",
+    "round_centres",
+    "true_cell",
+]
 
 # Shifted onto itself by a true sub-period the average cell correlates above this; a disc with gaps never does.
 _SAME_CELL = 0.7
+# Shifted by half a cell, a board is its own negative to this correlation, and its edges are the same to this one.
+_NEGATIVE, _SAME_EDGES = 0.9, 0.8
 _RINGS = 24
 # Part of the pitch around a centre that is lens for any fill.
 _CORE = 0.25
@@ -58,6 +67,16 @@ def true_cell(cells: list[NDArray[np.float64]], basis: NDArray[np.float64]) -> N
             if np.mean([_repeats(cell, step) for cell in cells]) > _SAME_CELL:
                 generators.append((shift[0] * 6 // index, shift[1] * 6 // index))
     return reduce_basis(_span(generators) / 6 @ basis) if len(generators) > 2 else basis
+
+
+def is_board(brightness: NDArray[np.float64], edges: NDArray[np.float64]) -> bool:
+    """Whether dark places have the very shape of light ones, as on a checkerboard, in average cells (bins, bins).
+
+    Gaps between round microimages are never round microimages themselves.
+    """
+    half = brightness.shape[0] // 2
+    shifts = half * np.array([(1, 0), (0, 1), (1, 1)])
+    return any(_repeats(brightness, v) < -_NEGATIVE and _repeats(edges, v) > _SAME_EDGES for v in shifts)
 
 
 def _repeats(cell: NDArray[np.float64], shift: NDArray[np.int64]) -> float:

@@ -13,7 +13,7 @@ from .features import breaks, level_locally
 from .folding import TileFolds, fold_tiles
 from .harmonics import fit_harmonics
 from .lattice import Lattice, reduce_basis
-from .origin import lens_centre, round_centres, true_cell
+from .origin import is_board, lens_centre, round_centres, true_cell
 from .spectrum import candidate_bases, spectrum_of
 
 __all__ = ["FirstLattice", "first_lattice"]
@@ -29,6 +29,8 @@ NO_MICROIMAGES = (
     "no microimages found: something repeats on the image, but not alike in all of it; "
     "give a raw flat from the sensor, not a rendered or scaled picture"
 )
+# Smaller microimages hold too few pixels to tell discs from gaps; measured pitches may be off by a hundredth.
+_LEAST_PITCH = 0.99 * 6.0
 # Tiles this many pitches wide hold enough lenses for an average and are small against a wandering period.
 _TILE = 8
 # Small flats are still cut into this many tiles each way where that leaves them so many pitches wide.
@@ -125,6 +127,8 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
     folds = [fold_tiles(feature, basis, side, _BINS) for feature in levelled]
     cells = [fold.mean() for fold in folds]
     light = fold_tiles(picture, basis, side, _BINS, _FEW_TILES).mean() ** 2
+    if is_board(*cells):
+        raise CalibrationError("a checkerboard repeats on the image, not microimages; give a raw flat from the sensor")
     centre = lens_centre(round_centres(cells, [1.0, 1.0], basis), light, basis)
     middle = (np.array([width, height]) - 1) / 2
     origin = _nearest_to(middle, centre.position @ basis, basis)
@@ -132,6 +136,11 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
     _kept(fit.basis, basis)
     origin, basis = _nearest_to(middle, fit.origin, fit.basis), reduce_basis(fit.basis)
     lattice = Lattice(origin, basis, (width, height), _inradius(basis))
+    if 2 * lattice.radius < _LEAST_PITCH:
+        raise CalibrationError(
+            f"the image repeats every {2 * lattice.radius:.1f} px; microimages must be at least 6 px apart, "
+            "give the flat at the full resolution of the sensor"
+        )
     return FirstLattice(
         lattice,
         levelled[0],
