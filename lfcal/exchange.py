@@ -79,7 +79,9 @@ def read_camera(path: str | os.PathLike[str], image_size: tuple[int, int] | None
             raise ValueError("at least three centres that are not in one row are needed")
         origin, *basis = np.linalg.lstsq(design, values[:, 2:], rcond=None)[0]
         lattice = Lattice(origin, np.array(basis), image_size, 1.0)
-        return Calibration(Lattice(origin, np.array(basis), image_size, _inradius(lattice)))
+        bent = float(np.linalg.norm(design @ np.vstack([origin, *basis]) - values[:, 2:], axis=1).max())
+        warnings = (f"centres lie up to {bent:.3f} px off the straight lattice read",) if bent > _KEPT else ()
+        return Calibration(Lattice(origin, np.array(basis), image_size, _inradius(lattice)), warnings=warnings)
     except (OSError, ValueError, csv.Error) as error:
         raise CameraFileError(f"{path}: cannot be read as a table of centres ({error})") from error
 

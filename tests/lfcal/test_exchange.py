@@ -81,6 +81,14 @@ def test_damaged_table_is_refused_with_its_name(tmp_path, text):
         lfcal.read_camera(tmp_path / "camera.csv", _SIZE)
 
 
+def test_table_of_bent_rows_is_read_with_a_warning(tmp_path):
+    camera = _camera(_HEXAGON, 40, 2)
+    x, y = (camera.lattice.centres() + 1e-4 * (camera.lattice.centres() - 300) ** 2).T
+    rows = np.column_stack([camera.lattice.indices(), x, y])
+    np.savetxt(tmp_path / "camera.csv", rows, fmt="%.9g", delimiter=",", header="i,j,x,y", comments="")
+    assert "off the straight lattice" in lfcal.read_camera(tmp_path / "camera.csv", _SIZE).warnings[0]
+
+
 def test_entity_bomb_is_refused_at_once(tmp_path):
     entities = "".join(
         f'<!ENTITY e{n} "{"&e" + str(n - 1) + ";" if n else "ha"}{"&e0;" * 9 if n else ""}">' for n in range(9)
