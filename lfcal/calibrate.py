@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -102,7 +103,7 @@ def calibrate(image: ArrayLike, kind: Literal["auto", "white", "scene"] = "auto"
             "check the circles on the flat or calibrate on a white image"
         )
     return Calibration(
-        Lattice(lattice.origin, lattice.basis, lattice.image_size, radius),
+        replace(lattice, radius=radius),
         vignetting,
         "white" if white else "scene",
         residual,
@@ -142,9 +143,13 @@ def _refined(picture: NDArray[np.float32], start: FirstLattice, white: bool) -> 
     from .fit import fit_lattice
 
     found = start.lattice
-    feature = start.brightness if white else level_locally(breaks(picture), _RIM * found.pitch)
-    fit = fit_lattice(feature, found) if white else fit_lattice(feature, found, pixels=_SCENE_PIXELS)
-    if not white and not fit.halves_differ < start.halves_differ:
+    if white:
+        from .disc_fit import fit_discs
+
+        discs = fit_discs(picture * picture, found)
+        return discs.lattice, discs.residual_rms, discs.lenses_used, discs.halves_differ
+    fit = fit_lattice(level_locally(breaks(picture), _RIM * found.pitch), found, pixels=_SCENE_PIXELS)
+    if not fit.halves_differ < start.halves_differ:
         # Rims too faint for single lenses: what whole tiles have in common is the better measure.
         return found, fit.residual_rms, fit.lenses_used, start.halves_differ
     lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from .distortion import Distortion
 from .errors import CameraFileError
 from .lattice import Lattice
 from .outfile import whole_file
@@ -68,7 +69,8 @@ class Calibration:
                 "basis": self.lattice.basis.tolist(),
                 "radius": self.lattice.radius,
                 "pitch": self.lattice.pitch,
-            },
+            }
+            | _bend(self.lattice.distortion),
             "vignetting": vignetting,
             "source": self.source,
             "fit": {
@@ -93,7 +95,13 @@ class Calibration:
             lattice, fit, vignetting = data["lattice"], data["fit"], data["vignetting"]
             residual = fit["residual_rms"]
             return cls(
-                lattice=Lattice(lattice["origin"], lattice["basis"], tuple(data["image_size"]), lattice["radius"]),
+                lattice=Lattice(
+                    lattice["origin"],
+                    lattice["basis"],
+                    tuple(data["image_size"]),
+                    lattice["radius"],
+                    _unbend(lattice.get("distortion")),
+                ),
                 vignetting=vignetting and Vignetting(vignetting["profile"], vignetting["step"]),
                 source=str(data["source"]),
                 residual_rms=float("nan") if residual is None else float(residual),
@@ -110,6 +118,21 @@ class Calibration:
         """Write the camera as JSON; the file appears whole or not at all."""
         with whole_file(path) as temporary:
             temporary.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+
+
+def _bend(distortion: Distortion | None) -> dict[str, Any]:
+    """The entry of a distortion in a camera file; none for a straight lattice."""
+    if distortion is None:
+        return {}
+    values = {"k1": distortion.k1, "k2": distortion.k2, "reach": distortion.reach}
+    return {"distortion": {"centre": distortion.centre.tolist()} | values}
+
+
+def _unbend(data: Any) -> Distortion | None:
+    """A distortion from its entry in a camera file; KeyError, TypeError or ValueError where that is wrong."""
+    if data is None:
+        return None
+    return Distortion(data["centre"], data["k1"], data["k2"], data["reach"])
 
 
 def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None) -> Calibration:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .errors import CalibrationError
 from .lattice import Lattice
 
-__all__ = ["LatticeFit", "RadialProfile", "fit_lattice", "radial_profile", "whole_lenses"]
+__all__ = ["LatticeFit", "RadialProfile", "cell_faces", "fit_lattice", "radial_profile", "whole_lenses"]
 
 # Distance between samples of a radial profile [px]: edges of discs are about one pixel wide.
 _STEP = 0.25
@@ -173,7 +173,7 @@ class LatticeFit:
     halves_differ: float
 
 
-def _cell_faces(lattice: Lattice) -> tuple[NDArray[np.float64], float]:
+def cell_faces(lattice: Lattice) -> tuple[NDArray[np.float64], float]:
     """Normals (k, 2) such that `delta @ normal <= 0.5` inside the cell of a lens, and the cell's circumradius [px]."""
     steps = lattice.steps @ lattice.basis
     if len(steps) == 4:
@@ -204,7 +204,7 @@ def whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int64], ND
 
 def radial_profile(picture: NDArray[np.float32], lattice: Lattice, lenses: int = 1000) -> RadialProfile:
     """Profile of `picture` (h, w) over whole cells of the lattice, about so many of them, evenly spread."""
-    faces, reach = _cell_faces(lattice)
+    faces, reach = cell_faces(lattice)
     _, centres = whole_lenses(lattice, reach + 1)
     centres = np.ascontiguousarray(centres[:: max(1, len(centres) // lenses)])
     rings = int(reach / _STEP) + 3
@@ -293,7 +293,7 @@ def _lens_steps(
     picture: NDArray[np.float32], lattice: Lattice, stride: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Indices (n, 2), normal matrices (n, 2, 2) and right sides (n, 2) of the steps of one lens in `stride`."""
-    faces, reach = _cell_faces(lattice)
+    faces, reach = cell_faces(lattice)
     indices, centres = whole_lenses(lattice, reach + 1)
     # Multiples of the golden ratio spread the chosen lenses evenly, where every n-th one would favour some columns.
     chosen = np.arange(len(centres)) * _GOLDEN % 1 < 1 / stride

@@ -8,6 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .distortion import Distortion
+
 __all__ = ["Lattice", "reduce_basis"]
 
 # A third lattice direction counts as a neighbour when it is at most this much longer than
@@ -60,7 +62,7 @@ def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Lattice:
-    """Centres `c(i, j) = origin + i*a1 + j*a2` of all microimages on one flat.
+    """Centres `c(i, j) = origin + i*a1 + j*a2`, plus an optional distortion, of all microimages on one flat.
 
     Parameters
     ----------
@@ -72,12 +74,15 @@ class Lattice:
         Width and height of the flat.
     radius : float [px]
         Usable microimage radius `R`.
+    distortion : Distortion or None
+        How far centres lie from the straight lattice; None where they do not.
     """
 
     origin: NDArray[np.float64]
     basis: NDArray[np.float64]
     image_size: tuple[int, int]
     radius: float
+    distortion: Distortion | None = None
 
     def __post_init__(self) -> None:
         origin = np.array(self.origin, dtype=np.float64)
@@ -120,11 +125,16 @@ class Lattice:
     def _indices(self) -> NDArray[np.int64]:
         width, height = self.image_size
         corners = np.array([(-0.5, -0.5), (width - 0.5, -0.5), (-0.5, height - 0.5), (width - 0.5, height - 0.5)])
+        if self.distortion is not None:
+            # Edges of the flat are curved lines on the straight lattice.
+            along = np.linspace(0, 1, 33)[:, None]
+            pairs = ((0, 1), (1, 3), (3, 2), (2, 0))
+            corners = np.vstack([corners[a] + along * (corners[b] - corners[a]) for a, b in pairs])
         bounds = self.to_index(corners)
         low, high = np.floor(bounds.min(0)).astype(int), np.ceil(bounds.max(0)).astype(int)
         i, j = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1), indexing="xy")
         ij = np.column_stack([i.ravel(), j.ravel()])
-        centres = self.origin + ij @ self.basis
+        centres = self.points(ij)
         inside = ((centres >= -0.5) & (centres < np.array([width, height]) - 0.5)).all(1)
         return ij[inside]
 
@@ -134,8 +144,16 @@ class Lattice:
 
     def centres(self) -> NDArray[np.float64]:
         """(n, 2) float64 centres `x, y` [px], in the order of `indices()`."""
-        return self.origin + self._indices @ self.basis
+        return self.points(self._indices)
+
+    def points(self, index: ArrayLike) -> NDArray[np.float64]:
+        """(n, 2) positions `x, y` [px] of lattice indices (n, 2), which need be neither whole nor on the flat."""
+        straight: NDArray[np.float64] = self.origin + np.asarray(index, dtype=np.float64) @ self.basis
+        return straight if self.distortion is None else self.distortion.apply(straight)
 
     def to_index(self, points: ArrayLike) -> NDArray[np.float64]:
         """(n, 2) real-valued lattice indices of flat positions `points` (n, 2) [px]."""
-        return (np.asarray(points, dtype=np.float64) - self.origin) @ np.linalg.inv(self.basis)
+        straight = np.asarray(points, dtype=np.float64)
+        if self.distortion is not None:
+            straight = self.distortion.remove(straight)
+        return (straight - self.origin) @ np.linalg.inv(self.basis)
