@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from .agreement import Agreement, agreement
 from .calibration import Calibration
-from .errors import FlatError
 from .orientation import orientation
 
 __all__ = ["show"]
@@ -50,10 +49,6 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     """
     flat = np.asarray(image)
     width, height = calibration.image_size
-    if flat.ndim not in (2, 3) or flat.shape[:2] != (height, width):
-        raise FlatError(
-            f"image has shape {flat.shape}; the calibration is for flats of {width} x {height} px, give one of its size"
-        )
     fit = agreement(calibration, flat)
     pitch = calibration.lattice.pitch
     zoom = float(np.clip(_PANEL / (_PITCHES[1] * pitch), *_ZOOM))
