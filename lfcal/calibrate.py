@@ -146,7 +146,7 @@ def _refined(picture: NDArray[np.float32], start: FirstLattice, white: bool) -> 
     if white:
         from .disc_fit import fit_discs
 
-        discs = fit_discs(picture * picture, found)
+        discs = fit_discs(picture, found)
         return discs.lattice, discs.residual_rms, discs.lenses_used, discs.halves_differ
     fit = fit_lattice(level_locally(breaks(picture), _RIM * found.pitch), found, pixels=_SCENE_PIXELS)
     if not fit.halves_differ < start.halves_differ:

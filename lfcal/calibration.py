@@ -124,15 +124,18 @@ def _bend(distortion: Distortion | None) -> dict[str, Any]:
     """The entry of a distortion in a camera file; none for a straight lattice."""
     if distortion is None:
         return {}
-    values = {"k1": distortion.k1, "k2": distortion.k2, "reach": distortion.reach}
-    return {"distortion": {"centre": distortion.centre.tolist()} | values}
+    values: dict[str, Any] = {"k1": distortion.k1, "k2": distortion.k2, "reach": distortion.reach}
+    bend = {"centre": distortion.centre.tolist()} | values
+    if distortion.general is not None and distortion.middle is not None:
+        bend |= {"general": distortion.general.tolist(), "middle": distortion.middle.tolist()}
+    return {"distortion": bend}
 
 
 def _unbend(data: Any) -> Distortion | None:
     """A distortion from its entry in a camera file; KeyError, TypeError or ValueError where that is wrong."""
     if data is None:
         return None
-    return Distortion(data["centre"], data["k1"], data["k2"], data["reach"])
+    return Distortion(data["centre"], data["k1"], data["k2"], data["reach"], data.get("general"), data.get("middle"))
 
 
 def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None) -> Calibration:

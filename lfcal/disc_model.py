@@ -1,7 +1,7 @@
 """Model of a white image: discs of one radial profile, each with its own gain, cut by a second disc (cat-eye).
 
 Away from the optical axis a stop in front of or behind the main lens' pupil cuts microimages to lens shapes. The cut
-is a disc too, and its place relative to the microimage changes in proportion to the place in the field.
+is a disc too, and its place relative to the microimage changes with the place in the field.
 """
 
 from __future__ import annotations
@@ -13,37 +13,23 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["LOCAL", "CatEye", "DiscSteps", "Discs", "disc_steps", "measure_level"]
+__all__ = ["LOCAL", "DiscSteps", "Discs", "disc_steps", "edge_of", "first_level"]
 
 # Parameters of a single lens: place (2), displacement of the cutting disc (2), its radius, its softness, the gain.
 LOCAL = 7
 _CHUNKS = 64
 # Beyond so many standard deviations from its middle the cut is all or nothing.
-_EDGE = 4.0
+_EDGE = 3.0
 # Residuals beyond so many standard deviations have no say (Tukey's biweight).
 _OUTLIER = 4.685
+# Share of the steepest slope of the profile above which it is an edge.
+_STEEP = 0.1
+# Weight of the smoothness of the profile against that of the pixels.
+_STIFF = 1e-4
+# Share of the pixels of a ring that must see it before it moves freely.
+_SLOW = 0.01
 _ROOT_HALF = math.sqrt(0.5)
 _ROOT_TAU = math.sqrt(2 * math.pi)
-
-
-@dataclass(frozen=True)
-class CatEye:
-    """Disc that cuts the microimages, at `shift + growth * (c - middle) / reach` from the centre `c` of each.
-
-    Parameters
-    ----------
-    shift : (2,) float64 [px]
-        Displacement in the middle of the flat.
-    growth : float [px]
-        Displacement added from the middle to the corner, positive outwards.
-    radius, soft : float [px]
-        Radius of the cutting disc and standard deviation of its edge.
-    """
-
-    shift: NDArray[np.float64]
-    growth: float
-    radius: float
-    soft: float
 
 
 @dataclass(frozen=True)
@@ -52,12 +38,18 @@ class Discs:
 
     Parameters
     ----------
+    light : (n, k, k) float32
+        Squares of the flat around the lenses.
+    corners : (n, 2) int64 [px]
+        Flat coordinates of the first pixel of each.
     centres, cut : (n, 2) float64 [px]
         Microimage centres and displacements of the cutting discs from them.
-    gain : (n,) float64
+    gain, trust : (n,) float64
+        Light of each lens over that of the profile, and its weight in the fit.
     tilt : (n, 2) float64 [1/px]
         Relative change of the gain within the microimage.
-    cat_eye : CatEye or None
+    radius, soft : float [px]
+        Of the cutting disc and of its edge (standard deviation); `soft` is 0 where there is no such disc.
     faces : (k, 2) float64 [1/px]
         `delta @ face <= 0.5` inside the cell of a lens.
     inner, reach : float [px]
@@ -66,44 +58,69 @@ class Discs:
         Between samples of the profile.
     level, weight : (r,) float64
         Profile and inverse variance of its pixels at radii `0, step, 2*step...`.
+    four : (r,) float64
+        Amplitude of `cos(4 * angle)` added to the profile: square pixels soften an edge along their sides otherwise
+        than across their corners.
+    edge : (r,) bool
+        Where the profile falls from the disc into the gap (`edge_of`). Pixels there take part in nothing where the
+        edge of the cutting disc falls on them too: what light they get depends on how the two edges are blurred,
+        together or one after the other.
     dark : float
         Light where the cutting disc lets none through.
     """
 
+    light: NDArray[np.float32]
+    corners: NDArray[np.int64]
     centres: NDArray[np.float64]
     cut: NDArray[np.float64]
     gain: NDArray[np.float64]
+    trust: NDArray[np.float64]
     tilt: NDArray[np.float64]
-    cat_eye: CatEye | None
+    radius: float
+    soft: float
     faces: NDArray[np.float64]
     inner: float
     reach: float
     step: float
     level: NDArray[np.float64]
     weight: NDArray[np.float64]
+    four: NDArray[np.float64]
+    edge: NDArray[np.bool_]
     dark: float
 
 
 @dataclass(frozen=True)
 class DiscSteps:
-    """Least squares of each lens by itself, and the residuals of all.
+    """Least squares of all lenses about the present model, the profile included.
 
     Parameters
     ----------
     normal, right : (n, 7, 7), (n, 7) float64
         Normal matrix and right side of the local parameters, the gain last.
+    mixed : (n, 7 or 1, r) float64
+        Part of the normal matrix between local parameters and the profile; only of the gains where nothing is cut,
+        since whole microimages move without their profile.
+    profile, force : (r, r), (r,) float64
+        Part of the profile over all lenses.
+    four : (r,) float64
+        Step of `Discs.four`.
     variance : (r,) float64
         Mean squared residual over the radius, without outliers.
+    scatter : (n,) float64
+        Mean of the weighted squared residuals of each lens, outliers at their limit, its `trust` left out.
     cost : float
-        Weighted mean of squared residuals, each at most the square of the outlier limit.
-    pixels : int
+        Mean of `scatter` over all pixels.
     """
 
     normal: NDArray[np.float64]
     right: NDArray[np.float64]
+    mixed: NDArray[np.float64]
+    profile: NDArray[np.float64]
+    force: NDArray[np.float64]
+    four: NDArray[np.float64]
     variance: NDArray[np.float64]
+    scatter: NDArray[np.float64]
     cost: float
-    pixels: int
 
 
 @njit(cache=True, nogil=True)
@@ -126,87 +143,96 @@ def _transmission(dx, dy, radius, soft):
     return 0.5 * (1 + math.erf(depth * _ROOT_HALF)), math.exp(-0.5 * depth * depth) / (_ROOT_TAU * soft), far, depth
 
 
+@njit(cache=True, nogil=True)
+def _rows(centre, reach, corner, side):
+    """First and last but one row of a window within reach of the centre."""
+    return max(int(np.ceil(centre - reach)) - corner, 0), min(int(np.floor(centre + reach)) + 1 - corner, side)
+
+
 @njit(cache=True, nogil=True, parallel=True)
-def _accumulate_level(
-    picture, centres, cut, gain, tilt, radius, soft, faces, inner, reach, step, level, weight, dark, chunks,
-    diagonal, beside, right,
-):  # fmt: skip
-    lenses = centres.shape[0]
-    known = level.shape[0] > 0
+def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, chunks, total, count):
+    lenses, side = light.shape[0], light.shape[1]
     for chunk in prange(chunks):
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
-            cx, cy = centres[lens, 0], centres[lens, 1]
-            for y in range(int(np.ceil(cy - reach)), int(np.floor(cy + reach)) + 1):
+            cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
+            top, bottom = _rows(cy, reach, 0, side)
+            for y in range(top, bottom):
                 dy = y - cy
-                half = np.sqrt(max(reach * reach - dy * dy, 0.0))
-                for x in range(int(np.ceil(cx - half)), int(np.floor(cx + half)) + 1):
+                left, right = _rows(cx, np.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
+                for x in range(left, right):
                     dx = x - cx
                     rho = np.sqrt(dx * dx + dy * dy)
                     if rho > inner and _outside(dx, dy, faces):
                         continue
-                    through = 1.0
-                    if soft > 0:
-                        through = _transmission(dx - cut[lens, 0], dy - cut[lens, 1], radius, soft)[0]
-                        if through < 0.5:
-                            continue
-                    value = picture[y, x] / (gain[lens] * (1 + tilt[lens, 0] * dx + tilt[lens, 1] * dy))
-                    value -= dark * (1 - through)
                     place = rho / step
                     ring = int(place)
                     part = place - ring
-                    if known:
-                        residual = value - through * (level[ring] * (1 - part) + level[ring + 1] * part)
-                        if residual * residual * weight[ring] > _OUTLIER * _OUTLIER:
-                            continue
-                    square = through * through
-                    diagonal[chunk, ring] += square * (1 - part) * (1 - part)
-                    diagonal[chunk, ring + 1] += square * part * part
-                    beside[chunk, ring] += square * part * (1 - part)
-                    right[chunk, ring] += through * (1 - part) * value
-                    right[chunk, ring + 1] += through * part * value
+                    value = light[lens, y, x] / gain[lens]
+                    total[chunk, ring] += (1 - part) * value
+                    total[chunk, ring + 1] += part * value
+                    count[chunk, ring] += 1 - part
+                    count[chunk, ring + 1] += part
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def _accumulate_steps(
-    picture, centres, cut, gain, tilt, radius, soft, faces, inner, reach, step, level, slope, weight, dark, chunks,
-    normal, right, squares, count, cost,
+    light, corners, centres, cut, gain, trust, tilt, radius, soft, faces, inner, reach, step, level, slope, weight,
+    four, edge, dark, chunks, normal, right, mixed, band, squares, count, scatter,
 ):  # fmt: skip
-    lenses = centres.shape[0]
+    lenses, side = light.shape[0], light.shape[1]
+    first = 7 - mixed.shape[1]
     for chunk in prange(chunks):
         g = np.zeros(7)
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
-            cx, cy = centres[lens, 0], centres[lens, 1]
-            for y in range(int(np.ceil(cy - reach)), int(np.floor(cy + reach)) + 1):
+            cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
+            top, bottom = _rows(cy, reach, 0, side)
+            for y in range(top, bottom):
                 dy = y - cy
-                half = np.sqrt(max(reach * reach - dy * dy, 0.0))
-                for x in range(int(np.ceil(cx - half)), int(np.floor(cx + half)) + 1):
+                low_x, high_x = _rows(cx, np.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
+                for x in range(low_x, high_x):
                     dx = x - cx
                     rho = np.sqrt(dx * dx + dy * dy)
                     if rho > inner and _outside(dx, dy, faces):
                         continue
-                    bright = 1 + tilt[lens, 0] * dx + tilt[lens, 1] * dy
-                    light = gain[lens] * bright
                     place = rho / step
                     ring = int(place)
                     part = place - ring
-                    disc = level[ring] * (1 - part) + level[ring + 1] * part - dark
                     through, change, far, depth = 1.0, 0.0, 1.0, 0.0
                     if soft > 0:
                         ex, ey = dx - cut[lens, 0], dy - cut[lens, 1]
                         through, change, far, depth = _transmission(ex, ey, radius, soft)
+                        if edge[ring] and change > 0:
+                            continue
+                    disc = level[ring] * (1 - part) + level[ring + 1] * part - dark
+                    angle = 1 - 8 * (dx * dx) * (dy * dy) / max(rho * rho * rho * rho, 1e-12)
+                    disc += (four[ring] * (1 - part) + four[ring + 1] * part) * angle
                     model = dark + disc * through
-                    residual = picture[y, x] / light - model
+                    lit = gain[lens] * (1 + tilt[lens, 0] * dx + tilt[lens, 1] * dy)
+                    residual = light[lens, y, x] / lit - model
                     w = weight[ring] * (1 - part) + weight[ring + 1] * part
-                    away = residual * residual * w / (_OUTLIER * _OUTLIER)
-                    cost[chunk, 1] += 1
-                    cost[chunk, 0] += min(away, 1.0)
+                    chi = residual * residual * w
+                    away = chi * trust[lens] / (_OUTLIER * _OUTLIER)
+                    scatter[lens, 0] += min(chi, _OUTLIER * _OUTLIER / trust[lens])
+                    scatter[lens, 1] += 1
                     if away >= 1:
                         continue
-                    squares[chunk, ring] += residual * residual
+                    squares[chunk, ring] += residual * residual * trust[lens]
                     count[chunk, ring] += 1
-                    w *= (1 - away) * (1 - away)
+                    w *= (1 - away) * (1 - away) * trust[lens]
                     along = -(slope[ring] * (1 - part) + slope[ring + 1] * part) * through / max(rho, 1e-6)
                     g[0], g[1], g[6] = along * dx, along * dy, model
+                    here, after = through * (1 - part), through * part
+                    band[chunk, 3, ring] += w
+                    turned = w * angle * through
+                    band[chunk, 4, ring] += turned * (1 - part) * residual
+                    band[chunk, 4, ring + 1] += turned * part * residual
+                    band[chunk, 5, ring] += turned * angle * through * (1 - part)
+                    band[chunk, 5, ring + 1] += turned * angle * through * part
+                    band[chunk, 0, ring] += w * here * here
+                    band[chunk, 0, ring + 1] += w * after * after
+                    band[chunk, 1, ring] += w * here * after
+                    band[chunk, 2, ring] += w * here * residual
+                    band[chunk, 2, ring + 1] += w * after * residual
                     low = 6
                     if change > 0:
                         push = disc * change
@@ -219,53 +245,75 @@ def _accumulate_steps(
                         if a >= 2 and a < low:
                             continue
                         right[lens, a] += w * g[a] * residual
+                        if a >= first:
+                            mixed[lens, a - first, ring] += w * g[a] * here
+                            mixed[lens, a - first, ring + 1] += w * g[a] * after
                         for b in range(a, 7):
                             if b >= 2 and b < low:
                                 continue
                             normal[lens, a, b] += w * g[a] * g[b]
 
 
-def _cutting(discs: Discs) -> tuple[float, float]:
-    """Radius and softness of the cutting disc; no softness where there is none."""
-    return (discs.cat_eye.radius, discs.cat_eye.soft) if discs.cat_eye is not None else (0.0, 0.0)
+def edge_of(level: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(r,) where a profile falls from the disc into the gap."""
+    slope = -np.gradient(level)
+    core = float(np.median(level[: max(2, len(level) // 2)]))
+    half = 0.5 * (core + float(np.quantile(level, 0.1)))
+    crossing = int(np.argmax(level < half))
+    near = np.s_[max(crossing - 2, 0) : crossing + 2]
+    gentle = np.flatnonzero(slope < _STEEP * slope[near].max())
+    edge = np.ones(len(level), dtype=bool)
+    edge[: gentle[gentle < crossing - 1].max(initial=-1) + 1] = False
+    edge[gentle[gentle > crossing].min(initial=len(level)) :] = False
+    return edge
 
 
-def measure_level(picture: NDArray[np.float32], discs: Discs, known: bool) -> NDArray[np.float64]:
-    """(r,) profile that fits best, piecewise linear; outliers of the present one left out where that is `known`."""
-    rings = len(discs.level)
-    diagonal, beside, right = (np.zeros((_CHUNKS, rings)) for _ in range(3))
-    level = discs.level if known else np.zeros(0)
+def first_level(discs: Discs) -> NDArray[np.float64]:
+    """(r,) mean profile of the lenses, whatever cuts them."""
+    total, count = np.zeros((_CHUNKS, len(discs.level))), np.zeros((_CHUNKS, len(discs.level)))
     _accumulate_level(
-        picture, discs.centres, discs.cut, discs.gain, discs.tilt, *_cutting(discs), discs.faces, discs.inner,
-        discs.reach, discs.step, level, discs.weight, discs.dark, _CHUNKS, diagonal, beside, right,
+        discs.light, discs.corners, discs.centres, discs.gain, discs.faces, discs.inner, discs.reach, discs.step,
+        _CHUNKS, total, count,
     )  # fmt: skip
-    main, side = diagonal.sum(0), beside.sum(0)[:-1]
-    # Rings no pixel fell into continue their neighbours smoothly.
-    bend = np.diff(np.eye(rings), 2, axis=0)
-    system = np.diag(main) + np.diag(side, 1) + np.diag(side, -1) + 1e-3 * bend.T @ bend
-    solved: NDArray[np.float64] = np.linalg.solve(system, right.sum(0))
-    return solved
+    seen = np.flatnonzero(count.sum(0) > 0)
+    mean: NDArray[np.float64] = np.interp(np.arange(len(discs.level)), seen, total.sum(0)[seen] / count.sum(0)[seen])
+    return mean
 
 
-def disc_steps(picture: NDArray[np.float32], discs: Discs) -> DiscSteps:
+def disc_steps(discs: Discs) -> DiscSteps:
     """Gauss-Newton steps of all local parameters of all lenses, over every pixel of their cells."""
     lenses, rings = len(discs.centres), len(discs.level)
     normal, right = np.zeros((lenses, LOCAL, LOCAL)), np.zeros((lenses, LOCAL))
-    squares, count = np.zeros((_CHUNKS, rings)), np.zeros((_CHUNKS, rings))
-    cost = np.zeros((_CHUNKS, 2))
+    mixed = np.zeros((lenses, LOCAL if discs.soft > 0 else 1, rings))
+    squares, count, band = (np.zeros((_CHUNKS, *shape)) for shape in ((rings,), (rings,), (6, rings)))
+    scatter = np.zeros((lenses, 2))
     slope = np.gradient(discs.level, discs.step)
     _accumulate_steps(
-        picture, discs.centres, discs.cut, discs.gain, discs.tilt, *_cutting(discs), discs.faces, discs.inner,
-        discs.reach, discs.step, discs.level, slope, discs.weight, discs.dark, _CHUNKS,
-        normal, right, squares, count, cost,
+        discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
+        discs.soft, discs.faces, discs.inner, discs.reach, discs.step, discs.level, slope, discs.weight, discs.four,
+        discs.edge, discs.dark, _CHUNKS, normal, right, mixed, band, squares, count, scatter,
     )  # fmt: skip
     normal += np.triu(normal.reshape(-1, LOCAL, LOCAL), 1).transpose(0, 2, 1)
-    number = count.sum(0)
-    # Few pixels say little about their spread: neighbouring rings are taken together.
-    smooth = np.ones(5)
-    total = np.convolve(squares.sum(0), smooth, "same")
-    number_near = np.convolve(number, smooth, "same")
-    overall = total.sum() / max(number_near.sum(), 1)
-    variance = (total + 10 * overall) / (number_near + 10)
-    away, pixels = cost.sum(0)
-    return DiscSteps(normal, right, variance, float(away / max(pixels, 1)) * _OUTLIER**2, int(pixels))
+    main, side, force, total, turned, turned_own = band.sum(0)
+    # Rings that hardly a pixel fell into are like their neighbours.
+    bend = np.diff(np.eye(rings), axis=0)
+    stiff = _STIFF * float(np.median(main)) * bend.T @ bend
+    profile = np.diag(main) + np.diag(side[:-1], 1) + np.diag(side[:-1], -1) + stiff
+    # Rings that hardly any light reaches through the cutting disc move slowly.
+    profile += _SLOW * np.diag(total)
+    misfit, number = scatter.sum(0)
+    own = turned_own + _SLOW * (total + max(float(np.median(total)), 1e-30))
+    return DiscSteps(
+        normal, right, mixed, profile, force - stiff @ discs.level, turned / own,
+        _smooth_variance(squares.sum(0), count.sum(0)), scatter[:, 0] / np.maximum(scatter[:, 1], 1),
+        float(misfit / max(number, 1)),
+    )  # fmt: skip
+
+
+def _smooth_variance(squares: NDArray[np.float64], count: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(r,) mean square; few pixels say little about their spread, so neighbouring rings are taken together."""
+    near = np.ones(5)
+    total, number = np.convolve(squares, near, "same"), np.convolve(count, near, "same")
+    overall = total.sum() / max(number.sum(), 1)
+    variance: NDArray[np.float64] = (total + 10 * overall) / (number + 10)
+    return variance

@@ -47,6 +47,16 @@ def test_camera_file_of_a_straight_lattice_has_no_distortion():
     assert "distortion" not in straight.to_dict()["lattice"]
 
 
+def test_general_distortion_is_inverted_and_kept(tmp_path):
+    general = [[1.5, -2.0, 0.5, 1.0, 0.3, -0.7, 0.2], [0.1, 0.4, -1.0, 2.0, 0.0, 0.3, -1.5]]
+    lattice = lfcal.Lattice(
+        [100.0, 90.0], _BASIS, (800, 600), 6.0, Distortion([390.0, 310.0], 0.002, 0.0, 500.0, general, [399.5, 299.5])
+    )
+    np.testing.assert_allclose(lattice.to_index(lattice.centres()), lattice.indices(), atol=1e-6)
+    lfcal.Calibration(lattice).save(tmp_path / "camera.json")
+    np.testing.assert_array_equal(lfcal.load(tmp_path / "camera.json").lattice.centres(), lattice.centres())
+
+
 @pytest.mark.parametrize("values", [([0, 0], 0.5, 0.0, 500.0), ([0, 0], 0.0, 0.0, 0.0), ([np.nan, 0], 0.0, 0.0, 1.0)])
 def test_impossible_distortion_is_refused(values):
     with pytest.raises(ValueError, match="distortion"):

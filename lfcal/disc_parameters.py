@@ -1,0 +1,136 @@
+"""Global parameters of a white image's model: how the discs of all lenses follow lattice, distortion and cat-eye."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .disc_model import LOCAL
+from .lattice import Lattice
+
+__all__ = ["CatEye", "DiscModel", "design", "field_of", "moved"]
+
+# No step moves a disc, or changes its radius, by more than this share of the radius.
+_LONGEST = 0.1
+# Softest edge of a cutting disc over its radius, and the sharpest edge that pixels of finite size show [px].
+_SOFTEST = 0.1
+_SHARPEST = 0.2
+
+
+@dataclass(frozen=True)
+class CatEye:
+    """Disc that cuts the microimages, at `shift + field * (g1 + g2 * |field| + g3 * |field|**2)` from their centres.
+
+    `field` is the place in the field, of length 1 in the corners (`field_of`).
+
+    Parameters
+    ----------
+    shift : (2,) float64 [px]
+        Displacement in the middle of the flat.
+    growth : (3,) float64 [px]
+        `g1, g2, g3`, positive outwards.
+    radius, soft : float [px]
+        Radius of the cutting disc and standard deviation of its edge.
+    """
+
+    shift: NDArray[np.float64]
+    growth: NDArray[np.float64]
+    radius: float
+    soft: float
+
+    def displacement(self, field: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n, 2) displacement [px] of the cutting disc at places (n, 2) of the field."""
+        far = np.hypot(*field.T)[:, None]
+        return self.shift + field * (self.growth[0] + self.growth[1] * far + self.growth[2] * far**2)
+
+
+@dataclass(frozen=True)
+class DiscModel:
+    """Lattice and cat-eye (None where microimages are whole)."""
+
+    lattice: Lattice
+    cat_eye: CatEye | None
+
+
+def field_of(centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+    """(n, 2) place in the field, of length 1 in the corners."""
+    size = np.array(lattice.image_size)
+    return (centres - (size - 1) / 2) / (np.hypot(*size) / 2)
+
+
+def design(
+    model: DiscModel, indices: NDArray[np.int64], orders: tuple[str, ...]
+) -> tuple[NDArray[np.float64], list[str]]:
+    """Change of the local parameters of each lens with the global ones.
+
+    Parameters
+    ----------
+    model : DiscModel
+    indices : (n, 2) int64
+        Lattice indices of the lenses.
+    orders : tuple of {"k1", "centre", "k2", "general", "growth2", "growth3"}
+        Parameters beyond origin, basis and a cat-eye that grows evenly.
+
+    Returns
+    -------
+    (n, 6, p) float64, list of p names
+    """
+    n = len(indices)
+    columns: list[NDArray[np.float64]] = []
+    names: list[str] = []
+
+    def add(name: str, first: int, values: NDArray[np.float64]) -> None:
+        column = np.zeros((n, LOCAL - 1))
+        column[:, first : first + values.shape[1]] = values
+        columns.append(column)
+        names.append(name)
+
+    unit = np.eye(2)
+    straight = model.lattice.origin + indices @ model.lattice.basis
+    for factor, name in zip((np.ones(n), *indices.T), ("origin", "a1", "a2"), strict=True):
+        for axis in range(2):
+            add(name, 0, factor[:, None] * unit[axis])
+    bend = model.lattice.distortion
+    if bend is not None:
+        for name, values in bend.derivatives(straight):
+            if name in orders:
+                add(name, 0, values)
+    if model.cat_eye is not None:
+        field = field_of(straight if bend is None else bend.apply(straight), model.lattice)
+        far = np.hypot(*field.T)[:, None]
+        for axis in range(2):
+            add("shift", 2, np.ones((n, 1)) * unit[axis])
+        add("growth", 2, field)
+        for power in (2, 3):
+            if f"growth{power}" in orders:
+                add(f"growth{power}", 2, field * far ** (power - 1))
+        add("radius", 4, np.ones((n, 1)))
+        add("soft", 5, np.ones((n, 1)))
+    return np.stack(columns, axis=2), names
+
+
+def moved(model: DiscModel, change: NDArray[np.float64], names: list[str]) -> DiscModel:
+    """The model after a step `change` (p,) of the parameters `names` of `design`."""
+    by = {name: change[[k for k, other in enumerate(names) if other == name]] for name in names}
+    old = model.lattice
+    bend = old.distortion if old.distortion is None else old.distortion.moved(by)
+    lattice = replace(
+        old, origin=old.origin + by["origin"], basis=old.basis + np.array([by["a1"], by["a2"]]), distortion=bend
+    )
+    eye = model.cat_eye
+    if eye is None:
+        return DiscModel(lattice, None)
+    most = _LONGEST * eye.radius
+    growth = np.array([float(by.get(name, [0.0])[0]) for name in ("growth", "growth2", "growth3")])
+    soft = eye.soft + float(np.clip(by["soft"][0], -0.3 * eye.soft, 0.3 * eye.soft))
+    return DiscModel(
+        lattice,
+        CatEye(
+            eye.shift + np.clip(by["shift"], -most, most),
+            eye.growth + np.clip(growth, -most, most),
+            eye.radius + float(np.clip(by["radius"][0], -most, most)),
+            float(np.clip(soft, _SHARPEST, _SOFTEST * eye.radius + _SHARPEST)),
+        ),
+    )
