@@ -18,7 +18,7 @@ __all__ = ["coarse_disparity"]
 # Signed patch sizes over the pitch that are tried: beyond these neighbours share too little.
 _RATIOS = np.linspace(-0.6, 0.6, 25)
 # Share of the usable radius that is compared, and spacing of its samples over that radius.
-_DISC, _SAMPLES = 0.88, 0.2
+_DISC, _SAMPLES = 0.88, 0.25
 # Correlation a place must reach, and how far it must surpass the next best that is no neighbour on the grid.
 _LEAST, _CLEAR = 0.5, 0.04
 # Variance of a tone that shows nothing.

@@ -27,6 +27,12 @@ _OUTLIER = 3.0
 _FLATTENED = 0.95
 
 
+# Differences of light at the rims that are more than how pixels fall on them.
+_LEAST_LIGHT = 0.015
+# Light that is missing before a soft edge for light that is seen beyond it; 0.3 to 1 of discs and real rims.
+_MISSING = 0.1
+
+
 @dataclass(frozen=True)
 class FocusOrder:
     """Lens types in the order of their focus.
@@ -52,6 +58,7 @@ def focus_order(
     sharpness: NDArray[np.float64],
     disparity: NDArray[np.float64],
     spill: NDArray[np.float64],
+    droop: NDArray[np.float64],
     falls: float,
 ) -> FocusOrder:
     """Sort provisional lens types by their focus.
@@ -61,8 +68,9 @@ def focus_order(
     sample : LensSample
     cell : (m, m) int64
         Provisional types.
-    sharpness, spill : (n,) float64
-        Fine contrast, and light beyond the rim, of the inner lenses against their neighbours; NaN where not known.
+    sharpness, spill, droop : (n,) float64
+        Fine contrast, light beyond the rim and loss of light before it, of the inner lenses against their neighbours;
+        NaN where not known.
     disparity : (n,) float64
         `s / D` of the lenses, NaN where not known.
     falls : float
@@ -72,16 +80,17 @@ def focus_order(
     types = cell[tuple((sample.inner % len(cell)).T)]
     mixing = _mixing(sample, cell)
     trend = _over_depth(sharpness, disparity, types, mixing)
-    rim = _means(spill, types, mixing) if falls < _FLATTENED else None
-    unknown = np.full(count, np.nan)
+    rim = _softness(spill, droop, types, mixing) if falls < _FLATTENED else None
     if trend is not None:
         slope, focus, sign = trend
-        # Types that are focused farther out gain on the others as s grows.
-        sequence = np.argsort(-slope) if sign > 0 else np.argsort(slope)
-        return FocusOrder(sequence, True, focus)
-    if rim is not None and _distinct(*rim):
+        if rim is not None:
+            # Which end of the order has the larger |s| is seen better at the rims.
+            sign = float(np.sign(slope @ rim))
+        return FocusOrder(np.argsort(-sign * slope), True, focus)
+    unknown = np.full(count, np.nan)
+    if rim is not None:
         # The rim is the image of the main aperture, at s = 0: the further out a focus, the softer the rim.
-        return FocusOrder(np.argsort(-rim[0]), True, unknown)
+        return FocusOrder(np.argsort(-rim), True, unknown)
     return FocusOrder(np.arange(count), False, unknown)
 
 
@@ -95,6 +104,23 @@ def _mixing(sample: LensSample, cell: NDArray[np.int64]) -> NDArray[np.float64]:
         for a, b in sample.lattice.steps:
             matrix[kind, cell[(i + a) % m, (j + b) % m]] -= 1 / len(sample.lattice.steps)
     return np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
+
+
+def _softness(
+    spill: NDArray[np.float64],
+    droop: NDArray[np.float64],
+    types: NDArray[np.int64],
+    mixing: NDArray[np.float64],
+) -> NDArray[np.float64] | None:
+    """(count,) how soft the rims of each type are, mean 0; None where that is not clear."""
+    beyond, before = _means(spill, types, mixing), _means(droop, types, mixing)
+    if beyond is None or before is None or not _distinct(*beyond) or np.ptp(beyond[0]) < _LEAST_LIGHT:
+        return None
+    soft = beyond[0] - beyond[0].mean()
+    # What a soft edge spills is missing before it; a brighter neighbour shines beyond the rim too, but takes nothing.
+    missing = float(before[0] @ soft) / float(soft @ soft)
+    doubt = 2 * before[1] / float(np.linalg.norm(soft))
+    return soft if missing + doubt > _MISSING else None
 
 
 def _means(
@@ -127,7 +153,7 @@ def _lines(
         lines[kind] = y.mean() - slope * x.mean(), slope
         scatter = float((y - lines[kind, 0] - slope * x).std()) / np.sqrt(len(x))
         errors[kind] = scatter, scatter / np.sqrt(across) if across > 0 else np.inf
-    return mixing @ lines, np.sqrt(2) * np.abs(mixing).max() * errors.max(0)
+    return mixing @ lines, np.sqrt(2) * float(np.linalg.norm(mixing, 2)) * errors.max(0)
 
 
 def _over_depth(
@@ -137,6 +163,8 @@ def _over_depth(
     mixing: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None:
     """Slope of the sharpness of each type over `s / D`, focus of each, and the sign of `s` at which they are focused.
+
+    None where the slopes are not clearly different.
 
     The logarithm of sharpness falls with the square of the defocus, `-k (x - f)^2` at `x = s / D`, so that differences
     between types are straight lines in `x`: slope `2 k f`, height `-k f^2`, less what all types have in common.

@@ -20,11 +20,11 @@ __all__ = ["LensFeatures", "LensSample", "lens_features", "sample_lenses"]
 # Lenses along a block without its border; whole periods of 2, 3 and 4 lenses.
 _SIDE = 12
 # Blocks of 144 lenses: contrasts of a tenth of the scatter between lenses then stand out by six standard errors.
-_BLOCKS = 32
+_BLOCKS = 48
 # Blocks with fewer of their lenses on the flat are left out where others are to be had.
 _FULL = 0.25
 # Shares of the usable radius: where fine contrast is measured, the core, the light before a rim and just beyond it.
-_INSIDE, _CORE, _BEFORE, _BEYOND = 0.8, (0.0, 0.5), (0.75, 0.95), (1.03, 1.12)
+_INSIDE, _CORE, _BEFORE, _BEYOND = 0.7, (0.0, 0.5), (0.75, 0.95), (1.03, 1.12)
 # The same for a rim whose far side cannot be used.
 _MIDDLE, _EDGE = (0.5, 0.75), (0.8, 0.97)
 _RINGS = 40

@@ -24,8 +24,11 @@ __all__ = ["find_lens_types"]
 # A mosaic must have so many times the power of the strongest of the other patterns, and of the mean of noise.
 # Noise alone reaches the second by exp(-12); the first is for scenes, whose detail is not noise.
 _STANDS_OUT, _ABOVE_NOISE = 3.0, 12.0
-# Below these differences between types it makes no difference which type a lens is of: contrast, light.
-_LEAST_CONTRAST, _LEAST_LIGHT = 0.04, 0.004
+# Differences between types below which it makes no difference which type a lens is of, or which pixels could feign,
+# first in general, then where lattice and pixels beat: contrast, light beyond a rim, light before it, brightness.
+_LEAST_CONTRAST, _LEAST_SPILL, _LEAST_DROOP, _LEAST_LEVEL = (0.04, 0.07), (0.012, 0.07), 0.015, 0.004
+# Spread of s / D from which on a scene has depth.
+_LEAST_SPREAD = 0.02
 # Fewer lenses with all neighbours in view show no pattern.
 _FEWEST = 100
 # Share of the power of a mosaic that what lenses see may have before the scene itself is what repeats.
@@ -33,8 +36,11 @@ _SCENE_REPEATS = 0.3
 # Patterns of the two halves of the sample must point the same way: cosine of the angle between them.
 _AGREE = 0.7
 _STRIPES = 16
-# Within so many periods per lens a mosaic may be a beat.
-_NEAR_BEAT = 0.08
+# A pattern of lenses beats with the pixels if the two get out of step by no more than so many periods over the flat,
+# and by no more than so many periods per lens.
+_IN_STEP, _NEAR_BEAT = 1.2, 0.08
+# Microimages of a smaller radius [px] hold too few pixels to tell sharp from soft.
+_LEAST_RADIUS = 5.0
 _PATTERNS, _FEWEST_PATTERNS = 64, 24
 # Values further out than this many standard deviations count as so far.
 _OUTLIER = 3.0
@@ -65,6 +71,8 @@ def find_lens_types(picture: NDArray[np.float32], lattice: Lattice, white: bool)
     LensTypes or None
         None where the flat shows no difference between lenses: one type, or too little to see.
     """
+    if lattice.radius < _LEAST_RADIUS:
+        return None
     sample = sample_lenses(lattice)
     features = lens_features(picture, sample)
     sharpness = sample.against_neighbours(features.sharpness)
@@ -81,9 +89,10 @@ def find_lens_types(picture: NDArray[np.float32], lattice: Lattice, white: bool)
     period = _MOSAICS[strongest][0]
     found = [m[1:] for m, power in zip(_MOSAICS, strength, strict=True) if power > 0 and m[0] == period]
     cell = _cell(period, found if period == 2 else [_MOSAICS[strongest][1:]])
-    beats = _beats(_VECTORS[[strongest]], lattice, 1.0, _NEAR_BEAT)[0]
-    rim = sample.against_neighbours(features.droop if beats else features.spill)
-    order = focus_order(sample, cell, sharpness, disparity, rim, features.falls)
+    beats = _beats(_VECTORS[[strongest]], lattice, 1.0, _IN_STEP)[0]
+    droop = sample.against_neighbours(features.droop)
+    spill = droop if beats else sample.against_neighbours(features.spill)
+    order = focus_order(sample, cell, sharpness, disparity, spill, droop, features.falls)
     types = np.argsort(order.sequence)[cell]
     return LensTypes(types.astype(np.int8), order.known, order.focus[order.sequence], 1 - 1 / float(strength.max()))
 
@@ -100,7 +109,7 @@ class _Evidence:
         The patterns: first the mosaics, then others.
     power : (f, v) float64
         1 on average for noise.
-    least : (f,) float64
+    least : (f, mosaics) float64
         Difference between types below which a measure says nothing.
     usable : (f, mosaics) bool
         Measures that speak for a mosaic.
@@ -121,38 +130,45 @@ class _Evidence:
         vectors = np.vstack([_VECTORS, _other_patterns(lattice)])
         phases = np.einsum("nk,vk->nv", sample.inner, vectors)
         waves = np.exp(-2j * np.pi * phases) / _gain(vectors, lattice)
-        beats = _beats(_VECTORS, lattice, 1.0, _NEAR_BEAT)
-        # Two colours of a mosaic look like two types.
-        sound = ~(_beats(_VECTORS, lattice, 0.5, _NEAR_BEAT) & [m[0] == 2 for m in _MOSAICS])
-        sharpness = _clipped(sample.against_neighbours(features.sharpness))
+        beats = _beats(_VECTORS, lattice, 1.0, _IN_STEP)
+        # Two colours of a mosaic, or pixels that fall on edges in two ways, look like two types.
+        feigned = (_beats(_VECTORS, lattice, 1.0, 2.0) | _beats(_VECTORS, lattice, 0.5, 2.0)) & [
+            m[0] == 2 for m in _MOSAICS
+        ]
         measures = [
-            (sharpness, _LEAST_CONTRAST, sound),
-            (_clipped(sample.against_neighbours(features.spill)), _LEAST_LIGHT, sound & ~beats),
+            (_clipped(sample.against_neighbours(features.spill)), np.where(beats, *_LEAST_SPILL[::-1]), ~feigned),
             # Where lattice and pixels beat, an edge cut by the pixel grid looks like types.
-            (_clipped(sample.against_neighbours(features.droop)), _LEAST_LIGHT, sound & beats),
+            (_clipped(sample.against_neighbours(features.droop)), np.full(len(beats), _LEAST_DROOP), beats & ~feigned),
         ]
         if white:
             level = _clipped(sample.against_neighbours(features.level))
-            measures.append((level, _LEAST_LIGHT, sound))
-        elif np.isfinite(disparity).sum() >= _FEWEST and np.nanstd(disparity) > 0:
-            # Which type is sharper changes with depth, and may cancel over a whole flat.
-            depth = np.nan_to_num((disparity - np.nanmean(disparity)) / np.nanstd(disparity))
-            measures.append((sharpness * depth, _LEAST_CONTRAST, sound))
+            measures.append((level, np.full(len(beats), _LEAST_LEVEL), ~feigned))
+        else:
+            sharpness = _clipped(sample.against_neighbours(features.sharpness))
+            least = np.where(beats, *_LEAST_CONTRAST[::-1])
+            measures.append((sharpness, least, ~feigned))
+            if np.isfinite(disparity).sum() >= _FEWEST and np.nanstd(disparity) > _LEAST_SPREAD:
+                # Which type is sharper changes with depth, and may cancel over a whole flat.
+                depth = np.clip(np.nan_to_num((disparity - np.nanmean(disparity)) / np.nanstd(disparity)), -2, 2)
+                measures.append((sharpness * depth, least, ~feigned))
         values = np.array([m[0] for m in measures])
         tilt = np.array([_clipped(sample.against_neighbours(one)) for one in features.tilt])
         seen = np.zeros(len(_MOSAICS)) if white else _power(tilt, waves[:, : len(_MOSAICS)]).max(0)
-        least, usable = np.array([m[1] for m in measures]), np.array([m[2] for m in measures])
+        usable = np.array([m[2] for m in measures])
+        least = np.array([m[1] for m in measures])
         return cls(values, waves, _power(values, waves), least, usable, seen)
 
     def strength(self, mosaic: int) -> float:
         """How many times a mosaic surpasses other patterns, 0 where it is not significant."""
-        elsewhere = self.power[:, len(_MOSAICS) :].max(1)
-        power = self.power[:, mosaic]
-        clear = (
-            (power > _ABOVE_NOISE) & (power > _STANDS_OUT * elsewhere) & (self.seen[mosaic] < _SCENE_REPEATS * power)
-        )
-        found = [k for k in np.flatnonzero(clear & self.usable[:, mosaic]) if self._repeats(int(k), mosaic)]
-        return max((float(power[k] / elsewhere[k]) for k in found), default=0.0)
+        sound = [int(k) for k in np.flatnonzero(self.usable[:, mosaic]) if self._repeats(int(k), mosaic)]
+        best = 0.0
+        # Each measure for itself, and all that agree together: on a small flat one alone may be too weak.
+        for chosen in [[k] for k in sound] + ([sound] if len(sound) > 1 else []):
+            power = self.power[chosen].sum(0)
+            here, elsewhere = float(power[mosaic]), float(power[len(_MOSAICS) :].max())
+            if here > max(_ABOVE_NOISE, _STANDS_OUT * elsewhere) and self.seen[mosaic] < _SCENE_REPEATS * here:
+                best = max(best, here / elsewhere)
+        return best
 
     def _repeats(self, measure: int, mosaic: int) -> bool:
         """Whether a mosaic is strong enough in a measure to matter, and the same in two halves of the sample."""
@@ -160,7 +176,7 @@ class _Evidence:
         half = np.arange(len(values)) * _STRIPES // len(values) % 2 == 0
         first, second = complex(values[half] @ wave[half]), complex(values[~half] @ wave[~half])
         # Twice the amplitude of a wave is about the spread of the types it stands for.
-        if 2 * abs(first + second) < self.least[measure] * int((values != 0).sum()):
+        if 2 * abs(first + second) < self.least[measure, mosaic] * int((values != 0).sum()):
             return False
         return (first * second.conjugate()).real > _AGREE * abs(first) * abs(second)
 
@@ -190,18 +206,19 @@ def _other_patterns(lattice: Lattice) -> NDArray[np.float64]:
     drawn = (np.arange(1, 500)[:, None] * [0.7548776662466927, 0.5698402909980532]) % 1
     far = _apart(drawn[:, None] - np.vstack([_VECTORS, -_VECTORS])).max(-1).min(1) > 0.05
     fine = _gain(drawn, lattice) > 1
-    return drawn[far & fine & ~_beats(drawn, lattice, 1.0, 0.03)][:_PATTERNS]
+    return drawn[far & fine & ~_beats(drawn, lattice, 1.0, _IN_STEP)][:_PATTERNS]
 
 
-def _beats(vectors: NDArray[np.float64], lattice: Lattice, step: float, most: float) -> NDArray[np.bool_]:
+def _beats(vectors: NDArray[np.float64], lattice: Lattice, step: float, cycles: float) -> NDArray[np.bool_]:
     """(v,) whether a pattern (v, 2) is where lattice and pixels beat with each other.
 
-    `step` is 1 period per pixel, or 1/2 for a 2 x 2 colour mosaic; `most` bounds the width in periods per lens.
+    `step` is 1 period per pixel, or 1/2 for a 2 x 2 colour mosaic; `cycles` is how many times
+    they may get out of step over the flat.
     """
     m, n = np.mgrid[-2:3, -2:3].reshape(2, -1) * step
     grid = np.column_stack([m, n])[(m != 0) | (n != 0)]
     across = min(lattice.image_size) / lattice.pitch
-    near = _apart(vectors[:, None] - grid @ lattice.basis.T).max(-1) < min(most, 2 / across)
+    near = _apart(vectors[:, None] - grid @ lattice.basis.T).max(-1) < min(_NEAR_BEAT, cycles / across)
     return near.any(1)
 
 
