@@ -182,7 +182,12 @@ def _over_depth(
     if (np.diff(focus[np.argsort(slope)]) < 0).any():
         focus[:] = np.nan
     middle = -float(height @ slope) / float(slope @ slope)
-    return slope, focus, float(np.sign(middle))
+    sign = float(np.sign(middle))
+    low, median, high = np.quantile(disparity[known], (0.1, 0.5, 0.9))
+    # Far from all foci differences fade and their slopes turn round: types must change places within what is seen.
+    if not low < middle < high or sign != np.sign(median):
+        return None
+    return slope, focus, sign
 
 
 def _foci(

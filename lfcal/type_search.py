@@ -115,6 +115,8 @@ class _Evidence:
         Measures that speak for a mosaic.
     seen : (mosaics,) float64
         Power of a mosaic in what the lenses see, which knows no type: the scene repeats.
+    white : bool
+        The flat shows an even surface.
     """
 
     values: NDArray[np.float64]
@@ -123,6 +125,7 @@ class _Evidence:
     least: NDArray[np.float64]
     usable: NDArray[np.bool_]
     seen: NDArray[np.float64]
+    white: bool
 
     @classmethod
     def of(cls, sample: LensSample, features: LensFeatures, disparity: NDArray[np.float64], white: bool) -> _Evidence:
@@ -132,9 +135,8 @@ class _Evidence:
         waves = np.exp(-2j * np.pi * phases) / _gain(vectors, lattice)
         beats = _beats(_VECTORS, lattice, 1.0, _IN_STEP)
         # Two colours of a mosaic, or pixels that fall on edges in two ways, look like two types.
-        feigned = (_beats(_VECTORS, lattice, 1.0, 2.0) | _beats(_VECTORS, lattice, 0.5, 2.0)) & [
-            m[0] == 2 for m in _MOSAICS
-        ]
+        regular = np.any([_beats(_VECTORS, lattice, step, 2.0) for step in (1.0, 0.5)], axis=0)
+        feigned = regular & [period == 2 for period, _, _ in _MOSAICS]
         measures = [
             (_clipped(sample.against_neighbours(features.spill)), np.where(beats, *_LEAST_SPILL[::-1]), ~feigned),
             # Where lattice and pixels beat, an edge cut by the pixel grid looks like types.
@@ -156,19 +158,21 @@ class _Evidence:
         seen = np.zeros(len(_MOSAICS)) if white else _power(tilt, waves[:, : len(_MOSAICS)]).max(0)
         usable = np.array([m[2] for m in measures])
         least = np.array([m[1] for m in measures])
-        return cls(values, waves, _power(values, waves), least, usable, seen)
+        return cls(values, waves, _power(values, waves), least, usable, seen, white)
 
     def strength(self, mosaic: int) -> float:
         """How many times a mosaic surpasses other patterns, 0 where it is not significant."""
         sound = [int(k) for k in np.flatnonzero(self.usable[:, mosaic]) if self._repeats(int(k), mosaic)]
-        best = 0.0
+        found = []
         # Each measure for itself, and all that agree together: on a small flat one alone may be too weak.
         for chosen in [[k] for k in sound] + ([sound] if len(sound) > 1 else []):
             power = self.power[chosen].sum(0)
             here, elsewhere = float(power[mosaic]), float(power[len(_MOSAICS) :].max())
             if here > max(_ABOVE_NOISE, _STANDS_OUT * elsewhere) and self.seen[mosaic] < _SCENE_REPEATS * here:
-                best = max(best, here / elsewhere)
-        return best
+                found.append(here / elsewhere)
+        # Detail of a scene makes pairs more easily than threes: they must show in two measures.
+        needed = 2 if _MOSAICS[mosaic][0] == 2 and not self.white else 1
+        return max(found) if len(found) >= needed else 0.0
 
     def _repeats(self, measure: int, mosaic: int) -> bool:
         """Whether a mosaic is strong enough in a measure to matter, and the same in two halves of the sample."""

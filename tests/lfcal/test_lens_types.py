@@ -76,6 +76,18 @@ def test_focus_of_each_type_is_read_from_how_sharpness_changes_with_depth(whites
     assert order.focus == pytest.approx(foci, abs=0.02)
 
 
+def test_order_is_not_told_from_a_scene_far_from_all_foci(whites):
+    sample = sample_lenses(lfcal.Lattice((3.0, 5.0), whites.turned(whites.HEXAGON, 20.0, 3), (1500, 1200), 9.5))
+    types = _MOSAIC[tuple(np.moveaxis(sample.index % 3, -1, 0))]
+    disparity = -0.02 - 0.2 * sample.centre[..., 0] / 1500
+    # Blur of many pixels: all types fade alike, the most blurred ones last.
+    sharpness = -np.log1p(((disparity - np.array(_FOCI)[types]) / 0.03) ** 2)
+    inner = disparity[:, 1:-1, 1:-1].ravel()
+    nothing = np.full(len(inner), np.nan)
+    order = focus_order(sample, _MOSAIC, sample.against_neighbours(sharpness), inner, nothing, nothing, 1.0)
+    assert not order.known and np.isnan(order.focus).all()
+
+
 def test_types_are_found_without_detail_by_the_blur_of_their_rims():
     taken = capture("ramp", _FOCI)
     lattice = taken.truth.calibration.lattice
