@@ -9,6 +9,7 @@ from .errors import CalibrationError, CameraFileError, FlatError, LightFieldErro
 from .exchange import convert, read_camera
 from .flat import read_flat
 from .lattice import Lattice
+from .lens_types import LensTypes
 from .outfile import OutputError, check_output, whole_file
 from .published import read_published
 from .show import show
@@ -22,6 +23,7 @@ __all__ = [
     "FlatError",
     "Lattice",
     "LatticeDifference",
+    "LensTypes",
     "LightFieldError",
     "OutputError",
     "Vignetting",

@@ -80,6 +80,7 @@ def calibrate(image: ArrayLike, kind: Literal["auto", "white", "scene"] = "auto"
     # Compiled code is loaded only when a flat is there to be calibrated.
     from .features import tone
     from .search import first_lattice
+    from .type_search import find_lens_types
     from .vignetting import measure_vignetting
 
     picture = tone(flat)
@@ -95,6 +96,8 @@ def calibrate(image: ArrayLike, kind: Literal["auto", "white", "scene"] = "auto"
             "give a sharper flat or a white image"
         )
     vignetting, radius = measure_vignetting(picture, lattice)
+    lattice = replace(lattice, radius=radius)
+    types = find_lens_types(picture, lattice, white)
     confidence = float(np.clip(min(start.repeatability, 1 - differ / (_SCATTERED * lattice.pitch)), 0, 1))
     warnings = []
     if confidence < _SURE:
@@ -102,14 +105,20 @@ def calibrate(image: ArrayLike, kind: Literal["auto", "white", "scene"] = "auto"
             f"the lattice is uncertain (confidence {confidence:.2f}, halves of the flat differ by {differ:.2f} px); "
             "check the circles on the flat or calibrate on a white image"
         )
+    if types is not None and not types.ordered:
+        warnings.append(
+            f"{types.count} lens types were told apart, but not which is focused at which depth; "
+            "calibrate on a scene with detail at several depths"
+        )
     return Calibration(
-        replace(lattice, radius=radius),
+        lattice,
         vignetting,
         "white" if white else "scene",
         residual,
         lenses,
         confidence,
         tuple(warnings),
+        types,
     )
 
 

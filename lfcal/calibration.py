@@ -13,6 +13,7 @@ import numpy as np
 from .distortion import Distortion
 from .errors import CameraFileError
 from .lattice import Lattice
+from .lens_types import LensTypes
 from .outfile import whole_file
 from .vignetting import Vignetting
 
@@ -42,6 +43,8 @@ class Calibration:
         0..1, how sure the lattice is the right one.
     warnings : tuple of str
         What a user should know before trusting it.
+    lens_types : LensTypes or None
+        Types of microlenses of a multi-focus array; None where there is one type, or more were not seen.
     """
 
     lattice: Lattice
@@ -51,6 +54,7 @@ class Calibration:
     lenses_used: int = 0
     confidence: float = 1.0
     warnings: tuple[str, ...] = field(default=())
+    lens_types: LensTypes | None = None
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -79,7 +83,7 @@ class Calibration:
                 "confidence": self.confidence,
             },
             "warnings": list(self.warnings),
-        }
+        } | ({} if self.lens_types is None else {"lens_types": self.lens_types.to_dict()})
 
     @classmethod
     def from_dict(cls, data: Any, where: str = "camera file") -> Calibration:
@@ -108,6 +112,7 @@ class Calibration:
                 lenses_used=int(fit["lenses_used"]),
                 confidence=float(fit["confidence"]),
                 warnings=tuple(str(w) for w in data["warnings"]),
+                lens_types=None if data.get("lens_types") is None else LensTypes.from_dict(data["lens_types"]),
             )
         except KeyError as error:
             raise CameraFileError(f"{where}: field {error} is missing; calibrate again") from error

@@ -12,6 +12,7 @@ from .outfile import check_output
 
 if TYPE_CHECKING:
     from .calibration import Calibration
+    from .lens_types import LensTypes
 
 __all__ = ["main"]
 
@@ -204,11 +205,20 @@ def describe(camera: Calibration) -> dict[str, Any]:
         "basis": lattice.basis,
         "lenses": len(lattice),
         "source": camera.source,
+        "lens_types": _types(camera.lens_types),
         "lenses_used": camera.lenses_used,
         "residual_rms": camera.residual_rms,
         "confidence": camera.confidence,
         "warnings": list(camera.warnings),
     }
+
+
+def _types(types: LensTypes | None) -> dict[str, Any] | None:
+    """The types of a multi-focus array, `focus` as s / D in the order of their numbers; None where none were seen."""
+    if types is None:
+        return None
+    found = {"count": types.count, "by_focus": types.ordered, "confidence": types.confidence}
+    return found | {"focus": types.focus, "cell": types.cell}
 
 
 if __name__ == "__main__":

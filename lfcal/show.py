@@ -21,6 +21,8 @@ _ZOOM = (3.0, 4.0)
 _PITCHES = (2.5, 6.0)
 _BACKGROUND, _PAPER, _INK, _FAINT = (24, 26, 30), (38, 41, 47), (232, 234, 237), (130, 136, 146)
 _CIRCLE, _CROSS, _ARROW = (0, 190, 255), (255, 190, 40), (255, 120, 90)
+# Circles of lens types 0, 1, 2 and 3.
+_TYPES = (_CIRCLE, (255, 110, 200), (140, 240, 90), (250, 230, 80))
 # Sub-pixel bits of OpenCV's drawing functions.
 _BITS = 4
 
@@ -28,6 +30,7 @@ _BITS = 4
 def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     """Draw the centres and usable circles of a calibration over the centre and the corners of a flat.
 
+    Circles of different lens types have different colours: blue, pink, green, yellow in the order of their numbers.
     Beside the five crops a panel shows how far nine regions of the flat disagree with the lattice, and how the
     light falls off inside a microimage.
 
@@ -93,7 +96,9 @@ def _headline(calibration: Calibration, fit: Agreement) -> list[str]:
     residual = "" if np.isnan(calibration.residual_rms) else f", residual {calibration.residual_rms:.3f} px RMS"
     off = "the flat does not tell how well it fits" if np.isnan(fit.worst) else f"off this flat by {fit.worst:.2f} px"
     size = "{} x {} px".format(*calibration.image_size)
-    return [first, f"{size}, from {calibration.source}{residual}, confidence {calibration.confidence:.2f}; {off}"]
+    types = "" if calibration.lens_types is None else f"{calibration.lens_types.count} lens types, "
+    second = f"{size}, {types}from {calibration.source}{residual}, confidence {calibration.confidence:.2f}; {off}"
+    return [first, second]
 
 
 def _crop(calibration: Calibration, flat: NDArray[Any], middle: NDArray[np.float64], zoom: float) -> NDArray[np.uint8]:
@@ -114,15 +119,16 @@ def _crop(calibration: Calibration, flat: NDArray[Any], middle: NDArray[np.float
     centres = lattice.centres()
     near = (np.abs(centres - middle) < reach / 2 + lattice.pitch).all(1)
     drawn = half + zoom * (centres[near] - middle)
+    types = calibration.lens_types
+    kinds = np.zeros(len(drawn), int) if types is None else types.of(lattice.indices()[near]) % len(_TYPES)
     radius = zoom * lattice.radius
     arm = float(np.clip(0.12 * radius, 4, 9))
     # Dark below light is seen on any background; blended, it leaves the pixels visible.
     for thickness, share, dark in ((3, 0.45, True), (1, 0.95, False)):
         layer = panel.copy()
-        for place in drawn:
-            cv2.circle(
-                layer, *_fixed(place), _bits(radius), (0, 0, 0) if dark else _CIRCLE, thickness, cv2.LINE_AA, _BITS
-            )
+        for place, kind in zip(drawn, kinds, strict=True):
+            colour = (0, 0, 0) if dark else _TYPES[kind]
+            cv2.circle(layer, *_fixed(place), _bits(radius), colour, thickness, cv2.LINE_AA, _BITS)
             for step in (np.array([arm, 0]), np.array([0, arm])):
                 ends = _fixed(place - step)[0], _fixed(place + step)[0]
                 cv2.line(layer, *ends, (0, 0, 0) if dark else _CROSS, thickness, cv2.LINE_AA, _BITS)

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -42,6 +43,15 @@ def test_white_image_becomes_a_camera_file_near_the_truth(house, house_files, tm
     camera = lfcal.load(tmp_path / "camera.json")
     assert camera.lattice.pitch == figures["pitch"]
     assert os.listdir(tmp_path) == ["camera.json"]
+
+
+def test_info_names_the_lens_types_of_a_camera(house, tmp_path):
+    types = lfcal.LensTypes([[0, 1], [1, 0]], True, [-0.4, float("nan")], 0.9)
+    replace(house.truth.calibration, lens_types=types).save(tmp_path / "camera.json")
+    figures = json.loads(run("info", tmp_path / "camera.json", "--json").stdout)["lens_types"]
+    expected = {"count": 2, "by_focus": True, "confidence": 0.9, "focus": [-0.4, None], "cell": [[0, 1], [1, 0]]}
+    assert figures == expected
+    assert "count 2, by focus True" in run("info", tmp_path / "camera.json").stdout
 
 
 def test_info_says_what_calibrate_said(house_files):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ from click.testing import CliRunner
 
 import lfcal
 from lfcal.cli import main
-from lfcal.show import _CIRCLE, _PANEL
+from lfcal.show import _CIRCLE, _PANEL, _TYPES
 
 
 @pytest.fixture(scope="module")
@@ -68,3 +69,12 @@ def test_command_writes_the_picture(white, tmp_path):
     np.testing.assert_array_equal(written[..., ::-1], lfcal.show(camera, image))
     refused = CliRunner().invoke(main, [*arguments, "-o", str(tmp_path / "show.txt")])
     assert refused.exit_code == 2
+
+
+def test_circles_of_each_lens_type_have_a_colour_of_their_own(white):
+    image, camera = white
+    types = lfcal.LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]], True)
+    picture = lfcal.show(replace(camera, lens_types=types), image).astype(int)
+    counts = [(np.abs(picture - colour).max(-1) < 40).sum() for colour in _TYPES[:3]]
+    assert min(counts) > 500
+    assert (np.abs(picture - _TYPES[3]).max(-1) < 40).sum() < 50

@@ -1,0 +1,108 @@
+"""Coarse disparity of single lenses: good enough to sort them by depth, far from good enough to draw a picture.
+
+Adjacent microimages are correlated over a grid of signed patch sizes, the correlations of a few neighbours pooled.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from .lens_sample import LensSample
+
+__all__ = ["coarse_disparity"]
+
+# Signed patch sizes over the pitch that are tried: beyond these neighbours share too little.
+_RATIOS = np.linspace(-0.6, 0.6, 25)
+# Share of the usable radius that is compared, and spacing of its samples over that radius.
+_DISC, _SAMPLES = 0.88, 0.25
+# Correlation a place must reach, and how far it must surpass the next best that is no neighbour on the grid.
+_LEAST, _CLEAR = 0.5, 0.04
+# Variance of a tone that shows nothing.
+_BLANK = 1e-5
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _correlate(picture, centres, steps, ratios, radius, spacing, common, total):
+    height, width = picture.shape
+    reach = int(radius / spacing)
+    for lens in prange(len(centres)):
+        cx, cy = centres[lens]
+        for k in range(len(ratios)):
+            for step in range(len(steps)):
+                ux, uy = ratios[k] * steps[step, 0] / 2, ratios[k] * steps[step, 1] / 2
+                ox, oy = cx + steps[step, 0], cy + steps[step, 1]
+                number = 0
+                sum_a = sum_b = sum_aa = sum_bb = sum_ab = 0.0
+                for row in range(-reach, reach + 1):
+                    y = row * spacing
+                    for column in range(-reach, reach + 1):
+                        x = column * spacing
+                        if max((x - ux) ** 2 + (y - uy) ** 2, (x + ux) ** 2 + (y + uy) ** 2) > radius * radius:
+                            continue
+                        xa, ya = int(np.rint(cx + x - ux)), int(np.rint(cy + y - uy))
+                        xb, yb = int(np.rint(ox + x + ux)), int(np.rint(oy + y + uy))
+                        if min(xa, ya, xb, yb) < 0 or max(xa, xb) >= width or max(ya, yb) >= height:
+                            continue
+                        a, b = picture[ya, xa], picture[yb, xb]
+                        number += 1
+                        sum_a += a
+                        sum_b += b
+                        sum_aa += a * a
+                        sum_bb += b * b
+                        sum_ab += a * b
+                if number > 4:
+                    common[lens, k] += (sum_ab - sum_a * sum_b / number) / number
+                    total[lens, k] += 0.5 * (sum_aa + sum_bb - (sum_a * sum_a + sum_b * sum_b) / number) / number
+
+
+def coarse_disparity(picture: NDArray[np.float32], sample: LensSample) -> NDArray[np.float64]:
+    """Signed patch size over the pitch of the inner lenses of a sample.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+        Square root of the luminance with mean 1 (`features.tone`).
+    sample : LensSample
+
+    Returns
+    -------
+    (n,) float64
+        In the order of `sample.inner`, in steps of 0.05; NaN where the place is not clear.
+    """
+    lattice = sample.lattice
+    radius = _DISC * lattice.radius
+    steps = (lattice.steps @ lattice.basis)[: len(lattice.steps) // 2]
+    # Every other lens is enough, as each takes part in what is pooled around its neighbours.
+    chosen = np.flatnonzero((sample.whole & (sample.index.sum(-1) % 2 == 0)).ravel())
+    sums = np.zeros((2, len(chosen), len(_RATIOS)))
+    centres = sample.centre.reshape(-1, 2)[chosen]
+    _correlate(picture, centres, steps, _RATIOS, radius, max(1.0, _SAMPLES * radius), *sums)
+    full = np.zeros((2, sample.whole.size, len(_RATIOS)))
+    full[:, chosen] = sums
+    common, total = full.reshape(2, *sample.whole.shape, len(_RATIOS))
+    score = _pooled(common) / (_pooled(total) + _BLANK)
+    best = score.argmax(-1)
+    highest = score.max(-1)
+    apart = np.abs(np.arange(len(_RATIOS)) - best[..., None]) > 2
+    rival = np.where(apart, score, -1.0).max(-1)
+    # Where the range of the search ends, the best place may lie beyond it.
+    ends = (best == 0) | (best == len(_RATIOS) - 1)
+    known = (highest > _LEAST) & (highest - rival > _CLEAR) & ~ends
+    return np.where(known, _RATIOS[best], np.nan)[:, 1:-1, 1:-1].ravel()
+
+
+def _pooled(values: NDArray[Any]) -> NDArray[Any]:
+    """Sums over 3 x 3 lenses of (m, a, b, k), what lies beyond a block left out."""
+    for axis in (1, 2):
+        first, last = np.zeros_like(values), np.zeros_like(values)
+        ahead = [slice(None)] * 4
+        behind = [slice(None)] * 4
+        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+        first[tuple(behind)] = values[tuple(ahead)]
+        last[tuple(ahead)] = values[tuple(behind)]
+        values = values + first + last
+    return values
