@@ -25,6 +25,8 @@ _SCATTERED = 0.1
 _RIM = 0.5
 # What the scene shows limits the fit of a scene capture: more pixels than these change nothing.
 _SCENE_PIXELS = 2.5e6
+# A fit that leaves the first lattice by more than this share of the pitch (RMS) has followed something else.
+_FOLLOWED = 0.2
 # Below this confidence a person should look.
 _SURE = 0.7
 # Scatter inside the microimages of a white image, as a share of the depth of the gaps.
@@ -156,6 +158,11 @@ def _refined(picture: NDArray[np.float32], start: FirstLattice, white: bool) -> 
         from .disc_fit import fit_discs
 
         discs = fit_discs(picture, found)
+        index = found.indices()
+        straight = replace(discs.lattice, distortion=None)
+        apart = straight.points(np.rint(straight.to_index(found.points(index)))) - found.points(index)
+        if not np.sqrt((apart**2).sum(1).mean()) < _FOLLOWED * found.pitch:
+            return found, discs.residual_rms, discs.lenses_used, start.halves_differ
         return discs.lattice, discs.residual_rms, discs.lenses_used, discs.halves_differ
     fit = fit_lattice(level_locally(breaks(picture), _RIM * found.pitch), found, pixels=_SCENE_PIXELS)
     if not fit.halves_differ < start.halves_differ:

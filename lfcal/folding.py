@@ -5,7 +5,7 @@ What the lattice carries adds up, what the scene shows averages out (the average
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,14 +38,8 @@ def _fold(picture, inverse, side, columns, bins, tiles, total, count):
                 count[place, b, a] += 1
                 u += inverse[0, 0]
                 v += inverse[0, 1]
-                if u >= 1:
-                    u -= 1
-                elif u < 0:
-                    u += 1
-                if v >= 1:
-                    v -= 1
-                elif v < 0:
-                    v += 1
+                u -= np.floor(u)
+                v -= np.floor(v)
 
 
 @dataclass(frozen=True)
@@ -63,6 +57,8 @@ class TileFolds:
         Lattice the tiles were folded on.
     grid : (int, int)
         Rows and columns of tiles.
+    side : int [px]
+        Of the square tiles; those at the right and lower edge may be smaller.
     """
 
     total: NDArray[np.float32]
@@ -70,17 +66,41 @@ class TileFolds:
     centre: NDArray[np.float64]
     basis: NDArray[np.float64]
     grid: tuple[int, int]
+    side: int
 
     @property
     def bins(self) -> int:
         """Bins along each lattice vector."""
         return self.total.shape[1]
 
+    def only(self, chosen: NDArray[np.bool_]) -> TileFolds:
+        """The same tiles, those not `chosen` (t,) emptied."""
+        share = chosen[:, None, None].astype(np.float32)
+        return replace(self, total=self.total * share, count=self.count * share)
+
+    def strength(self) -> NDArray[np.float32]:
+        """(t,) squared amplitude of the strongest low harmonic of each tile."""
+        bins = self.bins
+        power = np.abs(self.harmonics()) ** 2
+        power[:, 0, 0] = 0
+        near = np.arange(-2, 3) % bins
+        area = np.maximum(self.count.sum((1, 2)), 1)
+        strongest: NDArray[np.float32] = power[:, near[:, None], near].max((1, 2)) / area**2
+        return strongest
+
     def harmonics(self) -> NDArray[np.complex64]:
         """(t, bins, bins) Fourier coefficients of each tile, index `[t, k, h]` for harmonic `h*b1 + k*b2`."""
         level = self.total.sum((1, 2), keepdims=True) / np.maximum(self.count.sum((1, 2), keepdims=True), 1)
         # Summed deviations, not means: bins no pixel fell into must not count as dark.
         return np.fft.fft2(self.total - level * self.count).astype(np.complex64)
+
+    def halves(self) -> list[NDArray[np.float64]]:
+        """Average cells (bins, bins) of two halves of the tiles, which lie like the colours of a checkerboard."""
+        place = np.rint((self.centre - self.centre[0]) / self.side).astype(int)
+        colour = place.sum(1) % 2
+        if not 0 < colour.sum() < len(colour):
+            return [self.mean()] * 2
+        return [self.mean(colour == side) for side in (0, 1)]
 
     def mean(self, chosen: Any = slice(None)) -> NDArray[np.float64]:
         """(bins, bins) average cell over the `chosen` tiles, at the resolution of the pixels."""
@@ -127,4 +147,4 @@ def fold_tiles(
     y, x = np.divmod(tiles, columns)
     right, low = np.minimum((x + 1) * side, width), np.minimum((y + 1) * side, height)
     centre = np.column_stack([(x * side + right - 1) / 2, (y * side + low - 1) / 2])
-    return TileFolds(total, count, centre, np.array(basis, dtype=np.float64), (rows, columns))
+    return TileFolds(total, count, centre, np.array(basis, dtype=np.float64), (rows, columns), side)

@@ -67,7 +67,8 @@ def _coefficients(
         value /= np.maximum(fold.count.sum((1, 2)), 1)[:, None]
         # One contrasty tile must not outvote all others.
         size = np.abs(value)
-        parts.append(value / (size + np.median(size, axis=0) + 1e-12))
+        filled = fold.count.sum((1, 2)) > 0
+        parts.append(value / (size + np.median(size[filled], axis=0) + 1e-12))
     return np.concatenate(parts, axis=1).astype(np.complex128), np.concatenate([index] * len(folds))
 
 

@@ -18,8 +18,11 @@ __all__ = [
     "true_cell",
 ]
 
-# Shifted onto itself by a true sub-period the average cell correlates above this; a disc with gaps never does.
-_SAME_CELL = 0.7
+# Lens types of one outline put up to a fifth of the energy beside the harmonics of the single lens; lenses and gaps
+# in turn, or lenses of different outline, put half of it there and more.
+_OTHER_CELL = 0.3
+# Less than this share of all energy is nothing to find a period in.
+_NOTHING = 1e-3
 # Shifted by half a cell, a board is its own negative to this correlation, and its edges are the same to this one.
 _NEGATIVE, _SAME_EDGES = 0.9, 0.8
 _RINGS = 24
@@ -46,7 +49,9 @@ class CentreGuess:
     roundness: float
 
 
-def true_cell(cells: list[NDArray[np.float64]], basis: NDArray[np.float64]) -> NDArray[np.float64]:
+def true_cell(
+    cells: list[NDArray[np.float64]], basis: NDArray[np.float64], again: list[NDArray[np.float64]] | None = None
+) -> NDArray[np.float64]:
     """Smallest lattice on which the average cells already repeat, `basis` itself or a finer one.
 
     Arrays with several lens types repeat exactly only with a cell two, three or four times as large, and their
@@ -57,16 +62,32 @@ def true_cell(cells: list[NDArray[np.float64]], basis: NDArray[np.float64]) -> N
     cells : list of (bins, bins) float64
         Average cell of each feature; `bins` a multiple of 6.
     basis : (2, 2) float64 [px]
+    again : list of (bins, bins) float64 or None
+        The same from another part of the flat, to tell what repeats from noise.
     """
-    bins = cells[0].shape[0]
+    power = np.zeros(cells[0].shape)
+    for cell, other in zip(cells, cells if again is None else again, strict=True):
+        energy = (np.fft.fft2(cell - cell.mean()) * np.conj(np.fft.fft2(other - other.mean()))).real
+        power += energy / max(float(energy.sum()), 1e-30)
     # Everything in sixths of a cell, the common measure of halves and thirds.
     generators = [(6, 0), (0, 6)]
     for index, shifts in ((2, [(1, 0), (0, 1), (1, 1)]), (3, [(1, 0), (0, 1), (1, 1), (1, 2)])):
         for shift in shifts:
-            step = np.array(shift) * bins // index
-            if np.mean([_repeats(cell, step) for cell in cells]) > _SAME_CELL:
+            if _against(power, shift, index) < _OTHER_CELL:
                 generators.append((shift[0] * 6 // index, shift[1] * 6 // index))
     return reduce_basis(_span(generators) / 6 @ basis) if len(generators) > 2 else basis
+
+
+def _against(power: NDArray[np.float64], shift: tuple[int, int], index: int) -> float:
+    """Share of what changes along `shift` that is not the same again after one `index`-th of it, 0..1.
+
+    What does not change along the shift at all says nothing about a period in this direction: where rows are told
+    apart far better than the lenses in a row, anything repeats along the rows.
+    """
+    order = np.rint(np.fft.fftfreq(len(power)) * len(power)).astype(int)
+    phase = order[None, :] * shift[0] + order[:, None] * shift[1]
+    changing = float(power[phase != 0].sum())
+    return float(power[phase % index != 0].sum()) / changing if changing > _NOTHING else 1.0
 
 
 def is_board(brightness: NDArray[np.float64], edges: NDArray[np.float64]) -> bool:

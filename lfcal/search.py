@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .cell_shape import check_cell
 from .coherence import refine_basis
 from .errors import CalibrationError
 from .features import breaks, level_locally
@@ -38,6 +40,13 @@ _TILES = 5
 _LEAST_TILE = 2.5
 # So many tiles are enough to see what an average cell looks like.
 _FEW_TILES = 60
+# Share of the harmonics' energy that all tiles have in common: an eighth where compression and flattening left little.
+_COHERENT = 0.05
+# Tiles with less than these shares of the tone and of the lattice amplitude squared of good ones lie beside the array:
+# stray light there is a sixth of the light in the array at most.
+_DARK, _IDLE = 0.4, 0.1
+# Where one feature is alike in two halves to this correlation, the other may be too faint to be.
+_CERTAIN = 0.97
 # Features are levelled in windows of so many pitches, anew where that was wrong by the other factor.
 _LEVEL = 2.0
 _LEVEL_AGAIN = 2.0
@@ -62,7 +71,8 @@ class FirstLattice:
     support : float
         Share of the tiles that agree with the lattice, 0..1.
     repeatability : float
-        Correlation of the average microimages of two independent halves of the tiles, the weaker feature of both.
+        Correlation of the average microimages of two independent halves of the tiles, the weaker feature, or the mean
+        of both where the better one leaves no doubt.
     """
 
     lattice: Lattice
@@ -119,28 +129,33 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
             window = _LEVEL * pitch
             levelled = [level_locally(feature, window) for feature in (picture, edges)]
         side = int(max(_LEAST_TILE * pitch, min(_TILE * pitch, min(height, width) / _TILES)))
-        refined, coherence = refine_basis([fold_tiles(feature, basis, side, _BINS) for feature in levelled])
+        refined, coherence = refine_basis(_lit_folds(picture, levelled, basis, side))
         basis = _kept(refined, basis)
         basis, changed = _right_cell(levelled, basis, side)
         if not changed:
             break
-    folds = [fold_tiles(feature, basis, side, _BINS) for feature in levelled]
+    if 2 * _inradius(basis) < _LEAST_PITCH:
+        raise CalibrationError(
+            f"the image repeats every {2 * _inradius(basis):.1f} px; microimages must be at least 6 px apart, "
+            "give the flat at the full resolution of the sensor"
+        )
+    folds = _lit_folds(picture, levelled, basis, side)
     cells = [fold.mean() for fold in folds]
-    light = fold_tiles(picture, basis, side, _BINS, _FEW_TILES).mean() ** 2
+    if coherence < _COHERENT:
+        raise CalibrationError(NO_MICROIMAGES)
+    tone = fold_tiles(picture, basis, side, 4 * _BINS, _FEW_TILES)
     if is_board(*cells):
         raise CalibrationError("a checkerboard repeats on the image, not microimages; give a raw flat from the sensor")
+    light = tone.mean().reshape(_BINS, 4, _BINS, 4).mean((1, 3)) ** 2
     centre = lens_centre(round_centres(cells, [1.0, 1.0], basis), light, basis)
+    repeatability = _repeatability(folds)
+    check_cell(cells, light, tone, centre.position, repeatability)
     middle = (np.array([width, height]) - 1) / 2
     origin = _nearest_to(middle, centre.position @ basis, basis)
     fit = fit_harmonics(folds[1:], origin)
     _kept(fit.basis, basis)
     origin, basis = _nearest_to(middle, fit.origin, fit.basis), reduce_basis(fit.basis)
     lattice = Lattice(origin, basis, (width, height), _inradius(basis))
-    if 2 * lattice.radius < _LEAST_PITCH:
-        raise CalibrationError(
-            f"the image repeats every {2 * lattice.radius:.1f} px; microimages must be at least 6 px apart, "
-            "give the flat at the full resolution of the sensor"
-        )
     return FirstLattice(
         lattice,
         levelled[0],
@@ -150,7 +165,7 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
         fit.halves_differ,
         fit.tile_rms,
         fit.support,
-        min(_repeatability(fold) for fold in folds),
+        repeatability,
     )
 
 
@@ -171,22 +186,36 @@ def _right_cell(
     """
     for multiple in (1, 2, 3):
         wide = basis * multiple
-        cells = [fold_tiles(feature, wide, side, _BINS, _FEW_TILES).mean() for feature in levelled]
-        found = true_cell(cells, wide)
+        first, second = zip(*(fold_tiles(f, wide, side, _BINS, _FEW_TILES).halves() for f in levelled), strict=True)
+        found = true_cell(list(first), wide, list(second))
         if abs(abs(np.linalg.det(found) / np.linalg.det(basis)) - 1) > 0.1:
             return found, True
     return basis, False
 
 
-def _repeatability(fold: TileFolds) -> float:
-    """Correlation of the average cells of the two colours of a checkerboard of tiles."""
-    rows, columns = np.divmod(np.arange(len(fold.centre)), fold.grid[1])
-    colour = (rows + columns) % 2
-    if not 0 < colour.sum() < len(colour):
-        return 0.0
-    a, b = (fold.mean(colour == side).ravel() for side in (0, 1))
-    spread = a.std() * b.std()
-    return float(np.mean((a - a.mean()) * (b - b.mean())) / spread) if spread > 0 else 0.0
+def _lit_folds(
+    picture: NDArray[np.float32], levelled: list[NDArray[np.float32]], basis: NDArray[np.float64], side: int
+) -> list[TileFolds]:
+    """Folds of the features, without the tiles beside the array: dark ones in which next to nothing repeats."""
+    import cv2
+
+    folds = [fold_tiles(feature, basis, side, _BINS) for feature in levelled]
+    rows, columns = folds[0].grid
+    tone: Any = cv2.resize(picture, (columns, rows), interpolation=cv2.INTER_AREA).ravel()
+    strength = sum(fold.strength() for fold in folds)
+    beside = (tone < _DARK * np.quantile(tone, 0.9)) & (strength < _IDLE * np.quantile(strength, 0.9))
+    return [fold.only(~beside) for fold in folds] if beside.any() else folds
+
+
+def _repeatability(folds: list[TileFolds]) -> float:
+    """Correlation of the average cells of two halves of the tiles: the weaker feature unless the other is certain."""
+    found = []
+    for fold in folds:
+        if len(fold.centre) < 2:
+            return 0.0
+        a, b = (half.ravel() - half.mean() for half in fold.halves())
+        found.append(float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-30))
+    return float(np.mean(found)) if max(found) > _CERTAIN else min(found)
 
 
 def _nearest_to(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,6 +73,21 @@ def test_three_lens_types_of_different_brightness_are_one_lattice(whites):
     gain = np.array([1.0, 0.9, 0.8])[((index[..., 0] - index[..., 1]) % 3).astype(int)]
     camera = lfcal.calibrate((image * gain).astype(np.uint16))
     assert whites.rms(whites.centre_errors(camera.lattice, origin, basis)) < 0.1
+
+
+def test_fit_that_leaves_the_first_lattice_is_not_followed(whites, monkeypatch):
+    from lfcal import disc_fit
+
+    true_fit = disc_fit.fit_discs
+
+    def astray(light, lattice):
+        found = true_fit(light, lattice)
+        return replace(found, lattice=replace(found.lattice, basis=found.lattice.basis * 1.03))
+
+    monkeypatch.setattr(disc_fit, "fit_discs", astray)
+    basis = whites.turned(whites.HEXAGON, 20.3, 3)
+    image, origin = whites.white_image(basis, (500, 400))
+    assert whites.rms(whites.centre_errors(lfcal.calibrate(image).lattice, origin, basis)) < 0.1
 
 
 def test_usable_radius_is_where_light_falls_to_half(whites):

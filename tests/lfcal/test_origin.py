@@ -46,3 +46,16 @@ def test_dark_gap_as_round_as_a_lens_is_no_lens():
     guesses = round_centres([light], [1.0], _SQUARE)
     best = lens_centre(guesses, light, _SQUARE)
     assert np.abs((best.position - 0.5 / 36 + 0.5) % 1 - 0.5).max() < 0.05
+
+
+def test_rows_far_stronger_than_lenses_in_a_row_do_not_hide_their_period():
+    # Rows differ ten times as much as the lenses in a row: shifted along the row the cell is almost the same.
+    y, x = np.mgrid[:36, :36] * 2 * np.pi / 36
+    np.testing.assert_array_equal(true_cell([10 * np.cos(y) + np.cos(x)], _SQUARE), _SQUARE)
+
+
+def test_noise_along_a_row_is_no_longer_period():
+    rng = np.random.default_rng(0)
+    one = np.tile(_disc(_SQUARE, 6, 12), (3, 3))
+    first, second = (one + rng.standard_normal(one.shape) for _ in range(2))
+    assert abs(np.linalg.det(true_cell([first], _SQUARE * 3, [second]))) == pytest.approx(900)
