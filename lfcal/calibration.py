@@ -42,6 +42,9 @@ class Calibration:
         0..1, how sure the lattice is the right one.
     warnings : tuple of str
         What a user should know before trusting it.
+    mosaic : str or None
+        Colour filters of the top left 2 x 2 pixels of its flats, row by row: `"RGGB"`, `"BGGR"`, `"GRBG"` or
+        `"GBRG"`; None where flats have no colour mosaic or its colours are not known.
     """
 
     lattice: Lattice
@@ -51,6 +54,11 @@ class Calibration:
     lenses_used: int = 0
     confidence: float = 1.0
     warnings: tuple[str, ...] = field(default=())
+    mosaic: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.mosaic not in (None, "RGGB", "BGGR", "GRBG", "GBRG"):
+            raise ValueError(f"mosaic must be RGGB, BGGR, GRBG, GBRG or None, got {self.mosaic!r}")
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -79,7 +87,7 @@ class Calibration:
                 "confidence": self.confidence,
             },
             "warnings": list(self.warnings),
-        }
+        } | ({} if self.mosaic is None else {"mosaic": self.mosaic})
 
     @classmethod
     def from_dict(cls, data: Any, where: str = "camera file") -> Calibration:
@@ -108,6 +116,7 @@ class Calibration:
                 lenses_used=int(fit["lenses_used"]),
                 confidence=float(fit["confidence"]),
                 warnings=tuple(str(w) for w in data["warnings"]),
+                mosaic=data.get("mosaic"),
             )
         except KeyError as error:
             raise CameraFileError(f"{where}: field {error} is missing; calibrate again") from error
