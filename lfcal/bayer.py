@@ -19,8 +19,10 @@ __all__ = ["Mosaic", "check_mosaic", "equalise", "has_mosaic", "without_mosaic"]
 #: Colour filters of the top left 2 x 2 pixels, row by row.
 Mosaic = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
 
-# Phases whose means differ by less than this share of the light are no matter; lattices of whole pixels make as much.
-_VISIBLE = 0.02
+# Green pixels stand on one diagonal and differ from the others by more than this share of the light; lattices of
+# whole pixels make less there, and in rows and columns less than the second share.
+_VISIBLE = 0.03
+_STRONG = 0.1
 # Differences are real where they are so many standard errors of the scatter over the flat.
 _SURE = 6.0
 _BLOCK, _BLOCKS = 64, 16
@@ -62,7 +64,7 @@ def has_mosaic(flat: NDArray[Any]) -> bool:
     parts = means @ signs.T / level
     error = parts.std(0, ddof=1) / np.sqrt(len(parts))
     found = np.abs(parts.mean(0))
-    return bool(((found > _VISIBLE) & (found > _SURE * error)).any())
+    return bool(((found > [_STRONG, _STRONG, _VISIBLE]) & (found > _SURE * error)).any())
 
 
 def equalise(flat: NDArray[Any]) -> NDArray[np.float32]:

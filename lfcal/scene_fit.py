@@ -27,13 +27,15 @@ _FINE_PITCH = 24.0
 # The first steps need only so many lenses.
 _SKETCH_LENSES = 700
 _SKETCH_PASSES = 4
-_PASSES = 6
+_PASSES = 10
 # Steps below this share of the standard error change nothing.
 _SETTLED = 0.2
 _RUNAWAY = 0.05
 # Lenses of a region, and regions needed before they may have so many.
 _LENSES_PER_REGION = 16
 _FEWEST_REGIONS = 36
+# Lenses that say less than this share of what good ones say about their place have no say.
+_SAYS = 0.02
 # A region's own scatter counts like that of all lenses together until it has so many lenses.
 _PRIOR_LENSES = 6
 _OUTLIER = 4.685
@@ -148,20 +150,26 @@ def _regions(
     stride: int,
 ) -> tuple[_Regions, NDArray[np.float64], float]:
     """Robust mean step of the lenses of each region; weights (n,) of the lenses, and the scatter of their steps."""
-    count = len(indices)
     faces, reach = cell_faces(lattice)
     found = lens_steps(picture, lattice, centres, (faces, inner_radius(faces), reach), stride)
+    # Dark and blank lenses agree with whatever they are asked.
+    said = np.trace(found.normal, axis1=1, axis2=2)
+    says = said > _SAYS * np.quantile(said, 0.9)
+    normals, rights, indices, centres = found.normal[says], found.right[says], indices[says], centres[says]
+    count = len(indices)
+    if count < _FEWEST_LENSES:
+        raise CalibrationError("the microimages show too little; give a brighter flat or a white image")
     label, colour = _labels(centres)
     number = int(label.max()) + 1
-    ridge = 1e-6 * np.trace(found.normal.sum(0)) / count * np.eye(2)
-    normal = found.normal + ridge
-    steps = np.linalg.solve(normal, found.right[..., None])[..., 0]
+    ridge = 1e-6 * np.trace(normals.sum(0)) / count * np.eye(2)
+    normal = normals + ridge
+    steps = np.linalg.solve(normal, rights[..., None])[..., 0]
     own, prior = np.bincount(label, minlength=number), _PRIOR_LENSES
     weight = np.ones(count)
     for _ in range(5):
         matter, force = np.zeros((number, 2, 2)), np.zeros((number, 2))
         np.add.at(matter, label, weight[:, None, None] * normal)
-        np.add.at(force, label, weight[:, None] * found.right)
+        np.add.at(force, label, weight[:, None] * rights)
         mean = np.linalg.solve(matter + ridge, force[..., None])[..., 0]
         miss: NDArray[Any] = steps - mean[label]
         far = np.einsum("na,nab,nb->n", miss, normal, miss)
