@@ -35,7 +35,7 @@ _RUNAWAY = 0.05
 _LENSES_PER_REGION = 16
 _FEWEST_REGIONS = 36
 # Lenses that say less than this share of what good ones say about their place have no say.
-_SAYS = 0.02
+_SAYS = 0.001
 # A region's own scatter counts like that of all lenses together until it has so many lenses.
 _PRIOR_LENSES = 6
 _OUTLIER = 4.685
