@@ -45,6 +45,9 @@ class Calibration:
         What a user should know before trusting it.
     lens_types : LensTypes or None
         Types of microlenses of a multi-focus array; None where there is one type, or more were not seen.
+    mosaic : str or None
+        Colour filters of the top left 2 x 2 pixels of its flats, row by row: `"RGGB"`, `"BGGR"`, `"GRBG"` or
+        `"GBRG"`; None where flats have no colour mosaic or its colours are not known.
     """
 
     lattice: Lattice
@@ -55,6 +58,11 @@ class Calibration:
     confidence: float = 1.0
     warnings: tuple[str, ...] = field(default=())
     lens_types: LensTypes | None = None
+    mosaic: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.mosaic not in (None, "RGGB", "BGGR", "GRBG", "GBRG"):
+            raise ValueError(f"mosaic must be RGGB, BGGR, GRBG, GBRG or None, got {self.mosaic!r}")
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -83,7 +91,11 @@ class Calibration:
                 "confidence": self.confidence,
             },
             "warnings": list(self.warnings),
-        } | ({} if self.lens_types is None else {"lens_types": self.lens_types.to_dict()})
+        } | {
+            key: value
+            for key, value in (("lens_types", self.lens_types and self.lens_types.to_dict()), ("mosaic", self.mosaic))
+            if value is not None
+        }
 
     @classmethod
     def from_dict(cls, data: Any, where: str = "camera file") -> Calibration:
@@ -113,6 +125,7 @@ class Calibration:
                 confidence=float(fit["confidence"]),
                 warnings=tuple(str(w) for w in data["warnings"]),
                 lens_types=None if data.get("lens_types") is None else LensTypes.from_dict(data["lens_types"]),
+                mosaic=data.get("mosaic"),
             )
         except KeyError as error:
             raise CameraFileError(f"{where}: field {error} is missing; calibrate again") from error

@@ -26,28 +26,49 @@ def main() -> None:
 
 
 @main.command()
-@click.argument("image", type=_PATH)
+@click.argument("images", metavar="IMAGE...", type=_PATH, nargs=-1, required=True)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="CAMERA.json", help="Camera file to write.")
 @click.option(
     "--kind",
     type=click.Choice(["auto", "white", "scene"]),
     default="auto",
     show_default=True,
-    help="What IMAGE shows: an evenly lit white surface, or any scene.",
+    help="What the images show: an evenly lit white surface, or any scene.",
+)
+@click.option(
+    "--mosaic",
+    type=click.Choice(["RGGB", "BGGR", "GRBG", "GBRG"], case_sensitive=False),
+    help="Colour filters of the top left 2 x 2 pixels, row by row, of a raw mosaic. Without it a mosaic is detected.",
 )
 @report_options
-def calibrate(image: Path, output: Path, kind: Literal["auto", "white", "scene"], as_json: bool, quiet: bool) -> None:
-    """Find the microlens lattice on IMAGE, a white image or any scene capture, and write it as a camera file."""
-    report = Report(as_json, quiet)
-    check_output(output, {".json"}, [image])
-    with report.stage("read"):
-        from . import calibrate as run
-        from . import read_flat
+def calibrate(
+    images: tuple[Path, ...],
+    output: Path,
+    kind: Literal["auto", "white", "scene"],
+    mosaic: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Find the microlens lattice on IMAGE, a white image or any scene capture, and write it as a camera file.
 
-        flat = read_flat(image)
+    Several white images, or several captures of one camera, are combined.
+    """
+    report = Report(as_json, quiet)
+    check_output(output, {".json"}, images)
+    with report.stage("read"):
+        from . import FlatError, read_flat
+        from . import calibrate as run
+
+        flats = [read_flat(image) for image in images]
+        for image, flat in zip(images, flats, strict=True):
+            if flat.shape[:2] != flats[0].shape[:2]:
+                raise FlatError(
+                    f"{image}: is {flat.shape[1]} x {flat.shape[0]} px, {images[0]} is {flats[0].shape[1]} x "
+                    f"{flats[0].shape[0]} px; give flats of one camera"
+                )
     report.announce_compilation("lfcal")
-    with report.stage("calibrate"), about(image):
-        camera = run(flat, kind=kind)
+    with report.stage("calibrate"), about(images[0] if len(images) == 1 else f"{images[0]} ..."):
+        camera = run(flats if len(flats) > 1 else flats[0], kind=kind, mosaic=mosaic)
     camera.save(output)
     report.finish({"camera": str(output), **describe(camera)})
 
@@ -209,6 +230,7 @@ def describe(camera: Calibration) -> dict[str, Any]:
         "lenses_used": camera.lenses_used,
         "residual_rms": camera.residual_rms,
         "confidence": camera.confidence,
+        "mosaic": camera.mosaic or "none",
         "warnings": list(camera.warnings),
     }
 

@@ -12,12 +12,28 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["breaks", "level_locally", "tone"]
+__all__ = ["breaks", "level_locally", "luminance", "tone"]
 
 # Contrast below this share of the mean tone is taken for noise and not blown up.
 _NOISE_FLOOR = 0.02
 # Pixels further than this from their surroundings, in local standard deviations, tell no more than "far".
 _CLIP = 3.0
+
+
+def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
+    """(h, w) float32 luminance of raw values (h, w) or (h, w, 3); negative ones (dark noise) count as 0."""
+    import cv2
+
+    grey: Any
+    if image.ndim == 3:
+        if image.dtype == np.uint8:
+            grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY).astype(np.float32)
+        else:
+            grey = cv2.transform(np.asarray(image, dtype=np.float32), np.array([[0.299, 0.587, 0.114]], np.float32))
+    else:
+        grey = np.array(image, dtype=np.float32)
+    np.maximum(grey, 0, out=grey)
+    return grey
 
 
 def tone(image: NDArray[Any]) -> NDArray[np.float32]:
@@ -33,17 +49,7 @@ def tone(image: NDArray[Any]) -> NDArray[np.float32]:
     (h, w) float32
         All zero where the image is all zero.
     """
-    import cv2
-
-    grey: Any
-    if image.ndim == 3:
-        if image.dtype == np.uint8:
-            grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY).astype(np.float32)
-        else:
-            grey = cv2.transform(np.asarray(image, dtype=np.float32), np.array([[0.299, 0.587, 0.114]], np.float32))
-    else:
-        grey = np.array(image, dtype=np.float32)
-    np.maximum(grey, 0, out=grey)
+    grey = luminance(image)
     np.sqrt(grey, out=grey)
     mean = float(grey.mean())
     if mean > 0:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .errors import CalibrationError
 from .lattice import Lattice
 
-__all__ = ["LatticeFit", "RadialProfile", "cell_faces", "fit_lattice", "radial_profile", "whole_lenses"]
+__all__ = ["LatticeFit", "RadialProfile", "cell_faces", "fit_lattice", "inner_radius", "radial_profile", "whole_lenses"]
 
 # Distance between samples of a radial profile [px]: edges of discs are about one pixel wide.
 _STEP = 0.25
@@ -209,7 +209,7 @@ def radial_profile(picture: NDArray[np.float32], lattice: Lattice, lenses: int =
     centres = np.ascontiguousarray(centres[:: max(1, len(centres) // lenses)])
     rings = int(reach / _STEP) + 3
     total, square, count = (np.zeros((_CHUNKS, rings)) for _ in range(3))
-    _accumulate_profile(picture, centres, faces, _inner(faces), reach, _STEP, _CHUNKS, total, square, count)
+    _accumulate_profile(picture, centres, faces, inner_radius(faces), reach, _STEP, _CHUNKS, total, square, count)
     summed, squares, number = total.sum(0), square.sum(0), count.sum(0)
     filled = number > 1e-6
     if filled.sum() < 2:
@@ -306,13 +306,13 @@ def _lens_steps(
     normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
     profile = radial_profile(picture, lattice)
     _accumulate_steps(
-        picture, centres, faces, _inner(faces), profile.first, reach, profile.step, profile.mean, profile.slope,
+        picture, centres, faces, inner_radius(faces), profile.first, reach, profile.step, profile.mean, profile.slope,
         1 / profile.variance, _OUTLIER, normal, right,
     )  # fmt: skip
     return indices, normal, right
 
 
-def _inner(faces: NDArray[np.float64]) -> float:
+def inner_radius(faces: NDArray[np.float64]) -> float:
     """Radius of the circle inside a cell with these faces [px]."""
     return float(0.5 / np.hypot(*faces.T).max())
 

@@ -54,6 +54,21 @@ def test_info_names_the_lens_types_of_a_camera(house, tmp_path):
     assert "count 2, by focus True" in run("info", tmp_path / "camera.json").stdout
 
 
+def test_several_images_make_one_camera_and_the_mosaic_is_kept(house, house_files, tmp_path):
+    white = house_files / "white.png"
+    result = run("calibrate", white, white, "--mosaic", "rggb", "-o", tmp_path / "camera.json", "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["mosaic"] == "RGGB"
+    assert lfcal.load(tmp_path / "camera.json").mosaic == "RGGB"
+
+
+def test_images_of_different_sizes_are_refused_by_name(house_files, tmp_path):
+    cv2.imwrite(str(tmp_path / "other.png"), np.zeros((300, 310), np.uint8))
+    result = run("calibrate", house_files / "white.png", tmp_path / "other.png", "-o", tmp_path / "camera.json")
+    assert_refused(result, "other.png", "310 x 300 px", "520 x 400 px")
+    assert not (tmp_path / "camera.json").exists()
+
+
 def test_info_says_what_calibrate_said(house_files):
     result = run("info", house_files / "camera.json", "--json")
     assert result.exit_code == 0

@@ -1,0 +1,63 @@
+"""The lattice of scenes: right where a part of the flat misleads, is black, or where the array is not regular."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lfcal
+from lfcal.features import breaks, level_locally, tone
+from lfcal.lattice import Lattice
+from lfcal.scene_fit import fit_scene
+
+
+def _fit(image, basis, origin, off=0.4):
+    """Fit to the breaks of an image, started `off` px beside the truth."""
+    start = Lattice(origin + off, basis, (image.shape[1], image.shape[0]), 5.0)
+    return fit_scene(level_locally(breaks(tone(image)), 0.5 * start.pitch), start)
+
+
+def _rms(fit, basis, origin, size):
+    truth = Lattice(origin, basis, size, 5.0)
+    miss = fit.origin + truth.indices() @ fit.basis - truth.centres()
+    return float(np.sqrt((miss**2).sum(1).mean()))
+
+
+def test_centres_of_a_simulated_scene_are_within_a_fiftieth_pixel(house):
+    truth = house.truth.calibration.lattice
+    camera = lfcal.calibrate(house.flat)
+    centres = camera.lattice.centres()
+    miss = centres - truth.points(np.rint(truth.to_index(centres)))
+    assert camera.source == "scene"
+    assert np.sqrt((miss**2).sum(1).mean()) < 0.02
+
+
+def test_a_dragged_part_of_the_flat_has_no_say(whites):
+    basis = whites.turned(whites.HEXAGON, 14.3, 3)
+    image, origin = whites.white_image(basis, (600, 500), noise=0.05)
+    image[300:] = np.roll(image[300:], 1, axis=1)
+    # Least squares through all of it would be off by half a pixel and more.
+    assert _rms(_fit(image, basis, origin), basis, origin, (600, 500)) < 0.05
+
+
+def test_a_black_part_of_the_flat_does_not_hold_the_lattice_where_it_starts(whites):
+    basis = whites.turned(whites.HEXAGON, 14.3, 3)
+    image, origin = whites.white_image(basis, (600, 500), noise=0.02)
+    image[:, 420:] = 0
+    assert _rms(_fit(image, basis, origin), basis, origin, (600, 500)) < 0.05
+
+
+@pytest.mark.parametrize("stretch", [1.0, 1.002])
+def test_an_array_is_taken_as_regular_only_where_it_is(whites, stretch):
+    basis = whites.turned(whites.HEXAGON, 14.3, 3) * [1.0, stretch]
+    image, origin = whites.white_image(basis, (600, 500))
+    fit = _fit(image, basis, origin)
+    a1, a2 = fit.basis @ [1, 1j]
+    assert (abs(a2 / a1 - np.exp(1j * np.pi / 3)) < 1e-9) == (stretch == 1.0)
+    assert _rms(fit, basis, origin, (600, 500)) < 0.01
+
+
+def test_square_lattice_of_70_px_is_fitted_on_every_third_pixel(whites):
+    basis = whites.turned(whites.SQUARE, 70.0, 1)
+    image, origin = whites.white_image(basis, (1000, 800))
+    assert _rms(_fit(image, basis, origin, 0.5), basis, origin, (1000, 800)) < 0.03
