@@ -13,6 +13,7 @@ from .errors import CalibrationError, FlatError
 from .lattice import Lattice
 
 if TYPE_CHECKING:
+    from .disc_model import CatEye
     from .search import FirstLattice
 
 __all__ = ["calibrate"]
@@ -79,8 +80,8 @@ def calibrate(image: ArrayLike, kind: Literal["auto", "white", "scene"] = "auto"
     flat = _checked(image)
     # Compiled code is loaded only when a flat is there to be calibrated.
     from .features import tone
+    from .illumination import measure_illumination
     from .search import first_lattice
-    from .vignetting import measure_vignetting
 
     picture = tone(flat)
     if float(picture.max()) == 0 or float(picture.std()) < _EVEN * float(picture.mean()):
@@ -88,28 +89,30 @@ def calibrate(image: ArrayLike, kind: Literal["auto", "white", "scene"] = "auto"
     start = first_lattice(picture)
     _trust(start.repeatability)
     white = kind == "white" or (kind == "auto" and _evenly_lit(start))
-    lattice, residual, lenses, differ = _refined(picture, start, white)
+    lattice, residual, lenses, differ, cat_eye = _refined(picture, start, white)
     if not differ < _SCATTERED * lattice.pitch:
         raise CalibrationError(
             f"two halves of the microimages of {lattice.pitch:.1f} px pitch disagree about the lattice; "
             "give a sharper flat or a white image"
         )
-    vignetting, radius = measure_vignetting(picture, lattice)
+    seen = measure_illumination(picture, lattice, white, cat_eye)
     confidence = float(np.clip(min(start.repeatability, 1 - differ / (_SCATTERED * lattice.pitch)), 0, 1))
-    warnings = []
+    warnings = list(seen.warnings)
     if confidence < _SURE:
         warnings.append(
             f"the lattice is uncertain (confidence {confidence:.2f}, halves of the flat differ by {differ:.2f} px); "
             "check the circles on the flat or calibrate on a white image"
         )
     return Calibration(
-        replace(lattice, radius=radius),
-        vignetting,
+        replace(lattice, radius=seen.radius),
+        seen.vignetting,
         "white" if white else "scene",
         residual,
         lenses,
         confidence,
         tuple(warnings),
+        gain_map=seen.gain_map,
+        defects=seen.defects,
     )
 
 
@@ -133,8 +136,10 @@ def _evenly_lit(start: FirstLattice) -> bool:
     return noise < _EVEN_INSIDE * depth
 
 
-def _refined(picture: NDArray[np.float32], start: FirstLattice, white: bool) -> tuple[Lattice, float, int, float]:
-    """Final lattice, residual of single lenses [px], lenses used, and disagreement of halves [px].
+def _refined(
+    picture: NDArray[np.float32], start: FirstLattice, white: bool
+) -> tuple[Lattice, float, int, float, CatEye | None]:
+    """Final lattice, residual of single lenses [px], lenses used, disagreement of halves [px], cutting disc.
 
     On a white image the brightness of every pixel is what the lattice predicts. On a scene only the breaks at the
     rims are: brightness there also shows where a camera has flattened its pictures with another white image.
@@ -147,10 +152,10 @@ def _refined(picture: NDArray[np.float32], start: FirstLattice, white: bool) -> 
         from .disc_fit import fit_discs
 
         discs = fit_discs(picture * picture, found)
-        return discs.lattice, discs.residual_rms, discs.lenses_used, discs.halves_differ
+        return discs.lattice, discs.residual_rms, discs.lenses_used, discs.halves_differ, discs.cat_eye
     fit = fit_lattice(level_locally(breaks(picture), _RIM * found.pitch), found, pixels=_SCENE_PIXELS)
     if not fit.halves_differ < start.halves_differ:
         # Rims too faint for single lenses: what whole tiles have in common is the better measure.
-        return found, fit.residual_rms, fit.lenses_used, start.halves_differ
+        return found, fit.residual_rms, fit.lenses_used, start.halves_differ, None
     lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius)
-    return lattice, fit.residual_rms, fit.lenses_used, fit.halves_differ
+    return lattice, fit.residual_rms, fit.lenses_used, fit.halves_differ, None
