@@ -14,7 +14,7 @@ from .lattice import Lattice
 
 __all__ = ["find_defects"]
 
-# A pixel is a defect so many standard deviations from what it should be: no Gaussian noise goes there, and few others do.
+# A pixel is a defect so many standard deviations from what it should be: beyond what Gaussian noise ever reaches.
 _SURE = 6.0
 # A dust speck shows in the mean over so many pixels' squares where it is too faint for single pixels.
 _SQUARES = (3, 7)
@@ -72,13 +72,9 @@ def _marked(far: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 def find_defects(
-    picture: NDArray[np.float32],
-    lattice: Lattice,
-    gain: GainMap,
-    brightest: float,
-    fit: GainFit,
+    picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, brightest: float, fit: GainFit,
     dark: NDArray[np.int64],
-) -> tuple[Defects, str]:
+) -> tuple[Defects, str]:  # fmt: skip
     """Defects of a white image.
 
     Parameters
@@ -114,7 +110,7 @@ def find_defects(
         band = far[: stop - start]
         _departures(picture, start, band, fit.spread, fit.windows, _FLOOR, size, *places)
         bad = np.argwhere(_marked(band)[top - start : top - start + _BAND])
-        found.append((bad + (top, 0))[:, ::-1])
+        found.append((bad + np.array([top, 0]))[:, ::-1])
     pixels = np.concatenate(found)
     if len(pixels) > _MOST * width * height:
         share = len(pixels) / (width * height)
@@ -123,4 +119,4 @@ def find_defects(
             "check the white image for structure or saturation"
         )
         pixels = pixels[:0]
-    return Defects(pixels, lattice.indices()[dark]), warning
+    return Defects(pixels.astype(np.int32), lattice.indices()[dark].astype(np.int32)), warning

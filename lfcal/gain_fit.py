@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -34,7 +36,7 @@ _WINDOWS = (8, 6)
 _FEWEST = 6
 _DIRECTIONS = 48
 # Pixels compared in one pass: the shape has a few hundred unknowns.
-_PIXELS = 1.0e6
+_PIXELS = 6e5
 # First passes measure the profile alone, the others also what changes over direction and field.
 _PASSES = (2, 3)
 # Residuals beyond so many standard deviations have no say.
@@ -96,10 +98,10 @@ def _compare(
             describe(cx, cy, field, shade, rim, cut, powers, lens)
             moment[:], force[:] = 0.0, 0.0
             squares, count, clipped = 0.0, 0, 0
-            for y in range(int(math.ceil(cy - core)), int(math.floor(cy + core)) + 1):
+            for y in range(math.ceil(cy - core), math.floor(cy + core) + 1):
                 dy = y - cy
                 half = math.sqrt(max(core * core - dy * dy, 0.0))
-                for x in range(int(math.ceil(cx - half)), int(math.floor(cx + half)) + 1):
+                for x in range(math.ceil(cx - half), math.floor(cx + half) + 1):
                     dx = x - cx
                     s = light(dx, dy, lens, radius, profile, step, cut)[0]
                     if s < 0.5:
@@ -129,10 +131,10 @@ def _compare(
                 # Lenses that show little beside a plane, measured by its light, say what the rim is like.
                 share = _SMOOTH * _SMOOTH / (_SMOOTH * _SMOOTH + left / (gain * gain))
                 gx, gy = gx / (gain * core), gy / (gain * core)
-            for y in range(int(math.ceil(cy - reach)), int(math.floor(cy + reach)) + 1):
+            for y in range(math.ceil(cy - reach), math.floor(cy + reach) + 1):
                 dy = y - cy
                 half = math.sqrt(max(reach * reach - dy * dy, 0.0))
-                for x in range(int(math.ceil(cx - half)), int(math.floor(cx + half)) + 1):
+                for x in range(math.ceil(cx - half), math.floor(cx + half) + 1):
                     dx = x - cx
                     r = math.sqrt(dx * dx + dy * dy)
                     if r > inner:
@@ -149,7 +151,7 @@ def _compare(
                     if sector.shape[0] > 0:
                         # The bin of a direction is centred on it.
                         turn = math.atan2(dy, dx) / (2 * math.pi) * directions + 0.5
-                        d = int(math.floor(turn)) % directions
+                        d = math.floor(turn) % directions
                         sector[window, d, 0] += share * e / plane
                         if r < inner:
                             sector[window, d, 1] += share
@@ -185,7 +187,7 @@ def _compare(
                     if abs(steep) > 0.02:
                         # The bin of a direction is centred on it.
                         turn = math.atan2(dy, dx) / (2 * math.pi) * directions + 0.5
-                        d = int(math.floor(turn)) % directions
+                        d = math.floor(turn) % directions
                         rim_up[window, d] -= share * steep * e
                         rim_down[window, d] += share * steep * steep
                     elif s > 0.7 and through > 0.95 and not scene:
@@ -261,19 +263,18 @@ def fit_gain(picture: NDArray[np.float32], lattice: Lattice, scene: bool, cat_ey
         cut = (*cat_eye.shift, cat_eye.growth, cat_eye.radius, cat_eye.soft)
     gain = GainMap.round(np.ones(rings), _STEP, limit, cut)
     core = (_CORE if scene else 0.5) * limit
-    middle = np.array([centres[a:b].mean(0) if b > a else (0, 0) for a, b in zip(first[:-1], first[1:], strict=True)])
+    middle = np.array([centres[a:b].mean(0) if b > a else (0, 0) for a, b in pairwise(first)])
     spread, windows = np.full(rings, np.inf), np.ones(len(first) - 1)
+    for _ in range(_PASSES[0]):
+        left = _pass(picture, lattice, gain, centres, first, core, scene, spread, windows, sectors=cat_eye is None)
+        gain = _scaled(gain, left)
     if cat_eye is None:
-        for _ in range(2):
-            left = _pass(picture, lattice, gain, centres, first, core, scene, spread, windows, sectors=True)
-            gain = _scaled(gain, left)
         gain = _with_cut(gain, left, middle, lattice)
-    for turn in range(sum(_PASSES)):
+    for _ in range(_PASSES[1]):
         left = _pass(picture, lattice, gain, centres, first, core, scene, spread, windows)
-        if turn >= _PASSES[0]:
-            gain = replace(gain, rim=_rim(left, gain, middle, lattice))
-            if not scene:
-                gain = replace(gain, shade=_shade(left, gain, middle, lattice))
+        gain = replace(gain, rim=_rim(left, gain, middle, lattice))
+        if not scene:
+            gain = replace(gain, shade=_shade(left, gain, middle, lattice))
         gain = _scaled(gain, left)
         spread, windows = _noise(left)
         if len(gain.cut):
@@ -320,9 +321,10 @@ def _pass(
     sector, dark = np.zeros((parts * sectors, _DIRECTIONS, 2)), np.zeros((parts, 2))
     cut_normal, cut_right = np.zeros((parts, 5, 5)), np.zeros((parts, 5))
     limit = (_OUTLIER * spread * windows[:, None]) ** 2
-    # Light that many pixels share at the top has been clipped there.
-    brightest = 0.995 * float(picture.max()) ** 2
-    _compare(
+    # Light of scenes that many pixels share at the top has been clipped there; a white image may well be so even.
+    brightest = 0.995 * float(picture.max()) ** 2 if scene else math.inf
+    kernel: Any = _compare
+    kernel(
         picture, centres, first, faces, inner, reach, core, scene, brightest, limit, *gain.shape(lattice),
         np.gradient(gain.profile, gain.step), up, down, square, count, normal, right, rim_up, rim_down, sector,
         dark, cut_normal, cut_right,
@@ -336,18 +338,9 @@ def _pass(
     behind, pixels_behind = dark.sum(0)
     gap = gain.dark + behind / pixels_behind if pixels_behind > 0 else float(profile.min())
     return _Left(
-        profile,
-        square,
-        count,
-        normal,
-        right,
-        rim_up,
-        rim_down,
-        sector,
-        max(float(gap), 0.0),
-        cut_normal.sum(0),
+        profile, square, count, normal, right, rim_up, rim_down, sector, max(float(gap), 0.0), cut_normal.sum(0),
         cut_right.sum(0),
-    )
+    )  # fmt: skip
 
 
 def _noise(left: _Left) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -400,7 +393,7 @@ def _significant(
             size = math.sqrt(float(weight @ part**2) / float(weight.sum()))
             sure = factors[own] @ np.linalg.pinv(covariance[np.ix_(at, at)]) @ factors[own] / len(own)
             keep[k] = size > matters and sure > _SURE**2
-    return [factors[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    return [factors[a:b] for a, b in pairwise(ends)]
 
 
 def _rim(left: _Left, gain: GainMap, middle: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
@@ -469,7 +462,7 @@ def _shade(left: _Left, gain: GainMap, middle: NDArray[np.float64], lattice: Lat
     round_ = np.array([1.0 * (cell in ((2, 0), (4, 0))) for cell in cells])
     matter = np.einsum("wap,wab,wbq->pq", design, normal, design, optimize=True)
     force = np.einsum("wap,wa->p", design, right)
-    matter += np.outer(round_, round_) * np.trace(matter) + 1e-9 * np.trace(matter) * np.eye(len(cells))
+    matter += np.outer(round_, round_) * np.trace(matter) + (1e-9 * np.trace(matter) + 1e-12) * np.eye(len(cells))
     change = np.linalg.solve(matter, force)
     for value, cell in zip(change, cells, strict=True):
         shade[cell] += value

@@ -27,12 +27,14 @@ _DIRECTIONS = 32
 
 def walk(lattice: Lattice, own: NDArray[np.float32]) -> tuple[Any, ...]:
     """What the kernels need to go from lens to lens along the rows of a flat: lattice, steps, light of each lens."""
-    bend = np.zeros(5)
+    bend = np.zeros(6)
     if lattice.distortion is not None:
         d = lattice.distortion
-        bend[:] = (*d.centre, d.k1, d.k2, d.reach)
+        bend[:5] = (*d.centre, d.k1, d.k2, d.reach)
     steps = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
     vectors = np.array(steps) @ lattice.basis
+    # Pixels this near to their centre, squared, can belong to no other lens.
+    bend[5] = (_NEAR_BORDER * np.hypot(*vectors.T).min()) ** 2
     faces = vectors / (vectors**2).sum(1, keepdims=True)
     starts = np.rint(
         lattice.to_index(np.column_stack([np.zeros(lattice.image_size[1]), np.arange(lattice.image_size[1])]))
@@ -54,20 +56,16 @@ def walk(lattice: Lattice, own: NDArray[np.float32]) -> tuple[Any, ...]:
 
 @njit(cache=True, nogil=True)
 def _monomials(x, y, count, out):
-    done, degree, power = 0, 0, 1.0
+    """1, x, y, x^2, x*y, y^2 ...: each degree is the one before times x, and its last term times y."""
+    out[0] = 1.0
+    before, done, degree = 0, 1, 1
     while done < count:
-        power = 1.0
-        for _ in range(degree):
-            power *= x
-        for b in range(degree + 1):
-            out[done] = power
-            done += 1
-            # X to the one power less, Y to the one power more; a plain product keeps X = 0 exact.
-            power = 1.0
-            for _ in range(degree - b - 1):
-                power *= x
-            for _ in range(b + 1):
-                power *= y
+        start = done
+        for k in range(degree):
+            out[done + k] = out[before + k] * x
+        out[done + degree] = out[start - 1] * y
+        done += degree + 1
+        before = start
         degree += 1
 
 
@@ -95,7 +93,9 @@ def light(dx, dy, lens, radius, profile, step, cut):
     r = math.sqrt(dx * dx + dy * dy)
     stretched = r
     count = len(lens) - _FIXED
-    if r > 0:
+    if count == 1:
+        stretched = r * (1 - lens[_FIXED] / radius)
+    elif r > 0:
         c, s = dx / r, dy / r
         ck, sk = c, s
         change = lens[_FIXED]
@@ -144,6 +144,8 @@ def nearest(x, y, i, j, cx, cy, origin, basis, bend, steps, faces):
     while True:
         dx, dy = x - cx, y - cy
         least = dx * dx + dy * dy
+        if least < bend[5]:
+            return i, j, cx, cy
         found = -1
         bx, by = cx, cy
         for k in range(steps.shape[0]):

@@ -21,7 +21,7 @@ __all__ = ["GainMap", "frame", "pack", "terms", "unpack"]
 
 
 def _readonly(values: Any, kind: type, dimensions: int, name: str) -> NDArray[Any]:
-    array = np.array(values, dtype=kind)
+    array: NDArray[Any] = np.array(values, dtype=kind)
     if array.ndim != dimensions or not np.isfinite(array).all():
         raise ValueError(f"{name} must be a finite array of {dimensions} dimension(s)")
     array.flags.writeable = False
@@ -94,32 +94,39 @@ class GainMap:
 
     def gain(self, lattice: Lattice) -> NDArray[np.float32]:
         """(h, w) relative illumination of every pixel of the flat, NaN where none is known."""
-        from .gain_kernels import fill, walk
+        kernels = _kernels()
 
         width, height = lattice.image_size
         out = np.empty((height, width, 1), np.float32)
-        fill(np.zeros((0, 0, 1), np.float32), out, 0.0, *walk(lattice, self.own), self.level, *self.shape(lattice))
+        kernels.fill(
+            np.zeros((0, 0, 1), np.float32),
+            out,
+            0.0,
+            *kernels.walk(lattice, self.own),
+            self.level,
+            *self.shape(lattice),
+        )
         return out[..., 0]
 
     def flatten(self, flat: NDArray[Any], lattice: Lattice) -> NDArray[Any]:
         """`flat` (h, w) or (h, w, c) divided by the gain; pixels with unknown gain are left as they are."""
-        from .gain_kernels import fill, walk
+        kernels = _kernels()
 
         pixels = flat.reshape(*flat.shape[:2], -1)
         out = np.empty_like(pixels)
         highest = float(np.iinfo(flat.dtype).max) if flat.dtype.kind in "ui" else 0.0
-        fill(pixels, out, highest, *walk(lattice, self.own), self.level, *self.shape(lattice))
+        kernels.fill(pixels, out, highest, *kernels.walk(lattice, self.own), self.level, *self.shape(lattice))
         return out.reshape(flat.shape)
 
     def usable_radius(self, lattice: Lattice) -> NDArray[np.float64]:
         """(n,) largest distance [px] within which a lens has half its light in every direction; 0 without light."""
-        from .gain_kernels import usable
+        kernels = _kernels()
 
         centres = lattice.centres()
         limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
         out = np.zeros(len(centres))
         own = self.own if len(self.own) else np.ones(len(centres), np.float32)
-        usable(centres, own, limit, out, *self.shape(lattice))
+        kernels.usable(centres, own, limit, out, *self.shape(lattice))
         return out
 
     def shape(self, lattice: Lattice) -> tuple[Any, ...]:
@@ -150,6 +157,13 @@ class GainMap:
             unpack(data["profile"], "<f4"), data["step"], data["radius"], data["level"], unpack(data["own"], "<f2"),
             data["shade"], data["rim"], data["cut"], data["dark"],
         )  # fmt: skip
+
+
+def _kernels() -> Any:
+    """The compiled part, loaded only where there is a picture to work on."""
+    from . import gain_kernels
+
+    return gain_kernels
 
 
 def pack(values: NDArray[Any]) -> str:

@@ -70,7 +70,7 @@ def measure_illumination(
         warnings = (warning,) if warning else ()
     else:
         gain = fit.gain
-        defects = Defects(lenses=lattice.indices()[dark_in_scene(picture, lattice, gain)])
+        defects = Defects(lenses=lattice.indices()[dark_in_scene(picture, lattice, gain)].astype(np.int32))
     vignetting, radius = _average(gain, lattice)
     return Illumination(gain, vignetting, radius, defects, warnings)
 

@@ -18,12 +18,12 @@ from .lattice import Lattice
 __all__ = ["LensLights", "dark_in_scene", "lens_lights"]
 
 # Pixels of a lens that are looked at.
-_SAMPLES = 150
+_SAMPLES = 64
 # Degrees of the polynomial tried in turn; each must lower the scatter of the lenses by this share.
 _DEGREES = (0, 2, 4, 6)
 _LOWERS = 0.03
 # The polynomial is fitted to so many lenses at most.
-_LENSES = 20000
+_LENSES = 4000
 _OUTLIER = 4.685
 # A lens differs where it is so many standard errors off, and by so much.
 _SURE, _DIFFERS = 5.0, 0.01
@@ -68,10 +68,10 @@ def _look(picture, centres, faces, reach, stride, out, field, radius, profile, s
         ss = sv = weight = 0.0
         count = 0
         ms = mv = mss = msv = mvv = most = 0.0
-        for y in range(max(0, int(math.ceil(cy - reach))), min(height - 1, int(math.floor(cy + reach))) + 1, stride):
+        for y in range(max(0, math.ceil(cy - reach)), min(height - 1, math.floor(cy + reach)) + 1, stride):
             dy = y - cy
             half = math.sqrt(max(reach * reach - dy * dy, 0.0))
-            for x in range(max(0, int(math.ceil(cx - half))), min(width - 1, int(math.floor(cx + half))) + 1, stride):
+            for x in range(max(0, math.ceil(cx - half)), min(width - 1, math.floor(cx + half)) + 1, stride):
                 dx = x - cx
                 outside = False
                 for k in range(faces.shape[0]):
@@ -168,8 +168,10 @@ def _level(
         table = monomials(centres[rows], lattice, degree)
         weight = np.ones(len(rows))
         for _ in range(5):
-            root = np.sqrt(weight)[:, None]
-            level = np.linalg.lstsq(root * table, root[:, 0] * log[rows], rcond=1e-10)[0]
+            weighted = weight[:, None] * table
+            level = np.linalg.solve(
+                weighted.T @ table + 1e-9 * len(rows) * np.eye(table.shape[1]), weighted.T @ log[rows]
+            )
             miss = np.abs(log[rows] - table @ level)
             spread = 1.4826 * float(np.median(miss)) + 1e-9
             weight = np.clip(1 - (miss / (_OUTLIER * spread)) ** 2, 0, None) ** 2
