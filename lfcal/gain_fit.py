@@ -37,6 +37,8 @@ _FEWEST = 6
 _DIRECTIONS = 48
 # Pixels compared in one pass: the shape has a few hundred unknowns.
 _PIXELS = 6e5
+# What scenes show has to average out: more are needed.
+_SCENE_PIXELS = 2e6
 # First passes measure the profile alone, the others also what changes over direction and field.
 _PASSES = (2, 3)
 # Residuals beyond so many standard deviations have no say.
@@ -44,11 +46,13 @@ _OUTLIER = 4.685
 # Harmonics of the rim: lens shapes, squares and hexagons with their corners; those that change over the field.
 _HARMONICS, _CHANGING = 12, 3
 _RIM_DEGREE, _SHADE_DEGREE, _LEVEL_DEGREE = 2, 3, 6
+# Parts of the profile of a scene nearer to 1 than so many standard errors are taken for 1.
+_UNSURE = 2.0
 # A part of the model stays where it is so many times its standard error and moves a rim by so many px (RMS).
 _SURE, _MATTERS = 4.0, 0.02
 # Inner part of a microimage, in half distances to the neighbour, on which the plane of a scene is fitted, and the
 # contrast at which a lens counts half.
-_CORE, _SMOOTH = 0.6, 0.03
+_CORE, _SMOOTH = 0.6, 0.06
 
 
 @dataclass(frozen=True)
@@ -215,6 +219,7 @@ class _Left:
     dark: float
     cut_normal: NDArray[np.float64]
     cut_right: NDArray[np.float64]
+    scatter: NDArray[np.float64]
 
 
 def monomials(points: NDArray[np.float64], lattice: Lattice, degree: int) -> NDArray[np.float64]:
@@ -224,11 +229,11 @@ def monomials(points: NDArray[np.float64], lattice: Lattice, degree: int) -> NDA
     return np.column_stack([x ** (d - b) * y**b for d in range(degree + 1) for b in range(d + 1)])
 
 
-def _sampled(lattice: Lattice) -> tuple[NDArray[np.float64], NDArray[np.int64], tuple[int, int]]:
+def _sampled(lattice: Lattice, pixels: float) -> tuple[NDArray[np.float64], NDArray[np.int64], tuple[int, int]]:
     """Centres of whole lenses spread over the field, ordered by window; where each window begins; the grid's shape."""
     reach = cell_faces(lattice)[1]
     _, centres = whole_lenses(lattice, reach + 1)
-    every = max(1.0, len(centres) * abs(float(np.linalg.det(lattice.basis))) / _PIXELS)
+    every = max(1.0, len(centres) * abs(float(np.linalg.det(lattice.basis))) / pixels)
     every = max(1.0, min(every, len(centres) / 200))
     centres = centres[np.arange(len(centres)) * _GOLDEN % 1 < 1 / every]
     shrink = min(1.0, math.sqrt(len(centres) / (_FEWEST * _WINDOWS[0] * _WINDOWS[1])))
@@ -255,7 +260,7 @@ def fit_gain(picture: NDArray[np.float32], lattice: Lattice, scene: bool, cat_ey
         The cutting disc where one is known.
     """
     reach = cell_faces(lattice)[1]
-    centres, first, shape = _sampled(lattice)
+    centres, first, shape = _sampled(lattice, _SCENE_PIXELS if scene else _PIXELS)
     limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
     rings = int(reach / _STEP) + 3
     cut: tuple[float, ...] = ()
@@ -281,6 +286,8 @@ def fit_gain(picture: NDArray[np.float32], lattice: Lattice, scene: bool, cat_ey
             # Where the two rims lie upon each other, both at once would be moved twice as far as they have to.
             left = _pass(picture, lattice, gain, centres, first, core, scene, spread, windows)
             gain = replace(gain, cut=_cut(left, gain))
+    if scene:
+        gain = replace(gain, profile=_shown(gain.profile, left.scatter))
     return GainFit(gain, spread, windows.reshape(shape))
 
 
@@ -339,8 +346,24 @@ def _pass(
     gap = gain.dark + behind / pixels_behind if pixels_behind > 0 else float(profile.min())
     return _Left(
         profile, square, count, normal, right, rim_up, rim_down, sector, max(float(gap), 0.0), cut_normal.sum(0),
-        cut_right.sum(0),
+        cut_right.sum(0), _scatter(up, down),
     )  # fmt: skip
+
+
+def _scatter(up: NDArray[np.float64], down: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Standard error of the profile, from how parts of the field differ."""
+    total = np.maximum(down.sum(0), 1e-12)
+    miss = up - down * (up.sum(0) / total)
+    parts = max(len(up), 2)
+    scatter: NDArray[np.float64] = np.sqrt((miss**2).sum(0) * parts / (parts - 1)) / total
+    return scatter
+
+
+def _shown(profile: NDArray[np.float64], error: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A scene's profile, 1 wherever its scenes may have made it differ (shrinkage after James and Stein)."""
+    away = profile - 1
+    kept = np.maximum(1 - (_UNSURE * error / np.where(away == 0, 1e-12, away)) ** 2, 0)
+    return 1 + away * kept
 
 
 def _noise(left: _Left) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

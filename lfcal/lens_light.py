@@ -65,8 +65,8 @@ def _look(picture, centres, faces, reach, stride, out, field, radius, profile, s
         powers = np.empty(64)
         lens = np.empty(7 + rim.shape[0])
         describe(cx, cy, field, shade, rim, cut, powers, lens)
-        ss = sv = weight = 0.0
-        count = 0
+        ratios = np.empty(4 * _SAMPLES)
+        count, bright = 0, 0
         ms = mv = mss = msv = mvv = most = 0.0
         for y in range(max(0, math.ceil(cy - reach)), min(height - 1, math.floor(cy + reach)) + 1, stride):
             dy = y - cy
@@ -90,14 +90,14 @@ def _look(picture, centres, faces, reach, stride, out, field, radius, profile, s
                 mvv += v * v
                 most = max(most, v)
                 # The rim tells more of the place of the lens than of its light.
-                if s > 0.8:
-                    ss += s * s
-                    sv += s * v
-                    weight += s * s
-        if count == 0 or ss == 0:
+                if s > 0.8 and bright < len(ratios):
+                    ratios[bright] = v / s
+                    bright += 1
+        if bright == 0:
             out[n, :] = 0.0
             continue
-        out[n, 0], out[n, 1] = sv / ss, weight
+        # Dust and hot pixels have no say in the median, which is worth two thirds of the pixels.
+        out[n, 0], out[n, 1] = np.median(ratios[:bright]), bright / 1.5
         spread_s, spread_v = mss / count - (ms / count) ** 2, mvv / count - (mv / count) ** 2
         both = msv / count - ms * mv / (count * count)
         out[n, 2] = both / math.sqrt(spread_s * spread_v) if spread_s > 1e-12 and spread_v > 1e-12 else 0.0
