@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .bayer import Mosaic, check_mosaic, equalise, has_mosaic, without_mosaic
 from .calibration import Calibration
-from .errors import CalibrationError, FlatError
-from .lattice import Lattice
+from .errors import CalibrationError
 
 if TYPE_CHECKING:
+    from .lens_types import LensTypes
     from .search import FirstLattice
 
 __all__ = ["calibrate"]
@@ -23,18 +23,8 @@ __all__ = ["calibrate"]
 _REPEATS = 0.8
 # Halves that put the lattice further apart than this share of the pitch have not found one.
 _SCATTERED = 0.1
-# Window, in pitches, in which breaks are levelled: wider than a rim, narrower than what the scene shows in a lens.
-_RIM = 0.5
-# A fit that leaves the first lattice by more than this share of the pitch (RMS) has followed something else.
-_FOLLOWED = 0.2
-# Rims that scatter the halves by more than this share of the pitch are faint.
-_FAINT = 0.03
-# Window, in pitches, in which brightness is levelled to see whether microimages are evenly lit.
-_LEVEL = 2.0
 # Below this confidence a person should look.
 _SURE = 0.7
-# Scatter inside the microimages of a white image, as a share of the depth of the gaps.
-_EVEN_INSIDE = 0.15
 # Relative spread of the tones of an image that shows nothing.
 _EVEN = 1e-4
 
@@ -73,37 +63,56 @@ def calibrate(
     """
     if kind not in ("auto", "white", "scene"):
         raise ValueError(f"kind must be 'auto', 'white' or 'scene', got {kind!r}")
-    flats = _flats(image)
+    # Compiled code is loaded only when a flat is there to be calibrated.
+    from .captures import checked_flats, white_or_scene
+    from .features import luminance, tone
+    from .illumination import measure_illumination
+    from .lattice_fit import fit_on_scenes, fit_on_white
+    from .type_search import find_lens_types
+
+    flats = checked_flats(image)
     for flat in flats:
         check_mosaic(mosaic, flat)
-    # Compiled code is loaded only when a flat is there to be calibrated.
-    from .features import luminance, tone
-    from .type_search import find_lens_types
-    from .vignetting import measure_vignetting
-
     filtered = mosaic is not None or all(flat.ndim == 2 and has_mosaic(flat) for flat in flats)
     lights = [equalise(flat) if filtered else luminance(flat) for flat in flats]
     if len(lights) > 1:
         lights = _telling(lights)
     start = _first(lights, filtered)
-    white, lights = _sorted(lights, start, kind)
+    white, lights = white_or_scene(lights, start, kind)
     if white:
         picture = tone(_white_sum(lights))
-        fit = _fit_white(picture, start)
+        fit = fit_on_white(picture, start)
     else:
         lights = [without_mosaic(light) for light in lights] if filtered else lights
         picture = tone(_mean_scene(lights))
-        fit = _fit_scene(lights, picture, start)
-    lattice, residual, lenses, differ = fit
-    if not differ < _SCATTERED * lattice.pitch:
+        fit = fit_on_scenes(lights, picture, start)
+    pitch = fit.lattice.pitch
+    if not fit.halves_differ < _SCATTERED * pitch:
         raise CalibrationError(
-            f"two halves of the microimages of {lattice.pitch:.1f} px pitch disagree about the lattice; "
+            f"two halves of the microimages of {pitch:.1f} px pitch disagree about the lattice; "
             "give a sharper flat or a white image"
         )
-    vignetting, radius = measure_vignetting(picture, lattice)
-    lattice = replace(lattice, radius=radius)
+    seen = measure_illumination(picture, fit.lattice, white, fit.cat_eye)
+    lattice = replace(fit.lattice, radius=seen.radius)
     types = find_lens_types(picture, lattice, white)
-    confidence = float(np.clip(min(start.repeatability, 1 - differ / (_SCATTERED * lattice.pitch)), 0, 1))
+    confidence = float(np.clip(min(start.repeatability, 1 - fit.halves_differ / (_SCATTERED * pitch)), 0, 1))
+    return Calibration(
+        lattice=lattice,
+        vignetting=seen.vignetting,
+        source="white" if white else "scene",
+        residual_rms=fit.residual_rms,
+        lenses_used=fit.lenses_used,
+        confidence=confidence,
+        warnings=(*seen.warnings, *_warnings(confidence, fit.halves_differ, types, filtered and mosaic is None)),
+        lens_types=types,
+        mosaic=mosaic,
+        gain_map=seen.gain_map,
+        defects=seen.defects,
+    )
+
+
+def _warnings(confidence: float, differ: float, types: LensTypes | None, unknown_mosaic: bool) -> list[str]:
+    """What a user should know before trusting the camera."""
     warnings = []
     if confidence < _SURE:
         warnings.append(
@@ -115,61 +124,12 @@ def calibrate(
             f"{types.count} lens types were told apart, but not which is focused at which depth; "
             "calibrate on a scene with detail at several depths"
         )
-    if filtered and mosaic is None:
+    if unknown_mosaic:
         warnings.append(
             "the flat has a colour filter mosaic, taken out here; say which one (--mosaic RGGB, BGGR, GRBG or GBRG) "
             "to have it kept in the camera file"
         )
-    return Calibration(
-        lattice,
-        vignetting,
-        "white" if white else "scene",
-        residual,
-        lenses,
-        confidence,
-        tuple(warnings),
-        types,
-        mosaic,
-    )
-
-
-def _flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
-    """The flats given, one or several, each checked."""
-    given: Any = image
-    several = isinstance(given, (list, tuple)) and len(given) > 0 and np.ndim(given[0]) >= 2
-    if not several and np.ndim(given) != 4:
-        return [_checked(given, "image")]
-    if len(given) == 0:
-        raise FlatError("no flat is given; give at least one")
-    flats = [_checked(flat, f"flat {k}") for k, flat in enumerate(given, 1)]
-    first = flats[0].shape
-    for k, flat in enumerate(flats, 1):
-        if flat.shape[:2] != first[:2]:
-            raise FlatError(
-                f"flat {k} is {flat.shape[1]} x {flat.shape[0]} px, flat 1 is {first[1]} x {first[0]} px; "
-                "give flats of one camera"
-            )
-    return flats
-
-
-def _checked(image: ArrayLike, name: str) -> NDArray[Any]:
-    """The flat as an array, or FlatError saying what is wrong with it."""
-    flat = np.asarray(image)
-    if flat.ndim not in (2, 3) or (flat.ndim == 3 and flat.shape[2] != 3):
-        raise FlatError(f"{name} has shape {flat.shape}; give a flat as (height, width) or (height, width, 3)")
-    if flat.dtype.kind not in "uif" or 0 in flat.shape:
-        raise FlatError(f"{name} has shape {flat.shape} and type {flat.dtype}; give non-empty real pixel values")
-    if flat.dtype.kind == "f" and not np.isfinite(flat.sum(dtype=np.float64)):
-        bad = ~np.isfinite(flat).reshape(*flat.shape[:2], -1).all(-1)
-        if bad.any():
-            y, x = np.argwhere(bad)[0]
-            where = f"first at x={x}, y={y}" + ("" if name == "image" else f" of {name}")
-            raise FlatError(f"{bad.sum()} pixels are NaN or infinite, {where}; fill them in first")
-    if min(flat.shape[:2]) < 16:
-        raise FlatError(
-            f"{name} of {flat.shape[1]} x {flat.shape[0]} px is too small to be a flat; give the whole sensor"
-        )
-    return flat
+    return warnings
 
 
 def _telling(lights: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
@@ -214,68 +174,3 @@ def _first(lights: list[NDArray[np.float32]], filtered: bool) -> FirstLattice:
             error = error or failure
     assert error is not None
     raise error
-
-
-def _sorted(
-    lights: list[NDArray[np.float32]], start: FirstLattice, kind: str
-) -> tuple[bool, list[NDArray[np.float32]]]:
-    """Whether to calibrate on white images, and the lights to do it on."""
-    if kind != "auto":
-        return kind == "white", lights
-    if len(lights) == 1:
-        return _evenly_lit(start.brightness, start.lattice), lights
-    from .features import level_locally, tone
-
-    window = _LEVEL * start.lattice.pitch
-    whites = [light for light in lights if _evenly_lit(level_locally(tone(light), window), start.lattice)]
-    return (True, whites) if whites else (False, lights)
-
-
-def _evenly_lit(brightness: NDArray[np.float32], lattice: Lattice) -> bool:
-    """Whether the insides of microimages vary by little against the depth of the gaps between them."""
-    from .fit import radial_profile
-
-    profile = radial_profile(brightness, lattice)
-    radii = np.arange(len(profile.mean)) * profile.step
-    inner = radii < 0.5 * lattice.radius
-    noise = float(np.sqrt(np.average(profile.variance[inner], weights=radii[inner] + profile.step)))
-    depth = float(np.ptp(profile.mean))
-    return noise < _EVEN_INSIDE * depth
-
-
-def _fit_white(picture: NDArray[np.float32], start: FirstLattice) -> tuple[Lattice, float, int, float]:
-    """Final lattice, residual of single lenses [px], lenses used, and disagreement of halves [px]."""
-    from .disc_fit import fit_discs
-
-    found = start.lattice
-    discs = fit_discs(picture, found)
-    index = found.indices()
-    straight = replace(discs.lattice, distortion=None)
-    apart = straight.points(np.rint(straight.to_index(found.points(index)))) - found.points(index)
-    if not np.sqrt((apart**2).sum(1).mean()) < _FOLLOWED * found.pitch:
-        return found, discs.residual_rms, discs.lenses_used, start.halves_differ
-    return discs.lattice, discs.residual_rms, discs.lenses_used, discs.halves_differ
-
-
-def _fit_scene(
-    lights: list[NDArray[np.float32]], picture: NDArray[np.float32], start: FirstLattice
-) -> tuple[Lattice, float, int, float]:
-    """Final lattice, residual of single lenses [px], lenses used, and disagreement of halves [px].
-
-    Only the breaks at the rims are what the lattice predicts: brightness also shows the scene, gaps that cut
-    microimages have moved, and where a camera has flattened its pictures with another white image.
-    """
-    from .features import breaks, level_locally, tone
-    from .scene_fit import fit_scene
-
-    found = start.lattice
-    rims = np.zeros(picture.shape, np.float32)
-    for light in lights:
-        single = picture if len(lights) == 1 else tone(light)
-        rims += level_locally(breaks(single), _RIM * found.pitch) / np.float32(len(lights))
-    fit = fit_scene(rims, found)
-    if not fit.halves_differ < max(start.halves_differ, _FAINT * found.pitch):
-        # Rims too faint for single lenses: what whole tiles have in common is the better measure.
-        return found, fit.residual_rms, fit.lenses_used, start.halves_differ
-    lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius)
-    return lattice, fit.residual_rms, fit.lenses_used, fit.halves_differ

@@ -9,9 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from .defects import Defects
 from .distortion import Distortion
-from .errors import CameraFileError
+from .errors import CalibrationError, CameraFileError, FlatError
+from .gain_map import GainMap
 from .lattice import Lattice
 from .lens_types import LensTypes
 from .outfile import whole_file
@@ -48,6 +51,10 @@ class Calibration:
     mosaic : str or None
         Colour filters of the top left 2 x 2 pixels of its flats, row by row: `"RGGB"`, `"BGGR"`, `"GRBG"` or
         `"GBRG"`; None where flats have no colour mosaic or its colours are not known.
+    gain_map : GainMap or None
+        Light at every place of every microimage; None where only `vignetting` is known.
+    defects : Defects
+        Pixels and lenses that are not to be trusted.
     """
 
     lattice: Lattice
@@ -59,6 +66,8 @@ class Calibration:
     warnings: tuple[str, ...] = field(default=())
     lens_types: LensTypes | None = None
     mosaic: str | None = None
+    gain_map: GainMap | None = None
+    defects: Defects = field(default_factory=Defects)
 
     def __post_init__(self) -> None:
         if self.mosaic not in (None, "RGGB", "BGGR", "GRBG", "GBRG"):
@@ -91,10 +100,10 @@ class Calibration:
                 "confidence": self.confidence,
             },
             "warnings": list(self.warnings),
-        } | {
-            key: value
-            for key, value in (("lens_types", self.lens_types and self.lens_types.to_dict()), ("mosaic", self.mosaic))
-            if value is not None
+            "lens_types": self.lens_types and self.lens_types.to_dict(),
+            "mosaic": self.mosaic,
+            "gain_map": self.gain_map and self.gain_map.to_dict(),
+            "defects": self.defects.to_dict(),
         }
 
     @classmethod
@@ -124,13 +133,86 @@ class Calibration:
                 lenses_used=int(fit["lenses_used"]),
                 confidence=float(fit["confidence"]),
                 warnings=tuple(str(w) for w in data["warnings"]),
-                lens_types=None if data.get("lens_types") is None else LensTypes.from_dict(data["lens_types"]),
+                # Files of earlier versions have none of these.
+                lens_types=data.get("lens_types") and LensTypes.from_dict(data["lens_types"]),
                 mosaic=data.get("mosaic"),
+                gain_map=data.get("gain_map") and GainMap.from_dict(data["gain_map"]),
+                defects=Defects.from_dict(data["defects"]) if data.get("defects") else Defects(),
             )
         except KeyError as error:
             raise CameraFileError(f"{where}: field {error} is missing; calibrate again") from error
         except (TypeError, ValueError) as error:
             raise CameraFileError(f"{where}: {error}; calibrate again") from error
+
+    def gain(self) -> NDArray[np.float32]:
+        """Light at every pixel over that at the brightest place of the field.
+
+        Returns
+        -------
+        (h, w) float32
+            NaN where nothing can be known: in gaps, where microimages are cut off, in lenses without light.
+
+        Raises
+        ------
+        CalibrationError
+            If the camera has neither gain map nor vignetting.
+        """
+        return self._gain_map().gain(self.lattice)
+
+    def flatten(self, flat: ArrayLike) -> NDArray[Any]:
+        """Divide a flat by the gain of the camera, so that a white image of it becomes even.
+
+        Parameters
+        ----------
+        flat : (h, w) or (h, w, c) array_like
+            Unsigned integers or floats, of the size the camera is for.
+
+        Returns
+        -------
+        array of the shape and type of `flat`
+            Integers are rounded, and clipped at the highest value of their type. Pixels whose gain is unknown, NaN in
+            `gain()`, are left as they are.
+
+        Raises
+        ------
+        FlatError
+            If `flat` is no picture, or not of the size the camera is for.
+        CalibrationError
+            If the camera has neither gain map nor vignetting.
+        """
+        pixels = np.asarray(flat)
+        if pixels.ndim not in (2, 3) or pixels.dtype.kind not in "uf" or 0 in pixels.shape:
+            raise FlatError(f"flat of shape {pixels.shape} and type {pixels.dtype}; give a grey or colour picture")
+        if (pixels.shape[1], pixels.shape[0]) != self.image_size:
+            raise FlatError(
+                f"flat is {pixels.shape[1]} x {pixels.shape[0]} px, the camera is for "
+                f"{self.image_size[0]} x {self.image_size[1]} px; calibrate on a flat of that size"
+            )
+        return self._gain_map().flatten(pixels, self.lattice)
+
+    def usable_radius(self) -> NDArray[np.float64]:
+        """How far each microimage can be used.
+
+        Returns
+        -------
+        (n,) float64 [px]
+            In the order of `lattice.centres()`: radius of the largest circle about the centre in which the lens has
+            at least half the light of its brightest place, at most half the distance to the nearest microimage. A cut
+            (cat-eye) ends it in its own direction, so it is the least usable distance. 0 for lenses without light.
+
+        Raises
+        ------
+        CalibrationError
+            If the camera has neither gain map nor vignetting.
+        """
+        return self._gain_map().usable_radius(self.lattice)
+
+    def _gain_map(self) -> GainMap:
+        if self.gain_map is not None:
+            return self.gain_map
+        if self.vignetting is None:
+            raise CalibrationError("the camera file holds no gain map; make one with 'lfcal calibrate IMAGE'")
+        return GainMap.round(self.vignetting.profile, self.vignetting.step, self.lattice.radius)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the camera as JSON; the file appears whole or not at all."""

@@ -118,6 +118,30 @@ def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) ->
 
 
 @main.command()
+@click.argument("flat", type=_PATH)
+@click.option("-c", "--camera", type=_PATH, required=True, help="Camera file with a gain map.")
+@click.option("-o", "--output", type=_PATH, required=True, metavar="FLAT.tif", help="Flattened flat to write.")
+@report_options
+def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) -> None:
+    """Divide FLAT by the gain of CAMERA, so that microimages are evenly lit; where that is unknown it stays as is."""
+    report = Report(as_json, quiet)
+    check_output(output, {".tif", ".tiff"}, [flat, camera])
+    with report.stage("read"):
+        from . import read_flat, whole_file
+
+        pixels = read_flat(flat)
+        calibration = _read(camera, (pixels.shape[1], pixels.shape[0]))
+    report.announce_compilation("lfcal")
+    with report.stage("flatten"), about(flat):
+        even = calibration.flatten(pixels)
+    with report.stage("write"), whole_file(output) as temporary:
+        import tifffile
+
+        tifffile.imwrite(temporary, even, photometric="rgb" if even.ndim == 3 else "minisblack")
+    report.finish({"written": str(output), "size": [even.shape[1], even.shape[0]], "type": str(even.dtype)})
+
+
+@main.command()
 @click.argument("a", type=_PATH)
 @click.argument("b", type=_PATH)
 @_sized
@@ -231,6 +255,8 @@ def describe(camera: Calibration) -> dict[str, Any]:
         "residual_rms": camera.residual_rms,
         "confidence": camera.confidence,
         "mosaic": camera.mosaic or "none",
+        "defect_pixels": len(camera.defects.pixels),
+        "defect_lenses": len(camera.defects.lenses),
         "warnings": list(camera.warnings),
     }
 

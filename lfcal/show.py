@@ -23,6 +23,7 @@ _BACKGROUND, _PAPER, _INK, _FAINT = (24, 26, 30), (38, 41, 47), (232, 234, 237),
 _CIRCLE, _CROSS, _ARROW = (0, 190, 255), (255, 190, 40), (255, 120, 90)
 # Circles of lens types 0, 1, 2 and 3.
 _TYPES = (_CIRCLE, (255, 110, 200), (140, 240, 90), (250, 230, 80))
+_DEFECT = (255, 60, 200)
 # Sub-pixel bits of OpenCV's drawing functions.
 _BITS = 4
 
@@ -121,11 +122,16 @@ def _crop(calibration: Calibration, flat: NDArray[Any], middle: NDArray[np.float
     drawn = half + zoom * (centres[near] - middle)
     types = calibration.lens_types
     kinds = np.zeros(len(drawn), int) if types is None else types.of(lattice.indices()[near]) % len(_TYPES)
+    pixels = calibration.defects.pixels
+    marked = half + zoom * (pixels[(np.abs(pixels - middle) < reach / 2).all(1)] - middle)
     radius = zoom * lattice.radius
     arm = float(np.clip(0.12 * radius, 4, 9))
     # Dark below light is seen on any background; blended, it leaves the pixels visible.
     for thickness, share, dark in ((3, 0.45, True), (1, 0.95, False)):
         layer = panel.copy()
+        for place in marked:
+            cv2.circle(layer, *_fixed(place), _bits(0.8 * zoom + 2), (0, 0, 0) if dark else _DEFECT, thickness,
+                       cv2.LINE_AA, _BITS)  # fmt: skip
         for place, kind in zip(drawn, kinds, strict=True):
             colour = (0, 0, 0) if dark else _TYPES[kind]
             cv2.circle(layer, *_fixed(place), _bits(radius), colour, thickness, cv2.LINE_AA, _BITS)
@@ -161,7 +167,10 @@ def _figures(calibration: Calibration, fit: Agreement, height: int) -> NDArray[n
     half = height // 2
     _draw_misfit(panel[:half], calibration, fit)
     panel[half - 1 : half + 1] = _BACKGROUND
-    _draw_light(panel[half:], calibration)
+    third = _PANEL * 2 // 5 if calibration.gain_map is not None else 0
+    _draw_light(panel[half:, third:], calibration)
+    if third:
+        _draw_gain(panel[half:, :third], calibration)
     return panel
 
 
@@ -202,6 +211,33 @@ def _draw_misfit(panel: NDArray[np.uint8], calibration: Calibration, fit: Agreem
         )
     words = f"numbers in px, arrows {enlarge:g} px of this picture per px" if longest > 0 else "no region shows centres"
     _text(panel, words, (14, height - 12), _FAINT, 0.44)
+
+
+def _draw_gain(panel: NDArray[np.uint8], calibration: Calibration) -> None:
+    """Gain map over the whole field, and enlarged in the top left corner; unknown places in their own colour."""
+    import cv2
+
+    height, width = panel.shape[:2]
+    _text(panel, "Gain map", (14, 24), _INK, 0.52)
+    gain = calibration.gain()
+    side = min(height - 70, width - 28)
+    rows = (height - 70 - 8) // 2
+    scale = min(side / gain.shape[1], rows / gain.shape[0])
+    small = max(1, int(scale * gain.shape[1])), max(1, int(scale * gain.shape[0]))
+    # Gaps are left out of the mean over the pixels that share one of the picture.
+    known = cv2.resize(np.isfinite(gain).astype(np.float32), small, interpolation=cv2.INTER_AREA)
+    light = cv2.resize(np.nan_to_num(gain), small, interpolation=cv2.INTER_AREA) / np.maximum(known, 1e-6)
+    reach = max(8, int(4 * calibration.lattice.pitch))
+    corner = gain[:reach, :reach]
+    enlarged = cv2.resize(corner, (rows, rows), interpolation=cv2.INTER_NEAREST)
+    for values, top in ((np.where(known > 0, light, np.nan), 34), (enlarged, 42 + rows)):
+        grey = np.rint(255 * np.clip(np.nan_to_num(values), 0, 1)).astype(np.uint8)
+        drawn = np.repeat(grey[..., None], 3, axis=2)
+        drawn[np.isnan(values)] = (60, 20, 50)
+        panel[top : top + drawn.shape[0], 14 : 14 + drawn.shape[1]] = drawn
+    defects = calibration.defects
+    words = f"{len(defects.pixels)} pixels, {len(defects.lenses)} lenses defect"
+    _text(panel, words, (14, height - 12), _DEFECT, 0.4)
 
 
 def _draw_light(panel: NDArray[np.uint8], calibration: Calibration) -> None:

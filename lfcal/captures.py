@@ -1,0 +1,86 @@
+"""The flats that a camera is calibrated on: checked, their light brought together, white images told from scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import FlatError
+from .lattice import Lattice
+from .search import FirstLattice
+
+__all__ = ["checked_flats", "evenly_lit", "white_or_scene"]
+
+# Window, in pitches, in which brightness is levelled to see whether microimages are evenly lit.
+_LEVEL = 2.0
+# Scatter inside the microimages of a white image, as a share of the depth of the gaps.
+_EVEN_INSIDE = 0.15
+
+
+def checked_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
+    """The flats given, one or several, each checked."""
+    given: Any = image
+    several = isinstance(given, (list, tuple)) and len(given) > 0 and np.ndim(given[0]) >= 2
+    if not several and np.ndim(given) != 4:
+        return [_checked(given, "image")]
+    if len(given) == 0:
+        raise FlatError("no flat is given; give at least one")
+    flats = [_checked(flat, f"flat {k}") for k, flat in enumerate(given, 1)]
+    first = flats[0].shape
+    for k, flat in enumerate(flats, 1):
+        if flat.shape[:2] != first[:2]:
+            raise FlatError(
+                f"flat {k} is {flat.shape[1]} x {flat.shape[0]} px, flat 1 is {first[1]} x {first[0]} px; "
+                "give flats of one camera"
+            )
+    return flats
+
+
+def _checked(image: ArrayLike, name: str) -> NDArray[Any]:
+    """The flat as an array, or FlatError saying what is wrong with it."""
+    flat = np.asarray(image)
+    if flat.ndim not in (2, 3) or (flat.ndim == 3 and flat.shape[2] != 3):
+        raise FlatError(f"{name} has shape {flat.shape}; give a flat as (height, width) or (height, width, 3)")
+    if flat.dtype.kind not in "uif" or 0 in flat.shape:
+        raise FlatError(f"{name} has shape {flat.shape} and type {flat.dtype}; give non-empty real pixel values")
+    if flat.dtype.kind == "f" and not np.isfinite(flat.sum(dtype=np.float64)):
+        bad = ~np.isfinite(flat).reshape(*flat.shape[:2], -1).all(-1)
+        if bad.any():
+            y, x = np.argwhere(bad)[0]
+            where = f"first at x={x}, y={y}" + ("" if name == "image" else f" of {name}")
+            raise FlatError(f"{bad.sum()} pixels are NaN or infinite, {where}; fill them in first")
+    if min(flat.shape[:2]) < 16:
+        raise FlatError(
+            f"{name} of {flat.shape[1]} x {flat.shape[0]} px is too small to be a flat; give the whole sensor"
+        )
+    return flat
+
+
+def white_or_scene(
+    lights: list[NDArray[np.float32]], start: FirstLattice, kind: str
+) -> tuple[bool, list[NDArray[np.float32]]]:
+    """Whether to calibrate on white images, and the lights to do it on."""
+    if kind != "auto":
+        return kind == "white", lights
+    if len(lights) == 1:
+        return evenly_lit(start.brightness, start.lattice), lights
+    from .features import level_locally, tone
+
+    window = _LEVEL * start.lattice.pitch
+    whites = [light for light in lights if evenly_lit(level_locally(tone(light), window), start.lattice)]
+    return (True, whites) if whites else (False, lights)
+
+
+def evenly_lit(brightness: NDArray[np.float32], lattice: Lattice) -> bool:
+    """Whether the insides of microimages vary by little against the depth of the gaps between them."""
+    from .fit import radial_profile
+
+    profile = radial_profile(brightness, lattice)
+    radii = np.arange(len(profile.mean)) * profile.step
+    inner = radii < 0.5 * lattice.radius
+    noise = float(np.sqrt(np.average(profile.variance[inner], weights=radii[inner] + profile.step)))
+    depth = float(np.ptp(profile.mean))
+    return noise < _EVEN_INSIDE * depth

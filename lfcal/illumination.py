@@ -1,0 +1,95 @@
+"""Illumination of a camera as one flat shows it: gain map, vignetting of the average microimage, defects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .defect_search import find_defects
+from .defects import Defects
+from .disc_parameters import CatEye
+from .gain_fit import fit_gain
+from .gain_kernels import mean_light
+from .gain_map import GainMap
+from .lattice import Lattice
+from .lens_light import dark_in_scene, lens_lights
+from .vignetting import Vignetting
+
+__all__ = ["Illumination", "measure_illumination"]
+
+# Lenses over which the vignetting of the average microimage is taken.
+_LENSES = 200
+
+
+@dataclass(frozen=True)
+class Illumination:
+    """What a flat shows of the light in its microimages.
+
+    Parameters
+    ----------
+    gain_map : GainMap
+    vignetting : Vignetting
+        Of the average microimage.
+    radius : float [px]
+        Where that falls below half, at most half the distance to the nearest microimage.
+    defects : Defects
+    warnings : tuple of str
+    """
+
+    gain_map: GainMap
+    vignetting: Vignetting
+    radius: float
+    defects: Defects
+    warnings: tuple[str, ...]
+
+
+def measure_illumination(
+    picture: NDArray[np.float32], lattice: Lattice, white: bool, cat_eye: CatEye | None = None
+) -> Illumination:
+    """Gain map, vignetting and defects from a flat.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+        Square root of the luminance (`features.tone`).
+    lattice : Lattice [px]
+    white : bool
+        Whether the flat is a white image. A scene capture shows only what all its microimages have in common, and
+        no defects but lenses without light amid others.
+    cat_eye : CatEye or None
+        The disc that cuts microimages, where one is known.
+    """
+    fit = fit_gain(picture, lattice, not white, cat_eye)
+    warnings: tuple[str, ...] = ()
+    if white:
+        lights = lens_lights(picture, lattice, fit)
+        gain = lights.gain
+        defects, warning = find_defects(picture, lattice, gain, lights.brightest, fit, lights.dark)
+        warnings = (warning,) if warning else ()
+    else:
+        gain = fit.gain
+        defects = Defects(lenses=lattice.indices()[dark_in_scene(picture, lattice, gain)].astype(np.int32))
+    vignetting, radius = _average(gain, lattice)
+    return Illumination(gain, vignetting, radius, defects, warnings)
+
+
+def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
+    """Vignetting of the average microimage, and the radius to which it is usable."""
+    centres = lattice.centres()
+    centres = np.ascontiguousarray(centres[:: max(1, len(centres) // _LENSES)])
+    limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
+    rings = int(limit / gain.step) + 2
+    light = np.zeros((len(centres), rings))
+    mean_light(centres, light, *gain.shape(lattice))
+    relative = light.mean(0)
+    relative = np.clip(relative / relative.max(), 0, 1)
+    radii = np.arange(rings) * gain.step
+    radius = limit
+    dark = np.flatnonzero((relative < 0.5) & (radii > 0.3 * limit))
+    if len(dark):
+        k = int(dark[0])
+        before, after = relative[k - 1], relative[k]
+        radius = min(limit, float(radii[k - 1] + (before - 0.5) / max(before - after, 1e-9) * gain.step))
+    return Vignetting(relative, gain.step), radius

@@ -1,0 +1,80 @@
+"""Final lattice of a camera: every pixel of a white image, or the breaks between microimages of scenes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .disc_parameters import CatEye
+from .lattice import Lattice
+from .search import FirstLattice
+
+__all__ = ["FinalLattice", "fit_on_scenes", "fit_on_white"]
+
+# Window, in pitches, in which breaks are levelled: wider than a rim, narrower than what the scene shows in a lens.
+_RIM = 0.5
+# A fit that leaves the first lattice by more than this share of the pitch (RMS) has followed something else.
+_FOLLOWED = 0.2
+# Rims that scatter the halves by more than this share of the pitch are faint.
+_FAINT = 0.03
+
+
+@dataclass(frozen=True)
+class FinalLattice:
+    """The lattice and how its microimages agree with it.
+
+    Parameters
+    ----------
+    lattice : Lattice [px]
+    residual_rms : float [px]
+        Robust RMS distance of single microimages from the lattice.
+    lenses_used : int
+    halves_differ : float [px]
+        RMS distance over the flat between lattices of two independent halves of the microimages.
+    cat_eye : CatEye or None
+        The disc that cuts microimages, where one was seen.
+    """
+
+    lattice: Lattice
+    residual_rms: float
+    lenses_used: int
+    halves_differ: float
+    cat_eye: CatEye | None = None
+
+
+def fit_on_white(picture: NDArray[np.float32], start: FirstLattice) -> FinalLattice:
+    """Fit the `tone` picture of a white image."""
+    from .disc_fit import fit_discs
+
+    found = start.lattice
+    discs = fit_discs(picture, found)
+    index = found.indices()
+    straight = replace(discs.lattice, distortion=None)
+    apart = straight.points(np.rint(straight.to_index(found.points(index)))) - found.points(index)
+    if not np.sqrt((apart**2).sum(1).mean()) < _FOLLOWED * found.pitch:
+        return FinalLattice(found, discs.residual_rms, discs.lenses_used, start.halves_differ)
+    return FinalLattice(discs.lattice, discs.residual_rms, discs.lenses_used, discs.halves_differ, discs.cat_eye)
+
+
+def fit_on_scenes(lights: list[NDArray[np.float32]], picture: NDArray[np.float32], start: FirstLattice) -> FinalLattice:
+    """Fit the lights (h, w) of one or several scenes; `picture` is the `tone` of their mean.
+
+    Only the breaks at the rims are what the lattice predicts: brightness also shows the scene, gaps that cut
+    microimages have moved, and where a camera has flattened its pictures with another white image.
+    """
+    from .features import breaks, level_locally, tone
+    from .scene_fit import fit_scene
+
+    found = start.lattice
+    rims = np.zeros(picture.shape, np.float32)
+    for light in lights:
+        single = picture if len(lights) == 1 else tone(light)
+        rims += level_locally(breaks(single), _RIM * found.pitch) / np.float32(len(lights))
+    fit = fit_scene(rims, found)
+    if not fit.halves_differ < max(start.halves_differ, _FAINT * found.pitch):
+        # Rims too faint for single lenses: what whole tiles have in common is the better measure.
+        return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.halves_differ)
+    lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius)
+    return FinalLattice(lattice, fit.residual_rms, fit.lenses_used, fit.halves_differ)

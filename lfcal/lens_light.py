@@ -1,0 +1,225 @@
+"""Light of every lens of a white image: a smooth fall over the field, and lenses that differ from it or are missing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from .fit import cell_faces
+from .gain_fit import GainFit, monomials
+from .gain_kernels import describe, light
+from .gain_map import GainMap, terms
+from .lattice import Lattice
+
+__all__ = ["LensLights", "dark_in_scene", "lens_lights"]
+
+# Pixels of a lens that are looked at.
+_SAMPLES = 64
+# Degrees of the polynomial tried in turn; each must lower the scatter of the lenses by this share.
+_DEGREES = (0, 2, 4, 6)
+_LOWERS = 0.03
+# The polynomial is fitted to so many lenses at most.
+_LENSES = 4000
+_OUTLIER = 4.685
+# A lens differs where it is so many standard errors off, and by so much.
+_SURE, _DIFFERS = 5.0, 0.01
+# Scatter of lenses below this, or below half their noise, may well be the model's own.
+_SCATTERS = 0.003
+# Lenses have no light below this share of the brightest ones, or below the second share where the light they have
+# is not that of a microimage: its correlation with the shape is below the third.
+_DARK, _DIM, _ALIKE = 0.03, 0.25, 0.5
+# Lenses with light look like the rest at least so well; below, something else is there. Only where shapes show at all.
+_SHAPED = 0.25
+# A lens of a scene is missing where its brightest pixel is below this share of the least mean of its neighbours.
+_ABSENT = 0.05
+
+
+@dataclass(frozen=True)
+class LensLights:
+    """A white image's gain map with the light of all lenses.
+
+    Parameters
+    ----------
+    gain : GainMap
+    brightest : float
+        Luminance where the map is 1.
+    dark : (m,) int64
+        Rows of `lattice.centres()`: lenses in the dark, or where no microimage is.
+    """
+
+    gain: GainMap
+    brightest: float
+    dark: NDArray[np.int64]
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _look(picture, centres, faces, reach, stride, out, field, radius, profile, step, shade, rim, cut):
+    """Per lens: light, pixels it rests on, correlation with the shape, contrast of the shape, mean, brightest."""
+    height, width = picture.shape
+    for n in prange(centres.shape[0]):
+        cx, cy = centres[n, 0], centres[n, 1]
+        powers = np.empty(64)
+        lens = np.empty(7 + rim.shape[0])
+        describe(cx, cy, field, shade, rim, cut, powers, lens)
+        ratios = np.empty(4 * _SAMPLES)
+        count, bright = 0, 0
+        ms = mv = mss = msv = mvv = most = 0.0
+        for y in range(max(0, math.ceil(cy - reach)), min(height - 1, math.floor(cy + reach)) + 1, stride):
+            dy = y - cy
+            half = math.sqrt(max(reach * reach - dy * dy, 0.0))
+            for x in range(max(0, math.ceil(cx - half)), min(width - 1, math.floor(cx + half)) + 1, stride):
+                dx = x - cx
+                outside = False
+                for k in range(faces.shape[0]):
+                    if dx * faces[k, 0] + dy * faces[k, 1] > 0.5:
+                        outside = True
+                        break
+                if outside:
+                    continue
+                s = light(dx, dy, lens, radius, profile, step, cut)[0]
+                v = picture[y, x] * picture[y, x]
+                count += 1
+                ms += s
+                mv += v
+                mss += s * s
+                msv += s * v
+                mvv += v * v
+                most = max(most, v)
+                # The rim tells more of the place of the lens than of its light.
+                if s > 0.8 and bright < len(ratios):
+                    ratios[bright] = v / s
+                    bright += 1
+        if bright == 0:
+            out[n, :] = 0.0
+            continue
+        # Dust and hot pixels have no say in the median, which is worth two thirds of the pixels.
+        out[n, 0], out[n, 1] = np.median(ratios[:bright]), bright / 1.5
+        spread_s, spread_v = mss / count - (ms / count) ** 2, mvv / count - (mv / count) ** 2
+        both = msv / count - ms * mv / (count * count)
+        out[n, 2] = both / math.sqrt(spread_s * spread_v) if spread_s > 1e-12 and spread_v > 1e-12 else 0.0
+        out[n, 3] = math.sqrt(max(spread_s, 0.0)) / max(ms / count, 1e-9)
+        out[n, 4], out[n, 5] = mv / count, most
+
+
+def _looked(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap) -> NDArray[np.float64]:
+    centres = lattice.centres()
+    faces, reach = cell_faces(lattice)
+    cell = abs(float(np.linalg.det(lattice.basis)))
+    out = np.zeros((len(centres), 6))
+    stride = max(1, int(math.sqrt(cell / _SAMPLES)))
+    _look(picture, centres, faces, reach, stride, out, *gain.shape(lattice))
+    return out
+
+
+def lens_lights(picture: NDArray[np.float32], lattice: Lattice, fit: GainFit) -> LensLights:
+    """Light of all lenses of a white image, given the shape of its microimages.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+        Square root of the luminance (`features.tone`).
+    lattice : Lattice [px]
+    fit : GainFit
+    """
+    found = _looked(picture, lattice, fit.gain)
+    lights, weight, alike, contrast = found[:, :4].T
+    seen = weight > 0
+    top = float(np.percentile(lights[seen], 95)) if seen.any() else 1.0
+    lit = seen & (lights > _DARK * top)
+    shaped = contrast > 0.1
+    typical = float(np.median(alike[lit & shaped])) if (lit & shaped).any() else 0.0
+    lit &= ~(shaped & (alike < min(_ALIKE, 0.6 * typical)) & (lights < _DIM * top))
+    lit &= ~(shaped & (alike < min(_SHAPED, 0.4 * typical)))
+    if not lit.any():
+        return LensLights(fit.gain, 1.0, np.zeros(0, np.int64))
+    centres = lattice.centres()
+    level = _level(np.log(np.maximum(lights, 1e-12)), lit & (weight > 0.3 * np.median(weight[seen])), centres, lattice)
+    smooth = np.exp(monomials(centres, lattice, _degree(level)) @ level)
+    error = _errors(fit, centres, lattice) / np.sqrt(np.maximum(weight, 1e-9))
+    own = _own(lights / smooth, error, lit)
+    # 1 at the brightest part of the field, taken where lenses are.
+    brightest = float(np.percentile((smooth * own)[lit], 99.5))
+    level = level.copy()
+    level[0] -= math.log(brightest)
+    dark = np.flatnonzero(seen & ~lit)
+    if np.all(own == 1):
+        own = np.zeros(0, np.float32)
+    return LensLights(replace(fit.gain, level=level, own=own), brightest, dark)
+
+
+def _degree(level: NDArray[np.float64]) -> int:
+    return next(d for d in range(9) if terms(d) == len(level))
+
+
+def _level(
+    log: NDArray[np.float64], use: NDArray[np.bool_], centres: NDArray[np.float64], lattice: Lattice
+) -> NDArray[np.float64]:
+    """Robust polynomial through the lights of lenses, of the lowest degree that does."""
+    rows = np.flatnonzero(use)
+    rows = rows[:: max(1, len(rows) // _LENSES)]
+    best, least = np.array([float(np.median(log[rows]))]) if len(rows) else np.zeros(1), np.inf
+    for degree in _DEGREES:
+        if len(rows) < 12 * terms(degree):
+            break
+        table = monomials(centres[rows], lattice, degree)
+        weight = np.ones(len(rows))
+        for _ in range(5):
+            weighted = weight[:, None] * table
+            level = np.linalg.solve(
+                weighted.T @ table + 1e-9 * len(rows) * np.eye(table.shape[1]), weighted.T @ log[rows]
+            )
+            miss = np.abs(log[rows] - table @ level)
+            spread = 1.4826 * float(np.median(miss)) + 1e-9
+            weight = np.clip(1 - (miss / (_OUTLIER * spread)) ** 2, 0, None) ** 2
+        if spread < (1 - _LOWERS) * least:
+            best, least = level, spread
+    return best
+
+
+def _errors(fit: GainFit, centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+    """Noise of a single pixel in the bright part of each lens, as a share of the light of the lens."""
+    inner = np.arange(len(fit.spread)) * fit.gain.step < 0.6 * fit.gain.radius
+    size, shape = np.array(lattice.image_size), np.array(fit.windows.shape)
+    column, row = np.clip((centres + 0.5) / size * shape[::-1], 0, shape[::-1] - 1).astype(int).T
+    errors: NDArray[np.float64] = float(np.median(fit.spread[inner])) * fit.windows[row, column]
+    return errors
+
+
+def _own(ratio: NDArray[np.float64], error: NDArray[np.float64], lit: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Light of lenses over the polynomial: 1 where not significantly different, 0 where there is none.
+
+    If lenses scatter by more than their errors, each is taken as far as it can be told (James and Stein 1961).
+    """
+    miss = ratio - 1
+    spread = 1.4826 * float(np.median(np.abs(miss[lit])))
+    noise = float(np.median(error[lit]))
+    true = max(spread**2 - noise**2, 0.0)
+    believed = true / (true + error**2) if true > max(_SCATTERS, 0.5 * noise) ** 2 else np.zeros(len(miss))
+    believed = np.where(
+        (np.abs(miss) > _SURE * np.hypot(error, math.sqrt(true))) & (np.abs(miss) > _DIFFERS), 1.0, believed
+    )
+    own: NDArray[np.float32] = np.where(lit, np.maximum(1 + believed * miss, 0.01), 0).astype(np.float32)
+    return own
+
+
+def dark_in_scene(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap) -> NDArray[np.int64]:
+    """(m,) rows of lenses without any light amid neighbours that have some, on a scene capture."""
+    found = _looked(picture, lattice, gain)
+    mean, most = found[:, 4:].T
+    indices = lattice.indices()
+    low = indices.min(0) - 1
+    span = indices.max(0) - low + 2
+    grid = np.full((span[1], span[0]), np.inf)
+    column, row = (indices - low).T
+    grid[row, column] = mean
+    least = np.full(len(indices), np.inf)
+    around = np.zeros(len(indices), int)
+    for i, j in lattice.steps:
+        beside = grid[row + j, column + i]
+        around += np.isfinite(beside)
+        least = np.minimum(least, beside)
+    return np.flatnonzero((around == len(lattice.steps)) & (most < _ABSENT * least))

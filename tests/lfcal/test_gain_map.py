@@ -1,0 +1,142 @@
+"""Gain map, flattening, usable radius and defects against white images of known light."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import lfcal
+from lfcal.cli import main
+
+_PATH = Path(__file__).parents[2] / "benchmarks" / "white_images.py"
+_SPEC = importlib.util.spec_from_file_location("benchmarks.white_images", _PATH)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    module = importlib.util.module_from_spec(_SPEC)
+    sys.modules[_SPEC.name] = module
+    _SPEC.loader.exec_module(module)
+    return module.WhiteImage
+
+
+@pytest.fixture(scope="module")
+def whole(drawn):
+    truth = drawn("hexagonal", 20.3, 5.0, 26.0, size=(800, 600), hot=40)
+    return truth, lfcal.calibrate(truth.image(), kind="white")
+
+
+def _inside(truth, camera, margin):
+    """Pixels of whole uncut discs, at least `margin` px off the rim."""
+    y, x = np.mgrid[: truth.size[1], : truth.size[0]]
+    points = np.column_stack([x.ravel(), y.ravel()]).astype(float)
+    far = np.hypot(*(points - truth.centres(truth.index_of(points))).T)
+    return (far < truth.fill * truth.pitch / 2 - margin).reshape(x.shape) & np.isfinite(camera.gain())
+
+
+def test_gain_is_the_light_to_half_a_percent(whole):
+    truth, camera = whole
+    inside = _inside(truth, camera, 1.5)
+    ratio = camera.gain()[inside] / truth.light()[inside]
+    assert inside.mean() > 0.55
+    assert (ratio / ratio.mean()).std() < 0.005
+    assert 0.95 < np.nanmax(camera.gain()) < 1.05
+
+
+def test_gain_of_cut_microimages_is_theirs(drawn):
+    truth = drawn("hexagonal", 20.3, 5.0, 26.0, strength=0.3, size=(800, 600))
+    camera = lfcal.calibrate(truth.image(), kind="white")
+    light, gain = truth.light(), camera.gain()
+    lit = np.isfinite(gain) & (light > 0.5)
+    ratio = gain[lit] / light[lit]
+    assert (np.abs(ratio / np.median(ratio) - 1) < 0.05).mean() > 0.97
+    assert np.isnan(gain[light < 0.1]).mean() > 0.99
+    usable = camera.usable_radius()
+    middle = np.hypot(*(camera.lattice.centres() - truth.middle).T) < 0.2 * truth.reach
+    corner = np.hypot(*(camera.lattice.centres() - truth.middle).T) > 0.9 * truth.reach
+    assert usable[corner].mean() < 0.85 * usable[middle].mean()
+
+
+def test_flattened_white_image_is_even_and_keeps_its_type(drawn, whole):
+    truth, camera = whole
+    inside = _inside(truth, camera, 1.5)
+    clean = np.rint(40000 * truth.light()).astype(np.uint16)
+    even = camera.flatten(clean)
+    assert even.dtype == np.uint16 and even.shape == clean.shape
+    assert even[inside].std() / even[inside].mean() < 0.005 < 0.05 < clean[inside].std() / clean[inside].mean()
+    unknown = np.isnan(camera.gain())
+    np.testing.assert_array_equal(even[unknown], clean[unknown])
+    colour = camera.flatten(np.repeat(clean[..., None], 3, axis=2).astype(np.float32))
+    np.testing.assert_allclose(colour[inside, 2], even[inside], atol=0.51)
+    with pytest.raises(lfcal.FlatError, match="800 x 600"):
+        camera.flatten(clean[1:])
+
+
+def test_integers_are_clipped_at_the_top(whole):
+    truth, camera = whole
+    even = camera.flatten(np.full((truth.size[1], truth.size[0]), 255, np.uint8))
+    assert even[np.isfinite(camera.gain())].min() >= 254
+
+
+def test_hot_pixels_are_found_and_noise_is_not(whole):
+    truth, camera = whole
+    rng = np.random.default_rng(truth.seed + 1)
+    rng.standard_normal(truth.size[::-1])
+    rows, columns = rng.integers(0, truth.size[1], 40), rng.integers(0, truth.size[0], 40)
+    hot = {(x, y) for x, y in zip(columns.tolist(), rows.tolist(), strict=True)}
+    found = {(x, y) for x, y in camera.defects.pixels.tolist()}
+    assert len(found & hot) >= 0.95 * len(hot)
+    assert len(found - hot) <= 8
+
+
+def test_missing_lens_is_told_and_has_no_gain(drawn):
+    truth = drawn("square", 24.0, 2.0, 30.0, size=(700, 500))
+    image = truth.image()
+    index = truth.index_of(np.array([[350.0, 250.0]]))
+    x, y = np.rint(truth.centres(index)[0]).astype(int)
+    image[y - 12 : y + 13, x - 12 : x + 13] = image.min()
+    camera = lfcal.calibrate(image, kind="white")
+    lenses = camera.defects.lenses
+    assert len(lenses) == 1
+    np.testing.assert_allclose(camera.lattice.points(lenses)[0], (x, y), atol=1)
+    assert np.isnan(camera.gain()[y - 8 : y + 9, x - 8 : x + 9]).all()
+    assert (camera.usable_radius() == 0).sum() == 1
+
+
+def test_gain_map_and_defects_survive_the_file(whole, tmp_path):
+    _, camera = whole
+    camera.save(tmp_path / "camera.json")
+    back = lfcal.load(tmp_path / "camera.json")
+    np.testing.assert_array_equal(back.defects.pixels, camera.defects.pixels)
+    np.testing.assert_allclose(back.gain(), camera.gain(), rtol=2e-3)
+    assert (tmp_path / "camera.json").stat().st_size < 30000
+    data = json.loads((tmp_path / "camera.json").read_text())
+    data["gain_map"]["profile"] = "x"
+    with pytest.raises(lfcal.CameraFileError):
+        lfcal.Calibration.from_dict(data)
+
+
+def test_camera_without_any_light_says_so():
+    camera = lfcal.Calibration(lfcal.Lattice((10, 10), np.eye(2) * 20, (100, 80), 9.0))
+    with pytest.raises(lfcal.CalibrationError, match="gain map"):
+        camera.gain()
+
+
+def test_command_writes_the_flattened_flat(whole, tmp_path):
+    import cv2
+
+    truth, camera = whole
+    camera.save(tmp_path / "camera.json")
+    image = truth.image()
+    cv2.imwrite(str(tmp_path / "flat.png"), image)
+    arguments = ["flatten", str(tmp_path / "flat.png"), "-c", str(tmp_path / "camera.json")]
+    result = CliRunner().invoke(main, [*arguments, "-o", str(tmp_path / "even.tif")], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    written = lfcal.read_flat(tmp_path / "even.tif")
+    np.testing.assert_array_equal(written, lfcal.load(tmp_path / "camera.json").flatten(image))
