@@ -12,11 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 __all__ = ["LOCAL", "DiscSteps", "Discs", "disc_steps", "edge_of", "first_level"]
 
-# Parameters of a single lens: place (2), displacement of the cutting disc (2), its radius, its softness, the gain.
-LOCAL = 7
+# Parameters of a single lens: place (2), displacement of the cutting disc (2), its radius, its softness, the blur both
+# edges share, the gain.
+LOCAL = 8
 _CHUNKS = 64
 # Beyond so many standard deviations from its middle the cut is all or nothing.
 _EDGE = 3.0
@@ -28,6 +30,24 @@ _STEEP = 0.1
 _STIFF = 1e-4
 # Share of the pixels of a ring that must see it before it moves freely.
 _SLOW = 0.01
+# Edges that run alike are never blurred quite alike.
+_MOST_SHARED = 0.98
+_NODES = (
+    -0.9324695142031521,
+    -0.6612093864662645,
+    -0.2386191860831969,
+    0.2386191860831969,
+    0.6612093864662645,
+    0.9324695142031521,
+)
+_WEIGHTS = (
+    0.17132449237917036,
+    0.3607615730481386,
+    0.46791393457269104,
+    0.46791393457269104,
+    0.3607615730481386,
+    0.17132449237917036,
+)
 _ROOT_HALF = math.sqrt(0.5)
 _ROOT_TAU = math.sqrt(2 * math.pi)
 
@@ -62,9 +82,9 @@ class Discs:
         Amplitude of `cos(4 * angle)` added to the profile: square pixels soften an edge along their sides otherwise
         than across their corners.
     edge : (r,) bool
-        Where the profile falls from the disc into the gap (`edge_of`). Pixels there take part in nothing where the
-        edge of the cutting disc falls on them too: what light they get depends on how the two edges are blurred,
-        together or one after the other.
+        Where the profile falls from the disc into the gap (`edge_of`).
+    shared : float
+        Correlation of the blur of the two edges where they run alike, 0..1.
     dark : float
         Light where the cutting disc lets none through.
     """
@@ -86,6 +106,7 @@ class Discs:
     weight: NDArray[np.float64]
     four: NDArray[np.float64]
     edge: NDArray[np.bool_]
+    shared: float
     dark: float
 
 
@@ -95,9 +116,9 @@ class DiscSteps:
 
     Parameters
     ----------
-    normal, right : (n, 7, 7), (n, 7) float64
+    normal, right : (n, 8, 8), (n, 8) float64
         Normal matrix and right side of the local parameters, the gain last.
-    mixed : (n, 7 or 1, r) float64
+    mixed : (n, 8 or 1, r) float64
         Part of the normal matrix between local parameters and the profile; only of the gains where nothing is cut,
         since whole microimages move without their profile.
     profile, force : (r, r), (r,) float64
@@ -144,6 +165,29 @@ def _transmission(dx, dy, radius, soft):
 
 
 @njit(cache=True, nogil=True)
+def _both(alpha, beta, shared):
+    """Light through two edges at once, in units of their blur, and its change with each of them over that alone.
+
+    `shared` is the correlation of a bivariate normal distribution: 0 where the edges cross at a right angle or are
+    blurred one after the other, 1 where they run alike and are blurred together. Six-point Gauss-Legendre quadrature of
+    the derivative with the correlation (Drezner and Wesolowsky, J. Stat. Comput. Simul. 35, 1990).
+    """
+    first, second = 0.5 * (1 + math.erf(alpha * _ROOT_HALF)), 0.5 * (1 + math.erf(beta * _ROOT_HALF))
+    total = 0.0
+    for k in range(6):
+        r = 0.5 * shared * (1 + _NODES[k])
+        own = 1 - r * r
+        total += (
+            _WEIGHTS[k] * math.exp(-0.5 * (alpha * alpha - 2 * r * alpha * beta + beta * beta) / own) / math.sqrt(own)
+        )
+    joint = first * second + 0.5 * shared * total / (2 * math.pi)
+    root = math.sqrt(1 - shared * shared)
+    with_first = 0.5 * (1 + math.erf((beta - shared * alpha) / root * _ROOT_HALF))
+    with_second = 0.5 * (1 + math.erf((alpha - shared * beta) / root * _ROOT_HALF))
+    return joint, with_first, with_second
+
+
+@njit(cache=True, nogil=True)
 def _rows(centre, reach, corner, side):
     """First and last but one row of a window within reach of the centre."""
     return max(int(np.ceil(centre - reach)) - corner, 0), min(int(np.floor(centre + reach)) + 1 - corner, side)
@@ -177,12 +221,12 @@ def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, 
 @njit(cache=True, nogil=True, parallel=True)
 def _accumulate_steps(
     light, corners, centres, cut, gain, trust, tilt, radius, soft, faces, inner, reach, step, level, slope, weight,
-    four, edge, dark, chunks, normal, right, mixed, band, squares, count, scatter,
+    four, edge, depths, shared, dark, chunks, normal, right, mixed, band, squares, count, scatter,
 ):  # fmt: skip
     lenses, side = light.shape[0], light.shape[1]
-    first = 7 - mixed.shape[1]
+    first = 8 - mixed.shape[1]
     for chunk in prange(chunks):
-        g = np.zeros(7)
+        g = np.zeros(8)
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
             top, bottom = _rows(cy, reach, 0, side)
@@ -201,11 +245,21 @@ def _accumulate_steps(
                     if soft > 0:
                         ex, ey = dx - cut[lens, 0], dy - cut[lens, 1]
                         through, change, far, depth = _transmission(ex, ey, radius, soft)
-                        if edge[ring] and change > 0:
-                            continue
                     disc = level[ring] * (1 - part) + level[ring + 1] * part - dark
                     angle = 1 - 8 * (dx * dx) * (dy * dy) / max(rho * rho * rho * rho, 1e-12)
                     disc += (four[ring] * (1 - part) + four[ring + 1] * part) * angle
+                    falling, cutting, turning = through, 1.0, 0.0
+                    if change > 0 and edge[ring]:
+                        along_both = (dx * ex + dy * ey) / max(rho * far, 1e-6)
+                        alike = min(max(shared * along_both, -_MOST_SHARED), _MOST_SHARED)
+                        alpha = depths[ring] * (1 - part) + depths[ring + 1] * part
+                        own = 0.5 * (1 + math.erf(alpha * _ROOT_HALF))
+                        joint, falling, cutting = _both(alpha, depth, alike)
+                        through = joint / own
+                        cutting /= own
+                        cross = alpha * alpha - 2 * alike * alpha * depth + depth * depth
+                        cross = math.exp(-0.5 * cross / (1 - alike * alike)) / math.sqrt(1 - alike * alike)
+                        turning = along_both * cross / (2 * math.pi * own)
                     model = dark + disc * through
                     lit = gain[lens] * (1 + tilt[lens, 0] * dx + tilt[lens, 1] * dy)
                     residual = light[lens, y, x] / lit - model
@@ -219,9 +273,9 @@ def _accumulate_steps(
                     squares[chunk, ring] += residual * residual * trust[lens]
                     count[chunk, ring] += 1
                     w *= (1 - away) * (1 - away) * trust[lens]
-                    along = -(slope[ring] * (1 - part) + slope[ring + 1] * part) * through / max(rho, 1e-6)
-                    g[0], g[1], g[6] = along * dx, along * dy, model
-                    here, after = through * (1 - part), through * part
+                    along = -(slope[ring] * (1 - part) + slope[ring + 1] * part) * falling / max(rho, 1e-6)
+                    g[0], g[1], g[7] = along * dx, along * dy, model
+                    here, after = falling * (1 - part), falling * part
                     band[chunk, 3, ring] += w
                     turned = w * angle * through
                     band[chunk, 4, ring] += turned * (1 - part) * residual
@@ -233,22 +287,22 @@ def _accumulate_steps(
                     band[chunk, 1, ring] += w * here * after
                     band[chunk, 2, ring] += w * here * residual
                     band[chunk, 2, ring + 1] += w * after * residual
-                    low = 6
+                    low = 7
                     if change > 0:
-                        push = disc * change
+                        push = disc * change * cutting
                         g[2], g[3] = push * ex / max(far, 1e-6), push * ey / max(far, 1e-6)
                         g[0] += g[2]
                         g[1] += g[3]
-                        g[4], g[5] = push, -push * depth
+                        g[4], g[5], g[6] = push, -push * depth, disc * turning
                         low = 2
-                    for a in range(7):
+                    for a in range(8):
                         if a >= 2 and a < low:
                             continue
                         right[lens, a] += w * g[a] * residual
                         if a >= first:
                             mixed[lens, a - first, ring] += w * g[a] * here
                             mixed[lens, a - first, ring + 1] += w * g[a] * after
-                        for b in range(a, 7):
+                        for b in range(a, 8):
                             if b >= 2 and b < low:
                                 continue
                             normal[lens, a, b] += w * g[a] * g[b]
@@ -266,6 +320,14 @@ def edge_of(level: NDArray[np.float64]) -> NDArray[np.bool_]:
     edge[: gentle[gentle < crossing - 1].max(initial=-1) + 1] = False
     edge[gentle[gentle > crossing].min(initial=len(level)) :] = False
     return edge
+
+
+def _depths(discs: Discs) -> NDArray[np.float64]:
+    """(r,) how deep inside the microimage each radius lies, in units of the blur of its edge."""
+    inside = discs.level[max(int(np.flatnonzero(discs.edge).min(initial=len(discs.level))) - 1, 0)]
+    share = (discs.level - discs.dark) / max(float(inside - discs.dark), 1e-12)
+    depths: NDArray[np.float64] = ndtri(np.clip(share, 1e-3, 1 - 1e-3))
+    return depths
 
 
 def first_level(discs: Discs) -> NDArray[np.float64]:
@@ -291,7 +353,8 @@ def disc_steps(discs: Discs) -> DiscSteps:
     _accumulate_steps(
         discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
         discs.soft, discs.faces, discs.inner, discs.reach, discs.step, discs.level, slope, discs.weight, discs.four,
-        discs.edge, discs.dark, _CHUNKS, normal, right, mixed, band, squares, count, scatter,
+        discs.edge, _depths(discs), discs.shared, discs.dark, _CHUNKS, normal, right, mixed, band, squares, count,
+        scatter,
     )  # fmt: skip
     normal += np.triu(normal.reshape(-1, LOCAL, LOCAL), 1).transpose(0, 2, 1)
     main, side, force, total, turned, turned_own = band.sum(0)

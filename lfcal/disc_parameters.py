@@ -17,6 +17,8 @@ _LONGEST = 0.1
 # Softest edge of a cutting disc over its radius, and the sharpest edge that pixels of finite size show [px].
 _SOFTEST = 0.1
 _SHARPEST = 0.2
+# Edges that run alike are never blurred quite alike.
+_MOST_SHARED = 0.98
 
 
 @dataclass(frozen=True)
@@ -33,12 +35,16 @@ class CatEye:
         `g1, g2, g3`, positive outwards.
     radius, soft : float [px]
         Radius of the cutting disc and standard deviation of its edge.
+    shared : float
+        Correlation of the blur of the two edges where they run alike, 0..1: 1 where light passes both discs before
+        anything blurs it.
     """
 
     shift: NDArray[np.float64]
     growth: NDArray[np.float64]
     radius: float
     soft: float
+    shared: float = 0.7
 
     def displacement(self, field: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 2) displacement [px] of the cutting disc at places (n, 2) of the field."""
@@ -75,7 +81,7 @@ def design(
 
     Returns
     -------
-    (n, 6, p) float64, list of p names
+    (n, 7, p) float64, list of p names
     """
     n = len(indices)
     columns: list[NDArray[np.float64]] = []
@@ -108,6 +114,7 @@ def design(
                 add(f"growth{power}", 2, field * far ** (power - 1))
         add("radius", 4, np.ones((n, 1)))
         add("soft", 5, np.ones((n, 1)))
+        add("shared", 6, np.ones((n, 1)))
     return np.stack(columns, axis=2), names
 
 
@@ -132,5 +139,6 @@ def moved(model: DiscModel, change: NDArray[np.float64], names: list[str]) -> Di
             eye.growth + np.clip(growth, -most, most),
             eye.radius + float(np.clip(by["radius"][0], -most, most)),
             float(np.clip(soft, _SHARPEST, _SOFTEST * eye.radius + _SHARPEST)),
+            float(np.clip(eye.shared + np.clip(by["shared"][0], -0.2, 0.2), 0.0, _MOST_SHARED)),
         ),
     )

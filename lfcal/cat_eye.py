@@ -1,0 +1,129 @@
+"""Search for the disc that cuts microimages to lens shapes (cat-eye, mechanical vignetting)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from .disc_model import Discs, edge_of
+from .disc_newton import FitState, converge, few_of, misfit, placed, with_profile
+from .disc_parameters import CatEye, DiscModel
+from .errors import CalibrationError
+
+__all__ = ["settled_roles", "with_cut", "without_idle_cut"]
+
+# A cutting disc must lower the misfit by this share and reach into microimages by so many px.
+_CUT_GAIN = 0.02
+_CUT_DEPTH = 0.3
+# Misfits that differ by the square of so many standard errors are told apart.
+_SURE = 8.0
+# Noise at the edges of whole microimages is at most this multiple of the noise inside them.
+_UNEVEN = 1.3
+# Displacements in the corner and radii, both in radii of the microimage, at which cutting discs are looked for, and
+# the part of the displacement by which the lattice found without it follows; the best few are tried to the end.
+_GROWTHS = (-0.6, -0.4, -0.25, -0.12, 0.12, 0.25, 0.4, 0.6)
+_RADII = (1.0, 1.1, 1.25)
+_FOLLOWED = (0.25, 0.5)
+_STARTS = 3
+# So many lenses are enough to choose the starts.
+_SCOUTS = 100
+
+
+def with_cut(plain: FitState, rival: FitState, orders: tuple[str, ...]) -> FitState:
+    """`plain` with the best of a few cutting discs, or without where none fits clearly better than it and a rival.
+
+    Parameters
+    ----------
+    plain : FitState
+        Converged without a cut.
+    rival : FitState
+        Another explanation, such as a distortion.
+    orders : tuple of str
+        Parameters of `plain`, as in `disc_parameters.design`.
+    """
+    # Cut microimages disagree with their common profile at the edge, and only there.
+    spread = 1 / rival.discs.weight
+    if spread.max() < _UNEVEN * np.median(spread):
+        return plain
+    lattice = plain.model.lattice
+    middle, reach = (np.array(lattice.image_size) - 1) / 2, np.hypot(*lattice.image_size) / 2
+    radius = _radius(plain.discs)
+    scouts = few_of(plain, _SCOUTS)
+    trials: list[tuple[float, int, DiscModel]] = []
+    for growth in _GROWTHS:
+        for ratio in _RADII:
+            for followed in _FOLLOWED:
+                shrink = 1 - followed * growth * radius / reach
+                origin = middle + (lattice.origin - middle) * shrink
+                eye = CatEye(np.zeros(2), np.array([growth * radius, 0.0, 0.0]), ratio * radius, 0.5)
+                model = DiscModel(replace(lattice, origin=origin, basis=lattice.basis * shrink), eye)
+                trial = placed(replace(scouts, model=model))
+                for _ in range(2):
+                    trial, cost = with_profile(trial)
+                trials.append((cost, len(trials), model))
+    found, least = plain, np.inf
+    for _, _, model in sorted(trials, key=lambda t: t[:2])[:_STARTS]:
+        trial = placed(replace(plain, model=model))
+        try:
+            trial, _ = converge(with_profile(with_profile(trial)[0])[0], orders)
+        except (CalibrationError, ValueError):
+            continue
+        if misfit(trial, plain) < least:
+            found, least = trial, misfit(trial, plain)
+    if found.model.cat_eye is None:
+        return plain
+    # A disc that stays outside the microimages cuts nothing.
+    depth = _radius(found.discs) + np.hypot(*found.discs.cut.T).max() - found.model.cat_eye.radius
+    better = least < (1 - _CUT_GAIN) * min(misfit(plain, plain), misfit(rival, plain))
+    return found if better and depth > _CUT_DEPTH else plain
+
+
+def _radius(discs: Discs) -> float:
+    """Distance from the centre [px] at which the profile falls through the middle between disc and gap."""
+    level = discs.level
+    half = 0.5 * (float(np.median(level[: max(2, len(level) // 2)])) + discs.dark)
+    return max(int(np.argmax(level < half)), 1) * discs.step
+
+
+def settled_roles(state: FitState) -> FitState:
+    """Which of the two discs is the microimage: the one that fits better as such, or else the smaller one.
+
+    Where lens shapes are cut from two discs, either could be the microimage and the other the cut. Shading inside the
+    microimage tells; without any, the one that is whole in the middle of the field is.
+    """
+    lattice, eye = state.model.lattice, state.model.cat_eye
+    assert eye is not None
+    middle, reach = (np.array(lattice.image_size) - 1) / 2, np.hypot(*lattice.image_size) / 2
+    grown = 1 + eye.growth[0] / reach
+    radius = _radius(state.discs)
+    other = replace(lattice, origin=middle + (lattice.origin - middle) * grown + eye.shift, basis=lattice.basis * grown)
+    swapped = CatEye(-eye.shift, -eye.growth / grown, radius, eye.soft, eye.shared)
+    radii = np.arange(len(state.discs.level)) * state.discs.step
+    level = np.interp(radii * radius / eye.radius, radii, state.discs.level)
+    discs = replace(state.discs, level=level, edge=edge_of(level))
+    try:
+        trial, _ = converge(placed(FitState(DiscModel(other, swapped), state.indices, discs)), ())
+    except CalibrationError:
+        return state
+    assert trial.model.cat_eye is not None
+    pixels = len(state.indices) * abs(np.linalg.det(lattice.basis))
+    gain = (misfit(state, state) - misfit(trial, state)) * pixels
+    if abs(gain) > _SURE**2:
+        return trial if gain > 0 else state
+    excess = [_radius(t.discs) - t.discs.radius for t in (state, trial)]
+    return state if excess[0] <= excess[1] else trial
+
+
+def without_idle_cut(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, tuple[str, ...]]:
+    """The state without a cutting disc that a distortion has made needless."""
+    if state.model.cat_eye is None or state.model.lattice.distortion is None:
+        return state, orders
+    fewer = tuple(name for name in orders if not name.startswith("growth"))
+    plain = replace(state, model=DiscModel(state.model.lattice, None), discs=replace(state.discs, radius=0.0, soft=0.0))
+    try:
+        plain, _ = converge(plain, fewer)
+    except (CalibrationError, ValueError):
+        return state, orders
+    needless = misfit(state, plain) > (1 - _CUT_GAIN) * misfit(plain, plain)
+    return (plain, fewer) if needless else (state, orders)

@@ -1,0 +1,315 @@
+"""Robust Gauss-Newton on the model of a white image: lenses are opened, weighted, and moved until nothing moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .disc_model import Discs, DiscSteps, disc_steps, edge_of, first_level
+from .disc_parameters import DiscModel, design, field_of, moved
+from .errors import CalibrationError
+from .fit import cell_faces, whole_lenses
+from .lattice import Lattice
+from .windows import cut_windows
+
+__all__ = [
+    "FEWEST_LENSES", "FitState", "FitSummary", "converge", "few_of", "halves_differ", "misfit", "open_lenses",
+    "placed", "promise", "with_profile",
+]  # fmt: skip
+
+FEWEST_LENSES = 12
+_GOLDEN = 0.6180339887498949
+# Distance between samples of the profile [px]: edges of discs are about one pixel wide.
+_STEP = 0.125
+_OUTLIER = 4.685
+_PASSES = 15
+# Weights that follow the residuals for longer would keep the fit from settling.
+_FREE_PASSES = 5
+_ROBUST_TURNS = 3
+# Steps below this share of the standard error change nothing.
+_SETTLED = 0.3
+_RUNAWAY = 0.05
+# A microimage darker than this share of a bright one is none: the array does not fill the sensor.
+_DARK = 0.03
+# Lenses are grouped by brightness into so many groups to see how their noise depends on it.
+_GROUPS = 12
+# What `Discs` holds of each lens.
+_OF_LENSES = ("light", "corners", "centres", "cut", "gain", "trust", "tilt")
+
+
+@dataclass(frozen=True)
+class FitState:
+    """The model and the lenses that take part."""
+
+    model: DiscModel
+    indices: NDArray[np.int64]
+    discs: Discs
+
+
+@dataclass(frozen=True)
+class FitSummary:
+    """What the last step says; see `DiscFit`, and by how much it moved centres (RMS) [px]."""
+
+    moved: float
+    residual: float
+    uncertainty: float
+    used: int
+
+
+def open_lenses(
+    tones: NDArray[np.float32], model: DiscModel, pixels: float, fewest: int, known: Discs | None
+) -> FitState:
+    """Lenses of about so many pixels in all, but at least so many, with gains from their cores."""
+    lattice = model.lattice
+    faces, reach = cell_faces(lattice)
+    indices, centres = whole_lenses(lattice, reach + 2)
+    every = max(1.0, len(centres) * abs(np.linalg.det(lattice.basis)) / pixels)
+    every = max(1.0, min(every, len(centres) / fewest))
+    chosen = np.arange(len(centres)) * _GOLDEN % 1 < 1 / every
+    indices, centres = indices[chosen], np.ascontiguousarray(centres[chosen])
+    light, corners = cut_windows(tones, centres, reach + 2)
+    inner = float(0.5 / np.hypot(*faces.T).max())
+    core, middle = max(1, int(0.4 * inner)), light.shape[1] // 2
+    gain = light[:, middle - core : middle + core + 1, middle - core : middle + core + 1].mean((1, 2)).astype(float)
+    lit = gain > _DARK * np.quantile(gain, 0.95) if len(gain) else np.zeros(0, dtype=bool)
+    if lit.sum() < FEWEST_LENSES:
+        raise CalibrationError(
+            f"only {lit.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the flat, "
+            f"at least {FEWEST_LENSES} are needed; give the whole sensor"
+        )
+    rings = int(reach / _STEP) + 3
+    indices, centres, gain = indices[lit], centres[lit], gain[lit]
+    none = np.zeros_like(centres)
+    discs = Discs(
+        light[lit], corners[lit], centres, none, gain, np.ones(len(gain)), _tilt(centres, gain, lattice), 0.0, 0.0,
+        faces, inner, reach, _STEP, np.zeros(rings), np.ones(rings),
+        np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0,
+    )  # fmt: skip
+    if known is None:
+        level = first_level(discs)
+        discs = replace(
+            discs, level=level, weight=np.full(rings, 1 / max(float(np.var(level)), 1e-12)), edge=edge_of(level)
+        )
+    else:
+        # Profile and gains share a scale that the new gains settle.
+        discs = replace(
+            discs,
+            level=known.level,
+            weight=known.weight,
+            four=known.four,
+            edge=known.edge,
+            shared=known.shared,
+            dark=known.dark,
+        )
+    state = placed(FitState(model, indices, discs))
+    if known is not None:
+        scale = _scale(state)
+        state = replace(state, discs=replace(state.discs, gain=state.discs.gain * scale))
+    return _weighted(state, disc_steps(state.discs))
+
+
+def _scale(state: FitState) -> NDArray[np.float64]:
+    """(n,) factor of each gain for which the lens agrees best with the known profile."""
+    steps = disc_steps(replace(state.discs, weight=1e-6 * state.discs.weight))
+    return 1 + np.clip(steps.right[:, -1] / np.maximum(steps.normal[:, -1, -1], 1e-30), -0.5, 1)
+
+
+def _tilt(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+    """(n, 2) relative slope of the gain over the field [1/px], from a polynomial through all lenses."""
+    scale = np.array(lattice.image_size) / 2
+    x, y = ((centres - scale) / scale).T
+    powers = [(a, b) for a in range(5) for b in range(5 - a)]
+    table = np.column_stack([x**a * y**b for a, b in powers])
+    log = np.log(gain)
+    keep = np.ones(len(log), dtype=bool)
+    slope = np.zeros(len(powers))
+    for _ in range(3):
+        if keep.sum() < 3 * len(powers):
+            return np.zeros_like(centres)
+        slope = np.linalg.lstsq(table[keep], log[keep], rcond=None)[0]
+        miss = np.abs(log - table @ slope)
+        keep = miss < 5 * np.median(miss) + 1e-6
+    dx = np.column_stack([a * x ** max(a - 1, 0) * y**b for a, b in powers]) @ slope
+    dy = np.column_stack([b * x**a * y ** max(b - 1, 0) for a, b in powers]) @ slope
+    return np.column_stack([dx, dy]) / scale
+
+
+def placed(state: FitState) -> FitState:
+    """The lenses where the model has them now, with the cuts the cat-eye gives them."""
+    lattice, eye = state.model.lattice, state.model.cat_eye
+    centres = lattice.points(state.indices)
+    if eye is None:
+        discs = replace(state.discs, centres=centres)
+    else:
+        cut = eye.displacement(field_of(centres, lattice))
+        discs = replace(state.discs, centres=centres, cut=cut, radius=eye.radius, soft=eye.soft, shared=eye.shared)
+    return replace(state, discs=discs)
+
+
+def _weighted(state: FitState, steps: DiscSteps) -> FitState:
+    """Weights of pixels by their radius and of lenses by their brightness, from the residuals of the present model."""
+    discs = state.discs
+    floor = 1e-6 * float(np.var(discs.level)) + 1e-12
+    weight = 1 / np.maximum(steps.variance, floor)
+    order = np.argsort(discs.gain, kind="stable")
+    groups = [g for g in np.array_split(order, _GROUPS) if len(g)]
+    typical = np.array([np.median(steps.scatter[g]) for g in groups])
+    spread = np.interp(discs.gain, [np.median(discs.gain[g]) for g in groups], typical)
+    trust = 1 / np.maximum(spread / np.median(typical), 0.1)
+    return replace(state, discs=replace(discs, weight=weight, trust=trust))
+
+
+def with_profile(state: FitState) -> tuple[FitState, float]:
+    """The state with the profile that fits it, and the cost it had before."""
+    steps = disc_steps(state.discs)
+    level = state.discs.level + np.linalg.pinv(steps.profile, rcond=1e-9, hermitian=True) @ steps.force
+    return replace(
+        state, discs=replace(state.discs, level=level, edge=edge_of(level), dark=_dark(level, edge_of(level)))
+    ), steps.cost
+
+
+def _dark(level: NDArray[np.float64], edge: NDArray[np.bool_]) -> float:
+    """Light between the microimages: the profile beyond its edge."""
+    beyond = level[np.flatnonzero(edge).max(initial=0) + 1 :]
+    return float(max(np.median(beyond) if len(beyond) else level.min(), 0.0))
+
+
+def misfit(state: FitState, standard: FitState) -> float:
+    """Mean squared residual with the weights of `standard`."""
+    return disc_steps(replace(state.discs, weight=standard.discs.weight, trust=standard.discs.trust)).cost
+
+
+def converge(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSummary]:
+    """Gauss-Newton until nothing moves any more."""
+    start = state.model.lattice.basis
+    for turn in range(_PASSES):
+        try:
+            state, summary = _stepped(state, orders, turn >= _FREE_PASSES)
+        except np.linalg.LinAlgError as error:
+            raise CalibrationError("the microimages show no edges; give a sharper flat or a white image") from error
+        if not np.abs(state.model.lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
+            raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
+        if summary.moved < _SETTLED * summary.uncertainty:
+            break
+    return state, summary
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """Least squares without the gains: local parameters (n, 7), profile (r,) and between them; none where unneeded."""
+
+    normal: NDArray[np.float64]
+    right: NDArray[np.float64]
+    mixed: NDArray[np.float64]
+    profile: NDArray[np.float64]
+    force: NDArray[np.float64]
+
+
+def _without_gain(steps: DiscSteps, level: NDArray[np.float64]) -> _Reduced:
+    own = np.maximum(steps.normal[:, -1, -1], 1e-30)
+    share = steps.normal[:, :-1, -1] / own[:, None]
+    gain = steps.mixed[:, -1]
+    # Gains and profile share one scale, which the profile keeps.
+    scale = np.trace(steps.profile) / (level @ level) * np.outer(level, level)
+    return _Reduced(
+        steps.normal[:, :-1, :-1] - share[:, :, None] * steps.normal[:, None, :-1, -1],
+        steps.right[:, :-1] - share * steps.right[:, [-1]],
+        steps.mixed[:, :-1] - (share[:, :, None] * gain[:, None] if steps.mixed.shape[1] > 1 else 0),
+        steps.profile - gain.T @ (gain / own[:, None]) + scale,
+        steps.force - (steps.right[:, -1] / own) @ gain,
+    )
+
+
+def _stepped(state: FitState, orders: tuple[str, ...], frozen: bool = False) -> tuple[FitState, FitSummary]:
+    """One robust Gauss-Newton step of all global parameters, of the profile and of the gains.
+
+    `frozen` leaves weights, the range of the edge and the light between microimages as they are.
+    """
+    columns, names = design(state.model, state.indices, orders)
+    steps = disc_steps(state.discs)
+    reduced = _without_gain(steps, state.discs.level)
+    change, covariance, weight = _pooled(columns, reduced, slice(None))
+    place, local = columns[:, :2], columns @ change
+    ridge = 1e-9 * np.trace(reduced.normal[:, :2, :2].sum(0)) / len(columns) * np.eye(2)
+    left = (reduced.right - (reduced.normal @ local[:, :, None])[..., 0])[:, :2, None]
+    miss = np.linalg.solve(reduced.normal[:, :2, :2] + ridge, left)[..., 0]
+    spread = (place.reshape(-1, place.shape[2]) @ covariance).reshape(place.shape)
+    summary = FitSummary(
+        moved=float(np.sqrt(((place @ change) ** 2).sum(1).mean())),
+        residual=float(np.sqrt(np.average((miss**2).sum(1), weights=weight))),
+        uncertainty=float(np.sqrt(max((place * spread).sum((1, 2)).mean(), 0.0))),
+        used=int((weight > 0).sum()),
+    )
+    force = reduced.force
+    if reduced.mixed.shape[1]:
+        force = force - local.reshape(-1) @ reduced.mixed.reshape(local.size, -1)
+    level = np.linalg.solve(reduced.profile, force)
+    own = np.maximum(steps.normal[:, -1, -1], 1e-30)
+    gain = (steps.right[:, -1] - (steps.normal[:, -1, :-1] * local).sum(1) - steps.mixed[:, -1] @ level) / own
+    old = state.discs.level
+    level = (old + level) * (np.linalg.norm(old) / np.linalg.norm(old + level))
+    discs = replace(state.discs, level=level, gain=state.discs.gain * (1 + np.clip(gain, -0.5, 1)))
+    discs = replace(discs, four=discs.four + steps.four)
+    if not frozen:
+        edge = edge_of(level)
+        weighted = _weighted(state, steps).discs
+        discs = replace(discs, weight=weighted.weight, trust=weighted.trust, edge=edge, dark=_dark(level, edge))
+    return placed(FitState(moved(state.model, change, names), state.indices, discs)), summary
+
+
+def _pooled(
+    columns: NDArray[np.float64], reduced: _Reduced, half: NDArray[np.bool_] | slice
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Robust least squares over a part of the lenses: change (p,), covariance (p, p) and weights (n,) of the lenses."""
+    columns, normal, right, mixed = columns[half], reduced.normal[half], reduced.right[half], reduced.mixed[half]
+    part = len(columns) / len(reduced.normal)
+    lenses, local, globals_ = columns.shape
+    places = normal[:, :2, :2] + 1e-9 * np.trace(normal[:, :2, :2].sum(0)) / lenses * np.eye(2)
+    inverse = np.linalg.inv(places)
+    force, matter = right.reshape(-1), (normal @ columns).reshape(-1, globals_)
+    profile = part * reduced.profile
+    weight = np.ones(lenses)
+    for _ in range(_ROBUST_TURNS):
+        weighted = (weight[:, None, None] * columns).reshape(-1, globals_).T
+        information, pull = weighted @ matter, weighted @ force
+        if mixed.shape[1]:
+            # The profile changes along with the parameters: what it can take over says nothing about them.
+            joint = weighted @ mixed.reshape(lenses * local, -1)
+            taken = np.linalg.solve(profile, joint.T).T
+            information -= taken @ joint.T / weight.mean()
+            pull -= part * taken @ reduced.force
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-30))
+        covariance = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
+        change = covariance @ pull
+        left = right[:, :2] - (matter @ change).reshape(lenses, local)[:, :2]
+        far = left[:, 0] ** 2 * inverse[:, 0, 0] + left[:, 1] ** 2 * inverse[:, 1, 1]
+        far += 2 * left[:, 0] * left[:, 1] * inverse[:, 0, 1]
+        spread = float(np.median(far)) / 1.386 + 1e-30
+        weight = np.clip(1 - far / (spread * _OUTLIER**2), 0, None) ** 2
+    return change, covariance * spread, weight
+
+
+def halves_differ(state: FitState, orders: tuple[str, ...]) -> float:
+    """RMS distance over the flat between steps from here of every other microimage and of the others [px]."""
+    columns, _ = design(state.model, state.indices, orders)
+    reduced = _without_gain(disc_steps(state.discs), state.discs.level)
+    parity = np.arange(len(columns)) % 2
+    one, two = (_pooled(columns, reduced, parity == half)[0] for half in (0, 1))
+    return float(np.sqrt(((columns[:, :2] @ (one - two)) ** 2).sum(1).mean()))
+
+
+def promise(state: FitState, orders: tuple[str, ...]) -> float:
+    """RMS distance [px] by which the first step with these parameters would move the centres."""
+    columns, _ = design(state.model, state.indices, orders)
+    change = _pooled(columns, _without_gain(disc_steps(state.discs), state.discs.level), slice(None))[0]
+    return float(np.sqrt(((columns[:, :2] @ change) ** 2).sum(1).mean()))
+
+
+def few_of(state: FitState, lenses: int) -> FitState:
+    """The state with only about so many lenses, evenly spread."""
+    chosen = np.arange(0, len(state.indices), max(1, len(state.indices) // lenses))
+    discs = state.discs
+    kept = {name: getattr(discs, name)[chosen] for name in _OF_LENSES}
+    return replace(state, indices=state.indices[chosen], discs=replace(discs, **kept))
