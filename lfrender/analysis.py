@@ -16,8 +16,9 @@ from .matching import lens_statistics, pair_costs
 from .modes import confidence, fill, parabola_peak, second_best
 from .neighbours import neighbour_rows
 from .radiance import GrayFlat, gray_flat, shrink
-from .refinement import refine
+from .refinement import fit_pairs
 from .shading import flatten_shading
+from .slant import fit_lenses
 from .spreading import spread
 
 __all__ = ["PRESETS", "analyze"]
@@ -39,8 +40,8 @@ class _Preset:
 
 
 PRESETS = {
-    "fast": _Preset(search_pitch=16, step=1.0, full_step=1.0, row_step=2, iterations=2),
-    "balanced": _Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=4),
+    "fast": _Preset(search_pitch=16, step=1.0, full_step=1.0, row_step=2, iterations=3),
+    "balanced": _Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=5),
     "accurate": _Preset(search_pitch=40, step=0.5, full_step=0.5, row_step=1, iterations=8),
 }
 
@@ -100,9 +101,13 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
     start = (shifts[best] + parabola_peak(total, best) * (shifts[1] - shifts[0])) * factor
     sure = confidence(total, best, neighbours.shape[1], max(1, round(1.5 / step)))
     scale = np.maximum(3 * noise, 0.5 * contrast)
-    refined, error = refine(
-        fine, neighbours, np.where(textured, start, np.nan).astype(np.float32), scale, setting.iterations
-    ).T
+    first = np.where(textured, start, np.nan).astype(np.float32)
+    half = neighbours.shape[1] // 2
+    forward, backward = neighbours[:, :half], neighbours[:, half:]
+    fits = fit_lenses(fine, forward, backward, fit_pairs(fine, forward, first, scale, setting.iterations), first)
+    measured = np.isfinite(fits.patch_size)
+    refined = np.where(measured, fits.patch_size, start)
+    error = np.where(measured, fits.standard_error, np.inf)
     resolved = textured & (sure >= _SURE) & (np.abs(refined) <= _RESOLVABLE * lattice.pitch)
     gap = max(1.0, 0.05 * lattice.pitch)
     drawn = fill(np.where(resolved, refined, start).astype(np.float32), resolved, neighbours, gap)
