@@ -70,6 +70,22 @@ def test_shading_inside_microimages_is_not_taken_for_a_plane_without_disparity()
     assert (depth.mode == 0).mean() > 0.9
 
 
+def test_dark_lenses_whose_neighbours_agree_are_resolved():
+    shot = capture("plane", ratio=0.3)
+    dark = (shot.flat / 255.0 * 0.04).astype(np.float32)
+    depth = lfrender.analyze(dark, shot.truth.calibration)
+    assert (depth.mode == 1).mean() > 0.95
+    assert np.nanmedian(errors(shot, depth)) < 0.05
+
+
+def test_large_patch_sizes_are_not_drawn_toward_zero():
+    shot = capture("plane", ratio=-0.6, noise=(4000, 5))
+    depth = lfrender.analyze(shot.flat, shot.truth.calibration)
+    assert (depth.mode == -1).mean() > 0.97
+    assert abs(np.nanmedian(depth.patch_size) + 0.6 * 23.2) < 0.05
+    assert np.nanquantile(errors(shot, depth), 0.95) < 0.3
+
+
 def test_half_the_exposure_and_more_bits_change_next_to_nothing():
     shot = capture("plane", ratio=0.3)
     calibration = shot.truth.calibration
