@@ -57,8 +57,10 @@ _SURE = 0.5
 # this much unexplained.
 _SECOND, _UNEXPLAINED = 0.3, 0.2
 # Faint texture is believed when the answer is this sure and the lens itself correlates this much there: of lenses
-# without texture one in a hundred does. Near zero, in shares of the pitch, shading correlates as well.
-_PROVEN, _LEAST_EVIDENCE, _SHADED_REACH = 0.95, 0.12, 0.08
+# without texture one in a hundred does.
+_PROVEN, _LEAST_EVIDENCE = 0.95, 0.12
+# Shading correlates as well, with a patch size near zero: within this share of the pitch it takes more.
+_SHADED_REACH, _EVIDENCE_NEAR_ZERO = 0.2, 0.5
 
 
 def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -> DepthMap:
@@ -178,6 +180,7 @@ def _search(texture: Texture, forward: NDArray[np.int32], backward: NDArray[np.i
 
 
 def _credible(found: _Found, pitch: float) -> NDArray[np.bool_]:
-    """Lenses whose match alone proves that they carry texture: far from the zero that shading would give."""
-    apart = np.abs(found.patch_size) > _SHADED_REACH * pitch
-    return apart & (found.confidence >= _PROVEN) & (found.evidence >= _LEAST_EVIDENCE)
+    """Lenses whose match alone proves that they carry texture."""
+    near_zero = np.abs(found.patch_size) < _SHADED_REACH * pitch
+    enough = np.where(near_zero, _EVIDENCE_NEAR_ZERO, _LEAST_EVIDENCE)
+    return (found.confidence >= _PROVEN) & (found.evidence >= enough)

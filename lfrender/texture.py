@@ -19,7 +19,7 @@ __all__ = ["FIXED_SHADING", "LensStatistics", "Texture", "find_texture", "lens_s
 # Contrast that fixed-pattern shading inside microimages may fake, in shares of their brightness.
 FIXED_SHADING = 0.02
 # A lens clearly carries texture when its contrast exceeds the noise this many times, faintly at the second number.
-_CLEAR, _FAINT = 1.5, 0.5
+_CLEAR, _FAINT = 2.5, 0.5
 # The depth at the centre of a lens is not told by texture at its rim: within this share of the pitch there must
 # be some, at least this much of the brightness: less is lost in the rounding of 8 bits.
 _MIDDLE, _LEAST_CONTRAST = 0.36, 0.01
