@@ -56,6 +56,8 @@ _SURE = 0.5
 # A second depth is tried on the pixels when it matches the lens at most this much worse, and the first leaves
 # this much unexplained.
 _SECOND, _UNEXPLAINED = 0.3, 0.2
+# It is where this share of the lenses has its first: a depth that no lens sees alone is more likely a false match.
+_POPULATED = 0.005
 # Faint texture is believed when the answer is this sure and the lens itself correlates this much there: of lenses
 # without texture one in a hundred does.
 _PROVEN, _LEAST_EVIDENCE = 0.95, 0.12
@@ -111,7 +113,8 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
     resolved = textured & (found.confidence >= _SURE) & (np.abs(refined) <= _RESOLVABLE * lattice.pitch)
     gap = max(1.0, 0.05 * lattice.pitch)
     drawn = fill(np.where(resolved, refined, found.patch_size).astype(np.float32), resolved, neighbours, gap)
-    seconds = np.where(textured, found.second, np.nan).astype(np.float32)
+    populated = _populated(found.second, refined[resolved], gap)
+    seconds = np.where(textured & populated, found.second, np.nan).astype(np.float32)
     trust = np.where(resolved, found.confidence, 0.05).astype(np.float32)
     surface = spread(texture.flat, lattice, drawn, seconds, trust, texture.noise)
     # A lens that sees two depths answers with the one in its middle.
@@ -177,6 +180,13 @@ def _search(texture: Texture, forward: NDArray[np.int32], backward: NDArray[np.i
         second=np.where(rival, shifts[other] * factor, np.nan).astype(np.float32),
         step=step * factor,
     )
+
+
+def _populated(values: NDArray[np.float32], known: NDArray[np.float32], gap: float) -> NDArray[np.bool_]:
+    """Which `values` have their like among `known`, within `gap`; the false matches of a periodic texture have not."""
+    ordered = np.sort(known)
+    like = np.searchsorted(ordered, values + gap) - np.searchsorted(ordered, values - gap)
+    return like >= max(1, _POPULATED * len(ordered))
 
 
 def _credible(found: _Found, pitch: float) -> NDArray[np.bool_]:

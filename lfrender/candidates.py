@@ -15,7 +15,7 @@ _PATCH = 1
 # Lenses compared with the most central one for each candidate.
 _MOST_VIEWS = 5
 # Price of a depth that none of the lenses around votes for, in units of the mismatch.
-_PRIOR = np.float32(0.14)
+_PRIOR = np.float32(0.07)
 # Lenses below this trust say nothing about the places around them where others do.
 _TRUSTED = np.float32(0.1)
 
