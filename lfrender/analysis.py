@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 
 from .agreement import aggregate, lens_costs
+from .consensus import measure
 from .depthmap import DepthMap
 from .flatcheck import check_flat
 from .matching import pair_costs
 from .modes import confidence, fill, parabola_peak, second_best
 from .neighbours import neighbour_rows
 from .radiance import gray_flat, shrink
-from .refinement import fit_pairs
-from .slant import fit_lenses
 from .spreading import spread
 from .texture import FIXED_SHADING, Texture, find_texture, lens_statistics
 
@@ -105,8 +104,7 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
     textured = texture.clear | (texture.faint & _credible(found, lattice.pitch))
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
     first = np.where(textured, found.patch_size, np.nan).astype(np.float32)
-    pairs = fit_pairs(texture.flat, forward, first, scale, setting.iterations)
-    lenses = fit_lenses(texture.flat, forward, backward, pairs, first)
+    lenses = measure(texture.flat, forward, backward, first, scale, setting.iterations)
     measured = np.isfinite(lenses.patch_size)
     refined = np.where(measured, lenses.patch_size, found.patch_size)
     error = np.where(measured, lenses.standard_error, np.inf)

@@ -70,8 +70,9 @@ def _spline(f):
     )
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
-def _normal_equation(image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, offset, line):
+# Python's error model checks every division, which no vector loop can.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _normal_equation(image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, offset, line, steps):
     """Sums for a change of s and of the offset between two microimages, weighted after Geman and McClure.
 
     Returns the sums of weights, residuals, slopes, their products, and the moments of place.
@@ -103,7 +104,9 @@ def _normal_equation(image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, of
         if n <= 0:
             continue
         above = smooth[y - 1, left : right + 1]
-        row = smooth[y, left - 1 : right + 2]
+        before = smooth[y, left - 1 : right]
+        row = smooth[y, left : right + 1]
+        behind = smooth[y, left + 1 : right + 2]
         below = smooth[y + 1, left : right + 1]
         r0 = image[y + y0 - 1, left + x0 - 1 : right + x0 + 3]
         r1 = image[y + y0, left + x0 - 1 : right + x0 + 3]
@@ -111,13 +114,15 @@ def _normal_equation(image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, of
         r3 = image[y + y0 + 2, left + x0 - 1 : right + x0 + 3]
         for k in range(n + 3):
             line[k] = cy0 * r0[k] + cy1 * r1[k] + cy2 * r2_[k] + cy3 * r3[k]
+        # One view for each offset: an index like k + 1 may wrap round, which no vector loop can.
+        line0, line1, line2, line3 = line[:n], line[1 : n + 1], line[2 : n + 2], line[3 : n + 3]
         dy = np.float32(y - my)
         dx = np.float32(left - mx)
         rowpp = zero
         for k in range(n):
-            b = cx0 * line[k] + cx1 * line[k + 1] + cx2 * line[k + 2] + cx3 * line[k + 3]
-            p = hx * (row[k + 2] - row[k]) + hy * (below[k] - above[k])
-            r = row[k + 1] - b - offset
+            b = cx0 * line0[k] + cx1 * line1[k] + cx2 * line2[k] + cx3 * line3[k]
+            p = hx * (behind[k] - before[k]) + hy * (below[k] - above[k])
+            r = row[k] - b - offset
             w = scale2 / (scale2 + r * r)
             w = w * w
             wp = w * p
@@ -128,14 +133,14 @@ def _normal_equation(image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, of
             sp += wp
             spr += wp * r
             rowpp += wpp
-            sx += wpp * (dx + np.float32(k))
+            sx += wpp * (dx + steps[k])
         spp += rowpp
         sy += rowpp * dy
     return sw, sr, srr, sp, spp, spr, sx, sy
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, iterations, line):
+def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, iterations, line, steps):
     """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be told."""
     s = start
     offset = np.float32(0.0)
@@ -143,7 +148,7 @@ def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, iterations
     x = y = np.float32(0.0)
     for _ in range(iterations):
         sw, sr, srr, sp, spp, spr, sx, sy = _normal_equation(
-            image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, offset, line
+            image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, offset, line, steps
         )
         if sw < 4:
             return np.float32(np.nan), variance, x, y
@@ -167,8 +172,10 @@ def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, iterations
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _fit_pairs(image, smooth, centres, radius, pitch, rows, start, scale2, iterations, sizes, variances, places):
+    # Whole numbers are slow to convert inside a vector loop.
+    steps = np.arange(2 * int(radius) + 8).astype(np.float32)
     for lens in prange(len(centres)):
-        line = np.empty(2 * int(radius) + 8, np.float32)
+        line = np.empty(len(steps), np.float32)
         for d in range(rows.shape[1]):
             other = rows[lens, d]
             for side in range(2):
@@ -195,7 +202,7 @@ def _fit_pairs(image, smooth, centres, radius, pitch, rows, start, scale2, itera
                     break
                 s, variance, x, y = _fit(
                     image, smooth, centres[lens, 0], centres[lens, 1], centres[other, 0], centres[other, 1], radius,
-                    first if side == 0 else second, pitch, max(scale2[lens], scale2[other]), iterations, line,
+                    first if side == 0 else second, pitch, max(scale2[lens], scale2[other]), iterations, line, steps,
                 )  # fmt: skip
                 sizes[lens, d, side] = s
                 variances[lens, d, side] = variance
