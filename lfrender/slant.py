@@ -21,8 +21,9 @@ _FLOOR = np.float32(0.006)
 _SLANT = np.float32(0.05)
 # Pairs are doubted from so many standard deviations on.
 _DOUBT = np.float32(3.0)
-# What pairs of one lens get wrong together does not show in their scatter: measured on ray-traced scenes.
-_UNSEEN = np.float32(1.2)
+# What pairs of one lens get wrong together does not show in their scatter. They share less of the lens, and reach
+# farther beyond it, the larger the patch: factor at s = 0 and its growth per |s| / D, measured on ray-traced scenes.
+_UNSEEN, _UNSEEN_GROWTH = np.float32(0.9), np.float32(1.0)
 # Neighbours that differ by less, in shares of the pitch, lie on one surface.
 _ONE_SURFACE = 0.04
 # Slants of neighbours on one surface differ at least by this much: no surface is perfectly even.
@@ -180,7 +181,7 @@ def _expect_slants(forward, backward, sizes, gap, slants, spreads, prior):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _standard_errors(forward, backward, sizes, gap, spreads, out):
+def _standard_errors(forward, backward, sizes, pitch, gap, spreads, out):
     """Scale the error of each lens by the scatter of its pairs and of its neighbours' on the same surface."""
     half = forward.shape[1]
     for lens in prange(len(sizes)):
@@ -193,7 +194,8 @@ def _standard_errors(forward, backward, sizes, gap, spreads, out):
             if other >= 0 and abs(sizes[other] - sizes[lens]) < gap:
                 chi2 += np.float32(0.5) * spreads[other, 2]
                 freedom += np.float32(0.5) * spreads[other, 3]
-        out[lens] = _UNSEEN * np.sqrt(spreads[lens, 0] * (chi2 + 1) / (freedom + 1))
+        unseen = _UNSEEN + _UNSEEN_GROWTH * abs(sizes[lens]) / pitch
+        out[lens] = unseen * np.sqrt(spreads[lens, 0] * (chi2 + 1) / (freedom + 1))
 
 
 def fit_lenses(
@@ -236,5 +238,5 @@ def fit_lenses(
     _fit_lenses(
         gray.centres, pitch, forward, backward, *measured, sizes.copy(), prior, _ROUNDS // 2, 0, sizes, slants, spreads
     )
-    _standard_errors(forward, backward, sizes, gap, spreads, errors)
+    _standard_errors(forward, backward, sizes, pitch, gap, spreads, errors)
     return LensFits(sizes, errors, slants)
