@@ -69,7 +69,7 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
 
     Neighbouring microimages are correlated over all signed shifts at once (Lumsdaine and Georgiev
     2008, sections 4 to 6: telescopic and binocular differ only in the sign), lenses support each
-    other along the lattice, and the best shift is refined on the pixels.
+    other along the lattice, and the best shift is refined on the pixels of every pair, to a plane through each lens.
 
     Parameters
     ----------
