@@ -9,60 +9,18 @@ from numpy.typing import NDArray
 from .fastmath import FAST
 from .radiance import GrayFlat
 
-__all__ = ["lens_statistics", "pair_costs"]
+__all__ = ["pair_costs"]
 
 # Part of a difference in mean brightness that counts as mismatch: neighbouring lenses may differ a
 # little in gain, but on a smooth slope their means are all that tells the depth.
 _OFFSET_WEIGHT = np.float32(0.5)
-# Share of a microimage that must be common before a match is fully trusted.
-_FULL_TRUST = 0.35
+# Share of a microimage that must be common for a match to count half: some dozens of independent details. A larger
+# one would pull patch sizes toward zero, where more is shared.
+_HALF_TRUST = 0.06
 # Shading that correction leaves behind looks like weak texture without disparity: a match this near
 # zero (in pitches) is doubted by half where the contrast (white = 1) is only this.
 _SHADED_REACH = np.float32(0.08)
 _SHADED = np.float32(0.03)
-
-
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _lens_statistics(image, centres, radius, out):
-    """Mean, standard deviation and RMS second difference of every microimage."""
-    height, width = image.shape
-    for lens in prange(len(centres)):
-        cx, cy = centres[lens, 0], centres[lens, 1]
-        total = np.float32(0.0)
-        squares = np.float32(0.0)
-        rough = np.float32(0.0)
-        count = 0
-        top, bottom = max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius)))
-        middle = image[min(max(int(cy), 0), height - 1), min(max(int(cx), 0), width - 1)]
-        for y in range(top, bottom + 1):
-            half = np.sqrt(max(np.float32(0.0), radius * radius - (y - cy) * (y - cy)))
-            left, right = max(1, int(np.ceil(cx - half))), min(width - 2, int(np.floor(cx + half)))
-            for x in range(left, right + 1):
-                value = image[y, x] - middle
-                total += value
-                squares += value * value
-                # Checkerboard mask: blind to planes and straight slopes (Immerkaer 1996).
-                lap = (
-                    image[y - 1, x - 1]
-                    + image[y - 1, x + 1]
-                    + image[y + 1, x - 1]
-                    + image[y + 1, x + 1]
-                    - 2 * (image[y - 1, x] + image[y + 1, x] + image[y, x - 1] + image[y, x + 1])
-                    + 4 * image[y, x]
-                )
-                rough += lap * lap
-                count += 1
-        mean = total / max(count, 1)
-        out[lens, 0] = middle + mean
-        out[lens, 1] = np.sqrt(max(np.float32(0.0), squares / max(count, 1) - mean * mean))
-        out[lens, 2] = np.sqrt(rough / max(count, 1) / 36.0)
-
-
-def lens_statistics(gray: GrayFlat) -> NDArray[np.float32]:
-    """(n, 3) float32: mean, standard deviation and noise-like roughness of each microimage, white = 1."""
-    out = np.zeros((len(gray.centres), 3), np.float32)
-    _lens_statistics(gray.image, gray.centres, np.float32(gray.radius), out)
-    return out
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -108,7 +66,7 @@ def _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _pair_costs(
-    image, centres, radius, pitch, rows, means, contrast, active, shifts, noise, shading, row_step, full, out
+    image, centres, radius, pitch, rows, means, contrast, active, shifts, noise, shading, row_step, half, out
 ):
     for lens in prange(len(centres)):
         ax, ay = centres[lens, 0], centres[lens, 1]
@@ -136,7 +94,7 @@ def _pair_costs(
                 offset = _OFFSET_WEIGHT * (ma - mb) * (ma - mb)
                 residual = variance - 2 * (sab * inverse - ma * mb) + offset
                 quality = (residual + floor) / (variance + offset + floor)
-                trust = min(np.float32(1.0), count * row_step / full)
+                trust = count * row_step / (count * row_step + half)
                 trust *= 1 - doubt * np.exp(-((shifts[k] / (_SHADED_REACH * pitch)) ** 2))
                 out[lens, d, k] = 1.0 - trust * (1.0 - quality)
 
@@ -181,9 +139,9 @@ def pair_costs(
     (n, d, k) float32
     """
     out = np.empty((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
-    full = np.float32(_FULL_TRUST * np.pi * gray.radius**2)
+    half = np.float32(_HALF_TRUST * np.pi * gray.radius**2)
     _pair_costs(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, contrast, active,
-        shifts.astype(np.float32), np.float32(noise), np.float32(shading), row_step, full, out,
+        shifts.astype(np.float32), np.float32(noise), np.float32(shading), row_step, half, out,
     )  # fmt: skip
     return out

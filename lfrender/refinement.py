@@ -1,6 +1,8 @@
-"""Sub-pixel patch size: robust least squares on the pixels of a lens and its neighbours."""
+"""Sub-pixel patch size of every pair of neighbours: robust least squares on the pixels that both show."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit, prange
@@ -9,27 +11,85 @@ from numpy.typing import NDArray
 from .fastmath import FAST
 from .radiance import GrayFlat
 
-__all__ = ["refine"]
+__all__ = ["PairFits", "fit_pairs"]
 
 # Each step may move this far [px]: the starting value is the best of a finer grid.
 _MAX_STEP = 1.0
 # Steps shrink with their square: after this one [px] the next would not show.
 _SETTLED = 0.02
+# A fit that has left its start by more than this [px] has gone over to another optimum.
+_LEFT = np.float32(2.5)
+# The cubic B-spline at whole pixels.
+_SMOOTHING = np.array([1, 4, 1], np.float32) / 6
+# It leaves a quarter of the energy of white noise, and all of it at the low frequencies that texture has.
+_CORRELATED = np.float32(4.0)
+# Smoothing and slopes each read a pixel beyond [px]; small microimages give up no more than the share of the pitch.
+_RIM, _RIM_SHARE = 1.0, 0.05
+# Neighbours whose first values differ by less than this share of the pitch start from their mean.
+_COMMON_START = np.float32(0.04)
+
+
+@dataclass(frozen=True)
+class PairFits:
+    """Patch size measured between each lens and its neighbour in each of `d` directions.
+
+    The last axis of all arrays tells which of the two lenses the fit has started from: 0 the lens
+    itself, 1 the neighbour. Both are the same where the two agree about the first value.
+
+    Parameters
+    ----------
+    patch_size : (n, d, 2) float32 [px]
+        NaN where nothing was measured.
+    variance : (n, d, 2) float32 [px^2]
+        Of `patch_size`, as far as independent noise in the pixels explains it.
+    place : (n, d, 2, 2) float32 [px]
+        Where in the microimages it was measured: the mean, over texture, of the position between
+        `delta` in the lens and `delta` in the neighbour (last axis `x, y`).
+    """
+
+    patch_size: NDArray[np.float32]
+    variance: NDArray[np.float32]
+    place: NDArray[np.float32]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _accumulate(image, ax, ay, bx, by, radius, s, pitch, scale2, offset):
-    """Normal equation of one pair for a change of s, residuals weighted after Geman and McClure."""
+def _spline(f):
+    """Weights of the four pixels at -1, 0, 1, 2 in the cubic B-spline at `f`.
+
+    It smooths as much at any fraction as at 0, where its weights are those of `_SMOOTHING`; compared with a picture so
+    smoothed it shifts a detail of w radians per pixel by less than w^5 / 1000 px. Linear interpolation shifts it
+    by up to w^2 / 60 px, and so does Keys's cubic: by the same amount over the whole flat.
+    """
+    one, sixth, half = np.float32(1.0), np.float32(1 / 6), np.float32(0.5)
+    g = one - f
+    return (
+        sixth * g * g * g,
+        np.float32(2 / 3) - half * f * f * (one + g),
+        np.float32(2 / 3) - half * g * g * (one + f),
+        sixth * f * f * f,
+    )
+
+
+# Python's error model checks every division, which no vector loop can.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _normal_equation(image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, offset, line, steps):
+    """Sums for a change of s and of the offset between two microimages, weighted after Geman and McClure.
+
+    Returns the sums of weights, residuals, slopes, their products, and the moments of place.
+    """
     height, width = image.shape
     ex, ey = bx - ax, by - ay
     ux, uy = ex / pitch, ey / pitch
     tx, ty = ex + s * ux, ey + s * uy
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
-    fx, fy = np.float32(tx - x0), np.float32(ty - y0)
+    cx0, cx1, cx2, cx3 = _spline(np.float32(tx - x0))
+    cy0, cy1, cy2, cy3 = _spline(np.float32(ty - y0))
+    hx, hy = np.float32(0.5) * ux, np.float32(0.5) * uy
     r2 = radius * radius
     qx, qy = bx - tx, by - ty
-    hessian = gradient = energy = weights = residuals = np.float32(0.0)
-    count = 0
+    mx, my = np.float32(0.5) * (ax + qx), np.float32(0.5) * (ay + qy)
+    zero = np.float32(0.0)
+    sw = sr = srr = sp = spp = spr = sx = sy = zero
     top = max(int(np.ceil(max(ay, qy) - radius)), max(1, 1 - y0))
     bottom = min(int(np.floor(min(ay, qy) + radius)), min(height - 2, height - 3 - y0))
     for y in range(top, bottom + 1):
@@ -43,103 +103,141 @@ def _accumulate(image, ax, ay, bx, by, radius, s, pitch, scale2, offset):
         n = right - left + 1
         if n <= 0:
             continue
-        above = image[y - 1, left - 1 : right + 2]
-        row = image[y, left - 1 : right + 2]
-        below = image[y + 1, left - 1 : right + 2]
+        above = smooth[y - 1, left : right + 1]
+        before = smooth[y, left - 1 : right]
+        row = smooth[y, left : right + 1]
+        behind = smooth[y, left + 1 : right + 2]
+        below = smooth[y + 1, left : right + 1]
         r0 = image[y + y0 - 1, left + x0 - 1 : right + x0 + 3]
         r1 = image[y + y0, left + x0 - 1 : right + x0 + 3]
         r2_ = image[y + y0 + 1, left + x0 - 1 : right + x0 + 3]
         r3 = image[y + y0 + 2, left + x0 - 1 : right + x0 + 3]
-        count += n
+        for k in range(n + 3):
+            line[k] = cy0 * r0[k] + cy1 * r1[k] + cy2 * r2_[k] + cy3 * r3[k]
+        # One view for each offset: an index like k + 1 may wrap round, which no vector loop can.
+        line0, line1, line2, line3 = line[:n], line[1 : n + 1], line[2 : n + 2], line[3 : n + 3]
+        dy = np.float32(y - my)
+        dx = np.float32(left - mx)
+        rowpp = zero
         for k in range(n):
-            # Catmull-Rom would cost four times the loads; linear in both is unbiased once the
-            # gradient is the mean of both microimages (Baker and Matthews 2004, symmetric form).
-            b = (1 - fy) * ((1 - fx) * r1[k + 1] + fx * r1[k + 2]) + fy * ((1 - fx) * r2_[k + 1] + fx * r2_[k + 2])
-            bgx = (1 - fy) * ((1 - fx) * (r1[k + 2] - r1[k]) + fx * (r1[k + 3] - r1[k + 1])) + fy * (
-                (1 - fx) * (r2_[k + 2] - r2_[k]) + fx * (r2_[k + 3] - r2_[k + 1])
-            )
-            bgy = (1 - fy) * ((1 - fx) * (r2_[k + 1] - r0[k + 1]) + fx * (r2_[k + 2] - r0[k + 2])) + fy * (
-                (1 - fx) * (r3[k + 1] - r1[k + 1]) + fx * (r3[k + 2] - r1[k + 2])
-            )
-            agx = row[k + 2] - row[k]
-            agy = below[k + 1] - above[k + 1]
-            slope = np.float32(0.25) * ((agx + bgx) * ux + (agy + bgy) * uy)
-            residual = row[k + 1] - b - offset
-            w = scale2 / (scale2 + residual * residual)
+            b = cx0 * line0[k] + cx1 * line1[k] + cx2 * line2[k] + cx3 * line3[k]
+            p = hx * (behind[k] - before[k]) + hy * (below[k] - above[k])
+            r = row[k] - b - offset
+            w = scale2 / (scale2 + r * r)
             w = w * w
-            hessian += w * slope * slope
-            gradient += w * slope * residual
-            energy += w * residual * residual
-            weights += w
-            residuals += w * residual
-    return hessian, gradient, energy, weights, residuals, count
+            wp = w * p
+            wpp = wp * p
+            sw += w
+            sr += w * r
+            srr += w * r * r
+            sp += wp
+            spr += wp * r
+            rowpp += wpp
+            sx += wpp * (dx + steps[k])
+        spp += rowpp
+        sy += rowpp * dy
+    return sw, sr, srr, sp, spp, spr, sx, sy
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, iterations, line, steps):
+    """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be told."""
+    s = start
+    offset = np.float32(0.0)
+    variance = np.float32(np.inf)
+    x = y = np.float32(0.0)
+    for _ in range(iterations):
+        sw, sr, srr, sp, spp, spr, sx, sy = _normal_equation(
+            image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, offset, line, steps
+        )
+        if sw < 4:
+            return np.float32(np.nan), variance, x, y
+        inverse = np.float32(1.0) / sw
+        hessian = spp - sp * sp * inverse
+        if hessian <= 1e-9:
+            return np.float32(np.nan), variance, x, y
+        gradient = spr - sp * sr * inverse
+        offset += sr * inverse
+        step = gradient / hessian
+        left = max(srr - sr * sr * inverse - gradient * step, np.float32(0.0))
+        variance = _CORRELATED * left * inverse / hessian
+        x, y = sx / spp, sy / spp
+        s += min(max(step, np.float32(-_MAX_STEP)), np.float32(_MAX_STEP))
+        if abs(step) < _SETTLED:
+            break
+    if abs(s - start) > _LEFT:
+        return np.float32(np.nan), variance, x, y
+    return s, variance, x, y
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _refine(image, centres, radius, pitch, rows, start, scale2, iterations, out):
+def _fit_pairs(image, smooth, centres, radius, pitch, rows, start, scale2, iterations, sizes, variances, places):
+    # Whole numbers are slow to convert inside a vector loop.
+    steps = np.arange(2 * int(radius) + 8).astype(np.float32)
     for lens in prange(len(centres)):
-        s = start[lens]
-        out[lens, 0] = s
-        out[lens, 1] = np.inf
-        if not np.isfinite(s):
-            continue
-        offsets = np.zeros(rows.shape[1], np.float32)
-        hessian = energy = weights = np.float32(0.0)
-        for _ in range(iterations):
-            hessian = gradient = energy = weights = np.float32(0.0)
-            for d in range(rows.shape[1]):
-                other = rows[lens, d]
-                if other < 0:
-                    continue
-                h, g, e, w, r, _c = _accumulate(
-                    image, centres[lens, 0], centres[lens, 1], centres[other, 0], centres[other, 1],
-                    radius, s, pitch, scale2[lens], offsets[d],
+        line = np.empty(len(steps), np.float32)
+        for d in range(rows.shape[1]):
+            other = rows[lens, d]
+            for side in range(2):
+                sizes[lens, d, side] = np.nan
+                variances[lens, d, side] = np.inf
+                places[lens, d, side, 0] = places[lens, d, side, 1] = 0.0
+            if other < 0:
+                continue
+            first, second = start[lens], start[other]
+            if np.isnan(first):
+                first = second
+            if np.isnan(second):
+                second = first
+            if np.isnan(first):
+                continue
+            together = abs(first - second) < _COMMON_START * pitch
+            if together:
+                first = second = np.float32(0.5) * (first + second)
+            for side in range(2):
+                if side == 1 and together:
+                    sizes[lens, d, 1] = sizes[lens, d, 0]
+                    variances[lens, d, 1] = variances[lens, d, 0]
+                    places[lens, d, 1, 0], places[lens, d, 1, 1] = places[lens, d, 0, 0], places[lens, d, 0, 1]
+                    break
+                s, variance, x, y = _fit(
+                    image, smooth, centres[lens, 0], centres[lens, 1], centres[other, 0], centres[other, 1], radius,
+                    first if side == 0 else second, pitch, max(scale2[lens], scale2[other]), iterations, line, steps,
                 )  # fmt: skip
-                if w > 1:
-                    offsets[d] += np.float32(0.5) * r / w
-                hessian += h
-                gradient += g
-                energy += e
-                weights += w
-            if hessian <= 1e-9:
-                break
-            step = gradient / hessian
-            s += min(max(step, -_MAX_STEP), _MAX_STEP)
-            if abs(step) < _SETTLED:
-                break
-        if hessian > 1e-9 and abs(s - start[lens]) < 2.5:
-            out[lens, 0] = s
-            out[lens, 1] = np.sqrt(energy / max(weights, np.float32(1.0)) / hessian)
+                sizes[lens, d, side] = s
+                variances[lens, d, side] = variance
+                places[lens, d, side, 0], places[lens, d, side, 1] = x, y
 
 
-def refine(
+def fit_pairs(
     gray: GrayFlat,
     rows: NDArray[np.int32],
     start: NDArray[np.float32],
     scale: NDArray[np.float32],
     iterations: int,
-) -> NDArray[np.float32]:
-    """Patch size of each lens by Gauss-Newton steps from `start`, with its standard error.
+) -> PairFits:
+    """Patch size of each pair of neighbours by Gauss-Newton steps.
 
     Parameters
     ----------
     gray : GrayFlat
-    rows : (n, k) int32
-        Neighbours to compare each lens with, -1 where there is none.
+    rows : (n, d) int32
+        One neighbour of each lens in `d` directions, -1 where there is none: every pair once.
     start : (n,) float32 [px of `gray`]
-        First values, NaN for lenses to leave alone.
+        First values, NaN for lenses without one; pairs of two such lenses are left out.
     scale : (n,) float32
         Difference of brightness beyond which two pixels hardly count as the same point.
     iterations : int
-
-    Returns
-    -------
-    (n, 2) float32 [px of `gray`]
-        Patch size and standard error (inf where it could not be refined).
     """
-    out = np.empty((len(start), 2), np.float32)
-    _refine(
-        gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows,
-        start.astype(np.float32), (scale * scale).astype(np.float32), iterations, out,
+    import cv2
+
+    smooth = cv2.sepFilter2D(gray.image, -1, _SMOOTHING, _SMOOTHING)
+    radius = gray.radius - min(_RIM, _RIM_SHARE * gray.pitch)
+    shape = (*rows.shape, 2)
+    fits = PairFits(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32))
+    _fit_pairs(
+        gray.image, smooth, gray.centres, np.float32(radius), np.float32(gray.pitch), rows,
+        start.astype(np.float32), (scale * scale).astype(np.float32), iterations,
+        fits.patch_size, fits.variance, fits.place,
     )  # fmt: skip
-    return out
+    return fits

@@ -23,7 +23,7 @@ _VOTING, _LOOKING = 1.45, 2.1
 # Specks are smaller than about half of a square of so many grid values to each side.
 _SPECK = 2
 # Price of a depth edge between neighbouring grid values, and of a slant by one gap.
-_JUMP, _SLANT = np.float32(1.2), np.float32(0.1)
+_JUMP, _SLANT = np.float32(0.85), np.float32(0.1)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)

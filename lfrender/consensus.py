@@ -1,0 +1,133 @@
+"""What the lenses around each lens expect of it: a second start for the doubtful, and support for all."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from .fastmath import FAST
+from .radiance import GrayFlat
+from .refinement import fit_pairs
+from .slant import LensFits, fit_lenses
+
+__all__ = ["measure"]
+
+# Lenses with a larger standard error [px] expect nothing of others; those above the second number are doubtful
+# where they also differ from what is expected by more than the third.
+_EXPECTING, _DOUBTFUL, _APART = np.float32(0.3), 0.15, 0.2
+# Expectations farther from their median than three times their scatter, at least this [px], are of other surfaces.
+_OUTLYING = np.float32(0.15)
+# A second start may differ from the first by this share of the pitch: more would be another label, not an offset.
+_OFFSET = 0.15
+# Neighbouring lenses share pairs: correlation of an expectation's error with the lens's own.
+_SHARED = np.float32(0.5)
+_LEAST_SPREAD = np.float32(0.01)
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _expect(centres, pitch, forward, backward, sizes, errors, slants, about, reach, means, spreads):
+    half = forward.shape[1]
+    for lens in prange(len(centres)):
+        means[lens] = spreads[lens] = np.nan
+        values = np.empty(2 * half, np.float32)
+        count = 0
+        for k in range(2 * half):
+            other = forward[lens, k] if k < half else backward[lens, k - half]
+            if other < 0 or not errors[other] < _EXPECTING:
+                continue
+            # Over a plane 1 / s is linear in X, with the slant -D * grad(s) / s.
+            ex, ey = centres[other, 0] - centres[lens, 0], centres[other, 1] - centres[lens, 1]
+            value = sizes[other] * (1 + (slants[other, 0] * ex + slants[other, 1] * ey) / pitch)
+            if abs(value - about[lens]) < reach:
+                values[count] = value
+                count += 1
+        if count == 0:
+            continue
+        median = np.median(values[:count])
+        limit = max(_OUTLYING, np.float32(3 * 1.48) * np.median(np.abs(values[:count] - median)))
+        total = squares = np.float32(0.0)
+        kept = 0
+        for k in range(count):
+            if abs(values[k] - median) <= limit:
+                total += values[k] - median
+                squares += (values[k] - median) ** 2
+                kept += 1
+        means[lens] = median + total / kept
+        if kept > 2:
+            spreads[lens] = np.sqrt(max((squares - total * total / kept) / (kept - 1), np.float32(0.0)))
+
+
+def _expected(
+    gray: GrayFlat,
+    forward: NDArray[np.int32],
+    backward: NDArray[np.int32],
+    lenses: LensFits,
+    about: NDArray[np.float32],
+    reach: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Patch size that the neighbours of each lens, carried on as planes, expect of it, and its standard deviation.
+
+    Only what lies within `reach` of `about` counts. NaN where there is nothing; the deviation also
+    where fewer than three neighbours agree.
+    """
+    means, spreads = np.empty(len(about), np.float32), np.empty(len(about), np.float32)
+    _expect(
+        gray.centres, np.float32(gray.pitch), forward, backward, lenses.patch_size, lenses.standard_error,
+        lenses.slant, about, np.float32(reach), means, spreads,
+    )  # fmt: skip
+    return means, np.hypot(spreads, _LEAST_SPREAD)
+
+
+def measure(
+    gray: GrayFlat,
+    forward: NDArray[np.int32],
+    backward: NDArray[np.int32],
+    start: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    iterations: int,
+) -> LensFits:
+    """Sub-pixel patch size of each lens from its own pixels first, then with the lenses around it.
+
+    Where a fit is doubtful and the neighbours expect something else nearby, a second fit starts from
+    there and the more certain one is kept. At last each lens is weighed with what its neighbours expect of it.
+
+    Parameters
+    ----------
+    gray : GrayFlat
+    forward, backward : (n, d) int32
+        Neighbour rows in `d` directions and in their opposites, -1 where there is none.
+    start : (n,) float32 [px]
+        First values; NaN for lenses to leave alone.
+    scale : (n,) float32
+        Difference of brightness beyond which two pixels hardly count as the same point.
+    iterations : int
+        Of each fit of a pair.
+    """
+    first = fit_lenses(gray, forward, backward, fit_pairs(gray, forward, start, scale, iterations), start)
+    expected, _ = _expected(gray, forward, backward, first, start, _OFFSET * gray.pitch)
+    tolerated = np.maximum(_APART, first.standard_error)
+    settled = (first.standard_error < _DOUBTFUL) | (np.abs(expected - first.patch_size) < tolerated)
+    again = np.where(settled, np.nan, expected).astype(np.float32)
+    second = fit_lenses(gray, forward, backward, fit_pairs(gray, forward, again, scale, iterations), again)
+    better = second.standard_error < first.standard_error
+    own = LensFits(
+        np.where(better, second.patch_size, first.patch_size),
+        np.where(better, second.standard_error, first.standard_error),
+        np.where(better[:, None], second.slant, first.slant),
+    )
+    return _supported(own, *_expected(gray, forward, backward, own, own.patch_size, np.inf))
+
+
+def _supported(own: LensFits, expected: NDArray[np.float32], spread: NDArray[np.float32]) -> LensFits:
+    """Weighted mean of own and expected values where they do not contradict each other."""
+    error = own.standard_error
+    with np.errstate(invalid="ignore"):
+        agree = np.abs(expected - own.patch_size) < 3 * np.hypot(spread, error)
+        weight = np.where(agree & np.isfinite(error), error**2 / (error**2 + spread**2), 0)
+        joint = (1 - weight) ** 2 * error**2 + weight**2 * spread**2
+        joint += 2 * _SHARED * weight * (1 - weight) * error * spread
+        patch_size = np.where(weight > 0, own.patch_size + weight * (expected - own.patch_size), own.patch_size)
+        return LensFits(
+            patch_size.astype(np.float32), np.where(weight > 0, np.sqrt(joint), error).astype(np.float32), own.slant
+        )

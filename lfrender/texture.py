@@ -1,0 +1,149 @@
+"""Which lenses carry texture: their contrast against the noise and the shading that could fake it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from lfcal import Lattice
+
+from .fastmath import FAST
+from .radiance import GrayFlat
+from .shading import flatten_shading
+
+__all__ = ["FIXED_SHADING", "LensStatistics", "Texture", "find_texture", "lens_statistics"]
+
+# Contrast that fixed-pattern shading inside microimages may fake, in shares of their brightness.
+FIXED_SHADING = 0.02
+# A lens clearly carries texture when its contrast exceeds the noise this many times, faintly at the second number.
+_CLEAR, _FAINT = 2.5, 0.5
+# The depth at the centre of a lens is not told by texture at its rim: within this share of the pitch there must
+# be some, at least this much of the brightness: less is lost in the rounding of 8 bits.
+_MIDDLE, _LEAST_CONTRAST = 0.36, 0.01
+
+
+@dataclass(frozen=True)
+class LensStatistics:
+    """Brightness inside each microimage, white = 1.
+
+    Parameters
+    ----------
+    mean, contrast : (n,) float32
+        Mean and standard deviation.
+    middle : (n,) float32
+        Standard deviation within 0.36 pitches of the centre.
+    roughness : (n,) float32
+        RMS of what neither a plane nor a straight edge explains: noise, and the finest detail.
+    """
+
+    mean: NDArray[np.float32]
+    contrast: NDArray[np.float32]
+    middle: NDArray[np.float32]
+    roughness: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Texture:
+    """What there is to match.
+
+    Parameters
+    ----------
+    flat : GrayFlat
+        Without the shading that microimages have in common.
+    statistics : LensStatistics
+        Of that.
+    noise : float
+        Standard deviation of a pixel, white = 1.
+    clear, faint : (n,) bool
+        Lenses with texture, and lenses where only a match can tell it from noise.
+    """
+
+    flat: GrayFlat
+    statistics: LensStatistics
+    noise: float
+    clear: NDArray[np.bool_]
+    faint: NDArray[np.bool_]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _chord(centre_x, centre_y, y, radius, width):
+    """First and last pixel of row `y` inside a circle."""
+    half = np.sqrt(max(np.float32(0.0), radius * radius - (y - centre_y) * (y - centre_y)))
+    return max(1, int(np.ceil(centre_x - half))), min(width - 2, int(np.floor(centre_x + half)))
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _moments(image, cx, cy, radius, middle):
+    """Count, mean and standard deviation of the pixels in a circle, taken from a value near their mean."""
+    height, width = image.shape
+    total = squares = np.float32(0.0)
+    count = 0
+    for y in range(max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius))) + 1):
+        left, right = _chord(cx, cy, y, radius, width)
+        row = image[y, left : right + 1]
+        for k in range(right - left + 1):
+            value = row[k] - middle
+            total += value
+            squares += value * value
+        count += max(right - left + 1, 0)
+    mean = total / max(count, 1)
+    return count, middle + mean, np.sqrt(max(np.float32(0.0), squares / max(count, 1) - mean * mean))
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _roughness(image, cx, cy, radius):
+    """RMS answer to a checkerboard mask: blind to planes and straight slopes (Immerkaer 1996)."""
+    height, width = image.shape
+    rough = np.float32(0.0)
+    count = 0
+    for y in range(max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius))) + 1):
+        left, right = _chord(cx, cy, y, radius, width)
+        above = image[y - 1, left - 1 : right + 2]
+        row = image[y, left - 1 : right + 2]
+        below = image[y + 1, left - 1 : right + 2]
+        for k in range(right - left + 1):
+            bend = (
+                above[k] + above[k + 2] + below[k] + below[k + 2]
+                - 2 * (above[k + 1] + below[k + 1] + row[k] + row[k + 2])
+                + 4 * row[k + 1]
+            )  # fmt: skip
+            rough += bend * bend
+        count += max(right - left + 1, 0)
+    return np.sqrt(rough / max(count, 1) / 36.0)
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _lens_statistics(image, centres, radius, middle, noise_too, out):
+    height, width = image.shape
+    for lens in prange(len(centres)):
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        near = image[min(max(int(cy), 0), height - 1), min(max(int(cx), 0), width - 1)]
+        _, out[0, lens], out[1, lens] = _moments(image, cx, cy, radius, near)
+        if noise_too:
+            _, _, out[2, lens] = _moments(image, cx, cy, middle, near)
+            out[3, lens] = _roughness(image, cx, cy, radius)
+
+
+def lens_statistics(gray: GrayFlat, noise_too: bool = True) -> LensStatistics:
+    """Brightness inside each microimage; without `noise_too`, `middle` and `roughness` are left 0."""
+    out = np.zeros((4, len(gray.centres)), np.float32)
+    _lens_statistics(
+        gray.image, gray.centres, np.float32(gray.radius), np.float32(min(gray.radius, _MIDDLE * gray.pitch)),
+        noise_too, out,
+    )  # fmt: skip
+    return LensStatistics(*out)
+
+
+def find_texture(gray: GrayFlat, lattice: Lattice) -> Texture:
+    """Remove the shading that microimages have in common and tell which lenses are left with texture."""
+    plain = lens_statistics(gray, noise_too=False)
+    flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast)
+    found = lens_statistics(flattened)
+    # The least rough microimages show the noise alone; rounding and coding leave a grey level in any case.
+    noise = max(float(np.percentile(found.roughness, 2)), 1 / 255)
+    some = found.middle > np.maximum(_LEAST_CONTRAST * found.mean, np.float32(_FAINT * noise))
+    clear = some & (found.contrast > np.hypot(_CLEAR * noise, FIXED_SHADING * found.mean))
+    return Texture(flattened, found, noise, clear, some & ~clear)

@@ -1,0 +1,38 @@
+import numpy as np
+
+from lfcal import Lattice
+from lfrender.radiance import GrayFlat
+from lfrender.texture import find_texture, lens_statistics
+
+LATTICE = Lattice((100.3, 80.7), ((30.0, 0.0), (15.0, 26.0)), (210, 170), 14.5)
+
+
+def made(texture):
+    """Grey microimages with `texture(distance from the centre, noise)` added."""
+    y, x = np.mgrid[:170, :210]
+    index = LATTICE.to_index(np.stack([x, y], -1).reshape(-1, 2))
+    delta = (index - np.rint(index)) @ LATTICE.basis
+    grain = np.random.default_rng(1).standard_normal(x.size)
+    image = 0.5 + texture(np.hypot(*delta.T), grain)
+    return GrayFlat(image.reshape(x.shape).astype(np.float32), LATTICE.centres().astype(np.float32), 13.5, 30.0)
+
+
+def test_statistics_are_those_of_the_pixels_in_the_circle():
+    gray = made(lambda r, grain: 0.1 * grain)
+    statistics = lens_statistics(gray)
+    lens = int(np.argmin(np.abs(gray.centres - (100, 80)).sum(1)))
+    y, x = np.mgrid[:170, :210]
+    distance = np.hypot(x - gray.centres[lens, 0], y - gray.centres[lens, 1])
+    for name, radius in (("contrast", 13.5), ("middle", 10.8)):
+        np.testing.assert_allclose(getattr(statistics, name)[lens], gray.image[distance <= radius].std(), rtol=1e-4)
+    np.testing.assert_allclose(statistics.mean[lens], gray.image[distance <= 13.5].mean(), rtol=1e-5)
+    np.testing.assert_allclose(np.median(statistics.roughness), 0.1, rtol=0.05)
+
+
+def test_texture_at_the_rim_alone_says_nothing_about_the_middle():
+    inner = np.all((LATTICE.centres() > 15) & (LATTICE.centres() < (194, 154)), axis=1)
+    rim = find_texture(made(lambda r, grain: np.where(r > 11.5, 0.1 * np.sign(grain), 0)), LATTICE)
+    assert not (rim.clear | rim.faint)[inner].any()
+    whole = find_texture(made(lambda r, grain: 0.1 * np.sign(grain)), LATTICE)
+    assert whole.flat.image.shape == (170, 210)
+    assert (whole.clear | whole.faint)[inner].all()
