@@ -66,19 +66,27 @@ def white_or_scene(
     if kind != "auto":
         return kind == "white", lights
     if len(lights) == 1:
-        return evenly_lit(start.brightness, start.lattice), lights
+        return evenly_lit(start.brightness, lights[0], start.lattice), lights
     from .features import level_locally, tone
 
     window = _LEVEL * start.lattice.pitch
-    whites = [light for light in lights if evenly_lit(level_locally(tone(light), window), start.lattice)]
+    whites = [light for light in lights if evenly_lit(level_locally(tone(light), window), light, start.lattice)]
     return (True, whites) if whites else (False, lights)
 
 
-def evenly_lit(brightness: NDArray[np.float32], lattice: Lattice) -> bool:
-    """Whether the insides of microimages vary by little against the depth of the gaps between them."""
+def evenly_lit(brightness: NDArray[np.float32], light: NDArray[np.float32], lattice: Lattice) -> bool:
+    """Whether the insides of lit microimages vary by little against the depth of the gaps between them.
+
+    Parameters
+    ----------
+    brightness : (h, w) float32
+        Locally levelled.
+    light : (h, w) float32
+    lattice : Lattice [px]
+    """
     from .fit import radial_profile
 
-    profile = radial_profile(brightness, lattice)
+    profile = radial_profile(brightness, lattice, light=light)
     radii = np.arange(len(profile.mean)) * profile.step
     inner = radii < 0.5 * lattice.radius
     noise = float(np.sqrt(np.average(profile.variance[inner], weights=radii[inner] + profile.step)))

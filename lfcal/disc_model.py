@@ -26,8 +26,8 @@ _EDGE = 3.0
 _OUTLIER = 4.685
 # Share of the steepest slope of the profile above which it is an edge.
 _STEEP = 0.1
-# Weight of the smoothness of the profile against that of the pixels.
-_STIFF = 1e-4
+# Weights of steps and of bends of the profile against that of the pixels.
+_STIFF, _SMOOTH = 1e-4, 1e-2
 # Share of the pixels of a ring that must see it before it moves freely.
 _SLOW = 0.01
 # Edges that run alike are never blurred quite alike.
@@ -358,9 +358,10 @@ def disc_steps(discs: Discs) -> DiscSteps:
     )  # fmt: skip
     normal += np.triu(normal.reshape(-1, LOCAL, LOCAL), 1).transpose(0, 2, 1)
     main, side, force, total, turned, turned_own = band.sum(0)
-    # Rings that hardly a pixel fell into are like their neighbours.
-    bend = np.diff(np.eye(rings), axis=0)
-    stiff = _STIFF * float(np.median(main)) * bend.T @ bend
+    # Rings that hardly a pixel fell into are like their neighbours; where lenses lie alike to the pixels, only the
+    # smoothness of the profile tells where between the pixels an edge is.
+    flat, bend = np.diff(np.eye(rings), axis=0), np.diff(np.eye(rings), 2, axis=0)
+    stiff = float(np.median(main)) * (_STIFF * flat.T @ flat + _SMOOTH * bend.T @ bend)
     profile = np.diag(main) + np.diag(side[:-1], 1) + np.diag(side[:-1], -1) + stiff
     # Rings that hardly any light reaches through the cutting disc move slowly.
     profile += _SLOW * np.diag(total)

@@ -12,6 +12,7 @@ from .disc_parameters import DiscModel, design, field_of, moved
 from .errors import CalibrationError
 from .fit import cell_faces, whole_lenses
 from .lattice import Lattice
+from .lit_lenses import lit_lenses
 from .windows import cut_windows
 
 __all__ = [
@@ -35,6 +36,8 @@ _RUNAWAY = 0.05
 _DARK = 0.03
 # Lenses are grouped by brightness into so many groups to see how their noise depends on it.
 _GROUPS = 12
+# Lenses that scatter by more than this multiple of what is usual at their brightness lose their say.
+_UNLIKE = 4.0
 # What `Discs` holds of each lens.
 _OF_LENSES = ("light", "corners", "centres", "cut", "gain", "trust", "tilt")
 
@@ -64,7 +67,7 @@ def open_lenses(
     """Lenses of about so many pixels in all, but at least so many, with gains from their cores."""
     lattice = model.lattice
     faces, reach = cell_faces(lattice)
-    indices, centres = whole_lenses(lattice, reach + 2)
+    indices, centres = lit_lenses(tones, lattice, *whole_lenses(lattice, reach + 2), np.sqrt(_DARK))
     every = max(1.0, len(centres) * abs(np.linalg.det(lattice.basis)) / pixels)
     every = max(1.0, min(every, len(centres) / fewest))
     chosen = np.arange(len(centres)) * _GOLDEN % 1 < 1 / every
@@ -158,6 +161,8 @@ def _weighted(state: FitState, steps: DiscSteps) -> FitState:
     typical = np.array([np.median(steps.scatter[g]) for g in groups])
     spread = np.interp(discs.gain, [np.median(discs.gain[g]) for g in groups], typical)
     trust = 1 / np.maximum(spread / np.median(typical), 0.1)
+    # Half a microimage at the border of the array is unlike any other.
+    trust *= np.minimum((_UNLIKE * spread / np.maximum(steps.scatter, 1e-30)) ** 4, 1)
     return replace(state, discs=replace(discs, weight=weight, trust=trust))
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .errors import CalibrationError
 from .lattice import Lattice
+from .lit_lenses import lit_lenses
 
 __all__ = ["LatticeFit", "RadialProfile", "cell_faces", "fit_lattice", "inner_radius", "radial_profile", "whole_lenses"]
 
@@ -34,6 +35,8 @@ _FEWEST_LENSES = 12
 _SETTLED = 0.3
 _RUNAWAY = 0.05
 _GOLDEN = 0.6180339887498949
+# A lens with less than this share of the light of a bright one is dark.
+_DARK = 0.03
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -202,10 +205,17 @@ def whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int64], ND
     return indices[keep], centres[keep]
 
 
-def radial_profile(picture: NDArray[np.float32], lattice: Lattice, lenses: int = 1000) -> RadialProfile:
-    """Profile of `picture` (h, w) over whole cells of the lattice, about so many of them, evenly spread."""
+def radial_profile(
+    picture: NDArray[np.float32], lattice: Lattice, lenses: int = 1000, light: NDArray[np.float32] | None = None
+) -> RadialProfile:
+    """Profile of `picture` (h, w) over whole cells of the lattice, about so many of them, evenly spread.
+
+    Where `light` (h, w) is given, lenses that are dark on it are left out.
+    """
     faces, reach = cell_faces(lattice)
-    _, centres = whole_lenses(lattice, reach + 1)
+    indices, centres = whole_lenses(lattice, reach + 1)
+    if light is not None:
+        _, centres = lit_lenses(light, lattice, indices, centres, _DARK)
     centres = np.ascontiguousarray(centres[:: max(1, len(centres) // lenses)])
     rings = int(reach / _STEP) + 3
     total, square, count = (np.zeros((_CHUNKS, rings)) for _ in range(3))

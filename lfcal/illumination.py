@@ -91,5 +91,5 @@ def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
     if len(dark):
         k = int(dark[0])
         before, after = relative[k - 1], relative[k]
-        radius = min(limit, float(radii[k - 1] + (before - 0.5) / max(before - after, 1e-9) * gain.step))
+        radius = min(limit, float(radii[k - 1] + np.clip((before - 0.5) / max(before - after, 1e-9), 0, 1) * gain.step))
     return Vignetting(relative, gain.step), radius
