@@ -59,7 +59,7 @@ class DiscFit:
     halves_differ: float
 
 
-def fit_discs(tones: NDArray[np.float32], lattice: Lattice, pixels: float = 6e6) -> DiscFit:
+def fit_discs(tones: NDArray[np.float32], lattice: Lattice, pixels: float = 3.2e6) -> DiscFit:
     """Fit a white image.
 
     Parameters
@@ -91,7 +91,7 @@ def fit_discs(tones: NDArray[np.float32], lattice: Lattice, pixels: float = 6e6)
     state, summary = converge(state, orders)
     return DiscFit(
         state.model.lattice, state.model.cat_eye, summary.residual, summary.uncertainty, summary.used,
-        halves_differ(state, orders),
+        halves_differ(summary),
     )  # fmt: skip
 
 

@@ -48,6 +48,11 @@ _WEIGHTS = (
     0.3607615730481386,
     0.17132449237917036,
 )
+# In the even inside of a microimage one pixel in so many is looked at, where that inside has at least this radius [px],
+# and up to so far [px] from its edge.
+_THINNED = 4
+_LARGE = 3.0
+_MARGIN = 0.5
 _ROOT_HALF = math.sqrt(0.5)
 _ROOT_TAU = math.sqrt(2 * math.pi)
 
@@ -221,7 +226,7 @@ def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, 
 @njit(cache=True, nogil=True, parallel=True)
 def _accumulate_steps(
     light, corners, centres, cut, gain, trust, tilt, radius, soft, faces, inner, reach, step, level, slope, weight,
-    four, edge, depths, shared, dark, chunks, normal, right, mixed, band, squares, count, scatter,
+    four, edge, even, depths, shared, dark, chunks, normal, right, mixed, band, squares, count, scatter,
 ):  # fmt: skip
     lenses, side = light.shape[0], light.shape[1]
     first = 8 - mixed.shape[1]
@@ -245,6 +250,11 @@ def _accumulate_steps(
                     if soft > 0:
                         ex, ey = dx - cut[lens, 0], dy - cut[lens, 1]
                         through, change, far, depth = _transmission(ex, ey, radius, soft)
+                    share = 1.0
+                    if ring < even and change == 0:
+                        if (x + 2 * y) % _THINNED:
+                            continue
+                        share = _THINNED
                     disc = level[ring] * (1 - part) + level[ring + 1] * part - dark
                     angle = 1 - 8 * (dx * dx) * (dy * dy) / max(rho * rho * rho * rho, 1e-12)
                     disc += (four[ring] * (1 - part) + four[ring + 1] * part) * angle
@@ -272,7 +282,7 @@ def _accumulate_steps(
                         continue
                     squares[chunk, ring] += residual * residual * trust[lens]
                     count[chunk, ring] += 1
-                    w *= (1 - away) * (1 - away) * trust[lens]
+                    w *= (1 - away) * (1 - away) * trust[lens] * share
                     along = -(slope[ring] * (1 - part) + slope[ring + 1] * part) * falling / max(rho, 1e-6)
                     g[0], g[1], g[7] = along * dx, along * dy, model
                     here, after = falling * (1 - part), falling * part
@@ -322,6 +332,12 @@ def edge_of(level: NDArray[np.float64]) -> NDArray[np.bool_]:
     return edge
 
 
+def _even(discs: Discs) -> int:
+    """Ring inside of which a microimage is so even that every few pixels say as much about it as all."""
+    first = int(np.flatnonzero(discs.edge).min(initial=0)) - int(_MARGIN / discs.step)
+    return first if first * discs.step > _LARGE else 0
+
+
 def _depths(discs: Discs) -> NDArray[np.float64]:
     """(r,) how deep inside the microimage each radius lies, in units of the blur of its edge."""
     inside = discs.level[max(int(np.flatnonzero(discs.edge).min(initial=len(discs.level))) - 1, 0)]
@@ -353,8 +369,8 @@ def disc_steps(discs: Discs) -> DiscSteps:
     _accumulate_steps(
         discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
         discs.soft, discs.faces, discs.inner, discs.reach, discs.step, discs.level, slope, discs.weight, discs.four,
-        discs.edge, _depths(discs), discs.shared, discs.dark, _CHUNKS, normal, right, mixed, band, squares, count,
-        scatter,
+        discs.edge, _even(discs), _depths(discs), discs.shared, discs.dark, _CHUNKS, normal, right, mixed, band,
+        squares, count, scatter,
     )  # fmt: skip
     normal += np.triu(normal.reshape(-1, LOCAL, LOCAL), 1).transpose(0, 2, 1)
     main, side, force, total, turned, turned_own = band.sum(0)

@@ -52,6 +52,17 @@ class FitState:
 
 
 @dataclass(frozen=True)
+class _Reduced:
+    """Least squares without the gains: local parameters (n, 7), profile (r,) and between them; none where unneeded."""
+
+    normal: NDArray[np.float64]
+    right: NDArray[np.float64]
+    mixed: NDArray[np.float64]
+    profile: NDArray[np.float64]
+    force: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class FitSummary:
     """What the last step says; see `DiscFit`, and by how much it moved centres (RMS) [px]."""
 
@@ -59,6 +70,10 @@ class FitSummary:
     residual: float
     uncertainty: float
     used: int
+    names: list[str]
+    covariance: NDArray[np.float64]
+    columns: NDArray[np.float64]
+    reduced: _Reduced
 
 
 def open_lenses(
@@ -107,16 +122,11 @@ def open_lenses(
             dark=known.dark,
         )
     state = placed(FitState(model, indices, discs))
+    steps = disc_steps(state.discs)
     if known is not None:
-        scale = _scale(state)
-        state = replace(state, discs=replace(state.discs, gain=state.discs.gain * scale))
-    return _weighted(state, disc_steps(state.discs))
-
-
-def _scale(state: FitState) -> NDArray[np.float64]:
-    """(n,) factor of each gain for which the lens agrees best with the known profile."""
-    steps = disc_steps(replace(state.discs, weight=1e-6 * state.discs.weight))
-    return 1 + np.clip(steps.right[:, -1] / np.maximum(steps.normal[:, -1, -1], 1e-30), -0.5, 1)
+        own = np.clip(steps.right[:, -1] / np.maximum(steps.normal[:, -1, -1], 1e-30), -0.5, 1)
+        state = replace(state, discs=replace(state.discs, gain=state.discs.gain * (1 + own)))
+    return _weighted(state, steps)
 
 
 def _tilt(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
@@ -201,17 +211,6 @@ def converge(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSum
     return state, summary
 
 
-@dataclass(frozen=True)
-class _Reduced:
-    """Least squares without the gains: local parameters (n, 7), profile (r,) and between them; none where unneeded."""
-
-    normal: NDArray[np.float64]
-    right: NDArray[np.float64]
-    mixed: NDArray[np.float64]
-    profile: NDArray[np.float64]
-    force: NDArray[np.float64]
-
-
 def _without_gain(steps: DiscSteps, level: NDArray[np.float64]) -> _Reduced:
     own = np.maximum(steps.normal[:, -1, -1], 1e-30)
     share = steps.normal[:, :-1, -1] / own[:, None]
@@ -246,6 +245,10 @@ def _stepped(state: FitState, orders: tuple[str, ...], frozen: bool = False) -> 
         residual=float(np.sqrt(np.average((miss**2).sum(1), weights=weight))),
         uncertainty=float(np.sqrt(max((place * spread).sum((1, 2)).mean(), 0.0))),
         used=int((weight > 0).sum()),
+        names=names,
+        covariance=covariance,
+        columns=columns,
+        reduced=reduced,
     )
     force = reduced.force
     if reduced.mixed.shape[1]:
@@ -296,13 +299,11 @@ def _pooled(
     return change, covariance * spread, weight
 
 
-def halves_differ(state: FitState, orders: tuple[str, ...]) -> float:
-    """RMS distance over the flat between steps from here of every other microimage and of the others [px]."""
-    columns, _ = design(state.model, state.indices, orders)
-    reduced = _without_gain(disc_steps(state.discs), state.discs.level)
-    parity = np.arange(len(columns)) % 2
-    one, two = (_pooled(columns, reduced, parity == half)[0] for half in (0, 1))
-    return float(np.sqrt(((columns[:, :2] @ (one - two)) ** 2).sum(1).mean()))
+def halves_differ(summary: FitSummary) -> float:
+    """RMS distance over the flat between the last steps of every other microimage and of the others [px]."""
+    parity = np.arange(len(summary.columns)) % 2
+    one, two = (_pooled(summary.columns, summary.reduced, parity == half)[0] for half in (0, 1))
+    return float(np.sqrt(((summary.columns[:, :2] @ (one - two)) ** 2).sum(1).mean()))
 
 
 def promise(state: FitState, orders: tuple[str, ...]) -> float:
