@@ -52,6 +52,8 @@ def calibrate(
     Returns
     -------
     Calibration
+        Flats of more than 48 megapixels with pitches above 18 px are averaged in square blocks of pixels first: their
+        defects name no single pixels.
         Its `confidence` is the weakest of several independent tests; below 0.7 there is also a warning.
 
     Raises
@@ -68,11 +70,17 @@ def calibrate(
     from .features import luminance, tone
     from .illumination import measure_illumination
     from .lattice_fit import fit_on_scenes, fit_on_white
+    from .reduction import block_size, enlarged, reduced
     from .type_search import find_lens_types
 
     flats = checked_flats(image)
     for flat in flats:
         check_mosaic(mosaic, flat)
+    block = block_size(flats[0])
+    if block > 1:
+        height, width = flats[0].shape[:2]
+        camera = calibrate([reduced(flat, block) for flat in flats], kind)
+        return replace(enlarged(camera, block, (width, height)), mosaic=mosaic)
     filtered = mosaic is not None or all(flat.ndim == 2 and has_mosaic(flat) for flat in flats)
     lights = [equalise(flat) if filtered else luminance(flat) for flat in flats]
     if len(lights) > 1:

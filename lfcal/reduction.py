@@ -1,0 +1,109 @@
+"""Very large flats: calibrated on averages of square blocks of pixels, since a lattice does not need every pixel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .calibration import Calibration
+from .defects import Defects
+from .distortion import Distortion
+from .gain_map import GainMap
+from .lattice import Lattice
+from .vignetting import Vignetting
+
+__all__ = ["block_size", "enlarged", "reduced"]
+
+# Flats with more pixels than this are reduced, down to about so many, as long as the pitch stays this long [px].
+_LARGE = 4.8e7
+_ENOUGH = 1.6e7
+_LEAST_PITCH = 9.0
+# Side of the part in the middle in which the pitch is looked for [px], and rows that are averaged at a time.
+_MIDDLE = 2400
+_ROWS = 512
+
+
+def block_size(flat: NDArray[Any]) -> int:
+    """Side [px] of the blocks that a flat (h, w) or (h, w, 3) is to be averaged in: 1 where it is not large.
+
+    Raises
+    ------
+    CalibrationError
+        If a large flat shows no lattice in its middle.
+    """
+    height, width = flat.shape[:2]
+    if height * width < _LARGE:
+        return 1
+    from .bayer import has_mosaic
+    from .features import luminance, tone
+    from .search import first_lattice
+
+    top, left = max(0, (height - _MIDDLE) // 2), max(0, (width - _MIDDLE) // 2)
+    middle = np.ascontiguousarray(flat[top : top + _MIDDLE, left : left + _MIDDLE])
+    pitch = first_lattice(tone(luminance(middle))).lattice.pitch
+    block = max(1, min(int(pitch / _LEAST_PITCH), round(np.sqrt(height * width / _ENOUGH))))
+    # Whole cells of a colour mosaic average to grey.
+    return block - block % 2 if block > 1 and middle.ndim == 2 and has_mosaic(middle) else block
+
+
+def reduced(flat: NDArray[Any], block: int) -> NDArray[np.float32]:
+    """(h // block, w // block) mean luminance of the blocks of a flat, in strips that need little memory."""
+    import cv2
+
+    from .features import luminance
+
+    height, width = flat.shape[0] // block, flat.shape[1] // block
+    out = np.empty((height, width), np.float32)
+    for top in range(0, height, _ROWS):
+        rows = min(_ROWS, height - top)
+        strip = luminance(np.ascontiguousarray(flat[top * block : (top + rows) * block, : width * block]))
+        out[top : top + rows] = cv2.resize(strip, (width, rows), interpolation=cv2.INTER_AREA)
+    return out
+
+
+def enlarged(camera: Calibration, block: int, image_size: tuple[int, int]) -> Calibration:
+    """The calibration of a flat from that of its reduction.
+
+    Parameters
+    ----------
+    camera : Calibration
+        Of the flat averaged in squares of `block` px.
+    block : int [px]
+    image_size : (int, int) [px]
+        Width and height of the flat.
+    """
+    small = camera.lattice
+    shift = (block - 1) / 2
+    lattice = Lattice(
+        small.origin * block + shift, small.basis * block, image_size, small.radius * block,
+        None if small.distortion is None else _stretched(small.distortion, block, shift),
+    )  # fmt: skip
+    vignetting = camera.vignetting and Vignetting(camera.vignetting.profile, camera.vignetting.step * block)
+    gain = None if camera.gain_map is None else _magnified(camera.gain_map, small, lattice, block)
+    # Single pixels are not seen on a reduction.
+    defects = Defects(lenses=camera.defects.lenses)
+    residual = camera.residual_rms * block
+    return replace(
+        camera, lattice=lattice, vignetting=vignetting, gain_map=gain, defects=defects, residual_rms=residual
+    )
+
+
+def _stretched(bend: Distortion, block: int, shift: float) -> Distortion:
+    return Distortion(
+        bend.centre * block + shift, bend.k1, bend.k2, bend.reach * block,
+        None if bend.general is None else bend.general * block,
+        None if bend.middle is None else bend.middle * block + shift,
+    )  # fmt: skip
+
+
+def _magnified(gain: GainMap, small: Lattice, lattice: Lattice, block: int) -> GainMap:
+    own = gain.own
+    if len(own):
+        known = {tuple(index): value for index, value in zip(small.indices().tolist(), own.tolist(), strict=True)}
+        own = np.array([known.get(tuple(index), 1.0) for index in lattice.indices().tolist()], np.float32)
+    return replace(
+        gain, step=gain.step * block, radius=gain.radius * block, own=own, rim=gain.rim * block, cut=gain.cut * block
+    )
