@@ -9,6 +9,7 @@ from .errors import CalibrationError, CameraFileError, FlatError, LightFieldErro
 from .exchange import convert, read_camera
 from .flat import read_flat
 from .lattice import Lattice
+from .lattice_errors import LatticeErrors
 from .lens_types import LensTypes
 from .outfile import OutputError, check_output, whole_file
 from .published import read_published
@@ -23,6 +24,7 @@ __all__ = [
     "FlatError",
     "Lattice",
     "LatticeDifference",
+    "LatticeErrors",
     "LensTypes",
     "LightFieldError",
     "OutputError",

@@ -116,6 +116,7 @@ def calibrate(
         mosaic=mosaic,
         gain_map=seen.gain_map,
         defects=seen.defects,
+        errors=fit.errors,
     )
 
 

@@ -16,6 +16,7 @@ from .distortion import Distortion
 from .errors import CalibrationError, CameraFileError, FlatError
 from .gain_map import GainMap
 from .lattice import Lattice
+from .lattice_errors import LatticeErrors
 from .lens_types import LensTypes
 from .outfile import whole_file
 from .vignetting import Vignetting
@@ -55,6 +56,8 @@ class Calibration:
         Light at every place of every microimage; None where only `vignetting` is known.
     defects : Defects
         Pixels and lenses that are not to be trusted.
+    errors : LatticeErrors or None
+        Standard errors of the lattice's parameters and centres; None where not measured.
     """
 
     lattice: Lattice
@@ -68,6 +71,7 @@ class Calibration:
     mosaic: str | None = None
     gain_map: GainMap | None = None
     defects: Defects = field(default_factory=Defects)
+    errors: LatticeErrors | None = None
 
     def __post_init__(self) -> None:
         if self.mosaic not in (None, "RGGB", "BGGR", "GRBG", "GBRG"):
@@ -104,6 +108,7 @@ class Calibration:
             "mosaic": self.mosaic,
             "gain_map": self.gain_map and self.gain_map.to_dict(),
             "defects": self.defects.to_dict(),
+            "errors": self.errors and self.errors.to_dict(),
         }
 
     @classmethod
@@ -138,6 +143,7 @@ class Calibration:
                 mosaic=data.get("mosaic"),
                 gain_map=data.get("gain_map") and GainMap.from_dict(data["gain_map"]),
                 defects=Defects.from_dict(data["defects"]) if data.get("defects") else Defects(),
+                errors=data.get("errors") and LatticeErrors.from_dict(data["errors"]),
             )
         except KeyError as error:
             raise CameraFileError(f"{where}: field {error} is missing; calibrate again") from error

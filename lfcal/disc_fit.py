@@ -18,6 +18,7 @@ from .disc_parameters import CatEye, DiscModel
 from .distortion import Distortion
 from .errors import CalibrationError
 from .lattice import Lattice
+from .lattice_errors import LatticeErrors
 
 __all__ = ["DiscFit", "fit_discs"]
 
@@ -31,6 +32,8 @@ _BENT = 0.01
 _PROMISING = 0.5
 _SURE = 8.0
 _GAIN = 0.003
+# Parameters of the cutting disc.
+_NOT_OF_LATTICE = ("shift", "growth", "growth2", "growth3", "radius", "soft", "shared")
 
 
 @dataclass(frozen=True)
@@ -44,8 +47,8 @@ class DiscFit:
         None where microimages are whole.
     residual_rms : float [px]
         Robust RMS distance of single microimages from the lattice.
-    uncertainty : float [px]
-        Standard error of a centre, RMS over the flat, as the scatter of the microimages implies.
+    errors : LatticeErrors
+        As the scatter of the microimages implies.
     lenses_used : int
     halves_differ : float [px]
         RMS distance over the flat between the steps of two independent halves of the microimages.
@@ -54,7 +57,7 @@ class DiscFit:
     lattice: Lattice
     cat_eye: CatEye | None
     residual_rms: float
-    uncertainty: float
+    errors: LatticeErrors
     lenses_used: int
     halves_differ: float
 
@@ -89,8 +92,10 @@ def fit_discs(tones: NDArray[np.float32], lattice: Lattice, pixels: float = 3.2e
     state, orders = without_idle_cut(state, orders)
     state = open_lenses(tones, state.model, pixels, FEWEST_LENSES, state.discs)
     state, summary = converge(state, orders)
+    own = [k for k, name in enumerate(summary.names) if name not in _NOT_OF_LATTICE]
+    errors = LatticeErrors(tuple(summary.names[k] for k in own), summary.covariance[np.ix_(own, own)])
     return DiscFit(
-        state.model.lattice, state.model.cat_eye, summary.residual, summary.uncertainty, summary.used,
+        state.model.lattice, state.model.cat_eye, summary.residual, errors, summary.used,
         halves_differ(summary),
     )  # fmt: skip
 

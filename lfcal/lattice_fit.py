@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from .disc_parameters import CatEye
 from .lattice import Lattice
+from .lattice_errors import LatticeErrors, errors_of_even_fit
 from .search import FirstLattice
 
 __all__ = ["FinalLattice", "fit_on_scenes", "fit_on_white"]
@@ -33,6 +34,8 @@ class FinalLattice:
     lenses_used : int
     halves_differ : float [px]
         RMS distance over the flat between lattices of two independent halves of the microimages.
+    errors : LatticeErrors or None
+        None where the lattice is the first one.
     cat_eye : CatEye or None
         The disc that cuts microimages, where one was seen.
     """
@@ -41,6 +44,7 @@ class FinalLattice:
     residual_rms: float
     lenses_used: int
     halves_differ: float
+    errors: LatticeErrors | None = None
     cat_eye: CatEye | None = None
 
 
@@ -55,7 +59,9 @@ def fit_on_white(picture: NDArray[np.float32], start: FirstLattice) -> FinalLatt
     apart = straight.points(np.rint(straight.to_index(found.points(index)))) - found.points(index)
     if not np.sqrt((apart**2).sum(1).mean()) < _FOLLOWED * found.pitch:
         return FinalLattice(found, discs.residual_rms, discs.lenses_used, start.halves_differ)
-    return FinalLattice(discs.lattice, discs.residual_rms, discs.lenses_used, discs.halves_differ, discs.cat_eye)
+    return FinalLattice(
+        discs.lattice, discs.residual_rms, discs.lenses_used, discs.halves_differ, discs.errors, discs.cat_eye
+    )
 
 
 def fit_on_scenes(lights: list[NDArray[np.float32]], picture: NDArray[np.float32], start: FirstLattice) -> FinalLattice:
@@ -77,4 +83,5 @@ def fit_on_scenes(lights: list[NDArray[np.float32]], picture: NDArray[np.float32
         # Rims too faint for single lenses: what whole tiles have in common is the better measure.
         return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.halves_differ)
     lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius)
-    return FinalLattice(lattice, fit.residual_rms, fit.lenses_used, fit.halves_differ)
+    errors = errors_of_even_fit(lattice, fit.uncertainty)
+    return FinalLattice(lattice, fit.residual_rms, fit.lenses_used, fit.halves_differ, errors)

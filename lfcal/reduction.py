@@ -87,8 +87,9 @@ def enlarged(camera: Calibration, block: int, image_size: tuple[int, int]) -> Ca
     defects = Defects(lenses=camera.defects.lenses)
     residual = camera.residual_rms * block
     return replace(
-        camera, lattice=lattice, vignetting=vignetting, gain_map=gain, defects=defects, residual_rms=residual
-    )
+        camera, lattice=lattice, vignetting=vignetting, gain_map=gain, defects=defects, residual_rms=residual,
+        errors=camera.errors and camera.errors.scaled(block),
+    )  # fmt: skip
 
 
 def _stretched(bend: Distortion, block: int, shift: float) -> Distortion:

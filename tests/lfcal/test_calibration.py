@@ -57,3 +57,15 @@ def test_other_files_are_refused(tmp_path, text):
 def test_missing_file_is_a_camera_file_error(tmp_path):
     with pytest.raises(lfcal.CameraFileError, match="nowhere"):
         lfcal.load(tmp_path / "nowhere.json")
+
+
+def test_camera_file_keeps_the_standard_errors(tmp_path):
+    from lfcal.lattice_errors import errors_of_even_fit
+
+    lattice = lfcal.Lattice([10.0, 9.0], [[14.3, 0.2], [6.9, 12.4]], (300, 200), 6.0)
+    camera = lfcal.Calibration(lattice, errors=errors_of_even_fit(lattice, 0.02))
+    camera.save(tmp_path / "camera.json")
+    kept = lfcal.load(tmp_path / "camera.json").errors.of_centres(lattice)
+    np.testing.assert_allclose(np.sqrt((kept**2).mean()), 0.02, rtol=1e-9)
+    middle, corner = lattice.centres() - [150, 100], np.hypot(150, 100)
+    assert kept[np.hypot(*middle.T) < 20].max() < 0.7 * kept[np.hypot(*middle.T) > 0.85 * corner].min()

@@ -50,6 +50,16 @@ def test_distorted_lattice_is_followed(drawn):
     assert _error(camera, truth) < 0.02
 
 
+def test_stated_errors_of_centres_are_those_found(drawn):
+    ratios = []
+    for seed in range(4):
+        truth = drawn("hexagonal", 14.3, 11.0, 26.0, size=(700, 500), seed=10 * seed)
+        camera = lfcal.calibrate(truth.image())
+        stated = np.sqrt((camera.errors.of_centres(camera.lattice) ** 2).mean())
+        ratios.append(_error(camera, truth) / stated)
+    assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.8
+
+
 def test_film_scanned_with_a_general_distortion_is_followed(drawn):
     truth = drawn("square", 20.3, 5.0, 26.0, size=(1000, 800))
     y, x = np.mgrid[:800, :1000].astype(np.float32)
