@@ -116,7 +116,7 @@ def find_defects(
     level[0] += np.log(brightest)
     way = walk(lattice, gain.own)
     places = (way.middles, way.own, way.starts, way.ahead, level, *gain.shape(lattice))
-    found, warning = [], ""
+    found, number, warning = [], 0, ""
     margin = _SQUARES[-1] // 2
     far = np.empty((min(height, _BAND + 2 * margin), width), np.uint8)
     for top in range(0, height, _BAND):
@@ -124,13 +124,15 @@ def find_defects(
         band = far[: stop - start]
         _departures(picture, start, band, 1 / fit.spread, fit.windows, 1 / _FLOOR, *places)
         bad = np.argwhere(_marked(band)[top - start : top - start + _BAND])
-        found.append((bad + np.array([top, 0]))[:, ::-1])
-    pixels = np.concatenate(found)
-    if len(pixels) > _MOST * width * height:
-        share = len(pixels) / (width * height)
+        number += len(bad)
+        # More than can be defects are counted, but not kept.
+        if number <= _MOST * width * height:
+            found.append((bad + np.array([top, 0]))[:, ::-1].astype(np.int32))
+    pixels = np.concatenate(found) if found else np.zeros((0, 2), np.int32)
+    if number > _MOST * width * height:
         warning = (
-            f"{share:.1%} of the pixels differ from the gain map, too many for defects: none are recorded; "
-            "check the white image for structure or saturation"
+            f"{number / (width * height):.1%} of the pixels differ from the gain map, too many for defects: none are "
+            "recorded; check the white image for structure or saturation"
         )
         pixels = pixels[:0]
-    return Defects(pixels.astype(np.int32), lattice.indices()[dark].astype(np.int32)), warning
+    return Defects(pixels, lattice.indices()[dark].astype(np.int32)), warning
