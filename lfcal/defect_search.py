@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from .defects import Defects
 from .gain_fit import GainFit
-from .gain_kernels import centre_of, describe, level_of, light, nearest, walk
+from .gain_kernels import BLOCK, SLOTS, described, first_lens, light, next_lens, walk
 from .gain_map import GainMap
 from .lattice import Lattice
 
@@ -20,6 +20,10 @@ _SURE = 6.0
 _SQUARES = (3, 7)
 # In those means, single pixels count for at most so many standard deviations: they are found by themselves.
 _CLIP = 3.0
+# Beside such a mean over a large square, that over the small one must be off by so many standard errors.
+_LOCAL = 3.0
+# Departures are kept as bytes: no departure, and one standard deviation.
+_ZERO, _UNIT = 128, 40
 # Departures below this share of the light of a lens harm no picture.
 _FLOOR = 0.01
 # Rows looked at together, so that memory does not grow with the flat.
@@ -28,46 +32,56 @@ _BAND = 512
 _MOST = 0.02
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _departures(
-    picture, top, out, spread, windows, floor, size, origin, basis, bend, steps, faces, starts, grid, low, level, field,
-    radius, profile, step, shade, rim, cut,
+    picture, top, out, sure, windows, most, middles, own, starts, ahead, level, field, radius, profile, step, shade,
+    rim, cut,
 ):  # fmt: skip
+    """How far pixels are off, as `_ZERO + _UNIT * standard deviations`; those far off by themselves at the ends."""
     rows, width = out.shape
-    for row in prange(rows):
-        y = top + row
-        powers = np.empty(64)
-        lens = np.empty(7 + rim.shape[0])
-        i, j = starts[y, 0], starts[y, 1]
-        cx, cy = centre_of(i, j, origin, basis, bend)
-        fresh, bright, noise = True, 0.0, 1.0
-        for x in range(width):
-            ni, nj, cx, cy = nearest(x, y, i, j, cx, cy, origin, basis, bend, steps, faces)
-            if fresh or ni != i or nj != j:
-                i, j, fresh = ni, nj, False
-                describe(cx, cy, field, shade, rim, cut, powers, lens)
-                bright = level_of(i, j, cx, cy, field, level, grid, low, powers)
-                a = min(max(int((cx + 0.5) / size[0] * windows.shape[1]), 0), windows.shape[1] - 1)
-                b = min(max(int((cy + 0.5) / size[1] * windows.shape[0]), 0), windows.shape[0] - 1)
-                noise = windows[b, a]
-            if bright <= 0:
-                out[row, x] = 0.0
-                continue
-            s, stretched, _ = light(x - cx, y - cy, lens, radius, profile, step, cut)
-            ring = min(int(stretched / step), len(spread) - 1)
-            v = picture[y, x]
-            out[row, x] = (v * v / bright - s) / max(spread[ring] * noise, floor)
+    height, per_step = picture.shape[0], 1 / step
+    for block in prange((rows + BLOCK - 1) // BLOCK):
+        keys, powers, lens = np.full(SLOTS, -1), np.empty(64), np.empty(7 + rim.shape[0])
+        lenses = np.empty((SLOTS, 8 + rim.shape[0]))
+        for row in range(block * BLOCK, min((block + 1) * BLOCK, rows)):
+            y = top + row
+            a, b = first_lens(y, starts[y, 0], starts[y, 1], middles)
+            x = 0
+            while x < width:
+                stop, p, q = next_lens(y, a, b, width, middles, ahead)
+                bright = described(
+                    a, b, middles, own, level, field, radius, shade, rim, cut, keys, powers, lenses, lens
+                )
+                cx, cy = middles[b, a, 0], middles[b, a, 1]
+                column = min(max(int((cx + 0.5) / width * windows.shape[1]), 0), windows.shape[1] - 1)
+                line = min(max(int((cy + 0.5) / height * windows.shape[0]), 0), windows.shape[0] - 1)
+                sharp = 1 / windows[line, column]
+                if bright <= 0:
+                    out[row, x:stop] = _ZERO
+                else:
+                    over = 1 / bright
+                    for at in range(x, stop):
+                        s, stretched, _ = light(at - cx, y - cy, lens, profile, step, cut)
+                        ring = min(int(stretched * per_step), len(sure) - 1)
+                        far = (picture[y, at] * picture[y, at] * over - s) * min(sure[ring] * sharp, most)
+                        if -_SURE <= far <= _SURE:
+                            out[row, at] = int(_ZERO + 0.5 + _UNIT * min(max(far, -_CLIP), _CLIP))
+                        else:
+                            out[row, at] = 255 if far > 0 else 1
+                x, a, b = max(x, stop), p, q
 
 
-def _marked(far: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which pixels are defects, given how many standard deviations each is off."""
+def _marked(far: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Which pixels are defects, given how many standard deviations each is off in the scale of `_departures`."""
     import cv2
 
-    bad: NDArray[np.bool_] = np.abs(far) > _SURE
-    clipped = np.clip(far, -_CLIP, _CLIP)
-    for side in _SQUARES:
-        mean = cv2.blur(clipped, (side, side), borderType=cv2.BORDER_REFLECT)
-        bad |= np.abs(mean) > _SURE / side
+    bad: NDArray[np.bool_] = (far == 255) | (far == 1)
+    few, many = (cv2.blur(far, (side, side), borderType=cv2.BORDER_REFLECT) for side in _SQUARES)
+    limit = round(_UNIT * _SURE / _SQUARES[0])
+    bad |= (few > _ZERO + limit) | (few < _ZERO - limit)
+    limit, near = round(_UNIT * _SURE / _SQUARES[1]), round(_UNIT * _LOCAL / _SQUARES[0])
+    # A large square that reaches over the rim of a speck does not make its middle part of it.
+    bad |= ((many > _ZERO + limit) & (few > _ZERO + near)) | ((many < _ZERO - limit) & (few < _ZERO - near))
     return bad
 
 
@@ -100,23 +114,25 @@ def find_defects(
     height, width = picture.shape
     level = gain.level.copy()
     level[0] += np.log(brightest)
-    size = np.array([width, height], np.float64)
-    places = (*walk(lattice, gain.own), level, *gain.shape(lattice))
-    found, warning = [], ""
+    way = walk(lattice, gain.own)
+    places = (way.middles, way.own, way.starts, way.ahead, level, *gain.shape(lattice))
+    found, number, warning = [], 0, ""
     margin = _SQUARES[-1] // 2
-    far = np.empty((min(height, _BAND + 2 * margin), width), np.float32)
+    far = np.empty((min(height, _BAND + 2 * margin), width), np.uint8)
     for top in range(0, height, _BAND):
         start, stop = max(0, top - margin), min(height, top + _BAND + margin)
         band = far[: stop - start]
-        _departures(picture, start, band, fit.spread, fit.windows, _FLOOR, size, *places)
+        _departures(picture, start, band, 1 / fit.spread, fit.windows, 1 / _FLOOR, *places)
         bad = np.argwhere(_marked(band)[top - start : top - start + _BAND])
-        found.append((bad + np.array([top, 0]))[:, ::-1])
-    pixels = np.concatenate(found)
-    if len(pixels) > _MOST * width * height:
-        share = len(pixels) / (width * height)
+        number += len(bad)
+        # More than can be defects are counted, but not kept.
+        if number <= _MOST * width * height:
+            found.append((bad + np.array([top, 0]))[:, ::-1].astype(np.int32))
+    pixels = np.concatenate(found) if found else np.zeros((0, 2), np.int32)
+    if number > _MOST * width * height:
         warning = (
-            f"{share:.1%} of the pixels differ from the gain map, too many for defects: none are recorded; "
-            "check the white image for structure or saturation"
+            f"{number / (width * height):.1%} of the pixels differ from the gain map, too many for defects: none are "
+            "recorded; check the white image for structure or saturation"
         )
         pixels = pixels[:0]
-    return Defects(pixels.astype(np.int32), lattice.indices()[dark].astype(np.int32)), warning
+    return Defects(pixels, lattice.indices()[dark].astype(np.int32)), warning

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit, prange
@@ -11,50 +11,77 @@ from numpy.typing import NDArray
 
 from .lattice import Lattice
 
-__all__ = ["LEAST_LIGHT", "centre_of", "describe", "fill", "level_of", "light", "nearest", "usable", "walk"]
+__all__ = [
+    "BLOCK", "SLOTS", "Walk", "describe", "described", "divide", "fill", "first_lens", "light", "mean_light",
+    "next_lens", "outside", "usable", "walk",
+]  # fmt: skip
 
 # Where a lens delivers a smaller share of its light, correction would show noise and stray light: nothing is known.
-LEAST_LIGHT = 0.25
+_LEAST_LIGHT = 0.25
 # Numbers that describe one lens before those of its rim: shading (5) and displacement of the cutting disc (2).
 _FIXED = 7
 # Beyond so many standard deviations from its middle the cut is all or nothing.
 _EDGE = 4.0
 _ROOT_HALF = math.sqrt(0.5)
-# Neighbours are asked for where a pixel is so near to the border of a cell, 0.5 being the border itself.
-_NEAR_BORDER = 0.46
+# Lenses around the flat that rows may begin or end in, and those beside them.
+_HALO = 4
+# Lenses that lie above or below each other [px] do not follow each other in a row.
+_ASIDE = 1e-9
+# Distortion may turn steps by so much.
+_BENT = 0.2
+# Rows that are gone through together, and lenses remembered meanwhile: those of a row of lenses and of the next one.
+BLOCK, SLOTS = 64, 2048
+# Lenses above each other are so far apart in that memory; a prime, so that it fills evenly.
+_SPREAD = 701
 _DIRECTIONS = 32
 
 
-def walk(lattice: Lattice, own: NDArray[np.float32]) -> tuple[Any, ...]:
-    """What the kernels need to go from lens to lens along the rows of a flat: lattice, steps, light of each lens."""
-    bend = np.zeros(6)
-    if lattice.distortion is not None:
-        d = lattice.distortion
-        bend[:5] = (*d.centre, d.k1, d.k2, d.reach)
-    steps = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
-    vectors = np.array(steps) @ lattice.basis
-    # Pixels this near to their centre, squared, can belong to no other lens.
-    bend[5] = (_NEAR_BORDER * np.hypot(*vectors.T).min()) ** 2
-    faces = vectors / (vectors**2).sum(1, keepdims=True)
-    starts = np.rint(
-        lattice.to_index(np.column_stack([np.zeros(lattice.image_size[1]), np.arange(lattice.image_size[1])]))
-    )
+@dataclass(frozen=True)
+class Walk:
+    """What a kernel needs to go from lens to lens along the rows of a flat.
+
+    Parameters
+    ----------
+    middles : (b, a, 2) float64 [px]
+        Centres of all lenses on the flat and some around it, by index.
+    own : (b, a) float32
+        Light of each over that of the polynomial of the field.
+    starts : (h, 2) int64
+        Column and row, in these tables, of a lens near to the first pixel of each row of the flat.
+    ahead : (k, 2) int64
+        Steps in these tables to the lenses that can follow upon a lens in a row.
+    """
+
+    middles: NDArray[np.float64]
+    own: NDArray[np.float32]
+    starts: NDArray[np.int64]
+    ahead: NDArray[np.int64]
+
+
+def walk(lattice: Lattice, own: NDArray[np.float32]) -> Walk:
+    """Tables for going along the rows of a flat; ValueError where `own` is of another number of lenses."""
+    width, height = lattice.image_size
+    rows = np.arange(height, dtype=np.float64)
+    starts = np.rint(lattice.to_index(np.column_stack([np.zeros(height), rows]))).astype(np.int64)
+    ends = np.rint(lattice.to_index(np.column_stack([np.full(height, width - 1.0), rows]))).astype(np.int64)
     indices = lattice.indices()
     if len(own) and len(own) != len(indices):
         raise ValueError(f"the gain map is of {len(own)} lenses, the lattice has {len(indices)}")
-    low = indices.min(0) if len(indices) else np.zeros(2, int)
-    grid = np.ones((1, 1), np.float32)
+    every = np.vstack([starts, ends, indices])
+    low, high = every.min(0) - _HALO, every.max(0) + _HALO
+    i, j = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
+    middles = np.ascontiguousarray(lattice.points(np.column_stack([i.ravel(), j.ravel()])).reshape(*i.shape, 2))
+    light = np.ones(i.shape, np.float32)
     if len(own):
-        span = indices.max(0) - low + 1
-        grid = np.ones((span[1], span[0]), np.float32)
-        grid[indices[:, 1] - low[1], indices[:, 0] - low[0]] = own
-    return (
-        lattice.origin, lattice.basis, bend, np.array(steps, np.int64), faces, starts.astype(np.int64),
-        grid, low.astype(np.int64),
-    )  # fmt: skip
+        light[indices[:, 1] - low[1], indices[:, 0] - low[0]] = own
+    # The shorter diagonal: cells have six sides at most.
+    cross = min(((1, 1), (1, -1)), key=lambda step: float(np.hypot(*(step @ lattice.basis))))
+    sides = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), cross, (-cross[0], -cross[1])])
+    ahead = sides[(sides @ lattice.basis)[:, 0] > -_BENT * lattice.pitch]
+    return Walk(middles, light, np.ascontiguousarray(starts - low), ahead)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _monomials(x, y, count, out):
     """1, x, y, x^2, x*y, y^2 ...: each degree is the one before times x, and its last term times y."""
     out[0] = 1.0
@@ -69,32 +96,32 @@ def _monomials(x, y, count, out):
         degree += 1
 
 
-@njit(cache=True, nogil=True)
-def describe(cx, cy, field, shade, rim, cut, powers, lens):
-    """Write what the shape of the lens at `(cx, cy)` is into `lens`; `powers` gets the field's monomials."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def describe(cx, cy, field, radius, shade, rim, cut, powers, lens):
+    """Write what the shape of the lens at `(cx, cy)` is, in px, into `lens`; `powers` gets the field's monomials."""
     x, y = (cx - field[0]) / field[2], (cy - field[1]) / field[2]
     _monomials(x, y, max(shade.shape[1], rim.shape[1]), powers)
     for row in range(5):
         total = 0.0
         for t in range(shade.shape[1]):
             total += shade[row, t] * powers[t]
-        lens[row] = total
+        lens[row] = total / radius if row < 2 else total / (radius * radius)
     lens[5], lens[6] = cut[0] + cut[2] * x, cut[1] + cut[2] * y
     for row in range(rim.shape[0]):
         total = 0.0
         for t in range(rim.shape[1]):
             total += rim[row, t] * powers[t]
-        lens[_FIXED + row] = total
+        lens[_FIXED + row] = total / radius
 
 
-@njit(cache=True, nogil=True)
-def light(dx, dy, lens, radius, profile, step, cut):
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def light(dx, dy, lens, profile, step, cut):
     """Light at `delta` in a described lens over that of its brightest place, distance on the profile, light uncut."""
     r = math.sqrt(dx * dx + dy * dy)
     stretched = r
     count = len(lens) - _FIXED
     if count == 1:
-        stretched = r * (1 - lens[_FIXED] / radius)
+        stretched = r * (1 - lens[_FIXED])
     elif r > 0:
         c, s = dx / r, dy / r
         ck, sk = c, s
@@ -102,7 +129,7 @@ def light(dx, dy, lens, radius, profile, step, cut):
         for k in range(_FIXED + 1, _FIXED + count, 2):
             change += lens[k] * ck + lens[k + 1] * sk
             ck, sk = ck * c - sk * s, sk * c + ck * s
-        stretched = max(r * (1 - change / radius), 0.0)
+        stretched = max(r * (1 - change), 0.0)
     place = stretched / step
     ring = int(place)
     if ring >= len(profile) - 1:
@@ -119,112 +146,127 @@ def light(dx, dy, lens, radius, profile, step, cut):
         elif depth < _EDGE:
             through = 0.5 * (1 + math.erf(depth * _ROOT_HALF))
         value = cut[5] + (value - cut[5]) * through
-    u, v = dx / radius, dy / radius
-    value *= 1 + lens[0] * u + lens[1] * v + lens[2] * u * u + lens[3] * u * v + lens[4] * v * v
+    value *= 1 + dx * (lens[0] + lens[2] * dx + lens[3] * dy) + dy * (lens[1] + lens[4] * dy)
     return value, stretched, through
 
 
-@njit(cache=True, nogil=True)
-def centre_of(i, j, origin, basis, bend):
-    """Where the lens of index `(i, j)` lies on the flat."""
-    x = origin[0] + i * basis[0, 0] + j * basis[1, 0]
-    y = origin[1] + i * basis[0, 1] + j * basis[1, 1]
-    if bend[4] > 0:
-        ox, oy = x - bend[0], y - bend[1]
-        square = (ox * ox + oy * oy) / (bend[4] * bend[4])
-        stretch = bend[2] * (square - 0.5) + bend[3] * (square * square - 0.25)
-        x += ox * stretch
-        y += oy * stretch
-    return x, y
+@njit(cache=True, nogil=True, error_model="numpy")
+def outside(dx, dy, faces):
+    """Whether a place lies outside of the cell with these faces (`fit.cell_faces`)."""
+    most = 0.0
+    for k in range(faces.shape[0]):
+        most = max(most, dx * faces[k, 0] + dy * faces[k, 1])
+    return most > 0.5
 
 
-@njit(cache=True, nogil=True)
-def nearest(x, y, i, j, cx, cy, origin, basis, bend, steps, faces):
-    """Index and centre of the lens nearest to a pixel, looked for from lens `(i, j)` on."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def first_lens(y, a, b, middles):
+    """Column and row of the lens nearest to the first pixel of row `y`, looked for from `(a, b)` on."""
     while True:
-        dx, dy = x - cx, y - cy
-        least = dx * dx + dy * dy
-        if least < bend[5]:
-            return i, j, cx, cy
-        found = -1
-        bx, by = cx, cy
-        for k in range(steps.shape[0]):
-            if dx * faces[k, 0] + dy * faces[k, 1] > _NEAR_BORDER:
-                nx, ny = centre_of(i + steps[k, 0], j + steps[k, 1], origin, basis, bend)
-                far = (x - nx) ** 2 + (y - ny) ** 2
+        least = middles[b, a, 0] ** 2 + (middles[b, a, 1] - y) ** 2
+        p, q = a, b
+        for v in range(max(b - 1, 0), min(b + 2, middles.shape[0])):
+            for u in range(max(a - 1, 0), min(a + 2, middles.shape[1])):
+                far = middles[v, u, 0] ** 2 + (middles[v, u, 1] - y) ** 2
                 if far < least:
-                    least, found, bx, by = far, k, nx, ny
-        if found < 0:
-            return i, j, cx, cy
-        i, j, cx, cy = i + steps[found, 0], j + steps[found, 1], bx, by
+                    least, p, q = far, u, v
+        if p == a and q == b:
+            return a, b
+        a, b = p, q
 
 
-@njit(cache=True, nogil=True)
-def level_of(i, j, cx, cy, field, level, grid, low, powers):
-    """Light of the brightest place of a lens; 0 where the lens is known to have none."""
-    a, b = i - low[0], j - low[1]
-    own = 1.0
-    if 0 <= b < grid.shape[0] and 0 <= a < grid.shape[1]:
-        own = grid[b, a]
-    if own == 0:
-        return 0.0
-    _monomials((cx - field[0]) / field[2], (cy - field[1]) / field[2], len(level), powers)
-    total = 0.0
-    for t in range(len(level)):
-        total += level[t] * powers[t]
-    return own * math.exp(total)
+@njit(cache=True, nogil=True, error_model="numpy")
+def next_lens(y, a, b, width, middles, ahead):
+    """First pixel of row `y` that is nearer to the next lens than to `(a, b)`, and that lens."""
+    if a < 1 or b < 1 or a > middles.shape[1] - 2 or b > middles.shape[0] - 2:
+        return width, a, b
+    cx, cy = middles[b, a, 0], middles[b, a, 1]
+    least, p, q = width - cx, a, b
+    for k in range(len(ahead)):
+        u, v = a + ahead[k, 0], b + ahead[k, 1]
+        dx, dy = middles[v, u, 0] - cx, middles[v, u, 1] - cy
+        if dx > _ASIDE:
+            most = 0.5 * (dx * dx + dy * dy) - dy * (y - cy)
+            if most < least * dx:
+                least, p, q = most / dx, u, v
+    return min(max(math.ceil(cx + least), 0), width), p, q
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def fill(
-    flat, out, highest, origin, basis, bend, steps, faces, starts, grid, low, level, field, radius, profile, step,
-    shade, rim, cut,
-):  # fmt: skip
-    height, width, channels = out.shape
-    divide = flat.shape[0] > 0
-    for y in prange(height):
-        powers = np.empty(64)
-        lens = np.empty(_FIXED + rim.shape[0])
-        i, j = starts[y, 0], starts[y, 1]
-        cx, cy = centre_of(i, j, origin, basis, bend)
-        fresh, bright = True, 0.0
-        for x in range(width):
-            ni, nj, cx, cy = nearest(x, y, i, j, cx, cy, origin, basis, bend, steps, faces)
-            if fresh or ni != i or nj != j:
-                i, j, fresh = ni, nj, False
-                describe(cx, cy, field, shade, rim, cut, powers, lens)
-                bright = level_of(i, j, cx, cy, field, level, grid, low, powers)
-            value = light(x - cx, y - cy, lens, radius, profile, step, cut)[0] if bright > 0 else 0.0
-            known = value >= LEAST_LIGHT
-            for k in range(channels):
-                if not divide:
-                    out[y, x, k] = value * bright if known else np.nan
-                elif not known:
+@njit(cache=True, nogil=True, error_model="numpy")
+def described(a, b, middles, own, level, field, radius, shade, rim, cut, keys, powers, lenses, lens):
+    """Light of the lens `(a, b)`; what it is like is written into `lens`, from memory where it is there."""
+    slot, key = (a + _SPREAD * b) % SLOTS, a + b * middles.shape[1]
+    if keys[slot] != key:
+        keys[slot] = key
+        cx, cy = middles[b, a, 0], middles[b, a, 1]
+        describe(cx, cy, field, radius, shade, rim, cut, powers, lenses[slot, :-1])
+        _monomials((cx - field[0]) / field[2], (cy - field[1]) / field[2], len(level), powers)
+        total = 0.0
+        for t in range(len(level)):
+            total += level[t] * powers[t]
+        lenses[slot, -1] = own[b, a] * math.exp(total)
+    # A view of the row would cost more than these few numbers.
+    for k in range(len(lens)):
+        lens[k] = lenses[slot, k]
+    return lenses[slot, -1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+def fill(out, top, middles, own, starts, ahead, level, field, radius, profile, step, shade, rim, cut):
+    """Gain of the rows from `top` on; NaN where too little light is."""
+    rows, width = out.shape
+    for block in prange((rows + BLOCK - 1) // BLOCK):
+        keys, powers, lens = np.full(SLOTS, -1), np.empty(64), np.empty(_FIXED + rim.shape[0])
+        lenses = np.empty((SLOTS, _FIXED + rim.shape[0] + 1))
+        for row in range(block * BLOCK, min((block + 1) * BLOCK, rows)):
+            y = top + row
+            a, b = first_lens(y, starts[y, 0], starts[y, 1], middles)
+            x = 0
+            while x < width:
+                stop, p, q = next_lens(y, a, b, width, middles, ahead)
+                bright = described(
+                    a, b, middles, own, level, field, radius, shade, rim, cut, keys, powers, lenses, lens
+                )
+                cx, cy = middles[b, a, 0], middles[b, a, 1]
+                for at in range(x, stop):
+                    value = light(at - cx, y - cy, lens, profile, step, cut)[0] if bright > 0 else 0.0
+                    out[row, at] = value * bright if value >= _LEAST_LIGHT else np.nan
+                x, a, b = max(x, stop), p, q
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def divide(flat, gain, out, highest):
+    """`flat` over `gain` where that is known; rounded and clipped at `highest` where that is above 0."""
+    for y in range(out.shape[0]):
+        for x in range(out.shape[1]):
+            g = gain[y, x]
+            for k in range(out.shape[2]):
+                if g != g:
                     out[y, x, k] = flat[y, x, k]
                 else:
-                    even = flat[y, x, k] / (value * bright)
+                    even = flat[y, x, k] / g
                     if highest > 0:
                         even = min(even + 0.5, highest)
                     out[y, x, k] = even
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def usable(centres, own, limit, out, field, radius, profile, step, shade, rim, cut):
-    for n in prange(centres.shape[0]):
+    for n in range(centres.shape[0]):
         if own[n] == 0:
             continue
         powers = np.empty(64)
         lens = np.empty(_FIXED + rim.shape[0])
-        describe(centres[n, 0], centres[n, 1], field, shade, rim, cut, powers, lens)
+        describe(centres[n, 0], centres[n, 1], field, radius, shade, rim, cut, powers, lens)
         least = limit
         for d in range(_DIRECTIONS):
             c, s = math.cos(2 * math.pi * d / _DIRECTIONS), math.sin(2 * math.pi * d / _DIRECTIONS)
-            before, r = light(0.0, 0.0, lens, radius, profile, step, cut)[0], 0.0
+            before, r = light(0.0, 0.0, lens, profile, step, cut)[0], 0.0
             if before < 0.5:
                 least = 0.0
             while r < least:
                 r += step
-                after = light(r * c, r * s, lens, radius, profile, step, cut)[0]
+                after = light(r * c, r * s, lens, profile, step, cut)[0]
                 if after < 0.5:
                     least = min(least, r - step * (0.5 - after) / max(before - after, 1e-9))
                     break
@@ -232,16 +274,16 @@ def usable(centres, own, limit, out, field, radius, profile, step, shade, rim, c
         out[n] = least
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def mean_light(centres, out, field, radius, profile, step, shade, rim, cut):
     """Light at distances `0, step, ...`, the mean over all directions of each lens; `out` is of shape (n, k)."""
-    for n in prange(centres.shape[0]):
+    for n in range(centres.shape[0]):
         powers = np.empty(64)
         lens = np.empty(_FIXED + rim.shape[0])
-        describe(centres[n, 0], centres[n, 1], field, shade, rim, cut, powers, lens)
+        describe(centres[n, 0], centres[n, 1], field, radius, shade, rim, cut, powers, lens)
         for k in range(out.shape[1]):
             total = 0.0
             for d in range(_DIRECTIONS):
                 c, s = math.cos(2 * math.pi * d / _DIRECTIONS), math.sin(2 * math.pi * d / _DIRECTIONS)
-                total += light(k * step * c, k * step * s, lens, radius, profile, step, cut)[0]
+                total += light(k * step * c, k * step * s, lens, profile, step, cut)[0]
             out[n, k] = total / _DIRECTIONS

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,10 @@ from numpy.typing import NDArray
 from .lattice import Lattice
 
 __all__ = ["GainMap", "frame", "pack", "terms", "unpack"]
+
+
+# Rows flattened at a time, so that memory does not grow with the flat.
+_BAND = 512
 
 
 def _readonly(values: Any, kind: type, dimensions: int, name: str) -> NDArray[Any]:
@@ -94,29 +99,32 @@ class GainMap:
 
     def gain(self, lattice: Lattice) -> NDArray[np.float32]:
         """(h, w) relative illumination of every pixel of the flat, NaN where none is known."""
-        kernels = _kernels()
-
         width, height = lattice.image_size
-        out = np.empty((height, width, 1), np.float32)
-        kernels.fill(
-            np.zeros((0, 0, 1), np.float32),
-            out,
-            0.0,
-            *kernels.walk(lattice, self.own),
-            self.level,
-            *self.shape(lattice),
-        )
-        return out[..., 0]
+        out = np.empty((height, width), np.float32)
+        self._fill(lattice)(out, 0)
+        return out
 
     def flatten(self, flat: NDArray[Any], lattice: Lattice) -> NDArray[Any]:
         """`flat` (h, w) or (h, w, c) divided by the gain; pixels with unknown gain are left as they are."""
-        kernels = _kernels()
-
+        divide: Any = _kernels().divide
         pixels = flat.reshape(*flat.shape[:2], -1)
         out = np.empty_like(pixels)
         highest = float(np.iinfo(flat.dtype).max) if flat.dtype.kind in "ui" else 0.0
-        kernels.fill(pixels, out, highest, *kernels.walk(lattice, self.own), self.level, *self.shape(lattice))
+        fill = self._fill(lattice)
+        gain = np.empty((min(_BAND, len(pixels)), pixels.shape[1]), np.float32)
+        for top in range(0, len(pixels), _BAND):
+            rows = slice(top, top + _BAND)
+            band = gain[: len(pixels[rows])]
+            fill(band, top)
+            divide(pixels[rows], band, out[rows], highest)
         return out.reshape(flat.shape)
+
+    def _fill(self, lattice: Lattice) -> Callable[[NDArray[np.float32], int], None]:
+        """What writes the gain of the rows from a given one on into an array."""
+        kernels = _kernels()
+        way = kernels.walk(lattice, self.own)
+        shape = self.shape(lattice)
+        return lambda out, top: kernels.fill(out, top, way.middles, way.own, way.starts, way.ahead, self.level, *shape)
 
     def usable_radius(self, lattice: Lattice) -> NDArray[np.float64]:
         """(n,) largest distance [px] within which a lens has half its light in every direction; 0 without light."""

@@ -9,16 +9,17 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .fit import cell_faces
-from .gain_fit import GainFit, monomials
-from .gain_kernels import describe, light
+from .fit import cell_faces, inner_radius
+from .gain_fit import GainFit
+from .gain_kernels import describe, light, outside
 from .gain_map import GainMap, terms
+from .gain_terms import monomials
 from .lattice import Lattice
 
 __all__ = ["LensLights", "dark_in_scene", "lens_lights"]
 
-# Pixels of a lens that are looked at.
-_SAMPLES = 64
+# Pixels of a lens that are looked at, and lenses looked at together.
+_SAMPLES, _TOGETHER = 48, 256
 # Degrees of the polynomial tried in turn; each must lower the scatter of the lenses by this share.
 _DEGREES = (0, 2, 4, 6)
 _LOWERS = 0.03
@@ -27,6 +28,8 @@ _LENSES = 4000
 _OUTLIER = 4.685
 # A lens differs where it is so many standard errors off, and by so much.
 _SURE, _DIFFERS = 5.0, 0.01
+# Pixels of an evenly lit lens scatter by no more than so many times their noise: three standard errors of the scatter.
+_UNEVEN = 1.6
 # Scatter of lenses below this, or below half their noise, may well be the model's own.
 _SCATTERS = 0.003
 # Lenses have no light below this share of the brightest ones, or below the second share where the light they have
@@ -56,62 +59,70 @@ class LensLights:
     dark: NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _look(picture, centres, faces, reach, stride, out, field, radius, profile, step, shade, rim, cut):
-    """Per lens: light, pixels it rests on, correlation with the shape, contrast of the shape, mean, brightest."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def _middle(values, count):
+    """Median of the first values and half the range between their quartiles; they are put in order."""
+    for k in range(1, count):
+        value, place = values[k], k
+        while place > 0 and values[place - 1] > value:
+            values[place] = values[place - 1]
+            place -= 1
+        values[place] = value
+    return 0.5 * (values[(count - 1) // 2] + values[count // 2]), 0.5 * (values[3 * count // 4] - values[count // 4])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+def _look(picture, centres, faces, inner, reach, stride, out, field, radius, profile, step, shade, rim, cut):
+    """Per lens: light, pixels it rests on, correlation with the shape, contrast of it, mean, brightest, scatter."""
     height, width = picture.shape
-    for n in prange(centres.shape[0]):
-        cx, cy = centres[n, 0], centres[n, 1]
-        powers = np.empty(64)
-        lens = np.empty(7 + rim.shape[0])
-        describe(cx, cy, field, shade, rim, cut, powers, lens)
-        ratios = np.empty(4 * _SAMPLES)
-        count, bright = 0, 0
-        ms = mv = mss = msv = mvv = most = 0.0
-        for y in range(max(0, math.ceil(cy - reach)), min(height - 1, math.floor(cy + reach)) + 1, stride):
-            dy = y - cy
-            half = math.sqrt(max(reach * reach - dy * dy, 0.0))
-            for x in range(max(0, math.ceil(cx - half)), min(width - 1, math.floor(cx + half)) + 1, stride):
-                dx = x - cx
-                outside = False
-                for k in range(faces.shape[0]):
-                    if dx * faces[k, 0] + dy * faces[k, 1] > 0.5:
-                        outside = True
-                        break
-                if outside:
-                    continue
-                s = light(dx, dy, lens, radius, profile, step, cut)[0]
-                v = picture[y, x] * picture[y, x]
-                count += 1
-                ms += s
-                mv += v
-                mss += s * s
-                msv += s * v
-                mvv += v * v
-                most = max(most, v)
-                # The rim tells more of the place of the lens than of its light.
-                if s > 0.8 and bright < len(ratios):
-                    ratios[bright] = v / s
-                    bright += 1
-        if bright == 0:
-            out[n, :] = 0.0
-            continue
-        # Dust and hot pixels have no say in the median, which is worth two thirds of the pixels.
-        out[n, 0], out[n, 1] = np.median(ratios[:bright]), bright / 1.5
-        spread_s, spread_v = mss / count - (ms / count) ** 2, mvv / count - (mv / count) ** 2
-        both = msv / count - ms * mv / (count * count)
-        out[n, 2] = both / math.sqrt(spread_s * spread_v) if spread_s > 1e-12 and spread_v > 1e-12 else 0.0
-        out[n, 3] = math.sqrt(max(spread_s, 0.0)) / max(ms / count, 1e-9)
-        out[n, 4], out[n, 5] = mv / count, most
+    lenses = centres.shape[0]
+    for block in prange((lenses + _TOGETHER - 1) // _TOGETHER):
+        powers, lens, ratios = np.empty(64), np.empty(7 + rim.shape[0]), np.empty(4 * _SAMPLES)
+        for n in range(block * _TOGETHER, min((block + 1) * _TOGETHER, lenses)):
+            cx, cy = centres[n, 0], centres[n, 1]
+            describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
+            count, bright = 0, 0
+            ms = mv = mss = msv = mvv = most = 0.0
+            for y in range(max(0, math.ceil(cy - reach)), min(height - 1, math.floor(cy + reach)) + 1, stride):
+                dy = y - cy
+                half = math.sqrt(max(reach * reach - dy * dy, 0.0))
+                for x in range(max(0, math.ceil(cx - half)), min(width - 1, math.floor(cx + half)) + 1, stride):
+                    dx = x - cx
+                    if dx * dx + dy * dy > inner * inner and outside(dx, dy, faces):
+                        continue
+                    s = light(dx, dy, lens, profile, step, cut)[0]
+                    v = picture[y, x] * picture[y, x]
+                    count += 1
+                    ms += s
+                    mv += v
+                    mss += s * s
+                    msv += s * v
+                    mvv += v * v
+                    most = max(most, v)
+                    # The rim tells more of the place of the lens than of its light.
+                    if s > 0.8 and bright < len(ratios):
+                        ratios[bright] = v / s
+                        bright += 1
+            if bright == 0:
+                out[n, :] = 0.0
+                continue
+            # Dust and hot pixels have no say in the median, which is worth two thirds of the pixels.
+            out[n, 0], out[n, 6] = _middle(ratios, bright)
+            out[n, 1] = bright / 1.5
+            spread_s, spread_v = mss / count - (ms / count) ** 2, mvv / count - (mv / count) ** 2
+            both = msv / count - ms * mv / (count * count)
+            out[n, 2] = both / math.sqrt(spread_s * spread_v) if spread_s > 1e-12 and spread_v > 1e-12 else 0.0
+            out[n, 3] = math.sqrt(max(spread_s, 0.0)) / max(ms / count, 1e-9)
+            out[n, 4], out[n, 5] = mv / count, most
 
 
 def _looked(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap) -> NDArray[np.float64]:
     centres = lattice.centres()
     faces, reach = cell_faces(lattice)
     cell = abs(float(np.linalg.det(lattice.basis)))
-    out = np.zeros((len(centres), 6))
-    stride = max(1, int(math.sqrt(cell / _SAMPLES)))
-    _look(picture, centres, faces, reach, stride, out, *gain.shape(lattice))
+    out = np.zeros((len(centres), 7))
+    stride = max(1, round(math.sqrt(cell / _SAMPLES)))
+    _look(picture, centres, faces, inner_radius(faces), reach, stride, out, *gain.shape(lattice))
     return out
 
 
@@ -139,8 +150,11 @@ def lens_lights(picture: NDArray[np.float32], lattice: Lattice, fit: GainFit) ->
     centres = lattice.centres()
     level = _level(np.log(np.maximum(lights, 1e-12)), lit & (weight > 0.3 * np.median(weight[seen])), centres, lattice)
     smooth = np.exp(monomials(centres, lattice, _degree(level)) @ level)
-    error = _errors(fit, centres, lattice) / np.sqrt(np.maximum(weight, 1e-9))
-    own = _own(lights / smooth, error, lit)
+    single = _errors(fit, centres, lattice)
+    error = single / np.sqrt(np.maximum(weight, 1e-9))
+    # Dust makes a lens darker in parts, which is no light of the lens.
+    uneven = 1.4826 * found[:, 6] > _UNEVEN * np.hypot(single, _DIFFERS) * lights
+    own = _own(np.where(uneven, 1.0, lights / smooth), error, lit)
     # 1 at the brightest part of the field, taken where lenses are.
     brightest = float(np.percentile((smooth * own)[lit], 99.5))
     level = level.copy()
@@ -209,7 +223,7 @@ def _own(ratio: NDArray[np.float64], error: NDArray[np.float64], lit: NDArray[np
 def dark_in_scene(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap) -> NDArray[np.int64]:
     """(m,) rows of lenses without any light amid neighbours that have some, on a scene capture."""
     found = _looked(picture, lattice, gain)
-    mean, most = found[:, 4:].T
+    mean, most = found[:, 4:6].T
     indices = lattice.indices()
     low = indices.min(0) - 1
     span = indices.max(0) - low + 2

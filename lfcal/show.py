@@ -32,6 +32,7 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     """Draw the centres and usable circles of a calibration over the centre and the corners of a flat.
 
     Circles of different lens types have different colours: blue, pink, green, yellow in the order of their numbers.
+    Lenses without light are crossed out, defect pixels circled.
     Beside the five crops a panel shows how far nine regions of the flat disagree with the lattice, and how the
     light falls off inside a microimage.
 
@@ -122,7 +123,9 @@ def _crop(calibration: Calibration, flat: NDArray[Any], middle: NDArray[np.float
     drawn = half + zoom * (centres[near] - middle)
     types = calibration.lens_types
     kinds = np.zeros(len(drawn), int) if types is None else types.of(lattice.indices()[near]) % len(_TYPES)
-    pixels = calibration.defects.pixels
+    pixels, lenses = calibration.defects.pixels, calibration.defects.lenses
+    missing = lattice.points(lenses)
+    missing = half + zoom * (missing[(np.abs(missing - middle) < reach / 2 + lattice.pitch).all(1)] - middle)
     marked = half + zoom * (pixels[(np.abs(pixels - middle) < reach / 2).all(1)] - middle)
     radius = zoom * lattice.radius
     arm = float(np.clip(0.12 * radius, 4, 9))
@@ -132,6 +135,10 @@ def _crop(calibration: Calibration, flat: NDArray[Any], middle: NDArray[np.float
         for place in marked:
             cv2.circle(layer, *_fixed(place), _bits(0.8 * zoom + 2), (0, 0, 0) if dark else _DEFECT, thickness,
                        cv2.LINE_AA, _BITS)  # fmt: skip
+        for place in missing:
+            for step in (np.array([radius, radius]) / np.sqrt(2), np.array([radius, -radius]) / np.sqrt(2)):
+                ends = _fixed(place - step)[0], _fixed(place + step)[0]
+                cv2.line(layer, *ends, (0, 0, 0) if dark else _DEFECT, thickness + 1, cv2.LINE_AA, _BITS)
         for place, kind in zip(drawn, kinds, strict=True):
             colour = (0, 0, 0) if dark else _TYPES[kind]
             cv2.circle(layer, *_fixed(place), _bits(radius), colour, thickness, cv2.LINE_AA, _BITS)

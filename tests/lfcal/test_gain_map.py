@@ -140,3 +140,92 @@ def test_command_writes_the_flattened_flat(whole, tmp_path):
     assert result.exit_code == 0, result.output
     written = lfcal.read_flat(tmp_path / "even.tif")
     np.testing.assert_array_equal(written, lfcal.load(tmp_path / "camera.json").flatten(image))
+
+
+def test_result_does_not_depend_on_the_number_of_threads(drawn):
+    import numba
+
+    from lfcal.features import tone
+    from lfcal.illumination import measure_illumination
+
+    truth = drawn("hexagonal", 14.3, 3.0, 26.0, size=(500, 400), hot=20, dust=4)
+    lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, 7.0)
+    picture = tone(truth.image())
+    before = numba.get_num_threads()
+    found = []
+    try:
+        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS), 1):
+            numba.set_num_threads(threads)
+            found.append(measure_illumination(picture, lattice, white=True))
+    finally:
+        numba.set_num_threads(before)
+    for other in found[1:]:
+        assert json.dumps(other.gain_map.to_dict()) == json.dumps(found[0].gain_map.to_dict())
+        np.testing.assert_array_equal(other.gain_map.level, found[0].gain_map.level)
+        np.testing.assert_array_equal(other.gain_map.gain(lattice), found[0].gain_map.gain(lattice))
+        np.testing.assert_array_equal(other.defects.pixels, found[0].defects.pixels)
+    assert len(found[0].defects.pixels) > 20
+
+
+def test_scene_with_much_contrast_gives_the_profile_to_a_percent():
+    """Blobs of light 2 to 6 px wide, each microimage its own: levels of lenses differ by more than half."""
+    from lfcal.features import tone
+    from lfcal.illumination import measure_illumination
+
+    rng = np.random.default_rng(5)
+    size, radius = (1000, 800), 9.0
+    lattice = lfcal.Lattice((9.3, 11.8), np.array([[20.4, 0.7], [9.6, 17.9]]), size, radius)
+    y, x = np.mgrid[: size[1], : size[0]].astype(np.float32)
+    import cv2
+
+    scene = np.exp(3 * cv2.GaussianBlur(rng.standard_normal((size[1], size[0])), (0, 0), 4) / 0.07 * 0.25)
+    points = np.column_stack([x.ravel(), y.ravel()])
+    index = np.rint(lattice.to_index(points))
+    far = np.full(len(points), np.inf)
+    for step in [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]:
+        far = np.minimum(far, np.hypot(*(points - lattice.points(index + step)).T))
+    light = (np.clip(radius + 0.5 - far, 0.05, 1) * (1 - 0.1 * (far / radius) ** 2)).reshape(x.shape)
+    seen = measure_illumination(tone(scene * light), lattice, white=False)
+    gain = seen.gain_map.gain(lattice)
+    core = far.reshape(x.shape) < 0.9 * radius
+    ratio = gain[core] / light[core]
+    assert ratio.std() / ratio.mean() < 0.01
+    outer = far.reshape(x.shape)[core] > 0.75 * radius
+    assert abs(ratio[outer].mean() / ratio[~outer].mean() - 1) < 0.01
+
+
+def test_dust_is_no_light_of_its_lens(drawn):
+    truth = drawn("hexagonal", 20.3, 5.0, 26.0, size=(800, 600))
+    image = truth.image()
+    y, x = np.mgrid[: truth.size[1], : truth.size[0]]
+    cx, cy = truth.centres(truth.index_of(np.array([[400.0, 300.0]])))[0] + (4, 2)
+    specks = 1 - 0.6 * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * 4.0**2))
+    camera = lfcal.calibrate((image * specks).astype(image.dtype), kind="white")
+    found = camera.defects.pixels
+    dust = specks < 0.99
+    assert np.mean(~dust[found[:, 1], found[:, 0]] * (np.hypot(*(found - (cx, cy)).T) < 40)) < 0.01
+    deep = np.zeros(dust.shape, bool)
+    deep[found[:, 1], found[:, 0]] = True
+    assert deep[(specks < 0.8) & (truth.light() > 0.5)].mean() > 0.9
+
+
+def test_generally_distorted_lattice_is_followed_by_the_gain():
+    from lfcal.distortion import Distortion
+    from lfcal.gain_map import GainMap
+
+    size = (300, 240)
+    general = np.zeros((2, 7))
+    general[0, 2], general[1, 0] = 6.0, -5.0
+    bend = Distortion(np.array([150.0, 120.0]), 0.01, 0.0, 192.0, general, np.array([150.0, 120.0]))
+    lattice = lfcal.Lattice((12.0, 9.0), np.array([[15.2, 0.4], [7.2, 13.3]]), size, 7.0, bend)
+    profile = np.linspace(1.0, 0.3, 64)
+    gain = GainMap.round(profile, 0.25, 7.0).gain(lattice)
+    y, x = np.mgrid[: size[1], : size[0]]
+    points = np.column_stack([x.ravel(), y.ravel()]).astype(float)
+    i, j = np.meshgrid(np.arange(-20, 40), np.arange(-10, 40))
+    centres = lattice.points(np.column_stack([i.ravel(), j.ravel()]))
+    far = np.full(len(points), np.inf)
+    for centre in centres[((centres > -20) & (centres < np.array(size) + 20)).all(1)]:
+        far = np.minimum(far, np.hypot(*(points - centre).T))
+    expected = np.interp(far, np.arange(64) * 0.25, profile).reshape(gain.shape)
+    np.testing.assert_allclose(gain, expected, atol=1e-6)

@@ -12,7 +12,8 @@ from click.testing import CliRunner
 
 import lfcal
 from lfcal.cli import main
-from lfcal.show import _CIRCLE, _PANEL, _TYPES
+from lfcal.defects import Defects
+from lfcal.show import _CIRCLE, _DEFECT, _PANEL, _TYPES
 
 
 @pytest.fixture(scope="module")
@@ -78,3 +79,16 @@ def test_circles_of_each_lens_type_have_a_colour_of_their_own(white):
     counts = [(np.abs(picture - colour).max(-1) < 40).sum() for colour in _TYPES[:3]]
     assert min(counts) > 500
     assert (np.abs(picture - _TYPES[3]).max(-1) < 40).sum() < 50
+
+
+def test_lens_without_light_is_crossed_out_where_it_lies(white):
+    image, camera = white
+    lattice = camera.lattice
+    near = np.argmin(np.hypot(*(lattice.centres() - (349.5, 249.5)).T))
+    missing = replace(camera, defects=Defects(lenses=lattice.indices()[[near]].astype(np.int32)))
+    plain, crossed = lfcal.show(camera, image), lfcal.show(missing, image)
+    pink = (np.abs(crossed.astype(int) - _DEFECT).max(-1) < 60) & (plain != crossed).any(-1)
+    rows, columns = np.nonzero(pink)
+    assert len(rows) > 60
+    # Arms of the length of the usable radius, 3 or 4 times enlarged, in the centre panel.
+    assert 2 * 9.0 * 2 < np.ptp(columns) < 2 * 9.0 * 4 and 2 * 9.0 * 2 < np.ptp(rows) < 2 * 9.0 * 4
