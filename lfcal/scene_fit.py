@@ -27,7 +27,7 @@ _FINE_PITCH = 24.0
 # The first steps need only so many lenses.
 _SKETCH_LENSES = 700
 _SKETCH_PASSES = 4
-_PASSES = 10
+_PASSES = 4
 # Steps below this share of the standard error change nothing.
 _SETTLED = 0.2
 _RUNAWAY = 0.05
@@ -36,7 +36,6 @@ _LENSES_PER_REGION = 16
 _FEWEST_REGIONS = 36
 # Lenses that say less than this share of what good ones say about their place have no say.
 _SAYS = 0.001
-_REGULAR_PASSES = 2
 
 
 def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e6) -> LatticeFit:
@@ -59,33 +58,41 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
     start = lattice.basis
     stride = max(1, round(lattice.pitch / _FINE_PITCH))
     most = max(int(pixels * stride**2 / abs(np.linalg.det(start))), _SKETCH_LENSES)
-    sketches = _SKETCH_PASSES if min(most, len(lattice)) > 2 * _SKETCH_LENSES else 0
-    for turn in range(sketches + _PASSES):
-        indices, centres = _chosen(lattice, _SKETCH_LENSES if turn < sketches else most)
-        regions, weight, residual = _regions(picture, lattice, indices, centres, stride)
-        change, share = agreed(regions)
-        lattice = replace(lattice, origin=lattice.origin + change[0], basis=lattice.basis + change[1:])
-        if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
-            raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
-        design = np.column_stack([np.ones(len(indices)), indices])
-        moments = design.T @ design / len(design)
-        covariance = np.linalg.pinv((regions.design * share[:, None]).T @ regions.design)
-        error = float(np.sqrt(2 * np.trace(covariance @ moments)))
-        moved = float(np.sqrt(np.einsum("pa,pq,qa->", change, moments, change)))
-        if turn >= sketches and moved < _SETTLED * error:
-            break
+    error = float("inf")
+    for size, passes in ((min(_SKETCH_LENSES, most), _SKETCH_PASSES), (most, _PASSES)):
+        if size < most and min(most, len(lattice)) <= 2 * _SKETCH_LENSES:
+            continue
+        for _ in range(passes):
+            indices, centres = _chosen(lattice, size)
+            regions, weight, residual = _regions(picture, lattice, indices, centres, stride)
+            change, share = agreed(regions)
+            before, lattice = lattice, _moved(lattice, change)
+            if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
+                raise CalibrationError(
+                    "the microimages do not keep to one lattice; give a sharper flat or a white image"
+                )
+            design = np.column_stack([np.ones(len(indices)), indices])
+            moments = design.T @ design / len(design)
+            covariance = np.linalg.pinv((regions.design * share[:, None]).T @ regions.design)
+            error = float(np.sqrt(2 * np.trace(covariance @ moments)))
+            if np.sqrt(np.einsum("pa,pq,qa->", change, moments, change)) < _SETTLED * error:
+                break
     regular = regular_ratio(lattice.basis, regions)
     if regular is not None:
-        for _ in range(_REGULAR_PASSES):
-            regions, weight, residual = _regions(picture, lattice, indices, centres, stride)
-            change, share = agreed(replace(regions, regular=regular))
-            lattice = replace(lattice, origin=lattice.origin + change[0], basis=lattice.basis + change[1:])
-            centres = lattice.points(indices)
-            regions = replace(regions, regular=regular)
+        # What the regions say is from the lattice before the last step.
+        lattice = _moved(before, agreed(replace(regions, regular=regular))[0])
+        regions, weight, residual = _regions(picture, lattice, indices, lattice.points(indices), stride)
+        regions = replace(regions, regular=regular)
+        lattice = _moved(lattice, agreed(regions)[0])
     halves = [agreed(regions, regions.colour == side)[0] for side in (0, 1)]
     gap = halves[0] - halves[1]
     differ = float(np.sqrt(np.einsum("pa,pq,qa->", gap, moments, gap)))
     return LatticeFit(lattice.origin, lattice.basis, residual, error, int((weight > 0).sum()), differ)
+
+
+def _moved(lattice: Lattice, change: NDArray[np.float64]) -> Lattice:
+    """The lattice after a change (3, 2) of origin and basis."""
+    return replace(lattice, origin=lattice.origin + change[0], basis=lattice.basis + change[1:])
 
 
 def _chosen(lattice: Lattice, most: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
