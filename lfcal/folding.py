@@ -6,40 +6,39 @@ What the lattice carries adds up, what the scene shows averages out (the average
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["TileFolds", "fold_tiles"]
+__all__ = ["HIGHEST_HARMONIC", "TileFolds", "fold_tiles"]
+
+# Finer structure of a microimage than a sixth of the pitch says little about where it lies.
+HIGHEST_HARMONIC = 6
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def _fold(picture, inverse, side, columns, bins, tiles, total, count):
     height, width = picture.shape
+    # A cell is 2**32 units each way, so that places in it wrap around by themselves.
+    whole = 4294967296.0
+    across, down = np.int64(inverse[0, 0] * whole), np.int64(inverse[0, 1] * whole)
     for place in prange(len(tiles)):
         tile = tiles[place]
         y0 = (tile // columns) * side
         x0 = (tile % columns) * side
+        sums, numbers = total[place], count[place]
         for y in range(y0, min(y0 + side, height)):
-            u = x0 * inverse[0, 0] + y * inverse[1, 0]
-            v = x0 * inverse[0, 1] + y * inverse[1, 1]
-            u -= np.floor(u)
-            v -= np.floor(v)
+            u = np.int64((x0 * inverse[0, 0] + y * inverse[1, 0]) % 1.0 * whole)
+            v = np.int64((x0 * inverse[0, 1] + y * inverse[1, 1]) % 1.0 * whole)
             for x in range(x0, min(x0 + side, width)):
-                a = int(u * bins)
-                b = int(v * bins)
-                if a >= bins:
-                    a = bins - 1
-                if b >= bins:
-                    b = bins - 1
-                total[place, b, a] += picture[y, x]
-                count[place, b, a] += 1
-                u += inverse[0, 0]
-                v += inverse[0, 1]
-                u -= np.floor(u)
-                v -= np.floor(v)
+                a, b = (u & 0xFFFFFFFF) * bins >> 32, (v & 0xFFFFFFFF) * bins >> 32
+                sums[b, a] += picture[y, x]
+                numbers[b, a] += np.float32(1)
+                u += across
+                v += down
 
 
 @dataclass(frozen=True)
@@ -80,19 +79,23 @@ class TileFolds:
 
     def strength(self) -> NDArray[np.float32]:
         """(t,) squared amplitude of the strongest low harmonic of each tile."""
-        bins = self.bins
-        power = np.abs(self.harmonics()) ** 2
-        power[:, 0, 0] = 0
-        near = np.arange(-2, 3) % bins
+        near = self.harmonics[:, np.arange(-2, 3)[:, None], np.arange(3)]
+        power = near.real**2 + near.imag**2
+        power[:, 2, 0] = 0
         area = np.maximum(self.count.sum((1, 2)), 1)
-        strongest: NDArray[np.float32] = power[:, near[:, None], near].max((1, 2)) / area**2
+        strongest: NDArray[np.float32] = power.max((1, 2)) / area**2
         return strongest
 
+    @cached_property
     def harmonics(self) -> NDArray[np.complex64]:
-        """(t, bins, bins) Fourier coefficients of each tile, index `[t, k, h]` for harmonic `h*b1 + k*b2`."""
+        """(t, bins, 7) Fourier coefficients of each tile, index `[t, k, h]` for harmonic `h*b1 + k*b2`, h from 0 to 6.
+
+        Those at negative `h` are the conjugates of the opposite ones.
+        """
         level = self.total.sum((1, 2), keepdims=True) / np.maximum(self.count.sum((1, 2), keepdims=True), 1)
         # Summed deviations, not means: bins no pixel fell into must not count as dark.
-        return np.fft.fft2(self.total - level * self.count).astype(np.complex64)
+        rows = np.fft.rfft(self.total - level * self.count)[..., : HIGHEST_HARMONIC + 1]
+        return np.fft.fft(rows, axis=1).astype(np.complex64)
 
     def halves(self) -> list[NDArray[np.float64]]:
         """Average cells (bins, bins) of two halves of the tiles, which lie like the colours of a checkerboard."""

@@ -96,7 +96,7 @@ def _quantile(values, share):
 def _pool(normal, right, order, begin, ridge, prior, cutoff, turns, median_square, weight, miss, mean, variance):
     number = len(begin) - 1
     far, scratch = np.empty(len(order)), np.empty(len(order))
-    for turn in range(turns):
+    for _turn in range(turns):
         for k in range(number):
             xx, xy, yy, bx, by = ridge, 0.0, ridge, 0.0, 0.0
             for m in range(begin[k], begin[k + 1]):
@@ -212,7 +212,7 @@ def _settle(design, step, variance, basis, ratio, agreeing, outlier, turns, weig
     for start in range(len(weights)):
         weight, change = weights[start], changes[start]
         _weighted(design, step, weight, basis, ratio, change)
-        for turn in range(turns):
+        for _turn in range(turns):
             before[:] = change
             for k in range(len(step)):
                 x = step[k, 0] - change[0, 0] - design[k, 1] * change[1, 0] - design[k, 2] * change[2, 0]
