@@ -22,23 +22,28 @@ HIGHEST_HARMONIC = 6
 @njit(cache=True, nogil=True, parallel=True)
 def _fold(picture, inverse, side, columns, bins, tiles, total, count):
     height, width = picture.shape
-    # A cell is 2**32 units each way, so that places in it wrap around by themselves.
-    whole = 4294967296.0
-    across, down = np.int64(inverse[0, 0] * whole), np.int64(inverse[0, 1] * whole)
     for place in prange(len(tiles)):
         tile = tiles[place]
         y0 = (tile // columns) * side
         x0 = (tile % columns) * side
-        sums, numbers = total[place], count[place]
         for y in range(y0, min(y0 + side, height)):
-            u = np.int64((x0 * inverse[0, 0] + y * inverse[1, 0]) % 1.0 * whole)
-            v = np.int64((x0 * inverse[0, 1] + y * inverse[1, 1]) % 1.0 * whole)
+            u = x0 * inverse[0, 0] + y * inverse[1, 0]
+            v = x0 * inverse[0, 1] + y * inverse[1, 1]
+            u -= np.floor(u)
+            v -= np.floor(v)
             for x in range(x0, min(x0 + side, width)):
-                a, b = (u & 0xFFFFFFFF) * bins >> 32, (v & 0xFFFFFFFF) * bins >> 32
-                sums[b, a] += picture[y, x]
-                numbers[b, a] += np.float32(1)
-                u += across
-                v += down
+                a = int(u * bins)
+                b = int(v * bins)
+                if a >= bins:
+                    a = bins - 1
+                if b >= bins:
+                    b = bins - 1
+                total[place, b, a] += picture[y, x]
+                count[place, b, a] += 1
+                u += inverse[0, 0]
+                v += inverse[0, 1]
+                u -= np.floor(u)
+                v -= np.floor(v)
 
 
 @dataclass(frozen=True)

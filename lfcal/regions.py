@@ -95,7 +95,7 @@ def _quantile(values, share):
 @njit(cache=True, nogil=True)
 def _pool(normal, right, order, begin, ridge, prior, cutoff, turns, median_square, weight, miss, mean, variance):
     number = len(begin) - 1
-    far, scratch = np.empty(len(order)), np.empty(len(order))
+    far, scratch, middle = np.empty(len(order)), np.empty(len(order)), np.empty(number)
     for _turn in range(turns):
         for k in range(number):
             xx, xy, yy, bx, by = ridge, 0.0, ridge, 0.0, 0.0
@@ -118,13 +118,14 @@ def _pool(normal, right, order, begin, ridge, prior, cutoff, turns, median_squar
                 dy = (xx * right[lens, 1] - xy * right[lens, 0]) / determinant - mean[k, 1]
                 miss[lens, 0], miss[lens, 1] = dx, dy
                 far[m] = xx * dx * dx + 2 * xy * dx * dy + yy * dy * dy
-        scratch[:] = far
+                scratch[m] = far[m]
+        # Sorting some of them leaves them in their regions, sorting all does not: that comes last.
+        for k in range(number):
+            middle[k] = _quantile(scratch[begin[k] : begin[k + 1]], 0.5) / median_square
         common = _quantile(scratch, 0.5) / median_square
-        scratch[:] = far
         for k in range(number):
             own = begin[k + 1] - begin[k]
-            middle = _quantile(scratch[begin[k] : begin[k + 1]], 0.5) / median_square
-            spread = (middle * own + common * prior) / (own + prior) + 1e-30
+            spread = (middle[k] * own + common * prior) / (own + prior) + 1e-30
             variance[k] *= spread
             for m in range(begin[k], begin[k + 1]):
                 weight[order[m]] = max(1 - far[m] / (spread * cutoff * cutoff), 0.0) ** 2
@@ -208,12 +209,13 @@ def _weighted(design, step, weight, basis, ratio, change):
 def _settle(design, step, variance, basis, ratio, agreeing, outlier, turns, weights, changes, commons):
     square, left = np.empty(len(step)), np.empty(len(step))
     expected = -2 * np.log(1 - agreeing)
-    before = np.empty((3, 2))
+    before = np.empty(6)
     for start in range(len(weights)):
         weight, change = weights[start], changes[start]
         _weighted(design, step, weight, basis, ratio, change)
         for _turn in range(turns):
-            before[:] = change
+            for i in range(6):
+                before[i] = change[i // 2, i % 2]
             for k in range(len(step)):
                 x = step[k, 0] - change[0, 0] - design[k, 1] * change[1, 0] - design[k, 2] * change[2, 0]
                 y = step[k, 1] - change[0, 1] - design[k, 1] * change[1, 1] - design[k, 2] * change[2, 1]
@@ -226,7 +228,10 @@ def _settle(design, step, variance, basis, ratio, agreeing, outlier, turns, weig
                 weight[k] = max(1 - square[k] / (total * outlier * outlier), 0.0) ** 2 / total
             commons[start] = common
             _weighted(design, step, weight, basis, ratio, change)
-            if np.abs(change - before).max() < 1e-5:
+            moved = 0.0
+            for i in range(6):
+                moved = max(moved, abs(change[i // 2, i % 2] - before[i]))
+            if moved < 1e-5:
                 break
 
 

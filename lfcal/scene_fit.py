@@ -27,7 +27,7 @@ _FINE_PITCH = 24.0
 # The first steps need only so many lenses.
 _SKETCH_LENSES = 700
 _SKETCH_PASSES = 4
-_PASSES = 4
+_PASSES = 10
 # Steps below this share of the standard error change nothing.
 _SETTLED = 0.2
 _RUNAWAY = 0.05
