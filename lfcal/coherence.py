@@ -67,7 +67,7 @@ def refine_basis(folds: list[TileFolds]) -> tuple[NDArray[np.float64], float]:
             first.centre[min(columns, len(first.centre) - 1), 1] - first.centre[0, 1] or 1.0,
         ]
     )
-    spectra = [fold.harmonics() for fold in folds]
+    spectra = [fold.harmonics for fold in folds]
     chosen = _strongest(spectra)
     index = np.array([(h, k) for _, h, k in chosen], dtype=np.float64)
     # Unit-energy fields: the scene decides how strong a tile is, the lattice only its phase.

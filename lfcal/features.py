@@ -57,14 +57,33 @@ def tone(image: NDArray[Any]) -> NDArray[np.float32]:
     return grey
 
 
-def breaks(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(h, w) float32 square root of the gradient magnitude of a `tone` picture."""
-    import cv2
+@njit(cache=True, nogil=True)
+def _steep(above, here, below, left, x, right):
+    across = (above[right] - above[left]) + (below[right] - below[left])
+    across += (here[right] - here[left]) + (here[right] - here[left])
+    down = (below[left] - above[left]) + (below[right] - above[right])
+    down += (below[x] - above[x]) + (below[x] - above[x])
+    return np.sqrt(np.sqrt(across * across + down * down))
 
-    dx = cv2.Sobel(picture, cv2.CV_32F, 1, 0)
-    dy = cv2.Sobel(picture, cv2.CV_32F, 0, 1)
-    steepness = cv2.magnitude(dx, dy)
-    return np.sqrt(steepness, out=steepness)
+
+@njit(cache=True, nogil=True, parallel=True)
+def _steepness(picture, steepness):
+    height, width = picture.shape
+    for y in prange(height):
+        above, here, below = picture[abs(y - 1)], picture[y], picture[y + 1 if y + 1 < height else height - 2]
+        line = steepness[y]
+        line[0] = _steep(above, here, below, 1, 0, 1)
+        for x in range(1, width - 1):
+            line[x] = _steep(above, here, below, x - 1, x, x + 1)
+        line[width - 1] = _steep(above, here, below, width - 2, width - 1, width - 2)
+
+
+def breaks(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(h, w) float32 square root of the gradient magnitude (Sobel) of a `tone` picture, at least 2 x 2 px."""
+    # Not OpenCV's magnitude, whose last bit depends on where in memory a picture lies.
+    steepness = np.empty_like(picture)
+    _steepness(picture, steepness)
+    return steepness
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -90,6 +109,6 @@ def level_locally(picture: NDArray[np.float32], window: float) -> NDArray[np.flo
 
     size = (max(3, int(window) | 1),) * 2
     mean: Any = cv2.blur(picture, size)
-    square: Any = cv2.sqrBoxFilter(picture, cv2.CV_32F, size)
+    square: Any = cv2.blur(np.square(picture), size)
     _divide_by_spread(picture, mean, square, np.float32(_NOISE_FLOOR), np.float32(_CLIP))
     return mean

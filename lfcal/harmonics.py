@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .folding import TileFolds
+from .folding import HIGHEST_HARMONIC, TileFolds
 
 __all__ = ["HarmonicFit", "fit_harmonics"]
 
-_HIGHEST = 6
 _SHORTEST_HARMONIC = 2.2
 # A harmonic takes part when its mean over the tiles is this many squared standard errors from zero.
 _SIGNIFICANT = 9.0
@@ -55,7 +54,7 @@ def _coefficients(
 ) -> tuple[NDArray[np.complex128], NDArray[np.int64]]:
     """Coefficients (t, m) relative to `origin`, bounded in size, and their harmonics (m, 2)."""
     # Finer harmonics than two pixels are aliases of coarser ones.
-    highest = max(1, min(_HIGHEST, int(np.hypot(*folds[0].basis.T).min() / _SHORTEST_HARMONIC)))
+    highest = max(1, min(HIGHEST_HARMONIC, int(np.hypot(*folds[0].basis.T).min() / _SHORTEST_HARMONIC)))
     span = range(-highest, highest + 1)
     index = np.array([(h, k) for h in span for k in span if h > 0 or (h == 0 and k > 0)])
     bins = folds[0].bins
@@ -63,7 +62,7 @@ def _coefficients(
     turn = np.exp(2j * np.pi * phase)
     parts = []
     for fold in folds:
-        value = fold.harmonics()[:, index[:, 1] % bins, index[:, 0] % bins] * turn
+        value = fold.harmonics[:, index[:, 1], index[:, 0]] * turn
         value /= np.maximum(fold.count.sum((1, 2)), 1)[:, None]
         # One contrasty tile must not outvote all others.
         size = np.abs(value)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +44,8 @@ _COHERENT = 0.05
 # Tiles with less than these shares of the tone and of the lattice amplitude squared of good ones lie beside the array:
 # stray light there is a sixth of the light in the array at most.
 _DARK, _IDLE = 0.4, 0.1
+# Pixels along a tile that tell its mean tone.
+_TONE_SAMPLES = 32
 # Where one feature is alike in two halves to this correlation, the other may be too faint to be.
 _CERTAIN = 0.97
 # Features are levelled in windows of so many pitches, anew where that was wrong by the other factor.
@@ -197,14 +198,23 @@ def _lit_folds(
     picture: NDArray[np.float32], levelled: list[NDArray[np.float32]], basis: NDArray[np.float64], side: int
 ) -> list[TileFolds]:
     """Folds of the features, without the tiles beside the array: dark ones in which next to nothing repeats."""
-    import cv2
-
     folds = [fold_tiles(feature, basis, side, _BINS) for feature in levelled]
-    rows, columns = folds[0].grid
-    tone: Any = cv2.resize(picture, (columns, rows), interpolation=cv2.INTER_AREA).ravel()
+    tone = _tile_tones(picture, folds[0].side)
     strength = sum(fold.strength() for fold in folds)
     beside = (tone < _DARK * np.quantile(tone, 0.9)) & (strength < _IDLE * np.quantile(strength, 0.9))
     return [fold.only(~beside) for fold in folds] if beside.any() else folds
+
+
+def _tile_tones(picture: NDArray[np.float32], side: int) -> NDArray[np.float64]:
+    """Mean of a picture in each square tile, in rows, from some thousand of its pixels."""
+    step = max(1, side // _TONE_SAMPLES)
+    few = picture[::step, ::step]
+    # The first sample of each tile, of whichever row or column.
+    rows, columns = (np.arange(0, length, side) + step - 1 for length in picture.shape)
+    rows, columns = (np.minimum(v // step, n - 1) for v, n in zip((rows, columns), few.shape, strict=True))
+    total = np.add.reduceat(np.add.reduceat(few, columns, axis=1, dtype=np.float64), rows, axis=0)
+    area = np.outer(np.diff(rows, append=few.shape[0]), np.diff(columns, append=few.shape[1]))
+    return np.asarray((total / np.maximum(area, 1)).ravel())
 
 
 def _repeatability(folds: list[TileFolds]) -> float:

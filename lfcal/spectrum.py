@@ -112,7 +112,7 @@ def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | 
     log_power = np.zeros((size, size // 2 + 1), dtype=np.float32)
     windows = _windows(height, width, size)
     for y, x in windows:
-        window = picture[y : y + size, x : x + size]
+        window = np.ascontiguousarray(picture[y : y + size, x : x + size])
         for feature in (window, breaks(window)):
             levelled = level_locally(feature, size / 10)
             levelled *= taper[:, None]

@@ -30,87 +30,102 @@ _OUTLIER = 4.685
 _MOST_CONTRAST = 2.0
 
 
+@njit(cache=True, nogil=True)
+def _span(faces, reach, cx, dy):
+    """First and last column of a cell in a row `dy` below its centre."""
+    half = np.sqrt(max(reach * reach - dy * dy, 0.0))
+    low, high = -half, half
+    for face in range(faces.shape[0]):
+        room = 0.5 - dy * faces[face, 1]
+        if faces[face, 0] > 1e-9:
+            high = min(high, room / faces[face, 0])
+        elif faces[face, 0] < -1e-9:
+            low = max(low, room / faces[face, 0])
+        elif room < 0:
+            return 0, -1
+    return int(np.ceil(cx + low)), int(np.floor(cx + high))
+
+
+@njit(cache=True, nogil=True)
+def _places(picture, cx, cy, lens, faces, reach, inverse, stride, bins, place, values):
+    """Bins and values of the pixels of a cell, as many as the number returned."""
+    # A cell is 2**32 units each way, so that places in it wrap around by themselves.
+    whole = 4294967296.0
+    across, down = np.int64(inverse[0, 0] * stride * whole), np.int64(inverse[0, 1] * stride * whole)
+    number = 0
+    for y in range(int(np.ceil(cy - reach)) + lens % stride, int(np.floor(cy + reach)) + 1, stride):
+        dy = y - cy
+        first, last = _span(faces, reach, cx, dy)
+        first += (lens // stride - first) % stride
+        dx = first - cx
+        u = np.int64((dx * inverse[0, 0] + dy * inverse[1, 0] + 0.5 / bins) * whole)
+        v = np.int64((dx * inverse[0, 1] + dy * inverse[1, 1] + 0.5 / bins) * whole)
+        for x in range(first, last + 1, stride):
+            place[number] = ((v & 0xFFFFFFFF) * bins >> 32) * bins + ((u & 0xFFFFFFFF) * bins >> 32)
+            values[number] = picture[y, x]
+            number += 1
+            u += across
+            v += down
+    return number
+
+
 @njit(cache=True, nogil=True, parallel=True)
-def _fold(picture, centres, faces, inner, reach, inverse, stride, bins, chunks, sums):
+def _fold(picture, centres, faces, reach, inverse, stride, bins, chunks, sums):
     lenses = centres.shape[0]
+    side = int(2 * reach) // stride + 3
     for chunk in prange(chunks):
+        place, values = np.empty(side * side, np.int64), np.empty(side * side, np.float32)
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0], centres[lens, 1]
-            for y in range(int(np.ceil(cy - reach)) + lens % stride, int(np.floor(cy + reach)) + 1, stride):
-                dy = y - cy
-                half = np.sqrt(max(reach * reach - dy * dy, 0.0))
-                for x in range(int(np.ceil(cx - half)) + lens // stride % stride, int(np.floor(cx + half)) + 1, stride):
-                    dx = x - cx
-                    if dx * dx + dy * dy > inner * inner:
-                        inside = True
-                        for face in range(faces.shape[0]):
-                            if dx * faces[face, 0] + dy * faces[face, 1] > 0.5:
-                                inside = False
-                                break
-                        if not inside:
-                            continue
-                    column = int(np.floor((dx * inverse[0, 0] + dy * inverse[1, 0]) * bins + 0.5)) % bins
-                    row = int(np.floor((dx * inverse[0, 1] + dy * inverse[1, 1]) * bins + 0.5)) % bins
-                    value = picture[y, x]
-                    sums[chunk, row, column, 0] += value
-                    sums[chunk, row, column, 1] += value * value
-                    sums[chunk, row, column, 2] += 1
+            number = _places(picture, cx, cy, lens, faces, reach, inverse, stride, bins, place, values)
+            for k in range(number):
+                value = values[k]
+                sums[chunk, place[k], 0] += value
+                sums[chunk, place[k], 1] += value * value
+                sums[chunk, place[k], 2] += 1
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _accumulate(picture, centres, faces, inner, reach, inverse, stride, maps, cutoff, most, normal, right):
-    bins = maps.shape[0]
-    for lens in prange(centres.shape[0]):
-        cx, cy = centres[lens, 0], centres[lens, 1]
-        s = np.zeros(5)
-        contrast, offset = 1.0, 0.0
-        xx = xy = yy = bx = by = 0.0
-        for turn in range(2):
-            for y in range(int(np.ceil(cy - reach)) + lens % stride, int(np.floor(cy + reach)) + 1, stride):
-                dy = y - cy
-                half = np.sqrt(max(reach * reach - dy * dy, 0.0))
-                for x in range(int(np.ceil(cx - half)) + lens // stride % stride, int(np.floor(cx + half)) + 1, stride):
-                    dx = x - cx
-                    if dx * dx + dy * dy > inner * inner:
-                        inside = True
-                        for face in range(faces.shape[0]):
-                            if dx * faces[face, 0] + dy * faces[face, 1] > 0.5:
-                                inside = False
-                                break
-                        if not inside:
-                            continue
-                    column = int(np.floor((dx * inverse[0, 0] + dy * inverse[1, 0]) * bins + 0.5)) % bins
-                    row = int(np.floor((dx * inverse[0, 1] + dy * inverse[1, 1]) * bins + 0.5)) % bins
-                    level, w = maps[row, column, 0], maps[row, column, 1]
-                    value = picture[y, x]
-                    if turn == 0:
-                        s[0] += w
-                        s[1] += w * level
-                        s[2] += w * level * level
-                        s[3] += w * value
-                        s[4] += w * level * value
-                        continue
-                    residual = value - offset - contrast * level
-                    far = residual * residual * w / (cutoff * cutoff)
-                    if far >= 1:
-                        continue
-                    w *= (1 - far) * (1 - far)
-                    gx, gy = -contrast * maps[row, column, 2], -contrast * maps[row, column, 3]
-                    xx += w * gx * gx
-                    xy += w * gx * gy
-                    yy += w * gy * gy
-                    bx += w * gx * residual
-                    by += w * gy * residual
-            determinant = s[0] * s[2] - s[1] * s[1]
-            if turn == 0 and determinant > 1e-9 * s[0] * s[2]:
-                contrast = min(max((s[0] * s[4] - s[1] * s[3]) / determinant, 0.0), most)
-                offset = (s[3] - contrast * s[1]) / s[0]
-        normal[lens, 0, 0] = xx
-        normal[lens, 0, 1] = xy
-        normal[lens, 1, 0] = xy
-        normal[lens, 1, 1] = yy
-        right[lens, 0] = bx
-        right[lens, 1] = by
+def _accumulate(picture, centres, faces, reach, inverse, stride, bins, chunks, maps, cutoff, most, normal, right):
+    lenses = centres.shape[0]
+    side = int(2 * reach) // stride + 3
+    for chunk in prange(chunks):
+        place, values = np.empty(side * side, np.int64), np.empty(side * side, np.float32)
+        for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
+            cx, cy = centres[lens, 0], centres[lens, 1]
+            number = _places(picture, cx, cy, lens, faces, reach, inverse, stride, bins, place, values)
+            one = level = square = value = product = 0.0
+            for k in range(number):
+                w, wl = maps[place[k], 1], maps[place[k], 4]
+                one += w
+                level += wl
+                square += wl * maps[place[k], 0]
+                value += w * values[k]
+                product += wl * values[k]
+            contrast, offset = np.float32(1), np.float32(0)
+            determinant = one * square - level * level
+            if determinant > 1e-9 * one * square:
+                contrast = np.float32(min(max((one * product - level * value) / determinant, 0.0), most))
+                offset = np.float32((value - contrast * level) / one)
+            xx = xy = yy = bx = by = 0.0
+            for k in range(number):
+                w = maps[place[k], 1]
+                residual = values[k] - offset - contrast * maps[place[k], 0]
+                near = max(np.float32(1) - residual * residual * w * cutoff, np.float32(0))
+                w *= near * near
+                gx, gy = maps[place[k], 2], maps[place[k], 3]
+                wx, wy = w * gx, w * gy
+                xx += wx * gx
+                xy += wx * gy
+                yy += wy * gy
+                bx -= wx * residual
+                by -= wy * residual
+            normal[lens, 0, 0] = contrast * contrast * xx
+            normal[lens, 0, 1] = contrast * contrast * xy
+            normal[lens, 1, 0] = contrast * contrast * xy
+            normal[lens, 1, 1] = contrast * contrast * yy
+            right[lens, 0] = contrast * bx
+            right[lens, 1] = contrast * by
 
 
 @dataclass(frozen=True)
@@ -119,12 +134,12 @@ class Template:
 
     Parameters
     ----------
-    maps : (bins, bins, 4) float64
-        Level, inverse variance of a pixel, and slopes of the level in x and y [1/px]; column along `a1`, row along
-        `a2`, `[j, i]` at `i / bins, j / bins` of the cell.
+    maps : (bins, bins, 5) float32
+        Level, inverse variance of a pixel, slopes of the level in x and y [1/px], and the product of the first two;
+        column along `a1`, row along `a2`, `[j, i]` at `i / bins, j / bins` of the cell.
     """
 
-    maps: NDArray[np.float64]
+    maps: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -144,25 +159,31 @@ def average_cell(
     picture: NDArray[np.float32],
     lattice: Lattice,
     centres: NDArray[np.float64],
-    cell: tuple[NDArray[np.float64], float, float],
+    cell: tuple[NDArray[np.float64], float],
     stride: int = 1,
 ) -> Template:
-    """Average of `picture` (h, w) over the cells at `centres` (n, 2) [px]; `cell` its faces, in- and circumradius."""
+    """Average of `picture` (h, w) over the cells at `centres` (n, 2) [px]; `cell` its faces and circumradius."""
     from scipy.ndimage import gaussian_filter
 
-    faces, inner, reach = cell
-    bins = int(min(_BINS_PER_PX * lattice.pitch, _MOST_BINS))
-    sums = np.zeros((_CHUNKS, bins, bins, 3))
+    faces, reach = cell
+    bins = _bins(lattice)
+    sums = np.zeros((_CHUNKS, bins * bins, 3))
     inverse = np.linalg.inv(lattice.basis)
-    _fold(picture, centres, faces, inner, reach, inverse, stride, bins, _CHUNKS, sums)
+    _fold(picture, centres, faces, reach, inverse, stride, bins, _CHUNKS, sums)
     width = _SMOOTH * bins / lattice.pitch
-    total, square, count = (_turned(gaussian_filter(v, width, mode="wrap")) for v in np.moveaxis(sums.sum(0), -1, 0))
+    planes = sums.sum(0).T.reshape(3, bins, bins)
+    total, square, count = (_turned(gaussian_filter(plane, width, mode="wrap")) for plane in planes)
     count = np.maximum(count, 1e-9)
     level = total / count
     variance = np.maximum(square / count - level**2, 1e-4 * float(np.var(level)) + 1e-12)
     along = [(np.roll(level, -1, axis) - np.roll(level, 1, axis)) * (bins / 2) for axis in (1, 0)]
     slope = np.stack(along, axis=-1) @ inverse.T
-    return Template(np.ascontiguousarray(np.dstack([level, 1 / variance, slope])))
+    return Template(np.dstack([level, 1 / variance, slope, level / variance]).astype(np.float32))
+
+
+def _bins(lattice: Lattice) -> int:
+    """Bins of the average cell along each lattice vector."""
+    return int(min(_BINS_PER_PX * lattice.pitch, _MOST_BINS))
 
 
 def _turned(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -174,7 +195,7 @@ def lens_steps(
     picture: NDArray[np.float32],
     lattice: Lattice,
     centres: NDArray[np.float64],
-    cell: tuple[NDArray[np.float64], float, float],
+    cell: tuple[NDArray[np.float64], float],
     stride: int = 1,
 ) -> LensSteps:
     """Gauss-Newton steps of the lenses at `centres` (n, 2) [px] of a straight `lattice`, every pixel of their cells.
@@ -182,12 +203,13 @@ def lens_steps(
     Each lens has a contrast of its own, so blank or dark ones say nothing, and an offset. Of large microimages every
     `stride`-th pixel each way is enough, as what the scene shows is alike in neighbouring pixels.
     """
-    faces, inner, reach = cell
+    faces, reach = cell
     few = np.ascontiguousarray(centres[:: max(1, len(centres) // _TEMPLATE_LENSES)])
     template = average_cell(picture, lattice, few, cell, stride)
     normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
-    inverse = np.linalg.inv(lattice.basis)
+    inverse, bins = np.linalg.inv(lattice.basis), _bins(lattice)
+    maps, cutoff = template.maps.reshape(bins * bins, -1), np.float32(1 / _OUTLIER**2)
     _accumulate(
-        picture, centres, faces, inner, reach, inverse, stride, template.maps, _OUTLIER, _MOST_CONTRAST, normal, right
+        picture, centres, faces, reach, inverse, stride, bins, _CHUNKS, maps, cutoff, _MOST_CONTRAST, normal, right
     )
     return LensSteps(normal, right)

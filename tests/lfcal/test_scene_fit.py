@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import cv2
+import numba
 import numpy as np
 import pytest
 
@@ -30,6 +32,42 @@ def test_centres_of_a_simulated_scene_are_within_a_fiftieth_pixel(house):
     miss = centres - truth.points(np.rint(truth.to_index(centres)))
     assert camera.source == "scene"
     assert np.sqrt((miss**2).sum(1).mean()) < 0.02
+
+
+def test_repeated_calls_and_other_thread_counts_give_the_same_bits(house):
+    found = []
+    threads = numba.get_num_threads()
+    for count in (threads, 1, threads):
+        numba.set_num_threads(count)
+        cv2.setNumThreads(count)
+        camera = lfcal.calibrate(house.flat)
+        found.append([*camera.lattice.origin, *camera.lattice.basis.ravel(), camera.confidence, camera.residual_rms])
+    cv2.setNumThreads(-1)
+    assert found[0] == found[1] == found[2]
+
+
+def test_breaks_are_the_same_bits_wherever_a_picture_lies_in_memory():
+    picture = np.random.default_rng(0).random((512, 509), dtype=np.float32) ** 4
+    seen = set()
+    kept = []
+    for size in range(40):
+        # Blocks of other sizes in between move the pictures about.
+        kept.append(np.empty(16 * size + 8, np.uint8))
+        space = np.empty(picture.size + 16, np.float32)
+        copy = space[size % 16 : size % 16 + picture.size].reshape(picture.shape)
+        copy[:] = picture
+        seen.add(breaks(copy).tobytes())
+    assert len(seen) == 1
+
+
+def test_breaks_are_the_square_root_of_the_sobel_gradient():
+    y, x = np.mgrid[:9, :12].astype(np.float32)
+    steep = breaks(np.ascontiguousarray(0.3 * x + 0.4 * y))
+    # A slope of 0.5 per pixel, weighted 8 times; at the border the picture is mirrored.
+    assert np.allclose(steep[1:-1, 1:-1], 2.0, atol=1e-5)
+    assert np.allclose(steep[0, 1:-1] ** 2, 2.4, atol=1e-5)
+    assert np.allclose(steep[1:-1, 0] ** 2, 3.2, atol=1e-5)
+    assert np.allclose(steep[[0, 0, -1, -1], [0, -1, 0, -1]], 0, atol=1e-5)
 
 
 def test_a_dragged_part_of_the_flat_has_no_say(whites):
