@@ -14,7 +14,7 @@ from .neighbours import lens_grid
 from .radiance import GrayFlat
 from .surface import Surface
 
-__all__ = ["spread"]
+__all__ = ["grid_shape", "spread"]
 
 # Grid values per pitch: fine enough that a depth edge moves less than a traditional pixel.
 _CELLS_PER_PITCH = 7
@@ -62,10 +62,20 @@ def _settle(depths, costs, gap, out):
     """Choose one candidate per scene point with the support of its row and column, both ways."""
     rows, columns, most = depths.shape
     total = np.zeros_like(costs)
+    # A line on which no point has two candidates has nothing to settle.
+    across, down = np.zeros(rows, np.bool_), np.zeros(columns, np.bool_)
+    for v in range(rows):
+        for u in range(columns):
+            if not np.isnan(depths[v, u, 1]):
+                across[v] = down[u] = True
     for v in prange(rows):
+        if not across[v]:
+            continue
         _walk(depths[v], costs[v], gap, total[v])
         _walk(depths[v, ::-1], costs[v, ::-1], gap, total[v, ::-1])
     for u in prange(columns):
+        if not down[u]:
+            continue
         _walk(depths[:, u], costs[:, u], gap, total[:, u])
         _walk(depths[::-1, u], costs[::-1, u], gap, total[::-1, u])
     for v in prange(rows):
@@ -99,6 +109,13 @@ def _without_specks(chosen, depths, gap, out):
                 out[v, u] = np.sort(window[:count])[count // 2]
 
 
+def grid_shape(lattice: Lattice) -> tuple[tuple[int, int], tuple[float, float], float]:
+    """Rows and columns of the grid of scene points, the first of them, and their spacing [px]."""
+    width, height = lattice.image_size
+    spacing = lattice.pitch / _CELLS_PER_PITCH
+    return (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1), (-0.5, -0.5), spacing
+
+
 def spread(
     gray: GrayFlat,
     lattice: Lattice,
@@ -125,10 +142,8 @@ def spread(
     noise : float
         Standard deviation of a pixel of `gray`.
     """
-    width, height = lattice.image_size
     pitch = lattice.pitch
-    spacing = pitch / _CELLS_PER_PITCH
-    shape = (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1)
+    shape, start, spacing = grid_shape(lattice)
     depths = np.empty((*shape, MOST_CANDIDATES), np.float32)
     costs = np.empty_like(depths)
     grid, low = lens_grid(lattice)
@@ -140,10 +155,10 @@ def spread(
     propose(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(pitch), values, seconds, trust, calm, grid, low,
         lattice.origin, np.linalg.inv(lattice.basis), ring, gap, np.float32(2 * noise * noise),
-        -0.5, spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), depths, costs,
+        start[0], spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), depths, costs,
     )  # fmt: skip
     chosen = np.empty(shape, np.float32)
     _settle(depths, costs, gap, chosen)
     out = np.empty_like(chosen)
     _without_specks(chosen, depths, gap, out)
-    return Surface(out, (-0.5, -0.5), spacing)
+    return Surface(out, start, spacing)
