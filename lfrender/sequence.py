@@ -17,11 +17,12 @@ __all__ = ["changed_lenses"]
 _BLOCK = 4
 # Lenses are grouped by brightness, because noise grows with it.
 _LEVELS = 8
-# The quietest tenth of the lenses of a group shows its noise, in space and in time.
-_QUIET = 10
+# The quietest lenses of a group show its noise: in one frame the smoothest tenth, between two frames a larger part,
+# since most of a scene stands still.
+_SMOOTH, _STILL = 10, 25
 # Energy beyond which a difference is no noise: single pixels, of which there are hundreds in a lens, and blocks, of
 # which there are some dozens; so many standard deviations of a sum of that many squares.
-_DEVIATIONS = 5.0
+_DEVIATIONS = 6.0
 # Rounding alone leaves this variance [levels^2] in a difference of two equal scenes.
 _ROUNDING = 1 / 6
 
@@ -100,9 +101,13 @@ def changed_lenses(before: NDArray, now: NDArray, calibration: Calibration) -> N
     noise = np.empty(_LEVELS)
     for k in range(_LEVELS):
         group = level == k
-        quiet = [np.percentile(v[group], _QUIET) for v in (2 * rough, pixel)] if group.any() else [0.0]
-        noise[k] = max(rounding / before.shape[2], min(quiet))
-    allowed = noise[level]
+        noise[k] = rounding / before.shape[2]
+        if group.any():
+            quiet = min(np.percentile(2 * rough[group], _SMOOTH), np.percentile(pixel[group], _STILL))
+            noise[k] = max(noise[k], quiet)
+    # Noise may change much within a group, as where pixels are cut off at black.
+    padded = np.pad(noise, 1, mode="edge")
+    allowed = np.maximum(np.maximum(padded[:-2], padded[2:]), noise)[level]
     return (pixel > allowed * _limit(pixels)) | (block > allowed * _limit(blocks))
 
 
