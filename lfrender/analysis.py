@@ -159,16 +159,15 @@ def _lens_by_lens(
     setting = PRESETS[preset]
     forward, backward = _halves(lattice)
     neighbours = np.hstack([forward, backward])
-    texture = find_texture(gray, lattice, shortcuts.blank, plain)
-    some = texture.clear | texture.faint
-    active = some if shortcuts.blank else np.ones(len(lattice), bool)
-    known = None
     near = np.ones(len(lattice), bool)
+    known = None
     if kept is not None and before is not None:
         # Lenses beside those with a new answer support them, and so do those beside these.
         near = _grown(_grown(~kept, neighbours), neighbours)
-        active = active & near
         known = np.where(near, np.nan, before.drawn).astype(np.float32)
+    texture = find_texture(gray, lattice, shortcuts.blank, plain, _grown(near, neighbours))
+    some = texture.clear | texture.faint
+    active = near & some if shortcuts.blank else near
     sample = sample_lenses(lattice, texture.clear & active, _SAMPLE) if shortcuts.ranges else None
     found = search(Matcher(texture, forward, backward, setting), active, texture.clear, sample, known)
     textured = near & (texture.clear | (texture.faint & _credible(found, lattice.pitch)))
@@ -182,8 +181,8 @@ def _lens_by_lens(
     sure = np.where(textured, found.confidence, 0)
     if kept is not None and before is not None:
         refined, error, sure, reason = (
-            np.where(kept, old, new)
-            for old, new in (
+            np.where(kept, earlier, new)
+            for earlier, new in (
                 (before.drawn, refined),
                 (before.standard_error, error),
                 (before.confidence, sure),
@@ -197,7 +196,8 @@ def _lens_by_lens(
     populated = _populated(found.second, refined[resolved], gap)
     seconds = np.where(textured & populated, found.second, np.nan).astype(np.float32)
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
-    surface = spread(texture.flat, lattice, drawn, seconds, trust, texture.noise)
+    old = None if before is None else before.surface
+    surface = spread(texture.flat, lattice, drawn, seconds, trust, texture.noise, ~near, old)
     # A lens that sees two depths answers with the one in its middle.
     middle = surface.at(lattice.centres())
     crossed = resolved & (np.abs(middle - drawn) > gap)

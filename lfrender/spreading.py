@@ -116,6 +116,24 @@ def grid_shape(lattice: Lattice) -> tuple[tuple[int, int], tuple[float, float], 
     return (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1), (-0.5, -0.5), spacing
 
 
+def _nearest_is(
+    mask: NDArray[np.bool_],
+    lattice: Lattice,
+    grid: NDArray[np.int32],
+    low: NDArray[np.int64],
+    shape: tuple[int, int],
+    first: float,
+    spacing: float,
+) -> NDArray[np.bool_]:
+    """(h, w) bool: grid values whose lattice cell belongs to a lens of `mask` (n,)."""
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    index = np.rint(lattice.to_index(first + spacing * np.stack([u.ravel(), v.ravel()], 1))).astype(int) - low
+    i, j = index.T
+    inside = (i >= 0) & (j >= 0) & (i < grid.shape[1]) & (j < grid.shape[0])
+    lens = np.where(inside, grid[np.where(inside, j, 0), np.where(inside, i, 0)], -1)
+    return ((lens >= 0) & mask[lens]).reshape(shape)
+
+
 def spread(
     gray: GrayFlat,
     lattice: Lattice,
@@ -123,6 +141,8 @@ def spread(
     seconds: NDArray[np.float32],
     trust: NDArray[np.float32],
     noise: float,
+    settled: NDArray[np.bool_] | None = None,
+    before: Surface | None = None,
 ) -> Surface:
     """Patch size of every scene point from the patch sizes of the lenses around it.
 
@@ -141,6 +161,8 @@ def spread(
         Weight of each lens, positive.
     noise : float
         Standard deviation of a pixel of `gray`.
+    settled : (n,) bool, optional
+        Lenses whose surroundings stay as in the surface `before`, if that is of the whole flat.
     """
     pitch = lattice.pitch
     shape, start, spacing = grid_shape(lattice)
@@ -152,6 +174,9 @@ def spread(
     ring = ring[np.linalg.norm(ring @ lattice.basis, axis=1) < _LOOKING * pitch]
     gap = np.float32(max(0.75, 0.04 * pitch))
     calm = calm_lenses(values, seconds, trust, lattice.indices(), grid, low, ring, gap)
+    kept = settled is not None and before is not None and before.patch_size.shape == shape and before.first == start
+    if settled is not None and kept:
+        calm |= settled
     propose(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(pitch), values, seconds, trust, calm, grid, low,
         lattice.origin, np.linalg.inv(lattice.basis), ring, gap, np.float32(2 * noise * noise),
@@ -161,4 +186,7 @@ def spread(
     _settle(depths, costs, gap, chosen)
     out = np.empty_like(chosen)
     _without_specks(chosen, depths, gap, out)
+    if settled is not None and before is not None and kept:
+        there = _nearest_is(settled, lattice, grid, low, shape, start[0], spacing)
+        out[there] = before.patch_size[there]
     return Surface(out, start, spacing)

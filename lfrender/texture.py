@@ -152,12 +152,16 @@ def lens_statistics(
 
 
 def find_texture(
-    gray: GrayFlat, lattice: Lattice, skip_blank: bool = False, plain: LensStatistics | None = None
+    gray: GrayFlat,
+    lattice: Lattice,
+    skip_blank: bool = False,
+    plain: LensStatistics | None = None,
+    wanted: NDArray[np.bool_] | None = None,
 ) -> Texture:
     """Remove the shading that microimages have in common and tell which lenses are left with texture.
 
     With `skip_blank`, lenses whose pixels are explained by their own noise are blank without further ado.
-    `plain` are the statistics of `gray`, where they are known already.
+    `plain` are the statistics of `gray`, where they are known already; lenses that are not `wanted` keep their shading.
     """
     plain = lens_statistics(gray) if plain is None else plain
     blank = white = np.zeros(len(plain.mean), bool)
@@ -167,6 +171,8 @@ def find_texture(
         # Lenses with texture are compared with those beside them.
         rows = neighbour_rows(lattice, lattice.steps)
         white = white & ((rows < 0) | white[rows]).all(1)
+    if wanted is not None:
+        white = white | ~wanted
     flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, ~white)
     found = lens_statistics(flattened, known=plain, wanted=~white)
     noise = _noise(found)
