@@ -2,69 +2,58 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration
+from lfcal import Calibration, FlatError, Lattice
 
-from .agreement import aggregate, lens_costs
 from .consensus import measure
 from .depthmap import DepthMap
 from .flatcheck import check_flat
-from .matching import pair_costs
-from .modes import confidence, fill, parabola_peak, second_best
+from .modes import fill
 from .neighbours import neighbour_rows
-from .radiance import gray_flat, shrink
-from .spreading import spread
-from .texture import FIXED_SHADING, Texture, find_texture, lens_statistics
+from .plane import Plane, find_plane
+from .radiance import GrayFlat, gray_flat
+from .region import check_region, embed, lenses_in, part_of
+from .search import PRESETS, Found, Matcher, search
+from .sequence import changed_lenses
+from .skipping import Shortcuts, sample_lenses
+from .spreading import grid_shape, spread
+from .surface import Surface
+from .texture import LensStatistics, find_texture, untouched_texture
 
 __all__ = ["PRESETS", "analyze"]
 
 
-@dataclass(frozen=True)
-class _Preset:
-    """What an analysis spends: pitch it searches at [px], shift step [px], every n-th row, refinement steps.
-
-    Detail is sharper in a picture made smaller for the search than in the flat itself, where it has at
-    least the microlenses' blur: `full_step` is enough there.
-    """
-
-    search_pitch: float
-    step: float
-    full_step: float
-    row_step: int
-    iterations: int
-
-
-PRESETS = {
-    "fast": _Preset(search_pitch=16, step=1.0, full_step=1.0, row_step=2, iterations=3),
-    "balanced": _Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=5),
-    "accurate": _Preset(search_pitch=40, step=0.5, full_step=0.5, row_step=1, iterations=8),
-}
-
 # Beyond this share of the pitch neighbouring microimages share too little to tell (GEOMETRY.md).
 _RESOLVABLE = 0.75
-# The search reaches a little further, so that the last resolvable shift has a rising flank on both sides.
-_SEARCHED = 0.82
-# Prices of semi-global matching in units of the match cost (0 perfect, 1 unrelated). On ray-traced and real flats a
-# slant costs little at half the price, and at double the price depth edges begin to suffer.
-_SLOPE_PER_PIXEL, _JUMP = 0.07, 0.8
 _SURE = 0.5
-# A second depth is tried on the pixels when it matches the lens at most this much worse, and the first leaves
-# this much unexplained.
-_SECOND, _UNEXPLAINED = 0.3, 0.2
-# It is where this share of the lenses has its first: a depth that no lens sees alone is more likely a false match.
+# A second depth is one where this share of the lenses has its first: a depth that no lens sees alone is more likely a
+# false match.
 _POPULATED = 0.005
 # Faint texture is believed when the answer is this sure and the lens itself correlates this much there: of lenses
 # without texture one in a hundred does.
 _PROVEN, _LEAST_EVIDENCE = 0.95, 0.12
 # Shading correlates as well, with a patch size near zero: within this share of the pitch it takes more.
 _SHADED_REACH, _EVIDENCE_NEAR_ZERO = 0.2, 0.5
+# A lens with texture that correlates less than this with its neighbours at any shift shares no content with them.
+_SHARED = 0.25
+# So many lenses, evenly spread, tell which depths occur.
+_SAMPLE = 150
 
 
-def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -> DepthMap:
+def analyze(
+    flat: NDArray,
+    calibration: Calibration,
+    preset: str = "balanced",
+    *,
+    skip: bool | Iterable[str] = True,
+    roi: tuple[float, float, float, float] | None = None,
+    previous: tuple[NDArray, DepthMap] | None = None,
+) -> DepthMap:
     """Estimate the signed patch size, mode and magnification of every microlens.
 
     Neighbouring microimages are correlated over all signed shifts at once (Lumsdaine and Georgiev
@@ -79,6 +68,15 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
         Of the same image size.
     preset : {"fast", "balanced", "accurate"}
         How much time to spend.
+    skip : bool or names
+        Shortcuts to take: True all, False none (the exhaustive search), or some of `"blank"`, `"ranges"`, `"plane"`,
+        `"still"` (see `Shortcuts`). `DepthMap.saved` tells what they have saved.
+    roi : (x0, y0, x1, y1), optional [px]
+        Only lenses with their centre in this part of the flat are analysed; the others are unresolved.
+    previous : (flat, DepthMap), optional
+        An earlier frame of the same camera and exposure, and its answer with the same preset: lenses that show
+        the same there as now, and whose neighbours do, keep it. Over many frames with slow changes give the frame
+        that was analysed, not the last one, or changes smaller than the noise add up.
 
     Returns
     -------
@@ -87,97 +85,188 @@ def analyze(flat: NDArray, calibration: Calibration, preset: str = "balanced") -
     Raises
     ------
     FlatError
-        If `flat` is not a picture of finite numbers.
+        If `flat` is not a picture of finite numbers, or the earlier flat is of another kind.
     CalibrationError
         If `calibration` was made for another image size.
+    ValueError
+        If an option has no meaning, or no lens lies in `roi`.
     """
     if preset not in PRESETS:
         raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
+    shortcuts = Shortcuts.of(skip)
     flat = check_flat(flat, calibration)
-    setting = PRESETS[preset]
     lattice = calibration.lattice
+    inside = None if roi is None else lenses_in(check_region(roi, lattice), lattice)
+    if previous is not None and shortcuts.still:
+        if inside is not None:
+            raise ValueError("give either roi or previous, not both")
+        return _following(flat, calibration, preset, shortcuts, *previous)
+    gray = gray_flat(flat, calibration)
+    if inside is None:
+        return _analyze(gray, lattice, preset, shortcuts)
+    part, sub = part_of(gray, lattice, inside)
+    return embed(_analyze(part, sub, preset, shortcuts), sub, lattice, inside)
+
+
+def _analyze(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts) -> DepthMap:
+    """The depth of a flat of which nothing is known."""
+    plain = None
+    if shortcuts.plane:
+        texture = untouched_texture(gray)
+        plane = find_plane(texture, lattice, *_halves(lattice), PRESETS[preset])
+        if plane is not None:
+            return _level(plane, lattice, preset)
+        plain = texture.statistics
+    return _lens_by_lens(gray, lattice, preset, shortcuts, plain)
+
+
+def _halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Neighbour rows in every lattice direction, and in the opposite ones."""
     neighbours = neighbour_rows(lattice, lattice.steps)
     half = neighbours.shape[1] // 2
-    forward, backward = neighbours[:, :half], neighbours[:, half:]
-    texture = find_texture(gray_flat(flat, calibration), lattice)
-    found = _search(texture, forward, backward, setting)
-    textured = texture.clear | (texture.faint & _credible(found, lattice.pitch))
+    return neighbours[:, :half], neighbours[:, half:]
+
+
+def _level(plane: Plane, lattice: Lattice, preset: str) -> DepthMap:
+    """One number for all lenses that show the plane."""
+    n = len(lattice)
+    shown = plane.evidence >= _LEAST_EVIDENCE
+    shape, first, spacing = grid_shape(lattice)
+    return DepthMap(
+        patch_size=np.where(shown, plane.patch_size, np.nan),
+        standard_error=np.where(shown, plane.standard_error, np.inf),
+        confidence=np.where(shown, plane.confidence, 0),
+        drawn=np.full(n, plane.patch_size),
+        surface=Surface(np.full(shape, plane.patch_size, np.float32), first, spacing),
+        pitch=lattice.pitch,
+        image_size=lattice.image_size,
+        preset=preset,
+        reason=np.where(shown, 0, 1),
+        saved={"plane": 1 - plane.sampled},
+    )
+
+
+def _lens_by_lens(
+    gray: GrayFlat,
+    lattice: Lattice,
+    preset: str,
+    shortcuts: Shortcuts,
+    plain: LensStatistics | None = None,
+    kept: NDArray[np.bool_] | None = None,
+    before: DepthMap | None = None,
+) -> DepthMap:
+    """The depth of every lens, but for those `kept` from what was found `before`."""
+    setting = PRESETS[preset]
+    forward, backward = _halves(lattice)
+    neighbours = np.hstack([forward, backward])
+    near = np.ones(len(lattice), bool)
+    known = None
+    if kept is not None and before is not None:
+        # Lenses beside those with a new answer support them, and so do those beside these.
+        near = _grown(_grown(~kept, neighbours), neighbours)
+        known = np.where(near, np.nan, before.drawn).astype(np.float32)
+    texture = find_texture(gray, lattice, shortcuts.blank, plain, _grown(near, neighbours))
+    some = texture.clear | texture.faint
+    active = near & some if shortcuts.blank else near
+    sample = sample_lenses(lattice, texture.clear & active, _SAMPLE) if shortcuts.ranges else None
+    found = search(Matcher(texture, forward, backward, setting), active, texture.clear, sample, known)
+    textured = near & (texture.clear | (texture.faint & _credible(found, lattice.pitch)))
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
     first = np.where(textured, found.patch_size, np.nan).astype(np.float32)
     lenses = measure(texture.flat, forward, backward, first, scale, setting.iterations)
     measured = np.isfinite(lenses.patch_size)
     refined = np.where(measured, lenses.patch_size, found.patch_size)
     error = np.where(measured, lenses.standard_error, np.inf)
-    resolved = textured & (found.confidence >= _SURE) & (np.abs(refined) <= _RESOLVABLE * lattice.pitch)
+    reason = _reasons(textured, found, refined, lattice.pitch)
+    sure = np.where(textured, found.confidence, 0)
+    if kept is not None and before is not None:
+        refined, error, sure, reason = (
+            np.where(kept, earlier, new)
+            for earlier, new in (
+                (before.drawn, refined),
+                (before.standard_error, error),
+                (before.confidence, sure),
+                (before.reason, reason),
+            )
+        )
+    resolved = reason == 0
     gap = max(1.0, 0.05 * lattice.pitch)
-    drawn = fill(np.where(resolved, refined, found.patch_size).astype(np.float32), resolved, neighbours, gap)
+    guess = found.patch_size if known is None else np.where(np.isfinite(known), known, found.patch_size)
+    drawn = fill(np.where(resolved, refined, guess).astype(np.float32), resolved, neighbours, gap)
     populated = _populated(found.second, refined[resolved], gap)
     seconds = np.where(textured & populated, found.second, np.nan).astype(np.float32)
-    trust = np.where(resolved, found.confidence, 0.05).astype(np.float32)
-    surface = spread(texture.flat, lattice, drawn, seconds, trust, texture.noise)
+    trust = np.where(resolved, sure, 0.05).astype(np.float32)
+    old = None if before is None else before.surface
+    surface = spread(texture.flat, lattice, drawn, seconds, trust, texture.noise, ~near, old)
     # A lens that sees two depths answers with the one in its middle.
     middle = surface.at(lattice.centres())
     crossed = resolved & (np.abs(middle - drawn) > gap)
+    if kept is not None:
+        crossed &= ~kept
+    saved = _saved(shortcuts, some, found, sample, kept)
     return DepthMap(
         patch_size=np.where(crossed, middle, np.where(resolved, refined, np.nan)),
         standard_error=np.where(crossed, np.maximum(error, found.step), np.where(resolved, error, np.inf)),
-        confidence=np.where(crossed, _SURE * found.confidence, np.where(textured, found.confidence, 0)),
+        confidence=np.where(crossed, _SURE * sure, sure),
         drawn=np.where(crossed, middle, drawn),
         surface=surface,
         pitch=lattice.pitch,
         image_size=lattice.image_size,
         preset=preset,
+        reason=reason,
+        saved=saved,
     )
 
 
-@dataclass(frozen=True)
-class _Found:
-    """Answers of the search for every lens, patch sizes in px of the flat.
-
-    Parameters
-    ----------
-    patch_size, confidence : (n,) float32
-        Best value and the probability that it is the right optimum.
-    evidence : (n,) float32
-        Correlation of the lens with its neighbours there, 0..1.
-    second : (n,) float32
-        Next best value, NaN where no other comes near.
-    step : float
-        Between the values that were tried.
-    """
-
-    patch_size: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    evidence: NDArray[np.float32]
-    second: NDArray[np.float32]
-    step: float
+def _grown(mask: NDArray[np.bool_], neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """`mask` and all lenses beside it."""
+    return mask | (mask[neighbours] & (neighbours >= 0)).any(1)
 
 
-def _search(texture: Texture, forward: NDArray[np.int32], backward: NDArray[np.int32], setting: _Preset) -> _Found:
-    """Match all signed shifts on a flat made as small as the preset asks for, lenses supporting each other."""
-    factor = max(1, round(texture.flat.pitch / setting.search_pitch))
-    coarse = shrink(texture.flat, factor)
-    statistics = texture.statistics if factor == 1 else lens_statistics(coarse, noise_too=False)
-    step = setting.step if factor > 1 else max(setting.step, setting.full_step)
-    side = int(np.ceil(_SEARCHED * coarse.pitch / step))
-    shifts = (np.arange(-side, side + 1) * step).astype(np.float32)
-    pair = pair_costs(
-        coarse, forward, statistics.mean, statistics.contrast, texture.clear | texture.faint, shifts,
-        texture.noise / factor, FIXED_SHADING, setting.row_step,
-    )  # fmt: skip
-    cost = lens_costs(pair, forward, backward)
-    total = aggregate(cost, forward, backward, _SLOPE_PER_PIXEL * step, _JUMP)
-    best = total.argmin(1)
-    own = cost[np.arange(len(best)), best]
-    other, other_cost = second_best(cost, best, max(2, round(2 / step)))
-    rival = (own > _UNEXPLAINED) & (other_cost < own + _SECOND)
-    return _Found(
-        patch_size=((shifts[best] + parabola_peak(total, best) * step) * factor).astype(np.float32),
-        confidence=confidence(total, best, 2 * forward.shape[1], max(1, round(1.5 / step))),
-        evidence=1 - own,
-        second=np.where(rival, shifts[other] * factor, np.nan).astype(np.float32),
-        step=step * factor,
-    )
+def _saved(
+    shortcuts: Shortcuts,
+    some: NDArray[np.bool_],
+    found: Found,
+    sample: NDArray[np.bool_] | None,
+    kept: NDArray[np.bool_] | None,
+) -> dict[str, float]:
+    saved = {}
+    if shortcuts.blank:
+        saved["blank"] = float(1 - some.mean())
+    if sample is not None:
+        saved["ranges"] = found.untried
+    if kept is not None:
+        saved["still"] = float(kept.mean())
+    return saved
+
+
+def _following(
+    flat: NDArray, calibration: Calibration, preset: str, shortcuts: Shortcuts, earlier: NDArray, before: DepthMap
+) -> DepthMap:
+    """The depth of a frame after another: only lenses that show something else, or whose neighbours do, are new."""
+    lattice = calibration.lattice
+    earlier = check_flat(earlier, calibration)
+    if earlier.shape != flat.shape or earlier.dtype != flat.dtype:
+        kinds = " and ".join(f"{a.shape[2]} x {a.dtype}" for a in (earlier, flat))
+        raise FlatError(f"both frames must have the same channels and type, they have {kinds}")
+    if len(before) != len(lattice) or before.preset != preset:
+        raise ValueError("the earlier depth map was made with another camera or preset; analyze without previous")
+    forward, backward = _halves(lattice)
+    neighbours = np.hstack([forward, backward])
+    kept = ~_grown(changed_lenses(earlier, flat, calibration), neighbours)
+    if kept.all():
+        return replace(before, saved={"still": 1.0})
+    gray = gray_flat(flat, calibration)
+    if not kept.any():
+        return _analyze(gray, lattice, preset, shortcuts)
+    return _lens_by_lens(gray, lattice, preset, shortcuts, None, kept, before)
+
+
+def _reasons(textured: NDArray[np.bool_], found: Found, refined: NDArray, pitch: float) -> NDArray[np.int8]:
+    """(n,) int8: as `DepthMap.reason`, 0 where the lens is resolved."""
+    unsure = found.confidence < _SURE
+    apart = (np.abs(refined) > _RESOLVABLE * pitch) | (unsure & (found.evidence < _SHARED))
+    return np.select([~textured, apart, unsure], [1, 3, 2], 0).astype(np.int8)
 
 
 def _populated(values: NDArray[np.float32], known: NDArray[np.float32], gap: float) -> NDArray[np.bool_]:
@@ -187,7 +276,7 @@ def _populated(values: NDArray[np.float32], known: NDArray[np.float32], gap: flo
     return like >= max(1, _POPULATED * len(ordered))
 
 
-def _credible(found: _Found, pitch: float) -> NDArray[np.bool_]:
+def _credible(found: Found, pitch: float) -> NDArray[np.bool_]:
     """Lenses whose match alone proves that they carry texture."""
     near_zero = np.abs(found.patch_size) < _SHADED_REACH * pitch
     enough = np.where(near_zero, _EVIDENCE_NEAR_ZERO, _LEAST_EVIDENCE)

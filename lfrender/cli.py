@@ -48,12 +48,32 @@ def main() -> None:
 @click.argument("flat", type=_PATH)
 @click.option("-c", "--camera", type=_PATH, required=True, help=_CAMERA)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="DEPTH.npz", help="Depth map to write.")
+@click.option("--dense", type=_PATH, metavar="DEPTH.tif|.pfm", help="Patch size [px] of every pixel of the picture.")
+@click.option("--picture", type=_PATH, metavar="DEPTH.png", help="Magnification M in colours, with its legend.")
+@click.option("--ply", type=_PATH, metavar="CLOUD.ply", help="Point cloud: X/D, Y/D, virtual depth D/s, colour.")
+@click.option("--roi", type=float, nargs=4, metavar="X0 Y0 X1 Y1", help="Only lenses with their centre in here [px].")
+@click.option("--exhaustive", is_flag=True, help="Take no shortcuts: match every lens at every shift.")
 @_preset
 @console.report_options
-def analyze(flat: Path, camera: Path, output: Path, preset: str, as_json: bool, quiet: bool) -> None:
+def analyze(
+    flat: Path,
+    camera: Path,
+    output: Path,
+    dense: Path | None,
+    picture: Path | None,
+    ply: Path | None,
+    roi: tuple[float, float, float, float] | None,
+    exhaustive: bool,
+    preset: str,
+    as_json: bool,
+    quiet: bool,
+) -> None:
     """Find for every microlens of FLAT its patch size and whether it is telescopic or binocular."""
     report = console.Report(as_json, quiet)
     check_output(output, {".npz"}, [flat, camera])
+    for path, endings in ((dense, {".tif", ".tiff", ".pfm"}), (picture, {".png"}), (ply, {".ply"})):
+        if path is not None:
+            check_output(path, endings, [flat, camera])
     with report.stage("read"):
         from lfcal import read_flat
 
@@ -61,9 +81,17 @@ def analyze(flat: Path, camera: Path, output: Path, preset: str, as_json: bool, 
     with report.stage("calibrate"):
         calibration = _read_camera(camera, pixels)
     with report.stage("analyze"):
-        depth = _analyze(report, pixels, calibration, preset)
+        try:
+            depth = _analyze(report, pixels, calibration, preset, skip=not exhaustive, roi=roi)
+        except LightFieldError:
+            raise
+        except ValueError as error:
+            if roi is None:
+                raise
+            raise click.UsageError(str(error)) from error
     with report.stage("write"):
         depth.save(output)
+        _write_depth(depth, pixels, calibration, dense, picture, ply)
     report.finish({"depth": str(output), **_camera_figures(calibration), **_depth_figures(depth)})
 
 
@@ -197,11 +225,36 @@ def _read_depth(path: Path) -> DepthMap:
     return DepthMap.load(path)
 
 
-def _analyze(report: Any, pixels: NDArray[np.generic], calibration: Calibration, preset: str) -> DepthMap:
+def _write_depth(
+    depth: DepthMap,
+    pixels: NDArray[np.generic],
+    calibration: Calibration,
+    dense: Path | None,
+    picture: Path | None,
+    ply: Path | None,
+) -> None:
+    """The further forms of a depth map that were asked for."""
+    if dense:
+        from .dense import dense_depth, write_dense
+
+        write_dense(dense, dense_depth(depth))
+    if picture:
+        from .depth_picture import depth_picture
+
+        write_picture(picture, depth_picture(depth, calibration.lattice))
+    if ply:
+        from .point_cloud import point_cloud, write_points
+
+        write_points(ply, point_cloud(pixels, calibration, depth))
+
+
+def _analyze(
+    report: Any, pixels: NDArray[np.generic], calibration: Calibration, preset: str, **options: Any
+) -> DepthMap:
     from . import analyze as run
 
     report.announce_compilation("lfrender")
-    return run(pixels, calibration, preset=preset)
+    return run(pixels, calibration, preset=preset, **options)
 
 
 def _render(
@@ -260,7 +313,16 @@ def _depth_figures(depth: DepthMap) -> dict[str, Any]:
     mode = np.asarray(depth.mode)
     shares = {name: float(np.mean(mode == code)) for name, code in _MODES.items()} if mode.size else {}
     sizes = np.abs(np.asarray(depth.patch_size))[mode != 0]
-    return {"modes": shares, "patch_size_median": float(np.median(sizes)) if sizes.size else float("nan")}
+    from .depthmap import REASONS
+
+    return {
+        "modes": shares,
+        "patch_size_median": float(np.median(sizes)) if sizes.size else float("nan"),
+        "unresolved": {
+            REASONS[code]: float(np.mean(depth.reason == code)) for code in np.unique(depth.reason[mode == 0])
+        },
+        "saved": depth.saved,
+    }
 
 
 _MODES = {"telescopic": 1, "binocular": -1, "unresolved": 0}

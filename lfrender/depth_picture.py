@@ -14,13 +14,32 @@ from .merit import nearest_lens
 if TYPE_CHECKING:
     from PIL import ImageDraw
 
-__all__ = ["MODE_COLOURS", "magnification_picture", "mode_picture"]
+    from .depthmap import DepthMap
+
+__all__ = ["MODE_COLOURS", "depth_picture", "magnification_picture", "mode_picture"]
 
 #: Colours of the modes 1 (telescopic), -1 (binocular) and 0 (unresolved); apart for colour-blind eyes too.
 MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
 _MODE_NAMES = {1: "telescopic", -1: "binocular", 0: "unresolved"}
 _STRIP = 56
+# Five numbers of the legend beside each other [px].
+_LEAST_WIDTH = 240
 _MARGIN = 14
+
+
+def depth_picture(depth: DepthMap, lattice: Lattice) -> NDArray[np.uint8]:
+    """The magnification in colours on the grid of the picture that `render` draws, at least wide enough for a legend.
+
+    Returns
+    -------
+    (h + 56, w, 3) uint8
+    """
+    from .dense import dense_depth
+    from .drawing import default_scale
+
+    scale = max(default_scale(depth), _LEAST_WIDTH * depth.pitch / depth.image_size[0])
+    grid = dense_depth(depth, min(scale, 4 * depth.pitch))
+    return magnification_picture(depth.patch_size, depth.mode, lattice, grid.affine, grid.patch_size.shape)
 
 
 def magnification_picture(

@@ -7,6 +7,7 @@ import zipfile
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,11 @@ from lfcal import LightFieldError, whole_file
 
 from .surface import Surface
 
-__all__ = ["BINOCULAR", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap"]
+__all__ = ["BINOCULAR", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap"]
 
 TELESCOPIC, BINOCULAR, UNRESOLVED = 1, -1, 0
+#: Why a lens is unresolved, by the code in `DepthMap.reason`; 0 is resolved.
+REASONS = ("resolved", "too little texture", "ambiguous", "image plane on the microlenses", "not analysed")
 _VERSION = 1
 
 
@@ -46,6 +49,12 @@ class DepthMap:
         Width and height of the flat.
     preset : str
         Preset it was analysed with.
+    reason : (n,) int8, optional
+        0 resolved, 1 too little texture, 2 ambiguous or periodic, 3 image plane on the microlenses, 4 not analysed.
+        By default unresolved lenses are 1 where their confidence is 0, else 2.
+    saved : dict of str to float
+        What each shortcut has saved, as a share of the whole work: the lenses it has left out, for `ranges` the
+        shifts it has left out. Empty where none was taken.
     """
 
     patch_size: NDArray[np.float32]
@@ -56,6 +65,8 @@ class DepthMap:
     pitch: float
     image_size: tuple[int, int]
     preset: str = field(default="balanced")
+    reason: NDArray[np.int8] = None  # type: ignore[assignment]
+    saved: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = len(self.patch_size)
@@ -65,6 +76,14 @@ class DepthMap:
                 raise ValueError(f"{name} must have one value per lens ({n}), got shape {values.shape}")
             values.flags.writeable = False
             object.__setattr__(self, name, values)
+        reason = self.reason
+        if reason is None:
+            reason = np.where(np.isfinite(self.patch_size), 0, np.where(self.confidence > 0, 2, 1))
+        reason = np.array(reason, dtype=np.int8)
+        if reason.shape != (n,) or ((reason == 0) != np.isfinite(self.patch_size)).any():
+            raise ValueError("reason must be 0 for every lens with a patch size, and only for those")
+        reason.flags.writeable = False
+        object.__setattr__(self, "reason", reason)
         if not np.isfinite(self.drawn).all() or not np.isfinite(self.surface.patch_size).all():
             raise ValueError("drawn and surface must be finite")
         object.__setattr__(self, "image_size", (int(self.image_size[0]), int(self.image_size[1])))
@@ -107,6 +126,9 @@ class DepthMap:
                 pitch=np.float64(self.pitch),
                 image_size=np.array(self.image_size, dtype=np.int64),
                 preset=np.array(self.preset),
+                reason=self.reason,
+                saved_by=np.array(list(self.saved), dtype=str),
+                saved=np.array(list(self.saved.values()), dtype=np.float64),
             )
 
     @classmethod
@@ -125,6 +147,7 @@ class DepthMap:
                 if version != _VERSION:
                     raise DepthFileError(f"{path}: version {version} is not known (this is {_VERSION}); {remedy}")
                 first = data["surface_first"]
+                reason: Any = data.get("reason")
                 return cls(
                     patch_size=data["patch_size"],
                     standard_error=data["standard_error"],
@@ -138,6 +161,10 @@ class DepthMap:
                     pitch=float(data["pitch"]),
                     image_size=(int(data["image_size"][0]), int(data["image_size"][1])),
                     preset=str(data["preset"]),
+                    reason=reason,
+                    saved={str(k): float(v) for k, v in zip(data["saved_by"], data["saved"], strict=True)}
+                    if "saved" in data
+                    else {},
                 )
         except DepthFileError:
             raise

@@ -66,22 +66,35 @@ def _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _pair_costs(
-    image, centres, radius, pitch, rows, means, contrast, active, shifts, noise, shading, row_step, half, out
+    image,
+    centres,
+    radius,
+    pitch,
+    rows,
+    means,
+    contrast,
+    active,
+    done,
+    shifts,
+    which,
+    noise,
+    shading,
+    row_step,
+    half,
+    out,
 ):
     for lens in prange(len(centres)):
         ax, ay = centres[lens, 0], centres[lens, 1]
         for d in range(rows.shape[1]):
             other = rows[lens, d]
-            for k in range(len(shifts)):
-                out[lens, d, k] = 1.0
-            if other < 0 or not (active[lens] or active[other]):
+            if other < 0 or not (active[lens] or active[other]) or done[lens] or done[other]:
                 continue
             bx, by = centres[other, 0], centres[other, 1]
             mean = np.float32(0.5) * (means[lens] + means[other])
             floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
             texture = min(contrast[lens], contrast[other])
             doubt = _SHADED**2 / (_SHADED**2 + texture * texture)
-            for k in range(len(shifts)):
+            for k in which:
                 grow = 1.0 + shifts[k] / pitch
                 count, sa, sb, saa, sbb, sab = _moments(
                     image, ax, ay, bx, by, radius, (bx - ax) * grow, (by - ay) * grow, mean, row_step
@@ -109,6 +122,9 @@ def pair_costs(
     noise: float,
     shading: float,
     row_step: int = 1,
+    which: NDArray[np.int64] | None = None,
+    done: NDArray[np.bool_] | None = None,
+    out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """How badly each lens agrees with its neighbours if the scene had each of some patch sizes.
 
@@ -133,15 +149,23 @@ def pair_costs(
         Fixed contrast inside every microimage, as a share of its mean.
     row_step : int
         Only every `row_step`-th row of pixels is read.
+    which : (m,) int, optional
+        The shifts to match; all by default.
+    done : (n,) bool, optional
+        Lenses all of whose pairs are in `out` already.
+    out : (n, d, k) float32, optional
+        Costs to be added to; by default all are 1 before.
 
     Returns
     -------
     (n, d, k) float32
     """
-    out = np.empty((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
+    out = np.ones((len(gray.centres), rows.shape[1], len(shifts)), np.float32) if out is None else out
+    which = np.arange(len(shifts)) if which is None else which
+    done = np.zeros(len(active), bool) if done is None else done
     half = np.float32(_HALF_TRUST * np.pi * gray.radius**2)
     _pair_costs(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, contrast, active,
-        shifts.astype(np.float32), np.float32(noise), np.float32(shading), row_step, half, out,
+        done, shifts.astype(np.float32), which, np.float32(noise), np.float32(shading), row_step, half, out,
     )  # fmt: skip
     return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit, prange
 from numpy.typing import NDArray
 
 __all__ = ["confidence", "fill", "parabola_peak", "second_best"]
@@ -42,6 +43,22 @@ def parabola_peak(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArra
     return np.where(inner == best, np.clip(offset, -0.5, 0.5), 0.0).astype(np.float32)
 
 
+@njit(cache=True, nogil=True, parallel=True)
+def _smooth(values, unknown, neighbours, gap, out):
+    """Mean of the neighbours of each unknown lens that differ from it by `gap` at most."""
+    for u in prange(len(unknown)):
+        lens = unknown[u]
+        total = np.float32(0.0)
+        count = 0
+        for k in range(neighbours.shape[1]):
+            other = neighbours[lens, k]
+            if other >= 0 and abs(values[other] - values[lens]) <= gap:
+                total += values[other]
+                count += 1
+        if count:
+            out[lens] = total / count
+
+
 def fill(
     values: NDArray[np.float32], known: NDArray[np.bool_], neighbours: NDArray[np.int32], gap: float
 ) -> NDArray[np.float32]:
@@ -62,13 +79,9 @@ def fill(
     unknown = np.flatnonzero(~known)
     if unknown.size == 0:
         return result
-    rows = neighbours[unknown]
     for _ in range(_FILL_ROUNDS):
-        around = result[rows]
-        same = (rows >= 0) & (np.abs(around - result[unknown, None]) <= gap)
-        count = same.sum(1)
-        mean = np.where(same, around, 0).sum(1) / np.maximum(count, 1)
-        result[unknown] = np.where(count > 0, mean, result[unknown])
+        before = result.copy()
+        _smooth(before, unknown, neighbours, np.float32(gap), result)
     return result
 
 

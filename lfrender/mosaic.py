@@ -7,7 +7,7 @@ from numba import njit, prange
 
 from .fastmath import FAST
 
-__all__ = ["draw_rows"]
+__all__ = ["draw_rows", "patch_size_at"]
 
 # Most lenses that may share one scene point; the nearest come first.
 MAX_LENSES = 37
@@ -16,7 +16,7 @@ _HIDDEN = np.float32(1e-4)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _patch_size(surface, x, y, grid_x, grid_y, cell, edge):
+def patch_size_at(surface, x, y, grid_x, grid_y, cell, edge):
     """Patch size at scene point (x, y): linear between grid values, nearest across a depth edge."""
     rows, columns = surface.shape
     gx = min(max((x - grid_x) / cell, np.float32(0.0)), np.float32(columns - 1))
@@ -52,7 +52,7 @@ def draw_rows(
         total = np.empty(4, np.float32)
         for u in range(columns):
             centre_x, centre_y = first + u * spacing, first + v * spacing
-            s_here = _patch_size(surface, np.float32(centre_x), np.float32(centre_y), grid_x, grid_y, cell, edge)
+            s_here = patch_size_at(surface, np.float32(centre_x), np.float32(centre_y), grid_x, grid_y, cell, edge)
             n_sub = min(max(int(np.ceil(abs(s_here) / scale - np.float32(0.05))), 1), oversample)
             for k in range(channels):
                 total[k] = 0.0
@@ -63,7 +63,7 @@ def draw_rows(
                 s = (
                     s_here
                     if n_sub == 1
-                    else _patch_size(surface, np.float32(x), np.float32(y), grid_x, grid_y, cell, edge)
+                    else patch_size_at(surface, np.float32(x), np.float32(y), grid_x, grid_y, cell, edge)
                 )
                 slope = s / pitch
                 ox, oy = x - origin[0], y - origin[1]

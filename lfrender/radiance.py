@@ -66,7 +66,7 @@ def white_level(flat: NDArray) -> float:
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _correct_gray(flat, scale, origin, inverse, basis, gains, step, out):
+def _correct_gray(flat, scale, origin, inverse, basis, inner, gains, step, out):
     """Mean over channels times the gain of the nearest lens."""
     height, width = out.shape
     channels = flat.shape[2]
@@ -82,11 +82,12 @@ def _correct_gray(flat, scale, origin, inverse, basis, gains, step, out):
             dx = x - origin[0] - i * basis[0, 0] - j * basis[1, 0]
             dy = y - origin[1] - i * basis[0, 1] - j * basis[1, 1]
             nearest = dx * dx + dy * dy
-            for di in range(-1, 2):
-                for dj in range(-1, 2):
-                    ex = dx - di * basis[0, 0] - dj * basis[1, 0]
-                    ey = dy - di * basis[0, 1] - dj * basis[1, 1]
-                    nearest = min(nearest, ex * ex + ey * ey)
+            if nearest > inner:
+                for di in range(-1, 2):
+                    for dj in range(-1, 2):
+                        ex = dx - di * basis[0, 0] - dj * basis[1, 0]
+                        ey = dy - di * basis[0, 1] - dj * basis[1, 1]
+                        nearest = min(nearest, ex * ex + ey * ey)
             out[y, x] = total * weight * gains[min(int(nearest / step), last)]
 
 
@@ -96,7 +97,9 @@ def gray_flat(flat: NDArray, calibration: Calibration) -> GrayFlat:
     image = np.empty(flat.shape[:2], np.float32)
     gains, step = gain_table(calibration)
     inverse = np.linalg.inv(lattice.basis)
-    _correct_gray(flat, 1.0 / white_level(flat), lattice.origin, inverse, lattice.basis, gains, step, image)
+    # Within half of the shortest lattice vector no other centre is nearer.
+    inner = 0.25 * float(((lattice.steps @ lattice.basis) ** 2).sum(1).min())
+    _correct_gray(flat, 1.0 / white_level(flat), lattice.origin, inverse, lattice.basis, inner, gains, step, image)
     return GrayFlat(image, lattice.centres().astype(np.float32), trusted_radius(calibration), lattice.pitch)
 
 

@@ -32,10 +32,12 @@ _SIGNIFICANT = np.float32(2.0)
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _subtract_shading(image, centres, rows, weights, means, contrast, radius, out):
+def _subtract_shading(image, centres, wanted, rows, weights, means, contrast, radius, out):
     height, width = image.shape
     side = int(2 * radius) + 3
     for lens in prange(len(centres)):
+        if not wanted[lens]:
+            continue
         cx, cy = centres[lens, 0], centres[lens, 1]
         top, bottom = max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius)))
         left, right = max(0, int(np.ceil(cx - radius))), min(width - 1, int(np.floor(cx + radius)))
@@ -84,7 +86,11 @@ def _subtract_shading(image, centres, rows, weights, means, contrast, radius, ou
 
 
 def flatten_shading(
-    gray: GrayFlat, lattice: Lattice, means: NDArray[np.float32], contrast: NDArray[np.float32]
+    gray: GrayFlat,
+    lattice: Lattice,
+    means: NDArray[np.float32],
+    contrast: NDArray[np.float32],
+    wanted: NDArray[np.bool_],
 ) -> GrayFlat:
     """`gray` without the pattern that the lenses around each lens, of its own type, have in common.
 
@@ -98,6 +104,8 @@ def flatten_shading(
     lattice : Lattice
     means, contrast : (n,) float32
         Mean and standard deviation of every microimage.
+    wanted : (n,) bool
+        Lenses to take it from; the others stay as they are.
     """
     span = np.arange(-6, 7)
     steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
@@ -107,7 +115,7 @@ def flatten_shading(
     weights = _SMOOTH**2 / (_SMOOTH**2 + contrast**2)
     out = gray.image.copy()
     _subtract_shading(
-        gray.image, gray.centres, neighbour_rows(lattice, steps[same]), weights.astype(np.float32), means, contrast,
-        np.float32(gray.radius), out,
+        gray.image, gray.centres, wanted, neighbour_rows(lattice, steps[same]), weights.astype(np.float32), means,
+        contrast, np.float32(gray.radius), out,
     )  # fmt: skip
     return dataclasses.replace(gray, image=out)

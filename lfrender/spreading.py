@@ -14,7 +14,7 @@ from .neighbours import lens_grid
 from .radiance import GrayFlat
 from .surface import Surface
 
-__all__ = ["spread"]
+__all__ = ["grid_shape", "spread"]
 
 # Grid values per pitch: fine enough that a depth edge moves less than a traditional pixel.
 _CELLS_PER_PITCH = 7
@@ -62,10 +62,20 @@ def _settle(depths, costs, gap, out):
     """Choose one candidate per scene point with the support of its row and column, both ways."""
     rows, columns, most = depths.shape
     total = np.zeros_like(costs)
+    # A line on which no point has two candidates has nothing to settle.
+    across, down = np.zeros(rows, np.bool_), np.zeros(columns, np.bool_)
+    for v in range(rows):
+        for u in range(columns):
+            if not np.isnan(depths[v, u, 1]):
+                across[v] = down[u] = True
     for v in prange(rows):
+        if not across[v]:
+            continue
         _walk(depths[v], costs[v], gap, total[v])
         _walk(depths[v, ::-1], costs[v, ::-1], gap, total[v, ::-1])
     for u in prange(columns):
+        if not down[u]:
+            continue
         _walk(depths[:, u], costs[:, u], gap, total[:, u])
         _walk(depths[::-1, u], costs[::-1, u], gap, total[::-1, u])
     for v in prange(rows):
@@ -99,6 +109,31 @@ def _without_specks(chosen, depths, gap, out):
                 out[v, u] = np.sort(window[:count])[count // 2]
 
 
+def grid_shape(lattice: Lattice) -> tuple[tuple[int, int], tuple[float, float], float]:
+    """Rows and columns of the grid of scene points, the first of them, and their spacing [px]."""
+    width, height = lattice.image_size
+    spacing = lattice.pitch / _CELLS_PER_PITCH
+    return (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1), (-0.5, -0.5), spacing
+
+
+def _nearest_is(
+    mask: NDArray[np.bool_],
+    lattice: Lattice,
+    grid: NDArray[np.int32],
+    low: NDArray[np.int64],
+    shape: tuple[int, int],
+    first: float,
+    spacing: float,
+) -> NDArray[np.bool_]:
+    """(h, w) bool: grid values whose lattice cell belongs to a lens of `mask` (n,)."""
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    index = np.rint(lattice.to_index(first + spacing * np.stack([u.ravel(), v.ravel()], 1))).astype(int) - low
+    i, j = index.T
+    inside = (i >= 0) & (j >= 0) & (i < grid.shape[1]) & (j < grid.shape[0])
+    lens = np.where(inside, grid[np.where(inside, j, 0), np.where(inside, i, 0)], -1)
+    return ((lens >= 0) & mask[lens]).reshape(shape)
+
+
 def spread(
     gray: GrayFlat,
     lattice: Lattice,
@@ -106,6 +141,8 @@ def spread(
     seconds: NDArray[np.float32],
     trust: NDArray[np.float32],
     noise: float,
+    settled: NDArray[np.bool_] | None = None,
+    before: Surface | None = None,
 ) -> Surface:
     """Patch size of every scene point from the patch sizes of the lenses around it.
 
@@ -124,11 +161,11 @@ def spread(
         Weight of each lens, positive.
     noise : float
         Standard deviation of a pixel of `gray`.
+    settled : (n,) bool, optional
+        Lenses whose surroundings stay as in the surface `before`, if that is of the whole flat.
     """
-    width, height = lattice.image_size
     pitch = lattice.pitch
-    spacing = pitch / _CELLS_PER_PITCH
-    shape = (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1)
+    shape, start, spacing = grid_shape(lattice)
     depths = np.empty((*shape, MOST_CANDIDATES), np.float32)
     costs = np.empty_like(depths)
     grid, low = lens_grid(lattice)
@@ -137,13 +174,19 @@ def spread(
     ring = ring[np.linalg.norm(ring @ lattice.basis, axis=1) < _LOOKING * pitch]
     gap = np.float32(max(0.75, 0.04 * pitch))
     calm = calm_lenses(values, seconds, trust, lattice.indices(), grid, low, ring, gap)
+    kept = settled is not None and before is not None and before.patch_size.shape == shape and before.first == start
+    if settled is not None and kept:
+        calm |= settled
     propose(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(pitch), values, seconds, trust, calm, grid, low,
         lattice.origin, np.linalg.inv(lattice.basis), ring, gap, np.float32(2 * noise * noise),
-        -0.5, spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), depths, costs,
+        start[0], spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), depths, costs,
     )  # fmt: skip
     chosen = np.empty(shape, np.float32)
     _settle(depths, costs, gap, chosen)
     out = np.empty_like(chosen)
     _without_specks(chosen, depths, gap, out)
-    return Surface(out, (-0.5, -0.5), spacing)
+    if settled is not None and before is not None and kept:
+        there = _nearest_is(settled, lattice, grid, low, shape, start[0], spacing)
+        out[there] = before.patch_size[there]
+    return Surface(out, start, spacing)

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 
 from .fastmath import FAST
+from .neighbours import neighbour_rows
 from .radiance import GrayFlat
 from .shading import flatten_shading
 
-__all__ = ["FIXED_SHADING", "LensStatistics", "Texture", "find_texture", "lens_statistics"]
+__all__ = ["FIXED_SHADING", "LensStatistics", "Texture", "find_texture", "lens_statistics", "untouched_texture"]
 
 # Contrast that fixed-pattern shading inside microimages may fake, in shares of their brightness.
 FIXED_SHADING = 0.02
@@ -116,9 +117,11 @@ def _roughness(image, cx, cy, radius):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _lens_statistics(image, centres, radius, middle, noise_too, out):
+def _lens_statistics(image, centres, wanted, radius, middle, noise_too, out):
     height, width = image.shape
     for lens in prange(len(centres)):
+        if not wanted[lens]:
+            continue
         cx, cy = centres[lens, 0], centres[lens, 1]
         near = image[min(max(int(cy), 0), height - 1), min(max(int(cx), 0), width - 1)]
         _, out[0, lens], out[1, lens] = _moments(image, cx, cy, radius, near)
@@ -127,23 +130,77 @@ def _lens_statistics(image, centres, radius, middle, noise_too, out):
             out[3, lens] = _roughness(image, cx, cy, radius)
 
 
-def lens_statistics(gray: GrayFlat, noise_too: bool = True) -> LensStatistics:
-    """Brightness inside each microimage; without `noise_too`, `middle` and `roughness` are left 0."""
+def lens_statistics(
+    gray: GrayFlat,
+    noise_too: bool = True,
+    known: LensStatistics | None = None,
+    wanted: NDArray[np.bool_] | None = None,
+) -> LensStatistics:
+    """Brightness inside each microimage; without `noise_too`, `middle` and `roughness` are left 0.
+
+    Lenses that are not `wanted` (n,) keep what is `known` of them.
+    """
     out = np.zeros((4, len(gray.centres)), np.float32)
+    if known is not None:
+        out[:] = known.mean, known.contrast, known.middle, known.roughness
+    wanted = np.ones(len(gray.centres), bool) if wanted is None else wanted
     _lens_statistics(
-        gray.image, gray.centres, np.float32(gray.radius), np.float32(min(gray.radius, _MIDDLE * gray.pitch)),
+        gray.image, gray.centres, wanted, np.float32(gray.radius), np.float32(min(gray.radius, _MIDDLE * gray.pitch)),
         noise_too, out,
     )  # fmt: skip
     return LensStatistics(*out)
 
 
-def find_texture(gray: GrayFlat, lattice: Lattice) -> Texture:
-    """Remove the shading that microimages have in common and tell which lenses are left with texture."""
-    plain = lens_statistics(gray, noise_too=False)
-    flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast)
-    found = lens_statistics(flattened)
-    # The least rough microimages show the noise alone; rounding and coding leave a grey level in any case.
-    noise = max(float(np.percentile(found.roughness, 2)), 1 / 255)
-    some = found.middle > np.maximum(_LEAST_CONTRAST * found.mean, np.float32(_FAINT * noise))
-    clear = some & (found.contrast > np.hypot(_CLEAR * noise, FIXED_SHADING * found.mean))
-    return Texture(flattened, found, noise, clear, some & ~clear)
+def find_texture(
+    gray: GrayFlat,
+    lattice: Lattice,
+    skip_blank: bool = False,
+    plain: LensStatistics | None = None,
+    wanted: NDArray[np.bool_] | None = None,
+) -> Texture:
+    """Remove the shading that microimages have in common and tell which lenses are left with texture.
+
+    With `skip_blank`, lenses whose pixels are explained by their own noise are blank without further ado.
+    `plain` are the statistics of `gray`, where they are known already; lenses that are not `wanted` keep their shading.
+    """
+    plain = lens_statistics(gray) if plain is None else plain
+    blank = white = np.zeros(len(plain.mean), bool)
+    if skip_blank:
+        noise = _noise(plain)
+        blank = white = ~(_some(plain, noise) & _beyond_noise(plain)) & ~_clear(plain, noise)
+        # Lenses with texture are compared with those beside them.
+        rows = neighbour_rows(lattice, lattice.steps)
+        white = white & ((rows < 0) | white[rows]).all(1)
+    if wanted is not None:
+        white = white | ~wanted
+    flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, ~white)
+    found = lens_statistics(flattened, known=plain, wanted=~white)
+    noise = _noise(found)
+    clear = _clear(found, noise)
+    return Texture(flattened, found, noise, clear, _some(found, noise) & ~clear & ~blank)
+
+
+def untouched_texture(gray: GrayFlat) -> Texture:
+    """Which lenses carry texture if the shading is left in: quicker, and right where there is much texture."""
+    found = lens_statistics(gray)
+    noise = _noise(found)
+    clear = _clear(found, noise)
+    return Texture(gray, found, noise, clear, _some(found, noise) & ~clear)
+
+
+def _noise(found: LensStatistics) -> float:
+    """The least rough microimages show the noise alone; rounding and coding leave a grey level in any case."""
+    return max(float(np.percentile(found.roughness, 2)), 1 / 255)
+
+
+def _some(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
+    return found.middle > np.maximum(_LEAST_CONTRAST * found.mean, np.float32(_FAINT * noise))
+
+
+def _clear(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
+    return _some(found, noise) & (found.contrast > np.hypot(_CLEAR * noise, FIXED_SHADING * found.mean))
+
+
+def _beyond_noise(found: LensStatistics) -> NDArray[np.bool_]:
+    """Lenses with more contrast than their finest detail has, by the least that counts as faint texture."""
+    return found.contrast**2 > (1 + _FAINT**2) * found.roughness**2

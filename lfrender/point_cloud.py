@@ -1,0 +1,91 @@
+"""The scene as points in virtual-depth units, with the colours of the picture."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration, CalibrationError, check_output, whole_file
+
+from .dense import dense_depth
+from .depthmap import DepthMap
+from .drawing import render
+from .merit import nearest_lens
+from .radiance import white_level
+
+__all__ = ["point_cloud", "write_points"]
+
+# Virtual depth has a pole at s = 0: places beyond this many pitches away are as good as infinitely far.
+_FARTHEST = 50.0
+# Points per pitch: as fine as the depth is known.
+_PER_PITCH = 7.0
+_POINT = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")],
+)
+
+
+def point_cloud(flat: NDArray, calibration: Calibration, depth: DepthMap) -> NDArray:
+    """Every resolved place of the scene as a point.
+
+    Parameters
+    ----------
+    flat : (H, W) or (H, W, C) array
+    calibration : Calibration
+    depth : DepthMap
+        Of this flat.
+
+    Returns
+    -------
+    (n,) structured array
+        `x, y` scene coordinates over the pitch `D`, `z` the signed virtual depth `D / s` (positive: in
+        front of the microlenses), all float32; `red, green, blue` 0..255. Places without a resolved lens and those
+        farther than 50 are left out.
+
+    Raises
+    ------
+    CalibrationError
+        If `depth` belongs to another camera.
+    """
+    lattice = calibration.lattice
+    if depth.image_size != lattice.image_size or len(depth) != len(lattice):
+        raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
+    scale = min(_PER_PITCH, depth.pitch)
+    picture = render(flat, calibration, depth, scale=scale)
+    dense = dense_depth(depth, scale)
+    v, u = np.nonzero(picture.valid & (np.abs(dense.patch_size) * _FARTHEST >= depth.pitch))
+    scene = np.column_stack([u, v, np.ones(len(u))]) @ dense.affine.T
+    resolved = depth.mode[nearest_lens(lattice, scene)] != 0
+    u, v, scene = u[resolved], v[resolved], scene[resolved]
+    points = np.empty(len(u), _POINT)
+    points["x"], points["y"] = (scene / depth.pitch).T
+    points["z"] = depth.pitch / dense.patch_size[v, u]
+    image = picture.image[..., None] if picture.image.ndim == 2 else picture.image
+    colours = image[v, u][:, [0, 1, 2] if image.shape[2] > 2 else [0, 0, 0]]
+    colours = np.clip(np.rint(colours * (255 / white_level(picture.image))), 0, 255)
+    points["red"], points["green"], points["blue"] = colours.T
+    return points
+
+
+def write_points(path: str | os.PathLike[str], points: NDArray) -> None:
+    """Write the points of `point_cloud` as binary PLY; the file appears whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        If the ending is not `.ply`, or the folder cannot be written.
+    """
+    check_output(path, {".ply"})
+    kinds = {"f": "float", "u": "uchar"}
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment x, y: scene coordinates over the pitch D; z: signed virtual depth D / s",
+        f"element vertex {len(points)}",
+        *(f"property {kinds[_POINT[name].kind]} {name}" for name in _POINT.names or ()),
+        "end_header\n",
+    ]
+    with whole_file(path) as temporary:
+        Path(temporary).write_bytes("\n".join(header).encode() + points.astype(_POINT).tobytes())

@@ -1,0 +1,205 @@
+"""The search: which signed shift lets each lens agree with its neighbours, all of them or those that occur."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .agreement import aggregate, lens_costs
+from .matching import pair_costs
+from .modes import confidence, parabola_peak, second_best
+from .radiance import GrayFlat, shrink
+from .texture import FIXED_SHADING, LensStatistics, Texture, lens_statistics
+
+__all__ = ["PRESETS", "Found", "Matcher", "Preset", "search"]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What an analysis spends: pitch it searches at [px], shift step [px], every n-th row, refinement steps.
+
+    Detail is sharper in a picture made smaller for the search than in the flat itself, where it has at
+    least the microlenses' blur: `full_step` is enough there.
+    """
+
+    search_pitch: float
+    step: float
+    full_step: float
+    row_step: int
+    iterations: int
+
+
+PRESETS = {
+    "fast": Preset(search_pitch=16, step=1.0, full_step=1.0, row_step=2, iterations=3),
+    "balanced": Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=5),
+    "accurate": Preset(search_pitch=40, step=0.5, full_step=0.5, row_step=1, iterations=8),
+}
+
+# The search reaches a little beyond the last resolvable shift, so that it has a rising flank on both sides.
+_SEARCHED = 0.82
+# Prices of semi-global matching in units of the match cost (0 perfect, 1 unrelated). On ray-traced and real flats a
+# slant costs little at half the price, and at double the price depth edges begin to suffer.
+_SLOPE_PER_PIXEL, _JUMP = 0.07, 0.8
+# A second depth is tried on the pixels when it matches the lens at most this much worse, and the first leaves
+# this much unexplained.
+_SECOND, _UNEXPLAINED = 0.3, 0.2
+# A match that leaves more than this unexplained may have a better one where nobody has looked.
+MISFIT = 0.35
+# A sampled lens tells a range of depths that occurs when its match is half explained or better.
+_TELLING = 0.5
+# Ranges reach so far beyond the depths of the samples [share of the pitch]: the depths between two samples.
+_MARGIN = 0.12
+# A range needs so many samples: a single one is more likely a false match, and the check finds what is there.
+_SUPPORT = 2
+
+
+@dataclass(frozen=True)
+class Found:
+    """Answers of the search for every lens, patch sizes in px of the flat.
+
+    Parameters
+    ----------
+    patch_size, confidence : (n,) float32
+        Best value and the probability that it is the right optimum.
+    evidence : (n,) float32
+        Correlation of the lens with its neighbours there, 0..1.
+    second : (n,) float32
+        Next best value, NaN where no other comes near.
+    step : float
+        Between the values that were tried.
+    untried : float
+        Share of the shifts of all matched lenses that were left out.
+    """
+
+    patch_size: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    evidence: NDArray[np.float32]
+    second: NDArray[np.float32]
+    step: float
+    untried: float
+
+
+class Matcher:
+    """A flat made as small as the preset asks for, and the shifts to try on it.
+
+    Parameters
+    ----------
+    texture : Texture
+    forward, backward : (n, d) int32
+        Neighbour rows in `d` directions and in their opposites, -1 where there is none.
+    setting : Preset
+    """
+
+    def __init__(
+        self, texture: Texture, forward: NDArray[np.int32], backward: NDArray[np.int32], setting: Preset
+    ) -> None:
+        self.factor = max(1, round(texture.flat.pitch / setting.search_pitch))
+        self.gray: GrayFlat = shrink(texture.flat, self.factor)
+        self.statistics: LensStatistics = (
+            texture.statistics if self.factor == 1 else lens_statistics(self.gray, noise_too=False)
+        )
+        self.step = setting.step if self.factor > 1 else max(setting.step, setting.full_step)
+        side = int(np.ceil(_SEARCHED * self.gray.pitch / self.step))
+        self.shifts = (np.arange(-side, side + 1) * self.step).astype(np.float32)
+        self.forward, self.backward = forward, backward
+        self._noise, self._row_step = texture.noise / self.factor, setting.row_step
+
+    def pairs(
+        self,
+        active: NDArray[np.bool_],
+        shifts: NDArray[np.float32] | None = None,
+        which: NDArray[np.int64] | None = None,
+        done: NDArray[np.bool_] | None = None,
+        out: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """(n, d, k) float32 costs of the pairs of all `active` lenses, as `pair_costs`."""
+        return pair_costs(
+            self.gray, self.forward, self.statistics.mean, self.statistics.contrast, active,
+            self.shifts if shifts is None else shifts, self._noise, FIXED_SHADING, self._row_step, which, done, out,
+        )  # fmt: skip
+
+    def costs(self, pair: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(n, k) float32: mean over the pairs of each lens."""
+        return lens_costs(pair, self.forward, self.backward)
+
+    def tolerance(self) -> int:
+        """Steps that belong to one optimum."""
+        return max(1, round(1.5 / self.step))
+
+
+def search(
+    matcher: Matcher,
+    active: NDArray[np.bool_],
+    clear: NDArray[np.bool_],
+    sample: NDArray[np.bool_] | None,
+    known: NDArray[np.float32] | None = None,
+) -> Found:
+    """Match signed shifts, lenses supporting each other.
+
+    Parameters
+    ----------
+    matcher : Matcher
+    active, clear : (n,) bool
+        Lenses to match, and those of them that clearly carry texture.
+    sample : (n,) bool, optional
+        Lenses that are matched at all shifts first; the others then only where some of these have their depth,
+        unless that leaves them without a match. None matches all lenses at all shifts.
+    known : (n,) float32 [px of the flat], optional
+        Patch sizes of lenses that need no answer, to support their neighbours; NaN elsewhere.
+    """
+    pair, untried = _all_pairs(matcher, active, clear, sample)
+    cost = matcher.costs(pair)
+    step = matcher.step
+    if known is not None:
+        settled = np.isfinite(known)
+        away = np.abs(matcher.shifts - known[settled, None] / matcher.factor)
+        cost[settled] = np.minimum(away / np.float32(matcher.tolerance() * step), 1)
+    total = aggregate(cost, matcher.forward, matcher.backward, _SLOPE_PER_PIXEL * step, _JUMP)
+    best = total.argmin(1)
+    own = cost[np.arange(len(best)), best]
+    other, other_cost = second_best(cost, best, max(2, round(2 / step)))
+    rival = (own > _UNEXPLAINED) & (other_cost < own + _SECOND)
+    factor, shifts = matcher.factor, matcher.shifts
+    return Found(
+        patch_size=((shifts[best] + parabola_peak(total, best) * step) * factor).astype(np.float32),
+        confidence=confidence(total, best, 2 * matcher.forward.shape[1], matcher.tolerance()),
+        evidence=1 - own,
+        second=np.where(rival, shifts[other] * factor, np.nan).astype(np.float32),
+        step=step * factor,
+        untried=untried,
+    )
+
+
+def _all_pairs(
+    matcher: Matcher, active: NDArray[np.bool_], clear: NDArray[np.bool_], sample: NDArray[np.bool_] | None
+) -> tuple[NDArray[np.float32], float]:
+    """Pair costs of all active lenses where it matters, and the share of the work that was left out."""
+    if sample is None:
+        return matcher.pairs(active), 0.0
+    pair = matcher.pairs(sample)
+    populated = _occurring(matcher.costs(pair)[sample], matcher)
+    if populated.all():
+        return matcher.pairs(active, done=sample, out=pair), 0.0
+    matcher.pairs(active, which=np.flatnonzero(populated), done=sample, out=pair)
+    cost = np.where(populated, matcher.costs(pair), np.inf)
+    best = cost.argmin(1)
+    # A least value at the end of a range goes on beyond it.
+    end = populated & ~(np.roll(populated, 1) & np.roll(populated, -1))
+    end[[0, -1]] = False
+    doubtful = clear & active & ~sample & ((cost.min(1) > MISFIT) | end[best])
+    matcher.pairs(doubtful, which=np.flatnonzero(~populated), done=sample, out=pair)
+    spared = (active & ~sample & ~doubtful).sum() * (~populated).sum()
+    return pair, float(spared / max(1, active.sum() * len(populated)))
+
+
+def _occurring(cost: NDArray[np.float32], matcher: Matcher) -> NDArray[np.bool_]:
+    """(k,) bool: shifts near those that sampled lenses (m, k) agree with their neighbours at."""
+    best = cost.argmin(1)[cost.min(1) < _TELLING]
+    count = np.bincount(best, minlength=cost.shape[1])
+    near = matcher.tolerance()
+    margin = max(near, int(np.ceil(_MARGIN * matcher.gray.pitch / matcher.step)))
+    votes = np.convolve(count, np.ones(2 * near + 1, int), "same")
+    at = (count > 0) & (votes >= _SUPPORT)
+    return np.convolve(at, np.ones(2 * margin + 1, int), "same") > 0

@@ -1,0 +1,63 @@
+"""What an analysis may leave out, and the lenses it looks at first to know."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Lattice
+
+__all__ = ["Shortcuts", "sample_lenses"]
+
+
+@dataclass(frozen=True)
+class Shortcuts:
+    """Which shortcuts an analysis may take.
+
+    Parameters
+    ----------
+    blank : bool
+        Lenses without texture are not matched.
+    ranges : bool
+        Most lenses are only matched at patch sizes that occur in a sparse sample of them.
+    plane : bool
+        A scene that is one plane facing the camera is answered with one number.
+    still : bool
+        Lenses whose pixels are those of an earlier frame keep their answer.
+    """
+
+    blank: bool = True
+    ranges: bool = True
+    plane: bool = True
+    still: bool = True
+
+    @classmethod
+    def of(cls, skip: bool | Iterable[str]) -> Shortcuts:
+        """All, none, or those with the given names.
+
+        Raises
+        ------
+        ValueError
+            If there is no shortcut of such a name.
+        """
+        names = [field.name for field in fields(cls)]
+        if isinstance(skip, str):
+            skip = (skip,)
+        wanted = names * skip if isinstance(skip, bool) else list(skip)
+        unknown = [name for name in wanted if name not in names]
+        if unknown:
+            raise ValueError(f"skip must be True, False or some of {', '.join(names)}, got {unknown[0]!r}")
+        return cls(**{name: name in wanted for name in names})
+
+
+def sample_lenses(lattice: Lattice, candidates: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
+    """(n,) bool: about `count` of the candidates, evenly spread and of all lens types; all where they are few."""
+    every = int(np.sqrt(candidates.sum() / count))
+    if every < 2:
+        return candidates
+    # Multi-focus types repeat with every third lens.
+    every += every % 3 == 0
+    return candidates & (lattice.indices() % every == 0).all(1)

@@ -1,0 +1,209 @@
+"""Shortcuts of the depth analysis: what they leave out, that the answers stay, and what they must not overlook."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+
+import lfrender
+from data_synth import SCENES, Camera, Scene, simulate
+from data_synth.scenes import blank, plane
+from data_synth.surfaces import Patch
+from lfcal import FlatError
+from lfrender.sequence import changed_lenses
+
+SIZE = (640, 480)
+
+
+@functools.cache
+def camera():
+    return Camera.design(size=SIZE, pitch=23.2, lattice="hex", rotation=1.3)
+
+
+def shot_of(*surfaces, noise=None):
+    return simulate(Scene("some", surfaces), camera(), samples=32, seed=2, noise=noise)
+
+
+def card(ratio, low, high):
+    """A textured card at `s / D = ratio` over the flat pixels from `low` to `high`."""
+    wide = plane(camera(), ratio=ratio).surfaces[0]
+    depth = camera().depth_at(ratio)
+    corner, right, below = camera().place([low, (high[0], low[1]), (low[0], high[1])], depth)
+    part = wide.texture[:160, : 160 * (high[0] - low[0]) // (high[1] - low[1])]
+    return Patch(corner, right - corner, below - corner, part)
+
+
+@functools.cache
+def one_plane():
+    return shot_of(*plane(camera(), ratio=0.3).surfaces)
+
+
+def both(shot, skip=True, **options):
+    calibration = shot.truth.calibration
+    return lfrender.analyze(shot.flat, calibration, skip=False), lfrender.analyze(
+        shot.flat, calibration, skip=skip, **options
+    )
+
+
+def agreement(full, quick):
+    """Share of the lenses that are resolved in both, or in neither, and differ by less than 0.05 px."""
+    near = np.abs(full.patch_size - quick.patch_size) < 0.05
+    return np.mean(near | ((full.mode == 0) & (quick.mode == 0)))
+
+
+def test_a_plane_is_one_number_as_accurate_as_the_truth():
+    shot = one_plane()
+    full, quick = both(shot)
+    resolved = quick.mode != 0
+    assert full.saved == {}
+    assert quick.saved["plane"] > 0.7
+    assert resolved.mean() > 0.99
+    assert np.ptp(quick.patch_size[resolved]) == 0
+    assert abs(quick.patch_size[resolved][0] - 0.3 * 23.2) < 0.02
+    assert np.abs(quick.surface.patch_size - 0.3 * 23.2).max() < 0.02
+    inner = np.abs(full.patch_size - quick.patch_size)[resolved & ~shot.truth.mixed]
+    assert np.nanquantile(inner, 0.9) < 0.05
+
+
+@pytest.mark.parametrize("ratio", [0.33, -0.3])
+def test_a_small_card_before_a_plane_is_not_overlooked(ratio):
+    shot = shot_of(*plane(camera(), ratio=0.3).surfaces, card(ratio, (250, 200), (370, 300)))
+    full, quick = both(shot)
+    assert "plane" not in quick.saved
+    centres = shot.truth.calibration.lattice.centres()
+    on_card = ((centres > (285, 235)) & (centres < (335, 265))).all(1)
+    assert on_card.sum() >= 3
+    assert np.abs(quick.patch_size[on_card] - ratio * 23.2).max() < 0.2
+    assert agreement(full, quick) > 0.99
+
+
+def test_depths_that_do_not_occur_are_not_tried(house):
+    calibration = house.truth.calibration
+    full = lfrender.analyze(house.flat, calibration, skip=False)
+    quick = lfrender.analyze(house.flat, calibration, skip="ranges")
+    assert set(quick.saved) == {"ranges"}
+    assert agreement(full, quick) > 0.99
+
+
+def test_blank_lenses_are_not_matched_and_the_rest_stays():
+    shot = shot_of(*blank(camera(), ratio=0.2).surfaces, card(0.3, (200, 150), (420, 330)), noise=(4000, 5))
+    full, quick = both(shot)
+    assert quick.saved["blank"] > 0.6
+    assert agreement(full, quick) > 0.99
+    assert 0.05 < (quick.mode == 1).mean() < 0.4
+    assert set(np.unique(quick.reason)) >= {0, 1}
+
+
+def test_only_known_shortcuts_can_be_named():
+    shot = one_plane()
+    with pytest.raises(ValueError, match="blank, ranges, plane, still"):
+        lfrender.analyze(shot.flat, shot.truth.calibration, skip="everything")
+
+
+def test_a_region_of_interest_is_analysed_alone(house):
+    calibration = house.truth.calibration
+    roi = (150.0, 100.0, 330.0, 280.0)
+    centres = calibration.lattice.centres()
+    inside = ((centres >= roi[:2]) & (centres <= roi[2:])).all(1)
+    full = lfrender.analyze(house.flat, calibration)
+    part = lfrender.analyze(house.flat, calibration, roi=roi)
+    assert (part.reason[~inside] == 4).all()
+    assert (part.confidence[~inside] == 0).all()
+    assert np.isnan(part.patch_size[~inside]).all()
+    assert part.saved["roi"] == pytest.approx(1 - inside.mean())
+    deep = inside & (part.mode != 0) & (full.mode != 0)
+    assert deep.sum() > 0.8 * inside.sum()
+    assert np.quantile(np.abs(full.patch_size - part.patch_size)[deep], 0.9) < 0.05
+    at = centres[inside]
+    assert np.quantile(np.abs(full.surface.at(at) - part.surface.at(at)), 0.9) < 0.1
+
+
+@pytest.mark.parametrize(
+    "roi", [(5, 5, 1, 9), (0, 0, np.nan, 9), (900, 900, 950, 950), (0, 0, 1, 1), (1, 2, 3), "abcd"]
+)
+def test_regions_without_sense_or_lenses_are_refused(house, roi):
+    with pytest.raises(ValueError, match="roi"):
+        lfrender.analyze(house.flat, house.truth.calibration, roi=roi)
+
+
+def noisy(flat, seed):
+    noise = np.random.default_rng(seed).normal(0, 2.0, flat.shape)
+    return np.clip(np.rint(flat + noise), 0, 255).astype(np.uint8)
+
+
+def test_a_still_frame_keeps_its_answer_through_noise(house):
+    calibration = house.truth.calibration
+    first, second = noisy(house.flat, 1), noisy(house.flat, 2)
+    before = lfrender.analyze(first, calibration)
+    after = lfrender.analyze(second, calibration, previous=(first, before))
+    assert after.saved["still"] > 0.98
+    same = (after.patch_size == before.patch_size) | (np.isnan(after.patch_size) & np.isnan(before.patch_size))
+    assert same.mean() > 0.95
+
+
+def test_a_motion_of_a_third_of_a_pixel_is_told_from_noise(house):
+    from scipy.ndimage import shift
+
+    calibration = house.truth.calibration
+    moved = np.rint(shift(house.flat.astype(float), (0, 0.33, 0), order=1, mode="nearest")).astype(np.uint8)
+    changed = changed_lenses(noisy(house.flat, 1), noisy(moved, 2), calibration)
+    contrast = lfrender.analyze(house.flat, calibration).mode != 0
+    assert changed[contrast].mean() > 0.55
+    assert changed_lenses(noisy(house.flat, 1), noisy(house.flat, 2), calibration).mean() < 0.003
+
+
+def test_only_what_has_changed_is_analysed_again(house):
+    calibration = house.truth.calibration
+    lattice = calibration.lattice
+    centres = lattice.centres()
+    other = simulate(SCENES["plane"](house.camera, ratio=0.45), house.camera, samples=16, seed=4)
+    y, x = np.mgrid[: house.flat.shape[0], : house.flat.shape[1]]
+    replaced = (np.abs(x - 260) < 90) & (np.abs(y - 200) < 80)
+    second = np.where(replaced[..., None], other.flat, house.flat)
+    before = lfrender.analyze(house.flat, calibration)
+    after = lfrender.analyze(second, calibration, previous=(house.flat, before))
+    afresh = lfrender.analyze(second, calibration)
+    middle = (np.abs(centres - (260, 200)) < (50, 40)).all(1)
+    assert np.abs(after.patch_size[middle] - 0.45 * lattice.pitch).max() < 0.3
+    away = ~(np.abs(centres - (260, 200)) < (170, 160)).all(1)
+    np.testing.assert_array_equal(after.patch_size[away], before.patch_size[away])
+    assert 0.2 < after.saved["still"] < 0.85
+    known = (after.mode != 0) & (afresh.mode != 0)
+    assert np.quantile(np.abs(after.patch_size - afresh.patch_size)[known], 0.97) < 0.05
+
+
+def test_an_earlier_frame_of_another_kind_is_refused(house):
+    calibration = house.truth.calibration
+    before = lfrender.analyze(house.flat, calibration, "fast")
+    with pytest.raises(FlatError, match="float32"):
+        lfrender.analyze(house.flat, calibration, "fast", previous=(house.flat.astype(np.float32), before))
+    with pytest.raises(ValueError, match="preset"):
+        lfrender.analyze(house.flat, calibration, previous=(house.flat, before))
+
+
+def test_unresolved_lenses_say_why():
+    from lfrender.analysis import _reasons
+    from lfrender.search import Found
+
+    sizes = np.array([5, 5, 5, 5, 19], np.float32)
+    confidence, evidence = np.array([1, 1, 0.3, 0.3, 1], np.float32), np.array([1, 1, 0.8, 0.1, 0.8], np.float32)
+    found = Found(sizes, confidence, evidence, np.full(5, np.nan, np.float32), 1.0, 0.0)
+    textured = np.array([True, False, True, True, True])
+    assert _reasons(textured, found, sizes, 23.0).tolist() == [0, 1, 2, 3, 3]
+
+
+def test_patch_sizes_from_minus_to_plus_three_quarters_of_a_pitch_keep_their_sign(drawn_flat):
+    from lfcal import Calibration
+
+    for s in (-17.0, -7.0, -0.6, 0.0, 0.6, 7.0, 17.0):
+        gray, lattice, _, inner = drawn_flat(s if s else 1e-3)
+        depth = lfrender.analyze(gray.image, Calibration(lattice))
+        found = depth.patch_size[inner]
+        resolved = depth.mode[inner] != 0
+        assert np.isfinite(found[resolved]).all()
+        assert np.isfinite(depth.drawn).all()
+        if abs(s) > 0.5 and resolved.any():
+            assert (np.sign(found[resolved]) == np.sign(s)).mean() > 0.99, s
+            assert np.median(np.abs(found[resolved] - s)) < 0.1, s
