@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import FlatError
+from .fit import RadialProfile, radial_profile
 from .lattice import Lattice
 from .search import FirstLattice
 
@@ -18,6 +19,7 @@ __all__ = ["checked_flats", "evenly_lit", "white_or_scene"]
 _LEVEL = 2.0
 # Scatter inside the microimages of a white image, as a share of the depth of the gaps.
 _EVEN_INSIDE = 0.15
+_DOUBTLESS = 0.06
 
 
 def checked_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
@@ -84,11 +86,16 @@ def evenly_lit(brightness: NDArray[np.float32], light: NDArray[np.float32], latt
     light : (h, w) float32
     lattice : Lattice [px]
     """
-    from .fit import radial_profile
+    return (
+        _scatter_inside(radial_profile(brightness, lattice), lattice) < _EVEN_INSIDE
+        # Scenes have dark places too: lenses are left out only where the others are beyond doubt.
+        or _scatter_inside(radial_profile(brightness, lattice, light=light), lattice) < _DOUBTLESS
+    )
 
-    profile = radial_profile(brightness, lattice, light=light)
+
+def _scatter_inside(profile: RadialProfile, lattice: Lattice) -> float:
+    """Scatter inside the microimages over the depth of the gaps."""
     radii = np.arange(len(profile.mean)) * profile.step
     inner = radii < 0.5 * lattice.radius
     noise = float(np.sqrt(np.average(profile.variance[inner], weights=radii[inner] + profile.step)))
-    depth = float(np.ptp(profile.mean))
-    return noise < _EVEN_INSIDE * depth
+    return noise / max(float(np.ptp(profile.mean)), 1e-12)
