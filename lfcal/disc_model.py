@@ -27,7 +27,7 @@ _OUTLIER = 4.685
 # Share of the steepest slope of the profile above which it is an edge.
 _STEEP = 0.1
 # Weights of steps and of bends of the profile against that of the pixels.
-_STIFF, _SMOOTH = 1e-4, 1e-2
+_STIFF, _SMOOTH = 1e-4, 0.3
 # Share of the pixels of a ring that must see it before it moves freely.
 _SLOW = 0.01
 # Edges that run alike are never blurred quite alike.
