@@ -11,6 +11,7 @@ from .analysis import analyze
 from .bending import lattice_bend
 from .depthmap import DepthMap
 from .flatcheck import check_flat
+from .lens_focus import focus_shares
 from .mosaic import draw_rows
 from .radiance import gain_table, white_level
 from .rendering import Rendering
@@ -127,7 +128,7 @@ def _draw(
     single = np.float32
     draw_rows(
         pixels, seen_depth, gains, single(gain_step), lattice.origin, np.linalg.inv(lattice.basis), lattice.basis,
-        bend, low, offsets, steps, single(lattice.radius), single(lattice.pitch),
+        bend, low, offsets, steps, *focus_shares(calibration.lens_types), single(lattice.radius), single(lattice.pitch),
         surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
         single(edge), single(scale), first, spacing, _OVERSAMPLE,
         single(_REACH * lattice.pitch), single(_AGREEMENT * white_level(pixels) if blend else 0.0), image, seen,

@@ -33,20 +33,25 @@ def _patch_size(surface, x, y, grid_x, grid_y, cell, edge):
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def draw_rows(
-    flat, seen, gains, gain_step, origin, inverse, basis, bend, low, offsets, steps, radius, pitch,
+    flat, seen, gains, gain_step, origin, inverse, basis, bend, low, offsets, steps, types, shares, radius, pitch,
     surface, grid_x, grid_y, cell, edge, scale, first, spacing, oversample, reach, tolerance, out, weight_out,
 ):  # fmt: skip
     """Fill `out` (h, w, C) with the mean over the lenses that see each point, `weight_out` with their number.
 
     A lens counts with the square of its illumination, less toward its rim, and only as far as
     its colour agrees with the most central lens's within `tolerance` (0: the most central lens alone).
-    A lens whose pixel sees another depth, by `seen` (H, W) [px], hardly counts; (0, 0) `seen` means not known.
+    Lens (i, j) is of type `types[i % m, j % m]` and counts with the `shares` of that type, over s / D from -1 to 1;
+    (0, 0) `types`: all count alike. A lens whose pixel sees another depth, by `seen` (H, W) [px], hardly counts;
+    (0, 0) `seen` means not known.
     """
     height, width, channels = flat.shape
     rows, columns, _ = out.shape
     last_gain = len(gains) - 1
     known = seen.size > 0
     bent = bend.size > 0
+    typed = types.size > 0
+    last_ratio = shares.shape[1] - 1
+    half_ratios = np.float32(0.5 * last_ratio)
     t2 = tolerance * tolerance
     for v in prange(rows):
         values = np.empty((MAX_LENSES, 4), np.float32)
@@ -107,6 +112,10 @@ def draw_rows(
                             + w11 * np.float32(flat[iy + 1, ix + 1, k])
                         )
                     weights[found] = (np.float32(1.02) - d2 / limit2) / (gain * gain)
+                    if typed:
+                        kind = types[int(i + steps[o, 0]) % len(types), int(j + steps[o, 1]) % len(types)]
+                        share = shares[kind, min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)]
+                        weights[found] *= share
                     if known:
                         depth = seen[int(py + 0.5), int(px + 0.5)]
                         if abs(depth - s) > 2 * edge:
