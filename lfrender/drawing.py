@@ -102,7 +102,7 @@ def render(
         raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * lattice.pitch:.0f}), got {scale}")
     blend = patch_size is None if blend is None else blend
     image, lenses, affine = _draw(pixels, calibration, surface, float(scale), blend)
-    if np.ndim(flat) == 2:
+    if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
     return Rendering(_like(image, np.asarray(flat).dtype), affine, lenses > 0, float(scale))
 
