@@ -18,8 +18,6 @@ __all__ = ["FinalLattice", "fit_on_scenes", "fit_on_white"]
 _RIM = 0.5
 # A fit that leaves the first lattice by more than this share of the pitch (RMS) has followed something else.
 _FOLLOWED = 0.2
-# Rims that scatter the halves by more than this share of the pitch are faint.
-_FAINT = 0.03
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,7 @@ def fit_on_scenes(lights: list[NDArray[np.float32]], picture: NDArray[np.float32
         single = picture if len(lights) == 1 else tone(light)
         rims += level_locally(breaks(single), _RIM * found.pitch) / np.float32(len(lights))
     fit = fit_scene(rims, found)
-    if not fit.halves_differ < max(start.halves_differ, _FAINT * found.pitch):
+    if not fit.halves_differ < start.halves_differ:
         # Rims too faint for single lenses: what whole tiles have in common is the better measure.
         return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.halves_differ)
     lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius)

@@ -4,19 +4,21 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .analysis import analyze
+    from .demosaicing import demosaic
     from .depthmap import DepthMap
     from .drawing import default_scale, render
     from .lens_means import traditional
     from .picture import write_picture
     from .rendering import Rendering
 
-__all__ = ["DepthMap", "Rendering", "analyze", "default_scale", "render", "traditional", "write_picture"]
+__all__ = ["DepthMap", "Rendering", "analyze", "default_scale", "demosaic", "render", "traditional", "write_picture"]
 
 _HOMES = {
     "DepthMap": "depthmap",
     "Rendering": "rendering",
     "analyze": "analysis",
     "default_scale": "drawing",
+    "demosaic": "demosaicing",
     "render": "drawing",
     "traditional": "lens_means",
     "write_picture": "picture",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from .bending import nearest_index
 from .fastmath import FAST
 
 __all__ = ["MOST_CANDIDATES", "calm_lenses", "propose"]
@@ -140,8 +141,8 @@ def _mean_around(centres, values, trust, grid, low, ring, i, j, x, y, vote2):
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def propose(
-    image, centres, radius, pitch, values, seconds, trust, calm, grid, low, origin, inverse, ring, gap, floor,
-    first, spacing, vote2, step, depths, costs,
+    image, centres, radius, pitch, values, seconds, trust, calm, grid, low, origin, inverse, bend, bend_low, ring,
+    gap, floor, first, spacing, vote2, step, depths, costs,
 ):  # fmt: skip
     """Candidate depths of each scene point, from the lenses around it, in `depths`, their mismatch in `costs`.
 
@@ -164,9 +165,8 @@ def propose(
             for k in range(most):
                 depths[v, u, k] = np.nan
                 costs[v, u, k] = np.inf
-            ox, oy = first + u * spacing - origin[0], first + v * spacing - origin[1]
-            i = int(np.rint(ox * inverse[0, 0] + oy * inverse[1, 0]))
-            j = int(np.rint(ox * inverse[0, 1] + oy * inverse[1, 1]))
+            at_i, at_j = nearest_index(first + u * spacing, first + v * spacing, origin, inverse, bend, bend_low)
+            i, j = int(at_i), int(at_j)
             lens = _lens_at(grid, low, i, j)
             if lens >= 0 and calm[lens]:
                 depths[v, u, 0] = _mean_around(centres, values, trust, grid, low, ring, i, j, x, y, vote2)

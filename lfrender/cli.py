@@ -14,6 +14,8 @@ from lfcal import LightFieldError, check_output, console
 from .picture import check_picture, write_picture
 
 if TYPE_CHECKING:
+    from typing import Literal
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 
     from .depthmap import DepthMap
     from .rendering import Rendering
+
+    Mosaic = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
 
 __all__ = ["main"]
 
@@ -106,6 +110,11 @@ def analyze(
 )
 @click.option("--traditional", is_flag=True, help="One pixel per microlens, the mean of its microimage.")
 @click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
+@click.option(
+    "--mosaic",
+    type=click.Choice(["RGGB", "BGGR", "GRBG", "GBRG"]),
+    help="Colour filters of the top left 2 x 2 pixels of a raw mosaic, where the camera file does not say.",
+)
 @click.option("--alpha", is_flag=True, help="Make pixels that no lens has seen transparent (TIFF, PNG, WebP).")
 @_preset
 @console.report_options
@@ -118,6 +127,7 @@ def render(
     patch_size: float | None,
     traditional: bool,
     scale: float | None,
+    mosaic: Mosaic | None,
     alpha: bool,
     preset: str,
     as_json: bool,
@@ -139,7 +149,8 @@ def render(
         pixels = read_flat(flat)
         check_picture(output, pixels.dtype, alpha)
     with report.stage("calibrate"):
-        calibration = _camera_of(report, flat, pixels, camera, white)
+        calibration = _camera_of(report, flat, pixels, camera, white, mosaic)
+        pixels = _in_colour(pixels, calibration)
     depth = None
     if not traditional and patch_size is None:
         with report.stage("analyze"):
@@ -200,23 +211,37 @@ def _checked(calibration: Calibration, pixels: NDArray[np.generic]) -> Calibrati
 
 
 def _camera_of(
-    report: Any, flat: Path, pixels: NDArray[np.generic], camera: Path | None, white: Path | None
+    report: Any, flat: Path, pixels: NDArray[np.generic], camera: Path | None, white: Path | None, mosaic: Mosaic | None
 ) -> Calibration:
+    if mosaic is not None and pixels.ndim == 3:
+        raise click.UsageError(f"{flat} is in colour already; leave out --mosaic")
     if camera:
-        return _read_camera(camera, pixels)
+        from dataclasses import replace
+
+        calibration = _read_camera(camera, pixels)
+        return replace(calibration, mosaic=mosaic) if mosaic is not None else calibration
     from lfcal import FlatError, calibrate, read_flat
 
     if white is None:
         report.announce_compilation("lfcal")
         with console.about(flat):
-            return calibrate(pixels)
+            return calibrate(pixels, mosaic=mosaic)
     white_pixels = read_flat(white)
     if white_pixels.shape[:2] != pixels.shape[:2]:
         sizes = " and ".join(f"{image.shape[1]} x {image.shape[0]}" for image in (white_pixels, pixels))
         raise FlatError(f"{white}: white image and flat must be of one size, they have {sizes} px")
     report.announce_compilation("lfcal")
     with console.about(white):
-        return calibrate(white_pixels, kind="white")
+        return calibrate(white_pixels, kind="white", mosaic=mosaic if white_pixels.ndim == 2 else None)
+
+
+def _in_colour(pixels: NDArray[Any], calibration: Calibration) -> NDArray[Any]:
+    """The flat without its colour mosaic, once for depth and picture."""
+    if calibration.mosaic is None or pixels.ndim == 3:
+        return pixels
+    from . import demosaic
+
+    return demosaic(pixels, calibration)
 
 
 def _read_depth(path: Path) -> DepthMap:

@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 from lfcal import Calibration, CalibrationError, Lattice
 
 from .analysis import analyze
+from .bending import lattice_bend
 from .depthmap import DepthMap
 from .flatcheck import check_flat
+from .lens_focus import focus_shares
 from .mosaic import draw_rows
 from .radiance import gain_table, white_level
 from .rendering import Rendering
@@ -25,6 +27,8 @@ _AGREEMENT = 0.4
 # Finest sampling of one output pixel, per side, where patches shrink into it.
 _OVERSAMPLE = 8
 _LARGEST_SCALE_SHARE = 0.98
+# Lenses at which the spacing of a distorted lattice is looked at: it changes slowly over the field.
+_PROBES = 500
 
 
 def default_scale(depth: DepthMap) -> float:
@@ -98,7 +102,7 @@ def render(
         raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * lattice.pitch:.0f}), got {scale}")
     blend = patch_size is None if blend is None else blend
     image, lenses, affine = _draw(pixels, calibration, surface, float(scale), blend)
-    if np.ndim(flat) == 2:
+    if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
     return Rendering(_like(image, np.asarray(flat).dtype), affine, lenses > 0, float(scale))
 
@@ -119,10 +123,12 @@ def _draw(
     if blend and surface.patch_size.size > 1:
         seen_depth = lens_depths(surface, lattice, _REACH * lattice.pitch, edge)
     gains, gain_step = gain_table(calibration)
+    bend, low = lattice_bend(lattice)
+    offsets, steps = lens_offsets(lattice, _REACH * lattice.pitch)
     single = np.float32
     draw_rows(
         pixels, seen_depth, gains, single(gain_step), lattice.origin, np.linalg.inv(lattice.basis), lattice.basis,
-        lens_offsets(lattice, _REACH * lattice.pitch), single(lattice.radius), single(lattice.pitch),
+        bend, low, offsets, steps, *focus_shares(calibration.lens_types), single(lattice.radius), single(lattice.pitch),
         surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
         single(edge), single(scale), first, spacing, _OVERSAMPLE,
         single(_REACH * lattice.pitch), single(_AGREEMENT * white_level(pixels) if blend else 0.0), image, seen,
@@ -131,15 +137,29 @@ def _draw(
     return image, seen, affine
 
 
-def lens_offsets(lattice: Lattice, reach: float) -> NDArray[np.float32]:
-    """(k, 3) float32: offsets `x, y` and distances [px] of all lattice points about one within `reach` and a pitch."""
+def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """All lenses about one within `reach` and a pitch, the nearest first.
+
+    Returns
+    -------
+    offsets : (k, 3) float32 [px]
+        Offset `x, y` on the straight lattice, and the least distance that such two lenses have on the flat.
+    steps : (k, 2) int32
+        The same in lattice indices.
+    """
     limit = reach + lattice.pitch
     span = np.arange(-1, 2) if limit <= 0 else np.arange(-_span(lattice, limit), _span(lattice, limit) + 1)
-    offsets = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2) @ lattice.basis
+    steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
+    offsets = steps @ lattice.basis
     distance = np.linalg.norm(offsets, axis=1)
+    if lattice.distortion is not None:
+        ij = lattice.indices()
+        some = ij[:: max(1, len(ij) // _PROBES)]
+        here = lattice.points(some)
+        distance = np.array([np.linalg.norm(lattice.points(some + step) - here, axis=1).min() for step in steps])
     order = np.argsort(distance, kind="stable")
     order = order[distance[order] <= limit]
-    return np.column_stack([offsets, distance])[order].astype(np.float32)
+    return np.column_stack([offsets, distance])[order].astype(np.float32), steps[order].astype(np.int32)
 
 
 def _span(lattice: Lattice, limit: float) -> int:

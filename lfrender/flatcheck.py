@@ -11,7 +11,7 @@ __all__ = ["check_flat"]
 
 
 def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
-    """The flat as an (H, W, C) array that the kernels can read, or a clear error.
+    """The flat as an (H, W, C) array that the kernels can read, in colour behind a mosaic, or a clear error.
 
     Raises
     ------
@@ -33,7 +33,16 @@ def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
     if size != calibration.image_size:
         was, now = ("{} x {}".format(*pair) for pair in (calibration.image_size, size))
         raise CalibrationError(f"calibration is for images of {was} px, the flat has {now}; calibrate on this flat")
+    if calibration.mosaic is not None and array.shape[2] == 1:
+        from .demosaicing import demosaic
+
+        _check_finite(array)
+        return demosaic(array[:, :, 0], calibration)
+    _check_finite(array)
+    return np.ascontiguousarray(array)
+
+
+def _check_finite(array: NDArray) -> None:
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         bad = np.argwhere(~np.isfinite(array))[0]
         raise FlatError(f"flat has a NaN or infinite pixel at x={bad[1]}, y={bad[0]}; replace such pixels first")
-    return np.ascontiguousarray(array)

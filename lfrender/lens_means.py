@@ -65,7 +65,7 @@ def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
     v, u = np.mgrid[:rows, :columns]
     image = _between_lenses(calibration, means, np.stack([u, v], -1).reshape(-1, 2) * pitch + first)
     image = image.reshape(rows, columns, -1)
-    if np.ndim(flat) == 2:
+    if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
     affine = np.array([[pitch, 0.0, first], [0.0, pitch, first]])
     return Rendering(_like(image, np.asarray(flat).dtype), affine, np.ones((rows, columns), bool), 1.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from .bending import bent_by, nearest_index
 from .fastmath import FAST
 
 __all__ = ["draw_rows", "patch_size_at"]
@@ -32,19 +33,25 @@ def patch_size_at(surface, x, y, grid_x, grid_y, cell, edge):
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def draw_rows(
-    flat, seen, gains, gain_step, origin, inverse, basis, offsets, radius, pitch,
+    flat, seen, gains, gain_step, origin, inverse, basis, bend, low, offsets, steps, types, shares, radius, pitch,
     surface, grid_x, grid_y, cell, edge, scale, first, spacing, oversample, reach, tolerance, out, weight_out,
 ):  # fmt: skip
     """Fill `out` (h, w, C) with the mean over the lenses that see each point, `weight_out` with their number.
 
     A lens counts with the square of its illumination, less toward its rim, and only as far as
     its colour agrees with the most central lens's within `tolerance` (0: the most central lens alone).
-    A lens whose pixel sees another depth, by `seen` (H, W) [px], hardly counts; (0, 0) `seen` means not known.
+    Lens (i, j) is of type `types[i % m, j % m]` and counts with the `shares` of that type, over s / D from -1 to 1;
+    (0, 0) `types`: all count alike. A lens whose pixel sees another depth, by `seen` (H, W) [px], hardly counts;
+    (0, 0) `seen` means not known.
     """
     height, width, channels = flat.shape
     rows, columns, _ = out.shape
     last_gain = len(gains) - 1
     known = seen.size > 0
+    bent = bend.size > 0
+    typed = types.size > 0
+    last_ratio = shares.shape[1] - 1
+    half_ratios = np.float32(0.5 * last_ratio)
     t2 = tolerance * tolerance
     for v in prange(rows):
         values = np.empty((MAX_LENSES, 4), np.float32)
@@ -66,11 +73,9 @@ def draw_rows(
                     else patch_size_at(surface, np.float32(x), np.float32(y), grid_x, grid_y, cell, edge)
                 )
                 slope = s / pitch
-                ox, oy = x - origin[0], y - origin[1]
-                i = np.rint(ox * inverse[0, 0] + oy * inverse[1, 0])
-                j = np.rint(ox * inverse[0, 1] + oy * inverse[1, 1])
-                base_x = np.float32(ox - (i * basis[0, 0] + j * basis[1, 0]))
-                base_y = np.float32(oy - (i * basis[0, 1] + j * basis[1, 1]))
+                i, j = nearest_index(x, y, origin, inverse, bend, low)
+                base_x = np.float32(x - origin[0] - (i * basis[0, 0] + j * basis[1, 0]))
+                base_y = np.float32(y - origin[1] - (i * basis[0, 1] + j * basis[1, 1]))
                 limit = min(radius / max(abs(slope), np.float32(1e-6)), reach)
                 limit2 = limit * limit
                 found = 0
@@ -81,6 +86,9 @@ def draw_rows(
                     if offsets[o, 2] > limit + np.float32(0.75) * pitch or found == MAX_LENSES:
                         break
                     ex, ey = base_x - offsets[o, 0], base_y - offsets[o, 1]
+                    if bent:
+                        bend_x, bend_y = bent_by(bend, low, i + steps[o, 0], j + steps[o, 1])
+                        ex, ey = ex - bend_x, ey - bend_y
                     d2 = ex * ex + ey * ey
                     if d2 > limit2:
                         continue
@@ -104,6 +112,10 @@ def draw_rows(
                             + w11 * np.float32(flat[iy + 1, ix + 1, k])
                         )
                     weights[found] = (np.float32(1.02) - d2 / limit2) / (gain * gain)
+                    if typed:
+                        kind = types[int(i + steps[o, 0]) % len(types), int(j + steps[o, 1]) % len(types)]
+                        share = shares[kind, min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)]
+                        weights[found] *= share
                     if known:
                         depth = seen[int(py + 0.5), int(px + 0.5)]
                         if abs(depth - s) > 2 * edge:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 
+from .bending import bent_by, lattice_bend, nearest_index
 from .fastmath import FAST
 
 __all__ = ["GrayFlat", "gain_table", "gray_flat", "shrink", "white_level"]
@@ -66,27 +67,34 @@ def white_level(flat: NDArray) -> float:
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _correct_gray(flat, scale, origin, inverse, basis, inner, gains, step, out):
+def _correct_gray(flat, scale, origin, inverse, basis, bend, low, inner, gains, step, out):
     """Mean over channels times the gain of the nearest lens."""
     height, width = out.shape
     channels = flat.shape[2]
     weight = np.float32(scale / channels)
     last = len(gains) - 1
+    bent = bend.size > 0
     for y in prange(height):
         for x in range(width):
             total = np.float32(0.0)
             for k in range(channels):
                 total += np.float32(flat[y, x, k])
-            i = np.rint((x - origin[0]) * inverse[0, 0] + (y - origin[1]) * inverse[1, 0])
-            j = np.rint((x - origin[0]) * inverse[0, 1] + (y - origin[1]) * inverse[1, 1])
+            i, j = nearest_index(x, y, origin, inverse, bend, low)
             dx = x - origin[0] - i * basis[0, 0] - j * basis[1, 0]
             dy = y - origin[1] - i * basis[0, 1] - j * basis[1, 1]
-            nearest = dx * dx + dy * dy
+            if bent:
+                here_x, here_y = bent_by(bend, low, i, j)
+                nearest = (dx - here_x) ** 2 + (dy - here_y) ** 2
+            else:
+                nearest = dx * dx + dy * dy
             if nearest > inner:
                 for di in range(-1, 2):
                     for dj in range(-1, 2):
                         ex = dx - di * basis[0, 0] - dj * basis[1, 0]
                         ey = dy - di * basis[0, 1] - dj * basis[1, 1]
+                        if bent:
+                            bend_x, bend_y = bent_by(bend, low, i + di, j + dj)
+                            ex, ey = ex - bend_x, ey - bend_y
                         nearest = min(nearest, ex * ex + ey * ey)
             out[y, x] = total * weight * gains[min(int(nearest / step), last)]
 
@@ -97,9 +105,12 @@ def gray_flat(flat: NDArray, calibration: Calibration) -> GrayFlat:
     image = np.empty(flat.shape[:2], np.float32)
     gains, step = gain_table(calibration)
     inverse = np.linalg.inv(lattice.basis)
-    # Within half of the shortest lattice vector no other centre is nearer.
-    inner = 0.25 * float(((lattice.steps @ lattice.basis) ** 2).sum(1).min())
-    _correct_gray(flat, 1.0 / white_level(flat), lattice.origin, inverse, lattice.basis, inner, gains, step, image)
+    bend, low = lattice_bend(lattice)
+    # Within half of the shortest lattice vector no other centre is nearer, with room for what a distortion takes of it.
+    inner = 0.2 * float(((lattice.steps @ lattice.basis) ** 2).sum(1).min())
+    _correct_gray(
+        flat, 1.0 / white_level(flat), lattice.origin, inverse, lattice.basis, bend, low, inner, gains, step, image
+    )
     return GrayFlat(image, lattice.centres().astype(np.float32), trusted_radius(calibration), lattice.pitch)
 
 

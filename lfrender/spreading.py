@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
+from .bending import lattice_bend
 from .candidates import MOST_CANDIDATES, calm_lenses, propose
 from .fastmath import FAST
 from .neighbours import lens_grid
@@ -179,7 +180,7 @@ def spread(
         calm |= settled
     propose(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(pitch), values, seconds, trust, calm, grid, low,
-        lattice.origin, np.linalg.inv(lattice.basis), ring, gap, np.float32(2 * noise * noise),
+        lattice.origin, np.linalg.inv(lattice.basis), *lattice_bend(lattice), ring, gap, np.float32(2 * noise * noise),
         start[0], spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), depths, costs,
     )  # fmt: skip
     chosen = np.empty(shape, np.float32)

@@ -207,3 +207,19 @@ def test_help_imports_nothing_heavy():
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip().endswith("[]")
+
+
+def test_a_mosaic_flat_is_rendered_in_colour_when_its_filters_are_named(house_files, tmp_path):
+    colour = lfcal.read_flat(house_files / "flat.png")
+    raw = colour[:, :, 1].copy()
+    raw[::2, ::2], raw[1::2, 1::2] = colour[::2, ::2, 0], colour[1::2, 1::2, 2]
+    cv2.imwrite(str(tmp_path / "raw.png"), raw)
+    camera = house_files / "camera.json"
+    figures_of("render", tmp_path / "raw.png", "-c", camera, "--mosaic", "RGGB", "-o", tmp_path / "picture.png")
+    figures_of("render", house_files / "flat.png", "-c", camera, "-o", tmp_path / "wanted.png")
+    picture, wanted = (lfcal.read_flat(tmp_path / f"{name}.png") for name in ("picture", "wanted"))
+    inner = np.s_[10:-10, 10:-10]
+    np.testing.assert_allclose(picture[inner].mean((0, 1)), wanted[inner].mean((0, 1)), rtol=0.02)
+    refused = run("render", house_files / "flat.png", "-c", camera, "--mosaic", "RGGB", "-o", tmp_path / "refused.png")
+    assert refused.exit_code == 2
+    assert "in colour already" in refused.stderr

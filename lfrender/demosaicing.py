@@ -1,0 +1,153 @@
+"""Colour from a filter mosaic, without colour bleeding from one microimage into the next."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from lfcal import Calibration, Lattice
+
+from .bending import bent_by, lattice_bend, nearest_index
+from .fastmath import FAST
+
+__all__ = ["demosaic"]
+
+# Differences below this share of white say nothing about the direction of an edge: noise and rounding make them.
+_EVEN = 0.01
+_COLOURS = {"R": 0, "G": 1, "B": 2}
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _owners(origin, inverse, basis, bend, low, out):
+    """Number of the lens whose centre is nearest to each pixel; alike for no two lenses that could be neighbours."""
+    height, width = out.shape
+    bent = bend.size > 0
+    for y in prange(height):
+        for x in range(width):
+            i, j = nearest_index(float(x), float(y), origin, inverse, bend, low)
+            dx = x - origin[0] - i * basis[0, 0] - j * basis[1, 0]
+            dy = y - origin[1] - i * basis[0, 1] - j * basis[1, 1]
+            nearest = np.inf
+            for di in range(-1, 2):
+                for dj in range(-1, 2):
+                    ex = dx - di * basis[0, 0] - dj * basis[1, 0]
+                    ey = dy - di * basis[0, 1] - dj * basis[1, 1]
+                    if bent:
+                        bend_x, bend_y = bent_by(bend, low, i + di, j + dj)
+                        ex, ey = ex - bend_x, ey - bend_y
+                    square = ex * ex + ey * ey
+                    if square < nearest:
+                        nearest = square
+                        out[y, x] = ((int(i) + di) & 127) * 128 + ((int(j) + dj) & 127)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _is(owner, own, y, x):
+    """Whether a pixel is on the flat and belongs to the microimage `own`."""
+    return 0 <= y < owner.shape[0] and 0 <= x < owner.shape[1] and owner[y, x] == own
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _along(flat, owner, y, x, step_y, step_x):
+    """Green at a red or blue pixel from its two neighbours in one direction, the change there, and how many took part.
+
+    The bend of the pixel's own colour is added, as all colours of an edge bend alike (Hamilton and Adams 1997).
+    """
+    own, here = owner[y, x], np.float32(flat[y, x])
+    total = change = np.float32(0.0)
+    count = 0
+    first = np.float32(0.0)
+    for side in (-1, 1):
+        y1, x1, y2, x2 = y + side * step_y, x + side * step_x, y + 2 * side * step_y, x + 2 * side * step_x
+        if not _is(owner, own, y1, x1):
+            continue
+        green = np.float32(flat[y1, x1])
+        bend = np.float32(0.5) * (here - np.float32(flat[y2, x2])) if _is(owner, own, y2, x2) else np.float32(0.0)
+        total += green + bend
+        change += bend
+        if count == 1:
+            change = abs(change) + abs(green - first)
+        first = green
+        count += 1
+    return total / max(count, 1), abs(change), count
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _fill_green(flat, owner, colours, even, out):
+    height, width = flat.shape
+    for y in prange(height):
+        for x in range(width):
+            if colours[y & 1, x & 1] == 1:
+                out[y, x, 1] = flat[y, x]
+                continue
+            across, change_x, count_x = _along(flat, owner, y, x, 0, 1)
+            down, change_y, count_y = _along(flat, owner, y, x, 1, 0)
+            weight_x = count_x * count_x / (change_x * change_x + even * even)
+            weight_y = count_y * count_y / (change_y * change_y + even * even)
+            if count_x + count_y > 0:
+                out[y, x, 1] = max((weight_x * across + weight_y * down) / (weight_x + weight_y), np.float32(0.0))
+            else:
+                out[y, x, 1] = flat[y, x]
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _fill_colour(flat, owner, colours, colour, out):
+    """Red or blue: green plus the mean difference to green at the pixels of that colour around, of the same lens."""
+    height, width = flat.shape
+    for y in prange(height):
+        for x in range(width):
+            if colours[y & 1, x & 1] == colour:
+                out[y, x, colour] = flat[y, x]
+                continue
+            total = np.float32(0.0)
+            count = 0
+            for reach in (1, 2):
+                for v in range(y - reach, y + reach + 1):
+                    for u in range(x - reach, x + reach + 1):
+                        if colours[v & 1, u & 1] == colour and _is(owner, owner[y, x], v, u):
+                            total += np.float32(flat[v, u]) - out[v, u, 1]
+                            count += 1
+                if count > 0:
+                    break
+            out[y, x, colour] = max(out[y, x, 1] + total / max(count, 1), np.float32(0.0))
+
+
+def demosaic(flat: NDArray, calibration: Calibration) -> NDArray:
+    """Colour flat from one behind a colour filter mosaic; any other flat is given back as it is.
+
+    Green is interpolated along edges, red and blue by their difference to green (J. F. Hamilton and J. E. Adams,
+    US patent 5629734, 1997), each pixel from pixels of its own microimage alone.
+
+    Parameters
+    ----------
+    flat : (H, W) uint8, uint16 or float
+        Of the calibration's image size.
+    calibration : Calibration
+        Its `mosaic` names the filters; None means that there are none.
+
+    Returns
+    -------
+    (H, W, 3) array of the type of `flat`, or `flat` itself where it has channels or the camera no mosaic
+    """
+    pixels = np.asarray(flat)
+    if pixels.ndim != 2 or calibration.mosaic is None:
+        return pixels
+    colours = np.array([_COLOURS[letter] for letter in calibration.mosaic], np.int8).reshape(2, 2)
+    owner = _owner_of_pixels(calibration.lattice)
+    white = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 1.0
+    out = np.empty((*pixels.shape, 3), np.float32)
+    _fill_green(pixels, owner, colours, np.float32(_EVEN * white), out)
+    for colour in (0, 2):
+        _fill_colour(pixels, owner, colours, colour, out)
+    if pixels.dtype.kind == "f":
+        return out.astype(pixels.dtype, copy=False)
+    return np.minimum(np.rint(out, out=out), white).astype(pixels.dtype)
+
+
+def _owner_of_pixels(lattice: Lattice) -> NDArray[np.int32]:
+    width, height = lattice.image_size
+    owner = np.empty((height, width), np.int32)
+    bend, low = lattice_bend(lattice)
+    _owners(lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, bend, low, owner)
+    return owner
