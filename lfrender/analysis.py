@@ -43,6 +43,8 @@ _SHADED_REACH, _EVIDENCE_NEAR_ZERO = 0.2, 0.5
 _SHARED = 0.25
 # So many lenses, evenly spread, tell which depths occur.
 _SAMPLE = 150
+# Fewer clear lenses than this do not tell it for the others.
+_FEWEST_CLEAR = 60
 
 
 def analyze(
@@ -168,7 +170,9 @@ def _lens_by_lens(
     texture = find_texture(gray, lattice, shortcuts.blank, plain, _grown(near, neighbours))
     some = texture.clear | texture.faint
     active = near & some if shortcuts.blank else near
-    sample = sample_lenses(lattice, texture.clear & active, _SAMPLE) if shortcuts.ranges else None
+    clear = texture.clear & active
+    # A few clear lenses say nothing about the depths of all the faint ones.
+    sample = sample_lenses(lattice, clear, _SAMPLE) if shortcuts.ranges and clear.sum() >= _FEWEST_CLEAR else None
     found = search(Matcher(texture, forward, backward, setting), active, texture.clear, sample, known)
     textured = near & (texture.clear | (texture.faint & _credible(found, lattice.pitch)))
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
