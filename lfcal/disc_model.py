@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 __all__ = ["LOCAL", "DiscSteps", "Discs", "disc_steps", "edge_of", "first_level"]
 
@@ -342,8 +342,8 @@ def _depths(discs: Discs) -> NDArray[np.float64]:
     """(r,) how deep inside the microimage each radius lies, in units of the blur of its edge."""
     inside = discs.level[max(int(np.flatnonzero(discs.edge).min(initial=len(discs.level))) - 1, 0)]
     share = (discs.level - discs.dark) / max(float(inside - discs.dark), 1e-12)
-    depths: NDArray[np.float64] = ndtri(np.clip(share, 1e-3, 1 - 1e-3))
-    return depths
+    normal = NormalDist()
+    return np.array([normal.inv_cdf(min(max(value, 1e-3), 1 - 1e-3)) for value in share.tolist()])
 
 
 def first_level(discs: Discs) -> NDArray[np.float64]:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .disc_parameters import CatEye
 from .lattice import Lattice
 from .lattice_errors import LatticeErrors, errors_of_even_fit
-from .search import FirstLattice
+
+if TYPE_CHECKING:
+    from .disc_parameters import CatEye
+    from .search import FirstLattice
 
 __all__ = ["FinalLattice", "fit_on_scenes", "fit_on_white"]
 

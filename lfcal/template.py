@@ -163,8 +163,6 @@ def average_cell(
     stride: int = 1,
 ) -> Template:
     """Average of `picture` (h, w) over the cells at `centres` (n, 2) [px]; `cell` its faces and circumradius."""
-    from scipy.ndimage import gaussian_filter
-
     faces, reach = cell
     bins = _bins(lattice)
     sums = np.zeros((_CHUNKS, bins * bins, 3))
@@ -172,7 +170,7 @@ def average_cell(
     _fold(picture, centres, faces, reach, inverse, stride, bins, _CHUNKS, sums)
     width = _SMOOTH * bins / lattice.pitch
     planes = sums.sum(0).T.reshape(3, bins, bins)
-    total, square, count = (_turned(gaussian_filter(plane, width, mode="wrap")) for plane in planes)
+    total, square, count = (_turned(_smoothed(plane, width)) for plane in planes)
     count = np.maximum(count, 1e-9)
     level = total / count
     variance = np.maximum(square / count - level**2, 1e-4 * float(np.var(level)) + 1e-12)
@@ -184,6 +182,12 @@ def average_cell(
 def _bins(lattice: Lattice) -> int:
     """Bins of the average cell along each lattice vector."""
     return int(min(_BINS_PER_PX * lattice.pitch, _MOST_BINS))
+
+
+def _smoothed(values: NDArray[np.float64], width: float) -> NDArray[np.float64]:
+    """A periodic square picture blurred by a Gaussian of standard deviation `width` [samples]."""
+    passed = np.exp(-2 * (np.pi * width * np.fft.fftfreq(len(values))) ** 2)
+    return np.fft.ifft2(np.fft.fft2(values) * passed[:, None] * passed).real
 
 
 def _turned(values: NDArray[np.float64]) -> NDArray[np.float64]:
