@@ -7,13 +7,13 @@ import os
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .calibration import Calibration, load
 from .errors import CameraFileError
 from .lattice import Lattice
 from .outfile import check_output, whole_file
 from .published import parse_published
+from .raytrix import raytrix_xml
 
 __all__ = ["convert", "read_camera"]
 
@@ -26,8 +26,9 @@ _KEPT = 1e-3
 def convert(calibration: Calibration, path: str | os.PathLike[str]) -> None:
     """Write a camera in the form its suffix names; the file appears whole or not at all.
 
-    `.json` is our own form and keeps everything. `.xml` (`RayCalibData`) keeps lattice and radius, `.cfg`
-    (key : value, with four corner centres) a hexagonal lattice, `.csv` the columns `i, j, x, y` of all centres.
+    `.json` is our own form and keeps everything. `.xml` (`RayCalibData`) keeps lattice, radius and the three lens
+    types of a hexagonal array, `.cfg` (key : value, with four corner centres) a hexagonal lattice, `.csv` the columns
+    `i, j, x, y` of all centres.
 
     Raises
     ------
@@ -41,7 +42,11 @@ def convert(calibration: Calibration, path: str | os.PathLike[str]) -> None:
     if suffix == ".json":
         calibration.save(path)
         return
-    text = {".xml": _as_xml, ".cfg": _as_pairs, ".csv": _as_table}[suffix](calibration.lattice)
+    text = (
+        raytrix_xml(calibration)
+        if suffix == ".xml"
+        else {".cfg": _as_pairs, ".csv": _as_table}[suffix](calibration.lattice)
+    )
     if suffix != ".csv":
         _check_kept(calibration.lattice, parse_published(text, calibration.image_size, str(path)).lattice, str(path))
     with whole_file(path) as temporary:
@@ -86,39 +91,8 @@ def read_camera(path: str | os.PathLike[str], image_size: tuple[int, int] | None
         raise CameraFileError(f"{path}: cannot be read as a table of centres ({error})") from error
 
 
-def _central(lattice: Lattice) -> NDArray[np.float64]:
-    """The centre (2,) [px] next to the middle of the flat."""
-    middle = (np.array(lattice.image_size) - 1) / 2
-    index = lattice.to_index(middle[None])[0]
-    return middle + (np.rint(index) - index) @ lattice.basis
-
-
 def _inradius(lattice: Lattice) -> float:
     return float(np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min() / 2)
-
-
-def _as_xml(lattice: Lattice) -> str:
-    """`RayCalibData`: y points up, the basis in pitches lies along x before the rotation turns it."""
-    up = lattice.basis * [1, -1]
-    rotation = float(np.arctan2(up[0, 1], up[0, 0]))
-    cos, sin = np.cos(rotation), np.sin(rotation)
-    base = up @ np.array([[cos, -sin], [sin, cos]]) / lattice.pitch
-    base[0, 1] = 0.0
-    offset = (_central(lattice) - (np.array(lattice.image_size) - 1) / 2) * [1, -1]
-
-    def point(name: str, units: str, xy: NDArray[np.float64]) -> str:
-        return f'  <{name} units="{units}">\n    <x>{xy[0]:.12f}</x>\n    <y>{xy[1]:.12f}</y>\n  </{name}>\n'
-
-    return (
-        '<?xml version="1.0"?>\n<RayCalibData version="1.0">\n'
-        + point("offset", "pix", offset)
-        + f'  <diameter units="pix">{lattice.pitch:.12f}</diameter>\n'
-        + f'  <rotation units="rad">{rotation:.12f}</rotation>\n'
-        + f'  <lens_border units="pix">{lattice.pitch / 2 - lattice.radius:.12f}</lens_border>\n'
-        + point("lens_base_x", "lens", base[0])
-        + point("lens_base_y", "lens", base[1])
-        + "</RayCalibData>\n"
-    )
 
 
 def _as_pairs(lattice: Lattice) -> str:
@@ -134,7 +108,7 @@ def _as_pairs(lattice: Lattice) -> str:
     across, down = (sideways, along) if upright else (along, sideways)
     width, height = lattice.image_size
     columns, rows = (max(1, int(size / np.hypot(*v)) - 1) for size, v in ((width, across), (height, down)))
-    first = _central(lattice) - (columns // 2) * across - (rows // 2) * down
+    first = lattice.origin + lattice.middle @ lattice.basis - (columns // 2) * across - (rows // 2) * down
     corners = {
         "LeftTop": first,
         "RightTop": first + columns * across,

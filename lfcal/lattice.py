@@ -121,6 +121,12 @@ class Lattice:
         """D: mean distance between neighbouring microimage centres [px]."""
         return float(np.linalg.norm(self.steps @ self.basis, axis=1).mean())
 
+    @property
+    def middle(self) -> NDArray[np.int64]:
+        """(2,) index of the lens next to the middle of the flat."""
+        middle = (np.array(self.image_size) - 1) / 2
+        return np.rint(self.to_index(middle[None])[0]).astype(np.int64)
+
     @cached_property
     def _indices(self) -> NDArray[np.int64]:
         width, height = self.image_size

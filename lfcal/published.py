@@ -8,21 +8,17 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .calibration import Calibration
+from .camera_fields import number, point, positive, published_camera
 from .errors import CameraFileError
-from .lattice import Lattice, reduce_basis
 
 __all__ = ["parse_published", "read_published"]
 
 _HEXAGON = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
-_SIXTH = np.pi / 3
-# Angles in files are given to six digits or more; a degree apart is no rounding.
-_SAME_ANGLE = np.radians(1.0)
 _COARSE = "only the corner centres are published, good to a few pixels; calibrate on a flat for better"
 
 
@@ -72,61 +68,29 @@ def _from_xml(text: str, image_size: tuple[int, int] | None, where: str) -> Cali
     if image_size is None:
         raise CameraFileError(f"{where}: does not say how large its flats are; give image_size as (width, height)")
     if root.tag == "RayCalibData":
-        return _from_raytrix(root, image_size, where)
+        from .raytrix import parse_raytrix
+
+        return parse_raytrix(root, image_size, where)
     if root.tag == "TSPCCalibData":
-        corners = [_point(root, f"centers/{name}", where) for name in ("ltop", "rtop", "lbot", "rbot")]
-        upright = abs(np.sin(_number(root, "rotation", where))) > np.sqrt(0.5)
-        return _from_corners(corners, _number(root, "diameter", where), upright, image_size, where)
+        corners = [point(root, f"centers/{name}", where) for name in ("ltop", "rtop", "lbot", "rbot")]
+        upright = abs(np.sin(number(root, "rotation", where))) > np.sqrt(0.5)
+        return _from_corners(corners, number(root, "diameter", where), upright, image_size, where)
     raise CameraFileError(f"{where}: <{root.tag}> is no known camera file; known are RayCalibData and TSPCCalibData")
-
-
-def _from_raytrix(root: Any, image_size: tuple[int, int], where: str) -> Calibration:
-    """`RayCalibData`: y points up in the file and angles turn counter-clockwise on the screen."""
-    pitch = _positive(_number(root, "diameter", where), "diameter", where)
-    rotation = _number(root, "rotation", where)
-    base = np.array([_point(root, "lens_base_x", where), _point(root, "lens_base_y", where)])
-    if abs(np.linalg.det(base)) < 1e-3:
-        raise CameraFileError(f"{where}: lens_base_x and lens_base_y do not span a lattice")
-    warnings = []
-    turned = float(np.arctan2(base[0, 1], base[0, 0]))
-    if _apart(turned, rotation) < _apart(turned, 0.0):
-        # The basis already contains the rotation.
-        if _apart(rotation, 0.0) > _SAME_ANGLE:
-            warnings.append("the rotation is given twice, in lens_base and in rotation; it was applied once")
-        turn = 0.0
-    else:
-        turn = rotation
-        if _apart(turned, 0.0) > _SAME_ANGLE:
-            warnings.append("lens_base and rotation name two different angles; both were applied, check on a flat")
-    cos, sin = np.cos(turn), np.sin(turn)
-    up = base @ np.array([[cos, sin], [-sin, cos]]) * pitch
-    offset = _point(root, "offset", where)
-    origin = (np.array(image_size) - 1) / 2 + offset * [1, -1]
-    border = root.find("lens_border")
-    radius = pitch / 2 - (_number(root, "lens_border", where) if border is not None else 0.0)
-    if _distorted(root):
-        warnings.append("the file names a lens distortion, which is left out; calibrate on a flat for better")
-    return _camera(origin, up * [1, -1], image_size, _positive(radius, "radius", where), warnings)
-
-
-def _distorted(root: Any) -> bool:
-    text = root.findtext("distortion/parameter") or ""
-    return any(abs(float(v)) > 0 for v in text.replace(",", ";").split(";") if v.strip())
 
 
 def _from_pairs(text: str, image_size: tuple[int, int] | None, where: str) -> Calibration:
     """The key : value form; `MLADirection` 1 has hexagons in upright rows."""
     pairs: dict[str, float] = {}
-    for number, line in enumerate(text.splitlines(), 1):
+    for row, line in enumerate(text.splitlines(), 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         key, colon, value = line.partition(":")
         try:
             pairs[key.strip()] = float(value)
         except ValueError:
-            raise CameraFileError(f"{where}: line {number} is not 'key : number'; is this a camera file?") from None
+            raise CameraFileError(f"{where}: line {row} is not 'key : number'; is this a camera file?") from None
         if not colon or not np.isfinite(pairs[key.strip()]):
-            raise CameraFileError(f"{where}: line {number} is not 'key : number'; is this a camera file?")
+            raise CameraFileError(f"{where}: line {row} is not 'key : number'; is this a camera file?")
 
     def get(key: str) -> float:
         if key not in pairs:
@@ -138,7 +102,7 @@ def _from_pairs(text: str, image_size: tuple[int, int] | None, where: str) -> Ca
         raise CameraFileError(
             f"{where}: is for flats of {size[0]} x {size[1]} px, not of {image_size[0]} x {image_size[1]} px"
         )
-    pitch = _positive(get("MIDiameter"), "MIDiameter", where)
+    pitch = positive(get("MIDiameter"), "MIDiameter", where)
     upright = get("MLADirection") == 1
     if "LeftTopMICenterX" in pairs:
         names = ("LeftTop", "RightTop", "LeftBottom", "RightBottom")
@@ -147,14 +111,14 @@ def _from_pairs(text: str, image_size: tuple[int, int] | None, where: str) -> Ca
     origin = (np.array(size) - 1) / 2 + np.array([get("CentralMIOffsetX"), -get("CentralMIOffsetY")])
     basis = _HEXAGON[:, ::-1] if upright else _HEXAGON
     warnings = ["the file gives no angle finer than upright or level rows"]
-    return _camera(origin, basis * pitch, size, pitch / 2, warnings)
+    return published_camera(origin, basis * pitch, size, pitch / 2, warnings)
 
 
 def _from_corners(
     corners: list[NDArray[np.float64]], pitch: float, upright: bool, image_size: tuple[int, int], where: str
 ) -> Calibration:
     """Hexagonal lattice through the outermost centres: left top, right top, left bottom, right bottom."""
-    pitch = _positive(pitch, "diameter", where)
+    pitch = positive(pitch, "diameter", where)
     left_top, right_top, left_low, right_low = corners
     down = ((left_low - left_top) + (right_low - right_top)) / 2
     across = ((right_top - left_top) + (right_low - left_low)) / 2
@@ -170,44 +134,4 @@ def _from_corners(
         slip = np.sign(float((sideways - square) @ along)) or 1.0
         sideways = sideways - slip * 0.5 * along / rows
     first = np.mean(corners, axis=0) - (down + across) / 2
-    return _camera(first, np.array([along, sideways + along / 2]), image_size, pitch / 2, [_COARSE])
-
-
-def _camera(
-    origin: NDArray[np.float64],
-    basis: NDArray[np.float64],
-    image_size: tuple[int, int],
-    radius: float,
-    warnings: list[str],
-) -> Calibration:
-    lattice = Lattice(origin, reduce_basis(basis), image_size, radius)
-    return Calibration(lattice, None, "published", warnings=tuple(warnings))
-
-
-def _apart(a: float, b: float) -> float:
-    """Smallest difference of two angles [rad] that a hexagonal lattice can tell."""
-    difference = (a - b) % _SIXTH
-    return min(difference, _SIXTH - difference)
-
-
-def _number(root: Any, name: str, where: str) -> float:
-    text = root.findtext(name)
-    if text is None:
-        raise CameraFileError(f"{where}: <{name}> is missing")
-    try:
-        value = float(text)
-    except ValueError:
-        raise CameraFileError(f"{where}: <{name}> is {text.strip()!r}, not a number") from None
-    if not np.isfinite(value):
-        raise CameraFileError(f"{where}: <{name}> is not finite")
-    return value
-
-
-def _point(root: Any, name: str, where: str) -> NDArray[np.float64]:
-    return np.array([_number(root, f"{name}/x", where), _number(root, f"{name}/y", where)])
-
-
-def _positive(value: float, name: str, where: str) -> float:
-    if value <= 0:
-        raise CameraFileError(f"{where}: {name} must be positive, got {value}")
-    return value
+    return published_camera(first, np.array([along, sideways + along / 2]), image_size, pitch / 2, [_COARSE])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -125,3 +127,38 @@ def test_command_converts_to_every_form_and_back(tmp_path):
         assert back.exit_code == 0, back.output
         assert _largest_difference(camera, lfcal.load(tmp_path / "c.json")) < 1e-3
     assert _run("convert", tmp_path / "a.json", "-o", tmp_path / "b.txt").exit_code == 2
+
+
+@pytest.mark.parametrize("upright", [False, True])
+def test_three_lens_types_and_their_depths_come_back_from_xml(tmp_path, upright):
+    camera = _camera(_HEXAGON[:, ::-1] if upright else _HEXAGON, 23.2, 1.5)
+    sort = (np.add if (camera.lattice.steps.sum(1) % 3 != 0).all() else np.subtract).outer(np.arange(3), np.arange(3))
+    cell = np.array([2, 0, 1])[sort % 3]
+    camera = replace(camera, lens_types=lfcal.LensTypes(cell, True, np.array([-0.4, -0.3, -0.2])))
+    lfcal.convert(camera, tmp_path / "camera.xml")
+    again = lfcal.read_camera(tmp_path / "camera.xml", _SIZE)
+    places = np.rint(again.lattice.to_index(camera.lattice.centres())).astype(int)
+    np.testing.assert_array_equal(again.lens_types.of(places), camera.lens_types.of(camera.lattice.indices()))
+    # Types part half way between their foci: 1 / 0.35 and 1 / 0.25.
+    text = (tmp_path / "camera.xml").read_text()
+    assert [float(v) for v in re.findall(r"<m..>([\d.]+)", text)] == pytest.approx([1, 1 / 0.35, 1 / 0.35, 4, 4, 100])
+
+
+def test_published_lens_types_are_told_apart_but_their_order_is_not_believed(shared):
+    published = lfcal.load(shared("captures/Fujita2.published.xml"), (2048, 2048))
+    assert not published.lens_types.ordered and any("order of the lens types" in w for w in published.warnings)
+    lattice = published.lattice
+    types = published.lens_types.of(lattice.indices())
+    assert np.bincount(types).min() > 0.33 * len(types)
+    for step in lattice.steps:
+        assert (published.lens_types.of(lattice.indices() + step) != types).all()
+
+
+def test_lens_types_off_the_lattice_are_left_out_with_a_warning(tmp_path):
+    camera = replace(_camera(_HEXAGON, 20.0, 0.0), lens_types=lfcal.LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]]))
+    lfcal.convert(camera, tmp_path / "camera.xml")
+    text = (tmp_path / "camera.xml").read_text()
+    types = text.index("<lens_type id")
+    (tmp_path / "camera.xml").write_text(text[:types] + text[types:].replace("1.0", "1.5").replace("0.5", "0.8"))
+    again = lfcal.load(tmp_path / "camera.xml", _SIZE)
+    assert again.lens_types is None and any("left out" in w for w in again.warnings)
