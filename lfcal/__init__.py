@@ -13,6 +13,7 @@ from .lattice_errors import LatticeErrors
 from .lens_types import LensTypes
 from .outfile import OutputError, check_output, whole_file
 from .published import read_published
+from .residuals import Residuals
 from .show import show
 from .vignetting import Vignetting
 
@@ -28,6 +29,7 @@ __all__ = [
     "LensTypes",
     "LightFieldError",
     "OutputError",
+    "Residuals",
     "Vignetting",
     "agreement",
     "calibrate",

@@ -121,20 +121,36 @@ def agreement(calibration: Calibration, image: ArrayLike) -> Agreement:
     corners = [
         (x, y) for y in (0, (height - down) // 2, height - down) for x in (0, (width - across) // 2, width - across)
     ]
-    regions = [_Region.of(flat, lattice, x, y, across, down) for x, y in corners]
     places = np.array(corners) + (np.array([across, down]) - 1) / 2
-    trend = _Trend(np.zeros(2), np.zeros((2, 2)), _elsewhere(regions) @ regions[4].lattice.basis)
+    regions = [_Region.of(flat[y : y + down, x : x + across], lattice, x, y) for x, y in corners]
+    offset, scatter, trend = _measured(regions, places)
+    gain = calibration.gain_map
+    if gain is not None and len(gain.cut):
+        # Cut microimages have their rims elsewhere: what the camera's own light shows there is no misfit.
+        bands = {y: np.nan_to_num(gain.rows(lattice, y, down)) for _, y in corners}
+        own = [_Region.of(bands[y][:, x : x + across], lattice, x, y) for x, y in corners]
+        offset = offset - np.nan_to_num(_measured(own, places)[0])
+        trend = _Trend.through(places, offset, scatter, trend)
+    known = np.isfinite(scatter).sum() >= _FEWEST_REGIONS
+    common = trend.at(places) if known else np.full((9, 2), np.nan)
+    return Agreement(
+        places.reshape(3, 3, 2), offset.reshape(3, 3, 2), scatter.reshape(3, 3), common.reshape(3, 3, 2), lattice.pitch
+    )
+
+
+def _measured(
+    regions: list[_Region], places: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], _Trend]:
+    """Offsets (9, 2) of nine regions about `places` (9, 2), their scatter (9,) [px] and trend."""
+    lattice = regions[4].lattice
+    trend = _Trend(np.zeros(2), np.zeros((2, 2)), _elsewhere(regions) @ lattice.basis)
     for _ in range(_ROUNDS):
         measured = [region.offset(trend, at) for region, at in zip(regions, places, strict=True)]
         offset, scatter = np.array([v for v, _ in measured]), np.array([v for _, v in measured])
         before, trend = trend, _Trend.through(places, offset, scatter, trend)
         if np.abs(trend.at(places) - before.at(places)).max() < _SETTLED * lattice.pitch:
             break
-    known = np.isfinite(scatter).sum() >= _FEWEST_REGIONS
-    common = trend.at(places) if known else np.full((9, 2), np.nan)
-    return Agreement(
-        places.reshape(3, 3, 2), offset.reshape(3, 3, 2), scatter.reshape(3, 3), common.reshape(3, 3, 2), lattice.pitch
-    )
+    return offset, scatter, trend
 
 
 @dataclass(frozen=True)
@@ -181,14 +197,16 @@ class _Region:
     lattice: Lattice
 
     @classmethod
-    def of(cls, flat: NDArray[Any], whole: Lattice, x: int, y: int, across: int, down: int) -> _Region:
+    def of(cls, pixels: NDArray[Any], whole: Lattice, x: int, y: int) -> _Region:
+        """The region whose `pixels` (h, w) or (h, w, 3) begin at `x, y` of the flat."""
         from .features import breaks, level_locally, tone
 
+        down, across = pixels.shape[:2]
         middle = np.array([x + (across - 1) / 2, y + (down - 1) / 2])
         index, right, low = whole.to_index(middle + np.array([[0, 0], [1, 0], [0, 1]]))
         basis = np.linalg.inv(np.array([right - index, low - index]))
         origin = middle + (np.rint(index) - index) @ basis - [x, y]
-        picture = tone(flat[y : y + down, x : x + across])
+        picture = tone(pixels)
         rims = level_locally(breaks(picture), _RIM * whole.pitch)
         return cls(picture, rims, Lattice(origin, basis, (across, down), whole.radius))
 

@@ -117,6 +117,7 @@ def calibrate(
         gain_map=seen.gain_map,
         defects=seen.defects,
         errors=fit.errors,
+        residuals=fit.residuals,
     )
 
 

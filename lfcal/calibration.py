@@ -19,6 +19,7 @@ from .lattice import Lattice
 from .lattice_errors import LatticeErrors
 from .lens_types import LensTypes
 from .outfile import whole_file
+from .residuals import Residuals
 from .vignetting import Vignetting
 
 __all__ = ["Calibration", "load"]
@@ -58,6 +59,8 @@ class Calibration:
         Pixels and lenses that are not to be trusted.
     errors : LatticeErrors or None
         Standard errors of the lattice's parameters and centres; None where not measured.
+    residuals : Residuals or None
+        How far single microimages lie from the lattice; None where only many together show it, as in scenes.
     """
 
     lattice: Lattice
@@ -72,6 +75,7 @@ class Calibration:
     gain_map: GainMap | None = None
     defects: Defects = field(default_factory=Defects)
     errors: LatticeErrors | None = None
+    residuals: Residuals | None = None
 
     def __post_init__(self) -> None:
         if self.mosaic not in (None, "RGGB", "BGGR", "GRBG", "GBRG"):
@@ -109,6 +113,7 @@ class Calibration:
             "gain_map": self.gain_map and self.gain_map.to_dict(),
             "defects": self.defects.to_dict(),
             "errors": self.errors and self.errors.to_dict(),
+            "residuals": self.residuals and self.residuals.to_dict(),
         }
 
     @classmethod
@@ -144,6 +149,7 @@ class Calibration:
                 gain_map=data.get("gain_map") and GainMap.from_dict(data["gain_map"]),
                 defects=Defects.from_dict(data["defects"]) if data.get("defects") else Defects(),
                 errors=data.get("errors") and LatticeErrors.from_dict(data["errors"]),
+                residuals=data.get("residuals") and Residuals.from_dict(data["residuals"]),
             )
         except KeyError as error:
             raise CameraFileError(f"{where}: field {error} is missing; calibrate again") from error

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .gain_map import pack, unpack
+from .packing import pack, unpack
 
 __all__ = ["Defects"]
 

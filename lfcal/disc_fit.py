@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .cat_eye import settled_roles, with_cut, without_idle_cut
-from .disc_newton import FEWEST_LENSES, FitState, converge, halves_differ, misfit, open_lenses, promise
+from .disc_newton import FEWEST_LENSES, FitState, converge, halves_differ, misfit, open_lenses, own_offsets, promise
 from .disc_parameters import CatEye, DiscModel
 from .distortion import Distortion
 from .errors import CalibrationError
 from .lattice import Lattice
 from .lattice_errors import LatticeErrors
+from .residuals import Residuals
 
 __all__ = ["DiscFit", "fit_discs"]
 
@@ -52,6 +53,8 @@ class DiscFit:
     lenses_used : int
     halves_differ : float [px]
         RMS distance over the flat between the steps of two independent halves of the microimages.
+    residuals : Residuals [px]
+        Of the single microimages that took part.
     """
 
     lattice: Lattice
@@ -60,6 +63,7 @@ class DiscFit:
     errors: LatticeErrors
     lenses_used: int
     halves_differ: float
+    residuals: Residuals
 
 
 def fit_discs(tones: NDArray[np.float32], lattice: Lattice, pixels: float = 3.2e6) -> DiscFit:
@@ -97,6 +101,7 @@ def fit_discs(tones: NDArray[np.float32], lattice: Lattice, pixels: float = 3.2e
     return DiscFit(
         state.model.lattice, state.model.cat_eye, summary.residual, errors, summary.used,
         halves_differ(summary),
+        Residuals(state.indices.astype(np.int32), own_offsets(state, summary).astype(np.float32)),
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from .windows import cut_windows
 
 __all__ = [
     "FEWEST_LENSES", "FitState", "FitSummary", "converge", "few_of", "halves_differ", "misfit", "open_lenses",
-    "placed", "promise", "with_profile",
+    "own_offsets", "placed", "promise", "with_profile",
 ]  # fmt: skip
 
 FEWEST_LENSES = 12
@@ -38,6 +38,12 @@ _DARK = 0.03
 _GROUPS = 12
 # Lenses that scatter by more than this multiple of what is usual at their brightness lose their say.
 _UNLIKE = 4.0
+# Lenses whose own pixels put them further off than this many times the usual are placed one by one, with a trust that
+# makes no pixel an outlier, in so many steps of at most so many px.
+_FAR = 2.5
+_ANY = 1e-9
+_OWN_PASSES = 5
+_LONGEST = 0.5
 # What `Discs` holds of each lens.
 _OF_LENSES = ("light", "corners", "centres", "cut", "gain", "trust", "tilt")
 
@@ -64,7 +70,10 @@ class _Reduced:
 
 @dataclass(frozen=True)
 class FitSummary:
-    """What the last step says; see `DiscFit`, and by how much it moved centres (RMS) [px]."""
+    """What the last step says; see `DiscFit`.
+
+    Centres were moved by `moved` (RMS) [px], single microimages lie `miss` (n, 2) [px] off the lattice.
+    """
 
     moved: float
     residual: float
@@ -74,6 +83,7 @@ class FitSummary:
     covariance: NDArray[np.float64]
     columns: NDArray[np.float64]
     reduced: _Reduced
+    miss: NDArray[np.float64]
 
 
 def open_lenses(
@@ -249,6 +259,7 @@ def _stepped(state: FitState, orders: tuple[str, ...], frozen: bool = False) -> 
         covariance=covariance,
         columns=columns,
         reduced=reduced,
+        miss=miss,
     )
     force = reduced.force
     if reduced.mixed.shape[1]:
@@ -313,9 +324,34 @@ def promise(state: FitState, orders: tuple[str, ...]) -> float:
     return float(np.sqrt(((columns[:, :2] @ change) ** 2).sum(1).mean()))
 
 
+def own_offsets(state: FitState, summary: FitSummary) -> NDArray[np.float64]:
+    """(n, 2) [px] from the centres on the lattice to those that the pixels of single microimages show."""
+    offset = summary.miss.copy()
+    far = np.flatnonzero(np.hypot(*offset.T) > _FAR * summary.residual)
+    if len(far) == 0:
+        return offset
+    # Their edges are outliers of the common fit: here every pixel counts.
+    discs = _of_lenses(state, far).discs
+    discs = replace(discs, trust=np.full(len(far), _ANY))
+    start = discs.centres
+    for _ in range(_OWN_PASSES):
+        steps = disc_steps(discs)
+        reduced = _without_gain(steps, discs.level)
+        normal = reduced.normal[:, :2, :2]
+        ridge = 1e-9 * np.trace(normal.sum(0)) / len(far) * np.eye(2)
+        step = np.linalg.solve(normal + ridge, reduced.right[:, :2, None])[..., 0]
+        discs = replace(discs, centres=discs.centres + np.clip(step, -_LONGEST, _LONGEST))
+    offset[far] = discs.centres - start
+    return offset
+
+
 def few_of(state: FitState, lenses: int) -> FitState:
     """The state with only about so many lenses, evenly spread."""
-    chosen = np.arange(0, len(state.indices), max(1, len(state.indices) // lenses))
+    return _of_lenses(state, np.arange(0, len(state.indices), max(1, len(state.indices) // lenses)))
+
+
+def _of_lenses(state: FitState, chosen: NDArray[np.int64]) -> FitState:
+    """The state with only the chosen lenses."""
     discs = state.discs
     kept = {name: getattr(discs, name)[chosen] for name in _OF_LENSES}
     return replace(state, indices=state.indices[chosen], discs=replace(discs, **kept))

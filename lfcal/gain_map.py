@@ -7,8 +7,6 @@ tilted by a low-order polynomial. What changes over the field is a low-order pol
 
 from __future__ import annotations
 
-import base64
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -17,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .lattice import Lattice
+from .packing import pack, unpack
 
-__all__ = ["GainMap", "frame", "pack", "terms", "unpack"]
-
+__all__ = ["GainMap", "frame", "terms"]
 
 # Rows flattened at a time, so that memory does not grow with the flat.
 _BAND = 512
@@ -97,12 +95,15 @@ class GainMap:
         none = np.zeros(0, np.float32)
         return cls(profile, step, radius, np.zeros(1), none, np.zeros((5, 1)), np.zeros((1, 1)), np.array(cut))
 
+    def rows(self, lattice: Lattice, top: int, count: int) -> NDArray[np.float32]:
+        """(count, w) rows of `gain` from the row `top` on."""
+        out = np.empty((count, lattice.image_size[0]), np.float32)
+        self._fill(lattice)(out, top)
+        return out
+
     def gain(self, lattice: Lattice) -> NDArray[np.float32]:
         """(h, w) relative illumination of every pixel of the flat, NaN where none is known."""
-        width, height = lattice.image_size
-        out = np.empty((height, width), np.float32)
-        self._fill(lattice)(out, 0)
-        return out
+        return self.rows(lattice, 0, lattice.image_size[1])
 
     def flatten(self, flat: NDArray[Any], lattice: Lattice) -> NDArray[Any]:
         """`flat` (h, w) or (h, w, c) divided by the gain; pixels with unknown gain are left as they are."""
@@ -172,19 +173,6 @@ def _kernels() -> Any:
     from . import gain_kernels
 
     return gain_kernels
-
-
-def pack(values: NDArray[Any]) -> str:
-    """Numbers as text: bytes in little-endian order, deflated, base64."""
-    return base64.b64encode(zlib.compress(values.tobytes(), 9)).decode("ascii")
-
-
-def unpack(text: str, kind: str) -> NDArray[Any]:
-    """Numbers from `pack`; ValueError where the text is damaged."""
-    try:
-        return np.frombuffer(zlib.decompress(base64.b64decode(text, validate=True)), kind)
-    except zlib.error as error:
-        raise ValueError(f"a packed block is damaged ({error})") from error
 
 
 def terms(degree: int) -> int:

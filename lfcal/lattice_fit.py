@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .lattice import Lattice
 from .lattice_errors import LatticeErrors, errors_of_even_fit
+from .residuals import Residuals
 
 if TYPE_CHECKING:
     from .disc_parameters import CatEye
@@ -39,6 +40,8 @@ class FinalLattice:
         None where the lattice is the first one.
     cat_eye : CatEye or None
         The disc that cuts microimages, where one was seen.
+    residuals : Residuals or None
+        Of single microimages; None where these are too unlike one another to be placed singly.
     """
 
     lattice: Lattice
@@ -47,6 +50,7 @@ class FinalLattice:
     halves_differ: float
     errors: LatticeErrors | None = None
     cat_eye: CatEye | None = None
+    residuals: Residuals | None = None
 
 
 def fit_on_white(picture: NDArray[np.float32], start: FirstLattice) -> FinalLattice:
@@ -61,7 +65,13 @@ def fit_on_white(picture: NDArray[np.float32], start: FirstLattice) -> FinalLatt
     if not np.sqrt((apart**2).sum(1).mean()) < _FOLLOWED * found.pitch:
         return FinalLattice(found, discs.residual_rms, discs.lenses_used, start.halves_differ)
     return FinalLattice(
-        discs.lattice, discs.residual_rms, discs.lenses_used, discs.halves_differ, discs.errors, discs.cat_eye
+        discs.lattice,
+        discs.residual_rms,
+        discs.lenses_used,
+        discs.halves_differ,
+        discs.errors,
+        discs.cat_eye,
+        discs.residuals,
     )
 
 

@@ -89,6 +89,7 @@ def enlarged(camera: Calibration, block: int, image_size: tuple[int, int]) -> Ca
     return replace(
         camera, lattice=lattice, vignetting=vignetting, gain_map=gain, defects=defects, residual_rms=residual,
         errors=camera.errors and camera.errors.scaled(block),
+        residuals=camera.residuals and camera.residuals.scaled(block),
     )  # fmt: skip
 
 

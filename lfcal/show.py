@@ -24,6 +24,9 @@ _CIRCLE, _CROSS, _ARROW = (0, 190, 255), (255, 190, 40), (255, 120, 90)
 # Circles of lens types 0, 1, 2 and 3.
 _TYPES = (_CIRCLE, (255, 110, 200), (140, 240, 90), (250, 230, 80))
 _DEFECT = (255, 60, 200)
+# Residuals are averaged over so many rectangles, and drawn where they are so many times their standard error.
+_RECTANGLES = (12, 9)
+_CLEAR = 3.0
 # Sub-pixel bits of OpenCV's drawing functions.
 _BITS = 4
 
@@ -33,8 +36,8 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
 
     Circles of different lens types have different colours: blue, pink, green, yellow in the order of their numbers.
     Lenses without light are crossed out, defect pixels circled.
-    Beside the five crops a panel shows how far nine regions of the flat disagree with the lattice, and how the
-    light falls off inside a microimage.
+    Beside the five crops a panel shows how far nine regions of the flat disagree with the lattice, the residuals of
+    the fit over the field, the gain map, and how the light falls off inside a microimage.
 
     Parameters
     ----------
@@ -182,7 +185,10 @@ def _figures(calibration: Calibration, fit: Agreement, height: int) -> NDArray[n
 
 
 def _draw_misfit(panel: NDArray[np.uint8], calibration: Calibration, fit: Agreement) -> None:
-    """Arrows from the given centres to those the pixels show in nine regions, enlarged to be seen."""
+    """Arrows from the centres of the lattice to those the pixels show.
+
+    Thick ones, with numbers, for nine regions of this flat; thin ones for the residuals of the fit over the field.
+    """
     import cv2
 
     height, width = panel.shape[:2]
@@ -190,34 +196,54 @@ def _draw_misfit(panel: NDArray[np.uint8], calibration: Calibration, fit: Agreem
     longest = float(np.nanmax(distance)) if np.isfinite(distance).any() else 0.0
     _text(panel, "Offset of the pixels from the lattice", (14, 24), _INK, 0.52)
     field_width, field_height = calibration.image_size
-    scale = min((width - 120) / field_width, (height - 90) / field_height)
-    corner = np.array([(width - scale * field_width) / 2, 44.0])
+    scale = min((width - 120) / field_width, (height - 104) / field_height)
+    corner = np.array([(width - scale * field_width) / 2, 38.0])
     ends = corner + scale * np.array([field_width, field_height])
     cv2.rectangle(panel, *_fixed(corner), *_fixed(ends), _FAINT, 1, cv2.LINE_AA, _BITS)
-    # A power of ten times 1, 2 or 5 that makes the longest arrow a third of the way to its neighbour.
-    room = 0.3 * scale * min(field_width, field_height) / 2
-    enlarge = 1.0
-    if longest > 0:
-        power = 10 ** np.floor(np.log10(room / longest))
-        enlarge = float(max(f for f in (power, 2 * power, 5 * power) if f * longest <= room))
+    _draw_residuals(panel, calibration, corner, scale)
+    enlarge = _enlargement(longest, 0.3 * scale * min(field_width, field_height) / 2)
     for place, offset in zip(fit.places.reshape(-1, 2), fit.offset.reshape(-1, 2), strict=True):
         at = corner + scale * (place + 0.5)
         if np.isnan(offset).any():
             _text(panel, "?", (round(at[0]) - 5, round(at[1]) + 6), _FAINT, 0.5)
             continue
         cv2.circle(panel, *_fixed(at), _bits(2), _FAINT, -1, cv2.LINE_AA, _BITS)
-        tip = at + enlarge * offset
-        cv2.arrowedLine(panel, *_fixed(at), *_fixed(tip), _ARROW, 2, cv2.LINE_AA, _BITS, 0.25)
-        length = float(np.hypot(*offset))
-        _text(
-            panel,
-            f"{length:.2g}",
-            (round(at[0]) - 14, round(at[1]) + 20),
-            _INK,
-            0.4,
-        )
-    words = f"numbers in px, arrows {enlarge:g} px of this picture per px" if longest > 0 else "no region shows centres"
-    _text(panel, words, (14, height - 12), _FAINT, 0.44)
+        cv2.arrowedLine(panel, *_fixed(at), *_fixed(at + enlarge * offset), _ARROW, 2, cv2.LINE_AA, _BITS, 0.25)
+        _text(panel, f"{float(np.hypot(*offset)):.2g}", (round(at[0]) - 14, round(at[1]) + 20), _INK, 0.4)
+    words = f"numbers: this flat, px; arrows {enlarge:g} px here per px" if longest > 0 else "no region shows centres"
+    _text(panel, words, (14, height - 12), _ARROW, 0.44)
+
+
+def _draw_residuals(
+    panel: NDArray[np.uint8], calibration: Calibration, corner: NDArray[np.float64], scale: float
+) -> None:
+    """Thin arrows for the residuals of the fit, averaged over rectangles of the field, where they are no mere noise."""
+    import cv2
+
+    height = panel.shape[0]
+    if calibration.residuals is None:
+        _text(panel, "no residuals: single microimages of a scene do not show them", (14, height - 30), _FAINT, 0.44)
+        return
+    places, mean, error = calibration.residuals.over_field(calibration.lattice, *_RECTANGLES)
+    length = np.hypot(*mean.T)
+    clear = length > _CLEAR * error
+    room = 0.5 * scale * min(np.array(calibration.image_size) / _RECTANGLES)
+    enlarge = _enlargement(float(length[clear].max(initial=0.0)), room)
+    for place, offset, seen in zip(places, mean, clear, strict=True):
+        at = corner + scale * (place + 0.5)
+        cv2.circle(panel, *_fixed(at), _bits(1), _CIRCLE, -1, cv2.LINE_AA, _BITS)
+        if seen:
+            cv2.arrowedLine(panel, *_fixed(at), *_fixed(at + enlarge * offset), _CIRCLE, 1, cv2.LINE_AA, _BITS, 0.3)
+    words = f"thin arrows: residuals of the fit, {enlarge:g} px here per px; {clear.mean():.0%} are above their noise"
+    _text(panel, words, (14, height - 30), _CIRCLE, 0.44)
+
+
+def _enlargement(longest: float, room: float) -> float:
+    """A power of ten times 1, 2 or 5 that makes the longest arrow fit the room [px]; 1 where there is none."""
+    if longest <= 0:
+        return 1.0
+    power = 10 ** np.floor(np.log10(room / longest))
+    return float(max(f for f in (power, 2 * power, 5 * power) if f * longest <= room))
 
 
 def _draw_gain(panel: NDArray[np.uint8], calibration: Calibration) -> None:

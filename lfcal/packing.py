@@ -1,0 +1,25 @@
+"""Long rows of numbers as text in camera files."""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["pack", "unpack"]
+
+
+def pack(values: NDArray[Any]) -> str:
+    """Numbers as text: bytes in little-endian order, deflated, base64."""
+    return base64.b64encode(zlib.compress(values.tobytes(), 9)).decode("ascii")
+
+
+def unpack(text: str, kind: str) -> NDArray[Any]:
+    """Numbers from `pack`; ValueError where the text is damaged."""
+    try:
+        return np.frombuffer(zlib.decompress(base64.b64decode(text, validate=True)), kind)
+    except zlib.error as error:
+        raise ValueError(f"a packed block is damaged ({error})") from error
