@@ -7,7 +7,7 @@ from .calibration import Calibration, load
 from .compare import LatticeDifference, compare
 from .errors import CalibrationError, CameraFileError, FlatError, LightFieldError
 from .exchange import convert, read_camera
-from .flat import read_flat
+from .flat import count_pages, read_flat
 from .lattice import Lattice
 from .lattice_errors import LatticeErrors
 from .lens_types import LensTypes
@@ -37,6 +37,7 @@ __all__ = [
     "compare",
     "console",
     "convert",
+    "count_pages",
     "load",
     "read_camera",
     "read_flat",

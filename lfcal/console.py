@@ -89,6 +89,31 @@ class Report:
             yield
         self.seconds[name] = time.perf_counter() - start
 
+    @contextmanager
+    def progress(self, name: str, total: int | None) -> Iterator[Callable[[str], None]]:
+        """Gives what is to be called after each of `total` steps, with a remark or "".
+
+        On a terminal a bar shows rate and remaining time; else only remarks are printed, on stderr.
+        """
+        if self.quiet or not sys.stderr.isatty():
+            yield lambda remark: click.echo(remark, err=True) if remark and not self.quiet else None
+            return
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}")
+        start = time.perf_counter()
+        with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(name, total=total, rate="")
+
+            def advance(remark: str) -> None:
+                if remark:
+                    bar.console.print(remark, markup=False)
+                done = bar.tasks[0].completed + 1
+                bar.update(task, advance=1, rate=f"{done / (time.perf_counter() - start):.2f} a second")
+
+            yield advance
+
     def announce_compilation(self, *packages: str) -> None:
         """Say, once, that kernels are being compiled if these packages have none compiled so far."""
         if self.quiet or self._announced or all(_has_compiled_kernels(name) for name in packages):

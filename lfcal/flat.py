@@ -21,28 +21,30 @@ from numpy.typing import NDArray
 
 from .errors import FlatError
 
-__all__ = ["MAX_PIXELS", "read_flat"]
+__all__ = ["MAX_PIXELS", "count_pages", "read_flat"]
 
 #: Largest flat that is read [px]. Twice a 25,000 x 22,000 sensor, and what OpenCV accepts out of the box.
 MAX_PIXELS = 1 << 30
 
 _PNG = b"\x89PNG\r\n\x1a\n"
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _READABLE = "PNG, TIFF, WebP, JPEG, BMP, PGM or PPM"
 _STRIP_ROWS = 512
 
 
-def read_flat(path: str | os.PathLike[str]) -> NDArray[Any]:
+def read_flat(path: str | os.PathLike[str], page: int | None = None) -> NDArray[Any]:
     """Read a raw plenoptic picture with its pixel values as stored.
 
     PNG (1 to 16 bit grey, RGB, palette), TIFF (8 and 16 bit, float), WebP, JPEG, BMP, PGM and PPM are read. An alpha
     channel is dropped and the colours below it are kept as stored. An orientation tag is not obeyed: a
-    calibration belongs to the sensor, not to how the camera was held. In a TIFF, thumbnails are passed over;
-    a file with several full pictures is refused.
+    calibration belongs to the sensor, not to how the camera was held. In a TIFF, thumbnails are passed over.
 
     Parameters
     ----------
     path : path-like
         The image file.
+    page : int or None
+        Which of the full pictures in a TIFF, from 0; with None a file with several of them is refused.
 
     Returns
     -------
@@ -52,11 +54,12 @@ def read_flat(path: str | os.PathLike[str]) -> NDArray[Any]:
     Raises
     ------
     FlatError
-        If the file is missing, damaged, truncated, larger than `MAX_PIXELS`, no image, or holds NaN or infinity.
+        If the file is missing, damaged, truncated, larger than `MAX_PIXELS`, no image, or holds NaN or infinity, or
+        has no such page.
     """
     source = Path(path)
     try:
-        pixels = _decode(source)
+        pixels = _decode(source, page)
     except FlatError as error:
         raise FlatError(f"{source}: {error}") from error
     except OSError as error:
@@ -72,7 +75,29 @@ def read_flat(path: str | os.PathLike[str]) -> NDArray[Any]:
         raise FlatError(f"{source}: {error}") from error
 
 
-def _decode(source: Path) -> NDArray[Any]:
+def count_pages(path: str | os.PathLike[str]) -> int:
+    """Number of full pictures in an image file: 1, but for a TIFF of several pages.
+
+    Raises
+    ------
+    FlatError
+        If the file cannot be read.
+    """
+    import tifffile
+
+    try:
+        with open(path, "rb") as stream:
+            if stream.read(4) not in _TIFF:
+                return 1
+        with _tiff(Path(path)) as tiff:
+            return len(_full_pages(tiff))
+    except OSError as error:
+        raise FlatError(f"{path}: cannot be read ({error.strerror or _one_line(error)})") from error
+    except (tifffile.TiffFileError, ValueError, struct.error, IndexError, KeyError) as error:
+        raise FlatError(f"{path}: damaged image file ({_one_line(error)})") from error
+
+
+def _decode(source: Path, page: int | None) -> NDArray[Any]:
     mode = source.stat().st_mode
     if stat.S_ISDIR(mode):
         raise FlatError("is a folder; give the image file")
@@ -82,8 +107,10 @@ def _decode(source: Path) -> NDArray[Any]:
         head = stream.read(16)
     if not head:
         raise FlatError("is empty")
-    if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-        return _read_tiff(source)
+    if head[:4] in _TIFF:
+        return _read_tiff(source, page)
+    if page not in (None, 0):
+        raise FlatError(f"has one picture and no page {page}")
     if head.startswith(_PNG):
         return _read_png(source.read_bytes())
     if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
@@ -218,18 +245,28 @@ def _read_pnm(data: bytes) -> NDArray[Any]:
     return values.reshape((height, width, 3) if channels == 3 else (height, width))
 
 
-def _read_tiff(source: Path) -> NDArray[Any]:
+def _tiff(source: Path) -> Any:
     import tifffile
 
     # What tifffile remarks on damaged files is in our error; without a handler Python would print it as well.
     log = logging.getLogger("tifffile")
     if not log.hasHandlers():
         log.addHandler(logging.NullHandler())
-    with tifffile.TiffFile(source) as tiff:
-        pages = [page for page in tiff.pages if not page.is_reduced]  # type: ignore[union-attr]
-        if len(pages) != 1:
+    return tifffile.TiffFile(source)
+
+
+def _full_pages(tiff: Any) -> list[Any]:
+    return [page for page in tiff.pages if not page.is_reduced]
+
+
+def _read_tiff(source: Path, number: int | None) -> NDArray[Any]:
+    with _tiff(source) as tiff:
+        pages = _full_pages(tiff)
+        if number is None and len(pages) != 1:
             raise FlatError(f"the TIFF holds {len(pages)} pictures; save the one that is the flat on its own")
-        page: Any = pages[0]
+        if not 0 <= (number or 0) < len(pages):
+            raise FlatError(f"the TIFF holds {len(pages)} pictures and no page {number}")
+        page: Any = pages[number or 0]
         _check_size(page.imagewidth, page.imagelength)
         size = tiff.filehandle.size
         parts = list(zip(page.dataoffsets, page.databytecounts, strict=True))
@@ -245,6 +282,8 @@ def _read_tiff(source: Path) -> NDArray[Any]:
         except (KeyError, ValueError) as error:
             if "imagecodecs" not in str(error):
                 raise
+            if number:
+                raise FlatError("compressed in a way that is read for the first page only; save without it") from error
             # Compressions that tifffile leaves to an optional package; libtiff inside OpenCV knows the common ones.
             return _from_opencv(source.read_bytes(), grey=page.samplesperpixel < 3 and kind != "PALETTE")
         return _tiff_pixels(pixels, page)

@@ -4,22 +4,41 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .analysis import analyze
+    from .batch import FrameResult, render_frames
     from .demosaicing import demosaic
     from .depthmap import DepthMap
     from .drawing import default_scale, render
+    from .frames import Frames, open_frames
     from .lens_means import traditional
     from .picture import write_picture
     from .rendering import Rendering
 
-__all__ = ["DepthMap", "Rendering", "analyze", "default_scale", "demosaic", "render", "traditional", "write_picture"]
+__all__ = [
+    "DepthMap",
+    "FrameResult",
+    "Frames",
+    "Rendering",
+    "analyze",
+    "default_scale",
+    "demosaic",
+    "open_frames",
+    "render",
+    "render_frames",
+    "traditional",
+    "write_picture",
+]
 
 _HOMES = {
     "DepthMap": "depthmap",
+    "FrameResult": "batch",
+    "Frames": "frames",
     "Rendering": "rendering",
     "analyze": "analysis",
     "default_scale": "drawing",
     "demosaic": "demosaicing",
+    "open_frames": "frames",
     "render": "drawing",
+    "render_frames": "batch",
     "traditional": "lens_means",
     "write_picture": "picture",
 }

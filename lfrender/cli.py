@@ -176,6 +176,87 @@ def demo(output: Path, as_json: bool, quiet: bool) -> None:
     report.finish(run_demo(output, report))
 
 
+@main.command()
+@click.argument("inputs", type=_PATH, nargs=-1, required=True, metavar="INPUT...")
+@click.option("-o", "--output", type=_PATH, required=True, metavar="FOLDER", help="Folder for the pictures.")
+@click.option("-c", "--camera", type=_PATH, help=_CAMERA + " Without it, the first frame is calibrated.")
+@click.option("--white", type=_PATH, help="Calibrate from this white image of the same camera.")
+@click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
+@click.option("--format", "suffix", default="tif", show_default=True, help="Kind of the pictures: tif, png, jpg, webp.")
+@click.option("--overwrite", is_flag=True, help="Render all frames anew; else pictures already there are kept.")
+@_preset
+@console.report_options
+def batch(
+    inputs: tuple[Path, ...],
+    output: Path,
+    camera: Path | None,
+    white: Path | None,
+    scale: float | None,
+    suffix: str,
+    overwrite: bool,
+    preset: str,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Render all frames of a sequence: image files, folders of them, TIFF files of several pages, videos.
+
+    The camera is calibrated once, depth is kept where nothing moves, pictures already there are kept, and a frame that
+    cannot be read is reported and does not stop the others (exit code 1).
+
+    \b
+    Examples:
+      lfrender batch frames/ -o pictures
+      lfrender batch scene.mp4 -c camera.json -o pictures --preset fast --format png
+    """
+    from . import open_frames, render_frames
+
+    report = console.Report(as_json, quiet)
+    _at_most_one("--camera", camera, "--white", white)
+    frames = open_frames(inputs)
+    calibration = None
+    if camera or white:
+        with report.stage("calibrate"):
+            calibration = _batch_camera(frames, camera, white)
+    report.announce_compilation("lfcal", "lfrender")
+    results = render_frames(
+        frames, output, calibration, preset=preset, scale=scale, suffix=f".{suffix.lstrip('.')}", overwrite=overwrite
+    )
+    outcomes = []
+    with report.stage("frames"), report.progress("frames", frames.count) as advance:
+        for result in results:
+            outcomes.append(result)
+            advance(result.message)
+    rendered = [r for r in outcomes if r.outcome == "rendered"]
+    failed = [r for r in outcomes if r.outcome == "failed"]
+    figures = {
+        "pictures": str(output),
+        "rendered": len(rendered),
+        "kept": sum(r.outcome == "kept" for r in outcomes),
+        "failed": len(failed),
+        "seconds_per_frame": sum(r.seconds for r in rendered) / max(len(rendered), 1),
+        "still": sum(r.still for r in rendered) / max(len(rendered), 1),
+    }
+    report.finish({**figures, "warnings": [r.message for r in failed]} if as_json else figures)
+    return 1 if failed else 0
+
+
+def _batch_camera(frames: Any, camera: Path | None, white: Path | None) -> Calibration:
+    """The camera of a file or white image, checked against the first frame that can be read where it was published."""
+    from lfcal import FlatError, calibrate, read_flat
+
+    if white is not None:
+        with console.about(white):
+            return calibrate(read_flat(white), kind="white")
+    assert camera is not None
+    for frame in frames:
+        try:
+            pixels = frame.read()
+        except FlatError:
+            continue
+        return _read_camera(camera, pixels)
+    raise FlatError("none of the frames can be read")
+
+
 def _import_meanwhile() -> None:
     """Import what will be needed while the flat is being decoded, which leaves the interpreter idle."""
     Thread(target=import_module, args=(f"{__package__}.drawing",)).start()

@@ -1,0 +1,125 @@
+"""Sequences: frames of all kinds are rendered once, resumed, and steady where nothing moves."""
+
+from __future__ import annotations
+
+import json
+from itertools import islice
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from click.testing import CliRunner
+
+import lfcal
+import lfrender
+from lfrender import batch
+from lfrender.cli import main
+
+
+@pytest.fixture(scope="module")
+def sequence(house, tmp_path_factory):
+    """Five frames, in the last two of which a part of the flat shows something else; the camera."""
+    rng = np.random.default_rng(1)
+    flats = [house.flat.copy() for _ in range(5)]
+    for flat in flats[3:]:
+        flat[:120, :150] = flat[200:320, 200:350]
+    folder = tmp_path_factory.mktemp("frames")
+    for k, flat in enumerate(flats):
+        noisy = np.clip(flat.astype(int) + rng.integers(-1, 2, flat.shape), 0, np.iinfo(flat.dtype).max)
+        cv2.imwrite(str(folder / f"f{k + 8}.png"), noisy.astype(flat.dtype)[..., ::-1])
+    return folder, house.truth.calibration
+
+
+def _pictures(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.tif"))}
+
+
+def _run(sequence, folder, **options):
+    frames, camera = sequence
+    return list(lfrender.render_frames(lfrender.open_frames([frames]), folder, camera, preset="fast", **options))
+
+
+@pytest.fixture(scope="module")
+def whole(sequence, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "_STRETCH", 3)
+        return folder, _run(sequence, folder)
+
+
+def test_frames_come_in_the_order_of_their_numbers_and_keep_depth_where_nothing_moves(whole):
+    folder, results = whole
+    assert [r.name for r in results] == ["f8", "f9", "f10", "f11", "f12"]
+    assert {r.outcome for r in results} == {"rendered"} and len(_pictures(folder)) == 5
+    assert results[1].still > 0.95 and 0.3 < results[3].still < 0.95 and results[4].still > 0.95
+    sizes = {tifffile.imread(r.path).shape for r in results}
+    assert len(sizes) == 1
+
+
+def test_a_run_that_was_stopped_goes_on_with_the_same_pictures(sequence, whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(batch, "_STRETCH", 3)
+    frames, camera = sequence
+    started = lfrender.render_frames(lfrender.open_frames([frames]), tmp_path, camera, preset="fast")
+    list(islice(started, 4))
+    started.close()
+    (tmp_path / "f9.tif").unlink()
+    results = _run(sequence, tmp_path)
+    assert [r.outcome for r in results] == ["kept", "rendered", "kept", "kept", "rendered"]
+    assert _pictures(tmp_path) == _pictures(whole[0])
+
+
+def test_other_settings_are_refused_until_everything_is_rendered_anew(sequence, whole):
+    with pytest.raises(lfcal.OutputError, match="overwrite"):
+        _run(sequence, whole[0], scale=3.0)
+    frames, camera = sequence
+    one = lfrender.open_frames([frames / "f8.png"])
+    list(lfrender.render_frames(one, whole[0], camera, preset="fast", scale=3.0, overwrite=True))
+    assert tifffile.imread(whole[0] / "f8.tif").shape[1] == pytest.approx(3.0 * 520 / 20.3, abs=1)
+
+
+def test_bad_frame_is_reported_and_the_others_are_rendered(sequence, tmp_path):
+    frames, camera = sequence
+    inputs = tmp_path / "in"
+    inputs.mkdir()
+    for k in (8, 9):
+        (inputs / f"f{k}.png").write_bytes((frames / f"f{k}.png").read_bytes())
+    (inputs / "f7.png").write_bytes((frames / "f8.png").read_bytes()[:5000])
+    cv2.imwrite(str(inputs / "f10.png"), np.zeros((40, 50), np.uint8))
+    camera.save(tmp_path / "camera.json")
+    arguments = ["batch", str(inputs), "-o", str(tmp_path / "out"), "--preset", "fast", "--format", "png", "--json"]
+    result = CliRunner().invoke(main, [*arguments, "-c", str(tmp_path / "camera.json")], catch_exceptions=False)
+    figures = json.loads(result.stdout)
+    assert result.exit_code == 1 and figures["rendered"] == 2 and figures["failed"] == 2
+    assert "truncated" in figures["warnings"][0] and "f10" in figures["warnings"][1]
+    assert sorted(path.name for path in (tmp_path / "out").glob("*.png")) == ["f8.png", "f9.png"]
+
+
+def test_pages_of_a_tiff_and_a_video_are_frames(house, tmp_path):
+    pages = np.stack([house.flat, house.flat[::-1], house.flat[:, ::-1]])
+    tifffile.imwrite(tmp_path / "stack.tif", pages, photometric="rgb")
+    frames = list(lfrender.open_frames([tmp_path / "stack.tif"]))
+    assert [f.name for f in frames] == ["stack_00000", "stack_00001", "stack_00002"]
+    np.testing.assert_array_equal(frames[1].read(), pages[1])
+
+    av = pytest.importorskip("av")
+    with av.open(str(tmp_path / "film.mkv"), "w") as film:
+        stream = film.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 520, 400, "bgr0"
+        for page in pages:
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(page.astype(np.uint8), format="rgb24")))
+        film.mux(stream.encode())
+    read = [frame.read() for frame in lfrender.open_frames([tmp_path / "film.mkv"])]
+    np.testing.assert_array_equal(np.stack(read), pages)
+
+
+@pytest.mark.parametrize("make", ["nothing", "missing", "twice"])
+def test_inputs_that_are_no_sequence_are_refused(tmp_path, make):
+    (tmp_path / "a").mkdir()
+    inputs = {"nothing": [tmp_path / "a"], "missing": [tmp_path / "b.png"]}.get(make)
+    if inputs is None:
+        for name in ("c.png", "c.jpg"):
+            (tmp_path / "a" / name).write_bytes(b"x")
+        inputs = [tmp_path / "a"]
+    with pytest.raises(lfcal.FlatError):
+        lfrender.open_frames(inputs)
