@@ -4,10 +4,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .analysis import analyze
-    from .batch import FrameResult, render_frames
+    from .batch import render_frames
+    from .cluster import render_frames_on
     from .demosaicing import demosaic
     from .depthmap import DepthMap
     from .drawing import default_scale, render
+    from .frame_job import FrameResult
     from .frames import Frames, open_frames
     from .lens_means import traditional
     from .picture import write_picture
@@ -24,13 +26,14 @@ __all__ = [
     "open_frames",
     "render",
     "render_frames",
+    "render_frames_on",
     "traditional",
     "write_picture",
 ]
 
 _HOMES = {
     "DepthMap": "depthmap",
-    "FrameResult": "batch",
+    "FrameResult": "frame_job",
     "Frames": "frames",
     "Rendering": "rendering",
     "analyze": "analysis",
@@ -39,6 +42,7 @@ _HOMES = {
     "open_frames": "frames",
     "render": "drawing",
     "render_frames": "batch",
+    "render_frames_on": "cluster",
     "traditional": "lens_means",
     "write_picture": "picture",
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
 from threading import Thread
@@ -14,6 +15,7 @@ from lfcal import LightFieldError, check_output, console
 from .picture import check_picture, write_picture
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from typing import Literal
 
     import numpy as np
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from lfcal import Calibration
 
     from .depthmap import DepthMap
+    from .frame_job import FrameResult
     from .rendering import Rendering
 
     Mosaic = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
@@ -184,6 +187,8 @@ def demo(output: Path, as_json: bool, quiet: bool) -> None:
 @click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
 @click.option("--format", "suffix", default="tif", show_default=True, help="Kind of the pictures: tif, png, jpg, webp.")
 @click.option("--overwrite", is_flag=True, help="Render all frames anew; else pictures already there are kept.")
+@click.option("--workers", type=click.IntRange(1), help="Render on so many processes of this machine (needs Dask).")
+@click.option("--scheduler", metavar="tcp://HOST:PORT", help="Render on the workers of this Dask scheduler.")
 @_preset
 @console.report_options
 def batch(
@@ -194,6 +199,8 @@ def batch(
     scale: float | None,
     suffix: str,
     overwrite: bool,
+    workers: int | None,
+    scheduler: str | None,
     preset: str,
     as_json: bool,
     quiet: bool,
@@ -208,22 +215,21 @@ def batch(
       lfrender batch frames/ -o pictures
       lfrender batch scene.mp4 -c camera.json -o pictures --preset fast --format png
     """
-    from . import open_frames, render_frames
+    from . import open_frames
 
     report = console.Report(as_json, quiet)
     _at_most_one("--camera", camera, "--white", white)
+    _at_most_one("--workers", workers, "--scheduler", scheduler)
     frames = open_frames(inputs)
     calibration = None
     if camera or white:
         with report.stage("calibrate"):
             calibration = _batch_camera(frames, camera, white)
     report.announce_compilation("lfcal", "lfrender")
-    results = render_frames(
-        frames, output, calibration, preset=preset, scale=scale, suffix=f".{suffix.lstrip('.')}", overwrite=overwrite
-    )
+    options = {"preset": preset, "scale": scale, "suffix": f".{suffix.lstrip('.')}", "overwrite": overwrite}
     outcomes = []
-    with report.stage("frames"), report.progress("frames", frames.count) as advance:
-        for result in results:
+    with report.stage("frames"), report.progress("frames", frames.count) as advance, ExitStack() as opened:
+        for result in _rendered(opened, frames, output, calibration, workers, scheduler, options):
             outcomes.append(result)
             advance(result.message)
     rendered = [r for r in outcomes if r.outcome == "rendered"]
@@ -238,6 +244,27 @@ def batch(
     }
     report.finish({**figures, "warnings": [r.message for r in failed]} if as_json else figures)
     return 1 if failed else 0
+
+
+def _rendered(
+    opened: ExitStack,
+    frames: Any,
+    output: Path,
+    calibration: Calibration | None,
+    workers: int | None,
+    scheduler: str | None,
+    options: dict[str, Any],
+) -> Iterator[FrameResult]:
+    """Results of `render_frames` here or on a cluster, which is closed along with `opened`."""
+    if workers is None and scheduler is None:
+        from . import render_frames
+
+        return render_frames(frames, output, calibration, **options)
+    from . import render_frames_on
+    from .cluster import connect
+
+    client = opened.enter_context(connect(workers, scheduler))
+    return render_frames_on(client, frames, output, calibration, threads=1 if workers else None, **options)
 
 
 def _batch_camera(frames: Any, camera: Path | None, white: Path | None) -> Calibration:

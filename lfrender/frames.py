@@ -86,7 +86,7 @@ def open_frames(inputs: Iterable[str | os.PathLike[str]]) -> Frames:
     FlatError
         If there is no frame, an input is of no known kind, or two frames would have the same name.
     """
-    parts = [part for path in inputs for part in _parts(Path(path))]
+    parts = [part for path in inputs for part in _parts(Path(path).absolute())]
     if not parts:
         raise FlatError("no frames: give image files, a folder of them, a TIFF of several pages or a video")
     names = [name for part in parts for name in (part.names or (part.path.stem,))]

@@ -44,7 +44,7 @@ def _run(sequence, folder, **options):
 def whole(sequence, tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batch, "_STRETCH", 3)
+        patch.setattr(batch, "STRETCH", 3)
         return folder, _run(sequence, folder)
 
 
@@ -58,7 +58,7 @@ def test_frames_come_in_the_order_of_their_numbers_and_keep_depth_where_nothing_
 
 
 def test_a_run_that_was_stopped_goes_on_with_the_same_pictures(sequence, whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(batch, "_STRETCH", 3)
+    monkeypatch.setattr(batch, "STRETCH", 3)
     frames, camera = sequence
     started = lfrender.render_frames(lfrender.open_frames([frames]), tmp_path, camera, preset="fast")
     list(islice(started, 4))

@@ -1,0 +1,198 @@
+"""One run over a sequence: its settings, what it keeps in its folder, and what it does with one frame.
+
+The sequence is cut into stretches. The first frame of each, its key, is analysed against the key of the stretch before,
+all others against their own: still parts keep one depth from picture to picture, and a run that was killed, or was
+spread over many machines, makes the same pictures as one that was not.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration, LightFieldError, OutputError, load, whole_file
+
+from .analysis import analyze
+from .demosaicing import demosaic
+from .depthmap import DepthMap
+from .drawing import default_scale, render
+from .frames import Frame
+from .picture import check_picture, write_picture
+
+__all__ = ["STRETCH", "FrameResult", "Job", "Key"]
+
+# Frames from one key to the next.
+STRETCH = 30
+_STATE = ".lfrender"
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """What became of one frame.
+
+    Parameters
+    ----------
+    name : str
+    path : Path
+        Its picture.
+    outcome : {"rendered", "kept", "failed"}
+        Kept pictures were there already.
+    message : str
+        Why it failed, else empty.
+    seconds : float
+        From the pixels to the picture.
+    still : float
+        Share of the lenses that kept the depth of an earlier frame.
+    """
+
+    name: str
+    path: Path
+    outcome: Literal["rendered", "kept", "failed"]
+    message: str = ""
+    seconds: float = 0.0
+    still: float = 0.0
+
+
+@dataclass(frozen=True)
+class Key:
+    """The frame that others of its stretch are analysed against; flat and depth are there once they were needed."""
+
+    number: int
+    frame: Frame
+    flat: NDArray[Any] | None = None
+    depth: DepthMap | None = None
+
+
+@dataclass
+class Job:
+    """Settings of a run, and what it keeps in the hidden folder."""
+
+    folder: Path
+    calibration: Calibration | None
+    preset: str
+    scale: float | None
+    suffix: str
+
+    @classmethod
+    def opened(
+        cls,
+        folder: Path,
+        calibration: Calibration | None,
+        preset: str,
+        scale: float | None,
+        suffix: str,
+        overwrite: bool,
+    ) -> Job:
+        state = folder / _STATE
+        try:
+            state.mkdir(parents=folder.parent.is_dir(), exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be made ({error.strerror or error})") from error
+        check_picture(folder / f"picture{suffix}")
+        job = cls(folder, calibration, preset, scale, suffix)
+        if overwrite:
+            for old in [*state.glob("depth_*.npz"), state / "camera.json", state / "settings.json"]:
+                old.unlink(missing_ok=True)
+        if (state / "settings.json").exists():
+            job._resume(state)
+        return job
+
+    def _resume(self, state: Path) -> None:
+        """Take over the camera and the scale of an earlier run."""
+        camera = load(state / "camera.json")
+        try:
+            settings = json.loads((state / "settings.json").read_text(encoding="utf-8"))
+            same = settings["preset"] == self.preset and self.scale in (None, settings["scale"])
+            self.scale = float(settings["scale"])
+        except (OSError, KeyError, TypeError, ValueError) as error:
+            raise OutputError(f"{state}: damaged ({error}); render everything anew (--overwrite)") from error
+        if not same or (self.calibration is not None and self.calibration.to_dict() != camera.to_dict()):
+            raise OutputError(
+                f"{self.folder}: holds pictures made with another camera, preset or scale; "
+                "give another folder, or render everything anew (--overwrite)"
+            )
+        self.calibration = camera
+
+    def result(self, number: int, frame: Frame, flat: Callable[[], NDArray[Any]], key: Key) -> FrameResult:
+        """Analyse and draw one frame; `flat` gives its pixels in colour, `key` has flat and depth."""
+        path, start = self.path_of(frame), perf_counter()
+        try:
+            pixels = flat()
+            depth = key.depth if key.number == number else self.depth_after(key, pixels)
+            assert depth is not None
+            self.write(path, pixels, depth)
+        except OutputError:
+            raise
+        except LightFieldError as error:
+            return self.failure(frame, error, perf_counter() - start)
+        still = float(depth.saved.get("still", 0.0))
+        return FrameResult(frame.name, path, "rendered", "", perf_counter() - start, still)
+
+    def failure(self, frame: Frame, error: LightFieldError, seconds: float = 0.0) -> FrameResult:
+        return FrameResult(frame.name, self.path_of(frame), "failed", f"{frame.name}: {error}", seconds)
+
+    def depth_file(self, key: Key) -> Path:
+        """Where the depth map of a key frame is kept."""
+        return self.folder / _STATE / f"depth_{key.number:06d}.npz"
+
+    def path_of(self, frame: Frame) -> Path:
+        return self.folder / f"{frame.name}{self.suffix}"
+
+    def is_missing(self, frame: Frame) -> bool:
+        return not self.path_of(frame).exists()
+
+    def in_colour(self, pixels: NDArray[Any]) -> NDArray[Any]:
+        """The flat without its colour mosaic, where the camera has one."""
+        mosaic = self.calibration is not None and self.calibration.mosaic is not None
+        return demosaic(pixels, self.camera(pixels)) if mosaic and pixels.ndim == 2 else pixels
+
+    def camera(self, pixels: NDArray[Any]) -> Calibration:
+        """The camera of the run, calibrated from these pixels where it has none yet."""
+        if self.calibration is None:
+            from lfcal import calibrate
+
+            self.calibration = calibrate(pixels)
+        return self.calibration
+
+    def with_depth(self, key: Key, earlier: Key | None) -> Key:
+        """The key frame with flat and depth, which is in the hidden folder or analysed against an earlier key frame."""
+        flat = self.in_colour(key.frame.read()) if key.flat is None else key.flat
+        file = self.depth_file(key)
+        if file.exists():
+            return replace(key, flat=flat, depth=DepthMap.load(file))
+        camera = self.camera(flat)
+        if earlier is None:
+            depth = analyze(flat, camera, self.preset)
+        else:
+            depth = self.depth_after(earlier if earlier.depth else self.with_depth(earlier, None), flat)
+        if self.scale is None:
+            self.scale = default_scale(depth)
+        self._remember(camera)
+        depth.save(file)
+        return replace(key, flat=flat, depth=depth)
+
+    def depth_after(self, key: Key, flat: NDArray[Any]) -> DepthMap:
+        """Depth of a frame whose still parts keep that of a key frame."""
+        assert key.flat is not None and key.depth is not None
+        return analyze(flat, self.camera(flat), self.preset, previous=(key.flat, key.depth))
+
+    def _remember(self, camera: Calibration) -> None:
+        state = self.folder / _STATE
+        if (state / "settings.json").exists():
+            return
+        camera.save(state / "camera.json")
+        with whole_file(state / "settings.json") as temporary:
+            temporary.write_text(json.dumps({"preset": self.preset, "scale": self.scale}), encoding="utf-8")
+
+    def write(self, path: Path, pixels: NDArray[Any], depth: DepthMap) -> None:
+        """Draw and write the picture of a frame."""
+        picture = render(pixels, self.camera(pixels), depth, scale=self.scale)
+        check_picture(path, np.asarray(picture.image).dtype)
+        write_picture(path, picture, settings={"rendering": "all in focus", "preset": self.preset})
