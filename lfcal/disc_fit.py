@@ -26,6 +26,10 @@ __all__ = ["DiscFit", "fit_discs"]
 # are chosen.
 _FEW = (1e5, 150)
 _SOME = (6e5, 400)
+# Flats of so many pixels are used whole. Of larger ones, so many lenses are enough that centres have this standard
+# error [px]: a hundredth of what any use of them could tell.
+_ALL = 4e6
+_FINE = 3e-4
 # Further orders must move centres by so many px (RMS) and by so many standard errors, and lower the misfit by this
 # share. Less is no matter to anyone and may be the model's fault. The first step shows about how far they will.
 _BENT = 0.01
@@ -72,7 +76,7 @@ def fit_discs(tones: NDArray[np.float32], lattice: Lattice, pixels: float = 3.2e
     lattice : Lattice [px]
         Start, right to a fraction of the pitch over the whole flat.
     pixels : float
-        Use only as many lenses, evenly spread, as have so many pixels in all.
+        Use at most as many lenses, evenly spread, as have so many pixels in all.
 
     Raises
     ------
@@ -90,7 +94,9 @@ def fit_discs(tones: NDArray[np.float32], lattice: Lattice, pixels: float = 3.2e
     if state.model.cat_eye is None and orders:
         state = with_cut(state, state, orders)
     state, orders = without_idle_cut(state, orders)
-    state = open_lenses(tones, state.model, pixels, FEWEST_LENSES, state.discs)
+    wanted = pixels if tones.size < _ALL else min(pixels, _pixels(state) * (state.uncertainty / _FINE) ** 2)
+    if wanted > _pixels(state):
+        state = open_lenses(tones, state.model, wanted, FEWEST_LENSES, state.discs)
     state, summary = converge(state, orders)
     own = [k for k, name in enumerate(summary.names) if name not in _NOT_OF_LATTICE]
     errors = LatticeErrors(tuple(summary.names[k] for k in own), summary.covariance[np.ix_(own, own)])
@@ -98,6 +104,10 @@ def fit_discs(tones: NDArray[np.float32], lattice: Lattice, pixels: float = 3.2e
         state.model.lattice, state.model.cat_eye, summary.residual, errors, summary.used,
         halves_differ(summary),
     )  # fmt: skip
+
+
+def _pixels(state: FitState) -> float:
+    return len(state.indices) * abs(float(np.linalg.det(state.model.lattice.basis)))
 
 
 def _with_orders(state: FitState) -> tuple[FitState, tuple[str, ...]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from statistics import NormalDist
 
 import numpy as np
@@ -33,21 +34,13 @@ _SLOW = 0.01
 # Edges that run alike are never blurred quite alike.
 _MOST_SHARED = 0.98
 _NODES = (
-    -0.9324695142031521,
-    -0.6612093864662645,
-    -0.2386191860831969,
-    0.2386191860831969,
-    0.6612093864662645,
-    0.9324695142031521,
-)
+    -0.9324695142031521, -0.6612093864662645, -0.2386191860831969,
+    0.2386191860831969, 0.6612093864662645, 0.9324695142031521,
+)  # fmt: skip
 _WEIGHTS = (
-    0.17132449237917036,
-    0.3607615730481386,
-    0.46791393457269104,
-    0.46791393457269104,
-    0.3607615730481386,
-    0.17132449237917036,
-)
+    0.17132449237917036, 0.3607615730481386, 0.46791393457269104,
+    0.46791393457269104, 0.3607615730481386, 0.17132449237917036,
+)  # fmt: skip
 # In the even inside of a microimage one pixel in so many is looked at, where that inside has at least this radius [px],
 # and up to so far [px] from its edge.
 _THINNED = 4
@@ -113,6 +106,11 @@ class Discs:
     edge: NDArray[np.bool_]
     shared: float
     dark: float
+
+    @cached_property
+    def steps(self) -> DiscSteps:
+        """Least squares about this model."""
+        return disc_steps(self)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .disc_model import Discs, DiscSteps, disc_steps, edge_of, first_level
+from .disc_model import Discs, DiscSteps, edge_of, first_level
 from .disc_parameters import DiscModel, design, field_of, moved
 from .errors import CalibrationError
 from .fit import cell_faces, whole_lenses
@@ -29,8 +29,10 @@ _PASSES = 15
 # Weights that follow the residuals for longer would keep the fit from settling.
 _FREE_PASSES = 5
 _ROBUST_TURNS = 3
-# Steps below this share of the standard error change nothing.
-_SETTLED = 0.3
+# Steps below this share of the standard error change nothing, nor does what is to come after steps that shrink as fast
+# as the last two where that is below the second share.
+_SETTLED, _TO_COME = 0.3, 0.1
+_STEADY = 0.5
 _RUNAWAY = 0.05
 # A microimage darker than this share of a bright one is none: the array does not fill the sensor.
 _DARK = 0.03
@@ -44,11 +46,12 @@ _OF_LENSES = ("light", "corners", "centres", "cut", "gain", "trust", "tilt")
 
 @dataclass(frozen=True)
 class FitState:
-    """The model and the lenses that take part."""
+    """The model, the lenses that take part, and the standard error of a centre by the last fit, RMS [px]."""
 
     model: DiscModel
     indices: NDArray[np.int64]
     discs: Discs
+    uncertainty: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ def open_lenses(
             dark=known.dark,
         )
     state = placed(FitState(model, indices, discs))
-    steps = disc_steps(state.discs)
+    steps = state.discs.steps
     if known is not None:
         own = np.clip(steps.right[:, -1] / np.maximum(steps.normal[:, -1, -1], 1e-30), -0.5, 1)
         state = replace(state, discs=replace(state.discs, gain=state.discs.gain * (1 + own)))
@@ -178,7 +181,7 @@ def _weighted(state: FitState, steps: DiscSteps) -> FitState:
 
 def with_profile(state: FitState) -> tuple[FitState, float]:
     """The state with the profile that fits it, and the cost it had before."""
-    steps = disc_steps(state.discs)
+    steps = state.discs.steps
     level = state.discs.level + np.linalg.pinv(steps.profile, rcond=1e-9, hermitian=True) @ steps.force
     return replace(
         state, discs=replace(state.discs, level=level, edge=edge_of(level), dark=_dark(level, edge_of(level)))
@@ -193,12 +196,14 @@ def _dark(level: NDArray[np.float64], edge: NDArray[np.bool_]) -> float:
 
 def misfit(state: FitState, standard: FitState) -> float:
     """Mean squared residual with the weights of `standard`."""
-    return disc_steps(replace(state.discs, weight=standard.discs.weight, trust=standard.discs.trust)).cost
+    if state.discs is standard.discs:
+        return state.discs.steps.cost
+    return replace(state.discs, weight=standard.discs.weight, trust=standard.discs.trust).steps.cost
 
 
 def converge(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSummary]:
     """Gauss-Newton until nothing moves any more."""
-    start = state.model.lattice.basis
+    start, before = state.model.lattice.basis, 0.0
     for turn in range(_PASSES):
         try:
             state, summary = _stepped(state, orders, turn >= _FREE_PASSES)
@@ -206,9 +211,12 @@ def converge(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSum
             raise CalibrationError("the microimages show no edges; give a sharper flat or a white image") from error
         if not np.abs(state.model.lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
-        if summary.moved < _SETTLED * summary.uncertainty:
+        shrinks = summary.moved / max(before, 1e-30)
+        to_come = summary.moved * shrinks / (1 - shrinks) if shrinks < _STEADY else np.inf
+        if summary.moved < _SETTLED * summary.uncertainty or to_come < _TO_COME * summary.uncertainty:
             break
-    return state, summary
+        before = summary.moved
+    return replace(state, uncertainty=summary.uncertainty), summary
 
 
 def _without_gain(steps: DiscSteps, level: NDArray[np.float64]) -> _Reduced:
@@ -232,7 +240,7 @@ def _stepped(state: FitState, orders: tuple[str, ...], frozen: bool = False) -> 
     `frozen` leaves weights, the range of the edge and the light between microimages as they are.
     """
     columns, names = design(state.model, state.indices, orders)
-    steps = disc_steps(state.discs)
+    steps = state.discs.steps
     reduced = _without_gain(steps, state.discs.level)
     change, covariance, weight = _pooled(columns, reduced, slice(None))
     place, local = columns[:, :2], columns @ change
@@ -309,7 +317,7 @@ def halves_differ(summary: FitSummary) -> float:
 def promise(state: FitState, orders: tuple[str, ...]) -> float:
     """RMS distance [px] by which the first step with these parameters would move the centres."""
     columns, _ = design(state.model, state.indices, orders)
-    change = _pooled(columns, _without_gain(disc_steps(state.discs), state.discs.level), slice(None))[0]
+    change = _pooled(columns, _without_gain(state.discs.steps, state.discs.level), slice(None))[0]
     return float(np.sqrt(((columns[:, :2] @ change) ** 2).sum(1).mean()))
 
 
