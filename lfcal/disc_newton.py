@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from .disc_model import Discs, DiscSteps, edge_of, first_level
 from .disc_parameters import DiscModel, design, field_of, moved
 from .errors import CalibrationError
-from .fit import cell_faces, whole_lenses
+from .fit import cell_faces
 from .lattice import Lattice
 from .lit_lenses import lit_lenses
+from .parts import Parts
 from .windows import cut_windows
 
 __all__ = [
@@ -79,18 +80,20 @@ class FitSummary:
     reduced: _Reduced
 
 
-def open_lenses(
-    tones: NDArray[np.float32], model: DiscModel, pixels: float, fewest: int, known: Discs | None
-) -> FitState:
+def open_lenses(tones: Parts, model: DiscModel, pixels: float, fewest: int, known: Discs | None) -> FitState:
     """Lenses of about so many pixels in all, but at least so many, with gains from their cores."""
     lattice = model.lattice
     faces, reach = cell_faces(lattice)
-    indices, centres = lit_lenses(tones, lattice, *whole_lenses(lattice, reach + 2), np.sqrt(_DARK))
+    indices, centres, part = tones.lenses(lattice, reach + 2)
+    offset = tones.offsets[part]
+    alight = lit_lenses(tones.picture, lattice, indices, centres - offset, np.sqrt(_DARK))
+    indices, centres, offset = indices[alight], centres[alight], offset[alight]
     every = max(1.0, len(centres) * abs(np.linalg.det(lattice.basis)) / pixels)
     every = max(1.0, min(every, len(centres) / fewest))
     chosen = np.arange(len(centres)) * _GOLDEN % 1 < 1 / every
-    indices, centres = indices[chosen], np.ascontiguousarray(centres[chosen])
-    light, corners = cut_windows(tones, centres, reach + 2)
+    indices, centres, offset = indices[chosen], np.ascontiguousarray(centres[chosen]), offset[chosen]
+    light, corners = cut_windows(tones.picture, centres - offset, reach + 2)
+    corners += offset
     inner = float(0.5 / np.hypot(*faces.T).max())
     core, middle = max(1, int(0.4 * inner)), light.shape[1] // 2
     gain = light[:, middle - core : middle + core + 1, middle - core : middle + core + 1].mean((1, 2)).astype(float)

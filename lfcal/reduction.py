@@ -15,7 +15,7 @@ from .gain_map import GainMap
 from .lattice import Lattice
 from .vignetting import Vignetting
 
-__all__ = ["block_size", "enlarged", "reduced"]
+__all__ = ["block_size", "enlarged", "is_large", "reduced"]
 
 # Flats with more pixels than this are reduced, down to about so many, as long as the pitch stays this long [px].
 _LARGE = 4.8e7
@@ -23,7 +23,7 @@ _ENOUGH = 1.6e7
 _LEAST_PITCH = 9.0
 # Side of the part in the middle in which the pitch is looked for [px], and rows that are averaged at a time.
 _MIDDLE = 2400
-_ROWS = 512
+_ROWS = 32
 
 
 def block_size(flat: NDArray[Any]) -> int:
@@ -47,6 +47,11 @@ def block_size(flat: NDArray[Any]) -> int:
     block = max(1, min(int(pitch / _LEAST_PITCH), round(np.sqrt(height * width / _ENOUGH))))
     # Whole cells of a colour mosaic average to grey.
     return block - block % 2 if block > 1 and middle.ndim == 2 and has_mosaic(middle) else block
+
+
+def is_large(size: tuple[int, int], block: int) -> bool:
+    """Whether a flat of `size` (width, height) is large even when reduced."""
+    return size[0] * size[1] / block**2 >= _LARGE
 
 
 def reduced(flat: NDArray[Any], block: int) -> NDArray[np.float32]:
