@@ -1,7 +1,7 @@
 """First lattice of a large white image: found in one piece of the flat, then followed outwards over all of it.
 
-A fit needs some lenses from all over the field, not every pixel. Pieces at twice the distance each time are near enough
-to what is known for a distortion to be seen before it has moved centres to the next lens.
+A fit needs some lenses from all over the field, not every pixel. Pieces are taken ever farther out, each time so near
+to what is known that a distortion is seen before it has moved centres to the next lens.
 """
 
 from __future__ import annotations
@@ -25,12 +25,15 @@ __all__ = ["first_of_large", "first_of_white", "grid_parts", "look_at", "some_pa
 
 # Side of the piece in which the lattice is looked for [px]; at least so many pitches must be in it.
 _PIECE = 1024
-_PERIODS = 16
+_PERIODS = 12
 # Two halves of a piece must show average microimages that correlate at least so much.
 _REPEATS = 0.8
 # Side of the pieces in which it is followed, in pitches and px, and of those by which white images are told.
 _FOLLOW = (14, 256)
 _WIDE = 2.0
+# From the pieces so far to the next ones. A cubic that moves centres by hardly a hundredth px within those then moves
+# them by a sixth here.
+_FARTHER = 2.5
 # Flats of more pixels than this are large.
 _LARGE = 6e6
 # Side [px] and pixels of the parts that stand for a flat too large to be held as a whole.
@@ -141,7 +144,7 @@ def first_of_white(look: Look, size: tuple[int, int], sure: bool, tries: int) ->
                 one = _Piece(int(np.clip(x, 0, size[0] - side)), int(np.clip(y, 0, size[1] - side)), side)
                 if all(one.apart(other) for other in pieces):
                     pieces.append(one)
-        distance *= 2
+        distance *= _FARTHER
         if len(pieces) == known:
             break
         try:

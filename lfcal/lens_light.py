@@ -176,6 +176,8 @@ def lens_lights(picture: NDArray[np.float32] | Look, lattice: Lattice, fit: Gain
     level = _level(np.log(np.maximum(lights, 1e-12)), lit & (weight > 0.3 * np.median(weight[seen])), centres, lattice)
     smooth = np.empty(len(centres), np.float32)
     field_level(centres, frame(lattice), level, smooth)
+    # Far from all light a polynomial may fall to nothing.
+    np.maximum(smooth, np.float32(1e-30), out=smooth)
     single = _errors(fit, centres, lattice)
     error = single / np.sqrt(np.maximum(weight, 1e-9))
     # Dust makes a lens darker in parts, which is no light of the lens.
