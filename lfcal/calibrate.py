@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +14,8 @@ from .calibration import Calibration
 from .errors import CalibrationError
 
 if TYPE_CHECKING:
-    from .lens_types import LensTypes
+    from .lattice_fit import FinalLattice
+    from .parts import Look, Parts
     from .search import FirstLattice
 
 __all__ = ["calibrate"]
@@ -52,8 +53,9 @@ def calibrate(
     Returns
     -------
     Calibration
-        Flats of more than 48 megapixels with pitches above 18 px are averaged in square blocks of pixels first: their
-        defects name no single pixels.
+        Flats of more than 48 megapixels are averaged in square blocks of pixels first, or, where their pitch is too
+        short for that and they are white images, calibrated on parts of them and a look at each lens: their defects
+        name no single pixels.
         Its `confidence` is the weakest of several independent tests; below 0.7 there is also a warning.
 
     Raises
@@ -66,44 +68,94 @@ def calibrate(
     if kind not in ("auto", "white", "scene"):
         raise ValueError(f"kind must be 'auto', 'white' or 'scene', got {kind!r}")
     # Compiled code is loaded only when a flat is there to be calibrated.
-    from .captures import checked_flats, white_or_scene
-    from .features import luminance, tone
-    from .illumination import measure_illumination
-    from .lattice_fit import fit_on_scenes, fit_on_white
-    from .reduction import block_size, enlarged, reduced
-    from .type_search import find_lens_types
+    from .captures import checked_flats
+    from .features import luminance
+    from .reduction import block_size, enlarged, is_large, reduced
 
     flats = checked_flats(image)
     for flat in flats:
         check_mosaic(mosaic, flat)
-    block = block_size(flats[0])
-    if block > 1:
-        height, width = flats[0].shape[:2]
-        camera = calibrate([reduced(flat, block) for flat in flats], kind)
-        return replace(enlarged(camera, block, (width, height)), mosaic=mosaic)
     filtered = mosaic is not None or all(flat.ndim == 2 and has_mosaic(flat) for flat in flats)
-    lights = [equalise(flat) if filtered else luminance(flat) for flat in flats]
+    size = flats[0].shape[1], flats[0].shape[0]
+    found: _Found | None = None
+    block = block_size(flats[0])
+    if is_large(size, block) and len(flats) == 1 and kind != "scene":
+        found = _found_in_parts(flats[0], kind, filtered)
+    if found is None and block > 1:
+        camera = calibrate([reduced(flat, block) for flat in flats], kind)
+        return replace(enlarged(camera, block, size), mosaic=mosaic)
+    if found is None:
+        found = _found_on_all([equalise(flat) if filtered else luminance(flat) for flat in flats], kind, filtered)
+    camera = _measured(found)
+    warnings = (*camera.warnings, *_warnings(camera, found.fit.halves_differ, filtered and mosaic is None))
+    return replace(camera, mosaic=mosaic, warnings=warnings)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The lattice of a camera, and what it was found on: the `tone` of a flat, or parts of it and a look at all."""
+
+    picture: NDArray[np.float32] | Parts
+    white: bool
+    start: FirstLattice
+    fit: FinalLattice
+    look: Look | None = None
+
+
+def _found_in_parts(flat: NDArray[Any], kind: str, filtered: bool) -> _Found | None:
+    """The lattice of a white image from parts of it; None where it is none."""
+    from .large_white import first_of_white, look_at, some_parts
+    from .lattice_fit import fit_on_white
+
+    look = look_at(flat, filtered)
+    start = first_of_white(look, (flat.shape[1], flat.shape[0]), kind == "white", tries=9)
+    if start is None:
+        return None
+    parts, look = some_parts(look, start.lattice)
+    return _Found(parts, True, start, fit_on_white(parts, start), look)
+
+
+def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) -> _Found:
+    """The lattice from whole flats."""
+    from .captures import white_or_scene
+    from .features import tone
+    from .lattice_fit import fit_on_scenes, fit_on_white
+
+    single = tone(lights[0]) if len(lights) == 1 else None
+    if single is not None and kind != "scene" and not filtered:
+        from .large_white import first_of_large
+
+        ahead = first_of_large(single, kind == "white")
+        if ahead is not None:
+            return _Found(single, True, ahead, fit_on_white(single, ahead))
     if len(lights) > 1:
         lights = _telling(lights)
-    start = _first(lights, filtered)
+    start = _first(lights, filtered, single)
     white, lights = white_or_scene(lights, start, kind)
     if white:
-        picture = tone(_white_sum(lights))
-        fit = fit_on_white(picture, start)
-    else:
-        lights = [without_mosaic(light) for light in lights] if filtered else lights
-        picture = tone(_mean_scene(lights))
-        fit = fit_on_scenes(lights, picture, start)
+        picture = tone(_white_sum(lights)) if single is None else single
+        return _Found(picture, True, start, fit_on_white(picture, start))
+    if filtered:
+        lights = [without_mosaic(light) for light in lights]
+    picture = tone(_mean_scene(lights)) if single is None or filtered else single
+    return _Found(picture, False, start, fit_on_scenes(lights, picture, start))
+
+
+def _measured(found: _Found) -> Calibration:
+    """The camera with what else its flat shows."""
+    from .illumination import measure_illumination
+    from .type_search import find_lens_types
+
+    fit, picture, white = found.fit, found.picture, found.white
     pitch = fit.lattice.pitch
     if not fit.halves_differ < _SCATTERED * pitch:
         raise CalibrationError(
             f"two halves of the microimages of {pitch:.1f} px pitch disagree about the lattice; "
             "give a sharper flat or a white image"
         )
-    seen = measure_illumination(picture, fit.lattice, white, fit.cat_eye)
+    seen = measure_illumination(picture, fit.lattice, white, fit.cat_eye, found.look)
     lattice = replace(fit.lattice, radius=seen.radius)
-    types = find_lens_types(picture, lattice, white)
-    confidence = float(np.clip(min(start.repeatability, 1 - fit.halves_differ / (_SCATTERED * pitch)), 0, 1))
+    confidence = float(np.clip(min(found.start.repeatability, 1 - fit.halves_differ / (_SCATTERED * pitch)), 0, 1))
     return Calibration(
         lattice=lattice,
         vignetting=seen.vignetting,
@@ -111,9 +163,8 @@ def calibrate(
         residual_rms=fit.residual_rms,
         lenses_used=fit.lenses_used,
         confidence=confidence,
-        warnings=(*seen.warnings, *_warnings(confidence, fit.halves_differ, types, filtered and mosaic is None)),
-        lens_types=types,
-        mosaic=mosaic,
+        warnings=seen.warnings,
+        lens_types=find_lens_types(picture, lattice, white),
         gain_map=seen.gain_map,
         defects=seen.defects,
         errors=fit.errors,
@@ -121,9 +172,10 @@ def calibrate(
     )
 
 
-def _warnings(confidence: float, differ: float, types: LensTypes | None, unknown_mosaic: bool) -> list[str]:
+def _warnings(camera: Calibration, differ: float, unknown_mosaic: bool) -> list[str]:
     """What a user should know before trusting the camera."""
     warnings = []
+    confidence, types = camera.confidence, camera.lens_types
     if confidence < _SURE:
         warnings.append(
             f"the lattice is uncertain (confidence {confidence:.2f}, halves of the flat differ by {differ:.2f} px); "
@@ -161,15 +213,18 @@ def _mean_scene(lights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
     return mean_scene(lights) if len(lights) > 1 else lights[0]
 
 
-def _first(lights: list[NDArray[np.float32]], filtered: bool) -> FirstLattice:
-    """First lattice on the mean of the lights, or on the first of them that shows one by itself."""
+def _first(lights: list[NDArray[np.float32]], filtered: bool, single: NDArray[np.float32] | None) -> FirstLattice:
+    """First lattice on the mean of the lights, or on the first of them that shows one by itself.
+
+    `single` is the tone of the only one.
+    """
     from .features import tone
     from .search import NO_MICROIMAGES, first_lattice
 
     error: CalibrationError | None = None
     tries = [lambda: _mean_scene(lights)] + [lambda light=light: light for light in lights] * (len(lights) > 1)
     for light in tries:
-        picture = tone(without_mosaic(light()) if filtered else light())
+        picture = tone(without_mosaic(light()) if filtered else light()) if single is None or filtered else single
         try:
             if float(picture.max()) == 0 or float(picture.std()) < _EVEN * float(picture.mean()):
                 raise CalibrationError(

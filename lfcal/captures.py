@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from .errors import FlatError
 from .fit import RadialProfile, radial_profile
 from .lattice import Lattice
+from .parts import Parts
 from .search import FirstLattice
 
 __all__ = ["checked_flats", "evenly_lit", "white_or_scene"]
@@ -76,14 +77,15 @@ def white_or_scene(
     return (True, whites) if whites else (False, lights)
 
 
-def evenly_lit(brightness: NDArray[np.float32], light: NDArray[np.float32], lattice: Lattice) -> bool:
+def evenly_lit(brightness: NDArray[np.float32] | Parts, light: NDArray[np.float32], lattice: Lattice) -> bool:
     """Whether the insides of lit microimages vary by little against the depth of the gaps between them.
 
     Parameters
     ----------
-    brightness : (h, w) float32
+    brightness : (h, w) float32, or parts of such
         Locally levelled.
     light : (h, w) float32
+        Of the flat, or of these parts.
     lattice : Lattice [px]
     """
     return (

@@ -19,14 +19,19 @@ from .distortion import Distortion
 from .errors import CalibrationError
 from .lattice import Lattice
 from .lattice_errors import LatticeErrors
+from .parts import Parts
 from .residuals import Residuals
 
-__all__ = ["DiscFit", "fit_discs"]
+__all__ = ["DiscFit", "fit_discs", "followed"]
 
 # Pixels, and least number of lenses, with which a cutting disc is looked for, and with which the orders of the model
 # are chosen.
 _FEW = (1e5, 150)
 _SOME = (6e5, 400)
+# Flats of so many pixels are used whole. Of larger ones, so many lenses are enough that centres have this standard
+# error [px]: a hundredth of what any use of them could tell.
+_ALL = 4e6
+_FINE = 3e-4
 # Further orders must move centres by so many px (RMS) and by so many standard errors, and lower the misfit by this
 # share. Less is no matter to anyone and may be the model's fault. The first step shows about how far they will.
 _BENT = 0.01
@@ -66,35 +71,40 @@ class DiscFit:
     residuals: Residuals
 
 
-def fit_discs(tones: NDArray[np.float32], lattice: Lattice, pixels: float = 3.2e6) -> DiscFit:
+def fit_discs(tones: NDArray[np.float32] | Parts, lattice: Lattice, pixels: float = 3.2e6) -> DiscFit:
     """Fit a white image.
 
     Parameters
     ----------
-    tones : (h, w) float32
+    tones : (h, w) float32, or parts of such
         Square root of the light (`features.tone`).
     lattice : Lattice [px]
-        Start, right to a fraction of the pitch over the whole flat.
+        Start, right to a fraction of the pitch over the whole flat. The orders of its distortion, if any, are kept.
     pixels : float
-        Use only as many lenses, evenly spread, as have so many pixels in all.
+        Use at most as many lenses, evenly spread, as have so many pixels in all.
 
     Raises
     ------
     CalibrationError
         If fewer than a dozen whole microimages are on the flat, or they keep to no lattice.
     """
+    tones, known = Parts.of(tones), _known_orders(lattice)
     state = open_lenses(tones, DiscModel(lattice, None), *_FEW, None)
-    state, _ = converge(state, ())
-    state = with_cut(state, _better(state, (), _bent(state), ("k1",))[0], ())
+    state, _ = converge(state, known)
+    state = with_cut(state, state if known else _better(state, (), _bent(state), ("k1",))[0], known)
     state = open_lenses(tones, state.model, *_SOME, state.discs)
-    state, _ = converge(state, ())
+    state, _ = converge(state, known)
     if state.model.cat_eye is not None:
         state = settled_roles(state)
-    state, orders = _with_orders(state)
-    if state.model.cat_eye is None and orders:
+    state, orders = _with_orders(state, known)
+    if state.model.cat_eye is None and orders and not known:
         state = with_cut(state, state, orders)
     state, orders = without_idle_cut(state, orders)
-    state = open_lenses(tones, state.model, pixels, FEWEST_LENSES, state.discs)
+    wanted = (
+        pixels if np.prod(lattice.image_size) < _ALL else min(pixels, _pixels(state) * (state.uncertainty / _FINE) ** 2)
+    )
+    if wanted > _pixels(state):
+        state = open_lenses(tones, state.model, wanted, FEWEST_LENSES, state.discs)
     state, summary = converge(state, orders)
     own = [k for k, name in enumerate(summary.names) if name not in _NOT_OF_LATTICE]
     errors = LatticeErrors(tuple(summary.names[k] for k in own), summary.covariance[np.ix_(own, own)])
@@ -105,15 +115,52 @@ def fit_discs(tones: NDArray[np.float32], lattice: Lattice, pixels: float = 3.2e
     )  # fmt: skip
 
 
-def _with_orders(state: FitState) -> tuple[FitState, tuple[str, ...]]:
-    """The state with the further parameters that the pixels ask for, and their names."""
-    orders: tuple[str, ...] = ()
+def _pixels(state: FitState) -> float:
+    return len(state.indices) * abs(float(np.linalg.det(state.model.lattice.basis)))
+
+
+def followed(tones: Parts, lattice: Lattice) -> Lattice:
+    """The lattice fitted to some lenses, with a distortion where they ask for one: a start for a larger part of a flat.
+
+    Parameters
+    ----------
+    tones : Parts
+        Square root of the light (`features.tone`).
+    lattice : Lattice [px]
+        Right to a fraction of the pitch in these parts.
+
+    Raises
+    ------
+    CalibrationError
+        As for `fit_discs`.
+    """
+    known = _known_orders(lattice)
+    state, _ = converge(open_lenses(tones, DiscModel(lattice, None), *_FEW, None), known)
+    if not known:
+        state, known = _better(state, (), _bent(state), ("k1",))
+    if "general" not in known:
+        state, known = _better(state, known, _bent(state, np.zeros((2, 7))), ("general",))
+    return state.model.lattice
+
+
+def _known_orders(lattice: Lattice) -> tuple[str, ...]:
+    """Names of the parameters that a lattice is distorted by."""
+    bend = lattice.distortion
+    return () if bend is None else ("k1",) if bend.general is None else ("general",)
+
+
+def _with_orders(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, tuple[str, ...]]:
+    """The state with the further parameters that the pixels ask for, and their names, those it has in front."""
     if state.model.cat_eye is not None:
         for name in ("growth2", "growth3"):
             state, orders = _better(state, orders, state, (*orders, name))
     cut, straight = orders, state
     for name in ("k1", "centre", "k2"):
         before = orders
+        if "general" in orders:
+            return state, orders
+        if name in orders:
+            continue
         state, orders = _better(state, orders, _bent(state) if name == "k1" else state, (*orders, name))
         if orders == before:
             break
@@ -124,8 +171,13 @@ def _with_orders(state: FitState) -> tuple[FitState, tuple[str, ...]]:
 
 
 def _bent(state: FitState, general: NDArray[np.float64] | None = None) -> FitState:
-    """The state with a distortion of no strength."""
+    """The state with a distortion of no strength, or beside the one it has with a general one of none."""
     lattice = state.model.lattice
+    if lattice.distortion is not None:
+        if general is None or lattice.distortion.general is not None:
+            return state
+        bend = replace(lattice.distortion, general=general, middle=(np.array(lattice.image_size) - 1) / 2)
+        return replace(state, model=replace(state.model, lattice=replace(lattice, distortion=bend)))
     middle, reach = (np.array(lattice.image_size) - 1) / 2, float(np.hypot(*lattice.image_size) / 2)
     bend = Distortion(middle, 0.0, 0.0, reach, general, middle)
     return replace(state, model=replace(state.model, lattice=replace(lattice, distortion=bend)))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from statistics import NormalDist
 
 import numpy as np
@@ -33,21 +34,13 @@ _SLOW = 0.01
 # Edges that run alike are never blurred quite alike.
 _MOST_SHARED = 0.98
 _NODES = (
-    -0.9324695142031521,
-    -0.6612093864662645,
-    -0.2386191860831969,
-    0.2386191860831969,
-    0.6612093864662645,
-    0.9324695142031521,
-)
+    -0.9324695142031521, -0.6612093864662645, -0.2386191860831969,
+    0.2386191860831969, 0.6612093864662645, 0.9324695142031521,
+)  # fmt: skip
 _WEIGHTS = (
-    0.17132449237917036,
-    0.3607615730481386,
-    0.46791393457269104,
-    0.46791393457269104,
-    0.3607615730481386,
-    0.17132449237917036,
-)
+    0.17132449237917036, 0.3607615730481386, 0.46791393457269104,
+    0.46791393457269104, 0.3607615730481386, 0.17132449237917036,
+)  # fmt: skip
 # In the even inside of a microimage one pixel in so many is looked at, where that inside has at least this radius [px],
 # and up to so far [px] from its edge.
 _THINNED = 4
@@ -114,6 +107,11 @@ class Discs:
     shared: float
     dark: float
 
+    @cached_property
+    def steps(self) -> DiscSteps:
+        """Least squares about this model."""
+        return disc_steps(self)
+
 
 @dataclass(frozen=True)
 class DiscSteps:
@@ -149,7 +147,7 @@ class DiscSteps:
     cost: float
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _outside(dx, dy, faces):
     for face in range(faces.shape[0]):  # noqa: SIM110
         if dx * faces[face, 0] + dy * faces[face, 1] > 0.5:
@@ -157,7 +155,7 @@ def _outside(dx, dy, faces):
     return False
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _transmission(dx, dy, radius, soft):
     """Light through the cutting disc, its slope [1/px], distance to the disc's centre, depth in units of soft."""
     far = math.sqrt(dx * dx + dy * dy)
@@ -169,7 +167,7 @@ def _transmission(dx, dy, radius, soft):
     return 0.5 * (1 + math.erf(depth * _ROOT_HALF)), math.exp(-0.5 * depth * depth) / (_ROOT_TAU * soft), far, depth
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _both(alpha, beta, shared):
     """Light through two edges at once, in units of their blur, and its change with each of them over that alone.
 
@@ -192,13 +190,13 @@ def _both(alpha, beta, shared):
     return joint, with_first, with_second
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _rows(centre, reach, corner, side):
     """First and last but one row of a window within reach of the centre."""
     return max(int(np.ceil(centre - reach)) - corner, 0), min(int(np.floor(centre + reach)) + 1 - corner, side)
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, chunks, total, count):
     lenses, side = light.shape[0], light.shape[1]
     for chunk in prange(chunks):
@@ -223,7 +221,7 @@ def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, 
                     count[chunk, ring + 1] += part
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _accumulate_steps(
     light, corners, centres, cut, gain, trust, tilt, radius, soft, faces, inner, reach, step, level, slope, weight,
     four, edge, even, depths, shared, dark, chunks, normal, right, mixed, band, squares, count, scatter,

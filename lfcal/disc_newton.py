@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .disc_model import Discs, DiscSteps, disc_steps, edge_of, first_level
+from .disc_model import Discs, DiscSteps, edge_of, first_level
 from .disc_parameters import DiscModel, design, field_of, moved
 from .errors import CalibrationError
-from .fit import cell_faces, whole_lenses
+from .fit import cell_faces
 from .lattice import Lattice
 from .lit_lenses import lit_lenses
+from .parts import Parts
 from .windows import cut_windows
 
 __all__ = [
@@ -29,8 +30,10 @@ _PASSES = 15
 # Weights that follow the residuals for longer would keep the fit from settling.
 _FREE_PASSES = 5
 _ROBUST_TURNS = 3
-# Steps below this share of the standard error change nothing.
-_SETTLED = 0.3
+# Steps below this share of the standard error change nothing, nor does what is to come after steps that shrink as fast
+# as the last two where that is below the second share.
+_SETTLED, _TO_COME = 0.3, 0.1
+_STEADY = 0.5
 _RUNAWAY = 0.05
 # A microimage darker than this share of a bright one is none: the array does not fill the sensor.
 _DARK = 0.03
@@ -50,11 +53,12 @@ _OF_LENSES = ("light", "corners", "centres", "cut", "gain", "trust", "tilt")
 
 @dataclass(frozen=True)
 class FitState:
-    """The model and the lenses that take part."""
+    """The model, the lenses that take part, and the standard error of a centre by the last fit, RMS [px]."""
 
     model: DiscModel
     indices: NDArray[np.int64]
     discs: Discs
+    uncertainty: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -86,18 +90,20 @@ class FitSummary:
     miss: NDArray[np.float64]
 
 
-def open_lenses(
-    tones: NDArray[np.float32], model: DiscModel, pixels: float, fewest: int, known: Discs | None
-) -> FitState:
+def open_lenses(tones: Parts, model: DiscModel, pixels: float, fewest: int, known: Discs | None) -> FitState:
     """Lenses of about so many pixels in all, but at least so many, with gains from their cores."""
     lattice = model.lattice
     faces, reach = cell_faces(lattice)
-    indices, centres = lit_lenses(tones, lattice, *whole_lenses(lattice, reach + 2), np.sqrt(_DARK))
+    indices, centres, part = tones.lenses(lattice, reach + 2)
+    offset = tones.offsets[part]
+    alight = lit_lenses(tones.picture, lattice, indices, centres - offset, np.sqrt(_DARK))
+    indices, centres, offset = indices[alight], centres[alight], offset[alight]
     every = max(1.0, len(centres) * abs(np.linalg.det(lattice.basis)) / pixels)
     every = max(1.0, min(every, len(centres) / fewest))
     chosen = np.arange(len(centres)) * _GOLDEN % 1 < 1 / every
-    indices, centres = indices[chosen], np.ascontiguousarray(centres[chosen])
-    light, corners = cut_windows(tones, centres, reach + 2)
+    indices, centres, offset = indices[chosen], np.ascontiguousarray(centres[chosen]), offset[chosen]
+    light, corners = cut_windows(tones.picture, centres - offset, reach + 2)
+    corners += offset
     inner = float(0.5 / np.hypot(*faces.T).max())
     core, middle = max(1, int(0.4 * inner)), light.shape[1] // 2
     gain = light[:, middle - core : middle + core + 1, middle - core : middle + core + 1].mean((1, 2)).astype(float)
@@ -132,7 +138,7 @@ def open_lenses(
             dark=known.dark,
         )
     state = placed(FitState(model, indices, discs))
-    steps = disc_steps(state.discs)
+    steps = state.discs.steps
     if known is not None:
         own = np.clip(steps.right[:, -1] / np.maximum(steps.normal[:, -1, -1], 1e-30), -0.5, 1)
         state = replace(state, discs=replace(state.discs, gain=state.discs.gain * (1 + own)))
@@ -188,7 +194,7 @@ def _weighted(state: FitState, steps: DiscSteps) -> FitState:
 
 def with_profile(state: FitState) -> tuple[FitState, float]:
     """The state with the profile that fits it, and the cost it had before."""
-    steps = disc_steps(state.discs)
+    steps = state.discs.steps
     level = state.discs.level + np.linalg.pinv(steps.profile, rcond=1e-9, hermitian=True) @ steps.force
     return replace(
         state, discs=replace(state.discs, level=level, edge=edge_of(level), dark=_dark(level, edge_of(level)))
@@ -203,12 +209,14 @@ def _dark(level: NDArray[np.float64], edge: NDArray[np.bool_]) -> float:
 
 def misfit(state: FitState, standard: FitState) -> float:
     """Mean squared residual with the weights of `standard`."""
-    return disc_steps(replace(state.discs, weight=standard.discs.weight, trust=standard.discs.trust)).cost
+    if state.discs is standard.discs:
+        return state.discs.steps.cost
+    return replace(state.discs, weight=standard.discs.weight, trust=standard.discs.trust).steps.cost
 
 
 def converge(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSummary]:
     """Gauss-Newton until nothing moves any more."""
-    start = state.model.lattice.basis
+    start, before = state.model.lattice.basis, 0.0
     for turn in range(_PASSES):
         try:
             state, summary = _stepped(state, orders, turn >= _FREE_PASSES)
@@ -216,9 +224,12 @@ def converge(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSum
             raise CalibrationError("the microimages show no edges; give a sharper flat or a white image") from error
         if not np.abs(state.model.lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
-        if summary.moved < _SETTLED * summary.uncertainty:
+        shrinks = summary.moved / max(before, 1e-30)
+        to_come = summary.moved * shrinks / (1 - shrinks) if shrinks < _STEADY else np.inf
+        if summary.moved < _SETTLED * summary.uncertainty or to_come < _TO_COME * summary.uncertainty:
             break
-    return state, summary
+        before = summary.moved
+    return replace(state, uncertainty=summary.uncertainty), summary
 
 
 def _without_gain(steps: DiscSteps, level: NDArray[np.float64]) -> _Reduced:
@@ -242,7 +253,7 @@ def _stepped(state: FitState, orders: tuple[str, ...], frozen: bool = False) -> 
     `frozen` leaves weights, the range of the edge and the light between microimages as they are.
     """
     columns, names = design(state.model, state.indices, orders)
-    steps = disc_steps(state.discs)
+    steps = state.discs.steps
     reduced = _without_gain(steps, state.discs.level)
     change, covariance, weight = _pooled(columns, reduced, slice(None))
     place, local = columns[:, :2], columns @ change
@@ -320,7 +331,7 @@ def halves_differ(summary: FitSummary) -> float:
 def promise(state: FitState, orders: tuple[str, ...]) -> float:
     """RMS distance [px] by which the first step with these parameters would move the centres."""
     columns, _ = design(state.model, state.indices, orders)
-    change = _pooled(columns, _without_gain(disc_steps(state.discs), state.discs.level), slice(None))[0]
+    change = _pooled(columns, _without_gain(state.discs.steps, state.discs.level), slice(None))[0]
     return float(np.sqrt(((columns[:, :2] @ change) ** 2).sum(1).mean()))
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from .errors import CalibrationError
 from .lattice import Lattice
 from .lit_lenses import lit_lenses
+from .parts import Parts, whole_lenses
 
 __all__ = ["LatticeFit", "RadialProfile", "cell_faces", "fit_lattice", "inner_radius", "radial_profile", "whole_lenses"]
 
@@ -196,27 +197,24 @@ def cell_faces(lattice: Lattice) -> tuple[NDArray[np.float64], float]:
     return faces, max(corners)
 
 
-def whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Indices (n, 2) and centres (n, 2) of lenses at least `margin` px inside the flat."""
-    centres, indices = lattice.centres(), lattice.indices()
-    width, height = lattice.image_size
-    limit = np.array([width - 1, height - 1]) - margin
-    keep = ((centres >= margin) & (centres <= limit)).all(1)
-    return indices[keep], centres[keep]
-
-
 def radial_profile(
-    picture: NDArray[np.float32], lattice: Lattice, lenses: int = 1000, light: NDArray[np.float32] | None = None
+    picture: NDArray[np.float32] | Parts,
+    lattice: Lattice,
+    lenses: int = 1000,
+    light: NDArray[np.float32] | None = None,
 ) -> RadialProfile:
-    """Profile of `picture` (h, w) over whole cells of the lattice, about so many of them, evenly spread.
+    """Profile of `picture`, (h, w) or parts, over whole cells of the lattice, about so many of them, evenly spread.
 
-    Where `light` (h, w) is given, lenses that are dark on it are left out.
+    Where `light` (h, w) of the flat or of its parts is given, lenses that are dark on it are left out.
     """
+    parts = Parts.of(picture)
+    picture = parts.picture
     faces, reach = cell_faces(lattice)
-    indices, centres = whole_lenses(lattice, reach + 1)
+    indices, centres, part = parts.lenses(lattice, reach + 1)
+    places = centres - parts.offsets[part]
     if light is not None:
-        _, centres = lit_lenses(light, lattice, indices, centres, _DARK)
-    centres = np.ascontiguousarray(centres[:: max(1, len(centres) // lenses)])
+        places = places[lit_lenses(light, lattice, indices, places, _DARK)]
+    centres = np.ascontiguousarray(places[:: max(1, len(places) // lenses)])
     rings = int(reach / _STEP) + 3
     total, square, count = (np.zeros((_CHUNKS, rings)) for _ in range(3))
     _accumulate_profile(picture, centres, faces, inner_radius(faces), reach, _STEP, _CHUNKS, total, square, count)

@@ -22,6 +22,7 @@ from .gain_map import GainMap, frame
 from .gain_residuals import OUTLIER, Left, Sample, compare, lens_sample
 from .gain_terms import cut_terms, rim_terms, shade_terms
 from .lattice import Lattice
+from .parts import Parts
 from .rim_cut import find_rim_cut
 from .scene_profile import scene_profile
 
@@ -55,12 +56,14 @@ class GainFit:
     windows: NDArray[np.float64]
 
 
-def fit_gain(picture: NDArray[np.float32], lattice: Lattice, scene: bool, cat_eye: CatEye | None = None) -> GainFit:
+def fit_gain(
+    picture: NDArray[np.float32] | Parts, lattice: Lattice, scene: bool, cat_eye: CatEye | None = None
+) -> GainFit:
     """Shape of the microimages of a flat.
 
     Parameters
     ----------
-    picture : (h, w) float32
+    picture : (h, w) float32, or of a white image parts of such
         Square root of the luminance (`features.tone`).
     lattice : Lattice [px]
     scene : bool
@@ -68,7 +71,9 @@ def fit_gain(picture: NDArray[np.float32], lattice: Lattice, scene: bool, cat_ey
     cat_eye : CatEye or None
         The cutting disc where one is known.
     """
-    sample = lens_sample(lattice, _SCENE_PIXELS if scene else _PIXELS)
+    parts = Parts.of(picture)
+    picture = parts.picture
+    sample = lens_sample(lattice, _SCENE_PIXELS if scene else _PIXELS, parts)
     limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
     rings = int(cell_faces(lattice)[1] / _STEP) + 3
     cut: tuple[float, ...] = ()

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from .lattice import Lattice
 
 __all__ = [
-    "BLOCK", "SLOTS", "Walk", "describe", "described", "divide", "fill", "first_lens", "light", "mean_light",
-    "next_lens", "outside", "usable", "walk",
+    "BLOCK", "SLOTS", "Walk", "describe", "described", "divide", "field_level", "fill", "first_lens", "light",
+    "mean_light", "next_lens", "outside", "usable", "walk",
 ]  # fmt: skip
 
 # Where a lens delivers a smaller share of its light, correction would show noise and stray light: nothing is known.
@@ -112,6 +112,19 @@ def describe(cx, cy, field, radius, shade, rim, cut, powers, lens):
         for t in range(rim.shape[1]):
             total += rim[row, t] * powers[t]
         lens[_FIXED + row] = total / radius
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def field_level(centres, field, level, out):
+    """Exponential of a polynomial of the field at places (n, 2)."""
+    powers = np.empty(64)
+    for n in range(centres.shape[0]):
+        x, y = (centres[n, 0] - field[0]) / field[2], (centres[n, 1] - field[1]) / field[2]
+        _monomials(x, y, len(level), powers)
+        total = 0.0
+        for t in range(len(level)):
+            total += level[t] * powers[t]
+        out[n] = math.exp(total)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -11,10 +11,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .fit import cell_faces, inner_radius, whole_lenses
+from .fit import cell_faces, inner_radius
 from .gain_kernels import describe, light, outside
 from .gain_map import GainMap
 from .lattice import Lattice
+from .parts import Parts, whole_lenses
 
 __all__ = ["DIRECTIONS", "OUTLIER", "Left", "Sample", "compare", "lens_sample"]
 
@@ -117,26 +118,27 @@ def _direction(dx, dy):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _compare(
-    picture, centres, first, stride, faces, inner, reach, core, scene, brightest, limit, field, radius, profile, step,
-    shade, rim, cut, slope, rings, normal, right, rims, sector, dark, cut_normal, cut_right,
+    picture, centres, places, first, stride, faces, inner, reach, core, scene, brightest, limit, field, radius,
+    profile, step, shade, rim, cut, slope, rings, normal, right, rims, sector, dark, cut_normal, cut_right,
 ):  # fmt: skip
     powers, lens, features = np.empty(64), np.empty(7 + rim.shape[0]), np.empty(6)
     for window in range(len(first) - 1):
         for n in range(first[window], first[window + 1]):
             cx, cy = centres[n, 0], centres[n, 1]
             describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
+            px, py = places[n, 0], places[n, 1]
             # Pixels left out are others in each lens.
             shift = n % stride
             gain, gx, gy, share = _own_light(
-                picture, cx, cy, shift, stride, core, scene, brightest, lens, profile, step, cut
+                picture, px, py, shift, stride, core, scene, brightest, lens, profile, step, cut
             )
             if share == 0:
                 continue
-            for y in range(math.ceil(cy - reach) + shift, math.floor(cy + reach) + 1, stride):
-                dy = y - cy
+            for y in range(math.ceil(py - reach) + shift, math.floor(py + reach) + 1, stride):
+                dy = y - py
                 half = math.sqrt(max(reach * reach - dy * dy, 0.0))
-                for x in range(math.ceil(cx - half) + (n // stride) % stride, math.floor(cx + half) + 1, stride):
-                    dx = x - cx
+                for x in range(math.ceil(px - half) + (n // stride) % stride, math.floor(px + half) + 1, stride):
+                    dx = x - px
                     r = math.sqrt(dx * dx + dy * dy)
                     if r > inner and outside(dx, dy, faces):
                         continue
@@ -185,7 +187,8 @@ class Sample:
 
     Parameters
     ----------
-    centres : (n, 2) float64 [px]
+    centres, places : (n, 2) float64 [px]
+        On the flat, and in the picture to be read.
     first : (b * a + 1,) int64
         Where each window begins.
     shape : (int, int)
@@ -195,6 +198,7 @@ class Sample:
     """
 
     centres: NDArray[np.float64]
+    places: NDArray[np.float64]
     first: NDArray[np.int64]
     shape: tuple[int, int]
     stride: int
@@ -205,13 +209,20 @@ class Sample:
         return np.array([self.centres[a:b].mean(0) if b > a else (0, 0) for a, b in pairwise(self.first)])
 
 
-def lens_sample(lattice: Lattice, pixels: float) -> Sample:
-    """Sample of lenses with about so many pixels to be compared, but never too few lenses."""
+def lens_sample(lattice: Lattice, pixels: float, parts: Parts | None = None) -> Sample:
+    """Sample of lenses, of those in parts if given, with about so many pixels to be compared, but never too few."""
     cell = abs(float(np.linalg.det(lattice.basis)))
     stride = max(1, int(math.sqrt(cell / _LENS_PIXELS)))
-    _, centres = whole_lenses(lattice, cell_faces(lattice)[1] + 1)
+    margin = cell_faces(lattice)[1] + 1
+    if parts is None:
+        centres = whole_lenses(lattice, margin)[1]
+        places = centres
+    else:
+        _, centres, part = parts.lenses(lattice, margin)
+        places = centres - parts.offsets[part]
     every = max(1.0, min(len(centres) * cell / stride**2 / pixels, len(centres) / _LENSES))
-    centres = centres[np.arange(len(centres)) * _GOLDEN % 1 < 1 / every]
+    chosen = np.arange(len(centres)) * _GOLDEN % 1 < 1 / every
+    centres, places = centres[chosen], places[chosen]
     shrink = min(1.0, math.sqrt(len(centres) / (_FEWEST * _WINDOWS[0] * _WINDOWS[1])))
     shape = max(1, int(_WINDOWS[1] * shrink)), max(1, int(_WINDOWS[0] * shrink))
     size = np.array(lattice.image_size)
@@ -219,7 +230,9 @@ def lens_sample(lattice: Lattice, pixels: float) -> Sample:
     window = row * shape[1] + column
     order = np.argsort(window, kind="stable")
     first = np.searchsorted(window[order], np.arange(shape[0] * shape[1] + 1))
-    return Sample(np.ascontiguousarray(centres[order]), first.astype(np.int64), shape, stride)
+    return Sample(
+        np.ascontiguousarray(centres[order]), np.ascontiguousarray(places[order]), first.astype(np.int64), shape, stride
+    )
 
 
 @dataclass(frozen=True)
@@ -288,9 +301,9 @@ def compare(
     brightest = 0.995 * float(picture.max()) ** 2 if scene else math.inf
     kernel: Any = _compare
     kernel(
-        picture, sample.centres, sample.first, sample.stride, faces, inner_radius(faces), reach, core, scene,
-        brightest, limit**2, *gain.shape(lattice), np.gradient(gain.profile, gain.step), sums, normal, right, rims,
-        sector, dark, cut_normal, cut_right,
+        picture, sample.centres, sample.places, sample.first, sample.stride, faces, inner_radius(faces), reach, core,
+        scene, brightest, limit**2, *gain.shape(lattice), np.gradient(gain.profile, gain.step), sums, normal, right,
+        rims, sector, dark, cut_normal, cut_right,
     )  # fmt: skip
     up, down, square, count = sums
     normal += np.tril(normal, -1).transpose(0, 2, 1)

@@ -15,6 +15,7 @@ from .gain_kernels import mean_light
 from .gain_map import GainMap
 from .lattice import Lattice
 from .lens_light import dark_in_scene, lens_lights
+from .parts import Look, Parts
 from .vignetting import Vignetting
 
 __all__ = ["Illumination", "measure_illumination"]
@@ -46,13 +47,17 @@ class Illumination:
 
 
 def measure_illumination(
-    picture: NDArray[np.float32], lattice: Lattice, white: bool, cat_eye: CatEye | None = None
+    picture: NDArray[np.float32] | Parts,
+    lattice: Lattice,
+    white: bool,
+    cat_eye: CatEye | None = None,
+    look: Look | None = None,
 ) -> Illumination:
     """Gain map, vignetting and defects from a flat.
 
     Parameters
     ----------
-    picture : (h, w) float32
+    picture : (h, w) float32, or of a white image parts of such
         Square root of the luminance (`features.tone`).
     lattice : Lattice [px]
     white : bool
@@ -60,10 +65,17 @@ def measure_illumination(
         no defects but lenses without light amid others.
     cat_eye : CatEye or None
         The disc that cuts microimages, where one is known.
+    look : Look or None
+        At tones of the flat, where `picture` are parts; then lenses without light are the only defects looked for.
     """
     fit = fit_gain(picture, lattice, not white, cat_eye)
     warnings: tuple[str, ...] = ()
-    if white:
+    if isinstance(picture, Parts):
+        assert look is not None
+        lights = lens_lights(look, lattice, fit)
+        gain = lights.gain
+        defects = Defects(lenses=lattice.indices()[lights.dark].astype(np.int32))
+    elif white:
         lights = lens_lights(picture, lattice, fit)
         gain = lights.gain
         defects, warning = find_defects(picture, lattice, gain, lights.brightest, fit, lights.dark)

@@ -17,6 +17,8 @@ __all__ = ["Lattice", "reduce_basis"]
 _NEIGHBOUR_STRETCH = 1.2
 # Squared lengths this near to each other count as equal, so that measured hexagons get the basis of exact ones.
 _SAME_LENGTH = 5e-3
+# Lenses looked at together, so that hardly more memory is needed than for the result.
+_TOGETHER = 1 << 20
 
 
 def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
@@ -138,11 +140,31 @@ class Lattice:
             corners = np.vstack([corners[a] + along * (corners[b] - corners[a]) for a, b in pairs])
         bounds = self.to_index(corners)
         low, high = np.floor(bounds.min(0)).astype(int), np.ceil(bounds.max(0)).astype(int)
-        i, j = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1), indexing="xy")
-        ij = np.column_stack([i.ravel(), j.ravel()])
-        centres = self.points(ij)
-        inside = ((centres >= -0.5) & (centres < np.array([width, height]) - 0.5)).all(1)
-        return ij[inside]
+        rows = np.arange(low[1], high[1] + 1)
+        first, last = self._ends(rows, low[0], high[0])
+        found = []
+        block = max(1, _TOGETHER // (high[0] - low[0] + 1))
+        for start in range(0, len(rows), block):
+            few = slice(start, start + block)
+            count = np.maximum(last[few] - first[few] + 1, 0)
+            i = np.arange(count.sum()) + np.repeat(first[few] - np.cumsum(count) + count, count)
+            ij = np.column_stack([i, np.repeat(rows[few], count)])
+            centres = self.points(ij)
+            inside = ((centres >= -0.5) & (centres < np.array([width, height]) - 0.5)).all(1)
+            found.append(ij[inside])
+        return np.concatenate(found)
+
+    def _ends(self, rows: NDArray[np.int64], low: int, high: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First and last `i` (n,) from `low` to `high` between which all lenses of rows `j` (n,) on the flat are."""
+        first, last = np.full(len(rows), float(low)), np.full(len(rows), float(high))
+        if self.distortion is None:
+            for axis in range(2):
+                step = self.basis[0, axis]
+                if abs(step) > 1e-6 * np.abs(self.basis).max():
+                    start = self.origin[axis] + rows * self.basis[1, axis]
+                    ends = np.sort([(-0.5 - start) / step, (self.image_size[axis] - 0.5 - start) / step], axis=0)
+                    first, last = np.maximum(first, ends[0] - 1), np.minimum(last, ends[1] + 1)
+        return np.floor(first).astype(np.int64), np.ceil(last).astype(np.int64)
 
     def indices(self) -> NDArray[np.int64]:
         """(n, 2) lattice indices `i, j` of all microimages whose centre lies on the flat, rows of `j` in order."""
@@ -150,7 +172,12 @@ class Lattice:
 
     def centres(self) -> NDArray[np.float64]:
         """(n, 2) float64 centres `x, y` [px], in the order of `indices()`."""
-        return self.points(self._indices)
+        if len(self) <= _TOGETHER:
+            return self.points(self._indices)
+        centres = np.empty((len(self), 2))
+        for start in range(0, len(self), _TOGETHER):
+            centres[start : start + _TOGETHER] = self.points(self._indices[start : start + _TOGETHER])
+        return centres
 
     def points(self, index: ArrayLike) -> NDArray[np.float64]:
         """(n, 2) positions `x, y` [px] of lattice indices (n, 2), which need be neither whole nor on the flat."""

@@ -14,6 +14,7 @@ from .residuals import Residuals
 
 if TYPE_CHECKING:
     from .disc_parameters import CatEye
+    from .parts import Parts
     from .search import FirstLattice
 
 __all__ = ["FinalLattice", "fit_on_scenes", "fit_on_white"]
@@ -53,15 +54,17 @@ class FinalLattice:
     residuals: Residuals | None = None
 
 
-def fit_on_white(picture: NDArray[np.float32], start: FirstLattice) -> FinalLattice:
-    """Fit the `tone` picture of a white image."""
+def fit_on_white(picture: NDArray[np.float32] | Parts, start: FirstLattice) -> FinalLattice:
+    """Fit the `tone` picture of a white image, or parts of it."""
     from .disc_fit import fit_discs
+    from .parts import Parts
 
     found = start.lattice
     discs = fit_discs(picture, found)
-    index = found.indices()
-    straight = replace(discs.lattice, distortion=None)
-    apart = straight.points(np.rint(straight.to_index(found.points(index)))) - found.points(index)
+    index = Parts.of(picture).lenses(found, 0.0)[0]
+    # What the distortion moves counts only where the start knew of it.
+    near = discs.lattice if found.distortion is not None else replace(discs.lattice, distortion=None)
+    apart = near.points(np.rint(near.to_index(found.points(index)))) - found.points(index)
     if not np.sqrt((apart**2).sum(1).mean()) < _FOLLOWED * found.pitch:
         return FinalLattice(found, discs.residual_rms, discs.lenses_used, start.halves_differ)
     return FinalLattice(

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from .fit import cell_faces, inner_radius
 from .gain_fit import GainFit
-from .gain_kernels import describe, light, outside
-from .gain_map import GainMap, terms
+from .gain_kernels import describe, field_level, light, outside
+from .gain_map import GainMap, frame, terms
 from .gain_terms import monomials
 from .lattice import Lattice
+from .parts import Look
 
 __all__ = ["LensLights", "dark_in_scene", "lens_lights"]
 
@@ -23,6 +24,10 @@ _SAMPLES, _TOGETHER = 48, 256
 # Degrees of the polynomial tried in turn; each must lower the scatter of the lenses by this share.
 _DEGREES = (0, 2, 4, 6)
 _LOWERS = 0.03
+# Of so many lenses and more, each is looked at in fewer pixels.
+_MANY, _FEW_SAMPLES = 1_000_000, 12
+# Rows of a flat that are looked at together where it is not held as a whole.
+_ROWS = 128
 # The polynomial is fitted to so many lenses at most.
 _LENSES = 4000
 _OUTLIER = 4.685
@@ -72,8 +77,11 @@ def _middle(values, count):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _look(picture, centres, faces, inner, reach, stride, out, field, radius, profile, step, shade, rim, cut):
-    """Per lens: light, pixels it rests on, correlation with the shape, contrast of it, mean, brightest, scatter."""
+def _look(picture, top, centres, faces, inner, reach, stride, out, field, radius, profile, step, shade, rim, cut):
+    """Per lens: light, pixels it rests on, correlation with the shape, contrast of it, mean, brightest, scatter.
+
+    The first row of `picture` is the row `top` of the flat.
+    """
     height, width = picture.shape
     lenses = centres.shape[0]
     for block in prange((lenses + _TOGETHER - 1) // _TOGETHER):
@@ -81,6 +89,7 @@ def _look(picture, centres, faces, inner, reach, stride, out, field, radius, pro
         for n in range(block * _TOGETHER, min((block + 1) * _TOGETHER, lenses)):
             cx, cy = centres[n, 0], centres[n, 1]
             describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
+            cy -= top
             count, bright = 0, 0
             ms = mv = mss = msv = mvv = most = 0.0
             for y in range(max(0, math.ceil(cy - reach)), min(height - 1, math.floor(cy + reach)) + 1, stride):
@@ -116,27 +125,44 @@ def _look(picture, centres, faces, inner, reach, stride, out, field, radius, pro
             out[n, 4], out[n, 5] = mv / count, most
 
 
-def _looked(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap) -> NDArray[np.float64]:
-    centres = lattice.centres()
+def _looked(
+    picture: NDArray[np.float32] | Look, lattice: Lattice, gain: GainMap, centres: NDArray[np.float64]
+) -> NDArray[np.float32]:
     faces, reach = cell_faces(lattice)
     cell = abs(float(np.linalg.det(lattice.basis)))
-    out = np.zeros((len(centres), 7))
-    stride = max(1, round(math.sqrt(cell / _SAMPLES)))
-    _look(picture, centres, faces, inner_radius(faces), reach, stride, out, *gain.shape(lattice))
+    out = np.zeros((len(centres), 7), np.float32)
+    stride = max(1, round(math.sqrt(cell / (_SAMPLES if len(centres) < _MANY else _FEW_SAMPLES))))
+    shape = gain.shape(lattice)
+    if not callable(picture):
+        _look(picture, 0, centres, faces, inner_radius(faces), reach, stride, out, *shape)
+        return out
+    width, height = lattice.image_size
+    band = np.clip(centres[:, 1] // _ROWS, 0, (height - 1) // _ROWS).astype(np.uint16)
+    order = np.argsort(band, kind="stable")
+    ends = np.cumsum(np.bincount(band))
+    for number, (start, stop) in enumerate(zip(np.append(0, ends[:-1]).tolist(), ends.tolist(), strict=True)):
+        top = max(0, math.floor(number * _ROWS - reach) - 1)
+        rows = min(height, math.ceil((number + 1) * _ROWS + reach) + 1) - top
+        mine = order[start:stop]
+        part = np.zeros((len(mine), 7), np.float32)
+        strip = picture(0, top, width, rows)
+        _look(strip, top, centres[mine], faces, inner_radius(faces), reach, stride, part, *shape)
+        out[mine] = part
     return out
 
 
-def lens_lights(picture: NDArray[np.float32], lattice: Lattice, fit: GainFit) -> LensLights:
+def lens_lights(picture: NDArray[np.float32] | Look, lattice: Lattice, fit: GainFit) -> LensLights:
     """Light of all lenses of a white image, given the shape of its microimages.
 
     Parameters
     ----------
-    picture : (h, w) float32
+    picture : (h, w) float32, or a look at such
         Square root of the luminance (`features.tone`).
     lattice : Lattice [px]
     fit : GainFit
     """
-    found = _looked(picture, lattice, fit.gain)
+    centres = lattice.centres()
+    found = _looked(picture, lattice, fit.gain, centres)
     lights, weight, alike, contrast = found[:, :4].T
     seen = weight > 0
     top = float(np.percentile(lights[seen], 95)) if seen.any() else 1.0
@@ -147,14 +173,16 @@ def lens_lights(picture: NDArray[np.float32], lattice: Lattice, fit: GainFit) ->
     lit &= ~(shaped & (alike < min(_SHAPED, 0.4 * typical)))
     if not lit.any():
         return LensLights(fit.gain, 1.0, np.zeros(0, np.int64))
-    centres = lattice.centres()
     level = _level(np.log(np.maximum(lights, 1e-12)), lit & (weight > 0.3 * np.median(weight[seen])), centres, lattice)
-    smooth = np.exp(monomials(centres, lattice, _degree(level)) @ level)
+    smooth = np.empty(len(centres), np.float32)
+    field_level(centres, frame(lattice), level, smooth)
+    # Far from all light a polynomial may fall to nothing.
+    np.maximum(smooth, np.float32(1e-30), out=smooth)
     single = _errors(fit, centres, lattice)
     error = single / np.sqrt(np.maximum(weight, 1e-9))
     # Dust makes a lens darker in parts, which is no light of the lens.
-    uneven = 1.4826 * found[:, 6] > _UNEVEN * np.hypot(single, _DIFFERS) * lights
-    own = _own(np.where(uneven, 1.0, lights / smooth), error, lit)
+    uneven = 1.4826 * found[:, 6] > _UNEVEN * np.hypot(single, np.float32(_DIFFERS)) * lights
+    own = _own(np.where(uneven, np.float32(1), lights / smooth), error, lit)
     # 1 at the brightest part of the field, taken where lenses are.
     brightest = float(np.percentile((smooth * own)[lit], 99.5))
     level = level.copy()
@@ -163,10 +191,6 @@ def lens_lights(picture: NDArray[np.float32], lattice: Lattice, fit: GainFit) ->
     if np.all(own == 1):
         own = np.zeros(0, np.float32)
     return LensLights(replace(fit.gain, level=level, own=own), brightest, dark)
-
-
-def _degree(level: NDArray[np.float64]) -> int:
-    return next(d for d in range(9) if terms(d) == len(level))
 
 
 def _level(
@@ -194,16 +218,18 @@ def _level(
     return best
 
 
-def _errors(fit: GainFit, centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+def _errors(fit: GainFit, centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float32]:
     """Noise of a single pixel in the bright part of each lens, as a share of the light of the lens."""
     inner = np.arange(len(fit.spread)) * fit.gain.step < 0.6 * fit.gain.radius
-    size, shape = np.array(lattice.image_size), np.array(fit.windows.shape)
-    column, row = np.clip((centres + 0.5) / size * shape[::-1], 0, shape[::-1] - 1).astype(int).T
-    errors: NDArray[np.float64] = float(np.median(fit.spread[inner])) * fit.windows[row, column]
-    return errors
+    rows, columns = fit.windows.shape
+    x, y = (
+        np.clip((centres[:, axis] + 0.5) * (number / lattice.image_size[axis]), 0, number - 1).astype(np.uint8)
+        for axis, number in ((0, columns), (1, rows))
+    )
+    return (float(np.median(fit.spread[inner])) * fit.windows).astype(np.float32)[y, x]
 
 
-def _own(ratio: NDArray[np.float64], error: NDArray[np.float64], lit: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _own(ratio: NDArray[np.float32], error: NDArray[np.float32], lit: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Light of lenses over the polynomial: 1 where not significantly different, 0 where there is none.
 
     If lenses scatter by more than their errors, each is taken as far as it can be told (James and Stein 1961).
@@ -212,17 +238,16 @@ def _own(ratio: NDArray[np.float64], error: NDArray[np.float64], lit: NDArray[np
     spread = 1.4826 * float(np.median(np.abs(miss[lit])))
     noise = float(np.median(error[lit]))
     true = max(spread**2 - noise**2, 0.0)
-    believed = true / (true + error**2) if true > max(_SCATTERS, 0.5 * noise) ** 2 else np.zeros(len(miss))
-    believed = np.where(
-        (np.abs(miss) > _SURE * np.hypot(error, math.sqrt(true))) & (np.abs(miss) > _DIFFERS), 1.0, believed
-    )
-    own: NDArray[np.float32] = np.where(lit, np.maximum(1 + believed * miss, 0.01), 0).astype(np.float32)
-    return own
+    scatters = true > max(_SCATTERS, 0.5 * noise) ** 2
+    believed = np.float32(true) / (np.float32(true) + error**2) if scatters else np.zeros_like(miss)
+    differs = (np.abs(miss) > _SURE * np.hypot(error, np.float32(math.sqrt(true)))) & (np.abs(miss) > _DIFFERS)
+    believed[differs] = 1
+    return np.where(lit, np.maximum(1 + believed * miss, np.float32(0.01)), np.float32(0))
 
 
 def dark_in_scene(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap) -> NDArray[np.int64]:
     """(m,) rows of lenses without any light amid neighbours that have some, on a scene capture."""
-    found = _looked(picture, lattice, gain)
+    found = _looked(picture, lattice, gain, lattice.centres())
     mean, most = found[:, 4:6].T
     indices = lattice.indices()
     low = indices.min(0) - 1

@@ -14,6 +14,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .lattice import Lattice
+from .parts import Parts
 
 __all__ = ["LensFeatures", "LensSample", "lens_features", "sample_lenses"]
 
@@ -48,12 +49,15 @@ class LensSample:
     centre : (m, side + 2, side + 2, 2) float64 [px]
     whole : (m, side + 2, side + 2) bool
         The microimage lies on the flat as a whole.
+    place : (m, side + 2, side + 2, 2) float64 [px]
+        Of the centre in the picture to be read.
     """
 
     lattice: Lattice
     index: NDArray[np.int64]
     centre: NDArray[np.float64]
     whole: NDArray[np.bool_]
+    place: NDArray[np.float64]
 
     @cached_property
     def inner(self) -> NDArray[np.int64]:
@@ -96,9 +100,11 @@ class LensFeatures:
     falls: float
 
 
-def sample_lenses(lattice: Lattice) -> LensSample:
-    """Blocks of 12 x 12 lenses, evenly spread over the flat; all lenses of a small flat."""
-    blocks, count = np.unique(lattice.indices() // _SIDE, axis=0, return_counts=True)
+def sample_lenses(lattice: Lattice, parts: Parts | None = None) -> LensSample:
+    """Blocks of 12 x 12 lenses, evenly spread over the flat or its parts; all lenses of a small flat."""
+    if parts is not None and len(parts) > 1:
+        return _sample_of_parts(lattice, parts)
+    blocks, count = _blocks(lattice.indices())
     if len(blocks) > _BLOCKS:
         full = count >= _FULL * _SIDE**2
         blocks = blocks[full] if full.sum() >= _BLOCKS else blocks
@@ -109,7 +115,35 @@ def sample_lenses(lattice: Lattice) -> LensSample:
     centre = lattice.points(index.reshape(-1, 2)).reshape(index.shape)
     reach = _BEYOND[1] * lattice.radius
     whole = ((centre >= reach) & (centre <= np.array(lattice.image_size) - 1 - reach)).all(-1)
-    return LensSample(lattice, index, centre, np.asarray(whole))
+    return LensSample(lattice, index, centre, np.asarray(whole), centre)
+
+
+def _blocks(indices: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Blocks (m, 2) of 12 x 12 lenses that lenses (n, 2) are in, in order, and how many are in each."""
+    own = indices // _SIDE
+    low = own.min(0)
+    columns = int(own[:, 1].max() - low[1]) + 1
+    key, count = np.unique((own[:, 0] - low[0]) * columns + own[:, 1] - low[1], return_counts=True)
+    return np.column_stack(np.divmod(key, columns)) + low, count
+
+
+def _sample_of_parts(lattice: Lattice, parts: Parts) -> LensSample:
+    """The fullest blocks of each part."""
+    reach = _BEYOND[1] * lattice.radius
+    indices, _, part = parts.lenses(lattice, reach)
+    each = -(-_BLOCKS // len(parts))
+    blocks, home = [], []
+    for number in np.unique(part):
+        found, count = _blocks(indices[part == number])
+        blocks.append(found[np.argsort(-count, kind="stable")[:each]])
+        home += [number] * len(blocks[-1])
+    steps = np.arange(-1, _SIDE + 1)
+    within = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
+    index = _SIDE * np.concatenate(blocks)[:, None, None, :] + within
+    centre = lattice.points(index.reshape(-1, 2)).reshape(index.shape)
+    inside = centre - parts.corners[home][:, None, None]
+    whole = ((inside >= reach) & (inside <= np.array(parts.size) - 1 - reach)).all(-1)
+    return LensSample(lattice, index, centre, np.asarray(whole), centre - parts.offsets[home][:, None, None])
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -154,7 +188,7 @@ def lens_features(picture: NDArray[np.float32], sample: LensSample) -> LensFeatu
     """
     radius = sample.lattice.radius
     chosen = np.flatnonzero(sample.whole.ravel())
-    centres = sample.centre.reshape(-1, 2)[chosen]
+    centres = sample.place.reshape(-1, 2)[chosen]
     lag, rows = (max(1, round(share * radius)) for share in (_LAG, _ROWS))
     energy, tilt = np.zeros(len(chosen)), np.zeros((2, len(chosen)))
     light, count = np.zeros((2, len(chosen), _RINGS))

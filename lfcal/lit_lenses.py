@@ -16,8 +16,8 @@ def lit_lenses(
     indices: NDArray[np.int64],
     centres: NDArray[np.float64],
     dark: float,
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Those of the lenses that are lit and not beside a dark one: the border of an array cuts some.
+) -> NDArray[np.bool_]:
+    """(n,) whether lenses are lit and not beside a dark one: the border of an array cuts some.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def lit_lenses(
         Light, or a tone of it.
     lattice : Lattice [px]
     indices, centres : (n, 2)
-        Lenses, their centres at least 1.5 px inside the flat.
+        Lenses, their centres in the picture at least 1.5 px inside.
     dark : float
         Share of the value of a bright lens below which one is dark.
     """
@@ -36,11 +36,11 @@ def lit_lenses(
             core += picture[at[:, 1] + y, at[:, 0] + x]
     shut = core < dark * np.quantile(core, 0.95) if len(core) else np.zeros(0, dtype=bool)
     if not shut.any():
-        return indices, centres
+        return ~shut
     low = indices.min(0) - 1
     grid = np.zeros(indices.max(0) - low + 2, dtype=bool)
     grid[tuple((indices[shut] - low).T)] = True
     beside = shut.copy()
     for step in lattice.steps:
         beside |= grid[tuple((indices - low + step).T)]
-    return indices[~beside], centres[~beside]
+    return ~beside

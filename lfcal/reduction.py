@@ -11,19 +11,21 @@ from numpy.typing import NDArray
 from .calibration import Calibration
 from .defects import Defects
 from .distortion import Distortion
+from .errors import CalibrationError
 from .gain_map import GainMap
 from .lattice import Lattice
 from .vignetting import Vignetting
 
-__all__ = ["block_size", "enlarged", "reduced"]
+__all__ = ["block_size", "enlarged", "is_large", "reduced"]
 
 # Flats with more pixels than this are reduced, down to about so many, as long as the pitch stays this long [px].
 _LARGE = 4.8e7
 _ENOUGH = 1.6e7
 _LEAST_PITCH = 9.0
-# Side of the part in the middle in which the pitch is looked for [px], and rows that are averaged at a time.
-_MIDDLE = 2400
-_ROWS = 512
+# Side of the part in which the pitch is looked for [px], where in the flat in turn, and rows averaged at a time.
+_PART = 2400
+_PLACES = ((0.5, 0.5), (0.2, 0.5), (0.8, 0.5), (0.5, 0.2), (0.5, 0.8))
+_ROWS = 32
 
 
 def block_size(flat: NDArray[Any]) -> int:
@@ -32,21 +34,39 @@ def block_size(flat: NDArray[Any]) -> int:
     Raises
     ------
     CalibrationError
-        If a large flat shows no lattice in its middle.
+        If a large flat shows no lattice in its middle, nor beside it.
     """
     height, width = flat.shape[:2]
     if height * width < _LARGE:
         return 1
     from .bayer import has_mosaic
+
+    block = max(1, min(int(_pitch(flat) / _LEAST_PITCH), round(np.sqrt(height * width / _ENOUGH))))
+    # Whole cells of a colour mosaic average to grey.
+    return block - block % 2 if block > 1 and flat.ndim == 2 and has_mosaic(flat) else block
+
+
+def _pitch(flat: NDArray[Any]) -> float:
+    """Pitch [px] in the first part of a flat that shows one; the array need not fill the sensor."""
     from .features import luminance, tone
     from .search import first_lattice
 
-    top, left = max(0, (height - _MIDDLE) // 2), max(0, (width - _MIDDLE) // 2)
-    middle = np.ascontiguousarray(flat[top : top + _MIDDLE, left : left + _MIDDLE])
-    pitch = first_lattice(tone(luminance(middle))).lattice.pitch
-    block = max(1, min(int(pitch / _LEAST_PITCH), round(np.sqrt(height * width / _ENOUGH))))
-    # Whole cells of a colour mosaic average to grey.
-    return block - block % 2 if block > 1 and middle.ndim == 2 and has_mosaic(middle) else block
+    height, width = flat.shape[:2]
+    error: CalibrationError | None = None
+    for across, down in _PLACES:
+        left, top = int(across * max(0, width - _PART)), int(down * max(0, height - _PART))
+        part = np.ascontiguousarray(flat[top : top + _PART, left : left + _PART])
+        try:
+            return first_lattice(tone(luminance(part))).lattice.pitch
+        except CalibrationError as failure:
+            error = error or failure
+    assert error is not None
+    raise error
+
+
+def is_large(size: tuple[int, int], block: int) -> bool:
+    """Whether a flat of `size` (width, height) is large even when reduced."""
+    return size[0] * size[1] / block**2 >= _LARGE
 
 
 def reduced(flat: NDArray[Any], block: int) -> NDArray[np.float32]:

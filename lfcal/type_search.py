@@ -18,6 +18,7 @@ from .focus_order import focus_order
 from .lattice import Lattice
 from .lens_sample import LensFeatures, LensSample, lens_features, sample_lenses
 from .lens_types import LensTypes
+from .parts import Parts
 
 __all__ = ["find_lens_types"]
 
@@ -51,7 +52,7 @@ _MOSAICS: tuple[tuple[int, ...], ...] = ((3, 1, -1), (3, 1, 1), (3, 1, 0), (3, 0
 _VECTORS = np.array([(p / period, q / period) for period, p, q in _MOSAICS])
 
 
-def find_lens_types(picture: NDArray[np.float32], lattice: Lattice, white: bool) -> LensTypes | None:
+def find_lens_types(picture: NDArray[np.float32] | Parts, lattice: Lattice, white: bool) -> LensTypes | None:
     """Tell whether an array is made of several lens types and which lens is of which.
 
     Mosaics with a period of three lenses (three types, as in hexagonal multi-focus arrays) and of two lenses (two or
@@ -59,7 +60,7 @@ def find_lens_types(picture: NDArray[np.float32], lattice: Lattice, white: bool)
 
     Parameters
     ----------
-    picture : (h, w) float32
+    picture : (h, w) float32, or of a white image parts of such
         Square root of the luminance with mean 1 (`features.tone`).
     lattice : Lattice [px]
         With the usable radius of the microimages.
@@ -73,7 +74,9 @@ def find_lens_types(picture: NDArray[np.float32], lattice: Lattice, white: bool)
     """
     if lattice.radius < _LEAST_RADIUS:
         return None
-    sample = sample_lenses(lattice)
+    parts = Parts.of(picture)
+    picture = parts.picture
+    sample = sample_lenses(lattice, parts)
     features = lens_features(picture, sample)
     sharpness = sample.against_neighbours(features.sharpness)
     if np.isfinite(sharpness).sum() < _FEWEST:
