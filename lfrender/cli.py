@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from pathlib import Path
 from threading import Thread
@@ -178,7 +179,22 @@ def demo(output: Path, as_json: bool, quiet: bool) -> None:
 
 def _import_meanwhile() -> None:
     """Import what will be needed while the flat is being decoded, which leaves the interpreter idle."""
-    Thread(target=import_module, args=(f"{__package__}.drawing",)).start()
+    Thread(target=_import_drawing).start()
+
+
+def _import_drawing() -> None:
+    # The compiler looks for the linear algebra of SciPy, which takes longer to import than the compiler itself. No
+    # kernel of ours uses it, and this process runs no others.
+    blas = "scipy.linalg.cython_blas"
+    absent = blas not in sys.modules
+    if absent:
+        sys.modules[blas] = None  # type: ignore[assignment]
+    try:
+        import_module("numba.np.arraymath")
+    finally:
+        if absent:
+            sys.modules.pop(blas, None)
+    import_module(f"{__package__}.drawing")
 
 
 def _read_camera(path: Path, pixels: NDArray[np.generic]) -> Calibration:
