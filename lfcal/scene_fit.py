@@ -31,8 +31,8 @@ _PASSES = 10
 # Steps below this share of the standard error change nothing.
 _SETTLED = 0.2
 _RUNAWAY = 0.05
-# Lenses of a region, and regions needed before they may have so many.
-_LENSES_PER_REGION = 16
+# Lenses of a region, few so that one misled lens does not mislead many, and regions needed before they have so many.
+_LENSES_PER_REGION = 6
 _FEWEST_REGIONS = 36
 # Lenses that say less than this share of what good ones say about their place have no say. Once the lattice is nearly
 # right only those count that say half as much, where they are enough to outvote what a scene does to them.
