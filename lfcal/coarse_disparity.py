@@ -29,34 +29,45 @@ _BLANK = 1e-5
 def _correlate(picture, centres, steps, ratios, radius, spacing, common, total):
     height, width = picture.shape
     reach = int(radius / spacing)
+    pairs = len(ratios) * len(steps)
+    # Where the pixels compared lie beside the centre of a lens: the same for all lenses.
+    first, second = np.empty((pairs, (2 * reach + 1) ** 2, 2)), np.empty((pairs, (2 * reach + 1) ** 2, 2))
+    size = np.zeros(pairs, np.int64)
+    for pair in range(pairs):
+        k, step = pair // len(steps), pair % len(steps)
+        ux, uy = ratios[k] * steps[step, 0] / 2, ratios[k] * steps[step, 1] / 2
+        for row in range(-reach, reach + 1):
+            y = row * spacing
+            for column in range(-reach, reach + 1):
+                x = column * spacing
+                if max((x - ux) ** 2 + (y - uy) ** 2, (x + ux) ** 2 + (y + uy) ** 2) > radius * radius:
+                    continue
+                n = size[pair]
+                first[pair, n, 0], first[pair, n, 1] = x - ux, y - uy
+                second[pair, n, 0], second[pair, n, 1] = steps[step, 0] + x + ux, steps[step, 1] + y + uy
+                size[pair] += 1
     for lens in prange(len(centres)):
-        cx, cy = centres[lens]
-        for k in range(len(ratios)):
-            for step in range(len(steps)):
-                ux, uy = ratios[k] * steps[step, 0] / 2, ratios[k] * steps[step, 1] / 2
-                ox, oy = cx + steps[step, 0], cy + steps[step, 1]
-                number = 0
-                sum_a = sum_b = sum_aa = sum_bb = sum_ab = 0.0
-                for row in range(-reach, reach + 1):
-                    y = row * spacing
-                    for column in range(-reach, reach + 1):
-                        x = column * spacing
-                        if max((x - ux) ** 2 + (y - uy) ** 2, (x + ux) ** 2 + (y + uy) ** 2) > radius * radius:
-                            continue
-                        xa, ya = int(np.rint(cx + x - ux)), int(np.rint(cy + y - uy))
-                        xb, yb = int(np.rint(ox + x + ux)), int(np.rint(oy + y + uy))
-                        if min(xa, ya, xb, yb) < 0 or max(xa, xb) >= width or max(ya, yb) >= height:
-                            continue
-                        a, b = picture[ya, xa], picture[yb, xb]
-                        number += 1
-                        sum_a += a
-                        sum_b += b
-                        sum_aa += a * a
-                        sum_bb += b * b
-                        sum_ab += a * b
-                if number > 4:
-                    common[lens, k] += (sum_ab - sum_a * sum_b / number) / number
-                    total[lens, k] += 0.5 * (sum_aa + sum_bb - (sum_a * sum_a + sum_b * sum_b) / number) / number
+        # Half a pixel on, so that cutting off the fraction rounds.
+        cx, cy = centres[lens, 0] + 0.5, centres[lens, 1] + 0.5
+        for pair in range(pairs):
+            number = 0
+            sum_a = sum_b = sum_aa = sum_bb = sum_ab = 0.0
+            for n in range(size[pair]):
+                xa, ya = int(cx + first[pair, n, 0]), int(cy + first[pair, n, 1])
+                xb, yb = int(cx + second[pair, n, 0]), int(cy + second[pair, n, 1])
+                if min(xa, ya, xb, yb) < 0 or max(xa, xb) >= width or max(ya, yb) >= height:
+                    continue
+                a, b = picture[ya, xa], picture[yb, xb]
+                number += 1
+                sum_a += a
+                sum_b += b
+                sum_aa += a * a
+                sum_bb += b * b
+                sum_ab += a * b
+            if number > 4:
+                k = pair // len(steps)
+                common[lens, k] += (sum_ab - sum_a * sum_b / number) / number
+                total[lens, k] += 0.5 * (sum_aa + sum_bb - (sum_a * sum_a + sum_b * sum_b) / number) / number
 
 
 def coarse_disparity(picture: NDArray[np.float32], sample: LensSample) -> NDArray[np.float64]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from statistics import NormalDist
 
 import numpy as np
 from numba import njit, prange
@@ -340,6 +339,9 @@ def _depths(discs: Discs) -> NDArray[np.float64]:
     """(r,) how deep inside the microimage each radius lies, in units of the blur of its edge."""
     inside = discs.level[max(int(np.flatnonzero(discs.edge).min(initial=len(discs.level))) - 1, 0)]
     share = (discs.level - discs.dark) / max(float(inside - discs.dark), 1e-12)
+    # Scenes, which need no depths, do not wait for this module.
+    from statistics import NormalDist
+
     normal = NormalDist()
     return np.array([normal.inv_cdf(min(max(value, 1e-3), 1 - 1e-3)) for value in share.tolist()])
 

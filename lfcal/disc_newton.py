@@ -346,7 +346,7 @@ def own_offsets(state: FitState, summary: FitSummary) -> NDArray[np.float64]:
     discs = replace(discs, trust=np.full(len(far), _ANY))
     start = discs.centres
     for _ in range(_OWN_PASSES):
-        steps = disc_steps(discs)
+        steps = discs.steps
         reduced = _without_gain(steps, discs.level)
         normal = reduced.normal[:, :2, :2]
         ridge = 1e-9 * np.trace(normal.sum(0)) / len(far) * np.eye(2)

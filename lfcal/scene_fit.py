@@ -7,7 +7,7 @@ regions that agree best then decide.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +31,13 @@ _PASSES = 10
 # Steps below this share of the standard error change nothing.
 _SETTLED = 0.2
 _RUNAWAY = 0.05
-# Lenses of a region, and regions needed before they may have so many.
-_LENSES_PER_REGION = 16
+# Lenses of a region, few so that one misled lens does not mislead many, and regions needed before they have so many.
+_LENSES_PER_REGION = 6
 _FEWEST_REGIONS = 36
-# Lenses that say less than this share of what good ones say about their place have no say.
-_SAYS = 0.001
+# Lenses that say less than this share of what good ones say about their place have no say. Once the lattice is nearly
+# right only those count that say half as much, where they are enough to outvote what a scene does to them.
+_GOOD, _SAYS, _CLEAR = 0.9, 0.001, 0.5
+_ENOUGH_LENSES = 2000
 
 
 def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e6) -> LatticeFit:
@@ -58,14 +60,13 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
     start = lattice.basis
     stride = max(1, round(lattice.pitch / _FINE_PITCH))
     most = max(int(pixels * stride**2 / abs(np.linalg.det(start))), _SKETCH_LENSES)
-    error = float("inf")
     for size, passes in ((min(_SKETCH_LENSES, most), _SKETCH_PASSES), (most, _PASSES)):
         if size < most and min(most, len(lattice)) <= 2 * _SKETCH_LENSES:
             continue
-        for _ in range(passes):
-            indices, centres = _chosen(lattice, size)
-            regions, weight, residual = _regions(picture, lattice, indices, centres, stride)
-            change, share = agreed(regions)
+        indices = _chosen(lattice, size)
+        for turn in range(passes):
+            view = _look(picture, lattice, indices, stride)
+            change, share = agreed(view.regions)
             before, lattice = lattice, _moved(lattice, change)
             if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
                 raise CalibrationError(
@@ -73,21 +74,25 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
                 )
             design = np.column_stack([np.ones(len(indices)), indices])
             moments = design.T @ design / len(design)
-            covariance = np.linalg.pinv((regions.design * share[:, None]).T @ regions.design)
+            covariance = np.linalg.pinv((view.regions.design * share[:, None]).T @ view.regions.design)
             error = float(np.sqrt(2 * np.trace(covariance @ moments)))
-            if np.sqrt(np.einsum("pa,pq,qa->", change, moments, change)) < _SETTLED * error:
+            first = turn == 0 and size == most
+            indices = _clearest(indices, view.said) if first else indices
+            settled = np.sqrt(np.einsum("pa,pq,qa->", change, moments, change)) < _SETTLED * error
+            if settled and len(indices) == len(design):
                 break
-    regular = regular_ratio(lattice.basis, regions)
+    regular = regular_ratio(lattice.basis, view.regions)
     if regular is not None:
         # What the regions say is from the lattice before the last step.
-        lattice = _moved(before, agreed(replace(regions, regular=regular))[0])
-        regions, weight, residual = _regions(picture, lattice, indices, lattice.points(indices), stride)
-        regions = replace(regions, regular=regular)
-        lattice = _moved(lattice, agreed(regions)[0])
+        lattice = _moved(before, agreed(replace(view.regions, regular=regular))[0])
+        view = _look(picture, lattice, indices, stride)
+        view = replace(view, regions=replace(view.regions, regular=regular))
+        lattice = _moved(lattice, agreed(view.regions)[0])
+    regions = view.regions
     halves = [agreed(regions, regions.colour == side)[0] for side in (0, 1)]
     gap = halves[0] - halves[1]
     differ = float(np.sqrt(np.einsum("pa,pq,qa->", gap, moments, gap)))
-    return LatticeFit(lattice.origin, lattice.basis, residual, error, int((weight > 0).sum()), differ)
+    return LatticeFit(lattice.origin, lattice.basis, view.scatter, error, view.used, differ)
 
 
 def _moved(lattice: Lattice, change: NDArray[np.float64]) -> Lattice:
@@ -95,47 +100,70 @@ def _moved(lattice: Lattice, change: NDArray[np.float64]) -> Lattice:
     return replace(lattice, origin=lattice.origin + change[0], basis=lattice.basis + change[1:])
 
 
-def _chosen(lattice: Lattice, most: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Indices and centres of about `most` whole lenses, evenly spread."""
+def _chosen(lattice: Lattice, most: int) -> NDArray[np.int64]:
+    """Indices of about `most` whole lenses, evenly spread."""
     _, reach = cell_faces(lattice)
-    indices, centres = whole_lenses(lattice, reach + 1)
-    chosen = np.arange(len(centres)) * _GOLDEN % 1 < most / max(len(centres), 1)
-    indices, centres = indices[chosen], np.ascontiguousarray(centres[chosen])
-    if len(centres) < _FEWEST_LENSES:
+    indices, _ = whole_lenses(lattice, reach + 1)
+    indices = indices[np.arange(len(indices)) * _GOLDEN % 1 < most / max(len(indices), 1)]
+    if len(indices) < _FEWEST_LENSES:
         raise CalibrationError(
-            f"only {len(centres)} whole microimages of {lattice.pitch:.1f} px pitch fit on the flat, "
+            f"only {len(indices)} whole microimages of {lattice.pitch:.1f} px pitch fit on the flat, "
             f"at least {_FEWEST_LENSES} are needed; give the whole sensor"
         )
-    return indices, centres
+    return indices
 
 
-def _regions(
-    picture: NDArray[np.float32],
-    lattice: Lattice,
-    indices: NDArray[np.int64],
-    centres: NDArray[np.float64],
-    stride: int,
-) -> tuple[Regions, NDArray[np.float64], float]:
-    """Robust mean step of the lenses of each region; weights (n,) of the lenses, and the scatter of their steps."""
+def _clearest(indices: NDArray[np.int64], said: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The lenses that say most about their place.
+
+    Where the scene hides the rims, compression has dragged them along with it more often than where they stand out.
+    """
+    enough = np.sort(said)[max(len(said) - _ENOUGH_LENSES, 0)]
+    return indices[said >= min(_CLEAR * np.quantile(said, _GOOD), enough)]
+
+
+@dataclass(frozen=True)
+class _View:
+    """What the lenses say of a lattice.
+
+    Parameters
+    ----------
+    regions : Regions
+    said : (n,) float64
+        How much each lens says about its place, trace of its normal matrix.
+    scatter : float [px]
+        RMS distance of single lenses from those of their region.
+    used : int
+        Lenses with a say.
+    """
+
+    regions: Regions
+    said: NDArray[np.float64]
+    scatter: float
+    used: int
+
+
+def _look(picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.int64], stride: int) -> _View:
+    """Robust mean step of the lenses of each region."""
+    centres = np.ascontiguousarray(lattice.points(indices))
     faces, reach = cell_faces(lattice)
     found = lens_steps(picture, lattice, centres, (faces, reach), stride)
     # Dark and blank lenses agree with whatever they are asked.
     said = np.trace(found.normal, axis1=1, axis2=2)
-    says = said > _SAYS * np.quantile(said, 0.9)
-    normals, rights, indices, centres = found.normal[says], found.right[says], indices[says], centres[says]
-    count = len(indices)
+    says = said > _SAYS * np.quantile(said, _GOOD)
+    count = int(says.sum())
     if count < _FEWEST_LENSES:
         raise CalibrationError("the microimages show too little; give a brighter flat or a white image")
-    label, colour = _labels(centres)
-    means, variance, miss, weight = step_by_region(normals, rights, label)
+    label, colour = _labels(centres[says])
+    means, variance, miss, weight = step_by_region(found.normal[says], found.right[says], label)
     number = len(variance)
-    design = np.column_stack([np.ones(count), indices])
+    design = np.column_stack([np.ones(count), indices[says]])
     total = np.maximum(np.bincount(label, weight, number), 1e-9)
     middle = np.column_stack([np.bincount(label, weight * column, number) / total for column in design.T])
     known = (total > 0.3 * np.median(total)) & (total > 0.5)
-    trust = weight * said[says]
-    residual = float(np.sqrt(np.average((miss**2).sum(1), weights=trust)))
-    return Regions(middle[known], means[known], variance[known], colour[known], lattice.basis), weight, residual
+    scatter = float(np.sqrt(np.average((miss**2).sum(1), weights=weight * said[says])))
+    regions = Regions(middle[known], means[known], variance[known], colour[known], lattice.basis)
+    return _View(regions, said, scatter, int((weight > 0).sum()))
 
 
 def _labels(centres: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

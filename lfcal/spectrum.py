@@ -6,6 +6,7 @@ peaks that are one frequency bin wide and stand at all integer combinations of t
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -111,14 +112,17 @@ def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | 
     taper = np.hanning(size).astype(np.float32)
     log_power = np.zeros((size, size // 2 + 1), dtype=np.float32)
     windows = _windows(height, width, size)
-    for y, x in windows:
-        window = np.ascontiguousarray(picture[y : y + size, x : x + size])
-        for feature in (window, breaks(window)):
-            levelled = level_locally(feature, size / 10)
-            levelled *= taper[:, None]
-            levelled *= taper
-            transform = np.fft.rfft2(levelled)
-            log_power += np.log(transform.real**2 + transform.imag**2 + np.float32(1e-6))
+    with ThreadPoolExecutor() as pool:
+        pending = []
+        for y, x in windows:
+            window = np.ascontiguousarray(picture[y : y + size, x : x + size])
+            for feature in (window, breaks(window)):
+                levelled = level_locally(feature, size / 10)
+                levelled *= taper[:, None]
+                levelled *= taper
+                pending.append(pool.submit(_log_power, levelled))
+        for one in pending:
+            log_power += one.result()
     log_power /= 2 * len(windows)
     log_power = np.fft.fftshift(log_power, axes=0)
     # Mirror the half plane across zero frequency before averaging: there is no edge at fx = 0.
@@ -129,6 +133,12 @@ def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | 
     middle = float(np.median(prominence))
     spread = 1.4826 * float(np.median(np.abs(prominence - middle))) + 1e-6
     return Spectrum((prominence - middle) / np.float32(spread), size, reduction)
+
+
+def _log_power(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    transform = np.fft.rfft2(picture)
+    power: NDArray[np.float32] = np.log(transform.real**2 + transform.imag**2 + np.float32(1e-6))
+    return power
 
 
 def _peaks(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

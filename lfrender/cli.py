@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import sys
 from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
@@ -145,7 +147,7 @@ def render(
     _at_most_one("--camera", camera, "--white", white)
     _at_most_one("--scale", scale, "--traditional", traditional or None)
     check_picture(output, alpha=alpha, inputs=[flat, camera, white, depth_file])
-    _import_meanwhile()
+    _import_meanwhile(output)
     with report.stage("read"):
         from lfcal import read_flat
 
@@ -284,9 +286,30 @@ def _batch_camera(frames: Any, camera: Path | None, white: Path | None) -> Calib
     raise FlatError("none of the frames can be read")
 
 
-def _import_meanwhile() -> None:
+def _import_meanwhile(output: Path) -> None:
     """Import what will be needed while the flat is being decoded, which leaves the interpreter idle."""
-    Thread(target=import_module, args=(f"{__package__}.drawing",)).start()
+    # What is imported stays: collecting garbage among it takes a tenth of the time.
+    gc.disable()
+    Thread(target=_import_drawing, args=(output.suffix.lower() in (".tif", ".tiff"),)).start()
+
+
+def _import_drawing(tiff: bool) -> None:
+    # The compiler looks for the linear algebra of SciPy, which takes longer to import than the compiler itself. No
+    # kernel of ours uses it, and this process runs no others.
+    blas = "scipy.linalg.cython_blas"
+    absent = blas not in sys.modules
+    if absent:
+        sys.modules[blas] = None  # type: ignore[assignment]
+    try:
+        import_module("numba.np.arraymath")
+    finally:
+        if absent:
+            sys.modules.pop(blas, None)
+        gc.freeze()
+        gc.enable()
+    import_module(f"{__package__}.drawing")
+    if tiff:
+        import_module("tifffile")
 
 
 def _read_camera(path: Path, pixels: NDArray[np.generic]) -> Calibration:
