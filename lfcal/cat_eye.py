@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .disc_model import Discs, edge_of
 from .disc_newton import FitState, converge, few_of, misfit, placed, with_profile
@@ -20,6 +21,11 @@ _CUT_DEPTH = 0.3
 _SURE = 8.0
 # Noise at the edges of whole microimages is at most this multiple of the noise inside them.
 _UNEVEN = 1.3
+# Shading is judged so many times the blur of an edge inside of it, on about so many pixels, at least on so many, and
+# without those so many standard deviations off.
+_DEPTH = 2.0
+_SHADED_PIXELS, _FEWEST_SHADED = 2e6, 500
+_FAR = 6.0
 # Displacements in the corner and radii, both in radii of the microimage, at which cutting discs are looked for, and
 # the part of the displacement by which the lattice found without it follows; the best few are tried to the end.
 _GROWTHS = (-0.6, -0.4, -0.25, -0.12, 0.12, 0.25, 0.4, 0.6)
@@ -107,12 +113,44 @@ def settled_roles(state: FitState) -> FitState:
     except CalibrationError:
         return state
     assert trial.model.cat_eye is not None
-    pixels = len(state.indices) * abs(np.linalg.det(lattice.basis))
-    gain = (misfit(state, state) - misfit(trial, state)) * pixels
+    gain = _shading_tells(state.discs)
     if abs(gain) > _SURE**2:
         return trial if gain > 0 else state
     excess = [_radius(t.discs) - t.discs.radius for t in (state, trial)]
     return state if excess[0] <= excess[1] else trial
+
+
+def _shading_tells(discs: Discs) -> float:
+    """By how much chi squared falls where shading is centred on the cutting discs instead of on the microimages.
+
+    Only pixels deep inside both discs are looked at: their edges are what a fit with the wrong roles has adapted to.
+    """
+    side = discs.light.shape[1]
+    few = slice(None, None, max(1, int(discs.light.size / _SHADED_PIXELS)))
+    light, gain, trust = discs.light[few], discs.gain[few, None, None], np.sqrt(discs.trust[few, None, None])
+    corner = (discs.corners[few] - discs.centres[few])[:, None, None]
+    offset = corner + np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1)
+    shares = []
+    for place, radius in ((offset, _radius(discs)), (offset - discs.cut[few, None, None], discs.radius)):
+        shares.append((place**2).sum(-1) / max(radius - _DEPTH * discs.soft, 1.0) ** 2)
+    inside = ((shares[0] < 1) & (shares[1] < 1)).astype(float)
+    number = np.maximum(inside.sum((1, 2), keepdims=True), 1)
+    value = light / (gain * (1 + (offset * discs.tilt[few, None, None]).sum(-1)))
+
+    def apart(v: NDArray[np.float64]) -> NDArray[np.float64]:
+        # The gain of each lens is its own: only differences within a lens count.
+        return ((v - (v * inside).sum((1, 2), keepdims=True) / number) * trust)[inside > 0]
+
+    value = apart(value)
+    keep = np.abs(value) < _FAR * 1.4826 * np.median(np.abs(value)) if value.size else value > 0
+    if keep.sum() < _FEWEST_SHADED:
+        return 0.0
+    costs = []
+    for share in shares:
+        columns = np.column_stack([apart(share**power) for power in (1, 2, 3)])[keep]
+        left = value[keep] - columns @ np.linalg.lstsq(columns, value[keep], rcond=None)[0]
+        costs.append(float(left @ left))
+    return (costs[0] - costs[1]) / max(min(costs), 1e-30) * float(keep.sum())
 
 
 def without_idle_cut(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, tuple[str, ...]]:

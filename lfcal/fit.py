@@ -36,8 +36,8 @@ _FEWEST_LENSES = 12
 _SETTLED = 0.3
 _RUNAWAY = 0.05
 _GOLDEN = 0.6180339887498949
-# A lens with less than this share of the light of a bright one is dark.
-_DARK = 0.03
+# A lens with less than this share of the light of a bright one is dark; noise at 26 dB makes up a third of it.
+_DARK = 0.1
 
 
 @njit(cache=True, nogil=True, parallel=True)
