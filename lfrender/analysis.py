@@ -15,11 +15,12 @@ from .depthmap import DepthMap
 from .flatcheck import check_flat
 from .modes import fill
 from .neighbours import neighbour_rows
-from .plane import Plane, find_plane
+from .plane import TEXTURED, Plane, fit_plane, strays
 from .radiance import GrayFlat, gray_flat
 from .region import check_region, embed, lenses_in, part_of
 from .search import PRESETS, Found, Matcher, search
 from .sequence import changed_lenses
+from .single_plane import PlaneScene, find_plane
 from .skipping import Shortcuts, sample_lenses
 from .spreading import grid_shape, spread
 from .surface import Surface
@@ -129,23 +130,53 @@ def _halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     return neighbours[:, :half], neighbours[:, half:]
 
 
-def _level(plane: Plane, lattice: Lattice, preset: str) -> DepthMap:
-    """One number for all lenses that show the plane."""
-    n = len(lattice)
-    shown = plane.evidence >= _LEAST_EVIDENCE
+def _level(found: PlaneScene, lattice: Lattice, preset: str) -> DepthMap:
+    """One plane for all lenses that show it."""
+    shown = found.evidence >= _LEAST_EVIDENCE
+    return _on_plane(
+        found.plane, lattice, preset, np.where(shown, 0, 1), found.confidence * shown, {"plane": 1 - found.sampled}
+    )
+
+
+def _on_plane(
+    plane: Plane, lattice: Lattice, preset: str, reason: NDArray, confidence: NDArray, saved: dict[str, float]
+) -> DepthMap:
+    """The depth of a scene that is one plane, for the lenses whose `reason` is 0."""
+    centres = lattice.centres()
+    sizes = plane.at(centres)
     shape, first, spacing = grid_shape(lattice)
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    grid = np.stack([first[0] + spacing * u.ravel(), first[1] + spacing * v.ravel()], 1)
     return DepthMap(
-        patch_size=np.where(shown, plane.patch_size, np.nan),
-        standard_error=np.where(shown, plane.standard_error, np.inf),
-        confidence=np.where(shown, plane.confidence, 0),
-        drawn=np.full(n, plane.patch_size),
-        surface=Surface(np.full(shape, plane.patch_size, np.float32), first, spacing),
+        patch_size=np.where(reason == 0, sizes, np.nan),
+        standard_error=np.where(reason == 0, plane.standard_error(centres), np.inf),
+        confidence=confidence,
+        drawn=sizes,
+        surface=Surface(plane.at(grid).reshape(shape).astype(np.float32), first, spacing),
         pitch=lattice.pitch,
         image_size=lattice.image_size,
         preset=preset,
-        reason=np.where(shown, 0, 1),
-        saved={"plane": 1 - plane.sampled},
+        reason=reason,
+        saved=saved,
     )
+
+
+def _regular(
+    lattice: Lattice,
+    sizes: NDArray[np.float32],
+    errors: NDArray[np.float32],
+    resolved: NDArray[np.bool_],
+    neighbours: NDArray[np.int32],
+) -> Plane | None:
+    """The plane that all lenses lie on as far as they can tell: their scatter about it is then nothing but noise."""
+    known = resolved & np.isfinite(errors)
+    if known.mean() < TEXTURED:
+        return None
+    centres = lattice.centres()
+    plane = fit_plane(centres[known], sizes[known], lattice.pitch)
+    if plane is None or strays(np.where(known, sizes - plane.at(centres), np.nan), errors, neighbours):
+        return None
+    return plane
 
 
 def _lens_by_lens(
@@ -194,6 +225,9 @@ def _lens_by_lens(
             )
         )
     resolved = reason == 0
+    plane = _regular(lattice, refined, error, resolved, neighbours) if kept is None else None
+    if plane is not None:
+        return _on_plane(plane, lattice, preset, reason, sure, _saved(shortcuts, some, found, sample, kept))
     gap = max(1.0, 0.05 * lattice.pitch)
     guess = found.patch_size if known is None else np.where(np.isfinite(known), known, found.patch_size)
     drawn = fill(np.where(resolved, refined, guess).astype(np.float32), resolved, neighbours, gap)

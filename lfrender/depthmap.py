@@ -37,7 +37,8 @@ class DepthMap:
     patch_size : (n,) float32 [px]
         Signed patch size `s` of GEOMETRY.md: positive telescopic, negative binocular, NaN where unresolved.
     standard_error : (n,) float32 [px]
-        Of `patch_size`, from the scatter of what the lens measures with each neighbour; inf where unknown.
+        Of `patch_size`, from the scatter of what the lens measures with each neighbour; inf where unknown. The lenses
+        of a scene that is one plane have one answer and one error together.
     confidence : (n,) float32
         0..1, the probability that `patch_size` is the right optimum of the match.
     drawn : (n,) float32 [px]

@@ -81,6 +81,7 @@ def _pair_costs(
     shading,
     row_step,
     half,
+    about,
     out,
 ):
     for lens in prange(len(centres)):
@@ -94,8 +95,12 @@ def _pair_costs(
             floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
             texture = min(contrast[lens], contrast[other])
             doubt = _SHADED**2 / (_SHADED**2 + texture * texture)
+            middle = np.float32(0.0)
+            if len(about) > 0:
+                middle = np.float32(0.5) * (about[lens] + about[other])
             for k in which:
-                grow = 1.0 + shifts[k] / pitch
+                shift = middle + shifts[k]
+                grow = 1.0 + shift / pitch
                 count, sa, sb, saa, sbb, sab = _moments(
                     image, ax, ay, bx, by, radius, (bx - ax) * grow, (by - ay) * grow, mean, row_step
                 )
@@ -108,7 +113,7 @@ def _pair_costs(
                 residual = variance - 2 * (sab * inverse - ma * mb) + offset
                 quality = (residual + floor) / (variance + offset + floor)
                 trust = count * row_step / (count * row_step + half)
-                trust *= 1 - doubt * np.exp(-((shifts[k] / (_SHADED_REACH * pitch)) ** 2))
+                trust *= 1 - doubt * np.exp(-((shift / (_SHADED_REACH * pitch)) ** 2))
                 out[lens, d, k] = 1.0 - trust * (1.0 - quality)
 
 
@@ -125,6 +130,7 @@ def pair_costs(
     which: NDArray[np.int64] | None = None,
     done: NDArray[np.bool_] | None = None,
     out: NDArray[np.float32] | None = None,
+    about: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """How badly each lens agrees with its neighbours if the scene had each of some patch sizes.
 
@@ -155,6 +161,8 @@ def pair_costs(
         Lenses all of whose pairs are in `out` already.
     out : (n, d, k) float32, optional
         Costs to be added to; by default all are 1 before.
+    about : (n,) float32, optional [px of `gray`]
+        Patch size of each lens that `shifts` are relative to; by default 0.
 
     Returns
     -------
@@ -163,9 +171,10 @@ def pair_costs(
     out = np.ones((len(gray.centres), rows.shape[1], len(shifts)), np.float32) if out is None else out
     which = np.arange(len(shifts)) if which is None else which
     done = np.zeros(len(active), bool) if done is None else done
+    about = np.empty(0, np.float32) if about is None else about.astype(np.float32)
     half = np.float32(_HALF_TRUST * np.pi * gray.radius**2)
     _pair_costs(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, contrast, active,
-        done, shifts.astype(np.float32), which, np.float32(noise), np.float32(shading), row_step, half, out,
+        done, shifts.astype(np.float32), which, np.float32(noise), np.float32(shading), row_step, half, about, out,
     )  # fmt: skip
     return out

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
-__all__ = ["lens_grid", "neighbour_rows"]
+__all__ = ["beside", "lens_grid", "neighbour_rows"]
 
 
 def lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
@@ -38,3 +38,11 @@ def neighbour_rows(lattice: Lattice, steps: NDArray[np.int64]) -> NDArray[np.int
         inside = (i >= 0) & (j >= 0) & (i < grid.shape[1]) & (j < grid.shape[0])
         rows[inside, k] = grid[j[inside], i[inside]]
     return rows
+
+
+def beside(mask: NDArray[np.bool_], rows: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(n,) how many neighbours (n, k) of each lens of `mask` (n,) are of it too; 0 for the other lenses."""
+    chosen = np.flatnonzero(mask)
+    count = np.zeros(len(mask), np.int64)
+    count[chosen] = (mask[rows[chosen]] & (rows[chosen] >= 0)).sum(1)
+    return count

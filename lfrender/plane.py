@@ -1,4 +1,4 @@
-"""Scenes that are one plane facing the camera: one number for all lenses, checked on every one of them."""
+"""A plane of the scene: the patch size of all lenses from three numbers, where what they measure proves it."""
 
 from __future__ import annotations
 
@@ -7,155 +7,137 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Lattice
+from .neighbours import beside
 
-from .modes import confidence, parabola_peak
-from .refinement import fit_pairs
-from .search import MISFIT, Matcher, Preset
-from .skipping import sample_lenses
-from .slant import fit_lenses
-from .texture import Texture
+__all__ = ["TEXTURED", "Plane", "fit_plane", "strays"]
 
-__all__ = ["Plane", "find_plane"]
-
-# So many lenses tell a plane, or at least the second number of them.
-_SAMPLE, _LEAST_SAMPLE = 96, 40
-# Share of all lenses that must clearly carry texture, and of the sample that must lie on the plane.
-_TEXTURED, _ON_PLANE = 0.5, 0.95
+# Share of the lenses that must clearly carry texture, and of those that must lie on the plane.
+TEXTURED, _ON_PLANE = 0.5, 0.9
 # Patch sizes [share of the pitch] between which neither shading nor missing overlap can play a part.
 _NEAREST_ZERO, _LARGEST = 0.1, 0.7
-# A smooth surface through the sample may leave the plane by this much [px]: half of what the shortcut may cost.
+# A smooth surface through the lenses may leave the plane by this much [px]: half of what regularity may cost.
 _EVEN = 0.025
-# Three shifts this far apart [px of the search] tell for each lens whether it, too, has its optimum there. A lens and
-# this many of its neighbours that are off to one side by the second number are a surface of their own: fewer are noise.
-_PROBE, _OFF, _TOGETHER = 0.75, 0.4, 3
-# A better match elsewhere, by this much, is another surface; so is a share of the lenses without any match.
-_BETTER, _MISFITS = 0.15, 0.02
-# Systematic error of a patch size [px], which no number of lenses averages out.
+# Least scatter [px] of lenses about a plane: what interpolation does to each of them.
 _FLOOR = 0.006
+# Systematic error of a patch size [px] that no number of lenses averages out, as measured on ray-traced planes.
+_UNSEEN = 0.002
+# Lenses on the plane are at most so many times the scatter away from it.
+_OUTLYING = 4.0
+# A lens strays from the plane by more than so many of its standard errors, and this much [px]; it and so many others
+# beside it on the same side are a surface of their own: fewer are noise.
+_SURE, _OFF, _TOGETHER = 4.0, 0.1, 3
+_ROUNDS = 8
 
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane facing the camera.
+    """A plane of the scene, over which 1 / s is linear in the scene coordinates, like any inverse depth.
 
     Parameters
     ----------
-    patch_size, standard_error : float [px]
-    confidence : float
-        0..1, of the lenses that show it.
-    evidence : (n,) float32
-        Correlation of each lens with its neighbours there, 0..1.
-    sampled : float
-        Share of the lenses that were matched at all shifts.
+    inverse : (float, float, float)
+        `1 / s` [1/px] at `X = (0, 0)`, and its change per px of `X`, order `x, y`.
+    scatter : float [px]
+        Of the patch sizes of single lenses about it.
+    covariance : (3, 3) float64
+        Of `inverse`.
     """
 
-    patch_size: float
-    standard_error: float
-    confidence: float
-    evidence: NDArray[np.float32]
-    sampled: float
+    inverse: NDArray[np.float64]
+    scatter: float
+    covariance: NDArray[np.float64]
+
+    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n,) patch size [px] at scene points (n, 2)."""
+        return 1 / (self.inverse[0] + points[:, 0] * self.inverse[1] + points[:, 1] * self.inverse[2])
+
+    def standard_error(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n,) standard error [px] of `at`."""
+        terms = np.stack([np.ones(len(points)), *points.T], 1)
+        variance = np.einsum("ni,ij,nj->n", terms, self.covariance, terms) * self.at(points) ** 4
+        return np.hypot(_UNSEEN, np.sqrt(np.maximum(variance, 0)))
 
 
-def find_plane(
-    texture: Texture, lattice: Lattice, forward: NDArray[np.int32], backward: NDArray[np.int32], setting: Preset
-) -> Plane | None:
-    """The one plane that the flat shows, None where there are several depths or it cannot be told.
+def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> Plane | None:
+    """The plane that lenses lie on: one facing the camera, else a slanted one; None where they do not.
 
     Parameters
     ----------
-    texture : Texture
-        Shading may be left in.
-    lattice : Lattice
-    forward, backward : (n, d) int32
-        Neighbour rows in `d` directions and in their opposites, -1 where there is none.
-    setting : Preset
+    points : (m, 2) float64 [px]
+        Centres of lenses, spread over the flat.
+    sizes : (m,) float64 [px]
+        Patch sizes that they have measured.
+    pitch : float [px]
     """
-    if texture.clear.mean() < _TEXTURED:
-        return None
-    sample = sample_lenses(lattice, texture.clear, _SAMPLE)
-    if sample.sum() < _LEAST_SAMPLE:
-        return None
-    matcher = Matcher(texture, forward, backward, setting)
-    cost = matcher.costs(matcher.pairs(sample))[sample]
-    best = cost.argmin(1)
-    found = (matcher.shifts[best] + parabola_peak(cost, best) * matcher.step) * matcher.factor
-    about = float(np.median(found))
-    if not _NEAREST_ZERO * lattice.pitch < abs(about) < _LARGEST * lattice.pitch:
-        return None
-    near = np.abs(found - about) < matcher.tolerance() * matcher.step * matcher.factor
-    if near.mean() < _ON_PLANE:
-        return None
-    size = _refined(texture, lattice, forward, backward, sample, about, setting)
-    if size is None:
-        return None
-    evidence = _evidence(matcher, texture, size[0] / matcher.factor)
-    if evidence is None:
-        return None
-    paths = 2 * forward.shape[1]
-    sure = float(np.median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance())))
-    return Plane(size[0], size[1], sure, evidence, float(sample.mean()))
+    sizes = sizes.astype(np.float64)
+    # Without a common middle and scale the sums of large coordinates would lose digits.
+    middle, reach = points.mean(0), float(np.abs(points - points.mean(0)).max()) + 1e-9
+    places = (points - middle) / reach
+    terms = np.stack([np.ones(len(sizes)), *places.T], 1)
+    for count in (1, 3):
+        inverse = _inverse(terms[:, :count], sizes)
+        predicted = 1 / (terms[:, :count] @ inverse)
+        size = np.abs(predicted)
+        within = (_NEAREST_ZERO * pitch < size).all() and (size < _LARGEST * pitch).all()
+        if not within or np.ptp(np.sign(predicted)) > 0:
+            continue
+        scatter = _even(places, sizes - predicted)
+        if scatter is not None:
+            # In terms of the coordinates themselves.
+            change = np.zeros((3, 3))
+            change[0, 0] = 1
+            change[0, 1:] = -middle / reach
+            change[[1, 2], [1, 2]] = 1 / reach
+            change = change[:, :count]
+            weight = np.einsum("ni,nj,n->ij", terms[:, :count], terms[:, :count], predicted**4)
+            covariance = scatter**2 * np.linalg.inv(weight)
+            return Plane(change @ inverse, scatter, change @ covariance @ change.T)
+    return None
 
 
-def _refined(
-    texture: Texture,
-    lattice: Lattice,
-    forward: NDArray[np.int32],
-    backward: NDArray[np.int32],
-    sample: NDArray[np.bool_],
-    about: float,
-    setting: Preset,
-) -> tuple[float, float] | None:
-    """Patch size of the sample and its standard error [px]; None where the sample is not level."""
-    start = np.where(sample, about, np.nan).astype(np.float32)
-    scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
-    pairs = fit_pairs(texture.flat, forward, start, scale, setting.iterations)
-    lenses = fit_lenses(texture.flat, forward, backward, pairs, start)
-    known = np.flatnonzero(sample & np.isfinite(lenses.standard_error))
-    if len(known) < _LEAST_SAMPLE:
+def _inverse(terms: NDArray[np.float64], sizes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(k,) robust linear fit to 1 / s, every lens with the same error of s (weights after Geman and McClure)."""
+    inverse = np.zeros(terms.shape[1])
+    inverse[0] = 1 / np.median(sizes)
+    residual = sizes - np.median(sizes)
+    weight = np.ones(len(sizes))
+    for turn in range(_ROUNDS):
+        if turn or len(inverse) == 1:
+            scatter = max(1.48 * float(np.median(np.abs(residual))), _FLOOR)
+            weight = 1 / (1 + (residual / (_OUTLYING * scatter)) ** 2) ** 2
+        # An error of s is s^2 times that of 1 / s.
+        w = weight * sizes**4
+        left = np.einsum("ni,nj,n->ij", terms, terms, w)
+        inverse = np.linalg.solve(left, np.einsum("ni,n->i", terms, w / sizes))
+        residual = sizes - 1 / (terms @ inverse)
+    return inverse
+
+
+def _even(places: NDArray[np.float64], residual: NDArray[np.float64]) -> float | None:
+    """Scatter [px] of lenses about a plane; None where too few lie on it, or a smooth surface leaves it."""
+    scatter = 1.48 * float(np.median(np.abs(residual)))
+    inside = np.abs(residual) < _OUTLYING * max(scatter, _FLOOR)
+    if not inside.mean() > _ON_PLANE:
         return None
-    sizes = lenses.patch_size[known].astype(np.float64)
-    size = float(np.median(sizes))
-    scatter = 1.48 * float(np.median(np.abs(sizes - size)))
-    inside = np.abs(sizes - size) < 4 * max(scatter, _FLOOR)
-    if inside.mean() < _ON_PLANE * 0.95:
-        return None
-    x, y = (2 * lattice.centres()[known[inside]] / lattice.image_size - 1).T
+    x, y = places[inside].T
     terms = np.stack([np.ones(len(x)), x, y, x * x, x * y, y * y], 1)
-    onto = terms @ np.linalg.pinv(terms)
+    inverse = np.linalg.pinv(np.einsum("ni,nj->ij", terms, terms))
+    smooth = terms @ (inverse @ np.einsum("ni,n->i", terms, residual[inside]))
     # What the scatter of single lenses leaves uncertain about that surface is not held against the plane.
-    uncertain = 2 * scatter * np.sqrt(np.diag(onto))
-    if (np.abs(onto @ sizes[inside] - sizes[inside].mean()) > _EVEN + uncertain).any():
-        return None
-    return float(sizes[inside].mean()), float(np.hypot(_FLOOR, scatter / np.sqrt(inside.sum())))
+    uncertain = 2 * scatter * np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", terms, inverse, terms), 0))
+    return None if (np.abs(smooth) > _EVEN + uncertain).any() else scatter
 
 
-def _evidence(matcher: Matcher, texture: Texture, shift: float) -> NDArray[np.float32] | None:
-    """(n,) correlation of every lens at the plane's shift; None where a lens shows something else."""
-    everyone = texture.clear | texture.faint
-    probes = (shift + _PROBE * np.array([-1, 0, 1])).astype(np.float32)
-    cost = matcher.costs(matcher.pairs(everyone, probes))
-    fits = cost[:, 1] <= MISFIT
-    off = _vertex(cost) * _PROBE
-    rows = np.hstack([matcher.forward, matcher.backward])
-    for side in (-1, 1):
-        stray = np.flatnonzero(texture.clear & fits & (side * off > _OFF))
-        if (np.isin(rows[stray], stray).sum(1) >= _TOGETHER).any():
-            return None
-    misfits = texture.clear & ~fits
-    if misfits.mean() > _MISFITS:
-        return None
-    if misfits.any():
-        full = matcher.costs(matcher.pairs(misfits))[misfits]
-        least = full.min(1)
-        if ((least < cost[misfits, 1] - _BETTER) & (least < MISFIT)).any():
-            return None
-    return (1 - cost[:, 1]).astype(np.float32)
+def strays(residual: NDArray[np.float64], errors: NDArray[np.float64], rows: NDArray[np.int32]) -> bool:
+    """Whether lenses beside each other leave the plane to one side.
 
-
-def _vertex(cost: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(n,) where the parabola through three costs has its least value, in steps from the middle, at most 1 away."""
-    bend = cost[:, 0] - 2 * cost[:, 1] + cost[:, 2]
-    tilt = 0.5 * (cost[:, 0] - cost[:, 2])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(bend > 1e-6, np.clip(tilt / bend, -1, 1), np.sign(tilt)).astype(np.float32)
+    Parameters
+    ----------
+    residual, errors : (n,) float [px]
+        Distance of each lens from the plane and its standard error; inf or NaN where not known.
+    rows : (n, k) int32
+        Neighbour rows, -1 where there is none.
+    """
+    with np.errstate(invalid="ignore"):
+        off = np.abs(residual) > np.maximum(_OFF, _SURE * errors)
+        return any((beside(off & (side * residual > 0), rows) >= _TOGETHER).any() for side in (-1, 1))

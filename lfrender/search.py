@@ -113,11 +113,13 @@ class Matcher:
         which: NDArray[np.int64] | None = None,
         done: NDArray[np.bool_] | None = None,
         out: NDArray[np.float32] | None = None,
+        about: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
         """(n, d, k) float32 costs of the pairs of all `active` lenses, as `pair_costs`."""
         return pair_costs(
             self.gray, self.forward, self.statistics.mean, self.statistics.contrast, active,
             self.shifts if shifts is None else shifts, self._noise, FIXED_SHADING, self._row_step, which, done, out,
+            about,
         )  # fmt: skip
 
     def costs(self, pair: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -24,7 +24,7 @@ class Shortcuts:
     ranges : bool
         Most lenses are only matched at patch sizes that occur in a sparse sample of them.
     plane : bool
-        A scene that is one plane facing the camera is answered with one number.
+        A scene that is one plane is recognised from a sample of its lenses; the others are only checked.
     still : bool
         Lenses whose pixels are those of an earlier frame keep their answer.
     """

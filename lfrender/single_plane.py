@@ -1,0 +1,144 @@
+"""Scenes that are one plane: three numbers for all lenses, checked on every one of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Lattice
+
+from .modes import confidence, parabola_peak
+from .neighbours import beside
+from .plane import TEXTURED, Plane, fit_plane, strays
+from .radiance import GrayFlat
+from .refinement import PairFits, fit_pairs
+from .search import MISFIT, Matcher, Preset
+from .skipping import sample_lenses
+from .slant import fit_lenses
+from .texture import Texture
+
+__all__ = ["PlaneScene", "find_plane"]
+
+# So many lenses tell a plane, or at least the second number of them.
+_SAMPLE, _LEAST_SAMPLE = 96, 40
+# Three shifts this far apart [px of the search] tell for each lens whether it, too, has its optimum there. Lenses that
+# are off to one side by the second number together with others beside them are measured.
+_PROBE, _OFF, _TOGETHER = 0.75, 0.25, 2
+# A better match elsewhere, by this much, is another surface; so is a share of the lenses without any match.
+_BETTER, _MISFITS = 0.15, 0.02
+
+
+@dataclass(frozen=True)
+class PlaneScene:
+    """A flat that shows one plane.
+
+    Parameters
+    ----------
+    plane : Plane
+    confidence : float
+        0..1, of the lenses that show it.
+    evidence : (n,) float32
+        Correlation of each lens with its neighbours there, 0..1.
+    sampled : float
+        Share of the lenses that were matched at all shifts.
+    """
+
+    plane: Plane
+    confidence: float
+    evidence: NDArray[np.float32]
+    sampled: float
+
+
+def find_plane(
+    texture: Texture, lattice: Lattice, forward: NDArray[np.int32], backward: NDArray[np.int32], setting: Preset
+) -> PlaneScene | None:
+    """The one plane that the flat shows, None where there are several depths or it cannot be told.
+
+    Parameters
+    ----------
+    texture : Texture
+        Shading may be left in.
+    lattice : Lattice
+    forward, backward : (n, d) int32
+        Neighbour rows in `d` directions and in their opposites, -1 where there is none.
+    setting : Preset
+    """
+    if texture.clear.mean() < TEXTURED:
+        return None
+    sample = sample_lenses(lattice, texture.clear, _SAMPLE)
+    if sample.sum() < _LEAST_SAMPLE:
+        return None
+    matcher = Matcher(texture, forward, backward, setting)
+    cost = matcher.costs(matcher.pairs(sample))[sample]
+    best = cost.argmin(1)
+    start = np.full(len(lattice), np.nan, np.float32)
+    start[sample] = (matcher.shifts[best] + parabola_peak(cost, best) * matcher.step) * matcher.factor
+    points, sizes = _places(_pairs(texture, forward, start, setting), texture.flat, forward)
+    plane = fit_plane(points, sizes, lattice.pitch) if len(sizes) >= _LEAST_SAMPLE else None
+    if plane is None:
+        return None
+    about = plane.at(lattice.centres()).astype(np.float32)
+    evidence = _evidence(matcher, texture, about, setting)
+    if evidence is None:
+        return None
+    paths = 2 * forward.shape[1]
+    sure = float(np.median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance())))
+    return PlaneScene(plane, sure, evidence, float(sample.mean()))
+
+
+def _pairs(texture: Texture, forward: NDArray[np.int32], start: NDArray[np.float32], setting: Preset) -> PairFits:
+    """Sub-pixel patch size of all pairs of the lenses with a first value."""
+    scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
+    return fit_pairs(texture.flat, forward, start, scale, setting.iterations)
+
+
+def _places(
+    pairs: PairFits, gray: GrayFlat, forward: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Scene points (m, 2) [px] where pairs have measured a patch size, and these (m,) [px]."""
+    lens, d = np.nonzero(np.isfinite(pairs.patch_size[:, :, 0]))
+    sizes = pairs.patch_size[lens, d, 0].astype(np.float64)
+    here, there = gray.centres[lens].astype(np.float64), gray.centres[forward[lens, d]].astype(np.float64)
+    # The middle between both microimages shows the middle between their centres, less its share of the scene.
+    stretch = gray.pitch / np.where(sizes == 0, np.inf, sizes)
+    return 0.5 * (here + there) - pairs.place[lens, d, 0] * stretch[:, None], sizes
+
+
+def _evidence(
+    matcher: Matcher, texture: Texture, about: NDArray[np.float32], setting: Preset
+) -> NDArray[np.float32] | None:
+    """(n,) correlation of every lens at the plane's shift; None where a lens shows something else."""
+    everyone = texture.clear | texture.faint
+    probes = (_PROBE * np.array([-1, 0, 1])).astype(np.float32)
+    cost = matcher.costs(matcher.pairs(everyone, probes, about=about / matcher.factor))
+    misfits = texture.clear & (cost[:, 1] > MISFIT)
+    if misfits.mean() > _MISFITS:
+        return None
+    if misfits.any():
+        full = matcher.costs(matcher.pairs(misfits))[misfits]
+        least = full.min(1)
+        if ((least < cost[misfits, 1] - _BETTER) & (least < MISFIT)).any():
+            return None
+    off = _vertex(cost) * _PROBE
+    rows = np.hstack([matcher.forward, matcher.backward])
+    doubtful = np.zeros(len(off), bool)
+    for side in (-1, 1):
+        doubtful |= beside(texture.clear & ~misfits & (side * off > _OFF), rows) >= _TOGETHER
+    if doubtful.any():
+        doubtful |= (doubtful[rows] & (rows >= 0)).any(1)
+        start = np.where(doubtful, about, np.nan).astype(np.float32)
+        pairs = _pairs(texture, matcher.forward, start, setting)
+        lenses = fit_lenses(texture.flat, matcher.forward, matcher.backward, pairs, start)
+        if strays(lenses.patch_size - about, lenses.standard_error, rows):
+            return None
+    return (1 - cost[:, 1]).astype(np.float32)
+
+
+def _vertex(cost: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(n,) where the parabola through three costs has its least value, in steps from the middle, at most 1 away."""
+    bend = cost[:, 0] - 2 * cost[:, 1] + cost[:, 2]
+    tilt = 0.5 * (cost[:, 0] - cost[:, 2])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(bend > 1e-6, np.clip(tilt / bend, -1, 1), np.sign(tilt)).astype(np.float32)
