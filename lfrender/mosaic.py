@@ -31,10 +31,21 @@ def patch_size_at(surface, x, y, grid_x, grid_y, cell, edge):
     return surface[j1 if fy > 0.5 else j, i1 if fx > 0.5 else i]
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _crosses_edge(surface, x, y, s, half, grid_x, grid_y, cell, edge):
+    """Whether a corner of the output pixel at (x, y), `half` its side away, belongs to another surface than `s`."""
+    for corner in range(4):
+        corner_x = np.float32(x + (half if corner % 2 else -half))
+        corner_y = np.float32(y + (half if corner // 2 else -half))
+        if abs(patch_size_at(surface, corner_x, corner_y, grid_x, grid_y, cell, edge) - s) > edge:
+            return True
+    return False
+
+
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def draw_rows(
     flat, seen, gains, gain_step, origin, inverse, basis, bend, low, offsets, steps, types, shares, radius, pitch,
-    surface, grid_x, grid_y, cell, edge, scale, first, spacing, oversample, reach, tolerance, out, weight_out,
+    surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance, out, weight_out,
 ):  # fmt: skip
     """Fill `out` (h, w, C) with the mean over the lenses that see each point, `weight_out` with their number.
 
@@ -42,7 +53,8 @@ def draw_rows(
     its colour agrees with the most central lens's within `tolerance` (0: the most central lens alone).
     Lens (i, j) is of type `types[i % m, j % m]` and counts with the `shares` of that type, over s / D from -1 to 1;
     (0, 0) `types`: all count alike. A lens whose pixel sees another depth, by `seen` (H, W) [px], hardly counts;
-    (0, 0) `seen` means not known.
+    (0, 0) `seen` means not known. `blurred` is the square of the share of an output pixel's side over which
+    lenses have averaged already.
     """
     height, width, channels = flat.shape
     rows, columns, _ = out.shape
@@ -53,6 +65,7 @@ def draw_rows(
     last_ratio = shares.shape[1] - 1
     half_ratios = np.float32(0.5 * last_ratio)
     t2 = tolerance * tolerance
+    half_step = 0.5 * spacing
     for v in prange(rows):
         values = np.empty((MAX_LENSES, 4), np.float32)
         weights = np.empty(MAX_LENSES, np.float32)
@@ -60,13 +73,23 @@ def draw_rows(
         for u in range(columns):
             centre_x, centre_y = first + u * spacing, first + v * spacing
             s_here = patch_size_at(surface, np.float32(centre_x), np.float32(centre_y), grid_x, grid_y, cell, edge)
-            n_sub = min(max(int(np.ceil(abs(s_here) / scale - np.float32(0.05))), 1), oversample)
+            # Side of an output pixel in the flat, and how much of it lens and pixel have not averaged already.
+            side = abs(s_here) / scale
+            n_sub = max(int(np.ceil(side - np.float32(0.05))), 1)
+            apart = np.float32(1.0)
+            if n_sub > 1 and not _crosses_edge(
+                surface, centre_x, centre_y, s_here, half_step, grid_x, grid_y, cell, edge
+            ):
+                left = np.float32(1.0) - blurred - 1 / (side * side)
+                apart = np.sqrt(max(left, np.float32(0.0)))
+                n_sub = max(int(np.ceil(side * apart - np.float32(0.05))), 1)
+            apart *= spacing / n_sub
             for k in range(channels):
                 total[k] = 0.0
             total_weight = np.float32(0.0)
             for sub in range(n_sub * n_sub):
-                x = centre_x + ((sub % n_sub + np.float32(0.5)) / n_sub - np.float32(0.5)) * spacing
-                y = centre_y + ((sub // n_sub + np.float32(0.5)) / n_sub - np.float32(0.5)) * spacing
+                x = centre_x + (sub % n_sub - np.float32(0.5) * (n_sub - 1)) * apart
+                y = centre_y + (sub // n_sub - np.float32(0.5) * (n_sub - 1)) * apart
                 s = (
                     s_here
                     if n_sub == 1
