@@ -23,8 +23,8 @@ __all__ = ["default_scale", "render"]
 
 # Lenses farther than this many pitches from a scene point add little but blur.
 _REACH = 1.7
-# Colour difference, as a share of white, at which a lens counts a quarter: ghosts differ by more.
-_AGREEMENT = 0.4
+# Difference from the mean colour, as a share of white, at which a lens counts a quarter: ghosts differ by more.
+_AGREEMENT = 0.2
 _LARGEST_SCALE_SHARE = 0.98
 # Where patches exceed output pixels by less than this factor, an output pixel is read at one place in any case.
 _COARSE = 1.4
