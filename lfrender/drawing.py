@@ -15,6 +15,7 @@ from .lens_focus import focus_shares
 from .mosaic import draw_rows
 from .radiance import gain_table, white_level
 from .rendering import Rendering
+from .sharpness import lens_blur, ready_to_read
 from .surface import Surface
 from .visibility import lens_depths
 
@@ -22,11 +23,11 @@ __all__ = ["default_scale", "render"]
 
 # Lenses farther than this many pitches from a scene point add little but blur.
 _REACH = 1.7
-# Colour difference, as a share of white, at which a lens counts a quarter: ghosts differ by more.
-_AGREEMENT = 0.4
-# Finest sampling of one output pixel, per side, where patches shrink into it.
-_OVERSAMPLE = 8
+# Difference from the mean colour, as a share of white, at which a lens counts a quarter: ghosts differ by more.
+_AGREEMENT = 0.2
 _LARGEST_SCALE_SHARE = 0.98
+# Where patches exceed output pixels by less than this factor, an output pixel is read at one place in any case.
+_COARSE = 1.4
 # Lenses at which the spacing of a distorted lattice is looked at: it changes slowly over the field.
 _PROBES = 500
 
@@ -91,24 +92,25 @@ def render(
         if not 0 < abs(patch_size) < lattice.pitch:
             raise ValueError(f"patch_size must lie between 0 and the pitch {lattice.pitch:.1f} px, got {patch_size}")
         surface = Surface(np.full((1, 1), patch_size, np.float32), (0.0, 0.0), 1.0)
-        scale = abs(patch_size) if scale is None else scale
+        full, sizes = abs(patch_size), np.full(len(lattice), patch_size, np.float32)
     else:
         depth = analyze(pixels, calibration) if depth is None else depth
         if depth.image_size != calibration.image_size or len(depth) != len(lattice):
             raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
-        surface = depth.surface
-        scale = default_scale(depth) if scale is None else scale
+        surface, full, sizes = depth.surface, default_scale(depth), depth.patch_size
+    scale = full if scale is None else scale
     if not (np.isfinite(scale) and 0 < scale <= 4 * lattice.pitch):
         raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * lattice.pitch:.0f}), got {scale}")
     blend = patch_size is None if blend is None else blend
-    image, lenses, affine = _draw(pixels, calibration, surface, float(scale), blend)
+    blur = lens_blur(pixels, calibration, sizes) if scale * _COARSE < full else 0.0
+    image, lenses, affine = _draw(pixels, calibration, surface, float(scale), blend, blur)
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
     return Rendering(_like(image, np.asarray(flat).dtype), affine, lenses > 0, float(scale))
 
 
 def _draw(
-    pixels: NDArray, calibration: Calibration, surface: Surface, scale: float, blend: bool
+    pixels: NDArray, calibration: Calibration, surface: Surface, scale: float, blend: bool, blur: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
     """The picture in the flat's units, what was seen of each pixel (0..1), and the affine to scene coordinates."""
     lattice = calibration.lattice
@@ -127,10 +129,11 @@ def _draw(
     offsets, steps = lens_offsets(lattice, _REACH * lattice.pitch)
     single = np.float32
     draw_rows(
-        pixels, seen_depth, gains, single(gain_step), lattice.origin, np.linalg.inv(lattice.basis), lattice.basis,
-        bend, low, offsets, steps, *focus_shares(calibration.lens_types), single(lattice.radius), single(lattice.pitch),
+        ready_to_read(pixels), seen_depth, gains, single(gain_step),
+        lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, bend, low, offsets, steps,
+        *focus_shares(calibration.lens_types), single(lattice.radius), single(lattice.pitch),
         surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
-        single(edge), single(scale), first, spacing, _OVERSAMPLE,
+        single(edge), single(scale), first, spacing, single((blur * scale) ** 2),
         single(_REACH * lattice.pitch), single(_AGREEMENT * white_level(pixels) if blend else 0.0), image, seen,
     )  # fmt: skip
     affine = np.array([[spacing, 0.0, first], [0.0, spacing, first]])

@@ -31,18 +31,30 @@ def patch_size_at(surface, x, y, grid_x, grid_y, cell, edge):
     return surface[j1 if fy > 0.5 else j, i1 if fx > 0.5 else i]
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _crosses_edge(surface, x, y, s, half, grid_x, grid_y, cell, edge):
+    """Whether a corner of the output pixel at (x, y), `half` its side away, belongs to another surface than `s`."""
+    for corner in range(4):
+        corner_x = np.float32(x + (half if corner % 2 else -half))
+        corner_y = np.float32(y + (half if corner // 2 else -half))
+        if abs(patch_size_at(surface, corner_x, corner_y, grid_x, grid_y, cell, edge) - s) > edge:
+            return True
+    return False
+
+
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def draw_rows(
     flat, seen, gains, gain_step, origin, inverse, basis, bend, low, offsets, steps, types, shares, radius, pitch,
-    surface, grid_x, grid_y, cell, edge, scale, first, spacing, oversample, reach, tolerance, out, weight_out,
+    surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance, out, weight_out,
 ):  # fmt: skip
     """Fill `out` (h, w, C) with the mean over the lenses that see each point, `weight_out` with their number.
 
     A lens counts with the square of its illumination, less toward its rim, and only as far as
-    its colour agrees with the most central lens's within `tolerance` (0: the most central lens alone).
+    its colour agrees with the mean of all within `tolerance` (0: the most central lens alone).
     Lens (i, j) is of type `types[i % m, j % m]` and counts with the `shares` of that type, over s / D from -1 to 1;
     (0, 0) `types`: all count alike. A lens whose pixel sees another depth, by `seen` (H, W) [px], hardly counts;
-    (0, 0) `seen` means not known.
+    (0, 0) `seen` means not known. `blurred` is the square of the share of an output pixel's side over which
+    lenses have averaged already.
     """
     height, width, channels = flat.shape
     rows, columns, _ = out.shape
@@ -53,20 +65,35 @@ def draw_rows(
     last_ratio = shares.shape[1] - 1
     half_ratios = np.float32(0.5 * last_ratio)
     t2 = tolerance * tolerance
+    half_step = 0.5 * spacing
+    # Farther from the border than this, every lens in reach and all it shows lies on the flat.
+    margin = reach + radius + 1
+    line = flat.reshape(-1)
+    across, down = np.uint64(channels), np.uint64(width * channels)
     for v in prange(rows):
-        values = np.empty((MAX_LENSES, 4), np.float32)
+        values = np.zeros((MAX_LENSES, 4), np.float32)
         weights = np.empty(MAX_LENSES, np.float32)
-        total = np.empty(4, np.float32)
+        total, mean, mixed = np.empty(4, np.float32), np.empty(4, np.float32), np.empty(4, np.float32)
         for u in range(columns):
             centre_x, centre_y = first + u * spacing, first + v * spacing
             s_here = patch_size_at(surface, np.float32(centre_x), np.float32(centre_y), grid_x, grid_y, cell, edge)
-            n_sub = min(max(int(np.ceil(abs(s_here) / scale - np.float32(0.05))), 1), oversample)
-            for k in range(channels):
+            # Side of an output pixel in the flat, and how much of it lens and pixel have not averaged already.
+            side = abs(s_here) / scale
+            n_sub = max(int(np.ceil(side - np.float32(0.05))), 1)
+            apart = np.float32(1.0)
+            if n_sub > 1 and not _crosses_edge(
+                surface, centre_x, centre_y, s_here, half_step, grid_x, grid_y, cell, edge
+            ):
+                left = np.float32(1.0) - blurred - 1 / (side * side)
+                apart = np.sqrt(max(left, np.float32(0.0)))
+                n_sub = max(int(np.ceil(side * apart - np.float32(0.05))), 1)
+            apart *= spacing / n_sub
+            for k in range(4):
                 total[k] = 0.0
             total_weight = np.float32(0.0)
             for sub in range(n_sub * n_sub):
-                x = centre_x + ((sub % n_sub + np.float32(0.5)) / n_sub - np.float32(0.5)) * spacing
-                y = centre_y + ((sub // n_sub + np.float32(0.5)) / n_sub - np.float32(0.5)) * spacing
+                x = centre_x + (sub % n_sub - np.float32(0.5) * (n_sub - 1)) * apart
+                y = centre_y + (sub // n_sub - np.float32(0.5) * (n_sub - 1)) * apart
                 s = (
                     s_here
                     if n_sub == 1
@@ -78,12 +105,20 @@ def draw_rows(
                 base_y = np.float32(y - origin[1] - (i * basis[0, 1] + j * basis[1, 1]))
                 limit = min(radius / max(abs(slope), np.float32(1e-6)), reach)
                 limit2 = limit * limit
+                per_limit2 = 1 / limit2
+                # The nearest lens lies `base` away; with a distortion that is not known so well.
+                nearest = np.float32(0.75) * pitch if bent else np.sqrt(base_x * base_x + base_y * base_y)
+                farthest = limit + nearest
+                inside = x > margin and y > margin and x < width - 1 - margin and y < height - 1 - margin
                 found = 0
                 best = np.float32(np.inf)
                 best_at = 0
+                norm = np.float32(0.0)
+                for k in range(4):
+                    mean[k] = 0.0
                 for o in range(len(offsets)):
                     # offsets are sorted: beyond this one none can be near enough
-                    if offsets[o, 2] > limit + np.float32(0.75) * pitch or found == MAX_LENSES:
+                    if offsets[o, 2] > farthest or found == MAX_LENSES:
                         break
                     ex, ey = base_x - offsets[o, 0], base_y - offsets[o, 1]
                     if bent:
@@ -94,35 +129,42 @@ def draw_rows(
                         continue
                     dx, dy = -ex * slope, -ey * slope
                     px, py = x - ex + dx, y - ey + dy
-                    if not (px >= 0 and py >= 0 and px <= width - 1 and py <= height - 1):
-                        continue
-                    if x - ex < -0.5 or y - ey < -0.5 or x - ex >= width - 0.5 or y - ey >= height - 0.5:
-                        continue
+                    if not inside:
+                        if not (px >= 0 and py >= 0 and px <= width - 1 and py <= height - 1):
+                            continue
+                        if x - ex < -0.5 or y - ey < -0.5 or x - ex >= width - 0.5 or y - ey >= height - 0.5:
+                            continue
                     delta2 = dx * dx + dy * dy
-                    gain = gains[min(int(delta2 / gain_step), last_gain)]
+                    gain = gains[np.uint64(min(int(delta2 / gain_step), last_gain))]
                     ix, iy = min(int(px), width - 2), min(int(py), height - 2)
                     fx, fy = np.float32(px - ix), np.float32(py - iy)
+                    # Unsigned: signed indices are looked at for being counted from the end.
+                    upper = np.uint64((iy * width + ix) * channels)
                     w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
                     w10, w11 = (1 - fx) * fy, fx * fy
                     for k in range(channels):
+                        at = upper + np.uint64(k)
                         values[found, k] = gain * (
-                            w00 * np.float32(flat[iy, ix, k])
-                            + w01 * np.float32(flat[iy, ix + 1, k])
-                            + w10 * np.float32(flat[iy + 1, ix, k])
-                            + w11 * np.float32(flat[iy + 1, ix + 1, k])
+                            w00 * np.float32(line[at])
+                            + w01 * np.float32(line[at + across])
+                            + w10 * np.float32(line[at + down])
+                            + w11 * np.float32(line[at + down + across])
                         )
-                    weights[found] = (np.float32(1.02) - d2 / limit2) / (gain * gain)
+                    weights[found] = (np.float32(1.02) - d2 * per_limit2) / (gain * gain)
                     if typed:
                         kind = types[int(i + steps[o, 0]) % len(types), int(j + steps[o, 1]) % len(types)]
                         share = shares[kind, min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)]
                         weights[found] *= share
                     if known:
-                        depth = seen[int(py + 0.5), int(px + 0.5)]
+                        depth = seen[np.uint64(py + 0.5), np.uint64(px + 0.5)]
                         if abs(depth - s) > 2 * edge:
                             weights[found] *= _HIDDEN
                             d2 += limit2
                     if d2 < best:
                         best, best_at = d2, found
+                    norm += weights[found]
+                    for k in range(4):
+                        mean[k] += weights[found] * values[found, k]
                     found += 1
                 if found == 0:
                     continue
@@ -131,21 +173,22 @@ def draw_rows(
                         total[k] += values[best_at, k]
                     total_weight += 1
                     continue
-                for n in range(found):
-                    difference = np.float32(0.0)
-                    for k in range(channels):
-                        e = values[n, k] - values[best_at, k]
-                        difference += e * e
-                    agree = t2 / (t2 + difference / channels)
-                    weights[n] *= agree * agree
+                for k in range(4):
+                    mean[k] /= norm
+                    mixed[k] = 0.0
                 norm = np.float32(0.0)
                 for n in range(found):
-                    norm += weights[n]
-                for k in range(channels):
-                    mixed = np.float32(0.0)
-                    for n in range(found):
-                        mixed += weights[n] * values[n, k]
-                    total[k] += mixed / norm
+                    difference = np.float32(0.0)
+                    for k in range(4):
+                        e = values[n, k] - mean[k]
+                        difference += e * e
+                    agree = t2 / (t2 + difference / channels)
+                    weight = weights[n] * agree * agree
+                    norm += weight
+                    for k in range(4):
+                        mixed[k] += weight * values[n, k]
+                for k in range(4):
+                    total[k] += mixed[k] / norm
                 total_weight += 1
             weight_out[v, u] = total_weight / (n_sub * n_sub)
             for k in range(channels):
