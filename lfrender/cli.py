@@ -14,6 +14,7 @@ import click
 
 from lfcal import LightFieldError, check_output, console
 
+from .embedded import read_embedded
 from .picture import check_picture, write_picture
 
 if TYPE_CHECKING:
@@ -120,7 +121,8 @@ def analyze(
     type=click.Choice(["RGGB", "BGGR", "GRBG", "GBRG"]),
     help="Colour filters of the top left 2 x 2 pixels of a raw mosaic, where the camera file does not say.",
 )
-@click.option("--alpha", is_flag=True, help="Make pixels that no lens has seen transparent (TIFF, PNG, WebP).")
+@click.option("--alpha", is_flag=True, help="Make pixels that no lens has seen transparent (not in JPEG).")
+@click.option("--compress", is_flag=True, help="Write a TIFF in deflated tiles: smaller and slower.")
 @_preset
 @console.report_options
 def render(
@@ -134,6 +136,7 @@ def render(
     scale: float | None,
     mosaic: Mosaic | None,
     alpha: bool,
+    compress: bool,
     preset: str,
     as_json: bool,
     quiet: bool,
@@ -163,7 +166,10 @@ def render(
     with report.stage("render"):
         picture = _render(report, pixels, calibration, depth, patch_size, traditional, scale)
     with report.stage("write"):
-        write_picture(output, picture, alpha=alpha, settings=_settings(depth, patch_size))
+        write_picture(
+            output, picture, alpha=alpha, settings=_settings(depth, patch_size), embedded=read_embedded(flat),
+            compress=compress,
+        )  # fmt: skip
     figures = {**_camera_figures(calibration), **(_depth_figures(depth) if depth else {})}
     report.finish({"picture": str(output), **_picture_figures(picture), **figures})
 

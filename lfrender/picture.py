@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
-import struct
-import zlib
 from collections.abc import Iterable, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 
 from lfcal import LightFieldError, check_output, whole_file
 
+from .embedded import Embedded, embed_in_jpeg, embed_in_png
+
 __all__ = ["PictureError", "check_picture", "write_picture"]
 
 #: Which pixel types each format holds.
 _FORMATS: dict[str, tuple[str, ...]] = {
+    ".exr": ("float32",),
     ".jpeg": ("uint8",),
     ".jpg": ("uint8",),
     ".png": ("uint8", "uint16"),
@@ -27,6 +30,8 @@ _FORMATS: dict[str, tuple[str, ...]] = {
     ".webp": ("uint8",),
 }
 _JPEG_QUALITY = 95
+_TILE = (256, 256)
+_NOTHING = Embedded()
 
 
 class PictureError(LightFieldError, ValueError):
@@ -63,6 +68,8 @@ def check_picture(
     suffix = Path(path).suffix.lower()
     if dtype is not None and np.dtype(dtype).name not in _FORMATS[suffix]:
         raise PictureError(f"{path}: {suffix} cannot hold {np.dtype(dtype).name} pixels; use .tif")
+    if suffix == ".exr" and find_spec("OpenEXR") is None:
+        raise PictureError(f"{path}: OpenEXR pictures need the package 'OpenEXR'; pip install 'lfrender[exr]'")
     if alpha and suffix in (".jpg", ".jpeg"):
         raise PictureError(f"{path}: {suffix} cannot hold an alpha channel; use .png or .tif")
 
@@ -73,10 +80,12 @@ def write_picture(
     *,
     alpha: bool = False,
     settings: Mapping[str, Any] | None = None,
+    embedded: Embedded = _NOTHING,
+    compress: bool = False,
 ) -> None:
-    """Write a rendering, or plain pixels, as TIFF, PNG, JPEG or WebP; the file appears whole or not at all.
+    """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP or OpenEXR; the file appears whole or not at all.
 
-    TIFF, PNG and JPEG carry a JSON text (`ImageDescription`, `Description` or comment) with the 2x3 affine from output
+    All but WebP carry a JSON text (`ImageDescription`, `Description` or comment) with the 2x3 affine from output
     pixel `(u, v)` to scene coordinates `X` and the settings of the rendering. Pixels no lens has seen are 0; with
     `alpha`, they are transparent too.
 
@@ -85,11 +94,16 @@ def write_picture(
     path : path-like
         The ending chooses the format.
     picture : Rendering or (h, w) or (h, w, 3) uint8, uint16 or float32
-        What to write; colours in the order red, green, blue. float32 only into TIFF, uint16 into TIFF and PNG.
+        What to write; colours in the order red, green, blue. float32 only into TIFF and OpenEXR, uint16 only into TIFF
+        and PNG.
     alpha : bool
         Add the mask of valid pixels as an alpha channel (not in JPEG).
     settings : mapping, optional
         Further entries for the JSON text.
+    embedded : Embedded
+        Colour profile (not in OpenEXR) and EXIF data (not in TIFF and OpenEXR) to put into the file.
+    compress : bool
+        Write a TIFF in deflated tiles instead of plain rows: smaller, and slower to write. Above 4 GB it is a BigTIFF.
 
     Raises
     ------
@@ -107,9 +121,11 @@ def write_picture(
     suffix = Path(path).suffix.lower()
     with whole_file(path) as temporary:
         if suffix in (".tif", ".tiff"):
-            _write_tiff(temporary, pixels, text)
+            _write_tiff(temporary, pixels, text, embedded.icc, compress)
+        elif suffix == ".exr":
+            _write_exr(temporary, pixels, text)
         else:
-            temporary.write_bytes(_encode(pixels, suffix, text))
+            temporary.write_bytes(_encode(pixels, suffix, text, embedded))
 
 
 def _describe(picture: Any, settings: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -126,9 +142,13 @@ def _with_alpha(pixels: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
     return np.dstack([pixels, mask])
 
 
-def _write_tiff(path: Path, pixels: NDArray[Any], text: str) -> None:
+def _write_tiff(path: Path, pixels: NDArray[Any], text: str, icc: bytes, compress: bool) -> None:
     import tifffile
 
+    tiles: dict[str, Any] = {}
+    if compress:
+        tiles = {"tile": _TILE, "compression": "zlib", "compressionargs": {"level": 3}}
+        tiles["predictor"] = pixels.dtype.kind != "f"
     colour = pixels.ndim == 3 and pixels.shape[2] >= 3
     alpha = pixels.ndim == 3 and pixels.shape[2] in (2, 4)
     tifffile.imwrite(
@@ -140,12 +160,16 @@ def _write_tiff(path: Path, pixels: NDArray[Any], text: str) -> None:
         description=text,
         software="lfrender",
         metadata=None,
+        iccprofile=icc or None,
+        **tiles,
     )
 
 
-def _encode(pixels: NDArray[Any], suffix: str, text: str) -> bytes:
+def _encode(pixels: NDArray[Any], suffix: str, text: str, embedded: Embedded) -> bytes:
     import cv2
 
+    if suffix == ".webp" and (embedded.icc or embedded.exif) and pixels.ndim == 3 and pixels.shape[2] != 2:
+        return _webp(pixels, embedded)
     if pixels.ndim == 3 and pixels.shape[2] == 2:
         pixels = pixels[..., (0, 0, 0, 1)]
     if pixels.ndim == 3:
@@ -159,16 +183,29 @@ def _encode(pixels: NDArray[Any], suffix: str, text: str) -> bytes:
         raise PictureError(f"cannot be written as {suffix} ({error.err or error})") from error
     if not done:
         raise PictureError(f"{pixels.shape[1]} x {pixels.shape[0]} px cannot be written as {suffix}; use .tif")
-    return _annotate(data.tobytes(), suffix, text.encode("ascii"))
-
-
-def _annotate(data: bytes, suffix: str, text: bytes) -> bytes:
-    """Put the text into the file where the format has room for one; `data` as it was elsewhere."""
     if suffix == ".png":
-        after_header = 8 + 12 + 13
-        body = b"tEXtDescription\0" + text
-        chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
-        return data[:after_header] + chunk + data[after_header:]
-    if suffix in (".jpg", ".jpeg") and len(text) < 65000:
-        return data[:2] + b"\xff\xfe" + struct.pack(">H", len(text) + 2) + text + data[2:]
-    return data
+        return embed_in_png(data.tobytes(), text, embedded)
+    return embed_in_jpeg(data.tobytes(), text, embedded) if suffix != ".webp" else bytes(data.tobytes())
+
+
+def _webp(pixels: NDArray[Any], embedded: Embedded) -> bytes:
+    from PIL import Image
+
+    stream = io.BytesIO()
+    extra = {"icc_profile": embedded.icc, "exif": embedded.exif}
+    Image.fromarray(np.ascontiguousarray(pixels)).save(
+        stream, "WEBP", quality=_JPEG_QUALITY, **{name: value for name, value in extra.items() if value}
+    )
+    return stream.getvalue()
+
+
+def _write_exr(path: Path, pixels: NDArray[Any], text: str) -> None:
+    import OpenEXR
+
+    names = {2: "Y", 3: "RGB", 4: "RGBA"}
+    channels = {names.get(pixels.shape[2], "Y") if pixels.ndim == 3 else "Y": np.ascontiguousarray(pixels)}
+    if pixels.ndim == 3 and pixels.shape[2] == 2:
+        channels = {"Y": np.ascontiguousarray(pixels[..., 0]), "A": np.ascontiguousarray(pixels[..., 1])}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "comments": text}
+    with OpenEXR.File(header, channels) as file:
+        file.write(str(path))

@@ -9,9 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import tifffile
-from PIL import Image
+from PIL import Image, ImageCms
 
 from lfcal import OutputError, read_flat
+from lfrender.embedded import Embedded, read_embedded
 from lfrender.picture import PictureError, check_picture, write_picture
 
 AFFINE = np.array([[2.5, 0.0, 1.25], [0.0, 2.5, -3.0]])
@@ -110,3 +111,44 @@ def test_picture_too_wide_for_its_format_leaves_nothing(tmp_path):
     with pytest.raises(PictureError):
         write_picture(tmp_path / "wide.webp", np.zeros((2, 20000), np.uint8))
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("extension", [".png", ".jpg", ".webp", ".tif"])
+def test_profile_and_camera_data_of_the_flat_are_kept(tmp_path, rendering, extension):
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    exif = Image.Exif()
+    exif[0x010F], exif[0x0100] = "Raytrix", 999
+    flat = tmp_path / f"flat{extension}"
+    pixels = Image.fromarray(np.zeros((40, 50, 3), np.uint8))
+    pixels.save(flat, icc_profile=profile, **({} if extension == ".tif" else {"exif": exif}))
+    found = read_embedded(flat)
+    write_picture(tmp_path / f"picture{extension}", rendering, embedded=found)
+    with Image.open(tmp_path / f"picture{extension}") as written:
+        assert written.info["icc_profile"] == profile
+        if extension != ".tif":
+            assert written.getexif()[0x010F] == "Raytrix" and 0x0100 not in written.getexif()
+
+
+def test_damaged_and_absent_camera_data_leave_the_picture_without(tmp_path):
+    (tmp_path / "flat.jpg").write_bytes(b"\xff\xd8\xff\xe1\x00\x10Exif\0\0damaged")
+    assert read_embedded(tmp_path / "flat.jpg") == Embedded() == read_embedded(tmp_path / "none.png")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_compressed_tiff_has_tiles_and_the_same_pixels(tmp_path, rendering, dtype):
+    pixels = rendering.image.astype(dtype)
+    write_picture(tmp_path / "picture.tif", pixels, compress=True)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "picture.tif"), pixels)
+    with tifffile.TiffFile(tmp_path / "picture.tif") as file:
+        assert file.pages[0].is_tiled and file.pages[0].compression.name == "ADOBE_DEFLATE"
+
+
+@pytest.mark.parametrize("grey", [False, True])
+def test_float_openexr_comes_back_exactly(tmp_path, rendering, grey):
+    exr = pytest.importorskip("OpenEXR")
+    pixels = rendering.image.astype(np.float32) / 300
+    rendering.image = pixels[..., 0] if grey else pixels
+    write_picture(tmp_path / "picture.exr", rendering)
+    with exr.File(str(tmp_path / "picture.exr")) as file:
+        np.testing.assert_array_equal(file.channels()["Y" if grey else "RGB"].pixels, rendering.image)
+        assert "affine" in json.loads(file.header()["comments"])

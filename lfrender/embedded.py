@@ -1,0 +1,119 @@
+"""Colour profile and camera data that a flat's file holds, to be kept in the picture's."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+__all__ = ["Embedded", "embed_in_jpeg", "embed_in_png", "read_embedded"]
+
+_ICC_TAG = 34675
+_EXIF_IFD = 0x8769
+# Sizes [px] of the flat, which are not those of the picture.
+_OF_FLAT = (0x0100, 0x0101, 0xA002, 0xA003)
+_EXIF_HEAD = b"Exif\0\0"
+_ICC_HEAD = b"ICC_PROFILE\0"
+# Bytes of a profile in one JPEG segment.
+_SEGMENT = 65519
+
+
+@dataclass(frozen=True)
+class Embedded:
+    """What a file says of its colours and of how it was taken.
+
+    Parameters
+    ----------
+    icc : bytes
+        ICC profile, empty where there is none.
+    exif : bytes
+        TIFF block of the EXIF data, without thumbnail and sizes, empty where there is none.
+    """
+
+    icc: bytes = b""
+    exif: bytes = b""
+
+
+def read_embedded(path: str | os.PathLike[str]) -> Embedded:
+    """Colour profile and EXIF data of an image file.
+
+    PNG, JPEG and WebP may hold both, of TIFF the profile is read. What cannot be read is left out: the pixels matter
+    more.
+    """
+    source = Path(path)
+    try:
+        with source.open("rb") as stream:
+            head = stream.read(4)
+        if head[:2] in (b"II", b"MM"):
+            return _of_tiff(source)
+        return _of_image(source)
+    # Readers raise whatever damaged data drive them to.
+    except Exception:
+        return Embedded()
+
+
+def _of_tiff(source: Path) -> Embedded:
+    import tifffile
+
+    with tifffile.TiffFile(source) as tiff:
+        page: Any = tiff.pages[0]
+        tag = page.tags.get(_ICC_TAG)
+        return Embedded(b"" if tag is None else bytes(tag.value))
+
+
+def _of_image(source: Path) -> Embedded:
+    from PIL import JpegImagePlugin, PngImagePlugin, WebPImagePlugin
+
+    kinds: dict[str, Any] = {
+        ".png": PngImagePlugin.PngImageFile,
+        ".jpg": JpegImagePlugin.JpegImageFile,
+        ".jpeg": JpegImagePlugin.JpegImageFile,
+        ".webp": WebPImagePlugin.WebPImageFile,
+    }
+    kind = kinds.get(source.suffix.lower())
+    if kind is None:
+        return Embedded()
+    # The format's own class is used, not Image.open: that one refuses sensors above 179 megapixels.
+    with kind(str(source)) as image:
+        exif = image.getexif()
+        inner = exif.get_ifd(_EXIF_IFD)
+        for tag in _OF_FLAT:
+            exif.pop(tag, None)
+            inner.pop(tag, None)
+        block = exif.tobytes() if len(exif) else b""
+        return Embedded(image.info.get("icc_profile") or b"", block.removeprefix(_EXIF_HEAD))
+
+
+def embed_in_png(data: bytes, text: str, embedded: Embedded) -> bytes:
+    """A PNG file with a description, the profile and EXIF data put in after its header."""
+    after_header = 8 + 12 + 13
+    chunks = _chunk(b"tEXt", b"Description\0" + text.encode("ascii"))
+    if embedded.icc:
+        chunks = _chunk(b"iCCP", b"ICC profile\0\0" + zlib.compress(embedded.icc)) + chunks
+    if embedded.exif:
+        chunks += _chunk(b"eXIf", embedded.exif)
+    return data[:after_header] + chunks + data[after_header:]
+
+
+def _chunk(kind: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+
+def embed_in_jpeg(data: bytes, text: str, embedded: Embedded) -> bytes:
+    """A JPEG file with a comment, the profile and EXIF data put in at its start; what does not fit is left out."""
+    segments = b""
+    if embedded.exif and len(embedded.exif) <= _SEGMENT:
+        segments += _segment(0xE1, _EXIF_HEAD + embedded.exif)
+    parts = [embedded.icc[k : k + _SEGMENT] for k in range(0, len(embedded.icc), _SEGMENT)]
+    for number, part in enumerate(parts, 1):
+        segments += _segment(0xE2, _ICC_HEAD + bytes([number, len(parts)]) + part)
+    if len(text) <= _SEGMENT:
+        segments += _segment(0xFE, text.encode("ascii"))
+    return data[:2] + segments + data[2:]
+
+
+def _segment(marker: int, body: bytes) -> bytes:
+    return struct.pack(">BBH", 0xFF, marker, len(body) + 2) + body
