@@ -70,7 +70,7 @@ def calibrate(
     # Compiled code is loaded only when a flat is there to be calibrated.
     from .captures import checked_flats
     from .features import luminance
-    from .reduction import block_size, enlarged, is_large, reduced
+    from .reduction import block_size, enlarged, reduced, remains_large, sought_in_a_piece
 
     flats = checked_flats(image)
     for flat in flats:
@@ -79,11 +79,14 @@ def calibrate(
     size = flats[0].shape[1], flats[0].shape[0]
     found: _Found | None = None
     block = block_size(flats[0])
-    if is_large(size, block) and len(flats) == 1 and kind != "scene":
+    alone = len(flats) == 1 and kind != "scene"
+    if alone and remains_large(size, block):
         found = _found_in_parts(flats[0], kind, filtered)
     if found is None and block > 1:
         camera = calibrate([reduced(flat, block) for flat in flats], kind)
         return replace(enlarged(camera, block, size), mosaic=mosaic)
+    if found is None and alone and not filtered and sought_in_a_piece(size):
+        found = _found_on_large(flats[0], kind)
     if found is None:
         found = _found_on_all([equalise(flat) if filtered else luminance(flat) for flat in flats], kind, filtered)
     camera = _measured(found)
@@ -115,6 +118,17 @@ def _found_in_parts(flat: NDArray[Any], kind: str, filtered: bool) -> _Found | N
     return _Found(parts, True, start, fit_on_white(parts, start), look)
 
 
+def _found_on_large(flat: NDArray[Any], kind: str) -> _Found | None:
+    """The lattice of a large white image, followed outwards from its middle; None where it is none."""
+    from .features import tone
+    from .large_white import first_of_all
+    from .lattice_fit import fit_on_white
+
+    picture = tone(flat)
+    start = first_of_all(picture, kind == "white")
+    return None if start is None else _Found(picture, True, start, fit_on_white(picture, start))
+
+
 def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) -> _Found:
     """The lattice from whole flats."""
     from .captures import white_or_scene
@@ -122,12 +136,6 @@ def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) 
     from .lattice_fit import fit_on_scenes, fit_on_white
 
     single = tone(lights[0]) if len(lights) == 1 else None
-    if single is not None and kind != "scene" and not filtered:
-        from .large_white import first_of_large
-
-        ahead = first_of_large(single, kind == "white")
-        if ahead is not None:
-            return _Found(single, True, ahead, fit_on_white(single, ahead))
     if len(lights) > 1:
         lights = _telling(lights)
     start = _first(lights, filtered, single)

@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from .disc_whole import OUTLIER, THINNED, accumulate_whole, outside, rows_within
+
 __all__ = ["LOCAL", "DiscSteps", "Discs", "disc_steps", "edge_of", "first_level"]
 
 # Parameters of a single lens: place (2), displacement of the cutting disc (2), its radius, its softness, the blur both
@@ -22,8 +24,6 @@ LOCAL = 8
 _CHUNKS = 64
 # Beyond so many standard deviations from its middle the cut is all or nothing.
 _EDGE = 3.0
-# Residuals beyond so many standard deviations have no say (Tukey's biweight).
-_OUTLIER = 4.685
 # Share of the steepest slope of the profile above which it is an edge.
 _STEEP = 0.1
 # Weights of steps and of bends of the profile against that of the pixels.
@@ -40,9 +40,7 @@ _WEIGHTS = (
     0.17132449237917036, 0.3607615730481386, 0.46791393457269104,
     0.46791393457269104, 0.3607615730481386, 0.17132449237917036,
 )  # fmt: skip
-# In the even inside of a microimage one pixel in so many is looked at, where that inside has at least this radius [px],
-# and up to so far [px] from its edge.
-_THINNED = 4
+# The even inside of a microimage is thinned where its radius is at least this [px], up to so far [px] from its edge.
 _LARGE = 3.0
 _MARGIN = 0.5
 _ROOT_HALF = math.sqrt(0.5)
@@ -147,14 +145,6 @@ class DiscSteps:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _outside(dx, dy, faces):
-    for face in range(faces.shape[0]):  # noqa: SIM110
-        if dx * faces[face, 0] + dy * faces[face, 1] > 0.5:
-            return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _transmission(dx, dy, radius, soft):
     """Light through the cutting disc, its slope [1/px], distance to the disc's centre, depth in units of soft."""
     far = math.sqrt(dx * dx + dy * dy)
@@ -189,26 +179,20 @@ def _both(alpha, beta, shared):
     return joint, with_first, with_second
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _rows(centre, reach, corner, side):
-    """First and last but one row of a window within reach of the centre."""
-    return max(int(np.ceil(centre - reach)) - corner, 0), min(int(np.floor(centre + reach)) + 1 - corner, side)
-
-
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, chunks, total, count):
     lenses, side = light.shape[0], light.shape[1]
     for chunk in prange(chunks):
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
-            top, bottom = _rows(cy, reach, 0, side)
+            top, bottom = rows_within(cy, reach, 0, side)
             for y in range(top, bottom):
                 dy = y - cy
-                left, right = _rows(cx, np.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
+                left, right = rows_within(cx, np.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
                 for x in range(left, right):
                     dx = x - cx
                     rho = np.sqrt(dx * dx + dy * dy)
-                    if rho > inner and _outside(dx, dy, faces):
+                    if rho > inner and outside(dx, dy, faces):
                         continue
                     place = rho / step
                     ring = int(place)
@@ -221,37 +205,34 @@ def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _accumulate_steps(
+def _accumulate_cut(
     light, corners, centres, cut, gain, trust, tilt, radius, soft, faces, inner, reach, step, level, slope, weight,
-    four, edge, even, depths, shared, dark, chunks, normal, right, mixed, band, squares, count, scatter,
+    four, edge, even, depths, shared, dark, chunks, normal, right, mixed, band, scatter,
 ):  # fmt: skip
     lenses, side = light.shape[0], light.shape[1]
-    first = 8 - mixed.shape[1]
     for chunk in prange(chunks):
         g = np.zeros(8)
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
-            top, bottom = _rows(cy, reach, 0, side)
+            top, bottom = rows_within(cy, reach, 0, side)
             for y in range(top, bottom):
                 dy = y - cy
-                low_x, high_x = _rows(cx, np.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
+                low_x, high_x = rows_within(cx, np.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
                 for x in range(low_x, high_x):
                     dx = x - cx
                     rho = np.sqrt(dx * dx + dy * dy)
-                    if rho > inner and _outside(dx, dy, faces):
+                    if rho > inner and outside(dx, dy, faces):
                         continue
                     place = rho / step
                     ring = int(place)
                     part = place - ring
-                    through, change, far, depth = 1.0, 0.0, 1.0, 0.0
-                    if soft > 0:
-                        ex, ey = dx - cut[lens, 0], dy - cut[lens, 1]
-                        through, change, far, depth = _transmission(ex, ey, radius, soft)
+                    ex, ey = dx - cut[lens, 0], dy - cut[lens, 1]
+                    through, change, far, depth = _transmission(ex, ey, radius, soft)
                     share = 1.0
                     if ring < even and change == 0:
-                        if (x + 2 * y) % _THINNED:
+                        if (x + 2 * y) % THINNED:
                             continue
-                        share = _THINNED
+                        share = THINNED
                     disc = level[ring] * (1 - part) + level[ring + 1] * part - dark
                     angle = 1 - 8 * (dx * dx) * (dy * dy) / max(rho * rho * rho * rho, 1e-12)
                     disc += (four[ring] * (1 - part) + four[ring + 1] * part) * angle
@@ -272,28 +253,28 @@ def _accumulate_steps(
                     residual = light[lens, y, x] / lit - model
                     w = weight[ring] * (1 - part) + weight[ring + 1] * part
                     chi = residual * residual * w
-                    away = chi * trust[lens] / (_OUTLIER * _OUTLIER)
-                    scatter[lens, 0] += min(chi, _OUTLIER * _OUTLIER / trust[lens])
+                    away = chi * trust[lens] / (OUTLIER * OUTLIER)
+                    scatter[lens, 0] += min(chi, OUTLIER * OUTLIER / trust[lens])
                     scatter[lens, 1] += 1
                     if away >= 1:
                         continue
-                    squares[chunk, ring] += residual * residual * trust[lens]
-                    count[chunk, ring] += 1
+                    band[chunk, ring, 6] += residual * residual * trust[lens]
+                    band[chunk, ring, 7] += 1
                     w *= (1 - away) * (1 - away) * trust[lens] * share
                     along = -(slope[ring] * (1 - part) + slope[ring + 1] * part) * falling / max(rho, 1e-6)
                     g[0], g[1], g[7] = along * dx, along * dy, model
                     here, after = falling * (1 - part), falling * part
-                    band[chunk, 3, ring] += w
+                    band[chunk, ring, 3] += w
                     turned = w * angle * through
-                    band[chunk, 4, ring] += turned * (1 - part) * residual
-                    band[chunk, 4, ring + 1] += turned * part * residual
-                    band[chunk, 5, ring] += turned * angle * through * (1 - part)
-                    band[chunk, 5, ring + 1] += turned * angle * through * part
-                    band[chunk, 0, ring] += w * here * here
-                    band[chunk, 0, ring + 1] += w * after * after
-                    band[chunk, 1, ring] += w * here * after
-                    band[chunk, 2, ring] += w * here * residual
-                    band[chunk, 2, ring + 1] += w * after * residual
+                    band[chunk, ring, 4] += turned * (1 - part) * residual
+                    band[chunk, ring + 1, 4] += turned * part * residual
+                    band[chunk, ring, 5] += turned * angle * through * (1 - part)
+                    band[chunk, ring + 1, 5] += turned * angle * through * part
+                    band[chunk, ring, 0] += w * here * here
+                    band[chunk, ring + 1, 0] += w * after * after
+                    band[chunk, ring, 1] += w * here * after
+                    band[chunk, ring, 2] += w * here * residual
+                    band[chunk, ring + 1, 2] += w * after * residual
                     low = 7
                     if change > 0:
                         push = disc * change * cutting
@@ -306,9 +287,8 @@ def _accumulate_steps(
                         if a >= 2 and a < low:
                             continue
                         right[lens, a] += w * g[a] * residual
-                        if a >= first:
-                            mixed[lens, a - first, ring] += w * g[a] * here
-                            mixed[lens, a - first, ring + 1] += w * g[a] * after
+                        mixed[lens, a, ring] += w * g[a] * here
+                        mixed[lens, a, ring + 1] += w * g[a] * after
                         for b in range(a, 8):
                             if b >= 2 and b < low:
                                 continue
@@ -363,17 +343,25 @@ def disc_steps(discs: Discs) -> DiscSteps:
     lenses, rings = len(discs.centres), len(discs.level)
     normal, right = np.zeros((lenses, LOCAL, LOCAL)), np.zeros((lenses, LOCAL))
     mixed = np.zeros((lenses, LOCAL if discs.soft > 0 else 1, rings))
-    squares, count, band = (np.zeros((_CHUNKS, *shape)) for shape in ((rings,), (rings,), (6, rings)))
-    scatter = np.zeros((lenses, 2))
+    # By ring: own weight, weight shared with the next ring, force, weight of all, force and weight of the fourth
+    # harmonic, sum of squares, number of pixels.
+    band, scatter = np.zeros((_CHUNKS, rings, 8)), np.zeros((lenses, 2))
     slope = np.gradient(discs.level, discs.step)
-    _accumulate_steps(
-        discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
-        discs.soft, discs.faces, discs.inner, discs.reach, discs.step, discs.level, slope, discs.weight, discs.four,
-        discs.edge, _even(discs), _depths(discs), discs.shared, discs.dark, _CHUNKS, normal, right, mixed, band,
-        squares, count, scatter,
-    )  # fmt: skip
+    if discs.soft > 0:
+        _accumulate_cut(
+            discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
+            discs.soft, discs.faces, discs.inner, discs.reach, discs.step, discs.level, slope, discs.weight,
+            discs.four, discs.edge, _even(discs), _depths(discs), discs.shared, discs.dark, _CHUNKS, normal, right,
+            mixed, band, scatter,
+        )  # fmt: skip
+    else:
+        tables = np.column_stack([discs.level, slope, discs.weight, discs.four])
+        accumulate_whole(
+            discs.light, discs.corners, discs.centres, discs.gain, discs.trust, discs.tilt, discs.faces, discs.inner,
+            discs.reach, discs.step, tables, _even(discs), _CHUNKS, normal, right, mixed, band, scatter,
+        )  # fmt: skip
     normal += np.triu(normal.reshape(-1, LOCAL, LOCAL), 1).transpose(0, 2, 1)
-    main, side, force, total, turned, turned_own = band.sum(0)
+    main, side, force, total, turned, turned_own, squares, count = band.sum(0).T
     # Rings that hardly a pixel fell into are like their neighbours; where lenses lie alike to the pixels, only the
     # smoothness of the profile tells where between the pixels an edge is.
     flat, bend = np.diff(np.eye(rings), axis=0), np.diff(np.eye(rings), 2, axis=0)
@@ -385,7 +373,7 @@ def disc_steps(discs: Discs) -> DiscSteps:
     own = turned_own + _SLOW * (total + max(float(np.median(total)), 1e-30))
     return DiscSteps(
         normal, right, mixed, profile, force - stiff @ discs.level, turned / own,
-        _smooth_variance(squares.sum(0), count.sum(0)), scatter[:, 0] / np.maximum(scatter[:, 1], 1),
+        _smooth_variance(squares, count), scatter[:, 0] / np.maximum(scatter[:, 1], 1),
         float(misfit / max(number, 1)),
     )  # fmt: skip
 

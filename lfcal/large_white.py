@@ -21,7 +21,7 @@ from .lattice import Lattice
 from .parts import Look, Parts
 from .search import FirstLattice, first_lattice
 
-__all__ = ["first_of_large", "first_of_white", "grid_parts", "look_at", "some_parts"]
+__all__ = ["first_of_all", "first_of_white", "grid_parts", "look_at", "some_parts"]
 
 # Side of the piece in which the lattice is looked for [px]; at least so many pitches must be in it.
 _PIECE = 1024
@@ -34,8 +34,6 @@ _WIDE = 2.0
 # From the pieces so far to the next ones. A cubic that moves centres by hardly a hundredth px within those then moves
 # them by a sixth here.
 _FARTHER = 2.5
-# Flats of more pixels than this are large.
-_LARGE = 6e6
 # Side [px] and pixels of the parts that stand for a flat too large to be held as a whole.
 _SIDE, _PIXELS = 768, 1.6e7
 
@@ -64,10 +62,8 @@ def look_at(flat: NDArray[Any], filtered: bool) -> Look:
     return look
 
 
-def first_of_large(tones: NDArray[np.float32], sure: bool) -> FirstLattice | None:
-    """`first_of_white` of the tones (h, w) of a flat; None where it is not large."""
-    if tones.size < _LARGE:
-        return None
+def first_of_all(tones: NDArray[np.float32], sure: bool) -> FirstLattice | None:
+    """`first_of_white` of the tones (h, w) of a whole flat."""
 
     def look(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
         return np.ascontiguousarray(tones[y : y + height, x : x + width])

@@ -30,7 +30,7 @@ _SIZE = (1300, 1000)
 @pytest.fixture
 def followed(monkeypatch):
     """Small images count as large; the lattices that were followed over them."""
-    monkeypatch.setattr(large_white, "_LARGE", 5e5)
+    monkeypatch.setattr(reduction, "_PIECEWISE", 5e5)
     monkeypatch.setattr(large_white, "_PIECE", 300)
     monkeypatch.setattr(large_white, "_FOLLOW", (14, 100))
     found = []
