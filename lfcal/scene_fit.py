@@ -1,13 +1,13 @@
-"""Global fit of scene captures: one lattice through all regions of a flat, most of which may be misled by the scene.
+"""Global fit of scene captures: one lattice through all lenses of a flat, most of which may be misled by the scene.
 
-What the scene shows pushes neighbouring lenses the same way, and video compression drags whole regions along with what
-moves in them. So lenses are first put together by region, each with the scatter of its own lenses as its error; the
-regions that agree best then decide.
+What the scene shows pushes lenses off, and video compression drags whole parts of a flat along with what moves in
+them. So the lenses that agree best decide. Neighbours are misled alike: how sure the lattice is follows from how parts
+of the flat differ, not from how lenses do.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from .errors import CalibrationError
 from .fit import LatticeFit, cell_faces, whole_lenses
 from .lattice import Lattice
-from .regions import Regions, agreed, regular_ratio, step_by_region
+from .majority import Steps, agreed, regular_ratio
 from .template import lens_steps
 
 __all__ = ["fit_scene"]
@@ -31,9 +31,11 @@ _PASSES = 10
 # Steps below this share of the standard error change nothing.
 _SETTLED = 0.2
 _RUNAWAY = 0.05
-# Lenses of a region, few so that one misled lens does not mislead many, and regions needed before they have so many.
-_LENSES_PER_REGION = 6
-_FEWEST_REGIONS = 36
+# Lenses of a tile in halves of the flat, and the tiles that are taken for independent of each other.
+_LENSES_PER_TILE = 16
+_FEWEST_TILES = 36
+# More lenses than this make no lattice of a scene any surer.
+_MOST_LENSES = 20000
 # Lenses that say less than this share of what good ones say about their place have no say. Once the lattice is nearly
 # right only those count that say half as much, where they are enough to outvote what a scene does to them.
 _GOOD, _SAYS, _CLEAR = 0.9, 0.001, 0.5
@@ -59,40 +61,38 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
     """
     start = lattice.basis
     stride = max(1, round(lattice.pitch / _FINE_PITCH))
-    most = max(int(pixels * stride**2 / abs(np.linalg.det(start))), _SKETCH_LENSES)
+    most = min(max(int(pixels * stride**2 / abs(np.linalg.det(start))), _SKETCH_LENSES), _MOST_LENSES)
     for size, passes in ((min(_SKETCH_LENSES, most), _SKETCH_PASSES), (most, _PASSES)):
         if size < most and min(most, len(lattice)) <= 2 * _SKETCH_LENSES:
             continue
         indices = _chosen(lattice, size)
         for turn in range(passes):
-            view = _look(picture, lattice, indices, stride)
-            change, share = agreed(view.regions)
+            steps, said = _look(picture, lattice, indices, stride)
+            change, share = agreed(steps)
             before, lattice = lattice, _moved(lattice, change)
             if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
                 raise CalibrationError(
                     "the microimages do not keep to one lattice; give a sharper flat or a white image"
                 )
-            design = np.column_stack([np.ones(len(indices)), indices])
-            moments = design.T @ design / len(design)
-            covariance = np.linalg.pinv((view.regions.design * share[:, None]).T @ view.regions.design)
-            error = float(np.sqrt(2 * np.trace(covariance @ moments)))
-            first = turn == 0 and size == most
-            indices = _clearest(indices, view.said) if first else indices
-            settled = np.sqrt(np.einsum("pa,pq,qa->", change, moments, change)) < _SETTLED * error
-            if settled and len(indices) == len(design):
+            error = _standard_error(steps, change, share)
+            count = len(indices)
+            indices = _clearest(indices, said) if turn == 0 and size == most else indices
+            if _field_rms(steps, change) < _SETTLED * error and len(indices) == count:
                 break
-    regular = regular_ratio(lattice.basis, view.regions)
+    regular = regular_ratio(lattice.basis, steps)
     if regular is not None:
-        # What the regions say is from the lattice before the last step.
-        lattice = _moved(before, agreed(replace(view.regions, regular=regular))[0])
-        view = _look(picture, lattice, indices, stride)
-        view = replace(view, regions=replace(view.regions, regular=regular))
-        lattice = _moved(lattice, agreed(view.regions)[0])
-    regions = view.regions
-    halves = [agreed(regions, regions.colour == side)[0] for side in (0, 1)]
-    gap = halves[0] - halves[1]
-    differ = float(np.sqrt(np.einsum("pa,pq,qa->", gap, moments, gap)))
-    return LatticeFit(lattice.origin, lattice.basis, view.scatter, error, view.used, differ)
+        # What the lenses say is from the lattice before the last step.
+        lattice = _moved(before, agreed(replace(steps, regular=regular))[0])
+        steps = replace(_look(picture, lattice, indices, stride)[0], regular=regular)
+        change, share = agreed(steps)
+        lattice = _moved(lattice, change)
+        error = _standard_error(steps, change, share)
+    tile, colour = _tiles(steps, max(_FEWEST_TILES, len(share) // _LENSES_PER_TILE))
+    halves = [agreed(steps, colour[tile] == side)[0] for side in (0, 1)]
+    miss = ((steps.step - steps.design @ change) ** 2).sum(1)
+    scatter = float(np.sqrt(np.average(miss, weights=share)))
+    differ = _field_rms(steps, halves[0] - halves[1])
+    return LatticeFit(lattice.origin, lattice.basis, scatter, error, int((share > 0).sum()), differ)
 
 
 def _moved(lattice: Lattice, change: NDArray[np.float64]) -> Lattice:
@@ -122,57 +122,54 @@ def _clearest(indices: NDArray[np.int64], said: NDArray[np.float64]) -> NDArray[
     return indices[said >= min(_CLEAR * np.quantile(said, _GOOD), enough)]
 
 
-@dataclass(frozen=True)
-class _View:
-    """What the lenses say of a lattice.
-
-    Parameters
-    ----------
-    regions : Regions
-    said : (n,) float64
-        How much each lens says about its place, trace of its normal matrix.
-    scatter : float [px]
-        RMS distance of single lenses from those of their region.
-    used : int
-        Lenses with a say.
-    """
-
-    regions: Regions
-    said: NDArray[np.float64]
-    scatter: float
-    used: int
-
-
-def _look(picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.int64], stride: int) -> _View:
-    """Robust mean step of the lenses of each region."""
-    centres = np.ascontiguousarray(lattice.points(indices))
-    faces, reach = cell_faces(lattice)
-    found = lens_steps(picture, lattice, centres, (faces, reach), stride)
+def _look(
+    picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.int64], stride: int
+) -> tuple[Steps, NDArray[np.float64]]:
+    """Steps of the lenses that show something, and how much each of all (n,) says about its place."""
+    cell = cell_faces(lattice)
+    found = lens_steps(picture, lattice, np.ascontiguousarray(lattice.points(indices)), cell, stride)
     # Dark and blank lenses agree with whatever they are asked.
     said = np.trace(found.normal, axis1=1, axis2=2)
     says = said > _SAYS * np.quantile(said, _GOOD)
     count = int(says.sum())
     if count < _FEWEST_LENSES:
         raise CalibrationError("the microimages show too little; give a brighter flat or a white image")
-    label, colour = _labels(centres[says])
-    means, variance, miss, weight = step_by_region(found.normal[says], found.right[says], label)
-    number = len(variance)
+    (xx, xy), (_, yy) = found.normal[says].transpose(1, 2, 0)
+    bx, by = found.right[says].T
+    # Lenses that show an edge in one direction only say next to nothing about the place along it.
+    ridge = 1e-6 * float(said.mean())
+    xx, yy = xx + ridge, yy + ridge
+    determinant = xx * yy - xy * xy
+    step = np.column_stack([yy * bx - xy * by, xx * by - xy * bx]) / determinant[:, None]
     design = np.column_stack([np.ones(count), indices[says]])
-    total = np.maximum(np.bincount(label, weight, number), 1e-9)
-    middle = np.column_stack([np.bincount(label, weight * column, number) / total for column in design.T])
-    known = (total > 0.3 * np.median(total)) & (total > 0.5)
-    scatter = float(np.sqrt(np.average((miss**2).sum(1), weights=weight * said[says])))
-    regions = Regions(middle[known], means[known], variance[known], colour[known], lattice.basis)
-    return _View(regions, said, scatter, int((weight > 0).sum()))
+    return Steps(design, step, (xx + yy) / determinant / 2, lattice.basis), said
 
 
-def _labels(centres: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Region (n,) of each lens, square tiles of the flat, and the colour (t,) of each on a checkerboard of them."""
-    regions = max(_FEWEST_REGIONS, len(centres) // _LENSES_PER_REGION)
-    extent = np.ptp(centres, axis=0) + 1e-6
-    side = float(np.sqrt(extent.prod() / regions))
+def _field_rms(steps: Steps, change: NDArray[np.float64]) -> float:
+    """RMS over the lenses of what a change (3, 2) of the lattice does to their centres [px]."""
+    return float(np.sqrt(((steps.design @ change) ** 2).sum(1).mean()))
+
+
+def _standard_error(steps: Steps, change: NDArray[np.float64], share: NDArray[np.float64]) -> float:
+    """Standard error of a centre, RMS over the field [px], from how tiles of the flat pull at the lattice."""
+    tile, colour = _tiles(steps, _FEWEST_TILES)
+    pull = (share[:, None] * (steps.step - steps.design @ change))[:, :, None] * steps.design[:, None, :]
+    total = np.zeros((len(colour), 2, 3))
+    np.add.at(total, tile, pull)
+    bread = np.linalg.pinv((steps.design * share[:, None]).T @ steps.design)
+    covariance = bread @ np.einsum("tap,taq->pq", total, total) @ bread
+    moments = steps.design.T @ steps.design / len(share)
+    tiles = len(colour)
+    return float(np.sqrt(max(np.trace(covariance @ moments), 0.0) * tiles / max(tiles - 3, 1)))
+
+
+def _tiles(steps: Steps, number: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Tile (n,) of each lens, about `number` squares of the flat, and the colour (t,) of each on a checkerboard."""
+    places = steps.design[:, 1:] @ steps.basis
+    extent = np.ptp(places, axis=0) + 1e-6
+    side = float(np.sqrt(extent.prod() / number))
     grid = np.maximum(1, np.rint(extent / side)).astype(int)
-    place = np.minimum((centres - centres.min(0)) / extent * grid, grid - 1).astype(int)
-    used, label = np.unique(place[:, 1] * grid[0] + place[:, 0], return_inverse=True)
+    place = np.minimum((places - places.min(0)) / extent * grid, grid - 1).astype(int)
+    used, tile = np.unique(place[:, 1] * grid[0] + place[:, 0], return_inverse=True)
     row, column = np.divmod(used, grid[0])
-    return label.ravel(), (row + column) % 2
+    return tile.ravel(), (row + column) % 2

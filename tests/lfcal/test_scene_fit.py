@@ -78,6 +78,28 @@ def test_a_dragged_part_of_the_flat_has_no_say(whites):
     assert _rms(_fit(image, basis, origin), basis, origin, (600, 500)) < 0.05
 
 
+def test_lenses_whose_rims_drown_in_a_dragged_scene_have_no_say(whites):
+    basis, size = whites.turned(whites.HEXAGON, 14.3, 3), (900, 750)
+    image, origin = whites.white_image(basis, size, noise=0.3)
+    dragged = cv2.warpAffine(image.astype(np.float32), np.float32([[1, 0, 0.7], [0, 1, 0]]), size)[490:]
+    texture = cv2.GaussianBlur(np.random.default_rng(0).random(dragged.shape), (0, 0), 1.2)
+    image[490:] = dragged * np.clip(1 + (texture - texture.mean()) / texture.std(), 0.1, None)
+    # With all lenses the error is twice this.
+    assert _rms(_fit(image, basis, origin, 0.3), basis, origin, size) < 0.01
+
+
+def test_the_standard_error_of_a_flat_with_a_dragged_part_is_not_that_of_independent_lenses(whites):
+    basis, size = whites.turned(whites.HEXAGON, 14.3, 3), (600, 500)
+    image, origin = whites.white_image(basis, size, noise=0.05)
+    whole = _fit(image, basis, origin).uncertainty
+    image[300:] = cv2.warpAffine(image.astype(np.float32), np.float32([[1, 0, 0.1], [0, 1, 0]]), size)[300:]
+    fit = _fit(image, basis, origin)
+    miss = _rms(fit, basis, origin, size)
+    assert miss > 0.01
+    assert fit.uncertainty > 4 * whole
+    assert miss < 5 * fit.uncertainty
+
+
 def test_a_black_part_of_the_flat_does_not_hold_the_lattice_where_it_starts(whites):
     basis = whites.turned(whites.HEXAGON, 14.3, 3)
     image, origin = whites.white_image(basis, (600, 500), noise=0.02)

@@ -1,0 +1,242 @@
+"""The lattice on which most microimages of a scene agree; those far from what the best of them say have no say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["Steps", "agreed", "regular_ratio"]
+
+# The best third of the lenses says how well lenses agree; those further off than this have no say. Where most of
+# a flat is dragged the same way the half would follow it.
+_AGREEING = 0.35
+_OUTLIER = 3.0
+_FEWEST_IN_PART = 8
+# So many lenses, evenly spread, tell which of several answers is the best; all of them refine it.
+_SEARCHED = 1000
+_GOLDEN = 0.6180339887498949
+_TURNS = 30
+# Bases this near to a regular one, relative to their length, may be one; the test with that many independent places
+# asks for one chance in a hundred.
+_NEARLY_REGULAR = 0.003
+_PLACES = 12
+_SIGNIFICANT = 6.0
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Where single lenses ask the lattice to go, and what is known of it.
+
+    Parameters
+    ----------
+    design : (n, 3) float64
+        Lattice indices with a leading 1.
+    step, variance : (n, 2), (n,) float64 [px, px^2]
+        Steps and how sure they are, what scenes do to them left out.
+    basis : (2, 2) float64 [px]
+        The steps are from this one.
+    regular : complex or None
+        `a2 / a1` as complex numbers where the array is known to be regular.
+    """
+
+    design: NDArray[np.float64]
+    step: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    basis: NDArray[np.float64]
+    regular: complex | None = None
+
+
+@njit(cache=True, nogil=True)
+def _quantile(values, share):
+    """Quantile by selection, straight lines between the values; their order changes."""
+    place = share * (len(values) - 1)
+    k = int(place)
+    low, high = 0, len(values) - 1
+    while low < high:
+        pivot = values[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if k <= j:
+            high = j
+        elif k >= i:
+            low = i
+        else:
+            break
+    here = values[k]
+    if place == k:
+        return here
+    following = np.inf
+    for m in range(k + 1, len(values)):
+        following = min(following, values[m])
+    return here + (place - k) * (following - here)
+
+
+@njit(cache=True, nogil=True)
+def _weighted(design, step, weight, basis, ratio, change):
+    """Weighted least squares: change (3, 2) of origin and basis."""
+    total = 1e-300
+    mi = mj = mx = my = 0.0
+    for k in range(len(weight)):
+        total += weight[k]
+        mi += weight[k] * design[k, 1]
+        mj += weight[k] * design[k, 2]
+        mx += weight[k] * step[k, 0]
+        my += weight[k] * step[k, 1]
+    mi, mj, mx, my = mi / total, mj / total, mx / total, my / total
+    ii = ij = jj = ix = iy = jx = jy = 0.0
+    for k in range(len(weight)):
+        w, i, j, x, y = weight[k], design[k, 1] - mi, design[k, 2] - mj, step[k, 0] - mx, step[k, 1] - my
+        ii += w * i * i
+        ij += w * i * j
+        jj += w * j * j
+        ix += w * i * x
+        iy += w * i * y
+        jx += w * j * x
+        jy += w * j * y
+    if ratio[1] == 0:
+        # Lenses in one line say nothing across it.
+        ii, jj = ii * (1 + 1e-12) + 1e-300, jj * (1 + 1e-12) + 1e-300
+        determinant = ii * jj - ij * ij
+        change[1, 0], change[1, 1] = (jj * ix - ij * jx) / determinant, (jj * iy - ij * jy) / determinant
+        change[2, 0], change[2, 1] = (ii * jx - ij * ix) / determinant, (ii * jy - ij * iy) / determinant
+    else:
+        # A regular lattice is one complex number a1 beside its origin: c = origin + (i + j * ratio) * a1.
+        r, s = ratio
+        # Places against the basis that the steps are from.
+        ix, iy = ix + ii * basis[0, 0] + ij * basis[1, 0], iy + ii * basis[0, 1] + ij * basis[1, 1]
+        jx, jy = jx + ij * basis[0, 0] + jj * basis[1, 0], jy + ij * basis[0, 1] + jj * basis[1, 1]
+        size = ii + 2 * r * ij + (r * r + s * s) * jj + 1e-300
+        ax, ay = (ix + r * jx + s * jy) / size, (iy + r * jy - s * jx) / size
+        change[1, 0], change[1, 1] = ax - basis[0, 0], ay - basis[0, 1]
+        change[2, 0], change[2, 1] = r * ax - s * ay - basis[1, 0], s * ax + r * ay - basis[1, 1]
+    change[0, 0] = mx - mi * change[1, 0] - mj * change[2, 0]
+    change[0, 1] = my - mi * change[1, 1] - mj * change[2, 1]
+
+
+@njit(cache=True, nogil=True)
+def _settle(design, step, variance, basis, ratio, agreeing, outlier, turns, weights, changes, commons):
+    square, left = np.empty(len(step)), np.empty(len(step))
+    expected = -2 * np.log(1 - agreeing)
+    before = np.empty(6)
+    for start in range(len(weights)):
+        weight, change = weights[start], changes[start]
+        _weighted(design, step, weight, basis, ratio, change)
+        for _turn in range(turns):
+            for i in range(6):
+                before[i] = change[i // 2, i % 2]
+            for k in range(len(step)):
+                x = step[k, 0] - change[0, 0] - design[k, 1] * change[1, 0] - design[k, 2] * change[2, 0]
+                y = step[k, 1] - change[0, 1] - design[k, 1] * change[1, 1] - design[k, 2] * change[2, 1]
+                square[k] = x * x + y * y
+                left[k] = square[k] / expected - variance[k]
+            # That variance at which just the agreeing share lies within what is expected of it.
+            common = max(_quantile(left, agreeing), 1e-12)
+            for k in range(len(step)):
+                total = variance[k] + common
+                weight[k] = max(1 - square[k] / (total * outlier * outlier), 0.0) ** 2 / total
+            commons[start] = common
+            _weighted(design, step, weight, basis, ratio, change)
+            moved = 0.0
+            for i in range(6):
+                moved = max(moved, abs(change[i // 2, i % 2] - before[i]))
+            if moved < 1e-5:
+                break
+
+
+def _settled(
+    steps: Steps, starts: list[NDArray[np.float64]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Changes (s, 3, 2) after robust least squares from starting weights (n,), weights (s, n), common variances (s,).
+
+    Beside the error of each lens all have one in common, that of their scenes; it follows from how far the best
+    share of the lenses lies off.
+    """
+    weights = np.array(starts)
+    changes, commons = np.zeros((len(weights), 3, 2)), np.zeros(len(weights))
+    tied = steps.regular or 0j
+    ratio = np.array([tied.real, tied.imag])
+    _settle(
+        steps.design, steps.step, steps.variance, steps.basis, ratio, _AGREEING, _OUTLIER, _TURNS,
+        weights, changes, commons,
+    )  # fmt: skip
+    return changes, weights, commons
+
+
+def _starts(steps: Steps) -> list[NDArray[np.float64]]:
+    """Weights of all steps, and of those on either side of four lines."""
+    weight = 1 / (steps.variance + 0.1 * np.median(steps.variance) + 1e-12)
+    place = steps.design[:, 1:] - np.median(steps.design[:, 1:], axis=0)
+    starts = [weight]
+    for angle in np.arange(8) * np.pi / 4:
+        side = place @ [np.cos(angle), np.sin(angle)] > 0
+        if side.sum() >= _FEWEST_IN_PART:
+            starts.append(weight * side)
+    return starts
+
+
+def agreed(steps: Steps, chosen: NDArray[np.bool_] | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Change (3, 2) of origin and basis on which most lenses agree best, and the weights of the lenses [1/px^2].
+
+    With `chosen` (n,) only those lenses take part.
+    """
+    return _best(steps if chosen is None else _only(steps, chosen))[:2]
+
+
+def _best(steps: Steps) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Change (3, 2) on which most lenses agree best, weights (n,) and the common variance.
+
+    A dragged part of the flat may agree as well within itself, so the search starts from several parts of it.
+    """
+    count = len(steps.step)
+    few = steps if count <= _SEARCHED else _only(steps, np.arange(count) * _GOLDEN % 1 < _SEARCHED / count)
+    changes, weights, commons = _settled(few, _starts(few))
+    spread = few.variance + commons.min()
+    best = int(np.argmin([_misfit(few, change, spread) for change in changes]))
+    if few is not steps:
+        total = steps.variance + commons[best]
+        far = ((steps.step - steps.design @ changes[best]) ** 2).sum(1) / total
+        changes, weights, commons = _settled(steps, [np.maximum(1 - far / _OUTLIER**2, 0) ** 2 / total])
+        best = 0
+    return changes[best], weights[best], float(commons[best])
+
+
+def _only(steps: Steps, chosen: NDArray[np.bool_]) -> Steps:
+    return replace(steps, design=steps.design[chosen], step=steps.step[chosen], variance=steps.variance[chosen])
+
+
+def _misfit(steps: Steps, change: NDArray[np.float64], spread: NDArray[np.float64]) -> float:
+    """Squared distances of the lenses over their variances, bounded."""
+    square = ((steps.step - steps.design @ change) ** 2).sum(1)
+    return float(np.minimum(square / spread, _OUTLIER**2).sum())
+
+
+def regular_ratio(basis: NDArray[np.float64], steps: Steps) -> complex | None:
+    """`a2 / a1` of the regular array that the lenses cannot tell from `basis`, None where there is none.
+
+    Arrays are made regular to a part in ten thousand; scenes mislead by more. A scene has about a dozen places that
+    are misled on their own, whatever the number of lenses, so an F-test is made for as many.
+    """
+    a1, a2 = basis @ [1, 1j]
+    ratio = complex(a2 / a1)
+    regular = min((complex(np.exp(1j * np.pi / 3)), 1j), key=lambda value: abs(ratio - value))
+    if abs(ratio - regular) > _NEARLY_REGULAR:
+        return None
+    found = []
+    for known in (None, regular):
+        change, _, common = _best(replace(steps, regular=known))
+        found.append((change, common))
+    spread = steps.variance + min(common for _, common in found)
+    free, bound = (_misfit(steps, change, spread) for change, _ in found)
+    freedom = 2 * _PLACES - 6
+    return regular if (bound / max(free, 1e-30) - 1) * freedom / 2 < _SIGNIFICANT else None
