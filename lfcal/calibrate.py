@@ -25,6 +25,7 @@ _REPEATS = 0.8
 _SCATTERED = 0.1
 # Below this confidence a person should look.
 _SURE = 0.7
+_RAW = "give a raw flat from the sensor, of a camera with a microlens array"
 # Relative spread of the tones of an image that shows nothing.
 _EVEN = 1e-4
 
@@ -85,15 +86,19 @@ def calibrate(
     lights = [equalise(flat) if filtered else luminance(flat) for flat in flats]
     if len(lights) > 1:
         lights = _telling(lights)
-    start = _first(lights, filtered)
-    white, lights = white_or_scene(lights, start, kind)
-    if white:
-        picture = tone(_white_sum(lights))
-        fit = fit_on_white(picture, start)
-    else:
-        lights = [without_mosaic(light) for light in lights] if filtered else lights
-        picture = tone(_mean_scene(lights))
-        fit = fit_on_scenes(lights, picture, start)
+    try:
+        start = _first(lights, filtered)
+        white, lights = white_or_scene(lights, start, kind)
+        if white:
+            picture = tone(_white_sum(lights))
+            fit = fit_on_white(picture, start)
+        else:
+            lights = [without_mosaic(light) for light in lights] if filtered else lights
+            picture = tone(_mean_scene(lights))
+            fit = fit_on_scenes(lights, picture, start)
+    except np.linalg.LinAlgError as error:
+        # Equations without a solution: nothing on the flat holds the lattice in one of the directions.
+        raise CalibrationError(f"what repeats on the image has no edges to place microimages by; {_RAW}") from error
     pitch = fit.lattice.pitch
     if not fit.halves_differ < _SCATTERED * pitch:
         raise CalibrationError(

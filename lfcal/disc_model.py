@@ -92,6 +92,8 @@ class Discs:
         Correlation of the blur of the two edges where they run alike, 0..1.
     dark : float
         Light where the cutting disc lets none through.
+    full : float
+        Light from which on pixels are clipped: there may have been any amount more.
     """
 
     light: NDArray[np.float32]
@@ -113,6 +115,7 @@ class Discs:
     edge: NDArray[np.bool_]
     shared: float
     dark: float
+    full: float
 
 
 @dataclass(frozen=True)
@@ -226,7 +229,7 @@ def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, 
 @njit(cache=True, nogil=True, parallel=True)
 def _accumulate_steps(
     light, corners, centres, cut, gain, trust, tilt, radius, soft, faces, inner, reach, step, level, slope, weight,
-    four, edge, even, depths, shared, dark, chunks, normal, right, mixed, band, squares, count, scatter,
+    four, edge, even, depths, shared, dark, full, chunks, normal, right, mixed, band, squares, count, scatter,
 ):  # fmt: skip
     lenses, side = light.shape[0], light.shape[1]
     first = 8 - mixed.shape[1]
@@ -275,6 +278,8 @@ def _accumulate_steps(
                     residual = light[lens, y, x] / lit - model
                     w = weight[ring] * (1 - part) + weight[ring + 1] * part
                     chi = residual * residual * w
+                    if light[lens, y, x] >= full and (residual < 0 or chi < 1):
+                        continue
                     away = chi * trust[lens] / (_OUTLIER * _OUTLIER)
                     scatter[lens, 0] += min(chi, _OUTLIER * _OUTLIER / trust[lens])
                     scatter[lens, 1] += 1
@@ -369,15 +374,15 @@ def disc_steps(discs: Discs) -> DiscSteps:
     _accumulate_steps(
         discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
         discs.soft, discs.faces, discs.inner, discs.reach, discs.step, discs.level, slope, discs.weight, discs.four,
-        discs.edge, _even(discs), _depths(discs), discs.shared, discs.dark, _CHUNKS, normal, right, mixed, band,
-        squares, count, scatter,
+        discs.edge, _even(discs), _depths(discs), discs.shared, discs.dark, discs.full, _CHUNKS, normal,
+        right, mixed, band, squares, count, scatter,
     )  # fmt: skip
     normal += np.triu(normal.reshape(-1, LOCAL, LOCAL), 1).transpose(0, 2, 1)
     main, side, force, total, turned, turned_own = band.sum(0)
     # Rings that hardly a pixel fell into are like their neighbours; where lenses lie alike to the pixels, only the
     # smoothness of the profile tells where between the pixels an edge is.
     flat, bend = np.diff(np.eye(rings), axis=0), np.diff(np.eye(rings), 2, axis=0)
-    stiff = float(np.median(main)) * (_STIFF * flat.T @ flat + _SMOOTH * bend.T @ bend)
+    stiff = float(np.median(main[main > 0])) * (_STIFF * flat.T @ flat + _SMOOTH * bend.T @ bend)
     profile = np.diag(main) + np.diag(side[:-1], 1) + np.diag(side[:-1], -1) + stiff
     # Rings that hardly any light reaches through the cutting disc move slowly.
     profile += _SLOW * np.diag(total)

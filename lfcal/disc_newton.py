@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .combine import clipped_from
 from .disc_model import Discs, DiscSteps, disc_steps, edge_of, first_level
 from .disc_parameters import DiscModel, design, field_of, moved
 from .errors import CalibrationError
@@ -82,7 +83,9 @@ def open_lenses(
     """Lenses of about so many pixels in all, but at least so many, with gains from their cores."""
     lattice = model.lattice
     faces, reach = cell_faces(lattice)
-    indices, centres = lit_lenses(tones, lattice, *whole_lenses(lattice, reach + 2), np.sqrt(_DARK))
+    indices, centres = whole_lenses(lattice, reach + 2)
+    alight = lit_lenses(tones, lattice, indices, centres, np.sqrt(_DARK))
+    indices, centres = indices[alight], centres[alight]
     every = max(1.0, len(centres) * abs(np.linalg.det(lattice.basis)) / pixels)
     every = max(1.0, min(every, len(centres) / fewest))
     chosen = np.arange(len(centres)) * _GOLDEN % 1 < 1 / every
@@ -103,7 +106,7 @@ def open_lenses(
     discs = Discs(
         light[lit], corners[lit], centres, none, gain, np.ones(len(gain)), _tilt(centres, gain, lattice), 0.0, 0.0,
         faces, inner, reach, _STEP, np.zeros(rings), np.ones(rings),
-        np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0,
+        np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, clipped_from(light),
     )  # fmt: skip
     if known is None:
         level = first_level(discs)
@@ -264,6 +267,9 @@ def _stepped(state: FitState, orders: tuple[str, ...], frozen: bool = False) -> 
         edge = edge_of(level)
         weighted = _weighted(state, steps).discs
         discs = replace(discs, weight=weighted.weight, trust=weighted.trust, edge=edge, dark=_dark(level, edge))
+    if np.isfinite(discs.full):
+        # Clipped cores, which the gains began with, say nothing about how light falls over the field.
+        discs = replace(discs, tilt=_tilt(discs.centres, np.maximum(discs.gain, 1e-12), state.model.lattice))
     return placed(FitState(moved(state.model, change, names), state.indices, discs)), summary
 
 

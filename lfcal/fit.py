@@ -215,7 +215,7 @@ def radial_profile(
     faces, reach = cell_faces(lattice)
     indices, centres = whole_lenses(lattice, reach + 1)
     if light is not None:
-        _, centres = lit_lenses(light, lattice, indices, centres, _DARK)
+        centres = centres[lit_lenses(light, lattice, indices, centres, _DARK)]
     centres = np.ascontiguousarray(centres[:: max(1, len(centres) // lenses)])
     rings = int(reach / _STEP) + 3
     total, square, count = (np.zeros((_CHUNKS, rings)) for _ in range(3))

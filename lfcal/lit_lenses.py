@@ -21,8 +21,8 @@ def lit_lenses(
     indices: NDArray[np.int64],
     centres: NDArray[np.float64],
     dark: float,
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Those of the lenses that are lit and not beside a dark one: the border of an array cuts some.
+) -> NDArray[np.bool_]:
+    """(n,) whether lenses are lit and not beside a dark one: the border of an array cuts some.
 
     Stray light reaches places without a lens too, so it is the step from a lens to the gaps around it that counts.
 
@@ -32,12 +32,12 @@ def lit_lenses(
         Light, or a tone of it.
     lattice : Lattice [px]
     indices, centres : (n, 2)
-        Lenses, their centres at least 1.5 px inside the flat.
+        Lenses, their centres in the picture at least 1.5 px inside.
     dark : float
         Share of the value of a bright lens below which one is dark.
     """
     if len(centres) == 0:
-        return indices, centres
+        return np.zeros(0, dtype=bool)
     at = np.rint(centres).astype(int)
     core = np.zeros(len(at))
     for y in (-1, 0, 1):
@@ -49,24 +49,22 @@ def lit_lenses(
     value = step if seen else core
     shut = value < dark * np.quantile(value, _BRIGHT)
     if not shut.any():
-        return indices, centres
+        return ~shut
     low = indices.min(0) - 1
     grid = np.zeros(indices.max(0) - low + 2, dtype=bool)
     grid[tuple((indices[shut] - low).T)] = True
     beside = shut.copy()
     for neighbour in lattice.steps:
         beside |= grid[tuple((indices - low + neighbour).T)]
-    return indices[~beside], centres[~beside]
+    return ~beside
 
 
-def _gaps(
-    picture: NDArray[np.float32], lattice: Lattice, centres: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _gaps(picture: NDArray[np.float32], lattice: Lattice, centres: NDArray[np.float64]) -> NDArray[np.float64]:
     """(n,) mean of a picture at the six corners of the cells of lenses, where three or four lenses meet."""
     a, b = reduce_basis(lattice.basis)
     corner = np.linalg.solve(np.array([a, b]), [a @ a / 2, b @ b / 2])
     total = np.zeros(len(centres))
-    limit = np.array(lattice.image_size) - 1
+    limit = np.array(picture.shape[::-1]) - 1
     for place in (corner, corner - a, corner - b):
         for offset in (place, -place):
             x, y = np.clip(np.rint(centres + offset).astype(int), 0, limit).T
