@@ -15,7 +15,7 @@ from .errors import CalibrationError
 __all__ = ["settled_roles", "with_cut", "without_idle_cut"]
 
 # A cutting disc must lower the misfit by this share and reach into microimages by so many px.
-_CUT_GAIN = 0.02
+_CUT_GAIN = 0.005
 _CUT_DEPTH = 0.3
 # Misfits that differ by the square of so many standard errors are told apart.
 _SURE = 8.0
