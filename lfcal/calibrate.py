@@ -26,6 +26,7 @@ _REPEATS = 0.8
 _SCATTERED = 0.1
 # Below this confidence a person should look.
 _SURE = 0.7
+_RAW = "give a raw flat from the sensor, of a camera with a microlens array"
 # Relative spread of the tones of an image that shows nothing.
 _EVEN = 1e-4
 
@@ -138,15 +139,19 @@ def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) 
     single = tone(lights[0]) if len(lights) == 1 else None
     if len(lights) > 1:
         lights = _telling(lights)
-    start = _first(lights, filtered, single)
-    white, lights = white_or_scene(lights, start, kind)
-    if white:
-        picture = tone(_white_sum(lights)) if single is None else single
-        return _Found(picture, True, start, fit_on_white(picture, start))
-    if filtered:
-        lights = [without_mosaic(light) for light in lights]
-    picture = tone(_mean_scene(lights)) if single is None or filtered else single
-    return _Found(picture, False, start, fit_on_scenes(lights, picture, start))
+    try:
+        start = _first(lights, filtered, single)
+        white, lights = white_or_scene(lights, start, kind)
+        if white:
+            picture = tone(_white_sum(lights)) if single is None else single
+            return _Found(picture, True, start, fit_on_white(picture, start))
+        if filtered:
+            lights = [without_mosaic(light) for light in lights]
+        picture = tone(_mean_scene(lights)) if single is None or filtered else single
+        return _Found(picture, False, start, fit_on_scenes(lights, picture, start))
+    except np.linalg.LinAlgError as error:
+        # Equations without a solution: nothing on the flat holds the lattice in one of the directions.
+        raise CalibrationError(f"what repeats on the image has no edges to place microimages by; {_RAW}") from error
 
 
 def _measured(found: _Found) -> Calibration:

@@ -16,6 +16,8 @@ from .search import FirstLattice
 
 __all__ = ["checked_flats", "evenly_lit", "white_or_scene"]
 
+# Squares of sums of larger values leave the range of single precision.
+_LARGEST = 1e30
 # Window, in pitches, in which brightness is levelled to see whether microimages are evenly lit.
 _LEVEL = 2.0
 # Scatter inside the microimages of a white image, as a share of the depth of the gaps.
@@ -55,6 +57,8 @@ def _checked(image: ArrayLike, name: str) -> NDArray[Any]:
             y, x = np.argwhere(bad)[0]
             where = f"first at x={x}, y={y}" + ("" if name == "image" else f" of {name}")
             raise FlatError(f"{bad.sum()} pixels are NaN or infinite, {where}; fill them in first")
+    if max(-float(flat.min()), float(flat.max())) > _LARGEST:
+        raise FlatError(f"{name} has values up to {np.abs(flat).max():.3g}; scale them to at most {_LARGEST:.0e} first")
     if min(flat.shape[:2]) < 16:
         raise FlatError(
             f"{name} of {flat.shape[1]} x {flat.shape[0]} px is too small to be a flat; give the whole sensor"

@@ -9,18 +9,19 @@ from numpy.typing import NDArray
 
 from .disc_model import Discs, edge_of
 from .disc_newton import FitState, converge, few_of, misfit, placed, with_profile
-from .disc_parameters import CatEye, DiscModel
+from .disc_parameters import CatEye, DiscModel, field_of
 from .errors import CalibrationError
 
 __all__ = ["settled_roles", "with_cut", "without_idle_cut"]
 
 # A cutting disc must lower the misfit by this share and reach into microimages by so many px.
-_CUT_GAIN = 0.02
+_CUT_GAIN = 0.005
 _CUT_DEPTH = 0.3
 # Misfits that differ by the square of so many standard errors are told apart.
 _SURE = 8.0
-# Noise at the edges of whole microimages is at most this multiple of the noise inside them.
-_UNEVEN = 1.3
+# Cut microimages are narrower along the field by so many px at least, in the second harmonic of their edge (a cut of
+# a pixel has twenty times this), and by so many standard errors.
+_NARROW, _CERTAIN = 0.01, 6.0
 # Shading is judged so many times the blur of an edge inside of it, on about so many pixels, at least on so many, and
 # without those so many standard deviations off.
 _DEPTH = 2.0
@@ -32,8 +33,8 @@ _GROWTHS = (-0.6, -0.4, -0.25, -0.12, 0.12, 0.25, 0.4, 0.6)
 _RADII = (1.0, 1.1, 1.25)
 _FOLLOWED = (0.25, 0.5)
 _STARTS = 3
-# So many lenses are enough to choose the starts.
-_SCOUTS = 100
+# So many lenses, and about so many pixels, are enough to choose the starts.
+_SCOUTS, _SCOUT_PIXELS = (40, 100), 3e4
 
 
 def with_cut(plain: FitState, rival: FitState, orders: tuple[str, ...]) -> FitState:
@@ -48,28 +49,11 @@ def with_cut(plain: FitState, rival: FitState, orders: tuple[str, ...]) -> FitSt
     orders : tuple of str
         Parameters of `plain`, as in `disc_parameters.design`.
     """
-    # Cut microimages disagree with their common profile at the edge, and only there.
-    spread = 1 / rival.discs.weight
-    if spread.max() < _UNEVEN * np.median(spread):
+    narrow, error = _narrowing(rival)
+    if narrow < max(_NARROW, _CERTAIN * error):
         return plain
-    lattice = plain.model.lattice
-    middle, reach = (np.array(lattice.image_size) - 1) / 2, np.hypot(*lattice.image_size) / 2
-    radius = _radius(plain.discs)
-    scouts = few_of(plain, _SCOUTS)
-    trials: list[tuple[float, int, DiscModel]] = []
-    for growth in _GROWTHS:
-        for ratio in _RADII:
-            for followed in _FOLLOWED:
-                shrink = 1 - followed * growth * radius / reach
-                origin = middle + (lattice.origin - middle) * shrink
-                eye = CatEye(np.zeros(2), np.array([growth * radius, 0.0, 0.0]), ratio * radius, 0.5)
-                model = DiscModel(replace(lattice, origin=origin, basis=lattice.basis * shrink), eye)
-                trial = placed(replace(scouts, model=model))
-                for _ in range(2):
-                    trial, cost = with_profile(trial)
-                trials.append((cost, len(trials), model))
     found, least = plain, np.inf
-    for _, _, model in sorted(trials, key=lambda t: t[:2])[:_STARTS]:
+    for model in _starts(plain):
         trial = placed(replace(plain, model=model))
         try:
             trial, _ = converge(with_profile(with_profile(trial)[0])[0], orders)
@@ -83,6 +67,63 @@ def with_cut(plain: FitState, rival: FitState, orders: tuple[str, ...]) -> FitSt
     depth = _radius(found.discs) + np.hypot(*found.discs.cut.T).max() - found.model.cat_eye.radius
     better = least < (1 - _CUT_GAIN) * min(misfit(plain, plain), misfit(rival, plain))
     return found if better and depth > _CUT_DEPTH else plain
+
+
+def _narrowing(state: FitState) -> tuple[float, float]:
+    """By how much microimages in the corners of the field are narrower along the field than across, and its error [px].
+
+    Amplitude of `cos(2 * angle)` of the radius, angles from the direction of the field, growing with the field: neither
+    a lattice nor its distortion, neither blur nor the shape of pixels give whole discs any.
+    """
+    discs = state.discs
+    side = discs.light.shape[1]
+    corner = (discs.corners - discs.centres)[:, None, None]
+    dx, dy = np.moveaxis(corner + np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1), -1, 0)
+    rho = np.hypot(dx, dy)
+    ring = np.minimum((rho / discs.step).astype(int), len(discs.level) - 2)
+    lens, row, column = np.nonzero(discs.edge[ring] & (rho < discs.inner))
+    dx, dy, rho, ring = (v[lens, row, column] for v in (dx, dy, rho, ring))
+    part = rho / discs.step - ring
+    level, slope, four, weight = (
+        v[ring] * (1 - part) + v[ring + 1] * part
+        for v in (discs.level, np.gradient(discs.level, discs.step), discs.four, discs.weight)
+    )
+    level = level + four * (1 - 8 * (dx * dy) ** 2 / np.maximum(rho, 1e-6) ** 4)
+    lit = discs.gain[lens] * (1 + discs.tilt[lens, 0] * dx + discs.tilt[lens, 1] * dy)
+    residual = discs.light[lens, row, column] / lit - level
+    weight = weight * discs.trust[lens]
+    weight *= (residual**2 * weight < _FAR**2) & (discs.light[lens, row, column] < discs.full)
+    field = field_of(discs.centres, state.model.lattice)[lens]
+    far = np.maximum(np.hypot(*field.T), 1e-6)
+    along = (field[:, 0] * dx + field[:, 1] * dy) / (far * np.maximum(rho, 1e-6))
+    response = slope * far * (2 * along**2 - 1)
+    information = float((weight * response**2).sum())
+    if information <= 0:
+        return 0.0, np.inf
+    return float((weight * response * residual).sum()) / information, information**-0.5
+
+
+def _starts(plain: FitState) -> list[DiscModel]:
+    """Cutting discs to start from, best first."""
+    lattice = plain.model.lattice
+    middle, reach = (np.array(lattice.image_size) - 1) / 2, np.hypot(*lattice.image_size) / 2
+    radius = _radius(plain.discs)
+    scouts = few_of(plain, int(np.clip(_SCOUT_PIXELS / abs(np.linalg.det(lattice.basis)), *_SCOUTS)))
+
+    def cost(model: DiscModel) -> float:
+        trial = placed(replace(scouts, model=model))
+        return with_profile(with_profile(trial)[0])[1]
+
+    trials: list[tuple[float, int, DiscModel]] = []
+    for growth in _GROWTHS:
+        for ratio in _RADII:
+            for followed in _FOLLOWED:
+                shrink = 1 - followed * growth * radius / reach
+                origin = middle + (lattice.origin - middle) * shrink
+                eye = CatEye(np.zeros(2), np.array([growth * radius, 0.0, 0.0]), ratio * radius, 0.5)
+                model = DiscModel(replace(lattice, origin=origin, basis=lattice.basis * shrink), eye)
+                trials.append((cost(model), len(trials), model))
+    return [model for _, _, model in sorted(trials, key=lambda t: t[:2])[:_STARTS]]
 
 
 def _radius(discs: Discs) -> float:
@@ -133,7 +174,7 @@ def _shading_tells(discs: Discs) -> float:
     shares = []
     for place, radius in ((offset, _radius(discs)), (offset - discs.cut[few, None, None], discs.radius)):
         shares.append((place**2).sum(-1) / max(radius - _DEPTH * discs.soft, 1.0) ** 2)
-    inside = ((shares[0] < 1) & (shares[1] < 1)).astype(float)
+    inside = ((shares[0] < 1) & (shares[1] < 1) & (light < discs.full)).astype(float)
     number = np.maximum(inside.sum((1, 2), keepdims=True), 1)
     value = light / (gain * (1 + (offset * discs.tilt[few, None, None]).sum(-1)))
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["mean_scene", "telling", "white_sum"]
+__all__ = ["clipped_from", "mean_scene", "telling", "white_sum"]
 
 # A flat with less than this share of the contrast of the best one is dark, saturated or blank.
 _TELLING = 0.05
@@ -42,7 +42,7 @@ def white_sum(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
     """
     if len(lights) == 1:
         return lights[0]
-    tops = [_top(light) for light in lights]
+    tops = [clipped_from(light) for light in lights]
     step = max(1, int(np.sqrt(lights[0].size / _SAMPLES)))
     # Odd steps, so that both rows and columns of a mosaic have their say.
     few = [light[:: step | 1, :: step | 1].ravel().astype(np.float64) for light in lights]
@@ -77,7 +77,7 @@ def mean_scene(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
     return total
 
 
-def _top(light: NDArray[np.float32]) -> float:
-    """Light from which on pixels are clipped, infinite where none are."""
+def clipped_from(light: NDArray[np.float32]) -> float:
+    """Light from which on pixels of an array of any shape are clipped, infinite where none are."""
     top = _AT_TOP * float(light.max())
     return top if float((light >= top).mean()) > _CLIPPED else float("inf")

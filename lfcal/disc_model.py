@@ -82,6 +82,8 @@ class Discs:
         Correlation of the blur of the two edges where they run alike, 0..1.
     dark : float
         Light where the cutting disc lets none through.
+    full : float
+        Light from which on pixels are clipped: there may have been any amount more.
     """
 
     light: NDArray[np.float32]
@@ -103,6 +105,7 @@ class Discs:
     edge: NDArray[np.bool_]
     shared: float
     dark: float
+    full: float
 
     @cached_property
     def steps(self) -> DiscSteps:
@@ -207,7 +210,7 @@ def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _accumulate_cut(
     light, corners, centres, cut, gain, trust, tilt, radius, soft, faces, inner, reach, step, level, slope, weight,
-    four, edge, even, depths, shared, dark, chunks, normal, right, mixed, band, scatter,
+    four, edge, even, depths, shared, dark, full, chunks, normal, right, mixed, band, scatter,
 ):  # fmt: skip
     lenses, side = light.shape[0], light.shape[1]
     for chunk in prange(chunks):
@@ -253,6 +256,8 @@ def _accumulate_cut(
                     residual = light[lens, y, x] / lit - model
                     w = weight[ring] * (1 - part) + weight[ring + 1] * part
                     chi = residual * residual * w
+                    if light[lens, y, x] >= full and (residual < 0 or chi < 1):
+                        continue
                     away = chi * trust[lens] / (OUTLIER * OUTLIER)
                     scatter[lens, 0] += min(chi, OUTLIER * OUTLIER / trust[lens])
                     scatter[lens, 1] += 1
@@ -351,21 +356,22 @@ def disc_steps(discs: Discs) -> DiscSteps:
         _accumulate_cut(
             discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
             discs.soft, discs.faces, discs.inner, discs.reach, discs.step, discs.level, slope, discs.weight,
-            discs.four, discs.edge, _even(discs), _depths(discs), discs.shared, discs.dark, _CHUNKS, normal, right,
+            discs.four, discs.edge, _even(discs), _depths(discs), discs.shared, discs.dark, discs.full,
+            _CHUNKS, normal, right,
             mixed, band, scatter,
         )  # fmt: skip
     else:
         tables = np.column_stack([discs.level, slope, discs.weight, discs.four])
         accumulate_whole(
             discs.light, discs.corners, discs.centres, discs.gain, discs.trust, discs.tilt, discs.faces, discs.inner,
-            discs.reach, discs.step, tables, _even(discs), _CHUNKS, normal, right, mixed, band, scatter,
+            discs.reach, discs.step, tables, _even(discs), discs.full, _CHUNKS, normal, right, mixed, band, scatter,
         )  # fmt: skip
     normal += np.triu(normal.reshape(-1, LOCAL, LOCAL), 1).transpose(0, 2, 1)
     main, side, force, total, turned, turned_own, squares, count = band.sum(0).T
     # Rings that hardly a pixel fell into are like their neighbours; where lenses lie alike to the pixels, only the
     # smoothness of the profile tells where between the pixels an edge is.
     flat, bend = np.diff(np.eye(rings), axis=0), np.diff(np.eye(rings), 2, axis=0)
-    stiff = float(np.median(main)) * (_STIFF * flat.T @ flat + _SMOOTH * bend.T @ bend)
+    stiff = float(np.median(main[main > 0])) * (_STIFF * flat.T @ flat + _SMOOTH * bend.T @ bend)
     profile = np.diag(main) + np.diag(side[:-1], 1) + np.diag(side[:-1], -1) + stiff
     # Rings that hardly any light reaches through the cutting disc move slowly.
     profile += _SLOW * np.diag(total)

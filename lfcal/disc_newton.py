@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .combine import clipped_from
 from .disc_model import Discs, DiscSteps, edge_of, first_level
 from .disc_parameters import DiscModel, design, field_of, moved
 from .errors import CalibrationError
@@ -119,7 +120,7 @@ def open_lenses(tones: Parts, model: DiscModel, pixels: float, fewest: int, know
     discs = Discs(
         light[lit], corners[lit], centres, none, gain, np.ones(len(gain)), _tilt(centres, gain, lattice), 0.0, 0.0,
         faces, inner, reach, _STEP, np.zeros(rings), np.ones(rings),
-        np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0,
+        np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, clipped_from(light),
     )  # fmt: skip
     if known is None:
         level = first_level(discs)
@@ -286,6 +287,9 @@ def _stepped(state: FitState, orders: tuple[str, ...], frozen: bool = False) -> 
         edge = edge_of(level)
         weighted = _weighted(state, steps).discs
         discs = replace(discs, weight=weighted.weight, trust=weighted.trust, edge=edge, dark=_dark(level, edge))
+    if np.isfinite(discs.full):
+        # Clipped cores, which the gains began with, say nothing about how light falls over the field.
+        discs = replace(discs, tilt=_tilt(discs.centres, np.maximum(discs.gain, 1e-12), state.model.lattice))
     return placed(FitState(moved(state.model, change, names), state.indices, discs)), summary
 
 

@@ -31,8 +31,8 @@ def rows_within(centre, reach, corner, side):
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def accumulate_whole(
-    light, corners, centres, gain, trust, tilt, faces, inner, reach, step, tables, even, chunks, normal, right, mixed,
-    band, scatter,
+    light, corners, centres, gain, trust, tilt, faces, inner, reach, step, tables, even, full, chunks, normal, right,
+    mixed, band, scatter,
 ):  # fmt: skip
     """Add up all lenses; `tables` (r, 4) are level, slope, weight and four, `band` (chunks, r, 8) see `disc_model`."""
     lenses, side = light.shape[0], light.shape[1]
@@ -72,6 +72,8 @@ def accumulate_whole(
                     residual = window[y, x] * bright / (1 + tilt_x * dx + tilt_y * dy) - model
                     sure = low[2] * here + high[2] * after
                     chi = residual * residual * sure
+                    if window[y, x] >= full and (residual < 0 or chi < 1):
+                        continue
                     far += min(chi, limit)
                     number += 1
                     away = chi * belief / most

@@ -134,7 +134,7 @@ def _noise(left: Left) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     smooth = np.ones(5)
     square, count = left.ring_square.sum(0), left.ring_count.sum(0)
     overall = square.sum() / max(count.sum(), 1e-12)
-    few = 1e-4 * count.sum()
+    few = max(1e-4 * count.sum(), 1e-12)
     near = (np.convolve(square, smooth, "same") + few * overall) / (np.convolve(count, smooth, "same") + few)
     expected = (left.ring_count * near).sum(1)
     windows = np.where(expected > 0, left.ring_square.sum(1) / np.maximum(expected, 1e-300), 1.0)
