@@ -8,13 +8,25 @@ if TYPE_CHECKING:
     from .depthmap import DepthMap
     from .drawing import default_scale, render
     from .lens_means import traditional
+    from .optics import Optics
     from .picture import write_picture
     from .rendering import Rendering
 
-__all__ = ["DepthMap", "Rendering", "analyze", "default_scale", "demosaic", "render", "traditional", "write_picture"]
+__all__ = [
+    "DepthMap",
+    "Optics",
+    "Rendering",
+    "analyze",
+    "default_scale",
+    "demosaic",
+    "render",
+    "traditional",
+    "write_picture",
+]
 
 _HOMES = {
     "DepthMap": "depthmap",
+    "Optics": "optics",
     "Rendering": "rendering",
     "analyze": "analysis",
     "default_scale": "drawing",
