@@ -1,8 +1,8 @@
 """What the shortcuts of the depth analysis save, and what they cost: `python -m benchmarks.shortcuts [FLAT ...]`.
 
-Ray-traced scenes, and the flats named on the command line, are analysed exhaustively and with all shortcuts: CPU time on
-one thread, the share of the lenses whose answers differ by more than 0.05 px, and what was left out. A lens differs,
-too, where only one of the two resolves it. Of ray-traced scenes the errors against the truth are printed for both.
+Ray-traced scenes, or the flats named on the command line, are analysed exhaustively and with all shortcuts. Printed are
+the CPU time on one thread, the share of the lenses whose answers differ by more than 0.05 px or that only one of the
+two resolves, and what was left out; of ray-traced scenes also the errors of both against the truth.
 """
 
 from __future__ import annotations

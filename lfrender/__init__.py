@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from .frame_job import FrameResult
     from .frames import Frames, open_frames
     from .lens_means import traditional
+    from .optics import Optics
     from .picture import write_picture
     from .rendering import Rendering
 
@@ -19,6 +20,7 @@ __all__ = [
     "DepthMap",
     "FrameResult",
     "Frames",
+    "Optics",
     "Rendering",
     "analyze",
     "default_scale",
@@ -35,6 +37,7 @@ _HOMES = {
     "DepthMap": "depthmap",
     "FrameResult": "frame_job",
     "Frames": "frames",
+    "Optics": "optics",
     "Rendering": "rendering",
     "analyze": "analysis",
     "default_scale": "drawing",

@@ -17,14 +17,14 @@ from .modes import fill
 from .neighbours import neighbour_rows
 from .plane import TEXTURED, Plane, fit_plane, strays
 from .radiance import GrayFlat, gray_flat
-from .region import check_region, embed, lenses_in, part_of
+from .region import check_region, embed, embed_textured, lenses_in, part_of, rows_of
 from .search import PRESETS, Found, Matcher, search
 from .sequence import changed_lenses
 from .single_plane import PlaneScene, find_plane
 from .skipping import Shortcuts, sample_lenses
 from .spreading import grid_shape, spread
 from .surface import Surface
-from .texture import LensStatistics, find_texture, untouched_texture
+from .texture import LensStatistics, blank_lenses, find_texture, quick_statistics, untouched_texture
 
 __all__ = ["PRESETS", "analyze"]
 
@@ -42,8 +42,12 @@ _PROVEN, _LEAST_EVIDENCE = 0.95, 0.12
 _SHADED_REACH, _EVIDENCE_NEAR_ZERO = 0.2, 0.5
 # A lens with texture that correlates less than this with its neighbours at any shift shares no content with them.
 _SHARED = 0.25
-# So many lenses, evenly spread, tell which depths occur.
-_SAMPLE = 150
+# So many lenses, evenly spread, tell which depths occur; where few carry texture, this share of them, but not fewer
+# than the last number.
+_SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 150, 1 / 16, 24
+# Where less than this share of the lenses carry texture, and a box about them holds less than the second, the rest of
+# the flat is cut off.
+_FEW, _PART = 0.5, 0.7
 # Fewer clear lenses than this do not tell it for the others.
 _FEWEST_CLEAR = 60
 
@@ -113,14 +117,23 @@ def analyze(
 
 def _analyze(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts) -> DepthMap:
     """The depth of a flat of which nothing is known."""
-    plain = None
+    plain = quick_statistics(gray)
     if shortcuts.plane:
-        texture = untouched_texture(gray)
-        plane = find_plane(texture, lattice, *_halves(lattice), PRESETS[preset])
-        if plane is not None:
-            return _level(plane, lattice, preset)
-        plain = texture.statistics
-    return _lens_by_lens(gray, lattice, preset, shortcuts, plain)
+        texture = untouched_texture(gray, plain)
+        found = find_plane(texture, lattice, *_halves(lattice), PRESETS[preset])
+        if found is not None:
+            return _level(found, lattice, preset)
+    if not shortcuts.blank:
+        return _lens_by_lens(gray, lattice, preset, shortcuts, plain, None)
+    blank, noise = blank_lenses(plain)
+    if 0 < np.sum(~blank) < _FEW * len(blank):
+        part, sub = part_of(gray, lattice, ~blank)
+        if len(sub) < _PART * len(lattice):
+            rows = rows_of(sub, lattice)
+            depth = _lens_by_lens(part, sub, preset, shortcuts, plain.of(rows), (blank[rows], noise))
+            left = (1 - depth.saved["blank"]) * len(sub) / len(lattice)
+            return embed_textured(depth, sub, lattice, {**depth.saved, "blank": 1 - left})
+    return _lens_by_lens(gray, lattice, preset, shortcuts, plain, (blank, np.inf))
 
 
 def _halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -151,7 +164,7 @@ def _on_plane(
         patch_size=np.where(reason == 0, sizes, np.nan),
         standard_error=np.where(reason == 0, plane.standard_error(centres), np.inf),
         confidence=confidence,
-        drawn=sizes,
+        drawn=sizes.astype(np.float32),
         surface=Surface(plane.at(grid).reshape(shape).astype(np.float32), first, spacing),
         pitch=lattice.pitch,
         image_size=lattice.image_size,
@@ -172,9 +185,9 @@ def _regular(
     known = resolved & np.isfinite(errors)
     if known.mean() < TEXTURED:
         return None
-    centres = lattice.centres()
-    plane = fit_plane(centres[known], sizes[known], lattice.pitch)
-    if plane is None or strays(np.where(known, sizes - plane.at(centres), np.nan), errors, neighbours):
+    centres, own = lattice.centres(), sizes.astype(np.float64)
+    plane = fit_plane(centres[known], own[known], lattice.pitch)
+    if plane is None or strays(np.where(known, own - plane.at(centres), np.nan), errors.astype(float), neighbours):
         return None
     return plane
 
@@ -184,11 +197,12 @@ def _lens_by_lens(
     lattice: Lattice,
     preset: str,
     shortcuts: Shortcuts,
-    plain: LensStatistics | None = None,
+    plain: LensStatistics,
+    blank: tuple[NDArray[np.bool_], float] | None,
     kept: NDArray[np.bool_] | None = None,
     before: DepthMap | None = None,
 ) -> DepthMap:
-    """The depth of every lens, but for those `kept` from what was found `before`."""
+    """The depth of every lens, but for the `blank` ones and those `kept` from what was found `before`."""
     setting = PRESETS[preset]
     forward, backward = _halves(lattice)
     neighbours = np.hstack([forward, backward])
@@ -198,12 +212,14 @@ def _lens_by_lens(
         # Lenses beside those with a new answer support them, and so do those beside these.
         near = _grown(_grown(~kept, neighbours), neighbours)
         known = np.where(near, np.nan, before.drawn).astype(np.float32)
-    texture = find_texture(gray, lattice, shortcuts.blank, plain, _grown(near, neighbours))
+    texture = find_texture(gray, lattice, plain, blank, _grown(near, neighbours))
     some = texture.clear | texture.faint
-    active = near & some if shortcuts.blank else near
+    active = near if blank is None else near & some
     clear = texture.clear & active
     # A few clear lenses say nothing about the depths of all the faint ones.
-    sample = sample_lenses(lattice, clear, _SAMPLE) if shortcuts.ranges and clear.sum() >= _FEWEST_CLEAR else None
+    sample = None
+    if shortcuts.ranges and clear.sum() >= _FEWEST_CLEAR:
+        sample = sample_lenses(lattice, clear, int(np.clip(clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)))
     found = search(Matcher(texture, forward, backward, setting), active, texture.clear, sample, known)
     textured = near & (texture.clear | (texture.faint & _credible(found, lattice.pitch)))
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
@@ -297,7 +313,17 @@ def _following(
     gray = gray_flat(flat, calibration)
     if not kept.any():
         return _analyze(gray, lattice, preset, shortcuts)
-    return _lens_by_lens(gray, lattice, preset, shortcuts, None, kept, before)
+    plain = quick_statistics(gray)
+    return _lens_by_lens(
+        gray,
+        lattice,
+        preset,
+        shortcuts,
+        plain,
+        (blank_lenses(plain)[0], np.inf) if shortcuts.blank else None,
+        kept,
+        before,
+    )
 
 
 def _reasons(textured: NDArray[np.bool_], found: Found, refined: NDArray, pitch: float) -> NDArray[np.int8]:

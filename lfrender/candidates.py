@@ -19,6 +19,8 @@ _MOST_VIEWS = 5
 _PRIOR = np.float32(0.07)
 # Lenses below this trust say nothing about the places around them where others do.
 _TRUSTED = np.float32(0.1)
+# How `calm_lenses` marks lenses far from any that is trusted: whatever is drawn there, nothing shows it.
+_ALONE = np.int8(2)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -106,19 +108,23 @@ def _coprime_stride(n):
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def calm_lenses(values, seconds, trust, indices, grid, low, ring, gap):
-    """(n,) bool: lenses that agree with all trusted lenses of `ring` about them to within one `gap`."""
-    calm = np.empty(len(values), np.bool_)
+    """(n,) int8: 1 for lenses that agree with all trusted lenses of `ring` about them to within one `gap`.
+
+    2 where none of them is trusted, nor the lens itself; 0 elsewhere.
+    """
+    calm = np.empty(len(values), np.int8)
     for lens in prange(len(values)):
         lowest = highest = values[lens]
-        single = True
+        single, alone = True, trust[lens] < _TRUSTED
         for r in range(len(ring)):
             other = _lens_at(grid, low, indices[lens, 0] + ring[r, 0], indices[lens, 1] + ring[r, 1])
             if other < 0 or trust[other] < _TRUSTED:
                 continue
+            alone = False
             lowest = min(lowest, values[other])
             highest = max(highest, values[other])
             single = single and not np.isfinite(seconds[other])
-        calm[lens] = single and highest - lowest <= gap
+        calm[lens] = _ALONE if alone else single and highest - lowest <= gap
     return calm
 
 
@@ -169,7 +175,10 @@ def propose(
             i, j = int(at_i), int(at_j)
             lens = _lens_at(grid, low, i, j)
             if lens >= 0 and calm[lens]:
-                depths[v, u, 0] = _mean_around(centres, values, trust, grid, low, ring, i, j, x, y, vote2)
+                if calm[lens] == _ALONE:
+                    depths[v, u, 0] = values[lens]
+                else:
+                    depths[v, u, 0] = _mean_around(centres, values, trust, grid, low, ring, i, j, x, y, vote2)
                 costs[v, u, 0] = 0.0
                 continue
             count = 0

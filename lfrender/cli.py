@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from .depthmap import DepthMap
     from .frame_job import FrameResult
+    from .optics import Optics
     from .rendering import Rendering
 
     Mosaic = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
@@ -61,6 +62,13 @@ def main() -> None:
 @click.option("--dense", type=_PATH, metavar="DEPTH.tif|.pfm", help="Patch size [px] of every pixel of the picture.")
 @click.option("--picture", type=_PATH, metavar="DEPTH.png", help="Magnification M in colours, with its legend.")
 @click.option("--ply", type=_PATH, metavar="CLOUD.ply", help="Point cloud: X/D, Y/D, virtual depth D/s, colour.")
+@click.option(
+    "--optics",
+    "optics_file",
+    type=_PATH,
+    metavar="OPTICS.json",
+    help="Focal length and distances [mm] of the camera: distances in metres, the point cloud too.",
+)
 @click.option("--roi", type=float, nargs=4, metavar="X0 Y0 X1 Y1", help="Only lenses with their centre in here [px].")
 @click.option("--exhaustive", is_flag=True, help="Take no shortcuts: match every lens at every shift.")
 @_preset
@@ -72,6 +80,7 @@ def analyze(
     dense: Path | None,
     picture: Path | None,
     ply: Path | None,
+    optics_file: Path | None,
     roi: tuple[float, float, float, float] | None,
     exhaustive: bool,
     preset: str,
@@ -87,6 +96,7 @@ def analyze(
     with report.stage("read"):
         from lfcal import read_flat
 
+        optics = _read_optics(optics_file)
         pixels = read_flat(flat)
     with report.stage("calibrate"):
         calibration = _read_camera(camera, pixels)
@@ -101,8 +111,9 @@ def analyze(
             raise click.UsageError(str(error)) from error
     with report.stage("write"):
         depth.save(output)
-        _write_depth(depth, pixels, calibration, dense, picture, ply)
-    report.finish({"depth": str(output), **_camera_figures(calibration), **_depth_figures(depth)})
+        _write_depth(depth, pixels, calibration, dense, picture, ply, optics)
+    figures = {**_camera_figures(calibration), **_depth_figures(depth), **_distance_figures(depth, optics)}
+    report.finish({"depth": str(output), **figures})
 
 
 @main.command()
@@ -387,6 +398,14 @@ def _read_depth(path: Path) -> DepthMap:
     return DepthMap.load(path)
 
 
+def _read_optics(path: Path | None) -> Optics | None:
+    if path is None:
+        return None
+    from .optics import Optics
+
+    return Optics.load(path)
+
+
 def _write_depth(
     depth: DepthMap,
     pixels: NDArray[np.generic],
@@ -394,6 +413,7 @@ def _write_depth(
     dense: Path | None,
     picture: Path | None,
     ply: Path | None,
+    optics: Optics | None,
 ) -> None:
     """The further forms of a depth map that were asked for."""
     if dense:
@@ -407,7 +427,7 @@ def _write_depth(
     if ply:
         from .point_cloud import point_cloud, write_points
 
-        write_points(ply, point_cloud(pixels, calibration, depth))
+        write_points(ply, point_cloud(pixels, calibration, depth, optics), metres=optics is not None)
 
 
 def _analyze(
@@ -485,6 +505,18 @@ def _depth_figures(depth: DepthMap) -> dict[str, Any]:
         },
         "saved": depth.saved,
     }
+
+
+def _distance_figures(depth: DepthMap, optics: Optics | None) -> dict[str, Any]:
+    """Nearest, middle and farthest distance [m] of nine tenths of the lenses, where the optics are known."""
+    if optics is None:
+        return {}
+    import numpy as np
+
+    known = depth.distance(optics)
+    known = known[~np.isnan(known)]
+    low, median, high = np.quantile(known, (0.05, 0.5, 0.95), method="nearest") if known.size else [float("nan")] * 3
+    return {"distance_median": float(median), "distance_range": [float(low), float(high)]}
 
 
 _MODES = {"telescopic": 1, "binocular": -1, "unresolved": 0}

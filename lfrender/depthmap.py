@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lfcal import LightFieldError, whole_file
 
+from .optics import Optics
 from .surface import Surface
 
 __all__ = ["BINOCULAR", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap"]
@@ -107,6 +108,10 @@ class DepthMap:
     def filled(self) -> NDArray[np.bool_]:
         """(n,) bool: lenses that are drawn with their neighbours' depth since they have none of their own."""
         return np.isnan(self.patch_size)
+
+    def distance(self, optics: Optics) -> NDArray[np.float64]:
+        """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where unresolved."""
+        return optics.distance(self.patch_size.astype(np.float64) / self.pitch)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as `.npz`; the file appears whole or not at all."""

@@ -32,12 +32,12 @@ def neighbour_rows(lattice: Lattice, steps: NDArray[np.int64]) -> NDArray[np.int
     """(n, k) rows of the lenses `steps` (k, 2) index steps away from each lens, -1 where there is none."""
     grid, low = lens_grid(lattice)
     ij = lattice.indices() - low
-    rows = np.full((len(ij), len(steps)), -1, np.int32)
-    for k, step in enumerate(steps):
-        i, j = (ij + step).T
-        inside = (i >= 0) & (j >= 0) & (i < grid.shape[1]) & (j < grid.shape[0])
-        rows[inside, k] = grid[j[inside], i[inside]]
-    return rows
+    # A border of -1 as wide as the longest step makes every look-up a valid one.
+    border = int(np.abs(steps).max(initial=0))
+    grid = np.pad(grid, border, constant_values=-1)
+    width = grid.shape[1]
+    here = ((ij[:, 1] + border) * width + ij[:, 0] + border).astype(np.int64)
+    return grid.ravel()[here[:, None] + (steps[:, 1] * width + steps[:, 0])]
 
 
 def beside(mask: NDArray[np.bool_], rows: NDArray[np.int32]) -> NDArray[np.int64]:

@@ -15,8 +15,9 @@ __all__ = ["TEXTURED", "Plane", "fit_plane", "strays"]
 TEXTURED, _ON_PLANE = 0.5, 0.9
 # Patch sizes [share of the pitch] between which neither shading nor missing overlap can play a part.
 _NEAREST_ZERO, _LARGEST = 0.1, 0.7
-# A smooth surface through the lenses may leave the plane by this much [px]: half of what regularity may cost.
-_EVEN = 0.025
+# A smooth surface of this degree through the lenses may leave the plane by this much [px]: half of what regularity may
+# cost.
+_DEGREE, _EVEN = 3, 0.025
 # Least scatter [px] of lenses about a plane: what interpolation does to each of them.
 _FLOOR = 0.006
 # Systematic error of a patch size [px] that no number of lenses averages out, as measured on ray-traced planes.
@@ -47,6 +48,11 @@ class Plane:
     scatter: float
     covariance: NDArray[np.float64]
 
+    @property
+    def slanted(self) -> bool:
+        """It does not face the camera."""
+        return bool(self.inverse[1:].any())
+
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) patch size [px] at scene points (n, 2)."""
         return 1 / (self.inverse[0] + points[:, 0] * self.inverse[1] + points[:, 1] * self.inverse[2])
@@ -69,7 +75,6 @@ def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: fl
         Patch sizes that they have measured.
     pitch : float [px]
     """
-    sizes = sizes.astype(np.float64)
     # Without a common middle and scale the sums of large coordinates would lose digits.
     middle, reach = points.mean(0), float(np.abs(points - points.mean(0)).max()) + 1e-9
     places = (points - middle) / reach
@@ -120,7 +125,7 @@ def _even(places: NDArray[np.float64], residual: NDArray[np.float64]) -> float |
     if not inside.mean() > _ON_PLANE:
         return None
     x, y = places[inside].T
-    terms = np.stack([np.ones(len(x)), x, y, x * x, x * y, y * y], 1)
+    terms = np.stack([x**i * y**j for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)], 1)
     inverse = np.linalg.pinv(np.einsum("ni,nj->ij", terms, terms))
     smooth = terms @ (inverse @ np.einsum("ni,n->i", terms, residual[inside]))
     # What the scatter of single lenses leaves uncertain about that surface is not held against the plane.

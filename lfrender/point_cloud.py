@@ -1,4 +1,4 @@
-"""The scene as points in virtual-depth units, with the colours of the picture."""
+"""The scene as points in virtual-depth units or metres, with the colours of the picture."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from .dense import dense_depth
 from .depthmap import DepthMap
 from .drawing import render
 from .merit import nearest_lens
+from .optics import Optics
 from .radiance import white_level
 
 __all__ = ["point_cloud", "write_points"]
@@ -22,12 +23,14 @@ __all__ = ["point_cloud", "write_points"]
 _FARTHEST = 50.0
 # Points per pitch: as fine as the depth is known.
 _PER_PITCH = 7.0
+_VIRTUAL = "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s"
+_METRES = "metres; x right, y down, z in front of the main lens"
 _POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")],
 )
 
 
-def point_cloud(flat: NDArray, calibration: Calibration, depth: DepthMap) -> NDArray:
+def point_cloud(flat: NDArray, calibration: Calibration, depth: DepthMap, optics: Optics | None = None) -> NDArray:
     """Every resolved place of the scene as a point.
 
     Parameters
@@ -36,13 +39,16 @@ def point_cloud(flat: NDArray, calibration: Calibration, depth: DepthMap) -> NDA
     calibration : Calibration
     depth : DepthMap
         Of this flat.
+    optics : Optics, optional
+        Gives positions in metres instead, the axis of the main lens in the middle of the flat.
 
     Returns
     -------
     (n,) structured array
         `x, y` scene coordinates over the pitch `D`, `z` the signed virtual depth `D / s` (positive: in
         front of the microlenses), all float32; `red, green, blue` 0..255. Places without a resolved lens and those
-        farther than 50 are left out.
+        farther than 50 are left out. With `optics`, `x` to the right, `y` down and `z` in front of the main lens [m];
+        places at infinity are left out.
 
     Raises
     ------
@@ -60,17 +66,22 @@ def point_cloud(flat: NDArray, calibration: Calibration, depth: DepthMap) -> NDA
     resolved = depth.mode[nearest_lens(lattice, scene)] != 0
     u, v, scene = u[resolved], v[resolved], scene[resolved]
     points = np.empty(len(u), _POINT)
-    points["x"], points["y"] = (scene / depth.pitch).T
-    points["z"] = depth.pitch / dense.patch_size[v, u]
+    if optics is None:
+        points["x"], points["y"] = (scene / depth.pitch).T
+        points["z"] = depth.pitch / dense.patch_size[v, u]
+    else:
+        middle = (np.array(depth.image_size) - 1) / 2
+        places = optics.positions(scene, dense.patch_size[v, u] / depth.pitch, middle)
+        points["x"], points["y"], points["z"] = places.T
     image = picture.image[..., None] if picture.image.ndim == 2 else picture.image
     colours = image[v, u][:, [0, 1, 2] if image.shape[2] > 2 else [0, 0, 0]]
     colours = np.clip(np.rint(colours * (255 / white_level(picture.image))), 0, 255)
     points["red"], points["green"], points["blue"] = colours.T
-    return points
+    return points[np.isfinite(points["z"])]
 
 
-def write_points(path: str | os.PathLike[str], points: NDArray) -> None:
-    """Write the points of `point_cloud` as binary PLY; the file appears whole or not at all.
+def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = False) -> None:
+    """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY; whole or not at all.
 
     Raises
     ------
@@ -82,7 +93,7 @@ def write_points(path: str | os.PathLike[str], points: NDArray) -> None:
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment x, y: scene coordinates over the pitch D; z: signed virtual depth D / s",
+        f"comment {_METRES if metres else _VIRTUAL}",
         f"element vertex {len(points)}",
         *(f"property {kinds[_POINT[name].kind]} {name}" for name in _POINT.names or ()),
         "end_header\n",

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 
-from .bending import bent_by, lattice_bend, nearest_index
 from .fastmath import FAST
 
 __all__ = ["GrayFlat", "gain_table", "gray_flat", "shrink", "white_level"]
@@ -22,6 +21,10 @@ _TRUSTED_LIGHT = 0.9
 # No microimage is trusted over less than this share of the pitch: nothing would be left to compare.
 _LEAST_TRUSTED = 0.3
 
+# Interpolation and smoothing read so far beyond [px]. Within this share of the way to a neighbour pixels belong to a
+# lens alone, even as coordinates are rounded, and at the third number where a distortion changes the way.
+_BEYOND, _UNSHARED, _UNSHARED_BENT = 3.0, 0.4995, 0.49
+
 
 @dataclass(frozen=True)
 class GrayFlat:
@@ -30,7 +33,7 @@ class GrayFlat:
     Parameters
     ----------
     image : (H, W) float32
-        Brightness; every pixel is corrected for the lens whose centre is nearest.
+        Brightness; pixels of a microimage are corrected for its vignetting.
     centres : (n, 2) float32 [px of `image`]
         Lens centres, in the order of `lattice.centres()`.
     radius : float [px of `image`]
@@ -67,51 +70,82 @@ def white_level(flat: NDArray) -> float:
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _correct_gray(flat, scale, origin, inverse, basis, bend, low, inner, gains, step, out):
-    """Mean over channels times the gain of the nearest lens."""
+def _mean_channels(rows, channels, scale, out):
+    """Mean over the channels of rows of pixels that lie one after the other."""
     height, width = out.shape
-    channels = flat.shape[2]
     weight = np.float32(scale / channels)
-    last = len(gains) - 1
-    bent = bend.size > 0
     for y in prange(height):
-        for x in range(width):
-            total = np.float32(0.0)
-            for k in range(channels):
-                total += np.float32(flat[y, x, k])
-            i, j = nearest_index(x, y, origin, inverse, bend, low)
-            dx = x - origin[0] - i * basis[0, 0] - j * basis[1, 0]
-            dy = y - origin[1] - i * basis[0, 1] - j * basis[1, 1]
-            if bent:
-                here_x, here_y = bent_by(bend, low, i, j)
-                nearest = (dx - here_x) ** 2 + (dy - here_y) ** 2
-            else:
-                nearest = dx * dx + dy * dy
-            if nearest > inner:
-                for di in range(-1, 2):
-                    for dj in range(-1, 2):
-                        ex = dx - di * basis[0, 0] - dj * basis[1, 0]
-                        ey = dy - di * basis[0, 1] - dj * basis[1, 1]
-                        if bent:
-                            bend_x, bend_y = bent_by(bend, low, i + di, j + dj)
-                            ex, ey = ex - bend_x, ey - bend_y
-                        nearest = min(nearest, ex * ex + ey * ey)
-            out[y, x] = total * weight * gains[min(int(nearest / step), last)]
+        row, into = rows[y], out[y]
+        # The compiler has vector instructions for steps that it knows.
+        if channels == 3:
+            for x in range(width):
+                into[x] = weight * (np.float32(row[3 * x]) + np.float32(row[3 * x + 1]) + np.float32(row[3 * x + 2]))
+        elif channels == 1:
+            for x in range(width):
+                into[x] = weight * np.float32(row[x])
+        else:
+            for x in range(width):
+                total = np.float32(0.0)
+                for k in range(channels):
+                    total += np.float32(row[channels * x + k])
+                into[x] = total * weight
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _correct_lenses(centres, radius, around, share, gains, step, image):
+    """Multiply pixels within `radius` of a lens centre, and nearer to it than to the lenses `around`, by their gain.
+
+    `share` is that of the way to a neighbour that belongs to a lens, below one half: no two may share a pixel.
+    """
+    height, width = image.shape
+    last = np.int32(len(gains) - 1)
+    inverse = np.float32(1 / step)
+    # Whole numbers are slow to convert inside a vector loop.
+    steps = np.arange(2 * int(radius) + 3).astype(np.float32)
+    # A lens has the pixels left or right of each half-way line x = room + tilt * y to a neighbour.
+    room, tilt = np.empty(len(around), np.float32), np.empty(len(around), np.float32)
+    for n in range(len(around)):
+        # Lines along x are tilted by a thousandth of a pixel at most.
+        ex = around[n, 0] if abs(around[n, 0]) > 1e-4 else np.float32(1e-4)
+        room[n] = share * (around[n, 0] ** 2 + around[n, 1] ** 2) / ex
+        tilt[n] = -around[n, 1] / ex
+    for lens in prange(len(centres)):
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
+            dy = np.float32(y) - cy
+            dy2 = dy * dy
+            high = np.sqrt(max(np.float32(0.0), radius * radius - dy2))
+            low = -high
+            for n in range(len(around)):
+                if around[n, 0] > -1e-4:
+                    high = min(high, room[n] + tilt[n] * dy)
+                else:
+                    low = max(low, room[n] + tilt[n] * dy)
+            left, right = max(0, int(np.ceil(cx + low))), min(width - 1, int(np.floor(cx + high)))
+            if left > right:
+                continue
+            row = image[y, left : right + 1]
+            first = np.float32(left) - cx
+            for k in range(len(row)):
+                dx = first + steps[k]
+                row[k] *= gains[min(np.int32((dx * dx + dy2) * inverse), last)]
 
 
 def gray_flat(flat: NDArray, calibration: Calibration) -> GrayFlat:
-    """Brightness of `flat` (H, W, C), corrected for vignetting."""
+    """Brightness of `flat` (H, W, C), corrected for vignetting where microimages are trusted, and a little beyond."""
     lattice = calibration.lattice
     image = np.empty(flat.shape[:2], np.float32)
-    gains, step = gain_table(calibration)
-    inverse = np.linalg.inv(lattice.basis)
-    bend, low = lattice_bend(lattice)
-    # Within half of the shortest lattice vector no other centre is nearer, with room for what a distortion takes of it.
-    inner = 0.2 * float(((lattice.steps @ lattice.basis) ** 2).sum(1).min())
-    _correct_gray(
-        flat, 1.0 / white_level(flat), lattice.origin, inverse, lattice.basis, bend, low, inner, gains, step, image
-    )
-    return GrayFlat(image, lattice.centres().astype(np.float32), trusted_radius(calibration), lattice.pitch)
+    rows = np.ascontiguousarray(flat).reshape(len(flat), -1)
+    _mean_channels(rows, flat.shape[2], 1.0 / white_level(flat), image)
+    centres, radius = lattice.centres().astype(np.float32), trusted_radius(calibration)
+    if calibration.vignetting is not None:
+        gains, step = gain_table(calibration)
+        around = lattice.steps @ lattice.basis
+        share = _UNSHARED if lattice.distortion is None else _UNSHARED_BENT
+        _correct_lenses(
+            centres, np.float32(radius + _BEYOND), around.astype(np.float32), np.float32(share), gains, step, image
+        )
+    return GrayFlat(image, centres, radius, lattice.pitch)
 
 
 def trusted_radius(calibration: Calibration) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .fastmath import FAST
 from .radiance import GrayFlat
+from .smoothing import smoothed
 
 __all__ = ["PairFits", "fit_pairs"]
 
@@ -19,9 +20,7 @@ _MAX_STEP = 1.0
 _SETTLED = 0.02
 # A fit that has left its start by more than this [px] has gone over to another optimum.
 _LEFT = np.float32(2.5)
-# The cubic B-spline at whole pixels.
-_SMOOTHING = np.array([1, 4, 1], np.float32) / 6
-# It leaves a quarter of the energy of white noise, and all of it at the low frequencies that texture has.
+# The cubic B-spline leaves a quarter of the energy of white noise, and all of it at low frequencies, where texture is.
 _CORRELATED = np.float32(4.0)
 # Smoothing and slopes each read a pixel beyond [px]; small microimages give up no more than the share of the pitch.
 _RIM, _RIM_SHARE = 1.0, 0.05
@@ -56,7 +55,7 @@ class PairFits:
 def _spline(f):
     """Weights of the four pixels at -1, 0, 1, 2 in the cubic B-spline at `f`.
 
-    It smooths as much at any fraction as at 0, where its weights are those of `_SMOOTHING`; compared with a picture so
+    It smooths as much at any fraction as at 0, where its weights are those of `smoothed`; compared with a picture so
     smoothed it shifts a detail of w radians per pixel by less than w^5 / 1000 px. Linear interpolation shifts it
     by up to w^2 / 60 px, and so does Keys's cubic: by the same amount over the whole flat.
     """
@@ -229,9 +228,8 @@ def fit_pairs(
         Difference of brightness beyond which two pixels hardly count as the same point.
     iterations : int
     """
-    import cv2
-
-    smooth = cv2.sepFilter2D(gray.image, -1, _SMOOTHING, _SMOOTHING)
+    known = np.isfinite(start)
+    smooth = smoothed(gray, known | (known[rows] & (rows >= 0)).any(1))
     radius = gray.radius - min(_RIM, _RIM_SHARE * gray.pitch)
     shape = (*rows.shape, 2)
     fits = PairFits(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32))

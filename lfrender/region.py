@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 
 from .depthmap import DepthMap
+from .neighbours import lens_grid
 from .radiance import GrayFlat
 from .surface import Surface
 
-__all__ = ["check_region", "embed", "lenses_in", "part_of"]
+__all__ = ["check_region", "embed", "embed_textured", "lenses_in", "part_of", "rows_of"]
 
 # Lenses this many pitches outside support those inside: as far as shading is taken to be common.
 _AROUND = 4.5
-_NOT_ANALYSED = 4
+_BLANK, _NOT_ANALYSED = 1, 4
 
 
 def check_region(roi: tuple[float, float, float, float], lattice: Lattice) -> tuple[float, float, float, float]:
@@ -60,18 +61,48 @@ def part_of(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tupl
     return replace(gray, image=image, centres=sub.centres().astype(np.float32)), sub
 
 
+def rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
+    """(m,) rows in `lattice` of the lenses of a part of it."""
+    grid, low = lens_grid(lattice)
+    i, j = (sub.indices() - low).T
+    return grid[j, i]
+
+
 def embed(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArray[np.bool_]) -> DepthMap:
     """The depth of a part as that of the whole flat, whose lenses are not analysed but for those `inside`.
 
     The surface stays that of the part: readers take its nearest value beyond its border.
     """
-    row = {index: k for k, index in enumerate(map(tuple, sub.indices().tolist()))}
-    into = np.flatnonzero(inside)
-    out_of = np.array([row[index] for index in map(tuple, lattice.indices()[into].tolist())])
+    rows = rows_of(sub, lattice)
+    drawn = np.full(len(lattice), np.median(depth.drawn[inside[rows]]), np.float32)
+    saved = {**depth.saved, "roi": 1 - float(inside.mean())}
+    return _embedded(depth, sub, lattice, rows, inside, drawn, _NOT_ANALYSED, saved)
+
+
+def embed_textured(depth: DepthMap, sub: Lattice, lattice: Lattice, saved: dict[str, float]) -> DepthMap:
+    """The depth of the part that holds all texture as that of the whole flat; all other lenses are blank."""
+    rows = rows_of(sub, lattice)
+    inside = np.zeros(len(lattice), bool)
+    inside[rows] = True
+    corner = lattice.origin - sub.origin
+    drawn = depth.surface.at(lattice.centres() - corner)
+    return _embedded(depth, sub, lattice, rows, inside, drawn, _BLANK, saved)
+
+
+def _embedded(
+    depth: DepthMap,
+    sub: Lattice,
+    lattice: Lattice,
+    rows: NDArray[np.int32],
+    inside: NDArray[np.bool_],
+    drawn: NDArray[np.float32],
+    outside: int,
+    saved: dict[str, float],
+) -> DepthMap:
     n = len(lattice)
     patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
-    confidence, reason = np.zeros(n, np.float32), np.full(n, _NOT_ANALYSED, np.int8)
-    drawn = np.full(n, np.median(depth.drawn[out_of]), np.float32)
+    confidence, reason = np.zeros(n, np.float32), np.full(n, outside, np.int8)
+    chosen = inside[rows]
     for whole, part in (
         (patch_size, depth.patch_size),
         (error, depth.standard_error),
@@ -79,10 +110,10 @@ def embed(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArray[np.bo
         (reason, depth.reason),
         (drawn, depth.drawn),
     ):
-        whole[into] = part[out_of]
+        whole[rows[chosen]] = part[chosen]
     corner = lattice.origin - sub.origin
     first = (depth.surface.first[0] + float(corner[0]), depth.surface.first[1] + float(corner[1]))
     return DepthMap(
         patch_size, error, confidence, drawn, Surface(depth.surface.patch_size, first, depth.surface.spacing),
-        lattice.pitch, lattice.image_size, depth.preset, reason, {**depth.saved, "roi": 1 - len(into) / n},
+        lattice.pitch, lattice.image_size, depth.preset, reason, saved,
     )  # fmt: skip

@@ -23,11 +23,15 @@ __all__ = ["PlaneScene", "find_plane"]
 
 # So many lenses tell a plane, or at least the second number of them.
 _SAMPLE, _LEAST_SAMPLE = 96, 40
+# A slanted plane needs so many times as many: three numbers instead of one, of which two are carried to the border.
+_SLANTED = 2
 # Three shifts this far apart [px of the search] tell for each lens whether it, too, has its optimum there. Lenses that
 # are off to one side by the second number together with others beside them are measured.
 _PROBE, _OFF, _TOGETHER = 0.75, 0.25, 2
 # A better match elsewhere, by this much, is another surface; so is a share of the lenses without any match.
-_BETTER, _MISFITS = 0.15, 0.02
+_BETTER, _MISFITS = 0.15, 0.05
+# Noise and little overlap make all matches worse: a misfit is so many times as bad as the usual lens, but at most this.
+_USUAL, _WORST = 2.0, 0.6
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,12 @@ def find_plane(
     evidence = _evidence(matcher, texture, about, setting)
     if evidence is None:
         return None
+    if plane.slanted:
+        more = sample_lenses(lattice, texture.clear, _SLANTED * _SAMPLE)
+        start = np.where(more, about, np.nan).astype(np.float32)
+        plane = fit_plane(*_places(_pairs(texture, forward, start, setting), texture.flat, forward), lattice.pitch)
+        if plane is None:
+            return None
     paths = 2 * forward.shape[1]
     sure = float(np.median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance())))
     return PlaneScene(plane, sure, evidence, float(sample.mean()))
@@ -112,14 +122,15 @@ def _evidence(
     """(n,) correlation of every lens at the plane's shift; None where a lens shows something else."""
     everyone = texture.clear | texture.faint
     probes = (_PROBE * np.array([-1, 0, 1])).astype(np.float32)
-    cost = matcher.costs(matcher.pairs(everyone, probes, about=about / matcher.factor))
-    misfits = texture.clear & (cost[:, 1] > MISFIT)
+    cost = matcher.costs(matcher.pairs(everyone, probes, about=(about / matcher.factor).astype(np.float32)))
+    limit = np.clip(_USUAL * np.median(cost[texture.clear, 1]), MISFIT, _WORST)
+    misfits = texture.clear & (cost[:, 1] > limit)
     if misfits.mean() > _MISFITS:
         return None
     if misfits.any():
         full = matcher.costs(matcher.pairs(misfits))[misfits]
         least = full.min(1)
-        if ((least < cost[misfits, 1] - _BETTER) & (least < MISFIT)).any():
+        if ((least < cost[misfits, 1] - _BETTER) & (least < limit)).any():
             return None
     off = _vertex(cost) * _PROBE
     rows = np.hstack([matcher.forward, matcher.backward])
@@ -131,7 +142,7 @@ def _evidence(
         start = np.where(doubtful, about, np.nan).astype(np.float32)
         pairs = _pairs(texture, matcher.forward, start, setting)
         lenses = fit_lenses(texture.flat, matcher.forward, matcher.backward, pairs, start)
-        if strays(lenses.patch_size - about, lenses.standard_error, rows):
+        if strays((lenses.patch_size - about).astype(float), lenses.standard_error.astype(float), rows):
             return None
     return (1 - cost[:, 1]).astype(np.float32)
 

@@ -177,7 +177,7 @@ def spread(
     calm = calm_lenses(values, seconds, trust, lattice.indices(), grid, low, ring, gap)
     kept = settled is not None and before is not None and before.patch_size.shape == shape and before.first == start
     if settled is not None and kept:
-        calm |= settled
+        calm[settled & (calm == 0)] = 1
     propose(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(pitch), values, seconds, trust, calm, grid, low,
         lattice.origin, np.linalg.inv(lattice.basis), *lattice_bend(lattice), ring, gap, np.float32(2 * noise * noise),

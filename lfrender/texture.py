@@ -15,7 +15,16 @@ from .neighbours import neighbour_rows
 from .radiance import GrayFlat
 from .shading import flatten_shading
 
-__all__ = ["FIXED_SHADING", "LensStatistics", "Texture", "find_texture", "lens_statistics", "untouched_texture"]
+__all__ = [
+    "FIXED_SHADING",
+    "LensStatistics",
+    "Texture",
+    "blank_lenses",
+    "find_texture",
+    "lens_statistics",
+    "quick_statistics",
+    "untouched_texture",
+]
 
 # Contrast that fixed-pattern shading inside microimages may fake, in shares of their brightness.
 FIXED_SHADING = 0.02
@@ -24,6 +33,9 @@ _CLEAR, _FAINT = 2.5, 0.5
 # The depth at the centre of a lens is not told by texture at its rim: within this share of the pitch there must
 # be some, at least this much of the brightness: less is lost in the rounding of 8 bits.
 _MIDDLE, _LEAST_CONTRAST = 0.36, 0.01
+
+# Microimages of this radius [px] have rows to spare.
+_LEAST_ROWS = 6.0
 
 
 @dataclass(frozen=True)
@@ -44,6 +56,10 @@ class LensStatistics:
     contrast: NDArray[np.float32]
     middle: NDArray[np.float32]
     roughness: NDArray[np.float32]
+
+    def of(self, rows: NDArray[np.int32]) -> LensStatistics:
+        """Those of some lenses."""
+        return LensStatistics(self.mean[rows], self.contrast[rows], self.middle[rows], self.roughness[rows])
 
 
 @dataclass(frozen=True)
@@ -77,12 +93,12 @@ def _chord(centre_x, centre_y, y, radius, width):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _moments(image, cx, cy, radius, middle):
+def _moments(image, cx, cy, radius, middle, row_step):
     """Count, mean and standard deviation of the pixels in a circle, taken from a value near their mean."""
     height, width = image.shape
     total = squares = np.float32(0.0)
     count = 0
-    for y in range(max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius))) + 1):
+    for y in range(max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius))) + 1, row_step):
         left, right = _chord(cx, cy, y, radius, width)
         row = image[y, left : right + 1]
         for k in range(right - left + 1):
@@ -95,12 +111,12 @@ def _moments(image, cx, cy, radius, middle):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _roughness(image, cx, cy, radius):
+def _roughness(image, cx, cy, radius, row_step):
     """RMS answer to a checkerboard mask: blind to planes and straight slopes (Immerkaer 1996)."""
     height, width = image.shape
     rough = np.float32(0.0)
     count = 0
-    for y in range(max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius))) + 1):
+    for y in range(max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius))) + 1, row_step):
         left, right = _chord(cx, cy, y, radius, width)
         above = image[y - 1, left - 1 : right + 2]
         row = image[y, left - 1 : right + 2]
@@ -117,17 +133,17 @@ def _roughness(image, cx, cy, radius):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _lens_statistics(image, centres, wanted, radius, middle, noise_too, out):
+def _lens_statistics(image, centres, wanted, radius, middle, noise_too, row_step, out):
     height, width = image.shape
     for lens in prange(len(centres)):
         if not wanted[lens]:
             continue
         cx, cy = centres[lens, 0], centres[lens, 1]
         near = image[min(max(int(cy), 0), height - 1), min(max(int(cx), 0), width - 1)]
-        _, out[0, lens], out[1, lens] = _moments(image, cx, cy, radius, near)
+        _, out[0, lens], out[1, lens] = _moments(image, cx, cy, radius, near, row_step)
         if noise_too:
-            _, _, out[2, lens] = _moments(image, cx, cy, middle, near)
-            out[3, lens] = _roughness(image, cx, cy, radius)
+            _, _, out[2, lens] = _moments(image, cx, cy, middle, near, row_step)
+            out[3, lens] = _roughness(image, cx, cy, radius, row_step)
 
 
 def lens_statistics(
@@ -135,10 +151,11 @@ def lens_statistics(
     noise_too: bool = True,
     known: LensStatistics | None = None,
     wanted: NDArray[np.bool_] | None = None,
+    row_step: int = 1,
 ) -> LensStatistics:
     """Brightness inside each microimage; without `noise_too`, `middle` and `roughness` are left 0.
 
-    Lenses that are not `wanted` (n,) keep what is `known` of them.
+    Lenses that are not `wanted` (n,) keep what is `known` of them. Only every `row_step`-th row of pixels is read.
     """
     out = np.zeros((4, len(gray.centres)), np.float32)
     if known is not None:
@@ -146,46 +163,54 @@ def lens_statistics(
     wanted = np.ones(len(gray.centres), bool) if wanted is None else wanted
     _lens_statistics(
         gray.image, gray.centres, wanted, np.float32(gray.radius), np.float32(min(gray.radius, _MIDDLE * gray.pitch)),
-        noise_too, out,
+        noise_too, row_step, out,
     )  # fmt: skip
     return LensStatistics(*out)
+
+
+def quick_statistics(gray: GrayFlat) -> LensStatistics:
+    """`lens_statistics` from every other row of large enough microimages: who carries texture at all."""
+    return lens_statistics(gray, row_step=2 if gray.radius >= _LEAST_ROWS else 1)
+
+
+def blank_lenses(plain: LensStatistics) -> tuple[NDArray[np.bool_], float]:
+    """(n,) bool: lenses whose pixels are explained by their own noise; and that noise."""
+    noise = _noise(plain)
+    return ~(_some(plain, noise) & _beyond_noise(plain)) & ~_clear(plain, noise), noise
 
 
 def find_texture(
     gray: GrayFlat,
     lattice: Lattice,
-    skip_blank: bool = False,
-    plain: LensStatistics | None = None,
+    plain: LensStatistics,
+    blank: tuple[NDArray[np.bool_], float] | None = None,
     wanted: NDArray[np.bool_] | None = None,
 ) -> Texture:
     """Remove the shading that microimages have in common and tell which lenses are left with texture.
 
-    With `skip_blank`, lenses whose pixels are explained by their own noise are blank without further ado.
-    `plain` are the statistics of `gray`, where they are known already; lenses that are not `wanted` keep their shading.
+    `plain` are the statistics of `gray`. Lenses that are `blank` are so without further ado; the number beside them is
+    the noise of a larger flat of which this is a part, else inf. Lenses that are not `wanted` keep their shading.
     """
-    plain = lens_statistics(gray) if plain is None else plain
-    blank = white = np.zeros(len(plain.mean), bool)
-    if skip_blank:
-        noise = _noise(plain)
-        blank = white = ~(_some(plain, noise) & _beyond_noise(plain)) & ~_clear(plain, noise)
+    white = np.zeros(len(plain.mean), bool)
+    if blank is not None:
         # Lenses with texture are compared with those beside them.
         rows = neighbour_rows(lattice, lattice.steps)
-        white = white & ((rows < 0) | white[rows]).all(1)
+        white = blank[0] & ((rows < 0) | blank[0][rows]).all(1)
     if wanted is not None:
         white = white | ~wanted
     flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, ~white)
     found = lens_statistics(flattened, known=plain, wanted=~white)
-    noise = _noise(found)
+    noise = _noise(found) if blank is None else min(_noise(found), blank[1])
     clear = _clear(found, noise)
-    return Texture(flattened, found, noise, clear, _some(found, noise) & ~clear & ~blank)
+    faint = _some(found, noise) & ~clear
+    return Texture(flattened, found, noise, clear, faint if blank is None else faint & ~blank[0])
 
 
-def untouched_texture(gray: GrayFlat) -> Texture:
+def untouched_texture(gray: GrayFlat, plain: LensStatistics) -> Texture:
     """Which lenses carry texture if the shading is left in: quicker, and right where there is much texture."""
-    found = lens_statistics(gray)
-    noise = _noise(found)
-    clear = _clear(found, noise)
-    return Texture(gray, found, noise, clear, _some(found, noise) & ~clear)
+    noise = _noise(plain)
+    clear = _clear(plain, noise)
+    return Texture(gray, plain, noise, clear, _some(plain, noise) & ~clear)
 
 
 def _noise(found: LensStatistics) -> float:

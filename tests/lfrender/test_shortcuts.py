@@ -60,11 +60,37 @@ def test_a_plane_is_one_number_as_accurate_as_the_truth():
     assert full.saved == {}
     assert quick.saved["plane"] > 0.7
     assert resolved.mean() > 0.99
-    assert np.ptp(quick.patch_size[resolved]) == 0
-    assert abs(quick.patch_size[resolved][0] - 0.3 * 23.2) < 0.02
-    assert np.abs(quick.surface.patch_size - 0.3 * 23.2).max() < 0.02
-    inner = np.abs(full.patch_size - quick.patch_size)[resolved & ~shot.truth.mixed]
-    assert np.nanquantile(inner, 0.9) < 0.05
+    for depth in (full, quick):
+        known = depth.patch_size[depth.mode != 0]
+        assert np.ptp(known) == 0
+        assert abs(known[0] - 0.3 * 23.2) < 0.01
+        assert np.abs(depth.surface.patch_size - 0.3 * 23.2).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "noise"),
+    [("slope", {}, None), ("plane", {"ratio": -0.5}, (400, 10)), ("slope", {}, (1500, 8))],
+)
+def test_slanted_and_noisy_planes_are_recognised_and_agree_with_the_exhaustive_search(scene, options, noise):
+    shot = shot_of(*SCENES[scene](camera(), **options).surfaces, noise=noise)
+    full, quick = both(shot)
+    assert quick.saved["plane"] > 0.7
+    assert agreement(full, quick) > 0.99
+    error = np.abs(quick.patch_size - shot.truth.patch_size)[shot.truth.mode != 0]
+    assert np.quantile(error, 0.95) < 0.03
+
+
+def test_a_bend_of_a_tenth_of_a_pixel_is_no_plane():
+    from lfrender.plane import fit_plane
+
+    rng = np.random.default_rng(3)
+    points = rng.uniform(0, 600, (400, 2))
+    flat = 1 / (1 / 7 + 2e-5 * points[:, 0]) + rng.normal(0, 0.03, 400)
+    bent = flat + 0.1 * np.cos(points[:, 0] / 150)
+    plane_found = fit_plane(points, flat, 23.2)
+    assert plane_found is not None
+    assert np.abs(plane_found.at(points) - 1 / (1 / 7 + 2e-5 * points[:, 0])).max() < 0.01
+    assert fit_plane(points, bent, 23.2) is None
 
 
 @pytest.mark.parametrize("ratio", [0.33, -0.3])
@@ -94,6 +120,17 @@ def test_blank_lenses_are_not_matched_and_the_rest_stays():
     assert agreement(full, quick) > 0.99
     assert 0.05 < (quick.mode == 1).mean() < 0.4
     assert set(np.unique(quick.reason)) >= {0, 1}
+
+
+def test_texture_in_two_corners_is_found_when_the_rest_is_cut_off_or_not():
+    one, two = card(0.3, (40, 40), (200, 160)), card(-0.3, (440, 320), (600, 440))
+    for cards in ((one,), (one, two)):
+        shot = shot_of(*blank(camera(), ratio=0.2).surfaces, *cards, noise=(4000, 5))
+        full, quick = both(shot)
+        assert quick.saved["blank"] > 0.6
+        assert agreement(full, quick) > 0.99
+        assert (full.reason == 1).mean() > 0.6
+        assert np.abs(quick.drawn - full.drawn)[full.mode != 0].max() < 0.05
 
 
 def test_only_known_shortcuts_can_be_named():

@@ -31,8 +31,10 @@ def test_statistics_are_those_of_the_pixels_in_the_circle():
 
 def test_texture_at_the_rim_alone_says_nothing_about_the_middle():
     inner = np.all((LATTICE.centres() > 15) & (LATTICE.centres() < (194, 154)), axis=1)
-    rim = find_texture(made(lambda r, grain: np.where(r > 11.5, 0.1 * np.sign(grain), 0)), LATTICE)
+    at_the_rim = made(lambda r, grain: np.where(r > 11.5, 0.1 * np.sign(grain), 0))
+    rim = find_texture(at_the_rim, LATTICE, lens_statistics(at_the_rim))
     assert not (rim.clear | rim.faint)[inner].any()
-    whole = find_texture(made(lambda r, grain: 0.1 * np.sign(grain)), LATTICE)
+    everywhere = made(lambda r, grain: 0.1 * np.sign(grain))
+    whole = find_texture(everywhere, LATTICE, lens_statistics(everywhere))
     assert whole.flat.image.shape == (170, 210)
     assert (whole.clear | whole.faint)[inner].all()

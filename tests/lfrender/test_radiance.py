@@ -1,0 +1,34 @@
+"""The vignetting-corrected flat: every pixel of a trusted microimage has the gain of its own lens."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lfcal import Calibration, Lattice, Vignetting
+from lfrender.radiance import gain_table, gray_flat
+
+BASES = [((20, 0), (0, 20)), ((20, 0), (10, 17.32)), ((0, 20), (17.32, 10)), ((19.5, 4.5), (5.85, 19.1))]
+
+
+@pytest.mark.parametrize("basis", BASES)
+def test_pixels_have_the_gain_of_the_nearest_lens(basis):
+    lattice = Lattice((101.0, 83.0), basis, (200, 160), 9.6)
+    profile = Vignetting(np.linspace(1, 0.92, 21) ** 2, 0.5)
+    calibration = Calibration(lattice, profile)
+    gray = gray_flat(np.ones((160, 200, 3), np.float32), calibration)
+    y, x = np.mgrid[:160, :200]
+    distance = np.sqrt(((np.stack([x, y], -1)[:, :, None] - lattice.centres()) ** 2).sum(-1)).min(-1)
+    gains, step = gain_table(calibration)
+    wanted = gains[np.minimum(distance**2 / step, len(gains) - 1).astype(int)]
+    trusted = distance < gray.radius + 0.9
+    assert trusted.mean() > 0.4
+    np.testing.assert_allclose(gray.image[trusted], wanted[trusted], rtol=2e-3)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+def test_brightness_is_the_mean_of_the_channels(channels):
+    lattice = Lattice((20.0, 20.0), ((12.0, 0.0), (0.0, 12.0)), (50, 40), 5.5)
+    flat = np.random.default_rng(channels).integers(0, 256, (40, 50, channels), np.uint8)
+    gray = gray_flat(flat, Calibration(lattice))
+    np.testing.assert_allclose(gray.image, flat.mean(2) / 255, atol=1e-6)
