@@ -77,16 +77,19 @@ def _middle(values, count):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _look(picture, top, centres, faces, inner, reach, stride, out, field, radius, profile, step, shade, rim, cut):
+def _look(
+    picture, top, chosen, centres, faces, inner, reach, stride, out, field, radius, profile, step, shade, rim, cut
+):
     """Per lens: light, pixels it rests on, correlation with the shape, contrast of it, mean, brightest, scatter.
 
-    The first row of `picture` is the row `top` of the flat.
+    Only of the `chosen` rows of `centres` and `out`. The first row of `picture` is the row `top` of the flat.
     """
     height, width = picture.shape
-    lenses = centres.shape[0]
+    lenses = chosen.shape[0]
     for block in prange((lenses + _TOGETHER - 1) // _TOGETHER):
         powers, lens, ratios = np.empty(64), np.empty(7 + rim.shape[0]), np.empty(4 * _SAMPLES)
-        for n in range(block * _TOGETHER, min((block + 1) * _TOGETHER, lenses)):
+        for k in range(block * _TOGETHER, min((block + 1) * _TOGETHER, lenses)):
+            n = chosen[k]
             cx, cy = centres[n, 0], centres[n, 1]
             describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
             cy -= top
@@ -134,7 +137,7 @@ def _looked(
     stride = max(1, round(math.sqrt(cell / (_SAMPLES if len(centres) < _MANY else _FEW_SAMPLES))))
     shape = gain.shape(lattice)
     if not callable(picture):
-        _look(picture, 0, centres, faces, inner_radius(faces), reach, stride, out, *shape)
+        _look(picture, 0, np.arange(len(centres)), centres, faces, inner_radius(faces), reach, stride, out, *shape)
         return out
     width, height = lattice.image_size
     band = np.clip(centres[:, 1] // _ROWS, 0, (height - 1) // _ROWS).astype(np.uint16)
@@ -143,11 +146,8 @@ def _looked(
     for number, (start, stop) in enumerate(zip(np.append(0, ends[:-1]).tolist(), ends.tolist(), strict=True)):
         top = max(0, math.floor(number * _ROWS - reach) - 1)
         rows = min(height, math.ceil((number + 1) * _ROWS + reach) + 1) - top
-        mine = order[start:stop]
-        part = np.zeros((len(mine), 7), np.float32)
         strip = picture(0, top, width, rows)
-        _look(strip, top, centres[mine], faces, inner_radius(faces), reach, stride, part, *shape)
-        out[mine] = part
+        _look(strip, top, order[start:stop], centres, faces, inner_radius(faces), reach, stride, out, *shape)
     return out
 
 
