@@ -181,7 +181,8 @@ def _over_depth(
     focus = _foci(sharpness, disparity, types, mixing)
     if (np.diff(focus[np.argsort(slope)]) < 0).any():
         focus[:] = np.nan
-    middle = -float(height @ slope) / float(slope @ slope)
+    # Where foci are seen, their mean is where types change places; the lines are bent by what lies far from all foci.
+    middle = float(focus.mean()) if np.isfinite(focus).all() else -float(height @ slope) / float(slope @ slope)
     sign = float(np.sign(middle))
     low, median, high = np.quantile(disparity[known], (0.1, 0.5, 0.9))
     # Far from all foci differences fade and their slopes turn round: types must change places within what is seen.
