@@ -13,7 +13,7 @@ from .depthmap import DepthMap
 from .flatcheck import check_flat
 from .lens_focus import focus_shares
 from .mosaic import draw_rows
-from .radiance import gain_table, white_level
+from .radiance import gain_table, lens_by_lens, white_level
 from .rendering import Rendering
 from .sharpness import lens_blur, ready_to_read
 from .surface import Surface
@@ -124,12 +124,17 @@ def _draw(
     seen_depth = np.empty((0, 0), np.float32)
     if blend and surface.patch_size.size > 1:
         seen_depth = lens_depths(surface, lattice, _REACH * lattice.pitch, edge)
-    gains, gain_step = gain_table(calibration)
+    gains, step = gain_table(calibration)
+    lights = 1 / gains
+    if lens_by_lens(calibration):
+        pixels, gains = calibration.flatten(pixels), np.ones_like(gains)
+        unlit = _beside(np.isnan(calibration.gain()))
+        seen_depth = np.where(unlit, np.float32(np.inf), seen_depth if seen_depth.size else np.float32(np.nan))
     bend, low = lattice_bend(lattice)
     offsets, steps = lens_offsets(lattice, _REACH * lattice.pitch)
     single = np.float32
     draw_rows(
-        ready_to_read(pixels), seen_depth, gains, single(gain_step),
+        ready_to_read(pixels), seen_depth, gains, lights, single(step),
         lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, bend, low, offsets, steps,
         *focus_shares(calibration.lens_types), single(lattice.radius), single(lattice.pitch),
         surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
@@ -138,6 +143,13 @@ def _draw(
     )  # fmt: skip
     affine = np.array([[spacing, 0.0, first], [0.0, spacing, first]])
     return image, seen, affine
+
+
+def _beside(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """These pixels and those beside them, which cannot be read without them."""
+    import cv2
+
+    return cv2.dilate(pixels.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool)
 
 
 def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
