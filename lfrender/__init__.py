@@ -9,9 +9,21 @@ if TYPE_CHECKING:
     from .drawing import default_scale, render
     from .lens_means import traditional
     from .picture import write_picture
+    from .refocusing import focal_stack, refocus
     from .rendering import Rendering
 
-__all__ = ["DepthMap", "Rendering", "analyze", "default_scale", "demosaic", "render", "traditional", "write_picture"]
+__all__ = [
+    "DepthMap",
+    "Rendering",
+    "analyze",
+    "default_scale",
+    "demosaic",
+    "focal_stack",
+    "refocus",
+    "render",
+    "traditional",
+    "write_picture",
+]
 
 _HOMES = {
     "DepthMap": "depthmap",
@@ -19,6 +31,8 @@ _HOMES = {
     "analyze": "analysis",
     "default_scale": "drawing",
     "demosaic": "demosaicing",
+    "focal_stack": "refocusing",
+    "refocus": "refocusing",
     "render": "drawing",
     "traditional": "lens_means",
     "write_picture": "picture",

@@ -110,7 +110,16 @@ def render(
 
 
 def _draw(
-    pixels: NDArray, calibration: Calibration, surface: Surface, scale: float, blend: bool, blur: float
+    pixels: NDArray,
+    calibration: Calibration,
+    surface: Surface,
+    scale: float,
+    blend: bool,
+    blur: float,
+    *,
+    reach: float = _REACH,
+    aperture: float = 1.0,
+    agreement: float = _AGREEMENT,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
     """The picture in the flat's units, what was seen of each pixel (0..1), and the affine to scene coordinates."""
     lattice = calibration.lattice
@@ -123,7 +132,7 @@ def _draw(
     edge = max(0.5, 0.03 * lattice.pitch)
     seen_depth = np.empty((0, 0), np.float32)
     if blend and surface.patch_size.size > 1:
-        seen_depth = lens_depths(surface, lattice, _REACH * lattice.pitch, edge)
+        seen_depth = lens_depths(surface, lattice, reach * lattice.pitch, edge)
     gains, step = gain_table(calibration)
     lights = 1 / gains
     if lens_by_lens(calibration):
@@ -131,15 +140,15 @@ def _draw(
         unlit = _beside(np.isnan(calibration.gain()))
         seen_depth = np.where(unlit, np.float32(np.inf), seen_depth if seen_depth.size else np.float32(np.nan))
     bend, low = lattice_bend(lattice)
-    offsets, steps = lens_offsets(lattice, _REACH * lattice.pitch)
+    offsets, steps = lens_offsets(lattice, reach * lattice.pitch)
     single = np.float32
     draw_rows(
         ready_to_read(pixels), seen_depth, gains, lights, single(step),
         lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, bend, low, offsets, steps,
-        *focus_shares(calibration.lens_types), single(lattice.radius), single(lattice.pitch),
+        *focus_shares(calibration.lens_types), single(aperture * lattice.radius), single(lattice.pitch),
         surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
         single(edge), single(scale), first, spacing, single((blur * scale) ** 2),
-        single(_REACH * lattice.pitch), single(_AGREEMENT * white_level(pixels) if blend else 0.0), image, seen,
+        single(reach * lattice.pitch), single(agreement * white_level(pixels) if blend else 0.0), image, seen,
     )  # fmt: skip
     affine = np.array([[spacing, 0.0, first], [0.0, spacing, first]])
     return image, seen, affine
