@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .lens_means import traditional
     from .optics import Optics
     from .picture import write_picture
+    from .refocusing import focal_stack, refocus
     from .rendering import Rendering
 
 __all__ = [
@@ -25,7 +26,9 @@ __all__ = [
     "analyze",
     "default_scale",
     "demosaic",
+    "focal_stack",
     "open_frames",
+    "refocus",
     "render",
     "render_frames",
     "render_frames_on",
@@ -43,6 +46,8 @@ _HOMES = {
     "default_scale": "drawing",
     "demosaic": "demosaicing",
     "open_frames": "frames",
+    "focal_stack": "refocusing",
+    "refocus": "refocusing",
     "render": "drawing",
     "render_frames": "batch",
     "render_frames_on": "cluster",

@@ -125,6 +125,7 @@ def analyze(
 @click.option(
     "--patch-size", type=float, help="One signed patch size [px] for all lenses: > 0 telescopic, < 0 binocular."
 )
+@click.option("--blend", is_flag=True, help="With --patch-size: the mean over lenses instead of the nearest one.")
 @click.option("--traditional", is_flag=True, help="One pixel per microlens, the mean of its microimage.")
 @click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
 @click.option(
@@ -143,6 +144,7 @@ def render(
     white: Path | None,
     depth_file: Path | None,
     patch_size: float | None,
+    blend: bool,
     traditional: bool,
     scale: float | None,
     mosaic: Mosaic | None,
@@ -160,6 +162,8 @@ def render(
     _at_most_one("--depth", depth_file, "--patch-size", patch_size, "--traditional", traditional or None)
     _at_most_one("--camera", camera, "--white", white)
     _at_most_one("--scale", scale, "--traditional", traditional or None)
+    if blend and patch_size is None:
+        raise click.UsageError("--blend needs --patch-size")
     check_picture(output, alpha=alpha, inputs=[flat, camera, white, depth_file])
     _import_meanwhile(output)
     with report.stage("read"):
@@ -175,7 +179,7 @@ def render(
         with report.stage("analyze"):
             depth = _read_depth(depth_file) if depth_file else _analyze(report, pixels, calibration, preset)
     with report.stage("render"):
-        picture = _render(report, pixels, calibration, depth, patch_size, traditional, scale)
+        picture = _render(report, pixels, calibration, depth, patch_size, traditional, scale, blend or None)
     with report.stage("write"):
         write_picture(
             output, picture, alpha=alpha, settings=_settings(depth, patch_size), embedded=read_embedded(flat),
@@ -183,6 +187,52 @@ def render(
         )  # fmt: skip
     figures = {**_camera_figures(calibration), **(_depth_figures(depth) if depth else {})}
     report.finish({"picture": str(output), **_picture_figures(picture), **figures})
+
+
+@main.command()
+@click.argument("flat", type=_PATH)
+@click.option("-o", "--output", type=_PATH, required=True, metavar="PICTURE", help="Picture to write: .tif, .png, ...")
+@click.option("-c", "--camera", type=_PATH, help=_CAMERA + " Without it, the camera is calibrated from FLAT.")
+@click.option("--patch-size", type=float, help="Signed patch size [px] in focus: > 0 telescopic, < 0 binocular.")
+@click.option("--at", type=float, nargs=2, metavar="X Y", help="Focus on this place [px of the flat] instead.")
+@click.option("--aperture", type=float, default=1.0, show_default=True, help="Part of the aperture used, 0.05 to 1.")
+@click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
+@console.report_options
+def refocus(
+    flat: Path,
+    output: Path,
+    camera: Path | None,
+    patch_size: float | None,
+    at: tuple[float, float] | None,
+    aperture: float,
+    scale: float | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Render FLAT in focus at one depth, out of focus before and behind it."""
+    report = console.Report(as_json, quiet)
+    check_picture(output, inputs=[flat, camera])
+    with report.stage("read"):
+        from lfcal import read_flat
+
+        pixels = read_flat(flat)
+        check_picture(output, pixels.dtype)
+    with report.stage("calibrate"):
+        calibration = _camera_of(report, flat, pixels, camera, None, None)
+        pixels = _in_colour(pixels, calibration)
+    with report.stage("render"):
+        from . import refocus as run
+
+        report.announce_compilation("lfrender")
+        try:
+            picture = run(pixels, calibration, patch_size, position=at, aperture=aperture, scale=scale)
+        except LightFieldError:
+            raise
+        except ValueError as error:
+            raise click.UsageError(str(error)) from error
+    with report.stage("write"):
+        write_picture(output, picture, settings={"rendering": "refocused", "patch_size": patch_size, "at": at})
+    report.finish({"picture": str(output), **_picture_figures(picture), **_camera_figures(calibration)})
 
 
 @main.command()
@@ -447,6 +497,7 @@ def _render(
     patch_size: float | None,
     traditional: bool,
     scale: float | None,
+    blend: bool | None,
 ) -> Rendering:
     from . import render as run
     from . import traditional as run_traditional
@@ -455,7 +506,7 @@ def _render(
     if traditional:
         return run_traditional(pixels, calibration)
     try:
-        return run(pixels, calibration, depth, patch_size=patch_size, scale=scale)
+        return run(pixels, calibration, depth, patch_size=patch_size, scale=scale, blend=blend)
     except LightFieldError:
         raise
     except ValueError as error:

@@ -13,7 +13,7 @@ from .depthmap import DepthMap
 from .flatcheck import check_flat
 from .lens_focus import focus_shares
 from .mosaic import draw_rows
-from .radiance import gain_table, white_level
+from .radiance import gain_table, lens_by_lens, white_level
 from .rendering import Rendering
 from .sharpness import lens_blur, ready_to_read
 from .surface import Surface
@@ -110,7 +110,16 @@ def render(
 
 
 def _draw(
-    pixels: NDArray, calibration: Calibration, surface: Surface, scale: float, blend: bool, blur: float
+    pixels: NDArray,
+    calibration: Calibration,
+    surface: Surface,
+    scale: float,
+    blend: bool,
+    blur: float,
+    *,
+    reach: float = _REACH,
+    aperture: float = 1.0,
+    agreement: float = _AGREEMENT,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
     """The picture in the flat's units, what was seen of each pixel (0..1), and the affine to scene coordinates."""
     lattice = calibration.lattice
@@ -123,21 +132,33 @@ def _draw(
     edge = max(0.5, 0.03 * lattice.pitch)
     seen_depth = np.empty((0, 0), np.float32)
     if blend and surface.patch_size.size > 1:
-        seen_depth = lens_depths(surface, lattice, _REACH * lattice.pitch, edge)
-    gains, gain_step = gain_table(calibration)
+        seen_depth = lens_depths(surface, lattice, reach * lattice.pitch, edge)
+    gains, step = gain_table(calibration)
+    lights = 1 / gains
+    if lens_by_lens(calibration):
+        pixels, gains = calibration.flatten(pixels), np.ones_like(gains)
+        unlit = _beside(np.isnan(calibration.gain()))
+        seen_depth = np.where(unlit, np.float32(np.inf), seen_depth if seen_depth.size else np.float32(np.nan))
     bend, low = lattice_bend(lattice)
-    offsets, steps = lens_offsets(lattice, _REACH * lattice.pitch)
+    offsets, steps = lens_offsets(lattice, reach * lattice.pitch)
     single = np.float32
     draw_rows(
-        ready_to_read(pixels), seen_depth, gains, single(gain_step),
+        ready_to_read(pixels), seen_depth, gains, lights, single(step),
         lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, bend, low, offsets, steps,
-        *focus_shares(calibration.lens_types), single(lattice.radius), single(lattice.pitch),
+        *focus_shares(calibration.lens_types), single(aperture * lattice.radius), single(lattice.pitch),
         surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
         single(edge), single(scale), first, spacing, single((blur * scale) ** 2),
-        single(_REACH * lattice.pitch), single(_AGREEMENT * white_level(pixels) if blend else 0.0), image, seen,
+        single(reach * lattice.pitch), single(agreement * white_level(pixels) if blend else 0.0), image, seen,
     )  # fmt: skip
     affine = np.array([[spacing, 0.0, first], [0.0, spacing, first]])
     return image, seen, affine
+
+
+def _beside(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """These pixels and those beside them, which cannot be read without them."""
+    import cv2
+
+    return cv2.dilate(pixels.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool)
 
 
 def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

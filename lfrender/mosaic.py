@@ -44,21 +44,23 @@ def _crosses_edge(surface, x, y, s, half, grid_x, grid_y, cell, edge):
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def draw_rows(
-    flat, seen, gains, gain_step, origin, inverse, basis, bend, low, offsets, steps, types, shares, radius, pitch,
+    flat, seen, gains, lights, light_step, origin, inverse, basis, bend, low, offsets, steps, types, shares,
+    radius, pitch,
     surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance, out, weight_out,
 ):  # fmt: skip
     """Fill `out` (h, w, C) with the mean over the lenses that see each point, `weight_out` with their number.
 
+    `gains` correct what a lens shows and `lights` are its illumination, over the squared distance from its centre.
     A lens counts with the square of its illumination, less toward its rim, and only as far as
     its colour agrees with the mean of all within `tolerance` (0: the most central lens alone).
     Lens (i, j) is of type `types[i % m, j % m]` and counts with the `shares` of that type, over s / D from -1 to 1;
-    (0, 0) `types`: all count alike. A lens whose pixel sees another depth, by `seen` (H, W) [px], hardly counts;
-    (0, 0) `seen` means not known. `blurred` is the square of the share of an output pixel's side over which
-    lenses have averaged already.
+    (0, 0) `types`: all count alike. A lens whose pixel sees another depth, by `seen` (H, W) [px], hardly counts, nor
+    does one whose pixel is infinitely far, that is unlit; (0, 0) `seen` means not known. `blurred` is the square of
+    the share of an output pixel's side over which lenses have averaged already.
     """
     height, width, channels = flat.shape
     rows, columns, _ = out.shape
-    last_gain = len(gains) - 1
+    last_ring = len(gains) - 1
     known = seen.size > 0
     bent = bend.size > 0
     typed = types.size > 0
@@ -135,7 +137,8 @@ def draw_rows(
                         if x - ex < -0.5 or y - ey < -0.5 or x - ex >= width - 0.5 or y - ey >= height - 0.5:
                             continue
                     delta2 = dx * dx + dy * dy
-                    gain = gains[np.uint64(min(int(delta2 / gain_step), last_gain))]
+                    ring = np.uint64(min(int(delta2 / light_step), last_ring))
+                    gain = gains[ring]
                     ix, iy = min(int(px), width - 2), min(int(py), height - 2)
                     fx, fy = np.float32(px - ix), np.float32(py - iy)
                     # Unsigned: signed indices are looked at for being counted from the end.
@@ -150,7 +153,7 @@ def draw_rows(
                             + w10 * np.float32(line[at + down])
                             + w11 * np.float32(line[at + down + across])
                         )
-                    weights[found] = (np.float32(1.02) - d2 * per_limit2) / (gain * gain)
+                    weights[found] = (np.float32(1.02) - d2 * per_limit2) * lights[ring] * lights[ring]
                     if typed:
                         kind = types[int(i + steps[o, 0]) % len(types), int(j + steps[o, 1]) % len(types)]
                         share = shares[kind, min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)]

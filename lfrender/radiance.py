@@ -12,10 +12,12 @@ from lfcal import Calibration
 
 from .fastmath import FAST
 
-__all__ = ["GrayFlat", "gain_table", "gray_flat", "shrink", "white_level"]
+__all__ = ["GrayFlat", "gain_table", "gray_flat", "lens_by_lens", "shrink", "white_level"]
 
 # A gain above this would lift more noise than picture at the rim of a microimage.
 _MAX_GAIN = 4.0
+# Light that departs from one radial profile for all lenses by less than this share is as even as eyes can tell.
+_EVEN = 0.01
 # Where a lens delivers less than this share of its light, the correction is as uncertain as weak texture.
 _TRUSTED_LIGHT = 0.9
 # No microimage is trusted over less than this share of the pitch: nothing would be left to compare.
@@ -62,6 +64,15 @@ def gain_table(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
         return np.ones(len(squared), np.float32), float(squared[1])
     light = calibration.vignetting.at(np.sqrt(squared))
     return (1.0 / np.maximum(light, 1.0 / _MAX_GAIN)).astype(np.float32), float(squared[1])
+
+
+def lens_by_lens(calibration: Calibration) -> bool:
+    """Whether lenses differ in their light, so that its radial profile alone would not make a flat even."""
+    known = calibration.gain_map
+    if known is None:
+        return False
+    uneven = max(np.abs(known.shade).max(), np.abs(known.level[1:]).max(initial=0.0))
+    return bool(known.own.size or known.cut.size or uneven > _EVEN)
 
 
 def white_level(flat: NDArray) -> float:

@@ -87,6 +87,20 @@ def test_traditional_picture_has_one_pixel_per_lens(house, house_files, tmp_path
     assert np.prod(drawn["size"]) == pytest.approx(len(house.truth.mode), rel=0.35)
 
 
+def test_refocus_draws_one_depth_and_blend_is_its_mean_over_lenses(house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    refocused = figures_of("refocus", flat, "-c", camera, "-o", tmp_path / "a.tif", "--patch-size", 6)
+    assert refocused["scale"] == 6
+    for name, options in (("crisp.tif", []), ("blend.tif", ["--blend"])):
+        figures_of("render", flat, "-c", camera, "-o", tmp_path / name, "--patch-size", 6, *options)
+    picture, crisp, blend = (tifffile.imread(tmp_path / name) for name in ("a.tif", "crisp.tif", "blend.tif"))
+    # Mixing lenses that see a place out of focus takes detail from the picture.
+    detail = [np.abs(np.diff(image.astype(float), axis=1)).mean() for image in (picture, blend, crisp)]
+    assert detail[0] < 0.95 * detail[1] < 0.9 * detail[2]
+    assert_refused(run("refocus", flat, "-c", camera, "-o", tmp_path / "b.tif"), "patch_size and position")
+    assert_refused(run("render", flat, "-c", camera, "-o", tmp_path / "b.tif", "--blend"), "--blend needs")
+
+
 def test_alpha_marks_the_pixels_nothing_has_seen(house_files, tmp_path):
     flat, camera = house_files / "flat.png", house_files / "camera.json"
     drawn = figures_of("render", flat, "-c", camera, "--patch-size", "-6", "--alpha", "-o", tmp_path / "picture.tif")

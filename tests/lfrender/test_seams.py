@@ -1,5 +1,6 @@
 """Pictures show no lattice, and are as bright as the flat they come from."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
+from lfcal.gain_map import GainMap
 
 SIZE = (520, 400)
 
@@ -74,6 +76,26 @@ def test_a_white_capture_drawn_without_correction_shows_the_lattice():
     white, calibration = shaded_white(), camera_of(None)
     dark = lfrender.render(white, lfcal.Calibration(calibration.lattice), patch_size=12.0)
     assert lattice_amplitude(dark, calibration.lattice) > 0.01 * dark.image.mean()
+
+
+@pytest.mark.parametrize("s", [-8.0, 5.0])
+def test_cats_eyes_and_a_dark_border_give_an_even_picture(s):
+    lattice = Camera.design(size=SIZE, pitch=23.2, rotation=1.3).lattice
+    round_lens = lfcal.Vignetting(1 / (1 + np.exp(3 * (np.arange(0, 16, 0.25) - 11.2))), 0.25)
+    # A second disc, 6 px aside in the corners, cuts microimages, and light falls off to exp(-0.4) there.
+    light = GainMap.round(round_lens.profile, round_lens.step, lattice.radius, [0.0, 0.0, 6.0, 11.2, 0.4])
+    light = dataclasses.replace(light, level=[0, 0, 0, -0.4, 0, -0.4])
+    camera = lfcal.Calibration(lattice, round_lens, gain_map=light)
+    white = np.rint(40000 * np.nan_to_num(camera.gain(), nan=0.05)).astype(np.uint16)
+
+    def unevenness(camera):
+        picture = lfrender.render(white, camera, patch_size=s, blend=True)
+        border = int(np.ceil(picture.scale))
+        inner = picture.image[border:-border, border:-border]
+        return inner.std() / inner.mean()
+
+    assert unevenness(camera) < 0.003
+    assert unevenness(dataclasses.replace(camera, gain_map=None)) > 0.05
 
 
 def test_a_smooth_ramp_gives_a_picture_without_lattice():

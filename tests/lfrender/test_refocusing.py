@@ -1,0 +1,89 @@
+"""Refocused pictures: sharp at their own depth, and only there."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+
+import lfrender
+from data_synth import SCENES, Camera, simulate
+
+SIZE, PITCH = (420, 340), 23.2
+
+
+@functools.cache
+def capture(scene, **arguments):
+    camera = Camera.design(size=SIZE, pitch=PITCH, rotation=1.3)
+    return simulate(SCENES[scene](camera, **arguments), camera, samples=24, seed=2)
+
+
+@functools.cache
+def depth_of(scene, **arguments):
+    shot = capture(scene, **arguments)
+    return lfrender.analyze(shot.flat, shot.truth.calibration)
+
+
+def difference(picture, other, part=np.s_[:, :]):
+    """RMS difference [grey levels] of two pictures on one grid, a border of two pitches left out."""
+    border = int(np.ceil(2 * picture.scale))
+    inner = np.s_[border:-border, border:-border]
+    return np.sqrt(np.mean((picture.image.astype(float) - other.image)[inner][part] ** 2))
+
+
+@pytest.mark.parametrize("ratio", [-0.35, 0.3])
+def test_a_plane_is_as_sharp_as_all_in_focus_at_its_own_depth_only(ratio):
+    shot, s = capture("plane", ratio=ratio), ratio * PITCH
+    camera = shot.truth.calibration
+    sharp = lfrender.render(shot.flat, camera, depth_of("plane", ratio=ratio), scale=abs(s))
+    assert difference(lfrender.refocus(shot.flat, camera, s), sharp) < 2
+    assert difference(lfrender.refocus(shot.flat, camera, 0.8 * s, scale=abs(s)), sharp) > 8
+
+
+def test_a_focal_stack_moves_the_focus_across_a_slope_on_one_grid():
+    shot = capture("slope")
+    camera = shot.truth.calibration
+    sharp = lfrender.render(shot.flat, camera, depth_of("slope"), scale=8)
+    far, near = lfrender.focal_stack(shot.flat, camera, [-0.45 * PITCH, -0.2 * PITCH], scale=8)
+    np.testing.assert_array_equal(far.affine, sharp.affine)
+    np.testing.assert_array_equal(near.affine, sharp.affine)
+    left, right = np.s_[:, :20], np.s_[:, -20:]
+    assert difference(far, sharp, left) < 0.6 * difference(near, sharp, left)
+    assert difference(near, sharp, right) < 0.6 * difference(far, sharp, right)
+
+
+def test_a_smaller_aperture_leaves_more_detail_out_of_focus():
+    shot = capture("slope")
+    pictures = [
+        lfrender.refocus(shot.flat, shot.truth.calibration, -0.2 * PITCH, aperture=part, scale=8)
+        for part in (1.0, 0.6, 0.35)
+    ]
+    # The left border lies at s = -0.55 D.
+    detail = [np.abs(np.diff(picture.image[10:-10, 5:25].astype(float), axis=0)).mean() for picture in pictures]
+    assert detail[2] > 1.15 * detail[1] > 1.3 * detail[0]
+
+
+def test_a_position_is_focused_at_its_depth():
+    shot = capture("plane", ratio=-0.35)
+    camera, depth = shot.truth.calibration, depth_of("plane", ratio=-0.35)
+    picture = lfrender.refocus(shot.flat, camera, position=(200.0, 150.0), depth=depth)
+    assert picture.scale == pytest.approx(0.35 * PITCH, abs=0.05)
+
+
+def test_wrong_arguments_are_refused():
+    shot = capture("plane", ratio=-0.35)
+    camera = shot.truth.calibration
+    for arguments in (
+        {},
+        {"patch_size": 5.0, "position": (1.0, 1.0)},
+        {"patch_size": 0.0},
+        {"patch_size": float("nan")},
+        {"patch_size": 5.0, "aperture": 0.0},
+        {"patch_size": 5.0, "scale": -1.0},
+        {"position": (-20.0, 5.0)},
+    ):
+        with pytest.raises(ValueError):
+            lfrender.refocus(shot.flat, camera, **arguments)
+    with pytest.raises(ValueError, match="at least one"):
+        lfrender.focal_stack(shot.flat, camera, [])
