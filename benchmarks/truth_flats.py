@@ -17,19 +17,19 @@ from scipy.spatial import cKDTree
 
 import lfcal
 import lfrender
-from lfrender.merit import compare_pictures, resample
+from lfrender.merit import PictureMerit, compare_pictures, resample
 
 # Reference pixel (i, j) of these folders lies at scene coordinates X = (2i + 0.5, 2j + 0.5).
 _REFERENCE = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5]])
-_SCALES = (0.15, 0.3)
+SCALES = (0.15, 0.3)
 _RESOLVABLE = 0.75
 # Depths that differ by this share of the pitch lie on two sides of an edge.
 _EDGE = 0.05
 _BLANK = 2
 
 
-def _psnr(picture: lfrender.Rendering, folder: Path, pitch: float) -> float:
-    """PSNR [dB] over resolvable pixels, a pitch off the border."""
+def merit(picture: lfrender.Rendering, folder: Path, pitch: float) -> PictureMerit:
+    """PSNR and SSIM over resolvable pixels, a pitch off the border."""
     reference = lfcal.read_flat(folder / "reference.png")
     patch_size = np.load(folder / "reference_depth.npz")["disparity_px"]
     shape = picture.image.shape[:2]
@@ -42,7 +42,7 @@ def _psnr(picture: lfrender.Rendering, folder: Path, pitch: float) -> float:
     inner = np.zeros(shape, bool)
     inner[border:-border, border:-border] = True
     where = inside & inner & picture.valid & (np.abs(s) < _RESOLVABLE * pitch)
-    return compare_pictures(picture.image / np.float64(np.iinfo(picture.image.dtype).max), wanted, where).psnr
+    return compare_pictures(picture.image / np.float64(np.iinfo(picture.image.dtype).max), wanted, where)
 
 
 def _edges(depth: lfrender.DepthMap, folder: Path) -> float:
@@ -87,8 +87,8 @@ def _row(folder: Path, preset: str) -> str:
     blank = known & (truth["reason"][nearest] & _BLANK > 0)
     claims = f"{(depth.confidence[blank] > 0.5).mean():.3f} of {blank.sum()}" if blank.any() else "none"
     pitch = calibration.lattice.pitch
-    psnr = [_psnr(lfrender.render(flat, calibration, depth, scale=k * pitch), folder, pitch) for k in _SCALES]
-    psnr.append(_psnr(picture, folder, pitch))
+    psnr = [merit(lfrender.render(flat, calibration, depth, scale=k * pitch), folder, pitch).psnr for k in SCALES]
+    psnr.append(merit(picture, folder, pitch).psnr)
     return (
         f"{folder.name:10} {preset:9} centres {np.sqrt((distance[known] ** 2).mean()):.4f} px"
         f"  modes {(depth.mode == mode)[single].mean():.4f} / all {(depth.mode == mode)[every].mean():.4f}"
