@@ -18,6 +18,7 @@ from .neighbours import neighbour_rows
 from .plane import Plane, find_plane
 from .radiance import GrayFlat, gray_flat
 from .region import check_region, embed, lenses_in, part_of
+from .remainder import remainder_depths
 from .search import PRESETS, Found, Matcher, search
 from .sequence import changed_lenses
 from .skipping import Shortcuts, sample_lenses
@@ -199,12 +200,18 @@ def _lens_by_lens(
     drawn = fill(np.where(resolved, refined, guess).astype(np.float32), resolved, neighbours, gap)
     populated = _populated(found.second, refined[resolved], gap)
     seconds = np.where(textured & populated, found.second, np.nan).astype(np.float32)
+    evidence = np.where(near, found.evidence, 1)
+    around = refined[resolved] if shortcuts.ranges else None
+    rest = remainder_depths(texture, forward, backward, drawn, evidence, setting, around)
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
     old = None if before is None else before.surface
-    surface = spread(texture.flat, lattice, drawn, seconds, trust, texture.noise, ~near, old)
+    surface = spread(texture.flat, lattice, drawn, np.stack([seconds, rest], 1), trust, texture.noise, ~near, old)
     # A lens that sees two depths answers with the one in its middle.
     middle = surface.at(lattice.centres())
     crossed = resolved & (np.abs(middle - drawn) > gap)
+    crossed &= (np.abs(middle - seconds) <= gap) | (
+        (np.abs(middle - rest) <= gap) & _level_about(surface, lattice, middle, gap)
+    )
     if kept is not None:
         crossed &= ~kept
     saved = _saved(shortcuts, some, found, sample, kept)
@@ -225,6 +232,15 @@ def _lens_by_lens(
 def _grown(mask: NDArray[np.bool_], neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
     """`mask` and all lenses beside it."""
     return mask | (mask[neighbours] & (neighbours >= 0)).any(1)
+
+
+def _level_about(surface: Surface, lattice: Lattice, middle: NDArray[np.float32], gap: float) -> NDArray[np.bool_]:
+    """Lenses about whose centre the surface stays at its value there, to all sides."""
+    level = np.ones(len(middle), bool)
+    for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+        beside = surface.at(lattice.centres() + np.array([x, y]) * surface.spacing)
+        level &= np.abs(beside - middle) <= gap
+    return level
 
 
 def _saved(
