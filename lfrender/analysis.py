@@ -42,6 +42,9 @@ _PROVEN, _LEAST_EVIDENCE = 0.95, 0.12
 _SHADED_REACH, _EVIDENCE_NEAR_ZERO = 0.2, 0.5
 # A lens with texture that correlates less than this with its neighbours at any shift shares no content with them.
 _SHARED = 0.25
+# Beyond this share of the pitch, and with less correlation than faint texture must have, a match is believed when its
+# pairs agree to the second share: of content beyond what neighbours share, each pair makes its own false match.
+_HARDLY_SHARED, _AGREED = 0.6, 0.014
 # So many lenses, evenly spread, tell which depths occur.
 _SAMPLE = 150
 # Fewer clear lenses than this do not tell it for the others.
@@ -182,7 +185,7 @@ def _lens_by_lens(
     measured = np.isfinite(lenses.patch_size)
     refined = np.where(measured, lenses.patch_size, found.patch_size)
     error = np.where(measured, lenses.standard_error, np.inf)
-    reason = _reasons(textured, found, refined, lattice.pitch)
+    reason = _reasons(textured, found, refined, _agreed(refined, error, neighbours, lattice.pitch), lattice.pitch)
     sure = np.where(textured, found.confidence, 0)
     if kept is not None and before is not None:
         refined, error, sure, reason = (
@@ -218,7 +221,7 @@ def _lens_by_lens(
     return DepthMap(
         patch_size=np.where(crossed, middle, np.where(resolved, refined, np.nan)),
         standard_error=np.where(crossed, np.maximum(error, found.step), np.where(resolved, error, np.inf)),
-        confidence=np.where(crossed, _SURE * sure, sure),
+        confidence=np.where(crossed | ~resolved, _SURE * sure, sure),
         drawn=np.where(crossed, middle, drawn),
         surface=surface,
         pitch=lattice.pitch,
@@ -282,10 +285,26 @@ def _following(
     return _lens_by_lens(gray, lattice, preset, shortcuts, None, kept, before)
 
 
-def _reasons(textured: NDArray[np.bool_], found: Found, refined: NDArray, pitch: float) -> NDArray[np.int8]:
+def _agreed(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float) -> NDArray[np.bool_]:
+    """Lenses whose pairs agree, and those that two such lenses beside them confirm.
+
+    At the border, where a lens has few pairs, a lens beside it must confirm what they agree on.
+    """
+    agreed = error <= _AGREED * pitch
+    confirm = (neighbours >= 0) & agreed[neighbours]
+    confirm &= np.abs(refined[neighbours] - refined[:, None]) <= 2 * _AGREED * pitch
+    whole = (neighbours >= 0).all(1)
+    return np.asarray((agreed & whole) | (confirm.sum(1) >= np.where(agreed, 1, 2)))
+
+
+def _reasons(
+    textured: NDArray[np.bool_], found: Found, refined: NDArray, agreed: NDArray[np.bool_], pitch: float
+) -> NDArray[np.int8]:
     """(n,) int8: as `DepthMap.reason`, 0 where the lens is resolved."""
     unsure = found.confidence < _SURE
-    apart = (np.abs(refined) > _RESOLVABLE * pitch) | (unsure & (found.evidence < _SHARED))
+    little = found.evidence < _SHARED
+    hardly = (np.abs(refined) > _HARDLY_SHARED * pitch) | (found.evidence < _LEAST_EVIDENCE)
+    apart = (np.abs(refined) > _RESOLVABLE * pitch) | (unsure & little) | (hardly & ~agreed)
     return np.select([~textured, apart, unsure], [1, 3, 2], 0).astype(np.int8)
 
 
