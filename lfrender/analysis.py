@@ -212,9 +212,8 @@ def _lens_by_lens(
     # A lens that sees two depths answers with the one in its middle.
     middle = surface.at(lattice.centres())
     crossed = resolved & (np.abs(middle - drawn) > gap)
-    crossed &= (np.abs(middle - seconds) <= gap) | (
-        (np.abs(middle - rest) <= gap) & _level_about(surface, lattice, middle, gap)
-    )
+    crossed &= (np.abs(middle - seconds) <= gap) | (np.abs(middle - rest) <= gap)
+    crossed &= _level_about(surface, lattice, middle, gap)
     if kept is not None:
         crossed &= ~kept
     saved = _saved(shortcuts, some, found, sample, kept)
