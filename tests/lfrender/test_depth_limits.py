@@ -1,14 +1,21 @@
 """Where depth ends: image planes too near the microlenses, noise, and things thinner than a lens."""
 
 import functools
+import importlib.util
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import lfrender
-from benchmarks.depth_sweep import noisy
 from data_synth import Camera, Patch, Scene, simulate
 from data_synth.scenes import plane
+
+_PATH = Path(__file__).parents[2] / "benchmarks" / "depth_sweep.py"
+_SPEC = importlib.util.spec_from_file_location("benchmarks.depth_sweep", _PATH)
+assert _SPEC is not None and _SPEC.loader is not None
+depth_sweep = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(depth_sweep)
 
 
 @functools.cache
@@ -41,7 +48,9 @@ def test_noise_from_40_to_12_db_degrades_the_depth_smoothly():
     shot = plane_flat(-0.3)
     errors = []
     for decibels in (40, 26, 18, 12):
-        depth = lfrender.analyze(noisy(shot.flat, decibels), shot.truth.calibration, skip=["blank", "ranges"])
+        depth = lfrender.analyze(
+            depth_sweep.noisy(shot.flat, decibels), shot.truth.calibration, skip=["blank", "ranges"]
+        )
         assert (depth.mode == -1).mean() > 0.95
         errors.append(np.nanmedian(np.abs(depth.patch_size - shot.truth.patch_size)))
     assert errors[0] < 0.02
