@@ -18,6 +18,7 @@ from .neighbours import neighbour_rows
 from .plane import TEXTURED, Plane, fit_plane, strays
 from .radiance import GrayFlat, gray_flat
 from .region import check_region, embed, embed_textured, lenses_in, part_of, rows_of
+from .remainder import remainder_depths
 from .search import PRESETS, Found, Matcher, search
 from .sequence import changed_lenses
 from .single_plane import PlaneScene, find_plane
@@ -42,6 +43,9 @@ _PROVEN, _LEAST_EVIDENCE = 0.95, 0.12
 _SHADED_REACH, _EVIDENCE_NEAR_ZERO = 0.2, 0.5
 # A lens with texture that correlates less than this with its neighbours at any shift shares no content with them.
 _SHARED = 0.25
+# Beyond this share of the pitch, and with less correlation than faint texture must have, a match is believed when its
+# pairs agree to the second share: of content beyond what neighbours share, each pair makes its own false match.
+_HARDLY_SHARED, _AGREED = 0.6, 0.014
 # So many lenses, evenly spread, tell which depths occur; where few carry texture, this share of them, but not fewer
 # than the last number.
 _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 150, 1 / 16, 24
@@ -228,7 +232,7 @@ def _lens_by_lens(
     measured = np.isfinite(lenses.patch_size)
     refined = np.where(measured, lenses.patch_size, found.patch_size)
     error = np.where(measured, lenses.standard_error, np.inf)
-    reason = _reasons(textured, found, refined, lattice.pitch)
+    reason = _reasons(textured, found, refined, _agreed(refined, error, neighbours, lattice.pitch), lattice.pitch)
     sure = np.where(textured, found.confidence, 0)
     if kept is not None and before is not None:
         refined, error, sure, reason = (
@@ -249,19 +253,24 @@ def _lens_by_lens(
     drawn = fill(np.where(resolved, refined, guess).astype(np.float32), resolved, neighbours, gap)
     populated = _populated(found.second, refined[resolved], gap)
     seconds = np.where(textured & populated, found.second, np.nan).astype(np.float32)
+    evidence = np.where(near, found.evidence, 1)
+    around = refined[resolved] if shortcuts.ranges else None
+    rest = remainder_depths(texture, forward, backward, drawn, evidence, setting, around)
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
     old = None if before is None else before.surface
-    surface = spread(texture.flat, lattice, drawn, seconds, trust, texture.noise, ~near, old)
+    surface = spread(texture.flat, lattice, drawn, np.stack([seconds, rest], 1), trust, texture.noise, ~near, old)
     # A lens that sees two depths answers with the one in its middle.
     middle = surface.at(lattice.centres())
     crossed = resolved & (np.abs(middle - drawn) > gap)
+    crossed &= (np.abs(middle - seconds) <= gap) | (np.abs(middle - rest) <= gap)
+    crossed &= _level_about(surface, lattice, middle, gap)
     if kept is not None:
         crossed &= ~kept
     saved = _saved(shortcuts, some, found, sample, kept)
     return DepthMap(
         patch_size=np.where(crossed, middle, np.where(resolved, refined, np.nan)),
         standard_error=np.where(crossed, np.maximum(error, found.step), np.where(resolved, error, np.inf)),
-        confidence=np.where(crossed, _SURE * sure, sure),
+        confidence=np.where(crossed | ~resolved, _SURE * sure, sure),
         drawn=np.where(crossed, middle, drawn),
         surface=surface,
         pitch=lattice.pitch,
@@ -275,6 +284,15 @@ def _lens_by_lens(
 def _grown(mask: NDArray[np.bool_], neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
     """`mask` and all lenses beside it."""
     return mask | (mask[neighbours] & (neighbours >= 0)).any(1)
+
+
+def _level_about(surface: Surface, lattice: Lattice, middle: NDArray[np.float32], gap: float) -> NDArray[np.bool_]:
+    """Lenses about whose centre the surface stays at its value there, to all sides."""
+    level = np.ones(len(middle), bool)
+    for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+        beside = surface.at(lattice.centres() + np.array([x, y]) * surface.spacing)
+        level &= np.abs(beside - middle) <= gap
+    return level
 
 
 def _saved(
@@ -326,10 +344,26 @@ def _following(
     )
 
 
-def _reasons(textured: NDArray[np.bool_], found: Found, refined: NDArray, pitch: float) -> NDArray[np.int8]:
+def _agreed(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float) -> NDArray[np.bool_]:
+    """Lenses whose pairs agree, and those that two such lenses beside them confirm.
+
+    At the border, where a lens has few pairs, a lens beside it must confirm what they agree on.
+    """
+    agreed = error <= _AGREED * pitch
+    confirm = (neighbours >= 0) & agreed[neighbours]
+    confirm &= np.abs(refined[neighbours] - refined[:, None]) <= 2 * _AGREED * pitch
+    whole = (neighbours >= 0).all(1)
+    return np.asarray((agreed & whole) | (confirm.sum(1) >= np.where(agreed, 1, 2)))
+
+
+def _reasons(
+    textured: NDArray[np.bool_], found: Found, refined: NDArray, agreed: NDArray[np.bool_], pitch: float
+) -> NDArray[np.int8]:
     """(n,) int8: as `DepthMap.reason`, 0 where the lens is resolved."""
     unsure = found.confidence < _SURE
-    apart = (np.abs(refined) > _RESOLVABLE * pitch) | (unsure & (found.evidence < _SHARED))
+    little = found.evidence < _SHARED
+    hardly = (np.abs(refined) > _HARDLY_SHARED * pitch) | (found.evidence < _LEAST_EVIDENCE)
+    apart = (np.abs(refined) > _RESOLVABLE * pitch) | (unsure & little) | (hardly & ~agreed)
     return np.select([~textured, apart, unsure], [1, 3, 2], 0).astype(np.int8)
 
 

@@ -7,6 +7,7 @@ from numba import njit, prange
 
 from .bending import nearest_index
 from .fastmath import FAST
+from .visibility import nearness
 
 __all__ = ["MOST_CANDIDATES", "calm_lenses", "propose"]
 
@@ -15,6 +16,16 @@ MOST_CANDIDATES = 5
 _PATCH = 1
 # Lenses compared with the most central one for each candidate.
 _MOST_VIEWS = 5
+# So many of the most central lenses are each compared with the others: an occluder may hide the place from the first.
+_REFERENCES = 2
+# Share of the views that must agree: nothing hides the nearest candidate, while half of the views of one behind it may
+# be hidden.
+_OPEN, _HALF = np.float32(0.65), np.float32(0.5)
+# A place behind another may match as well, past the edge of the nearer one; so each candidate pays this many times
+# what a nearer one stays below that mismatch.
+_HIDDEN, _MATCHED = np.float32(2.0), np.float32(0.5)
+# Votes belong to one surface as long as they extend over no more than so many gaps.
+_WIDEST = np.float32(2.0)
 # Price of a depth that none of the lenses around votes for, in units of the mismatch.
 _PRIOR = np.float32(0.07)
 # Lenses below this trust say nothing about the places around them where others do.
@@ -36,53 +47,69 @@ def _sample(image, x, y):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, patch, costs):
-    """How badly the nearest lens and the better half of the others agree on the patch at (x, y)."""
+def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, share, patches, moments, costs):
+    """How badly the better half of the views of the patch at (x, y) agree with one of the most central ones."""
     side = 2 * _PATCH + 1
     size = side * side
-    first = members[0]
-    px = centres[first, 0] - (x - centres[first, 0]) * slope
-    py = centres[first, 1] - (y - centres[first, 1]) * slope
-    mean_a = squares_a = np.float32(0.0)
-    for k in range(size):
-        patch[k] = _sample(image, px + (k % side - _PATCH) * step, py + (k // side - _PATCH) * step)
-        mean_a += patch[k]
-        squares_a += patch[k] * patch[k]
-    mean_a /= size
-    variance_a = max(squares_a / size - mean_a * mean_a, np.float32(0.0))
-    found = 0
-    for m in range(1, count):
+    views = 0
+    for m in range(count):
         lens = members[m]
         dx = -(x - centres[lens, 0]) * slope
         dy = -(y - centres[lens, 1]) * slope
-        if dx * dx + dy * dy > radius * radius:
+        if m > 0 and dx * dx + dy * dy > radius * radius:
             continue
-        qx, qy = centres[lens, 0] + dx, centres[lens, 1] + dy
-        sb = sbb = sdd = np.float32(0.0)
+        px, py = centres[lens, 0] + dx, centres[lens, 1] + dy
+        mean = squares = np.float32(0.0)
         for k in range(size):
-            b = _sample(image, qx + (k % side - _PATCH) * step, qy + (k // side - _PATCH) * step)
-            sb += b
-            sbb += b * b
-            sdd += (b - patch[k]) * (b - patch[k])
-        mean_b = sb / size
-        variance_b = max(sbb / size - mean_b * mean_b, np.float32(0.0))
-        cost = (sdd / size + floor) / (variance_a + variance_b + (mean_a - mean_b) ** 2 + floor)
-        # Insertion keeps the costs sorted.
-        at = found
-        while at > 0 and costs[at - 1] > cost:
-            costs[at] = costs[at - 1]
-            at -= 1
-        costs[at] = cost
-        found += 1
-        if found == _MOST_VIEWS:
+            value = _sample(image, px + (k % side - _PATCH) * step, py + (k // side - _PATCH) * step)
+            patches[views, k] = value
+            mean += value
+            squares += value * value
+        mean /= size
+        moments[views, 0] = mean
+        moments[views, 1] = max(squares / size - mean * mean, np.float32(0.0))
+        views += 1
+        if views > _MOST_VIEWS:
             break
-    if found == 0:
+    if views < 2:
         return np.float32(1.0)
-    best = np.float32(0.0)
-    half = (found + 1) // 2
-    for m in range(half):
-        best += costs[m]
-    return best / half
+    least = np.float32(np.inf)
+    half = max(1, int(share * (views - 1) + np.float32(0.5)))
+    # An occluder may hide the place from the most central view as well.
+    for r in range(min(_REFERENCES, views)):
+        found = 0
+        for m in range(views):
+            if m == r:
+                continue
+            sdd = np.float32(0.0)
+            for k in range(size):
+                sdd += (patches[m, k] - patches[r, k]) ** 2
+            cost = (sdd / size + floor) / (moments[r, 1] + moments[m, 1] + (moments[r, 0] - moments[m, 0]) ** 2 + floor)
+            # Insertion keeps the costs sorted.
+            at = found
+            while at > 0 and costs[at - 1] > cost:
+                costs[at] = costs[at - 1]
+                at -= 1
+            costs[at] = cost
+            found += 1
+        best = np.float32(0.0)
+        for m in range(half):
+            best += costs[m]
+        least = min(least, best / half)
+    return least
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _hide(depths, costs, pitch, evidence):
+    """Raise the mismatch of each candidate by the evidence for a nearer one."""
+    for k in range(len(depths)):
+        evidence[k] = max(_MATCHED - costs[k], np.float32(0.0))
+    for k in range(len(depths)):
+        hidden = np.float32(0.0)
+        for q in range(len(depths)):
+            if nearness(depths[q], pitch) > nearness(depths[k], pitch):
+                hidden = max(hidden, evidence[q])
+        costs[k] += _HIDDEN * hidden
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -123,7 +150,8 @@ def calm_lenses(values, seconds, trust, indices, grid, low, ring, gap):
             alone = False
             lowest = min(lowest, values[other])
             highest = max(highest, values[other])
-            single = single and not np.isfinite(seconds[other])
+            for m in range(seconds.shape[1]):
+                single = single and not np.isfinite(seconds[other, m])
         calm[lens] = _ALONE if alone else single and highest - lowest <= gap
     return calm
 
@@ -162,10 +190,12 @@ def propose(
         v = row * stride % rows
         members = np.empty(nearby, np.int32)
         distance = np.empty(nearby, np.float32)
-        sizes = np.empty(2 * nearby, np.float32)
-        weights = np.empty(2 * nearby, np.float32)
-        patch = np.empty((2 * _PATCH + 1) ** 2, np.float32)
-        sorted_costs = np.empty(nearby, np.float32)
+        sizes = np.empty((1 + seconds.shape[1]) * nearby, np.float32)
+        weights = np.empty((1 + seconds.shape[1]) * nearby, np.float32)
+        evidence = np.empty(most, np.float32)
+        patches = np.empty((_MOST_VIEWS + 1, (2 * _PATCH + 1) ** 2), np.float32)
+        moments = np.empty((_MOST_VIEWS + 1, 2), np.float32)
+        sorted_costs = np.empty(_MOST_VIEWS, np.float32)
         for u in range(columns):
             x, y = np.float32(first + u * spacing), np.float32(first + v * spacing)
             for k in range(most):
@@ -204,8 +234,8 @@ def propose(
                     continue
                 w = trust[lens] * max(1 - distance[m] / vote2, np.float32(1e-3)) ** 2
                 everyone += w
-                for second in range(2):
-                    s = seconds[lens] if second else values[lens]
+                for second in range(1 + seconds.shape[1]):
+                    s = seconds[lens, second - 1] if second else values[lens]
                     if not np.isfinite(s):
                         continue
                     at = votes
@@ -220,6 +250,8 @@ def propose(
             while start < votes:
                 stop = start + 1
                 while stop < votes and sizes[stop] - sizes[stop - 1] <= gap:
+                    if sizes[stop] - sizes[start] > _WIDEST * gap:
+                        break
                     stop += 1
                 weight = total = np.float32(0.0)
                 for m in range(start, stop):
@@ -236,9 +268,14 @@ def propose(
             if found <= 1:
                 costs[v, u, 0] = 0.0
                 continue
+            nearest = 0
+            for k in range(1, found):
+                if nearness(depths[v, u, k], pitch) > nearness(depths[v, u, nearest], pitch):
+                    nearest = k
             for k in range(found):
                 share = costs[v, u, k] / everyone
                 costs[v, u, k] = _mismatch(
                     image, centres, members, count, x, y, depths[v, u, k] / pitch, radius, step, floor,
-                    patch, sorted_costs,
+                    _OPEN if k == nearest else _HALF, patches, moments, sorted_costs,
                 ) + _PRIOR * max(np.float32(0.0), 1 - share)  # fmt: skip
+            _hide(depths[v, u, :found], costs[v, u, :found], pitch, evidence)

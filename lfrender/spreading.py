@@ -24,7 +24,7 @@ _VOTING, _LOOKING = 1.45, 2.1
 # Specks are smaller than about half of a square of so many grid values to each side.
 _SPECK = 2
 # Price of a depth edge between neighbouring grid values, and of a slant by one gap.
-_JUMP, _SLANT = np.float32(0.85), np.float32(0.1)
+_JUMP, _SLANT = np.float32(0.5), np.float32(0.1)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
@@ -156,8 +156,10 @@ def spread(
     gray : GrayFlat
         At the flat's own resolution.
     lattice : Lattice
-    values, seconds : (n,) float32 [px]
-        Patch size of each lens, finite, and its second best, NaN where there is none.
+    values : (n,) float32 [px]
+        Patch size of each lens, finite.
+    seconds : (n, m) float32 [px]
+        Other patch sizes that it may show as well, NaN where there is none.
     trust : (n,) float32
         Weight of each lens, positive.
     noise : float

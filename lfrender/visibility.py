@@ -15,7 +15,7 @@ __all__ = ["lens_depths"]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _nearness(s, pitch):
+def nearness(s, pitch):
     """Grows toward the camera: telescopic places first, then through the microlenses to binocular ones.
 
     With the image at a = D * b / s in front of the microlenses (GEOMETRY.md), nearer objects have their
@@ -50,7 +50,7 @@ def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, rea
                 half = np.float32(0.5) * abs(s) / pitch * spacing + np.float32(0.25)
                 if dx * dx + dy * dy > (radius + half) ** 2:
                     continue
-                near = _nearness(s, pitch)
+                near = nearness(s, pitch)
                 for y in range(int(np.ceil(cy + dy - half)), int(np.floor(cy + dy + half)) + 1):
                     for x in range(int(np.ceil(cx + dx - half)), int(np.floor(cx + dx + half)) + 1):
                         if x < 0 or y < 0 or x >= width or y >= height:
@@ -58,7 +58,7 @@ def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, rea
                         if (x - cx) * (x - cx) + (y - cy) * (y - cy) > radius * radius:
                             continue
                         before = out[y, x]
-                        if np.isnan(before) or _nearness(before, pitch) < near:
+                        if np.isnan(before) or nearness(before, pitch) < near:
                             out[y, x] = s
 
 

@@ -1,0 +1,84 @@
+"""Where depth ends: image planes too near the microlenses, noise, and things thinner than a lens."""
+
+import functools
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lfrender
+from data_synth import Camera, Patch, Scene, simulate
+from data_synth.scenes import plane
+
+_PATH = Path(__file__).parents[2] / "benchmarks" / "depth_sweep.py"
+_SPEC = importlib.util.spec_from_file_location("benchmarks.depth_sweep", _PATH)
+assert _SPEC is not None and _SPEC.loader is not None
+depth_sweep = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(depth_sweep)
+
+
+@functools.cache
+def plane_flat(ratio, pitch=23.2, size=(300, 260)):
+    camera = Camera.design(size=size, pitch=pitch, rotation=1.3)
+    return simulate(plane(camera, ratio=ratio), camera, samples=16, seed=2)
+
+
+# Where neighbours share nothing at all, a few lenses match by chance.
+@pytest.mark.parametrize(
+    ("ratio", "most"), [(-1.2, 0.08), (-0.95, 0.05), (-0.85, 0.05), (0.85, 0.05), (0.95, 0.05), (1.2, 0.08)]
+)
+def test_planes_beyond_three_quarters_of_a_pitch_are_unresolved(ratio, most):
+    shot = plane_flat(ratio)
+    depth = lfrender.analyze(shot.flat, shot.truth.calibration)
+    assert (depth.mode != 0).mean() < most
+    assert (depth.confidence > 0.5).mean() < most
+    assert np.isin(depth.reason[depth.mode == 0], [1, 2, 3]).all()
+
+
+@pytest.mark.parametrize("ratio", [-0.7, -0.6, 0.6, 0.7])
+def test_planes_just_within_reach_stay_resolved(ratio):
+    shot = plane_flat(ratio)
+    depth = lfrender.analyze(shot.flat, shot.truth.calibration)
+    assert (depth.mode == np.sign(ratio)).mean() > 0.95
+    assert np.nanmedian(np.abs(depth.patch_size - shot.truth.patch_size)) < 0.2
+
+
+def test_noise_from_40_to_12_db_degrades_the_depth_smoothly():
+    shot = plane_flat(-0.3)
+    errors = []
+    for decibels in (40, 26, 18, 12):
+        depth = lfrender.analyze(
+            depth_sweep.noisy(shot.flat, decibels), shot.truth.calibration, skip=["blank", "ranges"]
+        )
+        assert (depth.mode == -1).mean() > 0.95
+        errors.append(np.nanmedian(np.abs(depth.patch_size - shot.truth.patch_size)))
+    assert errors[0] < 0.02
+    assert errors[-1] < 0.15
+    assert errors[-1] > errors[0]
+    assert max(np.diff(errors)) < 0.1
+
+
+@functools.cache
+def rod_flat(across=0.12):
+    """A textured rod a tenth of a pitch wide in the microimages, before a wall, upright in the middle."""
+    camera = Camera.design(size=(480, 400), pitch=40.0, rotation=1.3)
+    wall = plane(camera, ratio=-0.5, seed=3).surfaces
+    # In scene coordinates it is wider by its magnification.
+    half = 0.5 * across / 0.15 * camera.pitch
+    depth = camera.depth_at(-0.15)
+    corners = [(240 - half, -60), (240 + half, -60), (240 - half, 460)]
+    corner, right, down = camera.place(corners, depth)
+    texture = np.random.default_rng(1).uniform(0, 1, (200, 12, 3)).astype(np.float32)
+    scene = Scene("rod", (*wall, Patch(corner, right - corner, down - corner, texture)))
+    return simulate(scene, camera, samples=16, seed=2)
+
+
+def test_a_rod_of_an_eighth_of_a_microimage_is_found_with_its_depth():
+    shot = rod_flat()
+    depth = lfrender.analyze(shot.flat, shot.truth.calibration)
+    y = np.arange(80.0, 320.0, 4.0)
+    on_rod = depth.surface.at(np.column_stack([np.full(len(y), 240.0), y]))
+    beside = depth.surface.at(np.column_stack([np.full(len(y), 140.0), y]))
+    assert (np.abs(on_rod + 0.15 * 40) < 2).mean() > 0.8
+    assert (np.abs(beside + 0.5 * 40) < 2).mean() > 0.9
