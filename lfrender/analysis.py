@@ -247,6 +247,12 @@ def _lens_by_lens(
     resolved = reason == 0
     plane = _regular(lattice, refined, error, resolved, neighbours) if kept is None else None
     if plane is not None:
+        # A plane confirms what few pairs at the border of the flat could not.
+        own = plane.at(lattice.centres())
+        near_plane = (np.abs(refined - own) <= 2 * _AGREED * lattice.pitch) & (
+            np.abs(own) <= _RESOLVABLE * lattice.pitch
+        )
+        reason = np.where((reason == 3) & near_plane & (found.confidence >= _SURE), 0, reason)
         return _on_plane(plane, lattice, preset, reason, sure, _saved(shortcuts, some, found, sample, kept))
     gap = max(1.0, 0.05 * lattice.pitch)
     guess = found.patch_size if known is None else np.where(np.isfinite(known), known, found.patch_size)
