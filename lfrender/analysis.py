@@ -262,6 +262,9 @@ def _lens_by_lens(
     evidence = np.where(near, found.evidence, 1)
     around = refined[resolved] if shortcuts.ranges else None
     rest = remainder_depths(texture, forward, backward, drawn, evidence, setting, around)
+    # Shading matches itself near zero: a depth there must occur by itself.
+    shaded = (np.abs(rest) < _SHADED_REACH * lattice.pitch) & ~_populated(rest, refined[resolved], gap)
+    rest[shaded] = np.nan
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
     old = None if before is None else before.surface
     surface = spread(texture.flat, lattice, drawn, np.stack([seconds, rest], 1), trust, texture.noise, ~near, old)
