@@ -72,7 +72,8 @@ def draw_rows(
     half_step = 0.5 * spacing
     view_x, view_y = view[0], view[1]
     aside = np.sqrt(view_x * view_x + view_y * view_y)
-    radius2 = radius * radius
+    # Beside the middle, rims often show a place alone: the last pixel mixes in light of the next microimage.
+    radius2 = (radius - 1) * (radius - 1)
     # Farther from the border than this, every lens in reach and all it shows lies on the flat.
     margin = reach + radius + 1
     line = flat.reshape(-1)
@@ -160,7 +161,11 @@ def draw_rows(
                             + w10 * np.float32(line[at + down])
                             + w11 * np.float32(line[at + down + across])
                         )
-                    weights[found] = (np.float32(1.02) - d2 * per_limit2) * lights[ring] * lights[ring]
+                    away = d2 * per_limit2
+                    if aside > 0:
+                        # From the middle, the first alone grows toward the rim of a microimage.
+                        away = max(away, delta2 / radius2)
+                    weights[found] = (np.float32(1.02) - away) * lights[ring] * lights[ring]
                     if typed:
                         kind = types[int(i + steps[o, 0]) % len(types), int(j + steps[o, 1]) % len(types)]
                         share = shares[kind, min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)]
@@ -169,6 +174,10 @@ def draw_rows(
                         depth = seen[np.uint64(py + 0.5), np.uint64(px + 0.5)]
                         if abs(depth - s) > 2 * edge:
                             weights[found] *= _HIDDEN
+                            if aside > 0:
+                                # The surface is that seen from `view`: what hides it is least likely to at that very place.
+                                beside = d2 / (pitch * pitch) + np.float32(0.05)
+                                weights[found] /= beside * beside
                             d2 += limit2
                     if d2 < best:
                         best, best_at = d2, found
