@@ -175,7 +175,7 @@ def draw_rows(
                         if abs(depth - s) > 2 * edge:
                             weights[found] *= _HIDDEN
                             if aside > 0:
-                                # The surface is that seen from `view`: what hides it is least likely to at that very place.
+                                # The surface is what `view` sees: there, something else is least likely in front.
                                 beside = d2 / (pitch * pitch) + np.float32(0.05)
                                 weights[found] /= beside * beside
                             d2 += limit2
