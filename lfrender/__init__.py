@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from .picture import write_picture
     from .refocusing import focal_stack, refocus
     from .rendering import Rendering
+    from .view_files import stereo_pair, write_animation, write_grid
+    from .viewpoints import circle_offsets, grid_offsets, views
 
 __all__ = [
     "DepthMap",
@@ -24,15 +26,21 @@ __all__ = [
     "Optics",
     "Rendering",
     "analyze",
+    "circle_offsets",
     "default_scale",
     "demosaic",
     "focal_stack",
+    "grid_offsets",
     "open_frames",
     "refocus",
     "render",
     "render_frames",
     "render_frames_on",
+    "stereo_pair",
     "traditional",
+    "views",
+    "write_animation",
+    "write_grid",
     "write_picture",
 ]
 
@@ -43,15 +51,21 @@ _HOMES = {
     "Optics": "optics",
     "Rendering": "rendering",
     "analyze": "analysis",
+    "circle_offsets": "viewpoints",
     "default_scale": "drawing",
     "demosaic": "demosaicing",
     "open_frames": "frames",
     "focal_stack": "refocusing",
+    "grid_offsets": "viewpoints",
     "refocus": "refocusing",
     "render": "drawing",
     "render_frames": "batch",
     "render_frames_on": "cluster",
+    "stereo_pair": "view_files",
     "traditional": "lens_means",
+    "views": "viewpoints",
+    "write_animation": "view_files",
+    "write_grid": "view_files",
     "write_picture": "picture",
 }
 

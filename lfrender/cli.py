@@ -236,6 +236,110 @@ def refocus(
 
 
 @main.command()
+@click.argument("flat", type=_PATH)
+@click.option("-o", "--output", type=_PATH, required=True, metavar="FOLDER|FILE", help="Folder of a grid, or one file.")
+@click.option("-c", "--camera", type=_PATH, help=_CAMERA + " Without it, the camera is calibrated from FLAT.")
+@click.option("--depth", "depth_file", type=_PATH, help="Depth map made by 'lfrender analyze'.")
+@click.option(
+    "--grid", metavar="ROWSxCOLUMNS", help="Pictures on a grid of viewpoints, row1_column1 ... [default: 5x5]"
+)
+@click.option("--stereo", is_flag=True, help="One picture: the view of the left eye, beside it that of the right one.")
+@click.option("--animation", type=click.IntRange(2), metavar="N", help="N views around a circle: .gif, .png or .webp.")
+@click.option(
+    "--aperture",
+    type=click.FloatRange(0, 1, min_open=True),
+    default=0.7,
+    show_default=True,
+    help="How far from the middle, as a part of the radius of the microimages: more parallax, less light.",
+)
+@click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
+@click.option("--format", "suffix", default="tif", show_default=True, help="Kind of the grid's pictures: tif, png, ...")
+@_preset
+@console.report_options
+def views(
+    flat: Path,
+    output: Path,
+    camera: Path | None,
+    depth_file: Path | None,
+    grid: str | None,
+    stereo: bool,
+    animation: int | None,
+    aperture: float,
+    scale: float | None,
+    suffix: str,
+    preset: str,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Render FLAT sharp at every depth as seen from other places in the main lens: parallax.
+
+    \b
+    Examples:
+      lfrender views flat.png -c camera.json -o views --grid 5x5
+      lfrender views flat.png -c camera.json -o pair.png --stereo
+      lfrender views flat.png -c camera.json -o parallax.gif --animation 24
+    """
+    report = console.Report(as_json, quiet)
+    _at_most_one("--grid", grid, "--stereo", stereo or None, "--animation", animation)
+    from . import circle_offsets, grid_offsets, stereo_pair, write_animation, write_grid
+    from . import views as run
+
+    rows, columns = _grid_size(grid or "5x5")
+    suffix = f".{suffix.lstrip('.').lower()}"
+    inputs = [flat, camera, depth_file]
+    _check_views(output, animation, stereo, suffix, inputs=inputs)
+    with report.stage("read"):
+        from lfcal import read_flat
+
+        pixels = read_flat(flat)
+        _check_views(output, animation, stereo, suffix, pixels.dtype)
+    with report.stage("calibrate"):
+        calibration = _camera_of(report, flat, pixels, camera, None, None)
+        pixels = _in_colour(pixels, calibration)
+    with report.stage("analyze"):
+        depth = _read_depth(depth_file) if depth_file else _analyze(report, pixels, calibration, preset)
+    radius = aperture * calibration.lattice.radius
+    with report.stage("render and write"):
+        offsets = circle_offsets(animation, radius) if animation else grid_offsets(rows, columns, radius)
+        if stereo:
+            offsets = [(-radius, 0.0), (radius, 0.0)]
+        try:
+            pictures = run(pixels, calibration, depth, offsets=offsets, scale=scale)
+        except LightFieldError:
+            raise
+        except ValueError as error:
+            raise click.UsageError(str(error)) from error
+        settings = {"rendering": "views", "aperture": aperture, "preset": depth.preset}
+        if animation:
+            write_animation(output, pictures)
+        elif stereo:
+            write_picture(output, stereo_pair(*pictures), settings=settings, embedded=read_embedded(flat))
+        else:
+            write_grid(output, pictures, columns, suffix, settings=settings, embedded=read_embedded(flat))
+    report.finish({"views": str(output), "offsets": offsets, **_camera_figures(calibration), **_depth_figures(depth)})
+
+
+def _check_views(
+    output: Path, animation: int | None, stereo: bool, suffix: str, dtype: Any = None, inputs: Any = ()
+) -> None:
+    from .view_files import check_animation, check_grid
+
+    if animation:
+        check_animation(output, dtype, inputs)
+    elif stereo:
+        check_picture(output, dtype, inputs=inputs)
+    else:
+        check_grid(output, suffix, dtype, inputs)
+
+
+def _grid_size(text: str) -> tuple[int, int]:
+    rows, cross, columns = text.lower().partition("x")
+    if not (cross and rows.isdecimal() and columns.isdecimal() and int(rows) and int(columns)):
+        raise click.UsageError(f"--grid must be ROWSxCOLUMNS such as 5x5, got {text!r}")
+    return int(rows), int(columns)
+
+
+@main.command()
 @click.option(
     "-o", "--output", type=_PATH, default=Path("lfrender-demo"), show_default=True, help="Folder for pictures and page."
 )

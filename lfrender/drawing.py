@@ -18,6 +18,7 @@ from .rendering import Rendering
 from .sharpness import lens_blur, ready_to_read
 from .surface import Surface
 from .visibility import lens_depths
+from .warping import Viewpoint
 
 __all__ = ["default_scale", "render"]
 
@@ -30,6 +31,7 @@ _LARGEST_SCALE_SHARE = 0.98
 _COARSE = 1.4
 # Lenses at which the spacing of a distorted lattice is looked at: it changes slowly over the field.
 _PROBES = 500
+_MIDDLE = Viewpoint()
 
 
 def default_scale(depth: DepthMap) -> float:
@@ -120,6 +122,7 @@ def _draw(
     reach: float = _REACH,
     aperture: float = 1.0,
     agreement: float = _AGREEMENT,
+    viewpoint: Viewpoint = _MIDDLE,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
     """The picture in the flat's units, what was seen of each pixel (0..1), and the affine to scene coordinates."""
     lattice = calibration.lattice
@@ -132,7 +135,7 @@ def _draw(
     edge = max(0.5, 0.03 * lattice.pitch)
     seen_depth = np.empty((0, 0), np.float32)
     if blend and surface.patch_size.size > 1:
-        seen_depth = lens_depths(surface, lattice, reach * lattice.pitch, edge)
+        seen_depth = lens_depths(surface, lattice, reach * lattice.pitch + viewpoint.parallax(surface, lattice), edge)
     gains, step = gain_table(calibration)
     lights = 1 / gains
     if lens_by_lens(calibration):
@@ -140,15 +143,17 @@ def _draw(
         unlit = _beside(np.isnan(calibration.gain()))
         seen_depth = np.where(unlit, np.float32(np.inf), seen_depth if seen_depth.size else np.float32(np.nan))
     bend, low = lattice_bend(lattice)
+    drawn, moved = viewpoint.seen_from(surface, lattice, edge)
     offsets, steps = lens_offsets(lattice, reach * lattice.pitch)
     single = np.float32
     draw_rows(
         ready_to_read(pixels), seen_depth, gains, lights, single(step),
         lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, bend, low, offsets, steps,
         *focus_shares(calibration.lens_types), single(aperture * lattice.radius), single(lattice.pitch),
-        surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
-        single(edge), single(scale), first, spacing, single((blur * scale) ** 2),
-        single(reach * lattice.pitch), single(agreement * white_level(pixels) if blend else 0.0), image, seen,
+        drawn.patch_size, single(drawn.first[0]), single(drawn.first[1]), single(drawn.spacing),
+        single(edge), single(scale), first + moved, spacing, single((blur * scale) ** 2),
+        single(reach * lattice.pitch), single(agreement * white_level(pixels) if blend else 0.0),
+        np.array(viewpoint.offset, single), image, seen,
     )  # fmt: skip
     affine = np.array([[spacing, 0.0, first], [0.0, spacing, first]])
     return image, seen, affine

@@ -46,7 +46,7 @@ def _crosses_edge(surface, x, y, s, half, grid_x, grid_y, cell, edge):
 def draw_rows(
     flat, seen, gains, lights, light_step, origin, inverse, basis, bend, low, offsets, steps, types, shares,
     radius, pitch,
-    surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance, out, weight_out,
+    surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance, view, out, weight_out,
 ):  # fmt: skip
     """Fill `out` (h, w, C) with the mean over the lenses that see each point, `weight_out` with their number.
 
@@ -56,7 +56,9 @@ def draw_rows(
     Lens (i, j) is of type `types[i % m, j % m]` and counts with the `shares` of that type, over s / D from -1 to 1;
     (0, 0) `types`: all count alike. A lens whose pixel sees another depth, by `seen` (H, W) [px], hardly counts, nor
     does one whose pixel is infinitely far, that is unlit; (0, 0) `seen` means not known. `blurred` is the square of
-    the share of an output pixel's side over which lenses have averaged already.
+    the share of an output pixel's side over which lenses have averaged already. Microimages are read about `view`
+    (2,) [px] beside their centres, which moves places as `warping.py` describes; output pixel (0, 0) lies at `first`
+    (2,).
     """
     height, width, channels = flat.shape
     rows, columns, _ = out.shape
@@ -68,6 +70,10 @@ def draw_rows(
     half_ratios = np.float32(0.5 * last_ratio)
     t2 = tolerance * tolerance
     half_step = 0.5 * spacing
+    view_x, view_y = view[0], view[1]
+    aside = np.sqrt(view_x * view_x + view_y * view_y)
+    # Beside the middle, rims often show a place alone: the last pixel mixes in light of the next microimage.
+    radius2 = (radius - 1) * (radius - 1)
     # Farther from the border than this, every lens in reach and all it shows lies on the flat.
     margin = reach + radius + 1
     line = flat.reshape(-1)
@@ -77,7 +83,7 @@ def draw_rows(
         weights = np.empty(MAX_LENSES, np.float32)
         total, mean, mixed = np.empty(4, np.float32), np.empty(4, np.float32), np.empty(4, np.float32)
         for u in range(columns):
-            centre_x, centre_y = first + u * spacing, first + v * spacing
+            centre_x, centre_y = first[0] + u * spacing, first[1] + v * spacing
             s_here = patch_size_at(surface, np.float32(centre_x), np.float32(centre_y), grid_x, grid_y, cell, edge)
             # Side of an output pixel in the flat, and how much of it lens and pixel have not averaged already.
             side = abs(s_here) / scale
@@ -105,7 +111,7 @@ def draw_rows(
                 i, j = nearest_index(x, y, origin, inverse, bend, low)
                 base_x = np.float32(x - origin[0] - (i * basis[0, 0] + j * basis[1, 0]))
                 base_y = np.float32(y - origin[1] - (i * basis[0, 1] + j * basis[1, 1]))
-                limit = min(radius / max(abs(slope), np.float32(1e-6)), reach)
+                limit = min((radius + aside) / max(abs(slope), np.float32(1e-6)), reach)
                 limit2 = limit * limit
                 per_limit2 = 1 / limit2
                 # The nearest lens lies `base` away; with a distortion that is not known so well.
@@ -129,14 +135,16 @@ def draw_rows(
                     d2 = ex * ex + ey * ey
                     if d2 > limit2:
                         continue
-                    dx, dy = -ex * slope, -ey * slope
+                    dx, dy = view_x - ex * slope, view_y - ey * slope
+                    delta2 = dx * dx + dy * dy
+                    if aside > 0 and delta2 > radius2:
+                        continue
                     px, py = x - ex + dx, y - ey + dy
                     if not inside:
                         if not (px >= 0 and py >= 0 and px <= width - 1 and py <= height - 1):
                             continue
                         if x - ex < -0.5 or y - ey < -0.5 or x - ex >= width - 0.5 or y - ey >= height - 0.5:
                             continue
-                    delta2 = dx * dx + dy * dy
                     ring = np.uint64(min(int(delta2 / light_step), last_ring))
                     gain = gains[ring]
                     ix, iy = min(int(px), width - 2), min(int(py), height - 2)
@@ -153,7 +161,11 @@ def draw_rows(
                             + w10 * np.float32(line[at + down])
                             + w11 * np.float32(line[at + down + across])
                         )
-                    weights[found] = (np.float32(1.02) - d2 * per_limit2) * lights[ring] * lights[ring]
+                    away = d2 * per_limit2
+                    if aside > 0:
+                        # From the middle, the first alone grows toward the rim of a microimage.
+                        away = max(away, delta2 / radius2)
+                    weights[found] = (np.float32(1.02) - away) * lights[ring] * lights[ring]
                     if typed:
                         kind = types[int(i + steps[o, 0]) % len(types), int(j + steps[o, 1]) % len(types)]
                         share = shares[kind, min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)]
@@ -162,6 +174,10 @@ def draw_rows(
                         depth = seen[np.uint64(py + 0.5), np.uint64(px + 0.5)]
                         if abs(depth - s) > 2 * edge:
                             weights[found] *= _HIDDEN
+                            if aside > 0:
+                                # The surface is what `view` sees: there, something else is least likely in front.
+                                beside = d2 / (pitch * pitch) + np.float32(0.05)
+                                weights[found] /= beside * beside
                             d2 += limit2
                     if d2 < best:
                         best, best_at = d2, found
