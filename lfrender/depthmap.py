@@ -113,6 +113,27 @@ class DepthMap:
         """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where unresolved."""
         return optics.distance(self.patch_size.astype(np.float64) / self.pitch)
 
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the magnification over the scene, unresolved places filled, on a logarithmic colour scale.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            By default the current one (`pip install 'lfrender[plots]'`).
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        from .plotting import plot_depth
+
+        return plot_depth(self, ax)
+
+    def _repr_html_(self) -> str:
+        from .plotting import depth_card
+
+        return depth_card(self)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as `.npz`; the file appears whole or not at all."""
         with whole_file(Path(path)) as temporary, open(temporary, "wb") as stream:
