@@ -100,7 +100,7 @@ class DepthMap:
 
     @cached_property
     def magnification(self) -> NDArray[np.float32]:
-        """(n,) float32: M = D / |s| (Lumsdaine and Georgiev 2008, section 6); NaN where unresolved."""
+        """(n,) float32: `M = D / |s|` (Lumsdaine and Georgiev 2008, section 6); NaN where unresolved."""
         with np.errstate(divide="ignore"):
             return (self.pitch / np.abs(self.patch_size)).astype(np.float32)
 
