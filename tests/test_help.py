@@ -33,8 +33,17 @@ def test_each_help_ends_with_examples_that_the_command_understands(program, name
 def test_verbose_tells_each_stage_and_its_seconds(house_files, tmp_path):
     result = CliRunner().invoke(
         lfrender.cli.main,
-        ["render", str(house_files / "flat.png"), "-c", str(house_files / "camera.json"), "--traditional", "--verbose"]
-        + ["-o", str(tmp_path / "small.png"), "--json"],
+        [
+            "render",
+            str(house_files / "flat.png"),
+            "-c",
+            str(house_files / "camera.json"),
+            "--traditional",
+            "--verbose",
+            "-o",
+            str(tmp_path / "small.png"),
+            "--json",
+        ],
     )
     assert result.exit_code == 0, result.output
     stages = dict(line.split(": ") for line in result.stderr.splitlines())
