@@ -13,7 +13,7 @@ from .disc_parameters import DiscModel, design, field_of, moved
 from .errors import CalibrationError
 from .fit import cell_faces
 from .lattice import Lattice
-from .lit_lenses import lit_lenses
+from .lit_lenses import LitLenses
 from .parts import Parts
 from .windows import cut_windows
 
@@ -91,19 +91,23 @@ class FitSummary:
     miss: NDArray[np.float64]
 
 
-def open_lenses(tones: Parts, model: DiscModel, pixels: float, fewest: int, known: Discs | None) -> FitState:
-    """Lenses of about so many pixels in all, but at least so many, with gains from their cores."""
+def open_lenses(
+    tones: Parts, model: DiscModel, pixels: float, fewest: int, known: Discs | None, before: LitLenses | None = None
+) -> tuple[FitState, LitLenses]:
+    """Lenses of about so many pixels in all, but at least so many, with gains from their cores; and all to choose from.
+
+    `before` are those of a like lattice.
+    """
     lattice = model.lattice
     faces, reach = cell_faces(lattice)
-    indices, centres, part = tones.lenses(lattice, reach + 2)
-    offset = tones.offsets[part]
-    alight = lit_lenses(tones.picture, lattice, indices, centres - offset, np.sqrt(_DARK))
-    indices, centres, offset = indices[alight], centres[alight], offset[alight]
-    every = max(1.0, len(centres) * abs(np.linalg.det(lattice.basis)) / pixels)
-    every = max(1.0, min(every, len(centres) / fewest))
-    chosen = np.arange(len(centres)) * _GOLDEN % 1 < 1 / every
-    indices, centres, offset = indices[chosen], np.ascontiguousarray(centres[chosen]), offset[chosen]
-    light, corners = cut_windows(tones.picture, centres - offset, reach + 2)
+    margin = reach + 2
+    alight = LitLenses.on(tones, lattice, margin, np.sqrt(_DARK), before)
+    every = max(1.0, len(alight.indices) * abs(np.linalg.det(lattice.basis)) / pixels)
+    every = max(1.0, min(every, len(alight.indices) / fewest))
+    taken = alight.some(tones, lattice, margin, np.arange(len(alight.indices)) * _GOLDEN % 1 < 1 / every)
+    indices, offset = taken.indices, tones.offsets[taken.part]
+    centres = lattice.points(indices)
+    light, corners = cut_windows(tones.picture, centres - offset, margin)
     corners += offset
     inner = float(0.5 / np.hypot(*faces.T).max())
     core, middle = max(1, int(0.4 * inner)), light.shape[1] // 2
@@ -143,7 +147,7 @@ def open_lenses(tones: Parts, model: DiscModel, pixels: float, fewest: int, know
     if known is not None:
         own = np.clip(steps.right[:, -1] / np.maximum(steps.normal[:, -1, -1], 1e-30), -0.5, 1)
         state = replace(state, discs=replace(state.discs, gain=state.discs.gain * (1 + own)))
-    return _weighted(state, steps)
+    return _weighted(state, steps), alight
 
 
 def _tilt(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
@@ -297,7 +301,10 @@ def _pooled(
     columns: NDArray[np.float64], reduced: _Reduced, half: NDArray[np.bool_] | slice
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Robust least squares over a part of the lenses: change (p,), covariance (p, p) and weights (n,) of the lenses."""
-    columns, normal, right, mixed = columns[half], reduced.normal[half], reduced.right[half], reduced.mixed[half]
+    # Where nothing is cut, lenses have a place alone.
+    own = slice(None) if reduced.mixed.shape[1] else slice(2)
+    columns, mixed = np.ascontiguousarray(columns[half, own]), reduced.mixed[half]
+    normal, right = reduced.normal[half, own, own], reduced.right[half, own]
     part = len(columns) / len(reduced.normal)
     lenses, local, globals_ = columns.shape
     places = normal[:, :2, :2] + 1e-9 * np.trace(normal[:, :2, :2].sum(0)) / lenses * np.eye(2)
