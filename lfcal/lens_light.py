@@ -76,7 +76,7 @@ def _middle(values, count):
     return 0.5 * (values[(count - 1) // 2] + values[count // 2]), 0.5 * (values[3 * count // 4] - values[count // 4])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath={"contract", "arcp", "nsz", "reassoc"})
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _look(
     picture, top, chosen, centres, faces, inner, reach, stride, out, field, radius, profile, step, shade, rim, cut
 ):
