@@ -1,0 +1,84 @@
+"""Commands that make something to look at in a browser: the viewer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from lfcal import console
+
+__all__ = ["view"]
+
+_PATH = click.Path(path_type=Path)
+_CAMERA = "Camera file of lfcal, or a published calibration. Without it, the camera is calibrated from FLAT."
+
+
+@click.command()
+@click.argument("flat", type=_PATH)
+@click.option("-c", "--camera", type=_PATH, help=_CAMERA)
+@click.option("--depth", "depth_file", type=_PATH, help="Depth map made by 'lfrender analyze'.")
+@click.option("--export", type=_PATH, metavar="FOLDER", help="Write the page as static files instead, for any web page.")
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port on this machine; by default any free one.")
+@click.option("--no-browser", is_flag=True, help="Do not open a browser, only say where the page is.")
+@console.report_options
+def view(
+    flat: Path,
+    camera: Path | None,
+    depth_file: Path | None,
+    export: Path | None,
+    port: int,
+    no_browser: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Refocus FLAT in the browser: click to focus, drag to look from aside.
+
+    The page is served to this machine alone until Ctrl-C. It needs a browser with WebGL 2.
+
+    \b
+    Examples:
+      lfrender view flat.png
+      lfrender view flat.png -c camera.json --export page    # then open page/index.html
+    """
+    from .viewer_page import viewer_files, write_viewer
+
+    report = console.Report(as_json, quiet)
+    pixels, calibration, depth = _capture(report, flat, camera, depth_file)
+    if export is not None:
+        with report.stage("write"):
+            page = write_viewer(export, pixels, calibration, depth, flat.name)
+        report.finish({"page": str(page), "warnings": list(calibration.warnings)})
+        return
+    from .viewer_server import PageServer
+
+    with report.stage("prepare"):
+        server = PageServer(dict(viewer_files(pixels, calibration, depth, flat.name)), port)
+    with server:
+        report.finish({"page": server.url, "warnings": list(calibration.warnings)})
+        if not no_browser:
+            click.launch(server.url)
+        if not (quiet or as_json):
+            click.echo("Ctrl-C ends it")
+        server.serve_forever()
+
+
+def _capture(report: Any, flat: Path, camera: Path | None, depth_file: Path | None, **options: Any) -> Any:
+    """The flat in colour, its camera and its depth."""
+    from lfcal import read_flat
+
+    from .cli import _analyze, _camera_of, _in_colour, _read_depth
+
+    with report.stage("read"):
+        pixels = read_flat(flat)
+    with report.stage("calibrate"):
+        calibration = _camera_of(report, flat, pixels, camera, options.get("white"), None)
+        pixels = _in_colour(pixels, calibration)
+    with report.stage("analyze"):
+        depth = (
+            _read_depth(depth_file)
+            if depth_file
+            else _analyze(report, pixels, calibration, options.get("preset", "balanced"))
+        )
+    return pixels, calibration, depth
