@@ -19,7 +19,9 @@ _CAMERA = "Camera file of lfcal, or a published calibration. Without it, the cam
 @click.argument("flat", type=_PATH)
 @click.option("-c", "--camera", type=_PATH, help=_CAMERA)
 @click.option("--depth", "depth_file", type=_PATH, help="Depth map made by 'lfrender analyze'.")
-@click.option("--export", type=_PATH, metavar="FOLDER", help="Write the page as static files instead, for any web page.")
+@click.option(
+    "--export", type=_PATH, metavar="FOLDER", help="Write the page as static files instead, for any web page."
+)
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port on this machine; by default any free one.")
 @click.option("--no-browser", is_flag=True, help="Do not open a browser, only say where the page is.")
 @console.report_options

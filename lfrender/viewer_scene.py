@@ -80,7 +80,7 @@ def viewer_scene(
         )
     edge = max(0.5, 0.03 * calibration.lattice.pitch)
     read, gains, lights, step = _light(pixels, calibration)
-    seen = _seen(calibration, depth, edge)
+    seen, from_middle = _seen(calibration, depth, edge)
     described = _tables(calibration, depth, edge, pixels)
     described |= {"title": title, "size": [width, height]}
     described["rings"] = {"step": step, "values": _base64(np.column_stack([gains, lights]), np.float32)}
@@ -89,7 +89,8 @@ def viewer_scene(
         part = seen[y : y + side, x : x + side]
         if part.any():
             with_seen.append(name)
-            coded = np.dstack([part >> 8, part & 255, np.zeros_like(part)]).astype(np.uint8)
+            middle = 255 * from_middle[y : y + side, x : x + side]
+            coded = np.dstack([part >> 8, part & 255, middle]).astype(np.uint8)
             yield f"seen-{name}.png", _png(coded, compression)
         yield f"flat-{name}.png", _png(_eight_bits(read[y : y + side, x : x + side]), compression)
     last = list(tiles)[-1].split("-")
@@ -114,22 +115,28 @@ def _light(
 ) -> tuple[NDArray, NDArray[np.float32], NDArray[np.float32], float]:
     """The flat as it is to be read, and over the squared distance from a centre what corrects it and its light."""
     gains, step = gain_table(calibration)
-    lights = 1 / gains
+    lights = (1 / gains).astype(np.float32)
     if lens_by_lens(calibration):
         pixels, gains = calibration.flatten(pixels), np.ones_like(gains)
     return ready_to_read(pixels), gains, lights, step
 
 
-def _seen(calibration: Calibration, depth: DepthMap, edge: float) -> NDArray[np.uint16]:
-    """(H, W): code of the patch size of what each flat pixel sees."""
+def _seen(calibration: Calibration, depth: DepthMap, edge: float) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
+    """(H, W) codes of the patch size of what each flat pixel sees, and which of them count from the middle too.
+
+    Seen from aside, a pixel may show places farther from its lens.
+    """
     lattice = calibration.lattice
     farthest = Viewpoint((lattice.radius, 0.0)).parallax(depth.surface, lattice)
+    near = lens_depths(depth.surface, lattice, _REACH * lattice.pitch, edge)
     seen = lens_depths(depth.surface, lattice, _REACH * lattice.pitch + farthest, edge)
-    share = np.clip(np.nan_to_num(seen) / lattice.pitch, -1, 1)
+    from_middle = ~np.isnan(near)
+    share = np.clip(np.nan_to_num(np.where(from_middle, near, seen)) / lattice.pitch, -1, 1)
     coded = np.where(np.isnan(seen), 0, np.rint(1 + (share + 1) / 2 * (_CODES - 2))).astype(np.uint16)
     if lens_by_lens(calibration):
-        coded[_beside(np.isnan(calibration.gain()))] = _CODES
-    return coded
+        unlit = _beside(np.isnan(calibration.gain()))
+        coded[unlit], from_middle[unlit] = _CODES, True
+    return coded, from_middle
 
 
 def _resolved(calibration: Calibration, depth: DepthMap) -> NDArray[np.uint8]:
@@ -167,7 +174,10 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
             "edge": edge,
             "virtual": [float(virtual.min()), float(virtual.max())],
         },
-        "blur": {"width": 2 * lens_blur(pixels, calibration, unit), "share": lens_blur(pixels, calibration, depth.patch_size)},
+        "blur": {
+            "width": 2 * lens_blur(pixels, calibration, unit),
+            "share": lens_blur(pixels, calibration, depth.patch_size),
+        },
         "scale": default_scale(depth),
         "reach": {"sharp": _REACH, "wide": _WIDE_REACH},
         "agreement": _AGREEMENT,

@@ -150,11 +150,11 @@ Sight sight(vec2 X, vec2 base, ivec2 index, int o, float s, float limit) {
     weight *= texelFetch(shares, ivec2(clamp(int((slope + 1.0) * 0.5 * float(end) + 0.5), 0, end), kind), 0).r;
   }
   if (seenKnown) {
-    vec2 code = round(texelFetch(seenTiles, ivec3(inside, int(place.z)), 0).rg * 255.0);
+    vec3 code = round(texelFetch(seenTiles, ivec3(inside, int(place.z)), 0).rgb * 255.0);
     float value = code.x * 256.0 + code.y;
     float depth = ((value - 1.0) / 65533.0 * 2.0 - 1.0) * pitch;
-    bool unlit = value > 65534.5;
-    if (unlit || (plane == 0.0 && value > 0.5 && abs(depth - s) > 2.0 * edge)) {
+    bool unlit = value > 65534.5, known = value > 0.5 && (code.z > 0.5 || aside > 0.0);
+    if (unlit || (plane == 0.0 && known && abs(depth - s) > 2.0 * edge)) {
       weight *= HIDDEN;
       if (aside > 0.0) {
         float beside = d2 / (pitch * pitch) + 0.05;

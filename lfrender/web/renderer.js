@@ -93,20 +93,20 @@ export class Renderer {
   async load(told) {
     const { gl } = this, { tiles } = this.scene, all = tiles.columns * tiles.rows, known = new Set(tiles.seen);
     this.textures.flatTiles = this.layers(gl.RGB8, all, tiles.side, gl.LINEAR);
-    this.textures.seenTiles = this.layers(gl.RG8, known.size ? all : 1, known.size ? tiles.side : 1, gl.NEAREST);
+    this.textures.seenTiles = this.layers(gl.RGB8, known.size ? all : 1, known.size ? tiles.side : 1, gl.NEAREST);
     for (let layer = 0; layer < all; layer++) {
       const name = `${layer % tiles.columns}-${Math.floor(layer / tiles.columns)}`;
-      await this.upload(this.textures.flatTiles, layer, `flat-${name}.png`, gl.RGB);
-      if (known.has(name)) await this.upload(this.textures.seenTiles, layer, `seen-${name}.png`, gl.RG);
+      await this.upload(this.textures.flatTiles, layer, `flat-${name}.png`);
+      if (known.has(name)) await this.upload(this.textures.seenTiles, layer, `seen-${name}.png`);
       told(layer + 1, all);
     }
     if (gl.getError() === gl.OUT_OF_MEMORY) throw new Error("The graphics card has too little memory for this flat.");
   }
 
-  async upload(into, layer, name, format) {
+  async upload(into, layer, name) {
     const { gl } = this, bitmap = await picture(name);
     gl.bindTexture(into.target, into.texture);
-    gl.texSubImage3D(into.target, 0, 0, 0, layer, bitmap.width, bitmap.height, 1, format, gl.UNSIGNED_BYTE, bitmap);
+    gl.texSubImage3D(into.target, 0, 0, 0, layer, bitmap.width, bitmap.height, 1, gl.RGB, gl.UNSIGNED_BYTE, bitmap);
     bitmap.close();
   }
 
