@@ -15,7 +15,7 @@ import click
 from lfcal import LightFieldError, check_output, console
 
 from .embedded import read_embedded
-from .page_commands import view
+from .page_commands import report, view
 from .picture import check_picture, write_picture
 
 if TYPE_CHECKING:
@@ -56,6 +56,7 @@ def main() -> None:
     """Depth and full-resolution pictures from focused plenoptic captures."""
 
 
+main.add_command(report)
 main.add_command(view)
 
 

@@ -1,4 +1,4 @@
-"""Commands that make something to look at in a browser: the viewer."""
+"""Commands that make something to look at in a browser: the report and the viewer."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any
 
 import click
 
-from lfcal import console
+from lfcal import check_output, console
 
-__all__ = ["view"]
+__all__ = ["report", "view"]
 
 _PATH = click.Path(path_type=Path)
 _CAMERA = "Camera file of lfcal, or a published calibration. Without it, the camera is calibrated from FLAT."
@@ -64,6 +64,52 @@ def view(
         if not (quiet or as_json):
             click.echo("Ctrl-C ends it")
         server.serve_forever()
+
+
+@click.command()
+@click.argument("flat", type=_PATH)
+@click.option("-o", "--output", type=_PATH, required=True, metavar="REPORT.html", help="Page to write.")
+@click.option("-c", "--camera", type=_PATH, help=_CAMERA)
+@click.option("--white", type=_PATH, help="Calibrate from this white image of the same camera.")
+@click.option("--depth", "depth_file", type=_PATH, help="Depth map made by 'lfrender analyze'.")
+@click.option(
+    "--preset",
+    type=click.Choice(["fast", "balanced", "accurate"]),
+    default="balanced",
+    show_default=True,
+    help="How much time the depth analysis may take.",
+)
+@console.report_options
+def report(
+    flat: Path,
+    output: Path,
+    camera: Path | None,
+    white: Path | None,
+    depth_file: Path | None,
+    preset: str,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Write calibration, depth and pictures of FLAT on one page that opens offline.
+
+    \b
+    Examples:
+      lfrender report flat.png -o report.html
+      lfrender report flat.png -c camera.json -o report.html --preset accurate
+    """
+    from .cli import _at_most_one, _camera_figures, _depth_figures
+    from .report_page import write_report
+    from .report_pictures import draw_pictures
+
+    progress = console.Report(as_json, quiet)
+    _at_most_one("--camera", camera, "--white", white)
+    check_output(output, {".html", ".htm"}, [flat, camera, white, depth_file])
+    pixels, calibration, depth = _capture(progress, flat, camera, depth_file, white=white, preset=preset)
+    with progress.stage("render"):
+        pictures = draw_pictures(pixels, calibration, depth)
+    with progress.stage("write"):
+        write_report(output, pixels, calibration, depth, pictures, title=flat.name, seconds=dict(progress.seconds))
+    progress.finish({"report": str(output), **_camera_figures(calibration), **_depth_figures(depth)})
 
 
 def _capture(report: Any, flat: Path, camera: Path | None, depth_file: Path | None, **options: Any) -> Any:
