@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from .picture import write_picture
     from .refocusing import focal_stack, refocus
     from .rendering import Rendering
+    from .report_page import write_report
     from .view_files import stereo_pair, write_animation, write_grid
+    from .viewer_page import write_viewer
     from .viewpoints import circle_offsets, grid_offsets, views
 
 __all__ = [
@@ -42,6 +44,8 @@ __all__ = [
     "write_animation",
     "write_grid",
     "write_picture",
+    "write_report",
+    "write_viewer",
 ]
 
 _HOMES = {
@@ -67,6 +71,8 @@ _HOMES = {
     "write_animation": "view_files",
     "write_grid": "view_files",
     "write_picture": "picture",
+    "write_report": "report_page",
+    "write_viewer": "viewer_page",
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,9 @@ def view(
             click.launch(server.url)
         if not (quiet or as_json):
             click.echo("Ctrl-C ends it")
-        server.serve_forever()
+        # Ctrl-C is how it is meant to end.
+        with suppress(KeyboardInterrupt):
+            server.serve_forever()
 
 
 @click.command()

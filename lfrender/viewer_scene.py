@@ -89,8 +89,7 @@ def viewer_scene(
         part = seen[y : y + side, x : x + side]
         if part.any():
             with_seen.append(name)
-            middle = 255 * from_middle[y : y + side, x : x + side]
-            coded = np.dstack([part >> 8, part & 255, middle]).astype(np.uint8)
+            coded = np.dstack([part >> 8, part & 255, from_middle[y : y + side, x : x + side]]).astype(np.uint8)
             yield f"seen-{name}.png", _png(coded, compression)
         yield f"flat-{name}.png", _png(_eight_bits(read[y : y + side, x : x + side]), compression)
     last = list(tiles)[-1].split("-")
@@ -121,22 +120,29 @@ def _light(
     return ready_to_read(pixels), gains, lights, step
 
 
-def _seen(calibration: Calibration, depth: DepthMap, edge: float) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """(H, W) codes of the patch size of what each flat pixel sees, and which of them count from the middle too.
+def _seen(calibration: Calibration, depth: DepthMap, edge: float) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """(H, W) codes of the patch size of what each flat pixel sees from aside, and of what it sees from the middle.
 
-    Seen from aside, a pixel may show places farther from its lens.
+    From aside, lenses are asked for places farther from them. The second code is 0 for unknown, 255 for the same as
+    from aside, else -D to D.
     """
     lattice = calibration.lattice
     farthest = Viewpoint((lattice.radius, 0.0)).parallax(depth.surface, lattice)
-    near = lens_depths(depth.surface, lattice, _REACH * lattice.pitch, edge)
-    seen = lens_depths(depth.surface, lattice, _REACH * lattice.pitch + farthest, edge)
-    from_middle = ~np.isnan(near)
-    share = np.clip(np.nan_to_num(np.where(from_middle, near, seen)) / lattice.pitch, -1, 1)
-    coded = np.where(np.isnan(seen), 0, np.rint(1 + (share + 1) / 2 * (_CODES - 2))).astype(np.uint16)
+    middle = lens_depths(depth.surface, lattice, _REACH * lattice.pitch, edge)
+    aside = lens_depths(depth.surface, lattice, _REACH * lattice.pitch + farthest, edge)
+    coded = _coded(aside, lattice.pitch, _CODES).astype(np.uint16)
+    from_middle = _coded(middle, lattice.pitch, 255).astype(np.uint8)
+    from_middle[np.abs(middle - aside) < 0.5 * edge] = 255
     if lens_by_lens(calibration):
         unlit = _beside(np.isnan(calibration.gain()))
-        coded[unlit], from_middle[unlit] = _CODES, True
+        coded[unlit], from_middle[unlit] = _CODES, 255
     return coded, from_middle
+
+
+def _coded(patch_size: NDArray[np.float32], pitch: float, last: int) -> NDArray[np.float32]:
+    """Whole numbers: 0 for NaN, 1 to `last - 1` for -D to D."""
+    share = (np.clip(np.nan_to_num(patch_size) / pitch, -1, 1) + 1) / 2
+    return np.where(np.isnan(patch_size), 0, np.rint(1 + share * (last - 2))).astype(np.float32)
 
 
 def _resolved(calibration: Calibration, depth: DepthMap) -> NDArray[np.uint8]:

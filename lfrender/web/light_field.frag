@@ -73,6 +73,7 @@ uniform vec2 first;                 // X of the middle of pixel (0, 0)
 uniform float spacing;              // between pixels, in X
 uniform float blurred, reach, agreement;
 uniform float rows;                 // of the picture
+uniform float most;                 // sub-samples along a pixel's side; fewer while something moves
 uniform float overlay;              // share of the colours of M
 uniform vec2 limits;                // ends of the scale of M
 uniform vec3 background;
@@ -152,8 +153,10 @@ Sight sight(vec2 X, vec2 base, ivec2 index, int o, float s, float limit) {
   if (seenKnown) {
     vec3 code = round(texelFetch(seenTiles, ivec3(inside, int(place.z)), 0).rgb * 255.0);
     float value = code.x * 256.0 + code.y;
-    float depth = ((value - 1.0) / 65533.0 * 2.0 - 1.0) * pitch;
     bool unlit = value > 65534.5, known = value > 0.5 && (code.z > 0.5 || aside > 0.0);
+    // From the middle a lens may see less than from aside, or something else.
+    float share = aside > 0.0 || code.z > 254.5 ? (value - 1.0) / 65533.0 : (code.z - 1.0) / 253.0;
+    float depth = (share * 2.0 - 1.0) * pitch;
     if (unlit || (plane == 0.0 && known && abs(depth - s) > 2.0 * edge)) {
       weight *= HIDDEN;
       if (aside > 0.0) {
@@ -225,6 +228,7 @@ void main() {
     apart = sqrt(max(1.0 - blurred - 1.0 / (side * side), 0.0));
     across = max(int(ceil(side * apart - 0.05)), 1);
   }
+  across = min(across, int(most));
   apart *= spacing / float(across);
   vec4 total = vec4(0.0);
   for (int sub = 0; sub < across * across; sub++) {

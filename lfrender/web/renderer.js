@@ -6,6 +6,8 @@ const VERTEX = `#version 300 es
 void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0); }`;
 // At this agreement colours need not agree: out of focus they differ.
 const ANY_COLOUR = 1e3;
+// As many as any zoom needs.
+const MOST_SAMPLES = 1e3;
 const NAMES = ["surface", "flatTiles", "seenTiles", "rings", "offsets", "bend", "shares", "ramp", "types"];
 
 export class Renderer {
@@ -111,7 +113,7 @@ export class Renderer {
   }
 
   // settings: mode "focus" (one plane, all lenses), "sharp" (every place at its own depth) or "tiles" (one plane, the
-  // nearest lens alone); plane s; aperture 0..1; q; overlay 0..1. `first` and `spacing` place the pixels.
+  // nearest lens alone); plane s; aperture 0..1; q; overlay 0..1; most, of sub-samples along a pixel's side. `first` and `spacing` place the pixels.
   draw(settings, width, height, first, spacing, target = null) {
     const { gl, scene } = this, { pitch } = scene, sharp = settings.mode === "sharp", tiles = settings.mode === "tiles";
     const plane = sharp ? 0 : settings.plane, q = settings.q, aside = Math.hypot(...q) > 0, scale = pitch / spacing;
@@ -131,6 +133,7 @@ export class Renderer {
       first: first.map((n, k) => n + moved[k]), spacing, blurred: (blur * scale) ** 2,
       reach: pitch * (settings.mode === "focus" ? scene.reach.wide : scene.reach.sharp),
       agreement: sharp ? scene.agreement : tiles ? 0 : ANY_COLOUR, rows: height, overlay: settings.overlay,
+      most: settings.most ?? MOST_SAMPLES,
       limits: scene.overlay.limits, background: settings.background,
     });
     const { places } = this.main;

@@ -63,7 +63,8 @@ class Viewer {
     const first = [frame.middle[0] - ((width - 1) / 2) * spacing, frame.middle[1] - ((height - 1) / 2) * spacing];
     const stage = getComputedStyle(canvas.parentElement).backgroundColor.match(/[\d.]+/g).slice(0, 3);
     this.settings.background = stage.map(n => n / 255);
-    renderer.draw(this.settings, width, height, first, spacing);
+    // Coarser pixels alone would only need more samples each.
+    renderer.draw(factor > 1 ? { ...this.settings, most: 1 } : this.settings, width, height, first, spacing);
     if (this.moving) this.time(start, factor);
   }
 

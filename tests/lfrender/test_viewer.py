@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import http.client
+import json
+import signal
+import subprocess
+import sys
 import threading
+import urllib.request
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -334,6 +340,29 @@ def test_a_depth_map_of_another_flat_is_refused(captured):
     other = replace(depth, image_size=(100, 100))
     with pytest.raises(lfcal.CalibrationError, match="another camera"):
         list(viewer_files(flat, camera, other))
+
+
+def test_a_flat_of_more_tiles_than_browsers_take_is_refused(captured):
+    with pytest.raises(lfcal.LightFieldError, match="browsers take 256"):
+        list(viewer_files(*captured, tile=20))
+
+
+def test_view_serves_until_it_is_interrupted(house_files, captured, tmp_path):
+    captured[2].save(tmp_path / "depth.npz")
+    command = [sys.executable, "-m", "lfrender.cli", "view", str(house_files / "flat.png"), "--no-browser", "--json"]
+    command += ["-c", str(house_files / "camera.json"), "--depth", str(tmp_path / "depth.npz")]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, cwd=Path(lfrender.__file__).parents[1]
+    ) as process:
+        try:
+            url = json.loads(process.stdout.readline())["page"]
+            assert url.startswith("http://127.0.0.1:")
+            with urllib.request.urlopen(url, timeout=10) as page:
+                assert b"<title>flat.png" in page.read()
+            process.send_signal(signal.SIGINT)
+            assert process.wait(timeout=20) == 0
+        finally:
+            process.kill()
 
 
 def test_view_exports_from_the_command_line(house_files, captured, tmp_path):
