@@ -14,7 +14,7 @@ _CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-sta
 _OPTIONS = (
     "--headless=new", "--no-sandbox", "--disable-dev-shm-usage",
     "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--window-size=900,460",
+    "--window-size=880,420",
 )  # fmt: skip
 
 
