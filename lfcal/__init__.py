@@ -1,6 +1,6 @@
 """Calibration of focused plenoptic cameras: find the microimages on a flat."""
 
-from . import console
+from . import console, notebook
 from .agreement import Agreement, agreement
 from .calibrate import calibrate
 from .calibration import Calibration, load
@@ -39,6 +39,7 @@ __all__ = [
     "convert",
     "count_pages",
     "load",
+    "notebook",
     "read_camera",
     "read_flat",
     "read_published",

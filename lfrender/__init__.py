@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .lens_means import traditional
     from .optics import Optics
     from .picture import write_picture
+    from .plotting import napari_layers
     from .refocusing import focal_stack, refocus
     from .rendering import Rendering
     from .report_page import write_report
@@ -33,6 +34,7 @@ __all__ = [
     "demosaic",
     "focal_stack",
     "grid_offsets",
+    "napari_layers",
     "open_frames",
     "refocus",
     "render",
@@ -58,9 +60,10 @@ _HOMES = {
     "circle_offsets": "viewpoints",
     "default_scale": "drawing",
     "demosaic": "demosaicing",
-    "open_frames": "frames",
     "focal_stack": "refocusing",
     "grid_offsets": "viewpoints",
+    "napari_layers": "plotting",
+    "open_frames": "frames",
     "refocus": "refocusing",
     "render": "drawing",
     "render_frames": "batch",

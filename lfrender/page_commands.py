@@ -16,7 +16,12 @@ _PATH = click.Path(path_type=Path)
 _CAMERA = "Camera file of lfcal, or a published calibration. Without it, the camera is calibrated from FLAT."
 
 
-@click.command()
+@click.command(
+    epilog=console.examples(
+        "lfrender view flat.png",
+        "lfrender view flat.png -c camera.json --export page",
+    )
+)
 @click.argument("flat", type=_PATH)
 @click.option("-c", "--camera", type=_PATH, help=_CAMERA)
 @click.option("--depth", "depth_file", type=_PATH, help="Depth map made by 'lfrender analyze'.")
@@ -39,11 +44,6 @@ def view(
     """Refocus FLAT in the browser: click to focus, drag to look from aside.
 
     The page is served to this machine alone until Ctrl-C. It needs a browser with WebGL 2.
-
-    \b
-    Examples:
-      lfrender view flat.png
-      lfrender view flat.png -c camera.json --export page    # then open page/index.html
     """
     from .viewer_page import viewer_files, write_viewer
 
@@ -69,7 +69,12 @@ def view(
             server.serve_forever()
 
 
-@click.command()
+@click.command(
+    epilog=console.examples(
+        "lfrender report flat.png -o report.html",
+        "lfrender report flat.png -c camera.json -o report.html --preset accurate",
+    )
+)
 @click.argument("flat", type=_PATH)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="REPORT.html", help="Page to write.")
 @click.option("-c", "--camera", type=_PATH, help=_CAMERA)
@@ -93,13 +98,7 @@ def report(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Write calibration, depth and pictures of FLAT on one page that opens offline.
-
-    \b
-    Examples:
-      lfrender report flat.png -o report.html
-      lfrender report flat.png -c camera.json -o report.html --preset accurate
-    """
+    """Write calibration, depth and pictures of FLAT on one page that opens offline."""
     from .cli import _at_most_one, _camera_figures, _depth_figures
     from .report_page import write_report
     from .report_pictures import draw_pictures
