@@ -20,15 +20,15 @@ from .lattice import Lattice
 __all__ = ["Neighbours", "check_neighbours", "compare_neighbours"]
 
 # So many lenses, evenly spread, tell; fewer than the least do not.
-_LENSES, _FEWEST = 600, 24
+_LENSES, _FEWEST = 450, 24
 _GOLDEN = 0.6180339887498949
 # Radius of the middle of a microimage, as a share of half the distance to the nearest one and of its usable radius,
 # and places across it.
 _CORE, _WELL_INSIDE, _ACROSS = 0.6, 0.7, 9
 # Lenses with less than this share of the tone of a bright one are dark.
 _DARK = 0.2
-# Arrays of several lens types repeat after two or three lenses: these classes are told apart where lenses are many.
-_CLASSES = ((6, 360), (3, 90))
+# Arrays of several lens types repeat after two or three lenses: classes by which these are told apart, by their number.
+_CLASSES = ((6, 360), (3, 0))
 # Part of a microimage in which neighbours are compared, as a share of its usable radius, and places along it.
 _PART, _PLACES = 0.8, 33
 _LINES = (-0.25, 0.0, 0.25)
@@ -99,7 +99,8 @@ def check_neighbours(picture: NDArray[np.float32], lattice: Lattice, white: bool
     single : bool
         False for the mean of several scenes: what they show has more than one disparity in one place.
     """
-    found = compare_neighbours(picture, lattice)
+    shown = _SHOWS_WHITE if white else _SHOWS_SCENE
+    found = compare_neighbours(picture, lattice, shown)
     if found is None:
         return
     every = f"every {lattice.pitch:.1f} px"
@@ -107,7 +108,7 @@ def check_neighbours(picture: NDArray[np.float32], lattice: Lattice, white: bool
         raise CalibrationError(f"a pattern with bright lines or dark dots repeats {every}, not microimages; {_RAW}")
     if found.apart > max(_UNLIKE, _MORE * found.inside):
         raise CalibrationError(f"tiles of single tones repeat {every}, not microimages; {_RAW}")
-    shown, noise = (_SHOWS_WHITE, found.rough) if white else (_SHOWS_SCENE, found.noise)
+    noise = found.rough if white else found.noise
     shows = found.inside > max(shown, _OVER_NOISE * noise / _MEAN_DISTANCE)
     if shows and single:
         # Noise is not alike in any microimages.
@@ -119,10 +120,11 @@ def check_neighbours(picture: NDArray[np.float32], lattice: Lattice, white: bool
             )
 
 
-def compare_neighbours(picture: NDArray[np.float32], lattice: Lattice) -> Neighbours | None:
+def compare_neighbours(picture: NDArray[np.float32], lattice: Lattice, shown: float = 0.0) -> Neighbours | None:
     """Compare lenses of a `tone` picture (h, w) with their neighbours; None where there are too few.
 
-    The lattice's radius is that of the usable part of the microimages.
+    The lattice's radius is that of the usable part of the microimages. What these show is compared only where they vary
+    by more than `shown` inside, else its figures are NaN.
     """
     steps = lattice.steps @ lattice.basis
     nearest, reach = float(np.hypot(*steps.T).min()), float(np.hypot(*steps.T).max())
@@ -150,7 +152,9 @@ def compare_neighbours(picture: NDArray[np.float32], lattice: Lattice) -> Neighb
         both = (_at(picture, (centres + side * steps[k])[:, None] + core).mean(1) for side in (-1, 1))
         apart.append(_spread(sum(np.log(np.maximum(tone, 1e-6) / tones) for tone in both), kinds))
     near = [steps[k] for k in forward if np.hypot(*steps[k]) < _NEAR * nearest]
-    shifted = _shifted(picture, centres, near, _PART * min(lattice.radius, nearest / 2))
+    shifted = (float("nan"),) * 5
+    if inside > shown:
+        shifted = _shifted(picture, centres, near, _PART * min(lattice.radius, nearest / 2))
     return Neighbours(float(np.median(apart)), inside, border, *shifted)
 
 
@@ -167,7 +171,7 @@ def _at(picture: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np
 
 def _kinds(indices: NDArray[np.int64]) -> NDArray[np.int64]:
     """(n,) class of each lens within the period that lens types may have."""
-    period = next((n for n, least in _CLASSES if len(indices) >= least), 1)
+    period = next(n for n, least in _CLASSES if len(indices) >= least)
     kind: NDArray[np.int64] = indices[:, 0] % period * period + indices[:, 1] % period
     return kind
 
