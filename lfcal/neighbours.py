@@ -25,8 +25,8 @@ _GOLDEN = 0.6180339887498949
 # Radius of the middle of a microimage, as a share of half the distance to the nearest one and of its usable radius,
 # and places across it.
 _CORE, _WELL_INSIDE, _ACROSS = 0.6, 0.7, 9
-# Lenses with less than this share of the tone of a bright one are dark.
-_DARK = 0.2
+# Lenses with less of the tone of a bright one may lie beside the array, where up to a sixth of its light strays.
+_DARK = 0.45
 # Arrays of several lens types repeat after two or three lenses: classes by which these are told apart, by their number.
 _CLASSES = ((6, 360), (3, 0))
 # Part of a microimage in which neighbours are compared, as a share of its usable radius, and places along it.
