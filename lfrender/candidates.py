@@ -28,6 +28,11 @@ _HIDDEN, _MATCHED = np.float32(2.0), np.float32(0.5)
 _WIDEST = np.float32(2.0)
 # Price of a depth that none of the lenses around votes for, in units of the mismatch.
 _PRIOR = np.float32(0.07)
+# Mismatch of places that tell nothing: too few views show them, or noise explains their contrast.
+_UNKNOWN = np.float32(0.5)
+# Weight of the first depth of a lens, of its second best, and of that of what the first leaves unexplained: a second
+# best is false in every fourth lens, and nothing has refined it.
+_VOTES = (np.float32(1.0), np.float32(0.1), np.float32(1.0))
 # Lenses below this trust say nothing about the places around them where others do.
 _TRUSTED = np.float32(0.1)
 # How `calm_lenses` marks lenses far from any that is trusted: whatever is drawn there, nothing shows it.
@@ -72,7 +77,7 @@ def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, 
         if views > _MOST_VIEWS:
             break
     if views < 2:
-        return np.float32(1.0)
+        return _UNKNOWN
     least = np.float32(np.inf)
     half = max(1, int(share * (views - 1) + np.float32(0.5)))
     # An occluder may hide the place from the most central view as well.
@@ -84,7 +89,8 @@ def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, 
             sdd = np.float32(0.0)
             for k in range(size):
                 sdd += (patches[m, k] - patches[r, k]) ** 2
-            cost = (sdd / size + floor) / (moments[r, 1] + moments[m, 1] + (moments[r, 0] - moments[m, 0]) ** 2 + floor)
+            apart = moments[r, 1] + moments[m, 1] + (moments[r, 0] - moments[m, 0]) ** 2
+            cost = (sdd / size + _UNKNOWN * floor) / (apart + floor)
             # Insertion keeps the costs sorted.
             at = found
             while at > 0 and costs[at - 1] > cost:
@@ -242,7 +248,7 @@ def propose(
                     while at > 0 and sizes[at - 1] > s:
                         sizes[at], weights[at] = sizes[at - 1], weights[at - 1]
                         at -= 1
-                    sizes[at], weights[at] = s, np.float32(0.25) * w if second else w
+                    sizes[at], weights[at] = s, _VOTES[second] * w
                     votes += 1
             # Clusters of votes are the candidates; the weightiest are kept.
             found = 0

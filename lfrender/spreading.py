@@ -158,8 +158,9 @@ def spread(
     lattice : Lattice
     values : (n,) float32 [px]
         Patch size of each lens, finite.
-    seconds : (n, m) float32 [px]
-        Other patch sizes that it may show as well, NaN where there is none.
+    seconds : (n, 2) float32 [px]
+        Other patch sizes that it may show as well: the next best, and that of what the first leaves unexplained; NaN
+        where there is none.
     trust : (n,) float32
         Weight of each lens, positive.
     noise : float
@@ -182,7 +183,7 @@ def spread(
         calm[settled & (calm == 0)] = 1
     propose(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(pitch), values, seconds, trust, calm, grid, low,
-        lattice.origin, np.linalg.inv(lattice.basis), *lattice_bend(lattice), ring, gap, np.float32(2 * noise * noise),
+        lattice.origin, np.linalg.inv(lattice.basis), *lattice_bend(lattice), ring, gap, np.float32(4 * noise * noise),
         start[0], spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), depths, costs,
     )  # fmt: skip
     chosen = np.empty(shape, np.float32)
