@@ -20,7 +20,7 @@ _MOST_VIEWS = 5
 _REFERENCES = 2
 # Share of the views that must agree: nothing hides the nearest candidate, while half of the views of one behind it may
 # be hidden.
-_OPEN, _HALF = np.float32(0.65), np.float32(0.5)
+_OPEN, _HALF = np.float32(0.7), np.float32(0.5)
 # A place behind another may match as well, past the edge of the nearer one; so each candidate pays this many times
 # what a nearer one stays below that mismatch.
 _HIDDEN, _MATCHED = np.float32(2.0), np.float32(0.5)
@@ -30,6 +30,11 @@ _WIDEST = np.float32(2.0)
 _PRIOR = np.float32(0.07)
 # Mismatch of places that tell nothing: too few views show them, or noise explains their contrast.
 _UNKNOWN = np.float32(0.5)
+# A candidate behind another that mismatches in so many views, as if all were hidden, counts half as much as it would.
+_HALF_VIEWS = np.float32(2.0)
+# What fewer than this share of the lenses around vote for is known roughly: values beside it are tried as well, this
+# share of a gap away, at the price of a depth without votes.
+_ROUGH, _NUDGE, _NUDGED = np.float32(0.4), np.float32(0.3), np.float32(0.07)
 # Weight of the first depth of a lens, of its second best, and of that of what the first leaves unexplained: a second
 # best is false in every fourth lens, and nothing has refined it.
 _VOTES = (np.float32(1.0), np.float32(0.1), np.float32(1.0))
@@ -52,8 +57,8 @@ def _sample(image, x, y):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, share, patches, moments, costs):
-    """How badly the better half of the views of the patch at (x, y) agree with one of the most central ones."""
+def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, nearest, patches, moments, costs):
+    """How badly the better share of the views of the patch at (x, y) agrees with one of the most central ones."""
     side = 2 * _PATCH + 1
     size = side * side
     views = 0
@@ -79,6 +84,7 @@ def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, 
     if views < 2:
         return _UNKNOWN
     least = np.float32(np.inf)
+    share = _OPEN if nearest else _HALF
     half = max(1, int(share * (views - 1) + np.float32(0.5)))
     # An occluder may hide the place from the most central view as well.
     for r in range(min(_REFERENCES, views)):
@@ -102,7 +108,27 @@ def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, 
         for m in range(half):
             best += costs[m]
         least = min(least, best / half)
+    if not nearest and least > _UNKNOWN:
+        least = _UNKNOWN + (least - _UNKNOWN) * views / (views + _HALF_VIEWS)
     return least
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _tried(
+    image, centres, members, count, x, y, s, nudge, pitch, radius, step, floor, nearest, patches, moments, costs
+):  # fmt: skip
+    """The patch size among `s` and those a `nudge` beside it that matches best, and its mismatch."""
+    best, least = s, np.float32(np.inf)
+    for turn in range(-1, 2):
+        if turn != 0 and nudge == 0:
+            continue
+        value = s + turn * nudge
+        mismatch = _NUDGED * abs(turn) + _mismatch(
+            image, centres, members, count, x, y, value / pitch, radius, step, floor, nearest, patches, moments, costs
+        )
+        if mismatch < least:
+            best, least = value, mismatch
+    return best, least
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
@@ -190,6 +216,7 @@ def propose(
     """
     rows, columns, most = depths.shape
     nearby = len(ring)
+    zero = np.float32(0.0)
     # Contested places come in clusters: strides spread them over the threads.
     stride = _coprime_stride(rows)
     for row in prange(rows):
@@ -280,8 +307,9 @@ def propose(
                     nearest = k
             for k in range(found):
                 share = costs[v, u, k] / everyone
-                costs[v, u, k] = _mismatch(
-                    image, centres, members, count, x, y, depths[v, u, k] / pitch, radius, step, floor,
-                    _OPEN if k == nearest else _HALF, patches, moments, sorted_costs,
-                ) + _PRIOR * max(np.float32(0.0), 1 - share)  # fmt: skip
+                depths[v, u, k], mismatch = _tried(
+                    image, centres, members, count, x, y, depths[v, u, k], _NUDGE * gap if share < _ROUGH else zero,
+                    pitch, radius, step, floor, k == nearest, patches, moments, sorted_costs,
+                )  # fmt: skip
+                costs[v, u, k] = mismatch + _PRIOR * max(zero, 1 - share)
             _hide(depths[v, u, :found], costs[v, u, :found], pitch, evidence)

@@ -22,9 +22,9 @@ _CELLS_PER_PITCH = 7
 # Lenses within this many pitches vote for depths, those within the second number look at them.
 _VOTING, _LOOKING = 1.45, 2.1
 # Specks are smaller than about half of a square of so many grid values to each side.
-_SPECK = 2
+_SPECK = 1
 # Price of a depth edge between neighbouring grid values, and of a slant by one gap.
-_JUMP, _SLANT = np.float32(0.5), np.float32(0.1)
+_JUMP, _SLANT = np.float32(0.35), np.float32(0.1)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
