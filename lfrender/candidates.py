@@ -35,6 +35,8 @@ _HALF_VIEWS = np.float32(2.0)
 # What fewer than this share of the lenses around vote for is known roughly: values beside it are tried as well, this
 # share of a gap away, at the price of a depth without votes.
 _ROUGH, _NUDGE, _NUDGED = np.float32(0.4), np.float32(0.3), np.float32(0.07)
+# Better matches than this are not improved upon.
+_GOOD = np.float32(0.2)
 # Weight of the first depth of a lens, of its second best, and of that of what the first leaves unexplained: a second
 # best is false in every fourth lens, and nothing has refined it.
 _VOTES = (np.float32(1.0), np.float32(0.1), np.float32(1.0))
@@ -118,12 +120,16 @@ def _tried(
     image, centres, members, count, x, y, s, nudge, pitch, radius, step, floor, nearest, patches, moments, costs
 ):  # fmt: skip
     """The patch size among `s` and those a `nudge` beside it that matches best, and its mismatch."""
-    best, least = s, np.float32(np.inf)
-    for turn in range(-1, 2):
-        if turn != 0 and nudge == 0:
-            continue
+    best = s
+    least = _mismatch(
+        image, centres, members, count, x, y, s / pitch, radius, step, floor, nearest, patches, moments, costs
+    )
+    # What matches well needs no better value, and what is hidden in all views finds none.
+    if nudge == 0 or least < _GOOD or least == _UNKNOWN:
+        return best, least
+    for turn in (-1, 1):
         value = s + turn * nudge
-        mismatch = _NUDGED * abs(turn) + _mismatch(
+        mismatch = _NUDGED + _mismatch(
             image, centres, members, count, x, y, value / pitch, radius, step, floor, nearest, patches, moments, costs
         )
         if mismatch < least:
