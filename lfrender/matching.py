@@ -22,6 +22,8 @@ _HALF_TRUST = 0.06
 # zero (in pitches) is doubted by half where the contrast (white = 1) is only this.
 _SHADED_REACH = np.float32(0.08)
 _SHADED = np.float32(0.03)
+# Where two microimages share less than a third, that is so many squares of their radius, every pixel at the rim counts.
+_ENOUGH = np.float32(1.0)
 # Centres and shifts are rounded to pixels each on its own, which moves a shift by so many pixels.
 _ROUNDING = np.arange(-2, 3)
 
@@ -92,6 +94,7 @@ def _pair_costs(
     about, strips, middle, whole, side, width, part_rows, slots, masks, ends, counts, out,
 ):  # fmt: skip
     reach = len(slots) // 2
+    enough = _ENOUGH * radius * radius
     for lens in prange(len(centres)):
         ax, ay = centres[lens, 0], centres[lens, 1]
         for d in range(rows.shape[1]):
@@ -118,10 +121,8 @@ def _pair_costs(
                 slot = -1
                 if stripped and abs(dx) <= reach and abs(dy) <= reach:
                     slot = slots[dy + reach, dx + reach]
-                if slot >= 0:
+                if slot >= 0 and counts[slot] * row_step > enough:
                     count = counts[slot]
-                    if count < 4:
-                        continue
                     start, stop = ends[slot, 0], ends[slot, 1]
                     above = ((dy % row_step) * part_rows + dy // row_step) * width + dx
                     below = (((dy + 1) % row_step) * part_rows + (dy + 1) // row_step) * width + dx

@@ -21,9 +21,6 @@ __all__ = ["Strips", "cut_out", "joint_masks"]
 # Centres rounded to pixels lie so much off, on the average of both directions [px].
 _SLACK = 0.25
 
-# Pixels are told to lie in a microimage from its centre rounded to a pixel; interpolation reads so much farther [px].
-_SLACK = 0.0
-
 
 @dataclass(frozen=True)
 class Strips:
