@@ -48,6 +48,7 @@ def _remap(flat: NDArray[Any]) -> Callable[[], Any]:
 def _frame_rows(frames: list[NDArray[Any]], camera: lfcal.Calibration) -> None:
     flat = frames[0]
     print(f"{flat.shape[1]} x {flat.shape[0]}, pitch {camera.lattice.pitch:.1f} px, {len(camera.lattice)} lenses")
+    all_threads = numba.get_num_threads()
     for preset in ("fast", "balanced"):
         walls = []
         depth = lfrender.analyze(flat, camera, preset)
@@ -58,7 +59,7 @@ def _frame_rows(frames: list[NDArray[Any]], camera: lfcal.Calibration) -> None:
         def drawn(depth: lfrender.DepthMap = depth) -> None:
             lfrender.render(flat, camera, depth)
 
-        for threads in sorted({1, numba.config.NUMBA_NUM_THREADS}):
+        for threads in sorted({1, all_threads}):
             numba.set_num_threads(threads)
             cv2.setNumThreads(threads)
             analysis, drawing, remap, copy = _medians(analysed, drawn, _remap(flat), flat.copy)
@@ -80,6 +81,19 @@ def _frame_rows(frames: list[NDArray[Any]], camera: lfcal.Calibration) -> None:
             print(f"  {preset:9} next frame: {_medians(following)[0]:.1f} ms, {100 * still:.0f} % of the lenses still")
 
 
+def _patch_times(flat: NDArray[Any], camera: lfcal.Calibration, s: float) -> list[float]:
+    """Median wall times [ms] of rendering at one patch size, and of resizing to as many pixels."""
+    shape = lfrender.render(flat, camera, patch_size=s).image.shape
+
+    def resized() -> None:
+        cv2.resize(flat, shape[1::-1], interpolation=cv2.INTER_LINEAR)
+
+    def drawn() -> None:
+        lfrender.render(flat, camera, patch_size=s)
+
+    return _medians(drawn, resized)
+
+
 def _fixed_rows() -> None:
     width, height = _LARGE
     rng = np.random.default_rng(0)
@@ -92,13 +106,7 @@ def _fixed_rows() -> None:
             size = (part.shape[1], part.shape[0])
             lattice = lfcal.Lattice(np.array([40.3, 37.9]), np.array([[d, 0.3], [-0.3, d]]), size, d / 2 - 1)
             camera = lfcal.Calibration(lattice=lattice)
-            shape = lfrender.render(part, camera, patch_size=share * d).image.shape
-            times.append(
-                _medians(
-                    lambda part=part, camera=camera, s=share * d: lfrender.render(part, camera, patch_size=s),
-                    lambda part=part, shape=shape: cv2.resize(part, shape[1::-1], interpolation=cv2.INTER_LINEAR),
-                )
-            )
+            times.append(_patch_times(part, camera, share * d))
         (whole, resize), (quarter, _) = times
         print(
             f"  s = {share:+.2f} D of {width * height / 1e6:.0f} megapixels: {whole:.0f} ms, {whole / resize:.2f} x"
