@@ -93,6 +93,17 @@ class Distortion:
             straight = self.centre + (bent - self._general(straight) - self.centre) / (1 + self._stretch(offset))
         return straight
 
+    def shrunk(self, factor: int) -> Distortion:
+        """The same distortion of a flat of which `factor` x `factor` pixels each have become one."""
+        return Distortion(
+            (self.centre + 0.5) / factor - 0.5,
+            self.k1,
+            self.k2,
+            self.reach / factor,
+            None if self.general is None else self.general / factor,
+            None if self.middle is None else (self.middle + 0.5) / factor - 0.5,
+        )
+
     def derivatives(self, straight: NDArray[np.float64]) -> list[tuple[str, NDArray[np.float64]]]:
         """Names of the parameters and change (n, 2) of the displacement of points (n, 2) with each of them.
 

@@ -179,6 +179,21 @@ class Lattice:
             centres[start : start + _TOGETHER] = self.points(self._indices[start : start + _TOGETHER])
         return centres
 
+    def shrunk(self, factor: int) -> Lattice:
+        """The same lenses on a flat of which `factor` x `factor` pixels each have become one."""
+        distortion = self.distortion
+        width, height = (max(1, n // factor) for n in self.image_size)
+        small = Lattice(
+            (self.origin + 0.5) / factor - 0.5,
+            self.basis / factor,
+            (width, height),
+            self.radius / factor,
+            None if distortion is None else distortion.shrunk(factor),
+        )
+        # Lenses at the border are the same, whichever way their places are rounded.
+        small.__dict__["_indices"] = self._indices
+        return small
+
     def points(self, index: ArrayLike) -> NDArray[np.float64]:
         """(n, 2) positions `x, y` [px] of lattice indices (n, 2), which need be neither whole nor on the flat."""
         straight: NDArray[np.float64] = self.origin + np.asarray(index, dtype=np.float64) @ self.basis

@@ -17,7 +17,7 @@ from .modes import fill
 from .neighbours import neighbour_rows
 from .plane import TEXTURED, Plane, fit_plane, strays
 from .radiance import GrayFlat, gray_flat
-from .region import check_region, embed, embed_textured, lenses_in, part_of, rows_of
+from .region import check_region, embed, embed_textured, lenses_in, part_of, rows_of, scaled
 from .remainder import remainder_depths
 from .search import PRESETS, Found, Matcher, search
 from .sequence import changed_lenses
@@ -112,11 +112,18 @@ def analyze(
         if inside is not None:
             raise ValueError("give either roi or previous, not both")
         return _following(flat, calibration, preset, shortcuts, *previous)
-    gray = gray_flat(flat, calibration)
+    gray, small, factor = _working(flat, calibration, preset)
     if inside is None:
-        return _analyze(gray, lattice, preset, shortcuts)
-    part, sub = part_of(gray, lattice, inside)
-    return embed(_analyze(part, sub, preset, shortcuts), sub, lattice, inside)
+        return scaled(_analyze(gray, small, preset, shortcuts), lattice, factor)
+    part, sub = part_of(gray, small, inside)
+    return scaled(embed(_analyze(part, sub, preset, shortcuts), sub, small, inside), lattice, factor)
+
+
+def _working(flat: NDArray, calibration: Calibration, preset: str) -> tuple[GrayFlat, Lattice, int]:
+    """The flat as the preset analyses it, its lattice, and how many of its pixels each way have become one."""
+    factor = PRESETS[preset].factor(calibration.lattice.pitch)
+    lattice = calibration.lattice if factor == 1 else calibration.lattice.shrunk(factor)
+    return gray_flat(flat, calibration, factor), lattice, factor
 
 
 def _analyze(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts) -> DepthMap:
@@ -161,7 +168,7 @@ def _on_plane(
     """The depth of a scene that is one plane, for the lenses whose `reason` is 0."""
     centres = lattice.centres()
     sizes = plane.at(centres)
-    shape, first, spacing = grid_shape(lattice)
+    shape, first, spacing = grid_shape(lattice, PRESETS[preset].cells)
     v, u = np.mgrid[: shape[0], : shape[1]]
     grid = np.stack([first[0] + spacing * u.ravel(), first[1] + spacing * v.ravel()], 1)
     return DepthMap(
@@ -261,13 +268,16 @@ def _lens_by_lens(
     seconds = np.where(textured & populated, found.second, np.nan).astype(np.float32)
     evidence = np.where(near, found.evidence, 1)
     around = refined[resolved] if shortcuts.ranges else None
-    rest = remainder_depths(texture, forward, backward, drawn, evidence, setting, around)
+    rest = np.full(len(drawn), np.nan, np.float32)
+    if setting.remainder:
+        rest = remainder_depths(texture, forward, backward, drawn, evidence, setting, around)
     # Shading matches itself near zero: a depth there must occur by itself.
     shaded = (np.abs(rest) < _SHADED_REACH * lattice.pitch) & ~_populated(rest, refined[resolved], gap)
     rest[shaded] = np.nan
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
     old = None if before is None else before.surface
-    surface = spread(texture.flat, lattice, drawn, np.stack([seconds, rest], 1), trust, texture.noise, ~near, old)
+    others = np.stack([seconds, rest], 1)
+    surface = spread(texture.flat, lattice, drawn, others, trust, texture.noise, setting.cells, ~near, old)
     # A lens that sees two depths answers with the one in its middle.
     middle = surface.at(lattice.centres())
     crossed = resolved & (np.abs(middle - drawn) > gap)
@@ -337,20 +347,21 @@ def _following(
     kept = ~_grown(changed_lenses(earlier, flat, calibration), neighbours)
     if kept.all():
         return replace(before, saved={"still": 1.0})
-    gray = gray_flat(flat, calibration)
+    gray, small, factor = _working(flat, calibration, preset)
     if not kept.any():
-        return _analyze(gray, lattice, preset, shortcuts)
+        return scaled(_analyze(gray, small, preset, shortcuts), lattice, factor)
     plain = quick_statistics(gray)
-    return _lens_by_lens(
+    depth = _lens_by_lens(
         gray,
-        lattice,
+        small,
         preset,
         shortcuts,
         plain,
         (blank_lenses(plain)[0], np.inf) if shortcuts.blank else None,
         kept,
-        before,
+        scaled(before, small, 1 / factor),
     )
+    return scaled(depth, lattice, factor)
 
 
 def _agreed(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float) -> NDArray[np.bool_]:

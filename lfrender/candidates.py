@@ -58,11 +58,33 @@ def _sample(image, x, y):
     )
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _read_patch(image, x, y, step, out):
+    """Fill `out` with the samples of the patch about (x, y)."""
+    height, width = image.shape
+    side = 2 * _PATCH + 1
+    if not (step == 1 and _PATCH == 1 and x >= 1 and y >= 1 and x < width - 2 and y < height - 2):
+        for k in range(side * side):
+            out[k] = _sample(image, x + (k % side - _PATCH) * step, y + (k // side - _PATCH) * step)
+        return
+    # Samples a pixel apart share their weights, and most of their pixels.
+    i, j = int(x) - 1, int(y) - 1
+    fx, fy = np.float32(x - (i + 1)), np.float32(y - (j + 1))
+    left = middle = right = np.float32(0.0)
+    for v in range(4):
+        a, b, c, d = image[j + v, i], image[j + v, i + 1], image[j + v, i + 2], image[j + v, i + 3]
+        below_left, below, below_right = a + fx * (b - a), b + fx * (c - b), c + fx * (d - c)
+        if v > 0:
+            out[3 * v - 3] = left + fy * (below_left - left)
+            out[3 * v - 2] = middle + fy * (below - middle)
+            out[3 * v - 1] = right + fy * (below_right - right)
+        left, middle, right = below_left, below, below_right
+
+
 @njit(cache=True, nogil=True, fastmath=FAST)
 def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, nearest, patches, moments, costs):
     """How badly the better share of the views of the patch at (x, y) agrees with one of the most central ones."""
-    side = 2 * _PATCH + 1
-    size = side * side
+    size = (2 * _PATCH + 1) ** 2
     views = 0
     for m in range(count):
         lens = members[m]
@@ -72,9 +94,9 @@ def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, 
             continue
         px, py = centres[lens, 0] + dx, centres[lens, 1] + dy
         mean = squares = np.float32(0.0)
+        _read_patch(image, px, py, step, patches[views])
         for k in range(size):
-            value = _sample(image, px + (k % side - _PATCH) * step, py + (k // side - _PATCH) * step)
-            patches[views, k] = value
+            value = patches[views, k]
             mean += value
             squares += value * value
         mean /= size

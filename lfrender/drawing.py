@@ -13,6 +13,7 @@ from .depthmap import DepthMap
 from .flatcheck import check_flat
 from .lens_focus import focus_shares
 from .mosaic import draw_rows
+from .patches import lay_patches
 from .radiance import gain_table, lens_by_lens, white_level
 from .rendering import Rendering
 from .sharpness import lens_blur, ready_to_read
@@ -22,8 +23,9 @@ from .warping import Viewpoint
 
 __all__ = ["default_scale", "render"]
 
-# Lenses farther than this many pitches from a scene point add little but blur.
-_REACH = 1.7
+# Lenses farther than this many pitches from a scene point add little but blur; those that are nearer than the second
+# number suffice to see every point.
+_REACH, _REACH_FAST = 1.7, 1.0
 # Difference from the mean colour, as a share of white, at which a lens counts a quarter: ghosts differ by more.
 _AGREEMENT = 0.2
 _LARGEST_SCALE_SHARE = 0.98
@@ -104,11 +106,46 @@ def render(
     if not (np.isfinite(scale) and 0 < scale <= 4 * lattice.pitch):
         raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * lattice.pitch:.0f}), got {scale}")
     blend = patch_size is None if blend is None else blend
+    if patch_size is not None and not blend and scale == full and _plain(calibration):
+        image, valid, affine = _patches(pixels, calibration, patch_size)
+        return Rendering(image[:, :, 0] if np.ndim(flat) == 2 and pixels.shape[2] == 1 else image, affine, valid, full)
     blur = lens_blur(pixels, calibration, sizes) if scale * _COARSE < full else 0.0
-    image, lenses, affine = _draw(pixels, calibration, surface, float(scale), blend, blur)
+    reach = _REACH_FAST if depth is not None and depth.preset == "fast" else _REACH
+    image, lenses, affine = _draw(pixels, calibration, surface, float(scale), blend, blur, reach=reach)
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
     return Rendering(_like(image, np.asarray(flat).dtype), affine, lenses > 0, float(scale))
+
+
+def _plain(calibration: Calibration) -> bool:
+    """Whether all lenses lie on a straight lattice and have the same light."""
+    return calibration.lattice.distortion is None and not lens_by_lens(calibration)
+
+
+def _patches(
+    pixels: NDArray, calibration: Calibration, patch_size: float
+) -> tuple[NDArray, NDArray[np.bool_], NDArray[np.float64]]:
+    """The picture of one patch size at its full resolution, what was seen, and the affine to scene coordinates."""
+    lattice = calibration.lattice
+    columns, rows, spacing, first = _grid(lattice, abs(patch_size))
+    out = np.empty((rows, columns, pixels.shape[2]), pixels.dtype)
+    valid = np.ones((rows, columns), bool)
+    left, top, right, bottom = lay_patches(pixels, lattice, patch_size, first, *gain_table(calibration), out)
+    # What the kernel has left out, at the border.
+    for x0, y0, x1, y1 in (
+        (0, 0, columns, top),
+        (0, bottom, columns, rows),
+        (0, top, left, bottom),
+        (right, top, columns, bottom),
+    ):
+        if x0 < x1 and y0 < y1:
+            image, seen = _draw_rows(
+                pixels, calibration, Surface(np.full((1, 1), patch_size, np.float32), (0.0, 0.0), 1.0),
+                abs(patch_size), (x1 - x0, y1 - y0), np.array([first + x0 * spacing, first + y0 * spacing]),
+            )  # fmt: skip
+            out[y0:y1, x0:x1] = _like(image, pixels.dtype)
+            valid[y0:y1, x0:x1] = seen > 0
+    return out, valid, np.array([[spacing, 0.0, first], [0.0, spacing, first]])
 
 
 def _draw(
@@ -125,13 +162,40 @@ def _draw(
     viewpoint: Viewpoint = _MIDDLE,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
     """The picture in the flat's units, what was seen of each pixel (0..1), and the affine to scene coordinates."""
-    lattice = calibration.lattice
+    columns, rows, spacing, first = _grid(calibration.lattice, scale)
+    image, seen = _draw_rows(
+        pixels, calibration, surface, scale, (columns, rows), np.array([first, first]), blend, blur, reach, aperture,
+        agreement, viewpoint,
+    )  # fmt: skip
+    return image, seen, np.array([[spacing, 0.0, first], [0.0, spacing, first]])
+
+
+def _grid(lattice: Lattice, scale: float) -> tuple[int, int, float, float]:
+    """Columns and rows of a picture of so many pixels per pitch, their spacing and the first place [px]."""
     width, height = lattice.image_size
     spacing = lattice.pitch / scale
-    columns, rows = max(1, round(width / spacing)), max(1, round(height / spacing))
-    first = 0.5 * spacing - 0.5
-    image = np.empty((rows, columns, pixels.shape[2]), np.float32)
-    seen = np.empty((rows, columns), np.float32)
+    return max(1, round(width / spacing)), max(1, round(height / spacing)), spacing, 0.5 * spacing - 0.5
+
+
+def _draw_rows(
+    pixels: NDArray,
+    calibration: Calibration,
+    surface: Surface,
+    scale: float,
+    size: tuple[int, int],
+    first: NDArray[np.float64],
+    blend: bool = False,
+    blur: float = 0.0,
+    reach: float = _REACH,
+    aperture: float = 1.0,
+    agreement: float = _AGREEMENT,
+    viewpoint: Viewpoint = _MIDDLE,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """A picture of `size` columns and rows from the scene point `first` on, and what was seen of each pixel."""
+    lattice = calibration.lattice
+    spacing = lattice.pitch / scale
+    image = np.empty((size[1], size[0], pixels.shape[2]), np.float32)
+    seen = np.empty((size[1], size[0]), np.float32)
     edge = max(0.5, 0.03 * lattice.pitch)
     seen_depth = np.empty((0, 0), np.float32)
     if blend and surface.patch_size.size > 1:
@@ -147,7 +211,8 @@ def _draw(
     offsets, steps = lens_offsets(lattice, reach * lattice.pitch)
     single = np.float32
     draw_rows(
-        ready_to_read(pixels), seen_depth, gains, lights, single(step),
+        # Only a mean over many lenses has the sharpness of the flat where what interpolation blurs is given back.
+        ready_to_read(pixels) if blend else pixels, (0,) * pixels.shape[2], seen_depth, gains, lights, single(step),
         lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, bend, low, offsets, steps,
         *focus_shares(calibration.lens_types), single(aperture * lattice.radius), single(lattice.pitch),
         drawn.patch_size, single(drawn.first[0]), single(drawn.first[1]), single(drawn.spacing),
@@ -155,8 +220,7 @@ def _draw(
         single(reach * lattice.pitch), single(agreement * white_level(pixels) if blend else 0.0),
         np.array(viewpoint.offset, single), image, seen,
     )  # fmt: skip
-    affine = np.array([[spacing, 0.0, first], [0.0, spacing, first]])
-    return image, seen, affine
+    return image, seen
 
 
 def _beside(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:

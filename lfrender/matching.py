@@ -7,6 +7,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .fastmath import FAST
+from .microimages import Strips, cut_out, joint_masks
 from .radiance import GrayFlat
 
 __all__ = ["pair_costs"]
@@ -21,6 +22,10 @@ _HALF_TRUST = 0.06
 # zero (in pitches) is doubted by half where the contrast (white = 1) is only this.
 _SHADED_REACH = np.float32(0.08)
 _SHADED = np.float32(0.03)
+# Where two microimages share less than a third, that is so many squares of their radius, every pixel at the rim counts.
+_ENOUGH = np.float32(1.0)
+# Centres and shifts are rounded to pixels each on its own, which moves a shift by so many pixels.
+_ROUNDING = np.arange(-2, 3)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -64,26 +69,32 @@ def _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
     return count, sa, sb, saa, sbb, sab
 
 
+# Python's error model checks every division, which no vector loop can.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _strip_moments(own, other, mask, start, stop, upper, lower, w00, w01, w10, w11):
+    """Sums over the masked pixels of one strip and what another shows `upper` and `lower` values farther."""
+    a, m = own[start:stop], mask[start:stop]
+    b00, b01 = other[start + upper : stop + upper], other[start + upper + 1 : stop + upper + 1]
+    b10, b11 = other[start + lower : stop + lower], other[start + lower + 1 : stop + lower + 1]
+    sa = sb = saa = sbb = sab = np.float32(0.0)
+    for k in range(len(a)):
+        b = m[k] * (w00 * b00[k] + w01 * b01[k] + w10 * b10[k] + w11 * b11[k])
+        c = m[k] * a[k]
+        sa += c
+        sb += b
+        saa += c * c
+        sbb += b * b
+        sab += c * b
+    return sa, sb, saa, sbb, sab
+
+
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _pair_costs(
-    image,
-    centres,
-    radius,
-    pitch,
-    rows,
-    means,
-    contrast,
-    active,
-    done,
-    shifts,
-    which,
-    noise,
-    shading,
-    row_step,
-    half,
-    about,
-    out,
-):
+    image, centres, radius, pitch, rows, means, contrast, active, done, shifts, which, noise, shading, row_step, half,
+    about, strips, middle, whole, side, width, part_rows, slots, masks, ends, counts, out,
+):  # fmt: skip
+    reach = len(slots) // 2
+    enough = _ENOUGH * radius * radius
     for lens in prange(len(centres)):
         ax, ay = centres[lens, 0], centres[lens, 1]
         for d in range(rows.shape[1]):
@@ -95,26 +106,68 @@ def _pair_costs(
             floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
             texture = min(contrast[lens], contrast[other])
             doubt = _SHADED**2 / (_SHADED**2 + texture * texture)
-            middle = np.float32(0.0)
+            about_both = np.float32(0.0)
             if len(about) > 0:
-                middle = np.float32(0.5) * (about[lens] + about[other])
+                about_both = np.float32(0.5) * (about[lens] + about[other])
+            stripped = whole[lens] and whole[other]
+            gap_x, gap_y = middle[other, 0] - middle[lens, 0], middle[other, 1] - middle[lens, 1]
             for k in which:
-                shift = middle + shifts[k]
+                shift = about_both + shifts[k]
                 grow = 1.0 + shift / pitch
-                count, sa, sb, saa, sbb, sab = _moments(
-                    image, ax, ay, bx, by, radius, (bx - ax) * grow, (by - ay) * grow, mean, row_step
-                )
-                if count < 4:
-                    continue
+                tx, ty = (bx - ax) * grow, (by - ay) * grow
+                dx, dy = int(np.floor(tx)), int(np.floor(ty))
+                fx, fy = np.float32(tx - dx), np.float32(ty - dy)
+                dx, dy = dx - gap_x, dy - gap_y
+                slot = -1
+                if stripped and abs(dx) <= reach and abs(dy) <= reach:
+                    slot = slots[dy + reach, dx + reach]
+                if slot >= 0 and counts[slot] * row_step > enough:
+                    count = counts[slot]
+                    start, stop = ends[slot, 0], ends[slot, 1]
+                    above = ((dy % row_step) * part_rows + dy // row_step) * width + dx
+                    below = (((dy + 1) % row_step) * part_rows + (dy + 1) // row_step) * width + dx
+                    sa, sb, saa, sbb, sab = _strip_moments(
+                        strips[lens], strips[other], masks[slot], start, stop, above, below,
+                        (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy,
+                    )  # fmt: skip
+                    apart = means[lens] - means[other]
+                else:
+                    count, sa, sb, saa, sbb, sab = _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step)
+                    apart = np.float32(0.0)
+                    if count < 4:
+                        continue
                 inverse = np.float32(1.0) / count
                 ma, mb = sa * inverse, sb * inverse
                 variance = (saa + sbb) * inverse - ma * ma - mb * mb
-                offset = _OFFSET_WEIGHT * (ma - mb) * (ma - mb)
+                offset = _OFFSET_WEIGHT * (ma - mb + apart) ** 2
                 residual = variance - 2 * (sab * inverse - ma * mb) + offset
                 quality = (residual + floor) / (variance + offset + floor)
                 trust = count * row_step / (count * row_step + half)
                 trust *= 1 - doubt * np.exp(-((shift / (_SHADED_REACH * pitch)) ** 2))
                 out[lens, d, k] = 1.0 - trust * (1.0 - quality)
+
+
+def _shifts_met(
+    gray: GrayFlat,
+    rows: NDArray[np.int32],
+    shifts: NDArray[np.float32],
+    about: NDArray[np.float32],
+) -> NDArray[np.int64]:
+    """(m, 2) whole pixels `x, y` by which neighbours are shifted against each other, the same for all pairs of a
+    direction but for rounding."""
+    tried = shifts
+    if len(about):
+        tried = np.arange(about.min() + shifts.min(), about.max() + shifts.max() + 1)
+    found = []
+    for d in range(rows.shape[1]):
+        pairs = rows[:, d] >= 0
+        if pairs.any():
+            step = (gray.centres[rows[pairs, d]] - gray.centres[pairs]).mean(0)
+            found.append(np.floor(tried[:, None] / gray.pitch * step).astype(int))
+    if not found:
+        return np.zeros((0, 2), np.int64)
+    near = np.stack(np.meshgrid(_ROUNDING, _ROUNDING), -1).reshape(-1, 2)
+    return (np.concatenate(found)[:, None] + near).reshape(-1, 2)
 
 
 def pair_costs(
@@ -131,6 +184,7 @@ def pair_costs(
     done: NDArray[np.bool_] | None = None,
     out: NDArray[np.float32] | None = None,
     about: NDArray[np.float32] | None = None,
+    strips: Strips | None = None,
 ) -> NDArray[np.float32]:
     """How badly each lens agrees with its neighbours if the scene had each of some patch sizes.
 
@@ -163,6 +217,8 @@ def pair_costs(
         Costs to be added to; by default all are 1 before.
     about : (n,) float32, optional [px of `gray`]
         Patch size of each lens that `shifts` are relative to; by default 0.
+    strips : Strips, optional
+        The microimages of `gray` cut out for this `row_step`; they are by default.
 
     Returns
     -------
@@ -173,8 +229,12 @@ def pair_costs(
     done = np.zeros(len(active), bool) if done is None else done
     about = np.empty(0, np.float32) if about is None else about.astype(np.float32)
     half = np.float32(_HALF_TRUST * np.pi * gray.radius**2)
+    if strips is None:
+        strips = cut_out(gray, means, row_step)
     _pair_costs(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, contrast, active,
-        done, shifts.astype(np.float32), which, np.float32(noise), np.float32(shading), row_step, half, about, out,
+        done, shifts.astype(np.float32), which, np.float32(noise), np.float32(shading), row_step, half, about,
+        strips.values, strips.middle, strips.whole, strips.half, strips.width, strips.rows,
+        *joint_masks(strips, gray.radius, _shifts_met(gray, rows, shifts[which], about)), out,
     )  # fmt: skip
     return out

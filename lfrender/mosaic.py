@@ -42,14 +42,23 @@ def _crosses_edge(surface, x, y, s, half, grid_x, grid_y, cell, edge):
     return False
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _read(line, at, across, down, w00, w01, w10, w11):
+    """Weighted sum of four values about place `at`."""
+    return (w00 * np.float32(line[at]) + w01 * np.float32(line[at + across])) + (
+        w10 * np.float32(line[at + down]) + w11 * np.float32(line[at + down + across])
+    )
+
+
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def draw_rows(
-    flat, seen, gains, lights, light_step, origin, inverse, basis, bend, low, offsets, steps, types, shares,
+    flat, marks, seen, gains, lights, light_step, origin, inverse, basis, bend, low, offsets, steps, types, shares,
     radius, pitch,
     surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance, view, out, weight_out,
 ):  # fmt: skip
     """Fill `out` (h, w, C) with the mean over the lenses that see each point, `weight_out` with their number.
 
+    `marks` is any tuple of C numbers: its length belongs to its type, so that code for other channels is left out.
     `gains` correct what a lens shows and `lights` are its illumination, over the squared distance from its centre.
     A lens counts with the square of its illumination, less toward its rim, and only as far as
     its colour agrees with the mean of all within `tolerance` (0: the most central lens alone).
@@ -60,7 +69,8 @@ def draw_rows(
     (2,) [px] beside their centres, which moves places as `warping.py` describes; output pixel (0, 0) lies at `first`
     (2,).
     """
-    height, width, channels = flat.shape
+    height, width, _ = flat.shape
+    channels = len(marks)
     rows, columns, _ = out.shape
     last_ring = len(gains) - 1
     known = seen.size > 0
@@ -77,11 +87,12 @@ def draw_rows(
     # Farther from the border than this, every lens in reach and all it shows lies on the flat.
     margin = reach + radius + 1
     line = flat.reshape(-1)
+    zero, per_channel = np.float32(0.0), np.float32(1 / channels)
+    per_light_step = 1 / light_step
     across, down = np.uint64(channels), np.uint64(width * channels)
     for v in prange(rows):
-        values = np.zeros((MAX_LENSES, 4), np.float32)
+        values = np.empty((MAX_LENSES, 4), np.float32)
         weights = np.empty(MAX_LENSES, np.float32)
-        total, mean, mixed = np.empty(4, np.float32), np.empty(4, np.float32), np.empty(4, np.float32)
         for u in range(columns):
             centre_x, centre_y = first[0] + u * spacing, first[1] + v * spacing
             s_here = patch_size_at(surface, np.float32(centre_x), np.float32(centre_y), grid_x, grid_y, cell, edge)
@@ -96,8 +107,7 @@ def draw_rows(
                 apart = np.sqrt(max(left, np.float32(0.0)))
                 n_sub = max(int(np.ceil(side * apart - np.float32(0.05))), 1)
             apart *= spacing / n_sub
-            for k in range(4):
-                total[k] = 0.0
+            total0 = total1 = total2 = total3 = zero
             total_weight = np.float32(0.0)
             for sub in range(n_sub * n_sub):
                 x = centre_x + (sub % n_sub - np.float32(0.5) * (n_sub - 1)) * apart
@@ -122,8 +132,7 @@ def draw_rows(
                 best = np.float32(np.inf)
                 best_at = 0
                 norm = np.float32(0.0)
-                for k in range(4):
-                    mean[k] = 0.0
+                mean0 = mean1 = mean2 = mean3 = zero
                 for o in range(len(offsets)):
                     # offsets are sorted: beyond this one none can be near enough
                     if offsets[o, 2] > farthest or found == MAX_LENSES:
@@ -133,7 +142,8 @@ def draw_rows(
                         bend_x, bend_y = bent_by(bend, low, i + steps[o, 0], j + steps[o, 1])
                         ex, ey = ex - bend_x, ey - bend_y
                     d2 = ex * ex + ey * ey
-                    if d2 > limit2:
+                    # The most central lens alone is read where none is averaged.
+                    if d2 > limit2 or (t2 <= 0 and d2 >= best):
                         continue
                     dx, dy = view_x - ex * slope, view_y - ey * slope
                     delta2 = dx * dx + dy * dy
@@ -145,7 +155,7 @@ def draw_rows(
                             continue
                         if x - ex < -0.5 or y - ey < -0.5 or x - ex >= width - 0.5 or y - ey >= height - 0.5:
                             continue
-                    ring = np.uint64(min(int(delta2 / light_step), last_ring))
+                    ring = np.uint64(min(int(delta2 * per_light_step), last_ring))
                     gain = gains[ring]
                     ix, iy = min(int(px), width - 2), min(int(py), height - 2)
                     fx, fy = np.float32(px - ix), np.float32(py - iy)
@@ -153,62 +163,79 @@ def draw_rows(
                     upper = np.uint64((iy * width + ix) * channels)
                     w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
                     w10, w11 = (1 - fx) * fy, fx * fy
-                    for k in range(channels):
-                        at = upper + np.uint64(k)
-                        values[found, k] = gain * (
-                            w00 * np.float32(line[at])
-                            + w01 * np.float32(line[at + across])
-                            + w10 * np.float32(line[at + down])
-                            + w11 * np.float32(line[at + down + across])
-                        )
+                    w00, w01, w10, w11 = gain * w00, gain * w01, gain * w10, gain * w11
+                    value1 = value2 = value3 = zero
+                    value0 = _read(line, upper, across, down, w00, w01, w10, w11)
+                    if len(marks) > 1:
+                        value1 = _read(line, upper + np.uint64(1), across, down, w00, w01, w10, w11)
+                    if len(marks) > 2:
+                        value2 = _read(line, upper + np.uint64(2), across, down, w00, w01, w10, w11)
+                    if len(marks) > 3:
+                        value3 = _read(line, upper + np.uint64(3), across, down, w00, w01, w10, w11)
                     away = d2 * per_limit2
                     if aside > 0:
                         # From the middle, the first alone grows toward the rim of a microimage.
                         away = max(away, delta2 / radius2)
-                    weights[found] = (np.float32(1.02) - away) * lights[ring] * lights[ring]
+                    weight = (np.float32(1.02) - away) * lights[ring] * lights[ring]
                     if typed:
                         kind = types[int(i + steps[o, 0]) % len(types), int(j + steps[o, 1]) % len(types)]
                         share = shares[kind, min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)]
-                        weights[found] *= share
+                        weight *= share
                     if known:
                         depth = seen[np.uint64(py + 0.5), np.uint64(px + 0.5)]
                         if abs(depth - s) > 2 * edge:
-                            weights[found] *= _HIDDEN
+                            weight *= _HIDDEN
                             if aside > 0:
                                 # The surface is what `view` sees: there, something else is least likely in front.
                                 beside = d2 / (pitch * pitch) + np.float32(0.05)
-                                weights[found] /= beside * beside
+                                weight /= beside * beside
                             d2 += limit2
                     if d2 < best:
                         best, best_at = d2, found
-                    norm += weights[found]
-                    for k in range(4):
-                        mean[k] += weights[found] * values[found, k]
+                    norm += weight
+                    mean0 += weight * value0
+                    mean1 += weight * value1
+                    mean2 += weight * value2
+                    mean3 += weight * value3
+                    weights[found] = weight
+                    values[found, 0], values[found, 1] = value0, value1
+                    values[found, 2], values[found, 3] = value2, value3
                     found += 1
                 if found == 0:
                     continue
                 if t2 <= 0:
-                    for k in range(channels):
-                        total[k] += values[best_at, k]
+                    total0 += values[best_at, 0]
+                    total1 += values[best_at, 1]
+                    total2 += values[best_at, 2]
+                    total3 += values[best_at, 3]
                     total_weight += 1
                     continue
-                for k in range(4):
-                    mean[k] /= norm
-                    mixed[k] = 0.0
-                norm = np.float32(0.0)
+                norm = 1 / norm
+                mean0, mean1, mean2, mean3 = mean0 * norm, mean1 * norm, mean2 * norm, mean3 * norm
+                norm = mixed0 = mixed1 = mixed2 = mixed3 = zero
                 for n in range(found):
-                    difference = np.float32(0.0)
-                    for k in range(4):
-                        e = values[n, k] - mean[k]
-                        difference += e * e
-                    agree = t2 / (t2 + difference / channels)
+                    value0, value1, value2, value3 = values[n, 0], values[n, 1], values[n, 2], values[n, 3]
+                    difference = (value0 - mean0) ** 2 + (value1 - mean1) ** 2
+                    difference += (value2 - mean2) ** 2 + (value3 - mean3) ** 2
+                    agree = t2 / (t2 + difference * per_channel)
                     weight = weights[n] * agree * agree
                     norm += weight
-                    for k in range(4):
-                        mixed[k] += weight * values[n, k]
-                for k in range(4):
-                    total[k] += mixed[k] / norm
+                    mixed0 += weight * value0
+                    mixed1 += weight * value1
+                    mixed2 += weight * value2
+                    mixed3 += weight * value3
+                norm = 1 / norm
+                total0 += mixed0 * norm
+                total1 += mixed1 * norm
+                total2 += mixed2 * norm
+                total3 += mixed3 * norm
                 total_weight += 1
             weight_out[v, u] = total_weight / (n_sub * n_sub)
-            for k in range(channels):
-                out[v, u, k] = total[k] / total_weight if total_weight > 0 else np.float32(0.0)
+            per_sample = 1 / total_weight if total_weight > 0 else zero
+            out[v, u, 0] = total0 * per_sample
+            if len(marks) > 1:
+                out[v, u, 1] = total1 * per_sample
+            if len(marks) > 2:
+                out[v, u, 2] = total2 * per_sample
+            if len(marks) > 3:
+                out[v, u, 3] = total3 * per_sample

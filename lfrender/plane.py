@@ -110,14 +110,16 @@ def _inverse(terms: NDArray[np.float64], sizes: NDArray[np.float64]) -> NDArray[
     inverse[0] = 1 / np.median(sizes)
     residual = sizes - np.median(sizes)
     weight = np.ones(len(sizes))
+    # Sums run along rows; a matrix product could depend on the number of threads.
+    rows = np.ascontiguousarray(terms.T)
     for turn in range(_ROUNDS):
         if turn or len(inverse) == 1:
             scatter = max(1.48 * float(np.median(np.abs(residual))), _FLOOR)
             weight = 1 / (1 + (residual / (_OUTLYING * scatter)) ** 2) ** 2
         # An error of s is s^2 times that of 1 / s.
-        w = weight * sizes**4
-        left = np.einsum("ni,nj,n->ij", terms, terms, w)
-        inverse = np.linalg.solve(left, np.einsum("ni,n->i", terms, w / sizes))
+        w = weight * (sizes * sizes) ** 2
+        left = np.einsum("in,jn->ij", rows * w, rows)
+        inverse = np.linalg.solve(left, np.einsum("in,n->i", rows, w / sizes))
         residual = sizes - 1 / (terms @ inverse)
     return inverse
 
@@ -129,11 +131,13 @@ def _even(places: NDArray[np.float64], residual: NDArray[np.float64]) -> float |
     if not inside.mean() > _ON_PLANE:
         return None
     x, y = places[inside].T
-    terms = np.stack([x**i * y**j for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)], 1)
-    inverse = np.linalg.pinv(np.einsum("ni,nj->ij", terms, terms))
-    smooth = terms @ (inverse @ np.einsum("ni,n->i", terms, residual[inside]))
+    powers = [np.ones_like(x), x, x * x, x * x * x], [np.ones_like(y), y, y * y, y * y * y]
+    rows = np.stack([powers[0][i] * powers[1][j] for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)])
+    terms = rows.T
+    inverse = np.linalg.pinv(np.einsum("in,jn->ij", rows, rows))
+    smooth = terms @ (inverse @ np.einsum("in,n->i", rows, residual[inside]))
     # What the scatter of single lenses leaves uncertain about that surface is not held against the plane.
-    uncertain = 2 * scatter * np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", terms, inverse, terms), 0))
+    uncertain = 2 * scatter * np.sqrt(np.maximum(np.einsum("in,in->n", inverse @ rows, rows), 0))
     return None if (np.abs(smooth) > _EVEN + uncertain).any() else scatter
 
 

@@ -26,6 +26,8 @@ _LEAST_TRUSTED = 0.3
 # Interpolation and smoothing read so far beyond [px]. Within this share of the way to a neighbour pixels belong to a
 # lens alone, even as coordinates are rounded, and at the third number where a distortion changes the way.
 _BEYOND, _UNSHARED, _UNSHARED_BENT = 3.0, 0.4995, 0.49
+# A pixel made of several at the rim mixes light from beyond it [px].
+_MIXED = 0.5
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,26 @@ def _mean_channels(rows, channels, scale, out):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _mean_blocks(rows, channels, factor, scale, out):
+    """Mean over the channels of `factor` x `factor` pixels each."""
+    height, width = out.shape
+    together = channels * factor
+    weight = np.float32(scale / (together * factor))
+    for y in prange(height):
+        line = rows[y * factor].astype(np.float32)
+        for v in range(1, factor):
+            row = rows[y * factor + v]
+            for x in range(len(line)):
+                line[x] += np.float32(row[x])
+        into = out[y]
+        for x in range(width):
+            total = np.float32(0.0)
+            for k in range(x * together, (x + 1) * together):
+                total += line[np.uint64(k)]
+            into[x] = weight * total
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _correct_lenses(centres, radius, around, share, gains, step, image):
     """Multiply pixels within `radius` of a lens centre, and nearer to it than to the lenses `around`, by their gain.
 
@@ -142,15 +164,24 @@ def _correct_lenses(centres, radius, around, share, gains, step, image):
                 row[k] *= gains[min(np.int32((dx * dx + dy2) * inverse), last)]
 
 
-def gray_flat(flat: NDArray, calibration: Calibration) -> GrayFlat:
-    """Brightness of `flat` (H, W, C), corrected for vignetting where microimages are trusted, and a little beyond."""
-    lattice = calibration.lattice
-    image = np.empty(flat.shape[:2], np.float32)
+def gray_flat(flat: NDArray, calibration: Calibration, factor: int = 1) -> GrayFlat:
+    """Brightness of `flat` (H, W, C), corrected for vignetting where microimages are trusted, and a little beyond.
+
+    Each pixel is the mean of `factor` x `factor` of the flat.
+    """
+    lattice = calibration.lattice if factor == 1 else calibration.lattice.shrunk(factor)
+    image = np.empty(lattice.image_size[::-1], np.float32)
     rows = np.ascontiguousarray(flat).reshape(len(flat), -1)
-    _mean_channels(rows, flat.shape[2], 1.0 / white_level(flat), image)
-    centres, radius = lattice.centres().astype(np.float32), trusted_radius(calibration)
+    radius = trusted_radius(calibration)
+    if factor == 1:
+        _mean_channels(rows, flat.shape[2], 1.0 / white_level(flat), image)
+    else:
+        _mean_blocks(rows, flat.shape[2], factor, 1.0 / white_level(flat), image)
+        radius = radius / factor - _MIXED
+    centres = lattice.centres().astype(np.float32)
     if calibration.vignetting is not None:
         gains, step = gain_table(calibration)
+        step /= factor**2
         around = lattice.steps @ lattice.basis
         share = _UNSHARED if lattice.distortion is None else _UNSHARED_BENT
         _correct_lenses(
@@ -181,5 +212,4 @@ def shrink(gray: GrayFlat, factor: int) -> GrayFlat:
     height, width = (n // factor for n in gray.image.shape)
     image = cv2.resize(gray.image[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
     centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)
-    # Half a pixel at the rim mixes light from beyond it.
-    return GrayFlat(image.astype(np.float32, copy=False), centres, gray.radius / factor - 0.5, gray.pitch / factor)
+    return GrayFlat(image.astype(np.float32, copy=False), centres, gray.radius / factor - _MIXED, gray.pitch / factor)

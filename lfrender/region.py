@@ -15,7 +15,7 @@ from .neighbours import lens_grid
 from .radiance import GrayFlat
 from .surface import Surface
 
-__all__ = ["check_region", "embed", "embed_textured", "lenses_in", "part_of", "rows_of"]
+__all__ = ["check_region", "embed", "embed_textured", "lenses_in", "part_of", "rows_of", "scaled"]
 
 # Lenses this many pitches outside support those inside: as far as shading is taken to be common.
 _AROUND = 4.5
@@ -116,4 +116,17 @@ def _embedded(
     return DepthMap(
         patch_size, error, confidence, drawn, Surface(depth.surface.patch_size, first, depth.surface.spacing),
         lattice.pitch, lattice.image_size, depth.preset, reason, saved,
+    )  # fmt: skip
+
+
+def scaled(depth: DepthMap, lattice: Lattice, factor: float) -> DepthMap:
+    """The depth of the same lenses in pixels `factor` times as small, `lattice` being in those."""
+    first_x, first_y = ((x + 0.5) * factor - 0.5 for x in depth.surface.first)
+    surface = Surface(
+        (depth.surface.patch_size * np.float32(factor)), (first_x, first_y), depth.surface.spacing * factor
+    )
+    return replace(
+        depth, patch_size=depth.patch_size * np.float32(factor),
+        standard_error=depth.standard_error * np.float32(factor), drawn=depth.drawn * np.float32(factor),
+        surface=surface, pitch=lattice.pitch, image_size=lattice.image_size,
     )  # fmt: skip

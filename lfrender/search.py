@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .agreement import aggregate, lens_costs
 from .matching import pair_costs
+from .microimages import Strips, cut_out
 from .modes import confidence, parabola_peak, second_best
 from .radiance import GrayFlat, shrink
 from .texture import FIXED_SHADING, LensStatistics, Texture, lens_statistics
@@ -20,6 +22,10 @@ __all__ = ["PRESETS", "Found", "Matcher", "Preset", "search"]
 class Preset:
     """What an analysis spends: pitch it searches at [px], shift step [px], every n-th row, refinement steps.
 
+    With a `least_pitch` [px] the flat is made smaller for all of the analysis, by a whole factor that leaves as much.
+    `cells` are the grid values of the surface per pitch, `remainder` tells whether what the first depth of a lens
+    leaves unexplained is matched again.
+
     Detail is sharper in a picture made smaller for the search than in the flat itself, where it has at
     least the microlenses' blur: `full_step` is enough there.
     """
@@ -29,14 +35,25 @@ class Preset:
     full_step: float
     row_step: int
     iterations: int
+    least_pitch: float = np.inf
+    cells: int = 7
+    remainder: bool = True
+
+    def factor(self, pitch: float) -> int:
+        """How many pixels of the flat, each way, become one for all of the analysis."""
+        return max(1, min(_MOST_TOGETHER, int(pitch / self.least_pitch)))
 
 
 PRESETS = {
-    "fast": Preset(search_pitch=16, step=1.0, full_step=1.0, row_step=2, iterations=3),
+    "fast": Preset(
+        search_pitch=16, step=1.0, full_step=1.0, row_step=1, iterations=3, least_pitch=11, cells=5, remainder=False
+    ),
     "balanced": Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=5),
     "accurate": Preset(search_pitch=40, step=0.5, full_step=0.5, row_step=1, iterations=8),
 }
 
+# Pixels made of more than so many each way no longer tell a twentieth of a pixel of the flat.
+_MOST_TOGETHER = 3
 # The search reaches a little beyond the last resolvable shift, so that it has a rising flank on both sides.
 _SEARCHED = 0.82
 # Prices of semi-global matching in units of the match cost (0 perfect, 1 unrelated). On ray-traced and real flats a
@@ -106,6 +123,10 @@ class Matcher:
         self.forward, self.backward = forward, backward
         self._noise, self._row_step = texture.noise / self.factor, setting.row_step
 
+    @cached_property
+    def _strips(self) -> Strips:
+        return cut_out(self.gray, self.statistics.mean, self._row_step)
+
     def pairs(
         self,
         active: NDArray[np.bool_],
@@ -119,7 +140,7 @@ class Matcher:
         return pair_costs(
             self.gray, self.forward, self.statistics.mean, self.statistics.contrast, active,
             self.shifts if shifts is None else shifts, self._noise, FIXED_SHADING, self._row_step, which, done, out,
-            about,
+            about, self._strips,
         )  # fmt: skip
 
     def costs(self, pair: NDArray[np.float32]) -> NDArray[np.float32]:

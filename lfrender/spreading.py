@@ -17,8 +17,6 @@ from .surface import Surface
 
 __all__ = ["grid_shape", "spread"]
 
-# Grid values per pitch: fine enough that a depth edge moves less than a traditional pixel.
-_CELLS_PER_PITCH = 7
 # Lenses within this many pitches vote for depths, those within the second number look at them.
 _VOTING, _LOOKING = 1.45, 2.1
 # Specks are smaller than about half of a square of so many grid values to each side.
@@ -110,10 +108,10 @@ def _without_specks(chosen, depths, gap, out):
                 out[v, u] = np.sort(window[:count])[count // 2]
 
 
-def grid_shape(lattice: Lattice) -> tuple[tuple[int, int], tuple[float, float], float]:
-    """Rows and columns of the grid of scene points, the first of them, and their spacing [px]."""
+def grid_shape(lattice: Lattice, cells: int) -> tuple[tuple[int, int], tuple[float, float], float]:
+    """Rows and columns of the grid of scene points, `cells` per pitch, the first of them, and their spacing [px]."""
     width, height = lattice.image_size
-    spacing = lattice.pitch / _CELLS_PER_PITCH
+    spacing = lattice.pitch / cells
     return (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1), (-0.5, -0.5), spacing
 
 
@@ -142,6 +140,7 @@ def spread(
     seconds: NDArray[np.float32],
     trust: NDArray[np.float32],
     noise: float,
+    cells: int,
     settled: NDArray[np.bool_] | None = None,
     before: Surface | None = None,
 ) -> Surface:
@@ -165,11 +164,13 @@ def spread(
         Weight of each lens, positive.
     noise : float
         Standard deviation of a pixel of `gray`.
+    cells : int
+        Grid values per pitch: with 7, a depth edge moves less than a traditional pixel.
     settled : (n,) bool, optional
         Lenses whose surroundings stay as in the surface `before`, if that is of the whole flat.
     """
     pitch = lattice.pitch
-    shape, start, spacing = grid_shape(lattice)
+    shape, start, spacing = grid_shape(lattice, cells)
     depths = np.empty((*shape, MOST_CANDIDATES), np.float32)
     costs = np.empty_like(depths)
     grid, low = lens_grid(lattice)

@@ -1,4 +1,5 @@
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -129,3 +130,21 @@ def test_wrong_arguments_are_refused_with_the_reason():
     other = capture("plane", "square", ratio=-0.3).truth.calibration
     with pytest.raises(CalibrationError, match="another camera"):
         lfrender.render(shot.flat, other, depth)
+
+
+@pytest.mark.parametrize("lattice", ["hex", "square"])
+@pytest.mark.parametrize("ratio", [-0.41, 0.28])
+def test_patches_laid_side_by_side_are_the_picture_of_the_nearest_lenses(ratio, lattice):
+    shot = capture("plane", lattice, ratio=ratio)
+    calibration = replace(shot.truth.calibration, vignetting=Vignetting(np.linspace(1.0, 0.7, 14), 1.0))
+    s = ratio * calibration.lattice.pitch
+    quick = lfrender.render(shot.flat, calibration, patch_size=s)
+    # A scale beside the full one takes the general way.
+    general = lfrender.render(shot.flat, calibration, patch_size=s, scale=abs(s) * (1 + 1e-7))
+    assert quick.image.shape == general.image.shape
+    assert (quick.valid == general.valid).all()
+    difference = np.abs(quick.image.astype(int) - general.image)
+    # Gains are tabled; and places half-way between two lenses may be read from either.
+    assert difference.mean() < 0.1
+    assert (difference > 1).mean() < 0.003
+    assert difference.max() <= 6

@@ -1,0 +1,144 @@
+"""Microimages cut out of the flat, each in one strip of memory, and which of their pixels two of them share.
+
+A row of a microimage is too short for the vector instructions of a processor. Cut out with a common width, the rows of
+all lenses follow each other, so that a shift of one microimage against another is one offset along the strip, and one
+long loop compares them. Which pixels count is told by a mask that depends on the whole pixels of the shift alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from .fastmath import FAST
+from .radiance import GrayFlat
+
+__all__ = ["Strips", "cut_out", "joint_masks"]
+
+# Centres rounded to pixels lie so much off, on the average of both directions [px].
+_SLACK = 0.25
+
+
+@dataclass(frozen=True)
+class Strips:
+    """All microimages, as strips of one length.
+
+    Row `r` of a microimage is the row `r // step` of part `r % step` of its strip: rows that are read together, every
+    `step`-th of them, follow each other.
+
+    Parameters
+    ----------
+    values : (n, size) float32
+        Brightness less the mean of the lens; 0 outside the flat.
+    middle : (n, 2) int32 [px]
+        The pixel `x, y` in the middle of each.
+    whole : (n,) bool
+        Microimages that do not reach beyond the flat.
+    half, width, rows, step : int
+        Pixels from the middle to the sides, and from row to row; rows of each part, and number of parts.
+    """
+
+    values: NDArray[np.float32]
+    middle: NDArray[np.int32]
+    whole: NDArray[np.bool_]
+    half: int
+    width: int
+    rows: int
+    step: int
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _cut_out(image, middle, whole, means, half, width, rows, step, values):
+    height, across = image.shape
+    for lens in prange(len(middle)):
+        strip, mean = values[lens], means[lens]
+        left, top = middle[lens, 0] - half, middle[lens, 1] - half
+        if not whole[lens]:
+            strip[:] = 0.0
+            continue
+        for r in range(rows * step):
+            y = min(top + r, height - 1)
+            start = ((r % step) * rows + r // step) * width
+            n = min(width, across - left)
+            into, row = strip[start : start + n], image[y, left : left + n]
+            for k in range(n):
+                into[k] = row[k] - mean
+            strip[start + n : start + width] = 0.0
+
+
+def cut_out(gray: GrayFlat, means: NDArray[np.float32], step: int) -> Strips:
+    """Cut out all microimages of `gray`, less the `means` (n,) of each, for reading every `step`-th row."""
+    half = max(1, int(gray.radius - _SLACK)) + 1
+    # Interpolation reads a pixel beyond the last.
+    width = 2 * half + 2
+    rows = -(-(2 * half + 2) // step)
+    middle = np.rint(gray.centres).astype(np.int32)
+    size = np.array(gray.image.shape[::-1])
+    whole = np.asarray(((middle >= half) & (middle + half + 1 < size)).all(1), bool)
+    values = np.empty((len(middle), rows * step * width), np.float32)
+    _cut_out(gray.image, middle, whole, means, half, width, rows, step, values)
+    return Strips(values, middle, whole, half, width, rows, step)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _fill_masks(slots, reach, half, width, rows, step, radius2, masks, ends, counts):
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            slot = slots[dy + reach, dx + reach]
+            if slot < 0:
+                continue
+            start, stop, count = rows * width, 0, 0
+            for r in range(rows):
+                y = r * step - half
+                for c in range(width):
+                    x = c - half
+                    # The place is read from four pixels; their middle tells whether it lies in the other microimage.
+                    bx, by = x + dx + 0.5, y + dy + 0.5
+                    inside = x * x + y * y <= radius2 and bx * bx + by * by <= radius2
+                    masks[slot, r * width + c] = inside
+                    if inside:
+                        start, stop = min(start, r * width + c), r * width + c + 1
+                        count += 1
+            ends[slot, 0], ends[slot, 1] = start, stop
+            counts[slot] = count
+
+
+def joint_masks(
+    strips: Strips, radius: float, wanted: NDArray[np.int64]
+) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+    """Which pixels of one microimage another shows too, when it is shifted by whole pixels.
+
+    Parameters
+    ----------
+    strips : Strips
+    radius : float [px]
+        Up to which microimages are trusted, about the pixel in their middle.
+    wanted : (m, 2) int
+        Shifts `x, y`, each read a fraction of a pixel farther.
+
+    Returns
+    -------
+    slots : (2 k + 1, 2 k + 1) int32
+        Row of the shift `x, y` in the other arrays at `[y + k, x + k]`, -1 for the others.
+    masks : (slots, rows * width) float32
+        1 or 0 for the pixels of the first part of a strip.
+    ends : (slots, 2) int32
+        The first of them that is 1, and the one after the last.
+    counts : (slots,) int32
+    """
+    reach = max(1, int(np.abs(wanted).max(initial=0)))
+    side = 2 * reach + 1
+    used = np.zeros((side, side), bool)
+    used[wanted[:, 1] + reach, wanted[:, 0] + reach] = True
+    slots = np.where(used, np.cumsum(used.ravel()).reshape(side, side) - 1, -1).astype(np.int32)
+    count = int(used.sum())
+    masks = np.empty((count, strips.rows * strips.width), np.float32)
+    ends, counts = np.empty((count, 2), np.int32), np.empty(count, np.int32)
+    _fill_masks(
+        slots, reach, strips.half, strips.width, strips.rows, strips.step, max(radius - _SLACK, 1.0) ** 2, masks, ends,
+        counts,
+    )  # fmt: skip
+    return slots, masks, ends, counts
