@@ -142,6 +142,36 @@ def _correct_lenses(centres, radius, around, share, gains, step, image):
                 row[k] *= gains[min(np.int32((dx * dx + dy2) * inverse), last)]
 
 
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _fill_unlit(centres, radius, light, image):
+    """Give pixels whose `light` is NaN the mean of the others within `radius` of their lens.
+
+    Left dark, where microimages are cut would look like texture that moves with the lens.
+    """
+    height, width = image.shape
+    for lens in prange(len(centres)):
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        top, bottom = max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius)))
+        left, right = max(0, int(np.ceil(cx - radius))), min(width - 1, int(np.floor(cx + radius)))
+        total = 0.0
+        lit = unlit = 0
+        for y in range(top, bottom + 1):
+            for x in range(left, right + 1):
+                if (x - cx) ** 2 + (y - cy) ** 2 > radius * radius:
+                    continue
+                if np.isnan(light[y, x]):
+                    unlit += 1
+                else:
+                    total += image[y, x]
+                    lit += 1
+        if lit == 0 or unlit == 0:
+            continue
+        for y in range(top, bottom + 1):
+            for x in range(left, right + 1):
+                if (x - cx) ** 2 + (y - cy) ** 2 <= radius * radius and np.isnan(light[y, x]):
+                    image[y, x] = total / lit
+
+
 def gray_flat(flat: NDArray, calibration: Calibration) -> GrayFlat:
     """Brightness of `flat` (H, W, C), corrected for vignetting where microimages are trusted, and a little beyond."""
     lattice = calibration.lattice
@@ -149,7 +179,13 @@ def gray_flat(flat: NDArray, calibration: Calibration) -> GrayFlat:
     rows = np.ascontiguousarray(flat).reshape(len(flat), -1)
     _mean_channels(rows, flat.shape[2], 1.0 / white_level(flat), image)
     centres, radius = lattice.centres().astype(np.float32), trusted_radius(calibration)
-    if calibration.vignetting is not None:
+    if lens_by_lens(calibration):
+        light = calibration.gain()
+        np.divide(image, light, out=image, where=np.isfinite(light))
+        # Microimages of this radius share no pixel.
+        apart = np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min() / 2
+        _fill_unlit(centres, np.float32(min(radius + _BEYOND, apart)), light, image)
+    elif calibration.vignetting is not None:
         gains, step = gain_table(calibration)
         around = lattice.steps @ lattice.basis
         share = _UNSHARED if lattice.distortion is None else _UNSHARED_BENT
