@@ -129,6 +129,11 @@ def analyze(
 @click.option("--traditional", is_flag=True, help="One pixel per microlens, the mean of its microimage.")
 @click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
 @click.option(
+    "--sharpen",
+    metavar="auto|PX",
+    help="Take back the blur of the microlenses, as far as noise allows: as measured, or of so many output pixels.",
+)
+@click.option(
     "--mosaic",
     type=click.Choice(["RGGB", "BGGR", "GRBG", "GBRG"]),
     help="Colour filters of the top left 2 x 2 pixels of a raw mosaic, where the camera file does not say.",
@@ -147,6 +152,7 @@ def render(
     blend: bool,
     traditional: bool,
     scale: float | None,
+    sharpen: str | None,
     mosaic: Mosaic | None,
     alpha: bool,
     compress: bool,
@@ -162,6 +168,8 @@ def render(
     _at_most_one("--depth", depth_file, "--patch-size", patch_size, "--traditional", traditional or None)
     _at_most_one("--camera", camera, "--white", white)
     _at_most_one("--scale", scale, "--traditional", traditional or None)
+    _at_most_one("--sharpen", sharpen, "--traditional", traditional or None)
+    width = _sharpen_width(sharpen)
     if blend and patch_size is None:
         raise click.UsageError("--blend needs --patch-size")
     check_picture(output, alpha=alpha, inputs=[flat, camera, white, depth_file])
@@ -179,10 +187,10 @@ def render(
         with report.stage("analyze"):
             depth = _read_depth(depth_file) if depth_file else _analyze(report, pixels, calibration, preset)
     with report.stage("render"):
-        picture = _render(report, pixels, calibration, depth, patch_size, traditional, scale, blend or None)
+        picture = _render(report, pixels, calibration, depth, patch_size, traditional, scale, blend or None, width)
     with report.stage("write"):
         write_picture(
-            output, picture, alpha=alpha, settings=_settings(depth, patch_size), embedded=read_embedded(flat),
+            output, picture, alpha=alpha, settings=_settings(depth, patch_size, width), embedded=read_embedded(flat),
             compress=compress,
         )  # fmt: skip
     figures = {**_camera_figures(calibration), **(_depth_figures(depth) if depth else {})}
@@ -602,6 +610,7 @@ def _render(
     traditional: bool,
     scale: float | None,
     blend: bool | None,
+    sharpen: float | Literal["auto"] | None,
 ) -> Rendering:
     from . import render as run
     from . import traditional as run_traditional
@@ -610,11 +619,11 @@ def _render(
     if traditional:
         return run_traditional(pixels, calibration)
     try:
-        return run(pixels, calibration, depth, patch_size=patch_size, scale=scale, blend=blend)
+        return run(pixels, calibration, depth, patch_size=patch_size, scale=scale, blend=blend, sharpen=sharpen)
     except LightFieldError:
         raise
     except ValueError as error:
-        if patch_size is None and scale is None:
+        if patch_size is None and scale is None and sharpen is None:
             raise
         raise click.UsageError(str(error)) from error
 
@@ -625,12 +634,24 @@ def _at_most_one(*pairs: Any) -> None:
         raise click.UsageError(f"{given[0]} and {given[1]} exclude each other")
 
 
-def _settings(depth: DepthMap | None, patch_size: float | None) -> dict[str, Any]:
+def _sharpen_width(text: str | None) -> float | Literal["auto"] | None:
+    if text is None or text == "auto":
+        return text  # type: ignore[return-value]
+    try:
+        return float(text)
+    except ValueError:
+        raise click.UsageError(f"--sharpen must be auto or a number of output pixels, got {text!r}") from None
+
+
+def _settings(
+    depth: DepthMap | None, patch_size: float | None, sharpen: float | Literal["auto"] | None = None
+) -> dict[str, Any]:
     """How a picture was rendered, as stored in its file."""
+    sharpened = {} if sharpen is None else {"sharpen": sharpen}
     if depth is not None:
-        return {"rendering": "all in focus", "preset": depth.preset}
+        return {"rendering": "all in focus", "preset": depth.preset, **sharpened}
     if patch_size is not None:
-        return {"rendering": "one patch size", "patch_size": patch_size}
+        return {"rendering": "one patch size", "patch_size": patch_size, **sharpened}
     return {"rendering": "traditional"}
 
 
