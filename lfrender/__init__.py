@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from .frames import Frames, open_frames
     from .lens_means import traditional
     from .optics import Optics
-    from .picture import write_picture
-    from .refocusing import focal_stack, refocus
+    from .picture import write_picture, write_stack
+    from .refocusing import focal_stack, refocus, stack_depths
     from .rendering import Rendering
     from .view_files import stereo_pair, write_animation, write_grid
     from .viewpoints import circle_offsets, grid_offsets, views
@@ -36,12 +36,14 @@ __all__ = [
     "render",
     "render_frames",
     "render_frames_on",
+    "stack_depths",
     "stereo_pair",
     "traditional",
     "views",
     "write_animation",
     "write_grid",
     "write_picture",
+    "write_stack",
 ]
 
 _HOMES = {
@@ -61,12 +63,14 @@ _HOMES = {
     "render": "drawing",
     "render_frames": "batch",
     "render_frames_on": "cluster",
+    "stack_depths": "refocusing",
     "stereo_pair": "view_files",
     "traditional": "lens_means",
     "views": "viewpoints",
     "write_animation": "view_files",
     "write_grid": "view_files",
     "write_picture": "picture",
+    "write_stack": "picture",
 }
 
 

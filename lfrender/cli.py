@@ -201,8 +201,16 @@ def render(
 @click.argument("flat", type=_PATH)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="PICTURE", help="Picture to write: .tif, .png, ...")
 @click.option("-c", "--camera", type=_PATH, help=_CAMERA + " Without it, the camera is calibrated from FLAT.")
-@click.option("--patch-size", type=float, help="Signed patch size [px] in focus: > 0 telescopic, < 0 binocular.")
+@click.option(
+    "--patch-size",
+    "patch_sizes",
+    type=float,
+    multiple=True,
+    help="Signed patch size [px] in focus: > 0 telescopic, < 0 binocular. Several times: a focal stack.",
+)
 @click.option("--at", type=float, nargs=2, metavar="X Y", help="Focus on this place [px of the flat] instead.")
+@click.option("--stack", type=click.IntRange(1), metavar="N", help="N pictures from the farthest depth to the nearest.")
+@click.option("--depth", "depth_file", type=_PATH, help="Depth map by 'lfrender analyze', for --at and --stack.")
 @click.option("--aperture", type=float, default=1.0, show_default=True, help="Part of the aperture used, 0.05 to 1.")
 @click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
 @console.report_options
@@ -210,16 +218,29 @@ def refocus(
     flat: Path,
     output: Path,
     camera: Path | None,
-    patch_size: float | None,
+    patch_sizes: tuple[float, ...],
     at: tuple[float, float] | None,
+    stack: int | None,
+    depth_file: Path | None,
     aperture: float,
     scale: float | None,
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Render FLAT in focus at one depth, out of focus before and behind it."""
+    """Render FLAT in focus at one depth, out of focus before and behind it.
+
+    Several depths make a focal stack on one grid: pages of one TIFF, or PICTURE_01.png and so on.
+
+    \b
+    Examples:
+      lfrender refocus flat.png -c camera.json -o near.tif --at 812 455
+      lfrender refocus flat.png -c camera.json -o stack.tif --stack 12
+    """
     report = console.Report(as_json, quiet)
-    check_picture(output, inputs=[flat, camera])
+    _at_most_one("--patch-size", patch_sizes or None, "--at", at, "--stack", stack)
+    if not (patch_sizes or at or stack):
+        raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
+    check_picture(output, inputs=[flat, camera, depth_file])
     with report.stage("read"):
         from lfcal import read_flat
 
@@ -228,19 +249,38 @@ def refocus(
     with report.stage("calibrate"):
         calibration = _camera_of(report, flat, pixels, camera, None, None)
         pixels = _in_colour(pixels, calibration)
+    depth = None
+    if at or stack:
+        with report.stage("analyze"):
+            depth = _read_depth(depth_file) if depth_file else _analyze(report, pixels, calibration, "balanced")
     with report.stage("render"):
+        from . import focal_stack, stack_depths
         from . import refocus as run
 
         report.announce_compilation("lfrender")
         try:
-            picture = run(pixels, calibration, patch_size, position=at, aperture=aperture, scale=scale)
+            sizes = stack_depths(depth, stack) if depth is not None and stack else list(patch_sizes)
+            if len(sizes) > 1:
+                pictures = focal_stack(pixels, calibration, sizes, aperture=aperture, scale=scale)
+            else:
+                one = sizes[0] if sizes else None
+                pictures = [run(pixels, calibration, one, position=at, depth=depth, aperture=aperture, scale=scale)]
         except LightFieldError:
             raise
         except ValueError as error:
             raise click.UsageError(str(error)) from error
     with report.stage("write"):
-        write_picture(output, picture, settings={"rendering": "refocused", "patch_size": patch_size, "at": at})
-    report.finish({"picture": str(output), **_picture_figures(picture), **_camera_figures(calibration)})
+        settings = [{"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))]
+        if len(pictures) > 1:
+            from . import write_stack
+
+            paths = write_stack(output, pictures, settings=settings, embedded=read_embedded(flat))
+        else:
+            write_picture(output, pictures[0], settings=settings[0], embedded=read_embedded(flat))
+            paths = [output]
+    written = {"picture": str(output)} if len(paths) == 1 else {"pictures": [str(path) for path in paths]}
+    figures = {**_picture_figures(pictures[0]), **_camera_figures(calibration)}
+    report.finish({**written, "patch_sizes": sizes, **figures})
 
 
 @main.command()
