@@ -72,10 +72,10 @@ def _width(
     pixels: NDArray, calibration: Calibration, sizes: NDArray[np.float32], scale: float, full: float, averaged: float
 ) -> float:
     """Side [output px] of the square that the microlenses blur a picture over, beyond its pixels."""
-    blur = averaged or lens_blur(pixels, calibration, sizes)
+    blur = _SURE * (averaged or lens_blur(pixels, calibration, sizes))
     # In a picture coarser than the flat, the blur has counted as a part of the footprint of its pixels.
     excess = (blur * scale) ** 2 + (min((scale / full) ** 2 - 1, 0.0) if averaged else 0.0)
-    return _SURE * float(np.sqrt(max(excess, 0.0)))
+    return float(np.sqrt(max(excess, 0.0)))
 
 
 def _off_edges(

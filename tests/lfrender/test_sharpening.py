@@ -52,6 +52,11 @@ def test_little_noise_lets_pictures_gain(scene, gain):
     assert psnr(scene, LOW, "auto") > psnr(scene, LOW, None) + gain
 
 
+@pytest.mark.parametrize("scene", ["plane", "slope"])
+def test_a_coarse_picture_is_not_sharpened_beyond_its_pixels(scene):
+    assert psnr(scene, LOW, "auto", scale=0.15 * 23.2) > psnr(scene, LOW, None, scale=0.15 * 23.2) - 0.05
+
+
 @pytest.mark.parametrize("scene", ["plane", "slope", "clutter"])
 def test_much_noise_costs_nothing(scene):
     assert psnr(scene, HIGH, "auto") > psnr(scene, HIGH, None) - 0.01
