@@ -54,15 +54,14 @@ def sharpened(
     averaged : float
         Blur that the picture has been drawn for, over `|s|`; 0 where it is not coarser than the flat.
     """
-    sigma = noise_of(pixels, calibration)
-    width = _width(pixels, calibration, sizes, scale, full, sigma, averaged > 0) if sharpen == "auto" else sharpen
+    width = _width(pixels, calibration, sizes, scale, full, averaged) if sharpen == "auto" else float(sharpen)
     if width <= 0:
         return image
     rng = np.random.default_rng(0)
     # What becomes of the noise of the flat is seen on noise alone, drawn the same way.
     grain = rng.standard_normal((*pixels.shape[:2], 1), np.float32) * np.float32(_FAINT)
     drawn, _, _ = _draw(grain, calibration, surface, scale, blend, averaged)
-    noise = spectrum(drawn) * (sigma / _FAINT) ** 2
+    noise = spectrum(drawn) * (noise_of(pixels, calibration) / _FAINT) ** 2
     sharp = without_blur(image, width, noise, valid)
     if surface.patch_size.size == 1:
         return sharp
@@ -70,18 +69,12 @@ def sharpened(
 
 
 def _width(
-    pixels: NDArray,
-    calibration: Calibration,
-    sizes: NDArray[np.float32],
-    scale: float,
-    full: float,
-    sigma: float,
-    coarse: bool,
+    pixels: NDArray, calibration: Calibration, sizes: NDArray[np.float32], scale: float, full: float, averaged: float
 ) -> float:
     """Side [output px] of the square that the microlenses blur a picture over, beyond its pixels."""
-    blur = _SURE * lens_blur(pixels, calibration, sizes, sigma)
+    blur = _SURE * (averaged or lens_blur(pixels, calibration, sizes))
     # In a picture coarser than the flat, the blur has counted as a part of the footprint of its pixels.
-    excess = (blur * scale) ** 2 + (min((scale / full) ** 2 - 1, 0.0) if coarse else 0.0)
+    excess = (blur * scale) ** 2 + (min((scale / full) ** 2 - 1, 0.0) if averaged else 0.0)
     return float(np.sqrt(max(excess, 0.0)))
 
 

@@ -47,7 +47,7 @@ def ready_to_read(pixels: NDArray) -> NDArray:
     return cv2.filter2D(pixels, -1, kernel, borderType=cv2.BORDER_REPLICATE).reshape(pixels.shape)
 
 
-def lens_blur(pixels: NDArray, calibration: Calibration, patch_size: NDArray[np.float32], noise: float = 0.0) -> float:
+def lens_blur(pixels: NDArray, calibration: Calibration, patch_size: NDArray[np.float32]) -> float:
     """Width over which the microlenses have averaged the scene, in shares of the patch size.
 
     Brightness differs the more, the farther places lie apart: in a sharp picture of edges of all sizes its mean square
@@ -60,8 +60,6 @@ def lens_blur(pixels: NDArray, calibration: Calibration, patch_size: NDArray[np.
     calibration : Calibration
     patch_size : (n,) float32 [px]
         Of all lenses, NaN where unresolved.
-    noise : float
-        Standard deviation of a pixel, which differences hold at all distances alike; left in, it hides blur.
 
     Returns
     -------
@@ -77,8 +75,7 @@ def lens_blur(pixels: NDArray, calibration: Calibration, patch_size: NDArray[np.
     kinds = np.zeros(len(lenses), int) if types is None else types.of(calibration.lattice.indices()[lenses])
     # The sharpest type leads where it is in focus, and must not alias.
     return min(
-        _blur_of(pixels, calibration, patch_size, lenses[kinds == kind], radius, lags, noise)
-        for kind in np.unique(kinds)
+        _blur_of(pixels, calibration, patch_size, lenses[kinds == kind], radius, lags) for kind in np.unique(kinds)
     )
 
 
@@ -89,14 +86,12 @@ def _blur_of(
     lenses: NDArray[np.int64],
     radius: float,
     lags: NDArray[np.int64],
-    noise: float,
 ) -> float:
     """`lens_blur` of some lenses: the mean over parts of their range of depth, by their contrast."""
     lenses = lenses[:: max(1, len(lenses) // _LENSES)]
     lenses = lenses[np.argsort(np.abs(patch_size[lenses]), kind="stable")]
     found = np.zeros((len(lenses), len(lags)))
     _differences(pixels, calibration.lattice.centres()[lenses], radius, lags, found)
-    found -= 2 * pixels.shape[2] * noise * noise
     models = _models(lags)
     total = weight = 0.0
     for part in np.array_split(np.arange(len(lenses)), min(_PARTS, len(lenses))):
