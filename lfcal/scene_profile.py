@@ -28,6 +28,8 @@ _PIXELS = 1e6
 _CORE = 0.6
 # Windows of the field as dark as this, over the mean, say nothing.
 _DARK = 0.02
+# Light is even within this distance from the middle of a microimage [px]: a pixel blurs as much.
+_MIDDLE = 1.5
 # Parts of the profile nearer to 1 than so many standard errors are taken for 1.
 _UNSURE = 2.0
 
@@ -95,6 +97,10 @@ def scene_profile(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap)
     bright = level > _DARK * level.mean()
     if not bright.any():
         return gain.profile
+    # A lens has few pixels in its middle, which must not tell more than those around them.
+    middle = rings * gain.step < _MIDDLE
+    for sums in (up, down):
+        sums[:, middle] = sums[:, middle].mean(1, keepdims=True)
     # Each part of the field counts by its pixels, not by its light.
     up, down = up[bright] / level[bright, None], down[bright]
     pixels = down.sum(0)

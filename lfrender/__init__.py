@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from .frames import Frames, open_frames
     from .lens_means import traditional
     from .optics import Optics
-    from .picture import write_picture
+    from .picture import write_picture, write_stack
     from .plotting import napari_layers
-    from .refocusing import focal_stack, refocus
+    from .refocusing import focal_stack, refocus, stack_depths
     from .rendering import Rendering
     from .report_page import write_report
     from .view_files import stereo_pair, write_animation, write_grid
@@ -40,6 +40,7 @@ __all__ = [
     "render",
     "render_frames",
     "render_frames_on",
+    "stack_depths",
     "stereo_pair",
     "traditional",
     "views",
@@ -47,6 +48,7 @@ __all__ = [
     "write_grid",
     "write_picture",
     "write_report",
+    "write_stack",
     "write_viewer",
 ]
 
@@ -68,6 +70,7 @@ _HOMES = {
     "render": "drawing",
     "render_frames": "batch",
     "render_frames_on": "cluster",
+    "stack_depths": "refocusing",
     "stereo_pair": "view_files",
     "traditional": "lens_means",
     "views": "viewpoints",
@@ -75,6 +78,7 @@ _HOMES = {
     "write_grid": "view_files",
     "write_picture": "picture",
     "write_report": "report_page",
+    "write_stack": "picture",
     "write_viewer": "viewer_page",
 }
 

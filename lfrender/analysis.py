@@ -32,6 +32,8 @@ __all__ = ["PRESETS", "analyze"]
 
 # Beyond this share of the pitch neighbouring microimages share too little to tell (GEOMETRY.md).
 _RESOLVABLE = 0.75
+# A scene without any texture is drawn at this s / D: from the middle of the microimages. Its sign makes no difference.
+_UNTOLD = 0.25
 _SURE = 0.5
 # A second depth is one where this share of the lenses has its first: a depth that no lens sees alone is more likely a
 # false match.
@@ -263,6 +265,7 @@ def _lens_by_lens(
         return _on_plane(plane, lattice, preset, reason, sure, _saved(shortcuts, some, found, sample, kept))
     gap = max(1.0, 0.05 * lattice.pitch)
     guess = found.patch_size if known is None else np.where(np.isfinite(known), known, found.patch_size)
+    guess = _within_reach(guess, refined, reason, lattice.pitch)
     drawn = fill(np.where(resolved, refined, guess).astype(np.float32), resolved, neighbours, gap)
     populated = _populated(found.second, refined[resolved], gap)
     seconds = np.where(textured & populated, found.second, np.nan).astype(np.float32)
@@ -298,6 +301,17 @@ def _lens_by_lens(
         reason=reason,
         saved=saved,
     )
+
+
+def _within_reach(guess: NDArray, refined: NDArray, reason: NDArray[np.int8], pitch: float) -> NDArray:
+    """First guesses of unresolved lenses; those without texture that end where no depth is resolvable start anew.
+
+    Costs that are all alike have their minimum at an end of the range. Drawn there, a blank place would be read at
+    the rims of microimages.
+    """
+    astray = (reason == 1) & (np.abs(guess) > _RESOLVABLE * pitch)
+    known = refined[reason == 0]
+    return np.where(astray, np.median(known) if known.size else _UNTOLD * pitch, guess)
 
 
 def _grown(mask: NDArray[np.bool_], neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:

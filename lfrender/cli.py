@@ -146,6 +146,11 @@ def analyze(
 @click.option("--traditional", is_flag=True, help="One pixel per microlens, the mean of its microimage.")
 @click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
 @click.option(
+    "--sharpen",
+    metavar="auto|PX",
+    help="Take back the blur of the microlenses, as far as noise allows: as measured, or of so many output pixels.",
+)
+@click.option(
     "--mosaic",
     type=click.Choice(["RGGB", "BGGR", "GRBG", "GBRG"]),
     help="Colour filters of the top left 2 x 2 pixels of a raw mosaic, where the camera file does not say.",
@@ -164,6 +169,7 @@ def render(
     blend: bool,
     traditional: bool,
     scale: float | None,
+    sharpen: str | None,
     mosaic: Mosaic | None,
     alpha: bool,
     compress: bool,
@@ -179,6 +185,8 @@ def render(
     _at_most_one("--depth", depth_file, "--patch-size", patch_size, "--traditional", traditional or None)
     _at_most_one("--camera", camera, "--white", white)
     _at_most_one("--scale", scale, "--traditional", traditional or None)
+    _at_most_one("--sharpen", sharpen, "--traditional", traditional or None)
+    width = _sharpen_width(sharpen)
     if blend and patch_size is None:
         raise click.UsageError("--blend needs --patch-size")
     check_picture(output, alpha=alpha, inputs=[flat, camera, white, depth_file])
@@ -196,10 +204,10 @@ def render(
         with report.stage("analyze"):
             depth = _read_depth(depth_file) if depth_file else _analyze(report, pixels, calibration, preset)
     with report.stage("render"):
-        picture = _render(report, pixels, calibration, depth, patch_size, traditional, scale, blend or None)
+        picture = _render(report, pixels, calibration, depth, patch_size, traditional, scale, blend or None, width)
     with report.stage("write"):
         write_picture(
-            output, picture, alpha=alpha, settings=_settings(depth, patch_size), embedded=read_embedded(flat),
+            output, picture, alpha=alpha, settings=_settings(depth, patch_size, width), embedded=read_embedded(flat),
             compress=compress,
         )  # fmt: skip
     figures = {**_camera_figures(calibration), **(_depth_figures(depth) if depth else {})}
@@ -210,8 +218,16 @@ def render(
 @click.argument("flat", type=_PATH)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="PICTURE", help="Picture to write: .tif, .png, ...")
 @click.option("-c", "--camera", type=_PATH, help=_CAMERA + " Without it, the camera is calibrated from FLAT.")
-@click.option("--patch-size", type=float, help="Signed patch size [px] in focus: > 0 telescopic, < 0 binocular.")
+@click.option(
+    "--patch-size",
+    "patch_sizes",
+    type=float,
+    multiple=True,
+    help="Signed patch size [px] in focus: > 0 telescopic, < 0 binocular. Several times: a focal stack.",
+)
 @click.option("--at", type=float, nargs=2, metavar="X Y", help="Focus on this place [px of the flat] instead.")
+@click.option("--stack", type=click.IntRange(1), metavar="N", help="N pictures from the farthest depth to the nearest.")
+@click.option("--depth", "depth_file", type=_PATH, help="Depth map by 'lfrender analyze', for --at and --stack.")
 @click.option("--aperture", type=float, default=1.0, show_default=True, help="Part of the aperture used, 0.05 to 1.")
 @click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
 @console.report_options
@@ -219,16 +235,29 @@ def refocus(
     flat: Path,
     output: Path,
     camera: Path | None,
-    patch_size: float | None,
+    patch_sizes: tuple[float, ...],
     at: tuple[float, float] | None,
+    stack: int | None,
+    depth_file: Path | None,
     aperture: float,
     scale: float | None,
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Render FLAT in focus at one depth, out of focus before and behind it."""
+    """Render FLAT in focus at one depth, out of focus before and behind it.
+
+    Several depths make a focal stack on one grid: pages of one TIFF, or PICTURE_01.png and so on.
+
+    \b
+    Examples:
+      lfrender refocus flat.png -c camera.json -o near.tif --at 812 455
+      lfrender refocus flat.png -c camera.json -o stack.tif --stack 12
+    """
     report = console.Report(as_json, quiet)
-    check_picture(output, inputs=[flat, camera])
+    _at_most_one("--patch-size", patch_sizes or None, "--at", at, "--stack", stack)
+    if not (patch_sizes or at or stack):
+        raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
+    check_picture(output, inputs=[flat, camera, depth_file])
     with report.stage("read"):
         from lfcal import read_flat
 
@@ -237,19 +266,38 @@ def refocus(
     with report.stage("calibrate"):
         calibration = _camera_of(report, flat, pixels, camera, None, None)
         pixels = _in_colour(pixels, calibration)
+    depth = None
+    if at or stack:
+        with report.stage("analyze"):
+            depth = _read_depth(depth_file) if depth_file else _analyze(report, pixels, calibration, "balanced")
     with report.stage("render"):
+        from . import focal_stack, stack_depths
         from . import refocus as run
 
         report.announce_compilation("lfrender")
         try:
-            picture = run(pixels, calibration, patch_size, position=at, aperture=aperture, scale=scale)
+            sizes = stack_depths(depth, stack) if depth is not None and stack else list(patch_sizes)
+            if len(sizes) > 1:
+                pictures = focal_stack(pixels, calibration, sizes, aperture=aperture, scale=scale)
+            else:
+                one = sizes[0] if sizes else None
+                pictures = [run(pixels, calibration, one, position=at, depth=depth, aperture=aperture, scale=scale)]
         except LightFieldError:
             raise
         except ValueError as error:
             raise click.UsageError(str(error)) from error
     with report.stage("write"):
-        write_picture(output, picture, settings={"rendering": "refocused", "patch_size": patch_size, "at": at})
-    report.finish({"picture": str(output), **_picture_figures(picture), **_camera_figures(calibration)})
+        settings = [{"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))]
+        if len(pictures) > 1:
+            from . import write_stack
+
+            paths = write_stack(output, pictures, settings=settings, embedded=read_embedded(flat))
+        else:
+            write_picture(output, pictures[0], settings=settings[0], embedded=read_embedded(flat))
+            paths = [output]
+    written = {"picture": str(output)} if len(paths) == 1 else {"pictures": [str(path) for path in paths]}
+    figures = {**_picture_figures(pictures[0]), **_camera_figures(calibration)}
+    report.finish({**written, "patch_sizes": sizes, **figures})
 
 
 @main.command(
@@ -633,6 +681,7 @@ def _render(
     traditional: bool,
     scale: float | None,
     blend: bool | None,
+    sharpen: float | Literal["auto"] | None,
 ) -> Rendering:
     from . import render as run
     from . import traditional as run_traditional
@@ -641,11 +690,11 @@ def _render(
     if traditional:
         return run_traditional(pixels, calibration)
     try:
-        return run(pixels, calibration, depth, patch_size=patch_size, scale=scale, blend=blend)
+        return run(pixels, calibration, depth, patch_size=patch_size, scale=scale, blend=blend, sharpen=sharpen)
     except LightFieldError:
         raise
     except ValueError as error:
-        if patch_size is None and scale is None:
+        if patch_size is None and scale is None and sharpen is None:
             raise
         raise click.UsageError(str(error)) from error
 
@@ -656,12 +705,24 @@ def _at_most_one(*pairs: Any) -> None:
         raise click.UsageError(f"{given[0]} and {given[1]} exclude each other")
 
 
-def _settings(depth: DepthMap | None, patch_size: float | None) -> dict[str, Any]:
+def _sharpen_width(text: str | None) -> float | Literal["auto"] | None:
+    if text is None or text == "auto":
+        return text  # type: ignore[return-value]
+    try:
+        return float(text)
+    except ValueError:
+        raise click.UsageError(f"--sharpen must be auto or a number of output pixels, got {text!r}") from None
+
+
+def _settings(
+    depth: DepthMap | None, patch_size: float | None, sharpen: float | Literal["auto"] | None = None
+) -> dict[str, Any]:
     """How a picture was rendered, as stored in its file."""
+    sharpened = {} if sharpen is None else {"sharpen": sharpen}
     if depth is not None:
-        return {"rendering": "all in focus", "preset": depth.preset}
+        return {"rendering": "all in focus", "preset": depth.preset, **sharpened}
     if patch_size is not None:
-        return {"rendering": "one patch size", "patch_size": patch_size}
+        return {"rendering": "one patch size", "patch_size": patch_size, **sharpened}
     return {"rendering": "traditional"}
 
 

@@ -15,8 +15,9 @@ from lfcal import check_output, whole_file
 
 from .depthmap import DepthMap
 from .mosaic import patch_size_at
+from .surface import Surface
 
-__all__ = ["DENSE_FORMATS", "DenseDepth", "dense_depth", "write_dense"]
+__all__ = ["DENSE_FORMATS", "DenseDepth", "dense_depth", "sampled", "write_dense"]
 
 DENSE_FORMATS = (".tif", ".tiff", ".pfm")
 
@@ -47,6 +48,17 @@ def _sample(surface, grid_x, grid_y, cell, edge, first, spacing, out):
             out[v, u] = patch_size_at(surface, np.float32(first + u * spacing), y, grid_x, grid_y, cell, edge)
 
 
+def sampled(surface: Surface, pitch: float, shape: tuple[int, int], spacing: float) -> NDArray[np.float32]:
+    """Patch size [px] at every pixel of a picture of this shape, whose pixels are `spacing` apart on the flat."""
+    out = np.empty(shape, np.float32)
+    single = np.float32
+    _sample(
+        surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
+        single(max(0.5, 0.03 * pitch)), 0.5 * spacing - 0.5, spacing, out,
+    )  # fmt: skip
+    return out
+
+
 def dense_depth(depth: DepthMap, scale: float | None = None) -> DenseDepth:
     """Patch size at every pixel of the picture that `render` draws at `scale`, as it draws it.
 
@@ -71,13 +83,9 @@ def dense_depth(depth: DepthMap, scale: float | None = None) -> DenseDepth:
         raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * pitch:.0f}), got {scale}")
     spacing = pitch / scale
     width, height = depth.image_size
-    out = np.empty((max(1, round(height / spacing)), max(1, round(width / spacing))), np.float32)
+    shape = (max(1, round(height / spacing)), max(1, round(width / spacing)))
     first = 0.5 * spacing - 0.5
-    surface, single = depth.surface, np.float32
-    _sample(
-        surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
-        single(max(0.5, 0.03 * pitch)), first, spacing, out,
-    )  # fmt: skip
+    out = sampled(depth.surface, pitch, shape, spacing)
     return DenseDepth(out, np.array([[spacing, 0.0, first], [0.0, spacing, first]]), pitch)
 
 

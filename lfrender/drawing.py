@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,6 +57,7 @@ def render(
     patch_size: float | None = None,
     scale: float | None = None,
     blend: bool | None = None,
+    sharpen: float | Literal["auto"] | None = None,
 ) -> Rendering:
     """Draw the scene that a flat shows, sharp at every depth.
 
@@ -75,6 +78,9 @@ def render(
     blend : bool, optional
         True averages all lenses that agree on a point, False reads each point from the lens
         whose centre is nearest. By default True for a depth map and False for one patch size.
+    sharpen : float or "auto", optional
+        Take back the blur of the microlenses as far as noise allows: "auto" that which is measured on the flat, a
+        number that of a square with sides of so many output pixels.
 
     Returns
     -------
@@ -105,6 +111,8 @@ def render(
     scale = full if scale is None else scale
     if not (np.isfinite(scale) and 0 < scale <= 4 * lattice.pitch):
         raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * lattice.pitch:.0f}), got {scale}")
+    if sharpen is not None and sharpen != "auto" and not (np.isfinite(sharpen) and sharpen >= 0):
+        raise ValueError(f"sharpen must be 'auto' or a width of 0 or more output pixels, got {sharpen!r}")
     blend = patch_size is None if blend is None else blend
     if patch_size is not None and not blend and scale == full and _plain(calibration):
         image, valid, affine = _patches(pixels, calibration, patch_size)
@@ -112,6 +120,12 @@ def render(
     blur = lens_blur(pixels, calibration, sizes) if scale * _COARSE < full else 0.0
     reach = _REACH_FAST if depth is not None and depth.preset == "fast" else _REACH
     image, lenses, affine = _draw(pixels, calibration, surface, float(scale), blend, blur, reach=reach)
+    if sharpen is not None:
+        from .sharpening import sharpened
+
+        image = sharpened(
+            image, lenses > 0, sharpen, pixels, calibration, surface, sizes, float(scale), full, blend, blur
+        )
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
     return Rendering(_like(image, np.asarray(flat).dtype), affine, lenses > 0, float(scale))

@@ -23,6 +23,7 @@ from .analysis import analyze
 from .demosaicing import demosaic
 from .depthmap import DepthMap
 from .drawing import default_scale, render
+from .embedded import Embedded, read_embedded
 from .frames import Frame
 from .picture import check_picture, write_picture
 
@@ -127,7 +128,7 @@ class Job:
             pixels = flat()
             depth = key.depth if key.number == number else self.depth_after(key, pixels)
             assert depth is not None
-            self.write(path, pixels, depth)
+            self.write(path, pixels, depth, Embedded() if frame.source is None else read_embedded(frame.source))
         except OutputError:
             raise
         except LightFieldError as error:
@@ -191,8 +192,9 @@ class Job:
         with whole_file(state / "settings.json") as temporary:
             temporary.write_text(json.dumps({"preset": self.preset, "scale": self.scale}), encoding="utf-8")
 
-    def write(self, path: Path, pixels: NDArray[Any], depth: DepthMap) -> None:
-        """Draw and write the picture of a frame."""
+    def write(self, path: Path, pixels: NDArray[Any], depth: DepthMap, embedded: Embedded) -> None:
+        """Draw and write the picture of a frame, with what its file says of its colours and of how it was taken."""
         picture = render(pixels, self.camera(pixels), depth, scale=self.scale)
         check_picture(path, np.asarray(picture.image).dtype)
-        write_picture(path, picture, settings={"rendering": "all in focus", "preset": self.preset})
+        settings = {"rendering": "all in focus", "preset": self.preset}
+        write_picture(path, picture, settings=settings, embedded=embedded)

@@ -37,10 +37,13 @@ class Frame:
         Of its picture, without a suffix.
     read : callable
         Gives the flat (h, w) or (h, w, 3); raises FlatError where it cannot be read.
+    source : Path or None
+        Its image file, whose colour profile and EXIF data its picture keeps; None for frames of videos.
     """
 
     name: str
     read: Callable[[], NDArray[Any]]
+    source: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ class Frames:
                 yield from _video_frames(part.path)
                 continue
             for page, name in enumerate(part.names):
-                yield Frame(name, partial(read_flat, part.path, page if len(part.names) > 1 else None))
+                yield Frame(name, partial(read_flat, part.path, page if len(part.names) > 1 else None), part.path)
 
 
 def open_frames(inputs: Iterable[str | os.PathLike[str]]) -> Frames:

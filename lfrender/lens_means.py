@@ -12,16 +12,18 @@ from .drawing import _like
 from .fastmath import FAST
 from .flatcheck import check_flat
 from .neighbours import lens_grid
-from .radiance import gain_table
+from .radiance import gain_table, lens_by_lens
 from .rendering import Rendering
 
 __all__ = ["traditional"]
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _lens_means(flat, centres, radius, gains, gain_step, out):
+def _lens_means(flat, centres, radius, gains, gain_step, unlit, out, lit):
+    """Mean of each microimage over the pixels that are not `unlit` ((0, 0): all are lit), and how many those are."""
     height, width, channels = flat.shape
     last = len(gains) - 1
+    known = unlit.size > 0
     for lens in prange(len(centres)):
         cx, cy = centres[lens, 0], centres[lens, 1]
         count = 0
@@ -30,12 +32,15 @@ def _lens_means(flat, centres, radius, gains, gain_step, out):
         for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
             half = np.sqrt(max(0.0, radius * radius - (y - cy) * (y - cy)))
             for x in range(max(0, int(np.ceil(cx - half))), min(width - 1, int(np.floor(cx + half))) + 1):
+                if known and unlit[y, x]:
+                    continue
                 gain = gains[min(int(((x - cx) ** 2 + (y - cy) ** 2) / gain_step), last)]
                 for k in range(channels):
                     out[lens, k] += gain * np.float32(flat[y, x, k])
                 count += 1
         for k in range(channels):
             out[lens, k] /= max(count, 1)
+        lit[lens] = count
 
 
 def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
@@ -56,25 +61,34 @@ def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
     pixels = check_flat(flat, calibration)
     lattice = calibration.lattice
     gains, gain_step = gain_table(calibration)
+    unlit = np.empty((0, 0), bool)
+    if lens_by_lens(calibration):
+        unlit = np.isnan(calibration.gain())
+        pixels, gains = calibration.flatten(pixels), np.ones_like(gains)
     means = np.empty((len(lattice), pixels.shape[2]), np.float32)
-    _lens_means(pixels, lattice.centres(), lattice.radius, gains, gain_step, means)
+    lit = np.empty(len(lattice), np.int64)
+    _lens_means(pixels, lattice.centres(), lattice.radius, gains, gain_step, unlit, means, lit)
     width, height = lattice.image_size
     pitch = lattice.pitch
     columns, rows = max(1, round(width / pitch)), max(1, round(height / pitch))
     first = 0.5 * pitch - 0.5
     v, u = np.mgrid[:rows, :columns]
-    image = _between_lenses(calibration, means, np.stack([u, v], -1).reshape(-1, 2) * pitch + first)
+    points = np.stack([u, v], -1).reshape(-1, 2) * pitch + first
+    image, known = _between_lenses(calibration, means, lit > 0, points)
     image = image.reshape(rows, columns, -1)
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
     affine = np.array([[pitch, 0.0, first], [0.0, pitch, first]])
-    return Rendering(_like(image, np.asarray(flat).dtype), affine, np.ones((rows, columns), bool), 1.0)
+    return Rendering(_like(image, np.asarray(flat).dtype), affine, known.reshape(rows, columns), 1.0)
 
 
 def _between_lenses(
-    calibration: Calibration, means: NDArray[np.float32], points: NDArray[np.float64]
-) -> NDArray[np.float32]:
-    """Lens means at scene points, linear between the lenses of a lattice cell, the nearest at the border."""
+    calibration: Calibration, means: NDArray[np.float32], lit: NDArray[np.bool_], points: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Means of the `lit` lenses at scene points, linear between those of a lattice cell, the nearest at the border.
+
+    The second array tells where there is one.
+    """
     grid, low = lens_grid(calibration.lattice)
     index = calibration.lattice.to_index(points) - low
     corner = np.floor(index).astype(int)
@@ -86,8 +100,8 @@ def _between_lenses(
         inside = (i >= 0) & (j >= 0) & (i < grid.shape[1]) & (j < grid.shape[0])
         lens = np.where(inside, grid[np.where(inside, j, 0), np.where(inside, i, 0)], -1)
         weight = np.abs(1 - di - part[:, 0]) * np.abs(1 - dj - part[:, 1]) + np.float32(1e-6)
-        weight = np.where(lens >= 0, weight, 0).astype(np.float32)
+        weight = np.where((lens >= 0) & lit[lens], weight, 0).astype(np.float32)
         total += weight[:, None] * means[lens]
         weights += weight
     total /= np.maximum(weights, np.float32(1e-9))[:, None]
-    return total
+    return total, weights > 0

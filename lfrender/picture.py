@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from lfcal import LightFieldError, check_output, whole_file
 
 from .embedded import Embedded, embed_in_jpeg, embed_in_png
 
-__all__ = ["PictureError", "check_picture", "write_picture"]
+__all__ = ["PictureError", "check_picture", "write_picture", "write_stack"]
 
 #: Which pixel types each format holds.
 _FORMATS: dict[str, tuple[str, ...]] = {
@@ -31,6 +31,8 @@ _FORMATS: dict[str, tuple[str, ...]] = {
 }
 _JPEG_QUALITY = 95
 _TILE = (256, 256)
+# Plain TIFF counts bytes with 32 bits; 32 MB are left for what stands beside the pixels.
+_LARGEST_TIFF = 2**32 - 2**25
 _NOTHING = Embedded()
 
 
@@ -121,11 +123,61 @@ def write_picture(
     suffix = Path(path).suffix.lower()
     with whole_file(path) as temporary:
         if suffix in (".tif", ".tiff"):
-            _write_tiff(temporary, pixels, text, embedded.icc, compress)
+            _write_tiff(temporary, [(pixels, text)], embedded.icc, compress)
         elif suffix == ".exr":
             _write_exr(temporary, pixels, text)
         else:
             temporary.write_bytes(_encode(pixels, suffix, text, embedded))
+
+
+def write_stack(
+    path: str | os.PathLike[str],
+    pictures: Sequence[Any],
+    *,
+    settings: Sequence[Mapping[str, Any]] | None = None,
+    embedded: Embedded = _NOTHING,
+    compress: bool = False,
+) -> list[Path]:
+    """Write several pictures: as pages of one TIFF, or in other formats as numbered files, `NAME_01.png` and so on.
+
+    Parameters
+    ----------
+    path : path-like
+        The ending chooses the format.
+    pictures : sequence
+        Each as for `write_picture`.
+    settings : sequence of mappings, optional
+        Further entries for the JSON text of each picture.
+    embedded, compress
+        As for `write_picture`.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    OutputError, PictureError
+        As `write_picture`; also without any picture.
+    """
+    if not pictures:
+        raise PictureError(f"{path}: a stack needs at least one picture")
+    texts = settings if settings is not None else [{}] * len(pictures)
+    target = Path(path)
+    if target.suffix.lower() in (".tif", ".tiff"):
+        pages = []
+        for picture, text in zip(pictures, texts, strict=True):
+            pixels = np.asarray(getattr(picture, "image", picture))
+            check_picture(target, pixels.dtype)
+            pages.append((pixels, json.dumps(_describe(picture, text))))
+        with whole_file(target) as temporary:
+            _write_tiff(temporary, pages, embedded.icc, compress)
+        return [target]
+    digits = max(2, len(str(len(pictures))))
+    paths = [target.with_stem(f"{target.stem}_{k + 1:0{digits}d}") for k in range(len(pictures))]
+    for one, picture, text in zip(paths, pictures, texts, strict=True):
+        write_picture(one, picture, settings=text, embedded=embedded)
+    return paths
 
 
 def _describe(picture: Any, settings: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -142,17 +194,23 @@ def _with_alpha(pixels: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
     return np.dstack([pixels, mask])
 
 
-def _write_tiff(path: Path, pixels: NDArray[Any], text: str, icc: bytes, compress: bool) -> None:
+def _write_tiff(path: Path, pages: list[tuple[NDArray[Any], str]], icc: bytes, compress: bool) -> None:
+    """Pixels and descriptions, page by page."""
     import tifffile
 
+    with tifffile.TiffWriter(path, bigtiff=sum(pixels.nbytes for pixels, _ in pages) > _LARGEST_TIFF) as tiff:
+        for pixels, text in pages:
+            _write_page(tiff, pixels, text, icc, compress)
+
+
+def _write_page(tiff: Any, pixels: NDArray[Any], text: str, icc: bytes, compress: bool) -> None:
     tiles: dict[str, Any] = {}
     if compress:
         tiles = {"tile": _TILE, "compression": "zlib", "compressionargs": {"level": 3}}
         tiles["predictor"] = pixels.dtype.kind != "f"
     colour = pixels.ndim == 3 and pixels.shape[2] >= 3
     alpha = pixels.ndim == 3 and pixels.shape[2] in (2, 4)
-    tifffile.imwrite(
-        path,
+    tiff.write(
         np.ascontiguousarray(pixels),
         photometric="rgb" if colour else "minisblack",
         planarconfig="contig" if pixels.ndim == 3 else None,

@@ -164,6 +164,36 @@ def _correct_lenses(centres, radius, around, share, gains, step, image):
                 row[k] *= gains[min(np.int32((dx * dx + dy2) * inverse), last)]
 
 
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _fill_unlit(centres, radius, light, image):
+    """Give pixels whose `light` is NaN the mean of the others within `radius` of their lens.
+
+    Left dark, where microimages are cut would look like texture that moves with the lens.
+    """
+    height, width = image.shape
+    for lens in prange(len(centres)):
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        top, bottom = max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius)))
+        left, right = max(0, int(np.ceil(cx - radius))), min(width - 1, int(np.floor(cx + radius)))
+        total = 0.0
+        lit = unlit = 0
+        for y in range(top, bottom + 1):
+            for x in range(left, right + 1):
+                if (x - cx) ** 2 + (y - cy) ** 2 > radius * radius:
+                    continue
+                if np.isnan(light[y, x]):
+                    unlit += 1
+                else:
+                    total += image[y, x]
+                    lit += 1
+        if lit == 0 or unlit == 0:
+            continue
+        for y in range(top, bottom + 1):
+            for x in range(left, right + 1):
+                if (x - cx) ** 2 + (y - cy) ** 2 <= radius * radius and np.isnan(light[y, x]):
+                    image[y, x] = total / lit
+
+
 def gray_flat(flat: NDArray, calibration: Calibration, factor: int = 1) -> GrayFlat:
     """Brightness of `flat` (H, W, C), corrected for vignetting where microimages are trusted, and a little beyond.
 
@@ -179,7 +209,13 @@ def gray_flat(flat: NDArray, calibration: Calibration, factor: int = 1) -> GrayF
         _mean_blocks(rows, flat.shape[2], factor, 1.0 / white_level(flat), image)
         radius = radius / factor - _MIXED
     centres = lattice.centres().astype(np.float32)
-    if calibration.vignetting is not None:
+    if lens_by_lens(calibration):
+        light = _blocks(calibration.gain(), factor)
+        np.divide(image, light, out=image, where=np.isfinite(light))
+        # Microimages of this radius share no pixel.
+        apart = np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min() / 2
+        _fill_unlit(centres, np.float32(min(radius + _BEYOND, apart)), light, image)
+    elif calibration.vignetting is not None:
         gains, step = gain_table(calibration)
         step /= factor**2
         around = lattice.steps @ lattice.basis
@@ -188,6 +224,13 @@ def gray_flat(flat: NDArray, calibration: Calibration, factor: int = 1) -> GrayF
             centres, np.float32(radius + _BEYOND), around.astype(np.float32), np.float32(share), gains, step, image
         )
     return GrayFlat(image, centres, radius, lattice.pitch)
+
+
+def _blocks(light: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    """Mean over `factor` x `factor` pixels, NaN where one of them is."""
+    height, width = (n // factor for n in light.shape)
+    whole = light[: height * factor, : width * factor]
+    return np.ascontiguousarray(whole.reshape(height, factor, width, factor).mean((1, 3)))
 
 
 def trusted_radius(calibration: Calibration) -> float:

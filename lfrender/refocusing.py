@@ -15,8 +15,9 @@ from .flatcheck import check_flat
 from .rendering import Rendering
 from .sharpness import lens_blur
 from .surface import Surface
+from .warping import virtual_depth
 
-__all__ = ["focal_stack", "refocus"]
+__all__ = ["focal_stack", "refocus", "stack_depths"]
 
 # The widest blur takes in lenses up to so many pitches away: as many as the drawing kernel mixes.
 _REACH = 3.0
@@ -24,6 +25,10 @@ _REACH = 3.0
 _ANY_COLOUR = 1e3
 # With less of the aperture, a place may lie between the parts of all microimages that are left.
 _LEAST_APERTURE = 0.05
+# A stack spans what lies between these shares of the lenses, the farthest and the nearest.
+_FARTHEST, _NEAREST = 0.02, 0.98
+# Least |D / s| that a depth can be told at (`analysis.py`): between it and its opposite, no picture is in focus.
+_LEAST_MAGNIFICATION = 4 / 3
 
 
 def refocus(
@@ -117,6 +122,35 @@ def focal_stack(
         raise ValueError("patch_sizes must hold at least one number")
     scale = max(map(abs, sizes)) if scale is None else scale
     return [refocus(flat, calibration, s, aperture=aperture, scale=scale) for s in sizes]
+
+
+def stack_depths(depth: DepthMap, count: int) -> list[float]:
+    """Patch sizes for a focal stack through a scene, from far to near [px].
+
+    They are evenly spaced in the virtual depth `D / s`, as is the blur between one and the next.
+
+    Parameters
+    ----------
+    depth : DepthMap
+    count : int
+        How many, at least 1; one alone is in the middle.
+
+    Raises
+    ------
+    ValueError
+        If `count` is below 1, or no lens of the depth map is resolved.
+    """
+    if count < 1:
+        raise ValueError(f"a stack has at least one picture, got {count}")
+    resolved = depth.patch_size[np.isfinite(depth.patch_size)]
+    if not resolved.size:
+        raise ValueError("no lens is resolved, so nothing tells the depths of a stack; give patch sizes")
+    ratio = virtual_depth(resolved, depth.pitch).astype(float)
+    # Without the stretch about the microlenses where nothing is resolved, far telescopic places to near binocular ones.
+    far, near = -np.quantile(np.sign(ratio) * _LEAST_MAGNIFICATION - ratio, [_FARTHEST, _NEAREST])
+    steps = np.linspace(far, near, count) if count > 1 else np.array([(far + near) / 2])
+    signs = np.where(steps == 0, np.sign(np.median(ratio)), np.sign(steps))
+    return [float(depth.pitch / value) for value in steps + signs * _LEAST_MAGNIFICATION]
 
 
 def _depth_at(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 from click.testing import CliRunner
+from PIL import Image, ImageCms
 
 import lfcal
 import lfrender
@@ -55,6 +56,19 @@ def test_frames_come_in_the_order_of_their_numbers_and_keep_depth_where_nothing_
     assert results[1].still > 0.95 and 0.3 < results[3].still < 0.95 and results[4].still > 0.95
     sizes = {tifffile.imread(r.path).shape for r in results}
     assert len(sizes) == 1
+
+
+def test_pictures_keep_the_colour_profile_and_camera_data_of_their_frames(house, tmp_path):
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    exif = Image.Exif()
+    exif[0x010F] = "maker"
+    Image.fromarray(house.flat).save(tmp_path / "a.png", icc_profile=profile, exif=exif)
+    frames = lfrender.open_frames([tmp_path / "a.png"])
+    options = {"preset": "fast", "suffix": ".png"}
+    (result,) = lfrender.render_frames(frames, tmp_path / "out", house.truth.calibration, **options)
+    with Image.open(result.path) as image:
+        assert image.info["icc_profile"] == profile
+        assert image.getexif()[0x010F] == "maker"
 
 
 def test_a_run_that_was_stopped_goes_on_with_the_same_pictures(sequence, whole, tmp_path, monkeypatch):

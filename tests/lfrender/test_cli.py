@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 from click.testing import CliRunner
+from PIL import Image, ImageCms
 
 import lfcal
 from lfrender.cli import main
@@ -97,8 +98,35 @@ def test_refocus_draws_one_depth_and_blend_is_its_mean_over_lenses(house_files, 
     # Mixing lenses that see a place out of focus takes detail from the picture.
     detail = [np.abs(np.diff(image.astype(float), axis=1)).mean() for image in (picture, blend, crisp)]
     assert detail[0] < 0.95 * detail[1] < 0.9 * detail[2]
-    assert_refused(run("refocus", flat, "-c", camera, "-o", tmp_path / "b.tif"), "patch_size and position")
+    assert_refused(run("refocus", flat, "-c", camera, "-o", tmp_path / "b.tif"), "--patch-size, --at and --stack")
     assert_refused(run("render", flat, "-c", camera, "-o", tmp_path / "b.tif", "--blend"), "--blend needs")
+
+
+def test_a_focal_stack_is_written_from_far_to_near_with_the_profile_of_the_flat(house_files, tmp_path):
+    camera, profile = house_files / "camera.json", ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    flat, depth = tmp_path / "flat.png", tmp_path / "depth.npz"
+    with Image.open(house_files / "flat.png") as image:
+        image.save(flat, icc_profile=profile)
+    figures_of("analyze", flat, "-c", camera, "-o", depth, "--preset", "fast")
+    common = ["refocus", flat, "-c", camera, "--depth", depth, "--scale", 5]
+    found = figures_of(*common, "-o", tmp_path / "stack.tif", "--stack", 4)
+    ratios = 1 / np.array(found["patch_sizes"])
+    # The house has a telescopic background and binocular branches in front of it.
+    assert ratios[0] > 0 > ratios[-1] and (np.diff(ratios) < 0).all()
+    with tifffile.TiffFile(tmp_path / "stack.tif") as tiff:
+        assert len(tiff.pages) == 4
+        assert [json.loads(page.description)["patch_size"] for page in tiff.pages] == found["patch_sizes"]
+        assert bytes(tiff.pages[3].tags[34675].value) == profile
+        pages = tiff.asarray()
+    sizes = [word for size in found["patch_sizes"][:2] for word in ("--patch-size", size)]
+    given = figures_of(*common, "-o", tmp_path / "s.png", *sizes)
+    assert given["pictures"] == [str(tmp_path / "s_01.png"), str(tmp_path / "s_02.png")]
+    for path, page in zip(given["pictures"], pages, strict=False):
+        with Image.open(path) as image:
+            np.testing.assert_array_equal(np.asarray(image), page)
+    at = figures_of(*common, "-o", tmp_path / "at.png", "--at", 200, 150)
+    assert at["picture"] == str(tmp_path / "at.png")
+    assert_refused(run(*common, "-o", tmp_path / "b.tif", "--at", 200, 150, "--stack", 3), "exclude each other")
 
 
 def test_alpha_marks_the_pixels_nothing_has_seen(house_files, tmp_path):

@@ -13,7 +13,7 @@ from PIL import Image, ImageCms
 
 from lfcal import OutputError, read_flat
 from lfrender.embedded import Embedded, read_embedded
-from lfrender.picture import PictureError, check_picture, write_picture
+from lfrender.picture import PictureError, check_picture, write_picture, write_stack
 
 AFFINE = np.array([[2.5, 0.0, 1.25], [0.0, 2.5, -3.0]])
 
@@ -152,3 +152,11 @@ def test_float_openexr_comes_back_exactly(tmp_path, rendering, grey):
     with exr.File(str(tmp_path / "picture.exr")) as file:
         np.testing.assert_array_equal(file.channels()["Y" if grey else "RGB"].pixels, rendering.image)
         assert "affine" in json.loads(file.header()["comments"])
+
+
+def test_a_stack_in_a_picture_format_without_pages_is_numbered(tmp_path, rendering):
+    paths = write_stack(tmp_path / "stack.png", [rendering, rendering.image[::-1]], settings=[{"k": 1}, {"k": 2}])
+    assert [path.name for path in paths] == ["stack_01.png", "stack_02.png"]
+    np.testing.assert_array_equal(read_flat(paths[1]), rendering.image[::-1])
+    with pytest.raises(PictureError, match="at least one"):
+        write_stack(tmp_path / "none.tif", [])

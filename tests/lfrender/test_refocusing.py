@@ -71,6 +71,18 @@ def test_a_position_is_focused_at_its_depth():
     assert picture.scale == pytest.approx(0.35 * PITCH, abs=0.05)
 
 
+def test_a_stack_spans_a_slope_evenly_in_virtual_depth():
+    depth = depth_of("slope")
+    ratios = PITCH / np.array(lfrender.stack_depths(depth, 5))
+    np.testing.assert_allclose(np.diff(ratios), np.diff(ratios).mean(), rtol=1e-6)
+    # The slope runs from s / D = -0.55 to -0.15; the nearest has the smallest |s|.
+    assert -2.2 < ratios[0] < -1.6 and -7.5 < ratios[-1] < -4.5
+    (middle,) = lfrender.stack_depths(depth, 1)
+    assert PITCH / middle == pytest.approx(ratios[2], rel=1e-6)
+    with pytest.raises(ValueError, match="at least one"):
+        lfrender.stack_depths(depth, 0)
+
+
 def test_wrong_arguments_are_refused():
     shot = capture("plane", ratio=-0.35)
     camera = shot.truth.calibration
