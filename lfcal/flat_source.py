@@ -21,8 +21,6 @@ from .zarr_flat import is_zarr, open_zarr
 
 __all__ = ["FlatSource", "open_flat"]
 
-# Bytes read at a time where only some columns of the rows are wanted.
-_CHUNK = 1 << 24
 # Strips or tiles of more bytes would have to be decoded again and again; such files are read as a whole.
 _LARGEST_SEGMENT = 1 << 27
 
@@ -166,16 +164,14 @@ class _Rows:
 
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
         row_bytes = int(np.prod(self._row)) * self._kind.itemsize
-        count = rows.stop - rows.start
-        whole = columns.stop - columns.start == self._row[0]
-        out = np.empty((count, columns.stop - columns.start, *self._row[1:]), self._kind)
-        step = count if whole else max(1, _CHUNK // row_bytes)
-        for first in range(0, count, step):
-            some = out[first : first + step]
-            into = some if whole else np.empty((len(some), *self._row), self._kind)
-            self._fill(into, self._start + (rows.start + first) * row_bytes)
-            if not whole:
-                some[:] = into[:, columns]
+        out = np.empty((rows.stop - rows.start, columns.stop - columns.start, *self._row[1:]), self._kind)
+        start = self._start + rows.start * row_bytes
+        if out.shape[1] == self._row[0]:
+            self._fill(out, start)
+        else:
+            start += columns.start * row_bytes // self._row[0]
+            for number, row in enumerate(out):
+                self._fill(row, start + number * row_bytes)
         return tiff_pixels(out, self._page)
 
     def _fill(self, into: NDArray[Any], start: int) -> None:

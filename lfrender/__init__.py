@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from .drawing import default_scale, render
     from .frame_job import FrameResult
     from .frames import Frames, open_frames
+    from .large_rendering import LargePicture, render_large
     from .lens_means import traditional
     from .optics import Optics
     from .picture import write_picture
@@ -23,6 +24,7 @@ __all__ = [
     "DepthMap",
     "FrameResult",
     "Frames",
+    "LargePicture",
     "Optics",
     "Rendering",
     "analyze",
@@ -36,6 +38,7 @@ __all__ = [
     "render",
     "render_frames",
     "render_frames_on",
+    "render_large",
     "stereo_pair",
     "traditional",
     "views",
@@ -48,6 +51,7 @@ _HOMES = {
     "DepthMap": "depthmap",
     "FrameResult": "frame_job",
     "Frames": "frames",
+    "LargePicture": "large_rendering",
     "Optics": "optics",
     "Rendering": "rendering",
     "analyze": "analysis",
@@ -61,6 +65,7 @@ _HOMES = {
     "render": "drawing",
     "render_frames": "batch",
     "render_frames_on": "cluster",
+    "render_large": "large_rendering",
     "stereo_pair": "view_files",
     "traditional": "lens_means",
     "views": "viewpoints",

@@ -135,6 +135,12 @@ def analyze(
 )
 @click.option("--alpha", is_flag=True, help="Make pixels that no lens has seen transparent (not in JPEG).")
 @click.option("--compress", is_flag=True, help="Write a TIFF in deflated tiles: smaller and slower.")
+@click.option(
+    "--tile",
+    type=click.IntRange(16),
+    metavar="PIXELS",
+    help="Draw in tiles of this side, with little memory, going on where a killed run stopped. [default: large flats]",
+)
 @_preset
 @console.report_options
 def render(
@@ -150,13 +156,15 @@ def render(
     mosaic: Mosaic | None,
     alpha: bool,
     compress: bool,
+    tile: int | None,
     preset: str,
     as_json: bool,
     quiet: bool,
 ) -> None:
     """Render FLAT as one picture that is sharp wherever any mode of the camera is.
 
-    Without --depth, --patch-size and --traditional the depth is analysed first.
+    Without --depth, --patch-size and --traditional the depth is analysed first. A flat of more than 100 MB, as TIFF or
+    Zarr, is read and drawn in tiles; started again, a run that was killed goes on from those that were finished.
     """
     report = console.Report(as_json, quiet)
     _at_most_one("--depth", depth_file, "--patch-size", patch_size, "--traditional", traditional or None)
@@ -164,6 +172,16 @@ def render(
     _at_most_one("--scale", scale, "--traditional", traditional or None)
     if blend and patch_size is None:
         raise click.UsageError("--blend needs --patch-size")
+    if not traditional:
+        from . import large_cli
+
+        if large_cli.wanted(flat, output, tile):
+            asked = large_cli.Asked(
+                flat, output, camera, white, depth_file, patch_size, scale, blend or None, mosaic, alpha, compress,
+                tile, preset,
+            )  # fmt: skip
+            large_cli.render(report, asked)
+            return
     check_picture(output, alpha=alpha, inputs=[flat, camera, white, depth_file])
     _import_meanwhile(output)
     with report.stage("read"):

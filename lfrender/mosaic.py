@@ -46,7 +46,8 @@ def _crosses_edge(surface, x, y, s, half, grid_x, grid_y, cell, edge):
 def draw_rows(
     flat, seen, gains, lights, light_step, origin, inverse, basis, bend, low, offsets, steps, types, shares,
     radius, pitch,
-    surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance, view, out, weight_out,
+    surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance, view, corner, size, start,
+    out, weight_out,
 ):  # fmt: skip
     """Fill `out` (h, w, C) with the mean over the lenses that see each point, `weight_out` with their number.
 
@@ -58,9 +59,10 @@ def draw_rows(
     does one whose pixel is infinitely far, that is unlit; (0, 0) `seen` means not known. `blurred` is the square of
     the share of an output pixel's side over which lenses have averaged already. Microimages are read about `view`
     (2,) [px] beside their centres, which moves places as `warping.py` describes; output pixel (0, 0) lies at `first`
-    (2,).
+    (2,). `flat` and `seen` are the part from the pixel `corner` (2,) on of a flat of `size` (2,), and hold all that is
+    read; `out` is the part of the picture from the pixel `start` (2,) on. The answers are those of the whole.
     """
-    height, width, channels = flat.shape
+    width, height, channels = size[0], size[1], flat.shape[2]
     rows, columns, _ = out.shape
     last_ring = len(gains) - 1
     known = seen.size > 0
@@ -77,13 +79,13 @@ def draw_rows(
     # Farther from the border than this, every lens in reach and all it shows lies on the flat.
     margin = reach + radius + 1
     line = flat.reshape(-1)
-    across, down = np.uint64(channels), np.uint64(width * channels)
+    across, down = np.uint64(channels), np.uint64(flat.shape[1] * channels)
     for v in prange(rows):
         values = np.zeros((MAX_LENSES, 4), np.float32)
         weights = np.empty(MAX_LENSES, np.float32)
         total, mean, mixed = np.empty(4, np.float32), np.empty(4, np.float32), np.empty(4, np.float32)
         for u in range(columns):
-            centre_x, centre_y = first[0] + u * spacing, first[1] + v * spacing
+            centre_x, centre_y = first[0] + (start[0] + u) * spacing, first[1] + (start[1] + v) * spacing
             s_here = patch_size_at(surface, np.float32(centre_x), np.float32(centre_y), grid_x, grid_y, cell, edge)
             # Side of an output pixel in the flat, and how much of it lens and pixel have not averaged already.
             side = abs(s_here) / scale
@@ -150,7 +152,7 @@ def draw_rows(
                     ix, iy = min(int(px), width - 2), min(int(py), height - 2)
                     fx, fy = np.float32(px - ix), np.float32(py - iy)
                     # Unsigned: signed indices are looked at for being counted from the end.
-                    upper = np.uint64((iy * width + ix) * channels)
+                    upper = np.uint64(((iy - corner[1]) * flat.shape[1] + ix - corner[0]) * channels)
                     w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
                     w10, w11 = (1 - fx) * fy, fx * fy
                     for k in range(channels):
@@ -171,7 +173,7 @@ def draw_rows(
                         share = shares[kind, min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)]
                         weights[found] *= share
                     if known:
-                        depth = seen[np.uint64(py + 0.5), np.uint64(px + 0.5)]
+                        depth = seen[np.uint64(int(py + 0.5) - corner[1]), np.uint64(int(px + 0.5) - corner[0])]
                         if abs(depth - s) > 2 * edge:
                             weights[found] *= _HIDDEN
                             if aside > 0:
