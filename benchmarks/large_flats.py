@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -101,7 +102,7 @@ def write_flat(path: Path, size: tuple[int, int], pitch: float) -> Calibration:
     )
 
 
-def _measure(name: str, *command: str) -> dict[str, object]:
+def _measure(name: str, *command: str) -> dict[str, Any]:
     """Run a command, print what it took, and give its figures."""
     start = time.perf_counter()
     with tempfile.TemporaryFile() as stdout:

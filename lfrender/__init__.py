@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from .drawing import default_scale, render
     from .frame_job import FrameResult
     from .frames import Frames, open_frames
+    from .large_analysis import analyze_large
     from .large_rendering import LargePicture, render_large
     from .lens_means import traditional
     from .optics import Optics
@@ -28,6 +29,7 @@ __all__ = [
     "Optics",
     "Rendering",
     "analyze",
+    "analyze_large",
     "circle_offsets",
     "default_scale",
     "demosaic",
@@ -55,6 +57,7 @@ _HOMES = {
     "Optics": "optics",
     "Rendering": "rendering",
     "analyze": "analysis",
+    "analyze_large": "large_analysis",
     "circle_offsets": "viewpoints",
     "default_scale": "drawing",
     "demosaic": "demosaicing",

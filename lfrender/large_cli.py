@@ -148,9 +148,7 @@ def _camera(report: Any, asked: Asked, source: FlatSource, unfinished: Unfinishe
     return load(file)
 
 
-def _depth(
-    report: Any, asked: Asked, source: FlatSource, calibration: Calibration, unfinished: Unfinished
-) -> DepthMap:
+def _depth(report: Any, asked: Asked, source: FlatSource, calibration: Calibration, unfinished: Unfinished) -> DepthMap:
     """The depth of a file, or analysed, which an earlier run may have done."""
     from . import analyze_large
     from .depthmap import DepthMap
