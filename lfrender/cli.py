@@ -93,6 +93,17 @@ def analyze(
     for path, endings in ((dense, {".tif", ".tiff", ".pfm"}), (picture, {".png"}), (ply, {".ply"})):
         if path is not None:
             check_output(path, endings, [flat, camera])
+    if roi is None and ply is None:
+        from . import large_cli
+
+        if large_cli.is_large(flat):
+            optics = _read_optics(optics_file)
+            depth, calibration = large_cli.analyze(report, flat, camera, output, preset, not exhaustive)
+            with report.stage("write"):
+                _write_depth(depth, None, calibration, dense, picture, None, optics)
+            figures = {**_camera_figures(calibration), **_depth_figures(depth), **_distance_figures(depth, optics)}
+            report.finish({"depth": str(output), **figures})
+            return
     with report.stage("read"):
         from lfcal import read_flat
 
@@ -580,7 +591,7 @@ def _read_optics(path: Path | None) -> Optics | None:
 
 def _write_depth(
     depth: DepthMap,
-    pixels: NDArray[np.generic],
+    pixels: NDArray[np.generic] | None,
     calibration: Calibration,
     dense: Path | None,
     picture: Path | None,
@@ -596,7 +607,7 @@ def _write_depth(
         from .depth_picture import depth_picture
 
         write_picture(picture, depth_picture(depth, calibration.lattice))
-    if ply:
+    if ply and pixels is not None:
         from .point_cloud import point_cloud, write_points
 
         write_points(ply, point_cloud(pixels, calibration, depth, optics), metres=optics is not None)

@@ -31,7 +31,7 @@ from .neighbours import lens_grid
 from .plane import TEXTURED, Plane, fit_plane
 from .radiance import GrayFlat, gray_flat
 from .region import lattice_of
-from .search import Matcher
+from .search import Matcher, Preset
 from .single_plane import plane_evidence
 from .skipping import Shortcuts
 from .spreading import grid_shape
@@ -46,8 +46,8 @@ _HALO = 8.0
 _BUDGET, _PER_PIXEL = 6e8, 26
 # Windows along each axis, their side [pitches and px], and how far inside them lenses are believed [pitches].
 _WINDOWS, _WINDOW, _INSIDE = 6, (16.0, 256), 3.0
-# Cells of the surface's grid among which one is looked for that begins at a whole pixel.
-_CELLS = 32
+# Cells of the surface's grid among which one is looked for that begins where a block of pixels does.
+_CELLS = 40
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def analyze_large(
     parts = FlatParts(source, calibration)
     look = _Look(parts, calibration)
     overview, plane, sure = _overview(look, preset, shortcuts)
-    tiles = list(_tiles(calibration.lattice, tile))
+    tiles = list(_tiles(calibration.lattice, tile, PRESETS[preset]))
     if plane is not None:
         depth = _checked_plane(look, tiles, plane, sure, preset, overview)
         if depth is not None:
@@ -176,13 +176,15 @@ def _windows(lattice: Lattice) -> Iterator[_Part]:
     """Windows evenly spread from border to border."""
     size = lattice.image_size
     side = int(max(_WINDOW[0] * lattice.pitch, _WINDOW[1]))
-    starts = []
+    starts: list[list[int]] = []
+    sides: list[int] = []
     for length in size:
         count = int(np.clip(length // side, 1, _WINDOWS))
         starts.append(np.linspace(0, max(0, length - side), count).astype(int).tolist())
+        sides.append(side if count > 1 else length)
     for y in starts[1]:
         for x in starts[0]:
-            end = min(x + side, size[0]), min(y + side, size[1])
+            end = min(x + sides[0], size[0]), min(y + sides[1], size[1])
             margin = _INSIDE * lattice.pitch
             # The border of the flat is none of the window's making.
             low = np.array([at + margin if at > 0 else -1.0 for at in (x, y)])
@@ -190,8 +192,10 @@ def _windows(lattice: Lattice) -> Iterator[_Part]:
             yield _Part.of(lattice, (x, y), end, np.stack([low, high]))
 
 
-def _tiles(lattice: Lattice, tile: int | None) -> Iterator[_Part]:
+def _tiles(lattice: Lattice, tile: int | None, setting: Preset) -> Iterator[_Part]:
     """The flat cut into tiles, each with its halo."""
+    # Blocks of pixels are averaged for the search, and rows of them left out: those of the whole flat.
+    block = max(1, round(lattice.pitch / setting.search_pitch)) * setting.row_step
     size = lattice.image_size
     halo = int(np.ceil(_HALO * lattice.pitch))
     if tile is None:
@@ -200,18 +204,18 @@ def _tiles(lattice: Lattice, tile: int | None) -> Iterator[_Part]:
     spacing = grid_shape(lattice)[2]
     for top, bottom in zip(edges[1], edges[1][1:], strict=False):
         for left, right in zip(edges[0], edges[0][1:], strict=False):
-            low = [_cell(max(0, at - halo), spacing)[1] for at in (left, top)]
+            low = [_start(max(0, at - halo), spacing, block) for at in (left, top)]
             high = [min(n, at + halo) for n, at in zip(size, (right, bottom), strict=True)]
             yield _Part.of(lattice, low, high, np.array([(left, top), (right, bottom)]) - 0.5)
 
 
-def _cell(at: int, spacing: float) -> tuple[int, int]:
-    """Cell of the surface's grid at or somewhat before a place, and the pixel that it begins at as nearly as may be."""
+def _start(at: int, spacing: float, block: int) -> int:
+    """A pixel at or somewhat before a place where a block begins and, as nearly as may be, a cell of the surface."""
     last = int(at / spacing)
     cells = np.arange(max(0, last - _CELLS), last + 1)
     starts = cells * spacing
-    best = int(np.abs(starts - np.rint(starts)).argmin())
-    return int(cells[best]), int(np.rint(starts[best]))
+    pixels = np.rint(starts / block).astype(int) * block
+    return int(pixels[np.abs(starts - pixels).argmin()])
 
 
 def _part_depth(part: _Part, gray: GrayFlat, preset: str, shortcuts: Shortcuts, overview: Overview) -> DepthMap:

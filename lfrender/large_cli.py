@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .depthmap import DepthMap
     from .unfinished import Unfinished
 
-__all__ = ["Asked", "render", "wanted"]
+__all__ = ["Asked", "analyze", "is_large", "render", "wanted"]
 
 # Flats of more bytes are large: those of usual sensors are quicker in one go.
 _LARGE = 100_000_000
@@ -105,6 +105,29 @@ def render(report: Any, asked: Asked) -> None:
         **(cli._depth_figures(depth) if depth else {}),
     }  # fmt: skip
     report.finish(figures)
+
+
+def analyze(
+    report: Any, flat: Path, camera: Path, output: Path, preset: str, skip: bool
+) -> tuple[DepthMap, Calibration]:
+    """Analyse in tiles, and save the depth."""
+    from . import analyze_large, cli
+
+    with report.stage("read"):
+        from lfcal import open_flat, read_flat
+
+        source = open_flat(flat)
+    with source:
+        with report.stage("calibrate"):
+            published = camera.suffix.lower() in (".xml", ".cfg")
+            pixels: Any = read_flat(flat) if published else source
+            calibration = cli._read_camera(camera, pixels)
+            del pixels
+        report.announce_compilation("lfrender")
+        with report.stage("analyze"), _tiles(report) as progress:
+            depth = analyze_large(source, calibration, preset, skip=skip, progress=progress)
+        depth.save(output)
+    return depth, calibration
 
 
 @contextmanager
