@@ -1,6 +1,6 @@
 """Calibration of focused plenoptic cameras: find the microimages on a flat."""
 
-from . import console
+from . import console, notebook
 from .agreement import Agreement, agreement
 from .calibrate import calibrate
 from .calibration import Calibration, load
@@ -41,6 +41,7 @@ __all__ = [
     "convert",
     "count_pages",
     "load",
+    "notebook",
     "open_flat",
     "read_camera",
     "read_flat",

@@ -69,13 +69,24 @@ def calibrate(
     if kind not in ("auto", "white", "scene"):
         raise ValueError(f"kind must be 'auto', 'white' or 'scene', got {kind!r}")
     # Compiled code is loaded only when a flat is there to be calibrated.
+    from threadpoolctl import threadpool_limits
+
     from .captures import checked_flats
-    from .features import luminance
-    from .reduction import block_size, enlarged, reduced, remains_large, sought_in_a_piece
 
     flats = checked_flats(image)
     for flat in flats:
         check_mosaic(mosaic, flat)
+    # The equations are too small for more threads, which would only wait busily for each other.
+    with threadpool_limits(1, "blas"):
+        return _calibrated(flats, kind, mosaic)
+
+
+def _calibrated(
+    flats: list[NDArray[Any]], kind: Literal["auto", "white", "scene"], mosaic: Mosaic | None
+) -> Calibration:
+    from .features import luminance
+    from .reduction import block_size, enlarged, reduced, remains_large, sought_in_a_piece
+
     filtered = mosaic is not None or all(flat.ndim == 2 and has_mosaic(flat) for flat in flats)
     size = flats[0].shape[1], flats[0].shape[0]
     found: _Found | None = None
@@ -84,7 +95,7 @@ def calibrate(
     if alone and remains_large(size, block):
         found = _found_in_parts(flats[0], kind, filtered)
     if found is None and block > 1:
-        camera = calibrate([reduced(flat, block) for flat in flats], kind)
+        camera = _calibrated([reduced(flat, block) for flat in flats], kind, None)
         return replace(enlarged(camera, block, size), mosaic=mosaic)
     if found is None and alone and not filtered and sought_in_a_piece(size):
         found = _found_on_large(flats[0], kind)

@@ -230,6 +230,27 @@ class Calibration:
         """
         return self._gain_map().usable_radius(self.lattice)
 
+    def plot(self, ax: Any = None) -> Any:
+        """Draw how far regions of the flat lie from the lattice, or its centres where nobody has measured that.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            By default the current one (`pip install 'lfrender[plots]'`).
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        from .plotting import plot_calibration
+
+        return plot_calibration(self, ax)
+
+    def _repr_html_(self) -> str:
+        from .plotting import calibration_card
+
+        return calibration_card(self)
+
     def _gain_map(self) -> GainMap:
         if self.gain_map is not None:
             return self.gain_map

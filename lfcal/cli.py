@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from .console import Program, Report, about, report_options
+from .console import Program, Report, about, examples, report_options
 from .outfile import check_output
 
 if TYPE_CHECKING:
@@ -25,7 +25,13 @@ def main() -> None:
     """Find the microimages of a focused plenoptic camera."""
 
 
-@main.command()
+@main.command(
+    epilog=examples(
+        "lfcal calibrate white.png -o camera.json",
+        "lfcal calibrate white1.png white2.png -o camera.json",
+        "lfcal calibrate scene.tif --kind scene --mosaic rggb -o camera.json",
+    )
+)
 @click.argument("images", metavar="IMAGE...", type=_PATH, nargs=-1, required=True)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="CAMERA.json", help="Camera file to write.")
 @click.option(
@@ -81,7 +87,7 @@ def _sized(command: Any) -> Any:
     )(command)
 
 
-@main.command()
+@main.command(epilog=examples("lfcal info camera.json", "lfcal info calibration.xml --image flat.png"))
 @click.argument("camera", type=_PATH)
 @_sized
 @report_options
@@ -91,7 +97,7 @@ def info(camera: Path, size: str | None, image: Path | None, as_json: bool, quie
     Report(as_json, quiet).finish({"camera": str(camera), **describe(calibration)})
 
 
-@main.command()
+@main.command(epilog=examples("lfcal show camera.json --image white.png -o show.png"))
 @click.argument("camera", type=_PATH)
 @click.option("--image", type=_PATH, required=True, help="A white image or scene capture of that camera.")
 @click.option("-o", "--output", type=_PATH, required=True, metavar="SHOW.png", help="Picture to write.")
@@ -117,7 +123,7 @@ def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) ->
     report.finish({"picture": str(output), **describe(calibration)})
 
 
-@main.command()
+@main.command(epilog=examples("lfcal flatten flat.png -c camera.json -o even.tif"))
 @click.argument("flat", type=_PATH)
 @click.option("-c", "--camera", type=_PATH, required=True, help="Camera file with a gain map.")
 @click.option("-o", "--output", type=_PATH, required=True, metavar="FLAT.tif", help="Flattened flat to write.")
@@ -141,7 +147,7 @@ def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) 
     report.finish({"written": str(output), "size": [even.shape[1], even.shape[0]], "type": str(even.dtype)})
 
 
-@main.command()
+@main.command(epilog=examples("lfcal compare monday.json friday.json"))
 @click.argument("a", type=_PATH)
 @click.argument("b", type=_PATH)
 @_sized
@@ -170,7 +176,11 @@ def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: boo
     Report(as_json, quiet).finish({"a": str(a), "b": str(b), **figures, "field": field, "warnings": warnings})
 
 
-@main.command()
+@main.command(
+    epilog=examples(
+        "lfcal convert camera.json -o calibration.xml", "lfcal convert calibration.xml --image flat.png -o camera.json"
+    )
+)
 @click.argument("camera", type=_PATH)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="FILE", help=".xml, .cfg, .csv or .json to write.")
 @_sized

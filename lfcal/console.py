@@ -18,9 +18,11 @@ import click
 
 from .errors import LightFieldError
 
-__all__ = ["Program", "Report", "about", "report_options"]
+__all__ = ["Program", "Report", "about", "examples", "report_options"]
 
 _USER_ERROR = 2
+# Where a command keeps whether `--verbose` was given.
+_VERBOSE = "lfcal.verbose"
 
 
 class Program(click.Group):
@@ -88,6 +90,8 @@ class Report:
         with self._status(name):
             yield
         self.seconds[name] = time.perf_counter() - start
+        if _verbose():
+            click.echo(f"{name}: {self.seconds[name]:.3f} s", err=True)
 
     @contextmanager
     def progress(self, name: str, total: int | None) -> Iterator[Callable[[str], None]]:
@@ -160,9 +164,31 @@ def about(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def report_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command the options `--json` and `--quiet`."""
+    """Give a command the options `--json`, `--quiet` and `--verbose`."""
+    verbose = click.option(
+        "--verbose",
+        is_flag=True,
+        expose_value=False,
+        callback=_note_verbose,
+        help="Print each stage on stderr, with its seconds, as soon as it has ended.",
+    )
+    command = verbose(command)
     command = click.option("--quiet", is_flag=True, help="Print nothing but warnings.")(command)
     return click.option("--json", "as_json", is_flag=True, help="Print the figures as one JSON object.")(command)
+
+
+def examples(*lines: str) -> str:
+    """The epilog of a command's help that shows how it is called."""
+    return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
+
+
+def _note_verbose(context: click.Context, _option: click.Parameter, wanted: bool) -> None:
+    context.meta[_VERBOSE] = wanted
+
+
+def _verbose() -> bool:
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(_VERBOSE))
 
 
 def _has_compiled_kernels(package: str) -> bool:

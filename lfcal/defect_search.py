@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from .defects import Defects
 from .gain_fit import GainFit
-from .gain_kernels import BLOCK, SLOTS, described, first_lens, light, next_lens, walk
+from .gain_kernels import ASIDE, describe, level_at, light, walk
 from .gain_map import GainMap
 from .lattice import Lattice
 
@@ -28,47 +30,97 @@ _ZERO, _UNIT = 128, 40
 _FLOOR = 0.01
 # Rows looked at together, so that memory does not grow with the flat.
 _BAND = 512
+# Rows of lenses are dealt out to so many, whatever the number of threads.
+_CHUNKS = 64
 # More defects than this share of the pixels are no defects but a model that does not fit.
 _MOST = 0.02
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sides(a, b, middles, ahead, height, faces):
+    """First row, and last but one, of the cell of a lens; `faces` (k, 4) get where its sides lie and how they lean.
+
+    A side is at `x0 - (y - y0) * lean`, to the right of the lens where the last number is positive, else to the left.
+    Both lenses beside it find it in the same place, to the last bit.
+    """
+    top, bottom, far = 0.0, float(height), 0.0
+    cx, cy = middles[b, a, 0], middles[b, a, 1]
+    for k in range(len(ahead)):
+        u, v = a + ahead[k, 0], b + ahead[k, 1]
+        dx, dy = middles[v, u, 0] - cx, middles[v, u, 1] - cy
+        x, y = 0.5 * (middles[v, u, 0] + cx), 0.5 * (middles[v, u, 1] + cy)
+        far = max(far, dx * dx + dy * dy)
+        if abs(dx) > ASIDE:
+            faces[k, 0], faces[k, 1], faces[k, 2], faces[k, 3] = x, y, dy / dx, dx
+        else:
+            faces[k, 3] = 0.0
+            if dy > 0:
+                bottom = min(bottom, y)
+            else:
+                top = max(top, y)
+    # No corner of a reduced cell is farther than its farthest neighbour.
+    far = math.sqrt(far)
+    return max(math.ceil(top), math.ceil(cy - far)), min(math.ceil(bottom), math.floor(cy + far) + 1)
+
+
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _departures(
-    picture, top, out, sure, windows, most, middles, own, starts, ahead, level, field, radius, profile, step, shade,
-    rim, cut,
+    picture, out, sure, windows, most, chunks, middles, own, sides, level, field, radius, profile, step, shade, rim,
+    cut,
 ):  # fmt: skip
     """How far pixels are off, as `_ZERO + _UNIT * standard deviations`; those far off by themselves at the ends."""
-    rows, width = out.shape
-    height, per_step = picture.shape[0], 1 / step
-    for block in prange((rows + BLOCK - 1) // BLOCK):
-        keys, powers, lens = np.full(SLOTS, -1), np.empty(64), np.empty(7 + rim.shape[0])
-        lenses = np.empty((SLOTS, 8 + rim.shape[0]))
-        for row in range(block * BLOCK, min((block + 1) * BLOCK, rows)):
-            y = top + row
-            a, b = first_lens(y, starts[y, 0], starts[y, 1], middles)
-            x = 0
-            while x < width:
-                stop, p, q = next_lens(y, a, b, width, middles, ahead)
-                bright = described(
-                    a, b, middles, own, level, field, radius, shade, rim, cut, keys, powers, lenses, lens
-                )
+    height, width = picture.shape
+    per_step, last = 1 / step, len(profile) - 2
+    # Most maps have neither rims that differ with the direction nor a cut.
+    plain = rim.shape[0] == 1 and not cut[4] > 0
+    for chunk in prange(chunks):
+        powers, lens, faces = np.empty(64), np.empty(7 + rim.shape[0]), np.empty((len(sides), 4))
+        for b in range(1 + chunk, middles.shape[0] - 1, chunks):
+            for a in range(1, middles.shape[1] - 1):
+                start, stop = _sides(a, b, middles, sides, height, faces)
+                if stop <= start:
+                    continue
                 cx, cy = middles[b, a, 0], middles[b, a, 1]
-                column = min(max(int((cx + 0.5) / width * windows.shape[1]), 0), windows.shape[1] - 1)
-                line = min(max(int((cy + 0.5) / height * windows.shape[0]), 0), windows.shape[0] - 1)
-                sharp = 1 / windows[line, column]
-                if bright <= 0:
-                    out[row, x:stop] = _ZERO
-                else:
-                    over = 1 / bright
-                    for at in range(x, stop):
-                        s, stretched, _ = light(at - cx, y - cy, lens, profile, step, cut)
-                        ring = min(int(stretched * per_step), len(sure) - 1)
-                        far = (picture[y, at] * picture[y, at] * over - s) * min(sure[ring] * sharp, most)
-                        if -_SURE <= far <= _SURE:
-                            out[row, at] = int(_ZERO + 0.5 + _UNIT * min(max(far, -_CLIP), _CLIP))
+                known = False
+                bright = over = scale = sharp = 0.0
+                for y in range(start, stop):
+                    low, high = 0.0, float(width)
+                    for k in range(len(faces)):
+                        side = faces[k, 0] - (y - faces[k, 1]) * faces[k, 2]
+                        if faces[k, 3] > 0:
+                            high = min(high, side)
+                        elif faces[k, 3] < 0:
+                            low = max(low, side)
+                    left, right = math.ceil(low), math.ceil(high)
+                    if left >= right:
+                        continue
+                    if not known:
+                        known = True
+                        describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
+                        bright = own[b, a] * level_at(cx, cy, field, level, powers)
+                        over, scale = 1 / bright, (1 - lens[7]) * per_step
+                        column = min(max(int((cx + 0.5) / width * windows.shape[1]), 0), windows.shape[1] - 1)
+                        line = min(max(int((cy + 0.5) / height * windows.shape[0]), 0), windows.shape[0] - 1)
+                        sharp = 1 / windows[line, column]
+                    if bright <= 0:
+                        continue
+                    dy = y - cy
+                    first, second, lean = 1 + dy * (lens[1] + lens[4] * dy), lens[0] + lens[3] * dy, lens[2]
+                    for x in range(left, right):
+                        dx = x - cx
+                        if plain:
+                            place = math.sqrt(dx * dx + dy * dy) * scale
+                            ring = min(int(place), last)
+                            s = profile[ring] + (profile[ring + 1] - profile[ring]) * min(place - ring, 1.0)
+                            s *= first + dx * (second + lean * dx)
                         else:
-                            out[row, at] = 255 if far > 0 else 1
-                x, a, b = max(x, stop), p, q
+                            s, stretched, _ = light(dx, dy, lens, profile, step, cut)
+                            ring = min(int(stretched * per_step), last)
+                        far = (picture[y, x] * picture[y, x] * over - s) * min(sure[ring] * sharp, most)
+                        if -_SURE <= far <= _SURE:
+                            out[y, x] = int(_ZERO + 0.5 + _UNIT * min(max(far, -_CLIP), _CLIP))
+                        else:
+                            out[y, x] = 255 if far > 0 else 1
 
 
 def _marked(far: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -115,15 +167,14 @@ def find_defects(
     level = gain.level.copy()
     level[0] += np.log(brightest)
     way = walk(lattice, gain.own)
-    places = (way.middles, way.own, way.starts, way.ahead, level, *gain.shape(lattice))
+    places = (way.middles, way.own, way.sides, level, *gain.shape(lattice))
     found, number, warning = [], 0, ""
     margin = _SQUARES[-1] // 2
-    far = np.empty((min(height, _BAND + 2 * margin), width), np.uint8)
+    far = np.full((height, width), _ZERO, np.uint8)
+    _departures(picture, far, 1 / fit.spread, fit.windows, 1 / _FLOOR, _CHUNKS, *places)
     for top in range(0, height, _BAND):
         start, stop = max(0, top - margin), min(height, top + _BAND + margin)
-        band = far[: stop - start]
-        _departures(picture, start, band, 1 / fit.spread, fit.windows, 1 / _FLOOR, *places)
-        bad = np.argwhere(_marked(band)[top - start : top - start + _BAND])
+        bad = np.argwhere(_marked(far[start:stop])[top - start : top - start + _BAND])
         number += len(bad)
         # More than can be defects are counted, but not kept.
         if number <= _MOST * width * height:

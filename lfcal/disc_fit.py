@@ -89,10 +89,10 @@ def fit_discs(tones: NDArray[np.float32] | Parts, lattice: Lattice, pixels: floa
         If fewer than a dozen whole microimages are on the flat, or they keep to no lattice.
     """
     tones, known = Parts.of(tones), _known_orders(lattice)
-    state = open_lenses(tones, DiscModel(lattice, None), *_FEW, None)
+    state, lit = open_lenses(tones, DiscModel(lattice, None), *_FEW, None)
     state, _ = converge(state, known)
     state = with_cut(state, state if known else _better(state, (), _bent(state), ("k1",))[0], known)
-    state = open_lenses(tones, state.model, *_SOME, state.discs)
+    state, lit = open_lenses(tones, state.model, *_SOME, state.discs, lit)
     state, _ = converge(state, known)
     if state.model.cat_eye is not None:
         state = settled_roles(state)
@@ -104,7 +104,7 @@ def fit_discs(tones: NDArray[np.float32] | Parts, lattice: Lattice, pixels: floa
         pixels if np.prod(lattice.image_size) < _ALL else min(pixels, _pixels(state) * (state.uncertainty / _FINE) ** 2)
     )
     if wanted > _pixels(state):
-        state = open_lenses(tones, state.model, wanted, FEWEST_LENSES, state.discs)
+        state, _ = open_lenses(tones, state.model, wanted, FEWEST_LENSES, state.discs, lit)
     state, summary = converge(state, orders)
     own = [k for k, name in enumerate(summary.names) if name not in _NOT_OF_LATTICE]
     errors = LatticeErrors(tuple(summary.names[k] for k in own), summary.covariance[np.ix_(own, own)])
@@ -135,7 +135,7 @@ def followed(tones: Parts, lattice: Lattice) -> Lattice:
         As for `fit_discs`.
     """
     known = _known_orders(lattice)
-    state, _ = converge(open_lenses(tones, DiscModel(lattice, None), *_FEW, None), known)
+    state, _ = converge(open_lenses(tones, DiscModel(lattice, None), *_FEW, None)[0], known)
     if not known:
         state, known = _better(state, (), _bent(state), ("k1",))
     if "general" not in known:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .disc_whole import OUTLIER, THINNED, accumulate_whole, outside, rows_within
+from .disc_whole import OUTLIER, accumulate_whole, outside, rows_within, thinned
 
 __all__ = ["LOCAL", "DiscSteps", "Discs", "disc_steps", "edge_of", "first_level"]
 
@@ -210,7 +210,7 @@ def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _accumulate_cut(
     light, corners, centres, cut, gain, trust, tilt, radius, soft, faces, inner, reach, step, level, slope, weight,
-    four, edge, even, depths, shared, dark, full, chunks, normal, right, mixed, band, scatter,
+    four, edge, calm, thin, aside, depths, shared, dark, full, chunks, normal, right, mixed, band, scatter,
 ):  # fmt: skip
     lenses, side = light.shape[0], light.shape[1]
     for chunk in prange(chunks):
@@ -232,10 +232,10 @@ def _accumulate_cut(
                     ex, ey = dx - cut[lens, 0], dy - cut[lens, 1]
                     through, change, far, depth = _transmission(ex, ey, radius, soft)
                     share = 1.0
-                    if ring < even and change == 0:
-                        if (x + 2 * y) % THINNED:
+                    if rho < calm and change == 0:
+                        if (x + aside * y) & (thin - 1):
                             continue
-                        share = THINNED
+                        share = float(thin)
                     disc = level[ring] * (1 - part) + level[ring + 1] * part - dark
                     angle = 1 - 8 * (dx * dx) * (dy * dy) / max(rho * rho * rho * rho, 1e-12)
                     disc += (four[ring] * (1 - part) + four[ring + 1] * part) * angle
@@ -259,8 +259,8 @@ def _accumulate_cut(
                     if light[lens, y, x] >= full and (residual < 0 or chi < 1):
                         continue
                     away = chi * trust[lens] / (OUTLIER * OUTLIER)
-                    scatter[lens, 0] += min(chi, OUTLIER * OUTLIER / trust[lens])
-                    scatter[lens, 1] += 1
+                    scatter[lens, 0] += share * min(chi, OUTLIER * OUTLIER / trust[lens])
+                    scatter[lens, 1] += share
                     if away >= 1:
                         continue
                     band[chunk, ring, 6] += residual * residual * trust[lens]
@@ -314,10 +314,10 @@ def edge_of(level: NDArray[np.float64]) -> NDArray[np.bool_]:
     return edge
 
 
-def _even(discs: Discs) -> int:
-    """Ring inside of which a microimage is so even that every few pixels say as much about it as all."""
-    first = int(np.flatnonzero(discs.edge).min(initial=0)) - int(_MARGIN / discs.step)
-    return first if first * discs.step > _LARGE else 0
+def _calm(discs: Discs) -> float:
+    """Radius [px] inside of which a microimage is so even that every few pixels say as much about it as all."""
+    radius = int(np.argmax(discs.edge)) * discs.step - _MARGIN
+    return radius if radius > _LARGE else 0.0
 
 
 def _depths(discs: Discs) -> NDArray[np.float64]:
@@ -352,26 +352,26 @@ def disc_steps(discs: Discs) -> DiscSteps:
     # harmonic, sum of squares, number of pixels.
     band, scatter = np.zeros((_CHUNKS, rings, 8)), np.zeros((lenses, 2))
     slope = np.gradient(discs.level, discs.step)
+    calm = _calm(discs)
     if discs.soft > 0:
         _accumulate_cut(
             discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
-            discs.soft, discs.faces, discs.inner, discs.reach, discs.step, discs.level, slope, discs.weight,
-            discs.four, discs.edge, _even(discs), _depths(discs), discs.shared, discs.dark, discs.full,
-            _CHUNKS, normal, right,
-            mixed, band, scatter,
+            discs.soft, discs.faces, discs.inner, discs.reach, discs.step, discs.level, slope, discs.weight, discs.four,
+            discs.edge, calm, *thinned(calm), _depths(discs), discs.shared, discs.dark, discs.full, _CHUNKS, normal,
+            right, mixed, band, scatter,
         )  # fmt: skip
     else:
         tables = np.column_stack([discs.level, slope, discs.weight, discs.four])
         accumulate_whole(
             discs.light, discs.corners, discs.centres, discs.gain, discs.trust, discs.tilt, discs.faces, discs.inner,
-            discs.reach, discs.step, tables, _even(discs), discs.full, _CHUNKS, normal, right, mixed, band, scatter,
+            discs.reach, discs.step, tables, calm, *thinned(calm), discs.full, _CHUNKS, normal, right, mixed, band,
+            scatter,
         )  # fmt: skip
     normal += np.triu(normal.reshape(-1, LOCAL, LOCAL), 1).transpose(0, 2, 1)
     main, side, force, total, turned, turned_own, squares, count = band.sum(0).T
     # Rings that hardly a pixel fell into are like their neighbours; where lenses lie alike to the pixels, only the
     # smoothness of the profile tells where between the pixels an edge is.
-    flat, bend = np.diff(np.eye(rings), axis=0), np.diff(np.eye(rings), 2, axis=0)
-    stiff = float(np.median(main[main > 0])) * (_STIFF * flat.T @ flat + _SMOOTH * bend.T @ bend)
+    stiff = float(np.median(main[main > 0])) * _stiffness(rings)
     profile = np.diag(main) + np.diag(side[:-1], 1) + np.diag(side[:-1], -1) + stiff
     # Rings that hardly any light reaches through the cutting disc move slowly.
     profile += _SLOW * np.diag(total)
@@ -382,6 +382,15 @@ def disc_steps(discs: Discs) -> DiscSteps:
         _smooth_variance(squares, count), scatter[:, 0] / np.maximum(scatter[:, 1], 1),
         float(misfit / max(number, 1)),
     )  # fmt: skip
+
+
+@lru_cache(8)
+def _stiffness(rings: int) -> NDArray[np.float64]:
+    """(r, r) weights of steps and bends of a profile."""
+    flat, bend = np.diff(np.eye(rings), axis=0), np.diff(np.eye(rings), 2, axis=0)
+    stiff: NDArray[np.float64] = _STIFF * flat.T @ flat + _SMOOTH * bend.T @ bend
+    stiff.flags.writeable = False
+    return stiff
 
 
 def _smooth_variance(squares: NDArray[np.float64], count: NDArray[np.float64]) -> NDArray[np.float64]:

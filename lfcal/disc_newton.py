@@ -13,7 +13,7 @@ from .disc_parameters import DiscModel, design, field_of, moved
 from .errors import CalibrationError
 from .fit import cell_faces
 from .lattice import Lattice
-from .lit_lenses import lit_lenses
+from .lit_lenses import LitLenses
 from .parts import Parts
 from .windows import cut_windows
 
@@ -40,6 +40,8 @@ _RUNAWAY = 0.05
 _DARK = 0.03
 # Lenses are grouped by brightness into so many groups to see how their noise depends on it.
 _GROUPS = 12
+# So many lenses show how the gain changes over the field.
+_TILTED = 4000
 # Lenses that scatter by more than this multiple of what is usual at their brightness lose their say.
 _UNLIKE = 4.0
 # Lenses whose own pixels put them further off than this many times the usual are placed one by one, with a trust that
@@ -91,19 +93,23 @@ class FitSummary:
     miss: NDArray[np.float64]
 
 
-def open_lenses(tones: Parts, model: DiscModel, pixels: float, fewest: int, known: Discs | None) -> FitState:
-    """Lenses of about so many pixels in all, but at least so many, with gains from their cores."""
+def open_lenses(
+    tones: Parts, model: DiscModel, pixels: float, fewest: int, known: Discs | None, before: LitLenses | None = None
+) -> tuple[FitState, LitLenses]:
+    """Lenses of about so many pixels in all, but at least so many, with gains from their cores; and all to choose from.
+
+    `before` are those of a like lattice.
+    """
     lattice = model.lattice
     faces, reach = cell_faces(lattice)
-    indices, centres, part = tones.lenses(lattice, reach + 2)
-    offset = tones.offsets[part]
-    alight = lit_lenses(tones.picture, lattice, indices, centres - offset, np.sqrt(_DARK))
-    indices, centres, offset = indices[alight], centres[alight], offset[alight]
-    every = max(1.0, len(centres) * abs(np.linalg.det(lattice.basis)) / pixels)
-    every = max(1.0, min(every, len(centres) / fewest))
-    chosen = np.arange(len(centres)) * _GOLDEN % 1 < 1 / every
-    indices, centres, offset = indices[chosen], np.ascontiguousarray(centres[chosen]), offset[chosen]
-    light, corners = cut_windows(tones.picture, centres - offset, reach + 2)
+    margin = reach + 2
+    alight = LitLenses.on(tones, lattice, margin, np.sqrt(_DARK), before)
+    every = max(1.0, len(alight.indices) * abs(np.linalg.det(lattice.basis)) / pixels)
+    every = max(1.0, min(every, len(alight.indices) / fewest))
+    taken = alight.some(tones, lattice, margin, np.arange(len(alight.indices)) * _GOLDEN % 1 < 1 / every)
+    indices, offset = taken.indices, tones.offsets[taken.part]
+    centres = lattice.points(indices)
+    light, corners = cut_windows(tones.picture, centres - offset, margin)
     corners += offset
     inner = float(0.5 / np.hypot(*faces.T).max())
     core, middle = max(1, int(0.4 * inner)), light.shape[1] // 2
@@ -143,7 +149,7 @@ def open_lenses(tones: Parts, model: DiscModel, pixels: float, fewest: int, know
     if known is not None:
         own = np.clip(steps.right[:, -1] / np.maximum(steps.normal[:, -1, -1], 1e-30), -0.5, 1)
         state = replace(state, discs=replace(state.discs, gain=state.discs.gain * (1 + own)))
-    return _weighted(state, steps)
+    return _weighted(state, steps), alight
 
 
 def _tilt(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
@@ -151,8 +157,8 @@ def _tilt(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice: Latt
     scale = np.array(lattice.image_size) / 2
     x, y = ((centres - scale) / scale).T
     powers = [(a, b) for a in range(5) for b in range(5 - a)]
-    table = np.column_stack([x**a * y**b for a, b in powers])
-    log = np.log(gain)
+    few = slice(None, None, max(1, len(gain) // _TILTED))
+    log, table = np.log(gain[few]), np.column_stack([x[few] ** a * y[few] ** b for a, b in powers])
     keep = np.ones(len(log), dtype=bool)
     slope = np.zeros(len(powers))
     for _ in range(3):
@@ -297,7 +303,10 @@ def _pooled(
     columns: NDArray[np.float64], reduced: _Reduced, half: NDArray[np.bool_] | slice
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Robust least squares over a part of the lenses: change (p,), covariance (p, p) and weights (n,) of the lenses."""
-    columns, normal, right, mixed = columns[half], reduced.normal[half], reduced.right[half], reduced.mixed[half]
+    # Where nothing is cut, lenses have a place alone.
+    own = slice(None) if reduced.mixed.shape[1] else slice(2)
+    columns, mixed = np.ascontiguousarray(columns[half, own]), reduced.mixed[half]
+    normal, right = reduced.normal[half, own, own], reduced.right[half, own]
     part = len(columns) / len(reduced.normal)
     lenses, local, globals_ = columns.shape
     places = normal[:, :2, :2] + 1e-9 * np.trace(normal[:, :2, :2].sum(0)) / lenses * np.eye(2)

@@ -7,12 +7,22 @@ import math
 import numpy as np
 from numba import njit, prange
 
-__all__ = ["OUTLIER", "THINNED", "accumulate_whole", "outside", "rows_within"]
+__all__ = ["OUTLIER", "accumulate_whole", "outside", "rows_within", "thinned"]
 
 # Residuals beyond so many standard deviations have no say (Tukey's biweight).
 OUTLIER = 4.685
-# In the even inside of a microimage one pixel in so many, a power of two, is looked at.
-THINNED = 4
+# In the even inside of a microimage one pixel in so many, a power of two, is looked at: the largest that leaves enough
+# of them. Rows are put aside by the second number, so that the pixels lie evenly.
+_THINNED = ((64, 14), (16, 6), (4, 2))
+_ENOUGH = 100
+
+# Sums may be put in another order, but what is not a number stays so.
+_FAST = {"contract", "arcp", "nsz", "reassoc"}
+
+
+def thinned(radius: float) -> tuple[int, int]:
+    """One pixel in how many is enough in an even disc of this radius [px], and by how many px to put rows aside."""
+    return next((pair for pair in _THINNED if np.pi * radius**2 / pair[0] > _ENOUGH), _THINNED[-1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -29,18 +39,19 @@ def rows_within(centre, reach, corner, side):
     return max(int(np.ceil(centre - reach)) - corner, 0), min(int(np.floor(centre + reach)) + 1 - corner, side)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_FAST)
 def accumulate_whole(
-    light, corners, centres, gain, trust, tilt, faces, inner, reach, step, tables, even, full, chunks, normal, right,
-    mixed, band, scatter,
+    light, corners, centres, gain, trust, tilt, faces, inner, reach, step, tables, calm, thin, aside, full, chunks,
+    normal, right, mixed, band, scatter,
 ):  # fmt: skip
-    """Add up all lenses; `tables` (r, 4) are level, slope, weight and four, `band` (chunks, r, 8) see `disc_model`."""
+    """Add up all lenses; `tables` (r, 4) are level, slope, weight and four, `band` (chunks, r, 8) see `disc_model`.
+
+    Up to `calm` px from its centre a microimage is `thinned`.
+    """
     lenses, side = light.shape[0], light.shape[1]
     per_step, most = 1 / step, OUTLIER * OUTLIER
     for chunk in prange(chunks):
-        own = band[chunk]
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
-            window, taken = light[lens], mixed[lens, 0]
             cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
             bright, belief, tilt_x, tilt_y = 1 / gain[lens], trust[lens], tilt[lens, 0], tilt[lens, 1]
             limit = most / belief
@@ -52,53 +63,56 @@ def accumulate_whole(
                 for x in range(first, last):
                     dx = x - cx
                     square = dx * dx + dy * dy
-                    rho = math.sqrt(square)
-                    place = rho * per_step
-                    ring = int(place)
                     w = 1.0
+                    if square < calm * calm:
+                        if (x + aside * y) & (thin - 1):
+                            continue
+                        w = float(thin)
+                    rho = math.sqrt(square)
                     if rho > inner and outside(dx, dy, faces):
                         continue
-                    if ring < even:
-                        if (x + 2 * y) & (THINNED - 1):
-                            continue
-                        w = float(THINNED)
+                    place = rho * per_step
+                    ring = int(place)
                     after = place - ring
                     here = 1 - after
-                    low, high = tables[ring], tables[ring + 1]
+                    up = ring + 1
                     over = 1 / max(square, 1e-12)
                     turn = dx * dy * over
                     angle = 1 - 8 * turn * turn
-                    model = low[0] * here + high[0] * after + (low[3] * here + high[3] * after) * angle
-                    residual = window[y, x] * bright / (1 + tilt_x * dx + tilt_y * dy) - model
-                    sure = low[2] * here + high[2] * after
+                    model = (
+                        tables[ring, 0] * here
+                        + tables[up, 0] * after
+                        + (tables[ring, 3] * here + tables[up, 3] * after) * angle
+                    )
+                    residual = light[lens, y, x] * bright / (1 + tilt_x * dx + tilt_y * dy) - model
+                    sure = tables[ring, 2] * here + tables[up, 2] * after
                     chi = residual * residual * sure
-                    if window[y, x] >= full and (residual < 0 or chi < 1):
+                    if light[lens, y, x] >= full and (residual < 0 or chi < 1):
                         continue
-                    far += min(chi, limit)
-                    number += 1
+                    far += w * min(chi, limit)
+                    number += w
                     away = chi * belief / most
                     if away >= 1:
                         continue
-                    at, beyond = own[ring], own[ring + 1]
-                    at[6] += residual * residual * belief
-                    at[7] += 1
+                    band[chunk, ring, 6] += residual * residual * belief
+                    band[chunk, ring, 7] += 1
                     w *= sure * (1 - away) * (1 - away) * belief
-                    along = -(low[1] * here + high[1] * after) * rho * over
+                    along = -(tables[ring, 1] * here + tables[up, 1] * after) * rho * over
                     gx, gy = along * dx, along * dy
                     wh, wa, wr = w * here, w * after, w * residual
-                    at[0] += wh * here
-                    beyond[0] += wa * after
-                    at[1] += wh * after
-                    at[2] += here * wr
-                    beyond[2] += after * wr
-                    at[3] += w
+                    band[chunk, ring, 0] += wh * here
+                    band[chunk, up, 0] += wa * after
+                    band[chunk, ring, 1] += wh * after
+                    band[chunk, ring, 2] += here * wr
+                    band[chunk, up, 2] += after * wr
+                    band[chunk, ring, 3] += w
                     turned, own_turned = angle * wr, w * angle * angle
-                    at[4] += turned * here
-                    beyond[4] += turned * after
-                    at[5] += own_turned * here
-                    beyond[5] += own_turned * after
-                    taken[ring] += wh * model
-                    taken[ring + 1] += wa * model
+                    band[chunk, ring, 4] += turned * here
+                    band[chunk, up, 4] += turned * after
+                    band[chunk, ring, 5] += own_turned * here
+                    band[chunk, up, 5] += own_turned * after
+                    mixed[lens, 0, ring] += wh * model
+                    mixed[lens, 0, up] += wa * model
                     wx, wy, wm = w * gx, w * gy, w * model
                     xx += wx * gx
                     xy += wx * gy
@@ -109,7 +123,7 @@ def accumulate_whole(
                     bx += wx * residual
                     by += wy * residual
                     bm += wm * residual
-            n, r = normal[lens], right[lens]
-            n[0, 0], n[0, 1], n[1, 1], n[0, 7], n[1, 7], n[7, 7] = xx, xy, yy, xm, ym, mm
-            r[0], r[1], r[7] = bx, by, bm
+            normal[lens, 0, 0], normal[lens, 0, 1], normal[lens, 1, 1] = xx, xy, yy
+            normal[lens, 0, 7], normal[lens, 1, 7], normal[lens, 7, 7] = xm, ym, mm
+            right[lens, 0], right[lens, 1], right[lens, 7] = bx, by, bm
             scatter[lens, 0], scatter[lens, 1] = far, number

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from .lattice import Lattice
 
 __all__ = [
-    "BLOCK", "SLOTS", "Walk", "describe", "described", "divide", "field_level", "fill", "first_lens", "light",
-    "mean_light", "next_lens", "outside", "usable", "walk",
+    "ASIDE", "Walk", "describe", "divide", "field_level", "fill", "level_at", "light", "mean_light", "outside",
+    "usable", "walk",
 ]  # fmt: skip
 
 # Where a lens delivers a smaller share of its light, correction would show noise and stray light: nothing is known.
@@ -26,11 +26,11 @@ _ROOT_HALF = math.sqrt(0.5)
 # Lenses around the flat that rows may begin or end in, and those beside them.
 _HALO = 4
 # Lenses that lie above or below each other [px] do not follow each other in a row.
-_ASIDE = 1e-9
+ASIDE = 1e-9
 # Distortion may turn steps by so much.
 _BENT = 0.2
 # Rows that are gone through together, and lenses remembered meanwhile: those of a row of lenses and of the next one.
-BLOCK, SLOTS = 64, 2048
+_BLOCK, _SLOTS = 64, 2048
 # Lenses above each other are so far apart in that memory; a prime, so that it fills evenly.
 _SPREAD = 701
 _DIRECTIONS = 32
@@ -48,13 +48,16 @@ class Walk:
         Light of each over that of the polynomial of the field.
     starts : (h, 2) int64
         Column and row, in these tables, of a lens near to the first pixel of each row of the flat.
+    sides : (6, 2) int64
+        Steps in these tables to the lenses that can lie beside a lens.
     ahead : (k, 2) int64
-        Steps in these tables to the lenses that can follow upon a lens in a row.
+        Those to lenses that can follow upon a lens in a row.
     """
 
     middles: NDArray[np.float64]
     own: NDArray[np.float32]
     starts: NDArray[np.int64]
+    sides: NDArray[np.int64]
     ahead: NDArray[np.int64]
 
 
@@ -78,7 +81,7 @@ def walk(lattice: Lattice, own: NDArray[np.float32]) -> Walk:
     cross = min(((1, 1), (1, -1)), key=lambda step: float(np.hypot(*(step @ lattice.basis))))
     sides = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), cross, (-cross[0], -cross[1])])
     ahead = sides[(sides @ lattice.basis)[:, 0] > -_BENT * lattice.pitch]
-    return Walk(middles, light, np.ascontiguousarray(starts - low), ahead)
+    return Walk(middles, light, np.ascontiguousarray(starts - low), sides, ahead)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -115,16 +118,21 @@ def describe(cx, cy, field, radius, shade, rim, cut, powers, lens):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def level_at(cx, cy, field, level, powers):
+    """Exponential of a polynomial of the field at one place; `powers` gets the field's monomials."""
+    _monomials((cx - field[0]) / field[2], (cy - field[1]) / field[2], len(level), powers)
+    total = 0.0
+    for t in range(len(level)):
+        total += level[t] * powers[t]
+    return math.exp(total)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def field_level(centres, field, level, out):
     """Exponential of a polynomial of the field at places (n, 2)."""
     powers = np.empty(64)
     for n in range(centres.shape[0]):
-        x, y = (centres[n, 0] - field[0]) / field[2], (centres[n, 1] - field[1]) / field[2]
-        _monomials(x, y, len(level), powers)
-        total = 0.0
-        for t in range(len(level)):
-            total += level[t] * powers[t]
-        out[n] = math.exp(total)
+        out[n] = level_at(centres[n, 0], centres[n, 1], field, level, powers)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -173,7 +181,7 @@ def outside(dx, dy, faces):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def first_lens(y, a, b, middles):
+def _first_lens(y, a, b, middles):
     """Column and row of the lens nearest to the first pixel of row `y`, looked for from `(a, b)` on."""
     while True:
         least = middles[b, a, 0] ** 2 + (middles[b, a, 1] - y) ** 2
@@ -189,7 +197,7 @@ def first_lens(y, a, b, middles):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def next_lens(y, a, b, width, middles, ahead):
+def _next_lens(y, a, b, width, middles, ahead):
     """First pixel of row `y` that is nearer to the next lens than to `(a, b)`, and that lens."""
     if a < 1 or b < 1 or a > middles.shape[1] - 2 or b > middles.shape[0] - 2:
         return width, a, b
@@ -198,7 +206,7 @@ def next_lens(y, a, b, width, middles, ahead):
     for k in range(len(ahead)):
         u, v = a + ahead[k, 0], b + ahead[k, 1]
         dx, dy = middles[v, u, 0] - cx, middles[v, u, 1] - cy
-        if dx > _ASIDE:
+        if dx > ASIDE:
             most = 0.5 * (dx * dx + dy * dy) - dy * (y - cy)
             if most < least * dx:
                 least, p, q = most / dx, u, v
@@ -206,18 +214,14 @@ def next_lens(y, a, b, width, middles, ahead):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def described(a, b, middles, own, level, field, radius, shade, rim, cut, keys, powers, lenses, lens):
+def _described(a, b, middles, own, level, field, radius, shade, rim, cut, keys, powers, lenses, lens):
     """Light of the lens `(a, b)`; what it is like is written into `lens`, from memory where it is there."""
-    slot, key = (a + _SPREAD * b) % SLOTS, a + b * middles.shape[1]
+    slot, key = (a + _SPREAD * b) % _SLOTS, a + b * middles.shape[1]
     if keys[slot] != key:
         keys[slot] = key
         cx, cy = middles[b, a, 0], middles[b, a, 1]
         describe(cx, cy, field, radius, shade, rim, cut, powers, lenses[slot, :-1])
-        _monomials((cx - field[0]) / field[2], (cy - field[1]) / field[2], len(level), powers)
-        total = 0.0
-        for t in range(len(level)):
-            total += level[t] * powers[t]
-        lenses[slot, -1] = own[b, a] * math.exp(total)
+        lenses[slot, -1] = own[b, a] * level_at(cx, cy, field, level, powers)
     # A view of the row would cost more than these few numbers.
     for k in range(len(lens)):
         lens[k] = lenses[slot, k]
@@ -228,17 +232,17 @@ def described(a, b, middles, own, level, field, radius, shade, rim, cut, keys, p
 def fill(out, top, left, middles, own, starts, ahead, level, field, radius, profile, step, shade, rim, cut):
     """Gain of the rows from `top` and columns from `left` on; NaN where too little light is."""
     rows, right = out.shape[0], left + out.shape[1]
-    for block in prange((rows + BLOCK - 1) // BLOCK):
-        keys, powers, lens = np.full(SLOTS, -1), np.empty(64), np.empty(_FIXED + rim.shape[0])
-        lenses = np.empty((SLOTS, _FIXED + rim.shape[0] + 1))
-        for row in range(block * BLOCK, min((block + 1) * BLOCK, rows)):
+    for block in prange((rows + _BLOCK - 1) // _BLOCK):
+        keys, powers, lens = np.full(_SLOTS, -1), np.empty(64), np.empty(_FIXED + rim.shape[0])
+        lenses = np.empty((_SLOTS, _FIXED + rim.shape[0] + 1))
+        for row in range(block * _BLOCK, min((block + 1) * _BLOCK, rows)):
             y = top + row
-            a, b = first_lens(y, starts[y, 0], starts[y, 1], middles)
+            a, b = _first_lens(y, starts[y, 0], starts[y, 1], middles)
             x = 0
             while x < right:
-                stop, p, q = next_lens(y, a, b, right, middles, ahead)
+                stop, p, q = _next_lens(y, a, b, right, middles, ahead)
                 if stop > left:
-                    bright = described(
+                    bright = _described(
                         a, b, middles, own, level, field, radius, shade, rim, cut, keys, powers, lenses, lens
                     )
                     cx, cy = middles[b, a, 0], middles[b, a, 1]

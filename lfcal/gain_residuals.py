@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from .fit import cell_faces, inner_radius
@@ -116,13 +116,13 @@ def _direction(dx, dy):
     return math.floor(math.atan2(dy, dx) / (2 * math.pi) * DIRECTIONS + 0.5) % DIRECTIONS
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _compare(
     picture, centres, places, first, stride, faces, inner, reach, core, scene, brightest, limit, field, radius,
     profile, step, shade, rim, cut, slope, rings, normal, right, rims, sector, dark, cut_normal, cut_right,
 ):  # fmt: skip
-    powers, lens, features = np.empty(64), np.empty(7 + rim.shape[0]), np.empty(6)
-    for window in range(len(first) - 1):
+    for window in prange(len(first) - 1):
+        powers, lens, features = np.empty(64), np.empty(7 + rim.shape[0]), np.empty(6)
         for n in range(first[window], first[window + 1]):
             cx, cy = centres[n, 0], centres[n, 1]
             describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
@@ -150,8 +150,8 @@ def _compare(
                         sector[window, d, 0] += share * e / plane
                         sector[window, d, 1] += share * (r < inner)
                     if through < 0.02:
-                        dark[0] += share * e
-                        dark[1] += share
+                        dark[window, 0] += share * e
+                        dark[window, 1] += share
                     place = stretched / step
                     ring = min(int(place), len(profile) - 2)
                     part = min(place - ring, 1.0)
@@ -168,7 +168,7 @@ def _compare(
                     if 0.001 < through < 0.999:
                         fx, fy = (cx - field[0]) / field[2], (cy - field[1]) / field[2]
                         _push_of_cut(dx - lens[5], dy - lens[6], fx, fy, s, through, plane, cut, features)
-                        _add(features, _CUTS, share, e, cut_normal, cut_right)
+                        _add(features, _CUTS, share, e, cut_normal[window], cut_right[window])
                     steep = (slope[ring] * (1 - part) + slope[ring + 1] * part) * through * plane * r / radius
                     if abs(steep) > 0.02:
                         d = _direction(dx, dy)
@@ -295,8 +295,8 @@ def compare(
     parts, rings = len(sample.first) - 1, len(gain.profile)
     sums = np.zeros((4, parts, rings))
     normal, right = np.zeros((parts, _SHADES, _SHADES)), np.zeros((parts, _SHADES))
-    rims, sector, dark = np.zeros((2, parts, DIRECTIONS)), np.zeros((parts * sectors, DIRECTIONS, 2)), np.zeros(2)
-    cut_normal, cut_right = np.zeros((_CUTS, _CUTS)), np.zeros(_CUTS)
+    rims, sector = np.zeros((2, parts, DIRECTIONS)), np.zeros((parts * sectors, DIRECTIONS, 2))
+    dark, cut_normal, cut_right = np.zeros((parts, 2)), np.zeros((parts, _CUTS, _CUTS)), np.zeros((parts, _CUTS))
     # Light of scenes that many pixels share at the top has been clipped there; a white image may well be so even.
     brightest = 0.995 * float(picture.max()) ** 2 if scene else math.inf
     kernel: Any = _compare
@@ -312,8 +312,18 @@ def compare(
     # Rings hardly any pixel fell into are like those beside them.
     at, filled = np.arange(rings), pixels > 1e-3 * pixels.max()
     profile = np.interp(at, at[filled], found[filled]) if filled.any() else gain.profile
-    behind, pixels_behind = dark
+    behind, pixels_behind = dark.sum(0)
     gap = gain.dark + behind / pixels_behind if pixels_behind > 0 else float(profile.min())
     return Left(
-        profile, square, count, normal, right, rims[0], rims[1], sector, max(float(gap), 0.0), cut_normal, cut_right
+        profile,
+        square,
+        count,
+        normal,
+        right,
+        rims[0],
+        rims[1],
+        sector,
+        max(float(gap), 0.0),
+        cut_normal.sum(0),
+        cut_right.sum(0),
     )

@@ -172,15 +172,21 @@ def _snap(
     reciprocal: NDArray[np.float64], peaks: NDArray[np.float64], strength: NDArray[np.float64], size: int
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Least-squares reciprocal basis through all peaks that lie on its nodes, and which peaks those are."""
-    on = np.zeros(len(peaks), dtype=bool)
+    on, before = np.zeros(len(peaks), dtype=bool), np.zeros((0, 2))
     for _ in range(4):
         index = peaks @ np.linalg.inv(reciprocal)
         node = np.rint(index)
         on = (np.hypot(*((index - node) @ reciprocal).T) * size < _ON_NODE) & (np.abs(node).sum(1) > 0)
-        weight = np.sqrt(strength[on])[:, None]
-        if np.linalg.matrix_rank(node[on]) < 2:
+        chosen = node * on[:, None]
+        if np.array_equal(chosen, before):
             break
-        reciprocal = np.linalg.lstsq(node[on] * weight, peaks[on] * weight, rcond=None)[0]
+        before = chosen
+        weighted = chosen.T * strength
+        gram = chosen.T @ chosen
+        # Whole numbers: nodes on one line give exactly 0.
+        if gram[0, 0] * gram[1, 1] == gram[0, 1] ** 2:
+            break
+        reciprocal = np.linalg.solve(weighted @ chosen, weighted @ peaks)
     return reciprocal, on
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .lens_means import traditional
     from .optics import Optics
     from .picture import write_picture
+    from .plotting import napari_layers
     from .refocusing import focal_stack, refocus
     from .rendering import Rendering
     from .view_files import stereo_pair, write_animation, write_grid
@@ -35,6 +36,7 @@ __all__ = [
     "demosaic",
     "focal_stack",
     "grid_offsets",
+    "napari_layers",
     "open_frames",
     "refocus",
     "render",
@@ -61,9 +63,10 @@ _HOMES = {
     "circle_offsets": "viewpoints",
     "default_scale": "drawing",
     "demosaic": "demosaicing",
-    "open_frames": "frames",
     "focal_stack": "refocusing",
     "grid_offsets": "viewpoints",
+    "napari_layers": "plotting",
+    "open_frames": "frames",
     "refocus": "refocusing",
     "render": "drawing",
     "render_frames": "batch",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from importlib import import_module
 from pathlib import Path
 from threading import Thread
@@ -55,7 +55,13 @@ def main() -> None:
     """Depth and full-resolution pictures from focused plenoptic captures."""
 
 
-@main.command()
+@main.command(
+    epilog=console.examples(
+        "lfrender analyze flat.png -c camera.json -o depth.npz",
+        "lfrender analyze flat.png -c camera.json -o depth.npz --dense depth.tif --picture depth.png",
+        "lfrender analyze flat.png -c camera.json -o depth.npz --roi 400 300 900 700",
+    )
+)
 @click.argument("flat", type=_PATH)
 @click.option("-c", "--camera", type=_PATH, required=True, help=_CAMERA)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="DEPTH.npz", help="Depth map to write.")
@@ -127,7 +133,13 @@ def analyze(
     report.finish({"depth": str(output), **figures})
 
 
-@main.command()
+@main.command(
+    epilog=console.examples(
+        "lfrender render flat.png -o picture.tif",
+        "lfrender render flat.png -c camera.json --depth depth.npz --scale 12 -o picture.png",
+        "lfrender render flat.png --white white.png --patch-size -8.5 -o binocular.png",
+    )
+)
 @click.argument("flat", type=_PATH)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="PICTURE", help="Picture to write: .tif, .png, ...")
 @click.option("-c", "--camera", type=_PATH, help=_CAMERA + " Without it, the camera is calibrated from FLAT.")
@@ -218,7 +230,7 @@ def render(
     report.finish({"picture": str(output), **_picture_figures(picture), **figures})
 
 
-@main.command()
+@main.command(epilog=console.examples("lfrender refocus flat.png --at 700 420 -o picture.tif"))
 @click.argument("flat", type=_PATH)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="PICTURE", help="Picture to write: .tif, .png, ...")
 @click.option("-c", "--camera", type=_PATH, help=_CAMERA + " Without it, the camera is calibrated from FLAT.")
@@ -264,7 +276,13 @@ def refocus(
     report.finish({"picture": str(output), **_picture_figures(picture), **_camera_figures(calibration)})
 
 
-@main.command()
+@main.command(
+    epilog=console.examples(
+        "lfrender views flat.png -o views --grid 5x5",
+        "lfrender views flat.png -o pair.png --stereo",
+        "lfrender views flat.png -o round.gif --animation 24",
+    )
+)
 @click.argument("flat", type=_PATH)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="FOLDER|FILE", help="Folder of a grid, or one file.")
 @click.option("-c", "--camera", type=_PATH, help=_CAMERA + " Without it, the camera is calibrated from FLAT.")
@@ -368,7 +386,7 @@ def _grid_size(text: str) -> tuple[int, int]:
     return int(rows), int(columns)
 
 
-@main.command()
+@main.command(epilog=console.examples("lfrender demo -o demo"))
 @click.option(
     "-o", "--output", type=_PATH, default=Path("lfrender-demo"), show_default=True, help="Folder for pictures and page."
 )
@@ -381,7 +399,13 @@ def demo(output: Path, as_json: bool, quiet: bool) -> None:
     report.finish(run_demo(output, report))
 
 
-@main.command()
+@main.command(
+    epilog=console.examples(
+        "lfrender batch frames -o pictures",
+        "lfrender batch film.mkv -c camera.json -o pictures --format png",
+        "lfrender batch frames/*.png -o pictures --workers 4",
+    )
+)
 @click.argument("inputs", type=_PATH, nargs=-1, required=True, metavar="INPUT...")
 @click.option("-o", "--output", type=_PATH, required=True, metavar="FOLDER", help="Folder for the pictures.")
 @click.option("-c", "--camera", type=_PATH, help=_CAMERA + " Without it, the first frame is calibrated.")
@@ -507,9 +531,11 @@ def _import_drawing(tiff: bool) -> None:
             sys.modules.pop(blas, None)
         gc.freeze()
         gc.enable()
-    import_module(f"{__package__}.drawing")
-    if tiff:
-        import_module("tifffile")
+    # A command that fails at once ends while this goes on: nothing will be drawn, and nobody minds.
+    with suppress(RuntimeError):
+        import_module(f"{__package__}.drawing")
+        if tiff:
+            import_module("tifffile")
 
 
 def _read_camera(path: Path, pixels: NDArray[np.generic]) -> Calibration:

@@ -15,8 +15,12 @@ __all__ = ["REACH", "demosaic"]
 
 # Differences below this share of white say nothing about the direction of an edge: noise and rounding make them.
 _EVEN = 0.01
-#: Colours are interpolated from pixels up to so far away [px]: two, whose green is from two more.
-REACH = 4
+# A guide that differs by this share of white belongs to another surface, more likely than not.
+_ALIKE = 0.08
+# Weight of a pixel 0, 1 and 2 rows or columns away: farther ones have lost the colour.
+_NEAR = np.exp(-0.5 * np.arange(3.0) ** 2).astype(np.float32)
+#: Colours are taken from so far away [px]: two, by a colour that is taken there from two, whose green is from two.
+REACH = 6
 _COLOURS = {"R": 0, "G": 1, "B": 2}
 
 
@@ -93,33 +97,59 @@ def _fill_green(flat, owner, colours, even, out):
                 out[y, x, 1] = flat[y, x]
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _guided(flat, owner, colours, wanted, guide, y, x, near, alike, out):
+    """One colour from another: that plus their mean difference at the wanted pixels around, of the same lens.
+
+    `near` weighs them by rows and columns of distance; those where the guide differs by more than `alike` count less.
+    """
+    reach = len(near) - 1
+    total = weights = np.float32(0.0)
+    for v in range(y - reach, y + reach + 1):
+        for u in range(x - reach, x + reach + 1):
+            if colours[v & 1, u & 1] == wanted and _is(owner, owner[y, x], v, u):
+                unlike = out[v, u, guide] - out[y, x, guide]
+                weight = near[abs(v - y)] * near[abs(u - x)] / (unlike * unlike + alike * alike)
+                total += weight * (np.float32(flat[v, u]) - out[v, u, guide])
+                weights += weight
+    if weights > 0:
+        total /= weights
+    return max(out[y, x, guide] + total, np.float32(0.0))
+
+
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _fill_colour(flat, owner, colours, colour, out):
-    """Red or blue: green plus the mean difference to green at the pixels of that colour around, of the same lens."""
+def _fill_colour(flat, owner, colours, colour, near, alike, out):
+    """Red or blue, with green as the guide."""
     height, width = flat.shape
     for y in prange(height):
         for x in range(width):
             if colours[y & 1, x & 1] == colour:
                 out[y, x, colour] = flat[y, x]
-                continue
-            total = np.float32(0.0)
-            count = 0
-            for reach in (1, 2):
-                for v in range(y - reach, y + reach + 1):
-                    for u in range(x - reach, x + reach + 1):
-                        if colours[v & 1, u & 1] == colour and _is(owner, owner[y, x], v, u):
-                            total += np.float32(flat[v, u]) - out[v, u, 1]
-                            count += 1
-                if count > 0:
-                    break
-            out[y, x, colour] = max(out[y, x, 1] + total / max(count, 1), np.float32(0.0))
+            else:
+                out[y, x, colour] = _guided(flat, owner, colours, colour, 1, y, x, near, alike, out)
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _refill_rim(flat, owner, colours, near, alike, out):
+    """Green at the rim of a microimage, where a neighbour for the edge rule is missing: the own colour guides."""
+    height, width = flat.shape
+    for y in prange(height):
+        for x in range(width):
+            own, colour = owner[y, x], colours[y & 1, x & 1]
+            if colour != 1 and not (
+                _is(owner, own, y - 1, x)
+                and _is(owner, own, y + 1, x)
+                and _is(owner, own, y, x - 1)
+                and _is(owner, own, y, x + 1)
+            ):
+                out[y, x, 1] = _guided(flat, owner, colours, 1, colour, y, x, near, alike, out)
 
 
 def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = (0, 0)) -> NDArray:
     """Colour flat from one behind a colour filter mosaic; any other flat is given back as it is.
 
     Green is interpolated along edges, red and blue by their difference to green (J. F. Hamilton and J. E. Adams,
-    US patent 5629734, 1997), each pixel from pixels of its own microimage alone.
+    US patent 5629734, 1997) at places of like green, each pixel from pixels of its own microimage alone.
 
     Parameters
     ----------
@@ -145,8 +175,10 @@ def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = 
     white = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 1.0
     out = np.empty((*pixels.shape, 3), np.float32)
     _fill_green(pixels, owner, colours, np.float32(_EVEN * white), out)
+    alike = np.float32(_ALIKE * white)
     for colour in (0, 2):
-        _fill_colour(pixels, owner, colours, colour, out)
+        _fill_colour(pixels, owner, colours, colour, _NEAR, alike, out)
+    _refill_rim(pixels, owner, colours, _NEAR, alike, out)
     if pixels.dtype.kind == "f":
         return out.astype(pixels.dtype, copy=False)
     return np.minimum(np.rint(out, out=out), white).astype(pixels.dtype)

@@ -100,7 +100,7 @@ class DepthMap:
 
     @cached_property
     def magnification(self) -> NDArray[np.float32]:
-        """(n,) float32: M = D / |s| (Lumsdaine and Georgiev 2008, section 6); NaN where unresolved."""
+        """(n,) float32: `M = D / |s|` (Lumsdaine and Georgiev 2008, section 6); NaN where unresolved."""
         with np.errstate(divide="ignore"):
             return (self.pitch / np.abs(self.patch_size)).astype(np.float32)
 
@@ -112,6 +112,27 @@ class DepthMap:
     def distance(self, optics: Optics) -> NDArray[np.float64]:
         """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where unresolved."""
         return optics.distance(self.patch_size.astype(np.float64) / self.pitch)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the magnification over the scene, unresolved places filled, on a logarithmic colour scale.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            By default the current one (`pip install 'lfrender[plots]'`).
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        from .plotting import plot_depth
+
+        return plot_depth(self, ax)
+
+    def _repr_html_(self) -> str:
+        from .plotting import depth_card
+
+        return depth_card(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as `.npz`; the file appears whole or not at all."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,3 +31,24 @@ class Rendering:
     affine: NDArray[np.float64]
     valid: NDArray[np.bool_]
     scale: float
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the picture over scene coordinates.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            By default the current one (`pip install 'lfrender[plots]'`).
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        from .plotting import plot_rendering
+
+        return plot_rendering(self, ax)
+
+    def _repr_html_(self) -> str:
+        from .plotting import rendering_card
+
+        return rendering_card(self)

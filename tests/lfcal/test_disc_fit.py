@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 from pathlib import Path
 
@@ -80,3 +81,26 @@ def test_film_scanned_with_a_general_distortion_is_followed(drawn):
     miss = back[inside] - truth.centres(truth.index_of(back[inside]))
     assert camera.lattice.distortion.general is not None
     assert np.sqrt((miss**2).sum(1).mean()) < 0.05
+
+
+def test_even_inside_of_a_large_microimage_is_seen_in_one_pixel_of_sixteen(drawn):
+    from lfcal.disc_model import disc_steps
+    from lfcal.disc_newton import open_lenses
+    from lfcal.disc_parameters import DiscModel
+    from lfcal.features import tone
+    from lfcal.parts import Parts
+
+    truth = drawn("hexagonal", 60.3, 5.0, 26.0, size=(500, 450))
+    lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, 25.0)
+    state, _ = open_lenses(Parts.whole(tone(truth.image())), DiscModel(lattice, None), 1e6, 12, None)
+    discs = state.discs
+    steps = disc_steps(discs)
+    light = discs.light.copy()
+    y, x = np.indices(light.shape[1:])
+    far = np.hypot(x + discs.corners[0, 0] - discs.centres[0, 0], y + discs.corners[0, 1] - discs.centres[0, 1])
+    inside = far < 22
+    seen = []
+    for v, u in np.argwhere(inside)[::7]:
+        other = dataclasses.replace(discs, light=np.where((y == v) & (x == u), 0, light))
+        seen.append(disc_steps(other).cost != steps.cost)
+    assert 0.03 < np.mean(seen) < 0.1

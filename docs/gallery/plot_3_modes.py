@@ -1,0 +1,31 @@
+"""
+Two modes in one picture
+========================
+
+A house is telescopic, the branches before it are binocular. One patch size for all places serves one of them; each lens
+in its own mode serves both.
+"""
+
+import matplotlib.pyplot as plt
+
+import lfrender
+from data_synth import SCENES, Camera, simulate
+
+camera = Camera.design(size=(700, 520), pitch=20.3)
+capture = simulate(SCENES["house"](camera), camera, samples=8)
+calibration = capture.truth.calibration
+
+depth = lfrender.analyze(capture.flat, calibration)
+print(f"telescopic {(depth.mode == 1).mean():.0%}, binocular {(depth.mode == -1).mean():.0%}")
+
+size = 0.3 * calibration.lattice.pitch
+fig, axes = plt.subplots(2, 2, figsize=(10, 8), layout="constrained")
+for ax, name, picture in (
+    (axes[0, 0], "telescopic for all", lfrender.render(capture.flat, calibration, patch_size=size)),
+    (axes[0, 1], "binocular for all", lfrender.render(capture.flat, calibration, patch_size=-size)),
+    (axes[1, 0], "each place in its own", lfrender.render(capture.flat, calibration, depth)),
+):
+    picture.plot(ax)
+    ax.set_title(name)
+depth.plot(axes[1, 1])
+plt.show()

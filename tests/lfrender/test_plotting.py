@@ -1,0 +1,74 @@
+import base64
+import re
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lfcal
+import lfrender
+
+
+@pytest.fixture(scope="module")
+def drawn(house):
+    camera = house.truth.calibration
+    depth = lfrender.analyze(house.flat, camera)
+    return camera, depth, lfrender.render(house.flat, camera, depth)
+
+
+def test_a_notebook_shows_each_result_with_a_picture_and_figures(drawn):
+    camera, depth, rendering = drawn
+    assert f"{camera.lattice.pitch:.4f} px" in camera._repr_html_()
+    assert "hexagonal" in camera._repr_html_()
+    # A circle for each of the lenses about the middle, and two arrow heads.
+    assert 20 < camera._repr_html_().count("<circle") < 60
+    for result, words in ((depth, "telescopic"), (rendering, "px per pitch")):
+        html = result._repr_html_()
+        assert words in html
+        data = re.search(r"data:image/png;base64,([^']+)", html)[1]
+        picture = Image.open(BytesIO(base64.b64decode(data)))
+        assert 40 < picture.height <= 480
+        assert np.asarray(picture).std() > 10
+
+
+def test_a_warning_is_written_out_and_its_signs_do_no_harm(drawn):
+    from dataclasses import replace
+
+    html = replace(drawn[0], warnings=("pitch < 6 px & <b>",))._repr_html_()
+    assert "pitch &lt; 6 px &amp; &lt;b&gt;" in html
+
+
+def test_plots_lie_on_scene_coordinates(drawn):
+    plt = pytest.importorskip("matplotlib.pyplot", reason="Matplotlib is not installed")
+    camera, depth, rendering = drawn
+    plt.switch_backend("agg")
+    width, height = camera.image_size
+    for result in (depth, rendering):
+        left, right, low, top = result.plot(plt.figure().gca()).images[0].get_extent()
+        np.testing.assert_allclose((left, right), (-0.5, width - 0.5), atol=camera.lattice.pitch)
+        np.testing.assert_allclose((top, low), (-0.5, height - 0.5), atol=camera.lattice.pitch)
+    assert len(camera.plot(plt.figure().gca()).collections[0].get_offsets()) == len(camera.lattice)
+    plt.close("all")
+
+
+def test_residuals_of_a_white_image_are_plotted_as_arrows(house_files):
+    plt = pytest.importorskip("matplotlib.pyplot", reason="Matplotlib is not installed")
+    plt.switch_backend("agg")
+    camera = lfcal.calibrate(lfcal.read_flat(house_files / "white.png"))
+    axes = camera.plot(plt.figure().gca())
+    assert 20 < axes.collections[0].N <= 108
+    assert "Mean residuals" in axes.get_title()
+    plt.close("all")
+
+
+def test_napari_layers_lie_on_each_other(house, drawn):
+    camera, depth, rendering = drawn
+    layers = lfrender.napari_layers(house.flat, camera, depth, rendering)
+    assert [kind for _, _, kind in layers] == ["image", "image", "image", "points"]
+    for data, look, _ in layers[1:3]:
+        end = look["translate"] + look["scale"] * (np.array(data.shape[:2]) - 1)
+        np.testing.assert_allclose(look["translate"], 0, atol=camera.lattice.pitch)
+        np.testing.assert_allclose(end, np.array(house.flat.shape[:2]) - 1, atol=camera.lattice.pitch)
+    y, x = layers[3][0][0]
+    np.testing.assert_allclose((x, y), camera.lattice.centres()[0])

@@ -1,0 +1,78 @@
+"""What `--help`, `--verbose` and the shell promise of the command lines."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+
+import pytest
+from click.testing import CliRunner
+
+import lfcal.cli
+import lfrender.cli
+
+PROGRAMS = {"lfcal": lfcal.cli.main, "lfrender": lfrender.cli.main}
+COMMANDS = [(program, name) for program, group in PROGRAMS.items() for name in group.commands]
+
+
+@pytest.mark.parametrize(("program", "name"), COMMANDS)
+def test_each_help_ends_with_examples_that_the_command_understands(program, name):
+    command = PROGRAMS[program].commands[name]
+    shown = CliRunner().invoke(PROGRAMS[program], [name, "--help"]).output
+    lines = [line for line in command.epilog.splitlines() if line.startswith("  ")]
+    assert lines
+    for line in lines:
+        assert line in shown
+        called, named, *arguments = shlex.split(line)
+        assert (called, named) == (program, name)
+        command.make_context(name, arguments)
+
+
+def test_verbose_tells_each_stage_and_its_seconds(house_files, tmp_path):
+    result = CliRunner().invoke(
+        lfrender.cli.main,
+        [
+            "render",
+            str(house_files / "flat.png"),
+            "-c",
+            str(house_files / "camera.json"),
+            "--traditional",
+            "--verbose",
+            "-o",
+            str(tmp_path / "small.png"),
+            "--json",
+        ],
+    )
+    assert result.exit_code == 0, result.output
+    stages = dict(line.split(": ") for line in result.stderr.splitlines())
+    assert set(stages) == {"read", "calibrate", "render", "write"}
+    assert all(seconds.endswith(" s") and float(seconds[:-2]) >= 0 for seconds in stages.values())
+
+
+@pytest.mark.parametrize(("program", "begun", "offered"), [("lfrender", "re", "render"), ("lfcal", "cal", "calibrate")])
+def test_the_shell_completes_commands(program, begun, offered):
+    asked = {"COMP_WORDS": f"{program} {begun}", "COMP_CWORD": "1", f"_{program.upper()}_COMPLETE": "bash_complete"}
+    code = f"import {program}.cli, sys; sys.argv = ['{program}']; {program}.cli.main(prog_name='{program}')"
+    done = subprocess.run([sys.executable, "-c", code], env=os.environ | asked, capture_output=True, text=True)
+    assert f"plain,{offered}" in done.stdout
+
+
+def test_a_command_that_fails_at_once_says_one_line(tmp_path):
+    for _ in range(3):
+        done = subprocess.run(
+            [
+                sys.executable,
+                "-c",
+                "from lfrender.cli import main; main()",
+                "render",
+                str(tmp_path / "no.png"),
+                "-o",
+                str(tmp_path / "x.tif"),
+            ],
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 2
+        assert len(done.stderr.splitlines()) == 1, done.stderr
