@@ -108,13 +108,17 @@ def _calibrated(
 
 @dataclass(frozen=True)
 class _Found:
-    """The lattice of a camera, and what it was found on: the `tone` of a flat, or parts of it and a look at all."""
+    """The lattice of a camera, and what it was found on: the `tone` of a flat, or parts of it and a look at all.
+
+    `single` is False where that is the mean of several scenes.
+    """
 
     picture: NDArray[np.float32] | Parts
     white: bool
     start: FirstLattice
     fit: FinalLattice
     look: Look | None = None
+    single: bool = True
 
 
 def _found_in_parts(flat: NDArray[Any], kind: str, filtered: bool) -> _Found | None:
@@ -159,7 +163,7 @@ def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) 
         if filtered:
             lights = [without_mosaic(light) for light in lights]
         picture = tone(_mean_scene(lights)) if single is None or filtered else single
-        return _Found(picture, False, start, fit_on_scenes(lights, picture, start))
+        return _Found(picture, False, start, fit_on_scenes(lights, picture, start), single=len(lights) == 1)
     except np.linalg.LinAlgError as error:
         # Equations without a solution: nothing on the flat holds the lattice in one of the directions.
         raise CalibrationError(f"what repeats on the image has no edges to place microimages by; {_RAW}") from error
@@ -168,6 +172,7 @@ def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) 
 def _measured(found: _Found) -> Calibration:
     """The camera with what else its flat shows."""
     from .illumination import measure_illumination
+    from .neighbours import check_neighbours
     from .type_search import find_lens_types
 
     fit, picture, white = found.fit, found.picture, found.white
@@ -179,6 +184,8 @@ def _measured(found: _Found) -> Calibration:
         )
     seen = measure_illumination(picture, fit.lattice, white, fit.cat_eye, found.look)
     lattice = replace(fit.lattice, radius=seen.radius)
+    if isinstance(picture, np.ndarray):
+        check_neighbours(picture, lattice, white, found.single)
     confidence = float(np.clip(min(found.start.repeatability, 1 - fit.halves_differ / (_SCATTERED * pitch)), 0, 1))
     return Calibration(
         lattice=lattice,

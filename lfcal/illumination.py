@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .defect_search import find_defects
 from .defects import Defects
 from .disc_parameters import CatEye
+from .errors import CalibrationError
 from .gain_fit import fit_gain
 from .gain_kernels import mean_light
 from .gain_map import GainMap
@@ -96,6 +97,8 @@ def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
     light = np.zeros((len(centres), rings))
     mean_light(centres, light, *gain.shape(lattice))
     relative = light.mean(0)
+    if not relative.max() > 0:
+        raise CalibrationError("no light is left in the average microimage; give a white image")
     relative = np.clip(relative / relative.max(), 0, 1)
     radii = np.arange(rings) * gain.step
     radius = limit

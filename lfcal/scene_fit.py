@@ -126,22 +126,29 @@ def _look(
     picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.int64], stride: int
 ) -> tuple[Steps, NDArray[np.float64]]:
     """Steps of the lenses that show something, and how much each of all (n,) says about its place."""
-    cell = cell_faces(lattice)
-    found = lens_steps(picture, lattice, np.ascontiguousarray(lattice.points(indices)), cell, stride)
+    faces, reach = cell_faces(lattice)
+    centres = lattice.points(indices)
+    # Where the lattice has moved, so have lenses over the edge of the flat.
+    whole = ((centres >= reach) & (centres <= np.array(picture.shape[::-1]) - 1 - reach)).all(1)
+    if whole.sum() < _FEWEST_LENSES:
+        raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
+    found = lens_steps(picture, lattice, np.ascontiguousarray(centres[whole]), (faces, reach), stride)
+    said = np.zeros(len(indices))
     # Dark and blank lenses agree with whatever they are asked.
-    said = np.trace(found.normal, axis1=1, axis2=2)
-    says = said > _SAYS * np.quantile(said, _GOOD)
-    count = int(says.sum())
+    told = np.trace(found.normal, axis1=1, axis2=2)
+    said[whole] = told
+    clear = told > _SAYS * np.quantile(told, _GOOD)
+    count = int(clear.sum())
     if count < _FEWEST_LENSES:
         raise CalibrationError("the microimages show too little; give a brighter flat or a white image")
-    (xx, xy), (_, yy) = found.normal[says].transpose(1, 2, 0)
-    bx, by = found.right[says].T
+    (xx, xy), (_, yy) = found.normal[clear].transpose(1, 2, 0)
+    bx, by = found.right[clear].T
     # Lenses that show an edge in one direction only say next to nothing about the place along it.
-    ridge = 1e-6 * float(said.mean())
+    ridge = 1e-6 * float(told.mean())
     xx, yy = xx + ridge, yy + ridge
     determinant = xx * yy - xy * xy
     step = np.column_stack([yy * bx - xy * by, xx * by - xy * bx]) / determinant[:, None]
-    design = np.column_stack([np.ones(count), indices[says]])
+    design = np.column_stack([np.ones(count), indices[whole][clear]])
     return Steps(design, step, (xx + yy) / determinant / 2, lattice.basis), said
 
 

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from .plotting import napari_layers
     from .refocusing import focal_stack, refocus
     from .rendering import Rendering
+    from .report_page import write_report
     from .view_files import stereo_pair, write_animation, write_grid
+    from .viewer_page import write_viewer
     from .viewpoints import circle_offsets, grid_offsets, views
 
 __all__ = [
@@ -49,6 +51,8 @@ __all__ = [
     "write_animation",
     "write_grid",
     "write_picture",
+    "write_report",
+    "write_viewer",
 ]
 
 _HOMES = {
@@ -78,6 +82,8 @@ _HOMES = {
     "write_animation": "view_files",
     "write_grid": "view_files",
     "write_picture": "picture",
+    "write_report": "report_page",
+    "write_viewer": "viewer_page",
 }
 
 

@@ -20,7 +20,7 @@ _MOST_VIEWS = 5
 _REFERENCES = 2
 # Share of the views that must agree: nothing hides the nearest candidate, while half of the views of one behind it may
 # be hidden.
-_OPEN, _HALF = np.float32(0.65), np.float32(0.5)
+_OPEN, _HALF = np.float32(0.7), np.float32(0.5)
 # A place behind another may match as well, past the edge of the nearer one; so each candidate pays this many times
 # what a nearer one stays below that mismatch.
 _HIDDEN, _MATCHED = np.float32(2.0), np.float32(0.5)
@@ -28,6 +28,18 @@ _HIDDEN, _MATCHED = np.float32(2.0), np.float32(0.5)
 _WIDEST = np.float32(2.0)
 # Price of a depth that none of the lenses around votes for, in units of the mismatch.
 _PRIOR = np.float32(0.07)
+# Mismatch of places that tell nothing: too few views show them, or noise explains their contrast.
+_UNKNOWN = np.float32(0.5)
+# A candidate behind another that mismatches in so many views, as if all were hidden, counts half as much as it would.
+_HALF_VIEWS = np.float32(2.0)
+# What fewer than this share of the lenses around vote for is known roughly: values beside it are tried as well, this
+# share of a gap away, at the price of a depth without votes.
+_ROUGH, _NUDGE, _NUDGED = np.float32(0.4), np.float32(0.3), np.float32(0.07)
+# Better matches than this are not improved upon.
+_GOOD = np.float32(0.2)
+# Weight of the first depth of a lens, of its second best, and of that of what the first leaves unexplained: a second
+# best is false in every fourth lens, and nothing has refined it.
+_VOTES = (np.float32(1.0), np.float32(0.1), np.float32(1.0))
 # Lenses below this trust say nothing about the places around them where others do.
 _TRUSTED = np.float32(0.1)
 # How `calm_lenses` marks lenses far from any that is trusted: whatever is drawn there, nothing shows it.
@@ -47,8 +59,8 @@ def _sample(image, x, y):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, share, patches, moments, costs):
-    """How badly the better half of the views of the patch at (x, y) agree with one of the most central ones."""
+def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, nearest, patches, moments, costs):
+    """How badly the better share of the views of the patch at (x, y) agrees with one of the most central ones."""
     side = 2 * _PATCH + 1
     size = side * side
     views = 0
@@ -72,8 +84,9 @@ def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, 
         if views > _MOST_VIEWS:
             break
     if views < 2:
-        return np.float32(1.0)
+        return _UNKNOWN
     least = np.float32(np.inf)
+    share = _OPEN if nearest else _HALF
     half = max(1, int(share * (views - 1) + np.float32(0.5)))
     # An occluder may hide the place from the most central view as well.
     for r in range(min(_REFERENCES, views)):
@@ -84,7 +97,8 @@ def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, 
             sdd = np.float32(0.0)
             for k in range(size):
                 sdd += (patches[m, k] - patches[r, k]) ** 2
-            cost = (sdd / size + floor) / (moments[r, 1] + moments[m, 1] + (moments[r, 0] - moments[m, 0]) ** 2 + floor)
+            apart = moments[r, 1] + moments[m, 1] + (moments[r, 0] - moments[m, 0]) ** 2
+            cost = (sdd / size + _UNKNOWN * floor) / (apart + floor)
             # Insertion keeps the costs sorted.
             at = found
             while at > 0 and costs[at - 1] > cost:
@@ -96,7 +110,31 @@ def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, 
         for m in range(half):
             best += costs[m]
         least = min(least, best / half)
+    if not nearest and least > _UNKNOWN:
+        least = _UNKNOWN + (least - _UNKNOWN) * views / (views + _HALF_VIEWS)
     return least
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _tried(
+    image, centres, members, count, x, y, s, nudge, pitch, radius, step, floor, nearest, patches, moments, costs
+):  # fmt: skip
+    """The patch size among `s` and those a `nudge` beside it that matches best, and its mismatch."""
+    best = s
+    least = _mismatch(
+        image, centres, members, count, x, y, s / pitch, radius, step, floor, nearest, patches, moments, costs
+    )
+    # What matches well needs no better value, and what is hidden in all views finds none.
+    if nudge == 0 or least < _GOOD or least == _UNKNOWN:
+        return best, least
+    for turn in (-1, 1):
+        value = s + turn * nudge
+        mismatch = _NUDGED + _mismatch(
+            image, centres, members, count, x, y, value / pitch, radius, step, floor, nearest, patches, moments, costs
+        )
+        if mismatch < least:
+            best, least = value, mismatch
+    return best, least
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
@@ -184,6 +222,7 @@ def propose(
     """
     rows, columns, most = depths.shape
     nearby = len(ring)
+    zero = np.float32(0.0)
     # Contested places come in clusters: strides spread them over the threads.
     stride = _coprime_stride(rows)
     for row in prange(rows):
@@ -242,7 +281,7 @@ def propose(
                     while at > 0 and sizes[at - 1] > s:
                         sizes[at], weights[at] = sizes[at - 1], weights[at - 1]
                         at -= 1
-                    sizes[at], weights[at] = s, np.float32(0.25) * w if second else w
+                    sizes[at], weights[at] = s, _VOTES[second] * w
                     votes += 1
             # Clusters of votes are the candidates; the weightiest are kept.
             found = 0
@@ -274,8 +313,9 @@ def propose(
                     nearest = k
             for k in range(found):
                 share = costs[v, u, k] / everyone
-                costs[v, u, k] = _mismatch(
-                    image, centres, members, count, x, y, depths[v, u, k] / pitch, radius, step, floor,
-                    _OPEN if k == nearest else _HALF, patches, moments, sorted_costs,
-                ) + _PRIOR * max(np.float32(0.0), 1 - share)  # fmt: skip
+                depths[v, u, k], mismatch = _tried(
+                    image, centres, members, count, x, y, depths[v, u, k], _NUDGE * gap if share < _ROUGH else zero,
+                    pitch, radius, step, floor, k == nearest, patches, moments, sorted_costs,
+                )  # fmt: skip
+                costs[v, u, k] = mismatch + _PRIOR * max(zero, 1 - share)
             _hide(depths[v, u, :found], costs[v, u, :found], pitch, evidence)

@@ -15,6 +15,7 @@ import click
 from lfcal import LightFieldError, check_output, console
 
 from .embedded import read_embedded
+from .page_commands import report, view
 from .picture import check_picture, write_picture
 
 if TYPE_CHECKING:
@@ -53,6 +54,10 @@ def _preset(command: Any) -> Any:
 @click.version_option(package_name="lfrender", prog_name="lfrender")
 def main() -> None:
     """Depth and full-resolution pictures from focused plenoptic captures."""
+
+
+main.add_command(report)
+main.add_command(view)
 
 
 @main.command(

@@ -15,13 +15,15 @@ from data_synth import SCENES, Camera, Capture, simulate
 from lfcal import Calibration, OutputError, calibrate
 from lfcal.console import Report
 
-from . import analyze, render, traditional
-from .demo_page import write_page
+from . import analyze
+from .demo_page import truth_section
 from .depth_picture import magnification_picture, mode_picture
 from .depthmap import DepthMap
 from .merit import centre_error, compare_pictures, magnification_error, mode_share, nearest_lens, resample
 from .picture import write_picture
 from .rendering import Rendering
+from .report_page import write_report
+from .report_pictures import ReportPictures, data_urls, draw_pictures, png_url
 
 __all__ = ["run_demo"]
 
@@ -33,6 +35,8 @@ _NOISE = (9000.0, 5.0)
 # Beyond this share of D neighbouring microimages share too little for any method.
 _RESOLVABLE = 0.75
 _CROP = (320, 240)
+# For the truth on the page [characters].
+_ROOM = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -42,10 +46,7 @@ class _Results:
     from_scene: Calibration
     from_white: Calibration
     depth: DepthMap
-    sharp: Rendering
-    coarse: Rendering
-    fixed: dict[str, Rendering]
-    fixed_patch_size: dict[str, float]
+    pictures: ReportPictures
 
 
 def run_demo(
@@ -96,10 +97,18 @@ def run_demo(
     results = _run_chain(capture, report)
     with report.stage("compare with the truth"):
         figures, reference = _measure(capture, results)
+    white = np.iinfo(capture.flat.dtype).max
+    truth = np.rint(reference * white).astype(capture.flat.dtype)
     with report.stage("write"):
-        pictures = _write_pictures(target, capture, results, reference)
+        crop = _crop_where_modes_meet(capture)
+        _write_pictures(target, capture, results, truth, crop)
     figures = {**figures, "seconds": report.seconds}
-    write_page(target / "index.html", figures, pictures)
+    urls, _ = data_urls({"reference": truth}, _ROOM)
+    write_report(
+        target / "index.html", capture.flat, results.from_scene, results.depth, results.pictures,
+        title="One capture, both modes, sharp everywhere", seconds=report.seconds, compare={"truth": truth},
+        further=truth_section(figures, png_url(crop), urls["reference"]), command="lfrender demo",
+    )  # fmt: skip
     return {"page": str(target / "index.html"), **figures}
 
 
@@ -112,37 +121,22 @@ def _run_chain(capture: Capture, report: Report) -> _Results:
     with report.stage("analyze"):
         depth = analyze(flat, from_scene)
     with report.stage("render"):
-        sharp = render(flat, from_scene, depth)
-    with report.stage("render for comparison"):
-        coarse = traditional(flat, from_scene)
-        sizes = _typical_patch_sizes(depth, from_scene)
-        fixed = {name: render(flat, from_scene, patch_size=size, scale=sharp.scale) for name, size in sizes.items()}
-    return _Results(from_scene, from_white, depth, sharp, coarse, fixed, sizes)
-
-
-def _typical_patch_sizes(depth: DepthMap, calibration: Calibration) -> dict[str, float]:
-    """The median patch size of each mode, the best a picture with one patch size can choose for it."""
-    sizes = {}
-    for name, sign in (("telescopic", 1), ("binocular", -1)):
-        found = np.asarray(depth.patch_size)[np.asarray(depth.mode) == sign]
-        sizes[name] = float(np.median(found)) if found.size else sign * 0.3 * calibration.lattice.pitch
-    return sizes
+        pictures = draw_pictures(flat, from_scene, depth)
+    return _Results(from_scene, from_white, depth, pictures)
 
 
 def _measure(capture: Capture, results: _Results) -> tuple[dict[str, Any], NDArray[Any]]:
     """All figures of merit, and the reference on the grid of the all-in-focus picture."""
-    truth, lattice = capture.truth, results.from_scene.lattice
+    truth, lattice, sharp = capture.truth, results.from_scene.lattice, results.pictures.sharp
     true_lattice = truth.calibration.lattice
     resolvable = truth.mode != 0
     one_depth = resolvable & ~truth.mixed
     lens = nearest_lens(lattice, true_lattice.centres())
     mode, size = np.asarray(results.depth.mode)[lens], np.asarray(results.depth.patch_size)[lens]
     merit = {
-        name: _compare(capture, picture) for name, picture in {"all_in_focus": results.sharp, **results.fixed}.items()
+        name: _compare(capture, picture) for name, picture in {"all_in_focus": sharp, **results.pictures.fixed}.items()
     }
-    reference, _ = resample(
-        truth.reference, truth.reference_affine, results.sharp.image.shape[:2], results.sharp.affine
-    )
+    reference, _ = resample(truth.reference, truth.reference_affine, sharp.image.shape[:2], sharp.affine)
     figures = {
         "flat_size": list(truth.calibration.image_size),
         "pitch": true_lattice.pitch,
@@ -165,9 +159,9 @@ def _measure(capture: Capture, results: _Results) -> tuple[dict[str, Any], NDArr
             "one_depth": magnification_error(size, truth.patch_size, one_depth),
         },
         "merit": merit,
-        "fixed_patch_size": results.fixed_patch_size,
-        "picture_size": list(results.sharp.image.shape[1::-1]),
-        "scale": results.sharp.scale,
+        "fixed_patch_size": dict(results.pictures.patch_size),
+        "picture_size": list(sharp.image.shape[1::-1]),
+        "scale": sharp.scale,
         "warnings": list(results.from_scene.warnings),
     }
     return figures, reference
@@ -183,24 +177,24 @@ def _compare(capture: Capture, picture: Rendering) -> dict[str, float]:
     return {"psnr": merit.psnr, "ssim": merit.ssim}
 
 
-def _write_pictures(folder: Path, capture: Capture, results: _Results, reference: NDArray[Any]) -> dict[str, bytes]:
-    """Write all pictures as PNG files; gives their bytes by name."""
-    lattice, depth, sharp = results.from_scene.lattice, results.depth, results.sharp
+def _write_pictures(
+    folder: Path, capture: Capture, results: _Results, reference: NDArray[Any], crop: NDArray[Any]
+) -> None:
+    """Write all pictures as PNG files."""
+    lattice, depth, sharp = results.from_scene.lattice, results.depth, results.pictures.sharp
     shape = sharp.image.shape[:2]
-    white = np.iinfo(sharp.image.dtype).max
     pictures: Mapping[str, Any] = {
         "flat": capture.flat,
-        "flat_crop": _crop_where_modes_meet(capture),
-        "traditional": results.coarse,
-        **results.fixed,
+        "flat_crop": crop,
+        "traditional": results.pictures.traditional,
+        **results.pictures.fixed,
         "all_in_focus": sharp,
-        "reference": np.rint(reference * white).astype(sharp.image.dtype),
+        "reference": reference,
         "magnification": magnification_picture(depth.patch_size, depth.mode, lattice, sharp.affine, shape),
         "modes": mode_picture(depth.mode, lattice, sharp.affine, shape),
     }
     for name, picture in pictures.items():
         write_picture(folder / f"{name}.png", picture)
-    return {name: (folder / f"{name}.png").read_bytes() for name in pictures if name != "flat"}
 
 
 def _crop_where_modes_meet(capture: Capture) -> NDArray[Any]:

@@ -1,16 +1,14 @@
-"""The page of the demo: pictures and figures in one HTML file that needs nothing else."""
+"""The part of the demo's page that compares with the truth; the rest of it is the report of the capture."""
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
 from html import escape
-from importlib.metadata import version
-from pathlib import Path
+from importlib.resources import files
 from string import Template
 from typing import Any
 
-__all__ = ["write_page"]
+__all__ = ["truth_section"]
 
 _PICTURES = {
     "all_in_focus": "all in focus",
@@ -19,36 +17,27 @@ _PICTURES = {
 }
 
 
-def write_page(path: Path, figures: Mapping[str, Any], pictures: Mapping[str, bytes]) -> None:
-    """Write the demo's HTML page.
+def truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -> str:
+    """HTML of the comparison with the truth.
 
     Parameters
     ----------
-    path : Path
-        The file to write.
     figures : mapping
         What `run_demo` measured.
-    pictures : mapping of str to bytes
-        PNG files by the names the template uses; they go into the page itself.
+    flat_crop, reference : str
+        Data URLs of pictures.
     """
-    template = Template(Path(__file__).with_name("demo.html").read_text(encoding="utf-8"))
-    embedded = {name: "data:image/png;base64," + base64.b64encode(data).decode() for name, data in pictures.items()}
-    width, height = figures["flat_size"]
-    page = template.substitute(
-        embedded,
-        width=width,
-        height=height,
-        lenses=f"{figures['lenses']:,}",
-        pitch=f"{figures['pitch']:.2f}",
-        telescopic_size=f"{figures['fixed_patch_size']['telescopic']:+.2f}",
-        binocular_size=f"{figures['fixed_patch_size']['binocular']:+.2f}",
+    template = Template((files(__package__) / "web" / "demo.html").read_text(encoding="utf-8"))
+    return template.substitute(
+        flat_crop=flat_crop,
+        reference=reference,
         cards=_cards(figures),
         pictures=_rows(
             (_PICTURES[name], _decibel(m["psnr"]), f"{m['ssim']:.3f}") for name, m in figures["merit"].items()
         ),
         calibrations=_rows(
             (
-                f"from the {kind} image" if kind == "white" else "from the capture itself",
+                f"the {kind} image" if kind == "white" else "the capture itself",
                 f"{c['centre_error']:.4f} px",
                 f"{c['confidence']:.2f}",
             )
@@ -63,14 +52,11 @@ def write_page(path: Path, figures: Mapping[str, Any], pictures: Mapping[str, by
                 ("magnification_error", "M, median relative error (unresolved: 1)", ".2%"),
             )
         ),
-        seconds=_rows((name, f"{seconds:.2f}") for name, seconds in figures["seconds"].items()),
-        version=version("lfrender"),
     )
-    path.write_text(page, encoding="utf-8")
 
 
 def _cards(figures: Mapping[str, Any]) -> str:
-    best, fixed = figures["merit"]["all_in_focus"], [figures["merit"][name] for name in ("telescopic", "binocular")]
+    best, fixed = figures["merit"]["all_in_focus"], [figures["merit"][name] for name in figures["fixed_patch_size"]]
     cards = {
         "all in focus": _decibel(best["psnr"]),
         "better than the best single patch size": _decibel(best["psnr"] - max(m["psnr"] for m in fixed)),

@@ -20,8 +20,9 @@ _NEAREST_ZERO, _LARGEST = 0.1, 0.7
 _DEGREE, _EVEN = 3, 0.025
 # Least scatter [px] of lenses about a plane: what interpolation does to each of them.
 _FLOOR = 0.006
-# Systematic error of a patch size [px] that no number of lenses averages out, as measured on ray-traced planes.
-_UNSEEN = 0.002
+# Systematic error of a patch size [px] that no number of lenses averages out, and what it grows by [pitches] with the
+# cube of |s| / D, as neighbours come to share no more than their rims: as measured on the planes of two ray tracers.
+_UNSEEN, _UNSEEN_GROWTH = 0.002, 0.0015
 # Lenses on the plane are at most so many times the scatter away from it.
 _OUTLYING = 4.0
 # A lens strays from the plane by more than so many of its standard errors, and this much [px]; it and so many others
@@ -42,11 +43,13 @@ class Plane:
         Of the patch sizes of single lenses about it.
     covariance : (3, 3) float64
         Of `inverse`.
+    pitch : float [px]
     """
 
     inverse: NDArray[np.float64]
     scatter: float
     covariance: NDArray[np.float64]
+    pitch: float
 
     @property
     def slanted(self) -> bool:
@@ -61,7 +64,8 @@ class Plane:
         """(n,) standard error [px] of `at`."""
         terms = np.stack([np.ones(len(points)), *points.T], 1)
         variance = np.einsum("ni,ij,nj->n", terms, self.covariance, terms) * self.at(points) ** 4
-        return np.hypot(_UNSEEN, np.sqrt(np.maximum(variance, 0)))
+        shared = np.hypot(_UNSEEN, _UNSEEN_GROWTH * self.pitch * (np.abs(self.at(points)) / self.pitch) ** 3)
+        return np.hypot(shared, np.sqrt(np.maximum(variance, 0)))
 
 
 def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> Plane | None:
@@ -96,7 +100,7 @@ def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: fl
             change = change[:, :count]
             weight = np.einsum("ni,nj,n->ij", terms[:, :count], terms[:, :count], predicted**4)
             covariance = scatter**2 * np.linalg.inv(weight)
-            return Plane(change @ inverse, scatter, change @ covariance @ change.T)
+            return Plane(change @ inverse, scatter, change @ covariance @ change.T, pitch)
     return None
 
 

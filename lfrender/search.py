@@ -176,7 +176,7 @@ def search(
         patch_size=((shifts[best] + parabola_peak(total, best) * step) * factor).astype(np.float32),
         confidence=confidence(total, best, 2 * matcher.forward.shape[1], matcher.tolerance()),
         evidence=1 - own,
-        second=np.where(rival, shifts[other] * factor, np.nan).astype(np.float32),
+        second=np.where(rival, (shifts[other] + parabola_peak(cost, other) * step) * factor, np.nan).astype(np.float32),
         step=step * factor,
         untried=untried,
     )

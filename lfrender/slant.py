@@ -23,7 +23,7 @@ _SLANT = np.float32(0.05)
 _DOUBT = np.float32(3.0)
 # What pairs of one lens get wrong together does not show in their scatter. They share less of the lens, and reach
 # farther beyond it, the larger the patch: factor at s = 0 and its growth per |s| / D, measured on ray-traced scenes.
-_UNSEEN, _UNSEEN_GROWTH = np.float32(0.9), np.float32(1.0)
+_UNSEEN, _UNSEEN_GROWTH = np.float32(0.9), np.float32(1.3)
 # Neighbours that differ by less, in shares of the pitch, lie on one surface.
 _ONE_SURFACE = 0.04
 # Slants of neighbours on one surface differ at least by this much: no surface is perfectly even.

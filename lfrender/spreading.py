@@ -22,9 +22,9 @@ _CELLS_PER_PITCH = 7
 # Lenses within this many pitches vote for depths, those within the second number look at them.
 _VOTING, _LOOKING = 1.45, 2.1
 # Specks are smaller than about half of a square of so many grid values to each side.
-_SPECK = 2
+_SPECK = 1
 # Price of a depth edge between neighbouring grid values, and of a slant by one gap.
-_JUMP, _SLANT = np.float32(0.5), np.float32(0.1)
+_JUMP, _SLANT = np.float32(0.35), np.float32(0.1)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
@@ -158,8 +158,9 @@ def spread(
     lattice : Lattice
     values : (n,) float32 [px]
         Patch size of each lens, finite.
-    seconds : (n, m) float32 [px]
-        Other patch sizes that it may show as well, NaN where there is none.
+    seconds : (n, 2) float32 [px]
+        Other patch sizes that it may show as well: the next best, and that of what the first leaves unexplained; NaN
+        where there is none.
     trust : (n,) float32
         Weight of each lens, positive.
     noise : float
@@ -182,7 +183,7 @@ def spread(
         calm[settled & (calm == 0)] = 1
     propose(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(pitch), values, seconds, trust, calm, grid, low,
-        lattice.origin, np.linalg.inv(lattice.basis), *lattice_bend(lattice), ring, gap, np.float32(2 * noise * noise),
+        lattice.origin, np.linalg.inv(lattice.basis), *lattice_bend(lattice), ring, gap, np.float32(4 * noise * noise),
         start[0], spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), depths, costs,
     )  # fmt: skip
     chosen = np.empty(shape, np.float32)

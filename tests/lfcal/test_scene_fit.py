@@ -121,3 +121,18 @@ def test_square_lattice_of_70_px_is_fitted_on_every_third_pixel(whites):
     basis = whites.turned(whites.SQUARE, 70.0, 1)
     image, origin = whites.white_image(basis, (1000, 800))
     assert _rms(_fit(image, basis, origin, 0.5), basis, origin, (1000, 800)) < 0.03
+
+
+def test_lenses_that_a_step_moves_over_the_edge_of_the_flat_say_nothing(whites):
+    from lfcal import scene_fit
+
+    basis = whites.turned(whites.HEXAGON, 20.3, 3)
+    image, origin = whites.white_image(basis, (300, 260))
+    lattice = lfcal.Lattice(origin, basis, (300, 260), 10.0)
+    indices = scene_fit._chosen(lattice, 1000)
+    moved = lfcal.Lattice(origin + np.array([60.0, 0.0]), basis, (300, 260), 10.0)
+    _, said = scene_fit._look(image.astype(np.float32), moved, indices, 1)
+    over = moved.points(indices)[:, 0] > 299
+    assert over.sum() > 10
+    assert (said[over] == 0).all()
+    assert (said[~over] > 0).any()

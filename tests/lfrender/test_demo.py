@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from html.parser import HTMLParser
 
 import pytest
@@ -48,9 +49,11 @@ def test_page_needs_nothing_but_itself(demo):
     page = Page()
     page.feed((folder / "index.html").read_text(encoding="utf-8"))
     assert len(page.sources) >= 8
-    assert all(source.startswith("data:image/png;base64,") for source in page.sources)
+    assert all(
+        source.startswith(("data:image/png;base64,", "data:image/webp;base64,", "data:,")) for source in page.sources
+    )
     assert f"{figures['merit']['all_in_focus']['psnr']:.1f} dB" in page.text
-    assert "$" not in page.text.split("<script>")[0].replace("${", "")
+    assert not re.search(r"\$[a-z]", page.text)
 
 
 def test_figures_are_those_of_a_working_chain(demo):

@@ -10,6 +10,7 @@ import pytest
 import lfrender
 from data_synth import Camera, Patch, Scene, simulate
 from data_synth.scenes import plane
+from lfrender.plane import fit_plane
 
 _PATH = Path(__file__).parents[2] / "benchmarks" / "depth_sweep.py"
 _SPEC = importlib.util.spec_from_file_location("benchmarks.depth_sweep", _PATH)
@@ -82,3 +83,51 @@ def test_a_rod_of_an_eighth_of_a_microimage_is_found_with_its_depth():
     beside = depth.surface.at(np.column_stack([np.full(len(y), 140.0), y]))
     assert (np.abs(on_rod + 0.15 * 40) < 2).mean() > 0.8
     assert (np.abs(beside + 0.5 * 40) < 2).mean() > 0.9
+
+
+@functools.cache
+def card_flat(width, wall=-0.55, card=-0.2):
+    """A textured upright card `width` pitches wide in scene coordinates before a wall, at these `s / D`."""
+    camera = Camera.design(size=(330, 280), pitch=23.2, rotation=1.3)
+    behind = plane(camera, ratio=wall, seed=3).surfaces
+    half = 0.5 * width * camera.pitch
+    corner, right, down = camera.place([(165 - half, -60), (165 + half, -60), (165 - half, 340)], camera.depth_at(card))
+    texture = np.random.default_rng(1).uniform(0, 1, (160, max(8, round(16 * width)), 3)).astype(np.float32)
+    scene = Scene("card", (*behind, Patch(corner, right - corner, down - corner, texture)))
+    return simulate(scene, camera, samples=16, seed=2)
+
+
+def mistaken(shot):
+    """Share of the reference picture, a pitch off the border, where the depth is off by more than D / 20."""
+    depth = lfrender.analyze(shot.flat, shot.truth.calibration)
+    wanted, affine = shot.truth.reference_patch_size, shot.truth.reference_affine
+    v, u = np.mgrid[: wanted.shape[0], : wanted.shape[1]]
+    points = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ affine.T
+    wrong = np.abs(depth.surface.at(points).reshape(wanted.shape) - wanted) > 0.05 * depth.pitch
+    near = np.abs(wanted - np.median(wanted)) > 0.1 * depth.pitch
+    inner = np.s_[12:-12, 12:-12]
+    return wrong[inner][near[inner]].mean(), wrong[inner][~near[inner]].mean()
+
+
+def test_a_near_card_does_not_grow_over_the_wall_that_few_lenses_see_beside_it():
+    lost, grown = mistaken(card_flat(4.0))
+    assert lost < 0.05
+    assert grown < 0.085
+
+
+def test_a_binocular_rod_before_a_telescopic_wall_stays_whole():
+    lost, grown = mistaken(card_flat(1.5, wall=0.2, card=-0.3))
+    assert lost < 0.15
+    assert grown < 0.05
+
+
+def test_the_error_that_all_lenses_of_a_plane_share_grows_with_the_patch_size():
+    rng = np.random.default_rng(1)
+    points = rng.uniform(0, 1000, (200, 2))
+    errors = []
+    for ratio in (0.15, -0.6):
+        found = fit_plane(points, 50.0 * ratio + 1e-4 * rng.standard_normal(200), 50.0)
+        errors.append(found.standard_error(points).max())
+    # Of that many lenses the scatter alone would leave less than a ten-thousandth of a pixel.
+    assert 0.001 < errors[0] < 0.003
+    assert 0.01 < errors[1] < 0.03

@@ -234,11 +234,12 @@ def test_unresolved_lenses_say_why():
     assert _reasons(textured, found, sizes, np.ones(5, bool), 23.0).tolist() == [0, 1, 2, 3, 3]
 
 
-def test_patch_sizes_from_minus_to_plus_three_quarters_of_a_pitch_keep_their_sign(drawn_flat):
+@pytest.mark.parametrize("basis", [((23.2, 0.4), (11.25, 20.3)), ((22.9, 0.6), (-0.6, 22.9))])
+def test_patch_sizes_from_minus_to_plus_three_quarters_of_a_pitch_keep_their_sign(drawn_flat, basis):
     from lfcal import Calibration
 
     for s in (-17.0, -7.0, -0.6, 0.0, 0.6, 7.0, 17.0):
-        gray, lattice, _, inner = drawn_flat(s if s else 1e-3)
+        gray, lattice, _, inner = drawn_flat(s if s else 1e-3, basis=basis)
         depth = lfrender.analyze(gray.image, Calibration(lattice))
         found = depth.patch_size[inner]
         resolved = depth.mode[inner] != 0

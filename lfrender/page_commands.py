@@ -1,0 +1,134 @@
+"""Commands that make something to look at in a browser: the report and the viewer."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import click
+
+from lfcal import check_output, console
+
+__all__ = ["report", "view"]
+
+_PATH = click.Path(path_type=Path)
+_CAMERA = "Camera file of lfcal, or a published calibration. Without it, the camera is calibrated from FLAT."
+
+
+@click.command(
+    epilog=console.examples(
+        "lfrender view flat.png",
+        "lfrender view flat.png -c camera.json --export page",
+    )
+)
+@click.argument("flat", type=_PATH)
+@click.option("-c", "--camera", type=_PATH, help=_CAMERA)
+@click.option("--depth", "depth_file", type=_PATH, help="Depth map made by 'lfrender analyze'.")
+@click.option(
+    "--export", type=_PATH, metavar="FOLDER", help="Write the page as static files instead, for any web page."
+)
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port on this machine; by default any free one.")
+@click.option("--no-browser", is_flag=True, help="Do not open a browser, only say where the page is.")
+@console.report_options
+def view(
+    flat: Path,
+    camera: Path | None,
+    depth_file: Path | None,
+    export: Path | None,
+    port: int,
+    no_browser: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Refocus FLAT in the browser: click to focus, drag to look from aside.
+
+    The page is served to this machine alone until Ctrl-C. It needs a browser with WebGL 2.
+    """
+    from .viewer_page import viewer_files, write_viewer
+
+    report = console.Report(as_json, quiet)
+    pixels, calibration, depth = _capture(report, flat, camera, depth_file)
+    if export is not None:
+        with report.stage("write"):
+            page = write_viewer(export, pixels, calibration, depth, flat.name)
+        report.finish({"page": str(page), "warnings": list(calibration.warnings)})
+        return
+    from .viewer_server import PageServer
+
+    with report.stage("prepare"):
+        server = PageServer(dict(viewer_files(pixels, calibration, depth, flat.name)), port)
+    with server:
+        report.finish({"page": server.url, "warnings": list(calibration.warnings)})
+        if not no_browser:
+            click.launch(server.url)
+        if not (quiet or as_json):
+            click.echo("Ctrl-C ends it")
+        # Ctrl-C is how it is meant to end.
+        with suppress(KeyboardInterrupt):
+            server.serve_forever()
+
+
+@click.command(
+    epilog=console.examples(
+        "lfrender report flat.png -o report.html",
+        "lfrender report flat.png -c camera.json -o report.html --preset accurate",
+    )
+)
+@click.argument("flat", type=_PATH)
+@click.option("-o", "--output", type=_PATH, required=True, metavar="REPORT.html", help="Page to write.")
+@click.option("-c", "--camera", type=_PATH, help=_CAMERA)
+@click.option("--white", type=_PATH, help="Calibrate from this white image of the same camera.")
+@click.option("--depth", "depth_file", type=_PATH, help="Depth map made by 'lfrender analyze'.")
+@click.option(
+    "--preset",
+    type=click.Choice(["fast", "balanced", "accurate"]),
+    default="balanced",
+    show_default=True,
+    help="How much time the depth analysis may take.",
+)
+@console.report_options
+def report(
+    flat: Path,
+    output: Path,
+    camera: Path | None,
+    white: Path | None,
+    depth_file: Path | None,
+    preset: str,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Write calibration, depth and pictures of FLAT on one page that opens offline."""
+    from .cli import _at_most_one, _camera_figures, _depth_figures
+    from .report_page import write_report
+    from .report_pictures import draw_pictures
+
+    progress = console.Report(as_json, quiet)
+    _at_most_one("--camera", camera, "--white", white)
+    check_output(output, {".html", ".htm"}, [flat, camera, white, depth_file])
+    pixels, calibration, depth = _capture(progress, flat, camera, depth_file, white=white, preset=preset)
+    with progress.stage("render"):
+        pictures = draw_pictures(pixels, calibration, depth)
+    with progress.stage("write"):
+        write_report(output, pixels, calibration, depth, pictures, title=flat.name, seconds=dict(progress.seconds))
+    progress.finish({"report": str(output), **_camera_figures(calibration), **_depth_figures(depth)})
+
+
+def _capture(report: Any, flat: Path, camera: Path | None, depth_file: Path | None, **options: Any) -> Any:
+    """The flat in colour, its camera and its depth."""
+    from lfcal import read_flat
+
+    from .cli import _analyze, _camera_of, _in_colour, _read_depth
+
+    with report.stage("read"):
+        pixels = read_flat(flat)
+    with report.stage("calibrate"):
+        calibration = _camera_of(report, flat, pixels, camera, options.get("white"), None)
+        pixels = _in_colour(pixels, calibration)
+    with report.stage("analyze"):
+        depth = (
+            _read_depth(depth_file)
+            if depth_file
+            else _analyze(report, pixels, calibration, options.get("preset", "balanced"))
+        )
+    return pixels, calibration, depth

@@ -1,0 +1,87 @@
+"""A server for the viewer's page: on this machine alone, and nothing but the page's own files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+from lfcal import LightFieldError
+
+__all__ = ["PageServer", "ServerError"]
+
+_HOST = "127.0.0.1"
+_TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8"}
+# Nothing from elsewhere: scripts are inline, in data URLs, or among the files.
+_POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-inline' data:; style-src 'unsafe-inline'; "
+    "img-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+
+
+class ServerError(LightFieldError, OSError):
+    """The page cannot be served."""
+
+
+class PageServer(ThreadingHTTPServer):
+    """Serves files from memory over HTTP to programs on this machine.
+
+    Parameters
+    ----------
+    files : mapping of str to bytes
+        Contents by path relative to the root; `index.html` is also the root itself.
+    port : int
+        0 takes any that is free.
+
+    Raises
+    ------
+    ServerError
+        If the port is taken or not allowed.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, files: Mapping[str, bytes], port: int = 0) -> None:
+        self.files = {f"/{name}": content for name, content in files.items()}
+        self.files["/"] = self.files["/index.html"]
+        try:
+            super().__init__((_HOST, port), _Handler)
+        except OSError as error:
+            raise ServerError(f"port {port}: cannot be used ({error.strerror}); leave out --port") from error
+
+    @property
+    def url(self) -> str:
+        return f"http://{_HOST}:{self.server_port}/"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: PageServer
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self) -> None:
+        self._answer(with_body=True)
+
+    def do_HEAD(self) -> None:
+        self._answer(with_body=False)
+
+    def _answer(self, with_body: bool) -> None:
+        # A page elsewhere may have its own name point to this machine, to read what is served here.
+        port = self.server.server_port
+        known = self.headers.get("Host") in (f"{_HOST}:{port}", f"localhost:{port}")
+        path = self.path.partition("?")[0]
+        content = self.server.files.get(path) if known else None
+        if content is None:
+            self.send_error(404 if known else 403)
+            return
+        self.send_response(200)
+        ending = path[path.rfind(".") :] if "." in path else ".html"
+        self.send_header("Content-Type", _TYPES[ending])
+        self.send_header("Content-Length", str(len(content)))
+        self.send_header("Content-Security-Policy", _POLICY)
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        if with_body:
+            self.wfile.write(content)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Requests are of no interest on the terminal."""

@@ -1,0 +1,244 @@
+#version 300 es
+// The drawing kernel of lfrender/mosaic.py on the graphics card, in the symbols of docs/method.md: a lens at c shows
+// the scene point X at c + q - (X - c) s / D. With WARP defined, the surface as seen from q (lfrender/warping.py).
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+precision highp sampler2DArray;
+
+uniform sampler2D surface;       // s of every grid value, and 1 where it was measured
+uniform vec2 surfaceFirst;
+uniform float cell, edge;
+uniform float pitch;
+uniform vec2 view;               // q
+out vec4 result;
+
+vec2 gridValue(ivec2 at) { return texelFetch(surface, at, 0).rg; }
+
+// Linear between grid values, nearest across a depth edge.
+vec2 surfaceAt(vec2 X) {
+  ivec2 size = textureSize(surface, 0);
+  vec2 g = clamp((X - surfaceFirst) / cell, vec2(0.0), vec2(size - 1));
+  ivec2 low = min(ivec2(g), max(size - 2, 0)), high = min(low + 1, size - 1);
+  vec2 f = g - vec2(low);
+  vec2 a = gridValue(low), b = gridValue(ivec2(high.x, low.y));
+  vec2 c = gridValue(ivec2(low.x, high.y)), d = gridValue(high);
+  if (max(max(a.x, b.x), max(c.x, d.x)) - min(min(a.x, b.x), min(c.x, d.x)) < edge)
+    return mix(mix(a, b, f.x), mix(c, d, f.x), f.y);
+  return gridValue(ivec2(f.x > 0.5 ? high.x : low.x, f.y > 0.5 ? high.y : low.y));
+}
+
+#ifdef WARP
+
+uniform float still, nearest, farthest, least;
+
+void main() {
+  vec2 Y = floor(gl_FragCoord.xy) * cell;
+  vec2 found = gridValue(ivec2(gl_FragCoord.xy));
+  float before = 0.0, above = 0.0;
+  int steps = max(1, int(ceil((farthest - nearest) * length(view) / (0.5 * cell))));
+  float step = (farthest - nearest) / float(steps);
+  for (int k = 0; k <= steps; k++) {
+    float depth = nearest + float(k) * step;
+    found = surfaceAt(surfaceFirst + Y - view * (depth - still));
+    float bounded = abs(found.x) >= least ? found.x : (found.x >= 0.0 ? least : -least);
+    float left = pitch / bounded - depth;
+    if (left <= 0.0) {
+      if (k > 0 && abs(found.x - before) < edge) found.x = before + (found.x - before) * above / (above - left);
+      else if (k > 0) found.x = before;
+      break;
+    }
+    before = found.x;
+    above = left;
+  }
+  result = vec4(found, 0.0, 1.0);
+}
+
+#else
+
+uniform sampler2DArray flatTiles, seenTiles;
+uniform sampler2D rings, offsets, bend, shares, ramp;
+uniform highp isampler2D types;
+uniform vec2 flatSize;
+uniform float tileStep, tileSide;
+uniform ivec2 tileCount;
+uniform bool seenKnown;
+uniform float ringStep;
+uniform vec2 origin;
+uniform mat2 basis, inverseBasis;   // columns are the rows of the tables: index = inverseBasis * offset
+uniform ivec2 bendLow;
+uniform float radius;               // usable radius times aperture
+uniform float plane;                // the one s of all places, or 0 for the surface
+uniform vec2 first;                 // X of the middle of pixel (0, 0)
+uniform float spacing;              // between pixels, in X
+uniform float blurred, reach, agreement;
+uniform float rows;                 // of the picture
+uniform float most;                 // sub-samples along a pixel's side; fewer while something moves
+uniform float overlay;              // share of the colours of M
+uniform vec2 limits;                // ends of the scale of M
+uniform vec3 background;
+
+const int MOST = 37;
+const float HIDDEN = 1e-4;
+
+float sizeAt(vec2 X) { return plane != 0.0 ? plane : surfaceAt(X).x; }
+
+bool crossesEdge(vec2 X, float s) {
+  if (plane != 0.0) return false;
+  float h = 0.5 * spacing;
+  for (int corner = 0; corner < 4; corner++) {
+    vec2 to = vec2((corner & 1) == 1 ? h : -h, (corner & 2) == 2 ? h : -h);
+    if (abs(surfaceAt(X + to).x - s) > edge) return true;
+  }
+  return false;
+}
+
+vec2 bentBy(ivec2 index) {
+  ivec2 at = clamp(index - bendLow, ivec2(0), textureSize(bend, 0) - 1);
+  return texelFetch(bend, at, 0).rg;
+}
+
+bool bent() { return textureSize(bend, 0).x > 1; }
+
+vec2 nearestIndex(vec2 X) {
+  vec2 o = X - origin, index = round(inverseBasis * o);
+  if (bent()) {
+    for (int turn = 0; turn < 6; turn++) {
+      vec2 next = round(inverseBasis * (o - bentBy(ivec2(index))));
+      if (next == index) break;
+      index = next;
+    }
+  }
+  return index;
+}
+
+vec3 tilePlace(vec2 p, out ivec2 inside) {
+  ivec2 tile = clamp(ivec2(p / tileStep), ivec2(0), tileCount - 1);
+  vec2 local = p - vec2(tile) * tileStep;
+  inside = ivec2(local + 0.5);
+  return vec3((local + 0.5) / tileSide, float(tile.y * tileCount.x + tile.x));
+}
+
+struct Sight { vec3 colour; float weight; float distance; };
+
+// What the lens at `offset` from the nearest one contributes to X; its weight is 0 where it shows nothing of it.
+Sight sight(vec2 X, vec2 base, ivec2 index, int o, float s, float limit) {
+  Sight none = Sight(vec3(0.0), 0.0, 1e30);
+  vec4 to = texelFetch(offsets, ivec2(2 * o, 0), 0);
+  ivec2 steps = ivec2(round(texelFetch(offsets, ivec2(2 * o + 1, 0), 0).xy));
+  vec2 e = base - to.xy;
+  if (bent()) e -= bentBy(index + steps);
+  float d2 = dot(e, e), limit2 = limit * limit, slope = s / pitch, aside = length(view);
+  if (d2 > limit2) return none;
+  vec2 delta = view - e * slope;
+  float delta2 = dot(delta, delta), radius2 = (radius - 1.0) * (radius - 1.0);
+  if (aside > 0.0 && delta2 > radius2) return none;
+  vec2 c = X - e, p = c + delta;
+  if (any(lessThan(p, vec2(0.0))) || any(greaterThan(p, flatSize - 1.0))) return none;
+  if (any(lessThan(c, vec2(-0.5))) || any(greaterThanEqual(c, flatSize - 0.5))) return none;
+  int last = textureSize(rings, 0).x - 1;
+  vec2 ring = texelFetch(rings, ivec2(min(int(delta2 / ringStep), last), 0), 0).rg;
+  ivec2 inside;
+  vec3 place = tilePlace(p, inside);
+  vec3 colour = ring.x * textureLod(flatTiles, place, 0.0).rgb;
+  float away = d2 / limit2;
+  if (aside > 0.0) away = max(away, delta2 / radius2);
+  float weight = (1.02 - away) * ring.y * ring.y;
+  ivec2 kinds = textureSize(types, 0);
+  if (kinds.x > 1) {
+    ivec2 at = ((index + steps) % kinds + kinds) % kinds;
+    int end = textureSize(shares, 0).x - 1, kind = texelFetch(types, at.yx, 0).r;
+    weight *= texelFetch(shares, ivec2(clamp(int((slope + 1.0) * 0.5 * float(end) + 0.5), 0, end), kind), 0).r;
+  }
+  if (seenKnown) {
+    vec3 code = round(texelFetch(seenTiles, ivec3(inside, int(place.z)), 0).rgb * 255.0);
+    float value = code.x * 256.0 + code.y;
+    bool unlit = value > 65534.5, known = value > 0.5 && (code.z > 0.5 || aside > 0.0);
+    // From the middle a lens may see less than from aside, or something else.
+    float share = aside > 0.0 || code.z > 254.5 ? (value - 1.0) / 65533.0 : (code.z - 1.0) / 253.0;
+    float depth = (share * 2.0 - 1.0) * pitch;
+    if (unlit || (plane == 0.0 && known && abs(depth - s) > 2.0 * edge)) {
+      weight *= HIDDEN;
+      if (aside > 0.0) {
+        float beside = d2 / (pitch * pitch) + 0.05;
+        weight /= beside * beside;
+      }
+      d2 += limit2;
+    }
+  }
+  return Sight(colour, weight, d2);
+}
+
+// Colour at X, and in alpha whether any lens sees it.
+vec4 colourAt(vec2 X, float s) {
+  vec2 index = nearestIndex(X);
+  vec2 base = X - origin - basis * index;
+  ivec2 at = ivec2(index);
+  float slope = abs(s) / pitch;
+  float limit = min((radius + (plane == 0.0 ? length(view) : 0.0)) / max(slope, 1e-6), reach);
+  float farthest = limit + (bent() ? 0.75 * pitch : length(base));
+  int count = textureSize(offsets, 0).x / 2, found = 0;
+  vec3 mean = vec3(0.0), central = vec3(0.0);
+  float norm = 0.0, best = 1e30;
+  for (int o = 0; o < count; o++) {
+    if (texelFetch(offsets, ivec2(2 * o, 0), 0).z > farthest || found == MOST) break;
+    Sight one = sight(X, base, at, o, s, limit);
+    if (one.distance > 1e29) continue;
+    if (one.distance < best) { best = one.distance; central = one.colour; }
+    mean += one.weight * one.colour;
+    norm += one.weight;
+    found++;
+  }
+  if (found == 0) return vec4(0.0);
+  if (agreement <= 0.0) return vec4(central, 1.0);
+  mean /= norm;
+  if (agreement > 100.0) return vec4(mean, 1.0);
+  float t2 = agreement * agreement;
+  vec3 mixed = vec3(0.0);
+  norm = 0.0;
+  found = 0;
+  for (int o = 0; o < count; o++) {
+    if (texelFetch(offsets, ivec2(2 * o, 0), 0).z > farthest || found == MOST) break;
+    Sight one = sight(X, base, at, o, s, limit);
+    if (one.distance > 1e29) continue;
+    vec3 difference = one.colour - mean;
+    float agree = t2 / (t2 + dot(difference, difference) / 3.0);
+    float weight = one.weight * agree * agree;
+    mixed += weight * one.colour;
+    norm += weight;
+    found++;
+  }
+  return vec4(mixed / norm, 1.0);
+}
+
+vec3 magnificationColour(vec2 X) {
+  vec2 found = surfaceAt(X);
+  if (found.y < 0.5) return vec3(0.59);
+  float share = log(pitch / abs(found.x) / limits.x) / log(limits.y / limits.x);
+  return textureLod(ramp, vec2((clamp(share, 0.0, 1.0) * 255.0 + 0.5) / 256.0, 0.5), 0.0).rgb;
+}
+
+void main() {
+  vec2 pixel = vec2(gl_FragCoord.x - 0.5, rows - 0.5 - gl_FragCoord.y);
+  vec2 X = first + pixel * spacing;
+  float s = sizeAt(X), side = abs(s) * spacing / pitch;
+  int across = max(int(ceil(side - 0.05)), 1);
+  float apart = 1.0;
+  if (across > 1 && !crossesEdge(X, s)) {
+    apart = sqrt(max(1.0 - blurred - 1.0 / (side * side), 0.0));
+    across = max(int(ceil(side * apart - 0.05)), 1);
+  }
+  across = min(across, int(most));
+  apart *= spacing / float(across);
+  vec4 total = vec4(0.0);
+  for (int sub = 0; sub < across * across; sub++) {
+    vec2 to = vec2(sub % across, sub / across) - 0.5 * float(across - 1);
+    vec2 at = X + to * apart;
+    total += colourAt(at, across == 1 ? s : sizeAt(at));
+  }
+  vec3 colour = total.a > 0.0 ? total.rgb / total.a : background;
+  if (overlay > 0.0 && total.a > 0.0) colour = mix(colour, magnificationColour(X), overlay);
+  result = vec4(colour, 1.0);
+}
+
+#endif

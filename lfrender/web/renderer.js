@@ -1,0 +1,196 @@
+// Draws a scene with WebGL 2: textures and uniforms of light_field.frag.
+
+import { bytes, floats, picture } from "lfrender/scene";
+
+const VERTEX = `#version 300 es
+void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0); }`;
+// At this agreement colours need not agree: out of focus they differ.
+const ANY_COLOUR = 1e3;
+// As many as any zoom needs.
+const MOST_SAMPLES = 1e3;
+const NAMES = ["surface", "flatTiles", "seenTiles", "rings", "offsets", "bend", "shares", "ramp", "types"];
+
+export class Renderer {
+  constructor(canvas, shader, scene) {
+    const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, powerPreference: "high-performance" });
+    if (!gl) throw new Error("This browser offers no WebGL 2, which the viewer draws with. Try another, or switch on hardware acceleration.");
+    this.gl = gl;
+    this.scene = scene;
+    gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    this.main = this.program(shader);
+    this.canWarp = Boolean(gl.getExtension("EXT_color_buffer_float"));
+    this.warp = this.canWarp && this.program(shader.replace("#version 300 es", "#version 300 es\n#define WARP"));
+    this.makeTables();
+  }
+
+  program(fragment) {
+    const { gl } = this, program = gl.createProgram();
+    for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, fragment]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, source);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(`The shader does not compile: ${gl.getShaderInfoLog(shader)}`);
+    }
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(`The shader does not link: ${gl.getProgramInfoLog(program)}`);
+    const places = {};
+    for (let n = 0; n < gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS); n++) {
+      const { name } = gl.getActiveUniform(program, n);
+      places[name] = gl.getUniformLocation(program, name);
+    }
+    return { program, places };
+  }
+
+  table(width, height, [internal, format, type], values) {
+    const { gl } = this, texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texImage2D(gl.TEXTURE_2D, 0, internal, width, height, 0, format, type, values);
+    for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
+    for (const wrap of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, wrap, gl.CLAMP_TO_EDGE);
+    return { target: gl.TEXTURE_2D, texture, width, height };
+  }
+
+  makeTables() {
+    const { gl, scene } = this;
+    const one = [gl.R32F, gl.RED, gl.FLOAT], two = [gl.RG32F, gl.RG, gl.FLOAT], four = [gl.RGBA32F, gl.RGBA, gl.FLOAT];
+    const [rows, columns] = scene.surface.shape, both = new Float32Array(2 * rows * columns);
+    for (let n = 0; n < rows * columns; n++) {
+      both[2 * n] = scene.surface.values[n];
+      both[2 * n + 1] = scene.surface.resolved[n];
+    }
+    const rings = floats(scene.rings.values), offsets = floats(scene.offsets), shares = floats(scene.types.shares);
+    const bend = floats(scene.bend.values), kinds = Math.max(scene.types.side, 1);
+    const ramp = bytes(scene.overlay.ramp);
+    this.textures = {
+      surface: this.table(columns, rows, two, both),
+      rings: this.table(rings.length / 2, 1, two, rings),
+      offsets: this.table(offsets.length / 4, 1, four, offsets),
+      bend: bend.length ? this.table(scene.bend.shape[1], scene.bend.shape[0], two, bend) : this.table(1, 1, two, new Float32Array(2)),
+      shares: this.table(401, shares.length / 401, one, shares),
+      types: this.table(kinds, kinds, [gl.R8I, gl.RED_INTEGER, gl.BYTE], new Int8Array(scene.types.side ? scene.types.cell : [0])),
+      ramp: this.table(256, 1, [gl.RGB8, gl.RGB, gl.UNSIGNED_BYTE], ramp),
+    };
+    if (this.canWarp) {
+      this.textures.warped = this.table(columns, rows, two, null);
+      this.warpTarget = gl.createFramebuffer();
+      gl.bindFramebuffer(gl.FRAMEBUFFER, this.warpTarget);
+      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.textures.warped.texture, 0);
+      this.canWarp = gl.checkFramebufferStatus(gl.FRAMEBUFFER) === gl.FRAMEBUFFER_COMPLETE;
+      gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    }
+  }
+
+  layers(internal, count, side, filter) {
+    const { gl } = this, texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, texture);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, internal, side, side, count);
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D_ARRAY, name, filter);
+    for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D_ARRAY, name, gl.CLAMP_TO_EDGE);
+    return { target: gl.TEXTURE_2D_ARRAY, texture };
+  }
+
+  // Fetches the flat, tile by tile, and what its pixels see; calls `told(done, all)` after each.
+  async load(told) {
+    const { gl } = this, { tiles } = this.scene, all = tiles.columns * tiles.rows, known = new Set(tiles.seen);
+    this.textures.flatTiles = this.layers(gl.RGB8, all, tiles.side, gl.LINEAR);
+    this.textures.seenTiles = this.layers(gl.RGB8, known.size ? all : 1, known.size ? tiles.side : 1, gl.NEAREST);
+    for (let layer = 0; layer < all; layer++) {
+      const name = `${layer % tiles.columns}-${Math.floor(layer / tiles.columns)}`;
+      await this.upload(this.textures.flatTiles, layer, `flat-${name}.png`);
+      if (known.has(name)) await this.upload(this.textures.seenTiles, layer, `seen-${name}.png`);
+      told(layer + 1, all);
+    }
+    if (gl.getError() === gl.OUT_OF_MEMORY) throw new Error("The graphics card has too little memory for this flat.");
+  }
+
+  async upload(into, layer, name) {
+    const { gl } = this, bitmap = await picture(name);
+    gl.bindTexture(into.target, into.texture);
+    gl.texSubImage3D(into.target, 0, 0, 0, layer, bitmap.width, bitmap.height, 1, gl.RGB, gl.UNSIGNED_BYTE, bitmap);
+    bitmap.close();
+  }
+
+  // settings: mode "focus" (one plane, all lenses), "sharp" (every place at its own depth) or "tiles" (one plane, the
+  // nearest lens alone); plane s; aperture 0..1; q; overlay 0..1; most, of sub-samples along a pixel's side. `first` and `spacing` place the pixels.
+  draw(settings, width, height, first, spacing, target = null) {
+    const { gl, scene } = this, { pitch } = scene, sharp = settings.mode === "sharp", tiles = settings.mode === "tiles";
+    const plane = sharp ? 0 : settings.plane, q = settings.q, aside = Math.hypot(...q) > 0, scale = pitch / spacing;
+    const still = pitch / settings.plane, moved = q.map(n => n * still);
+    const warped = aside && this.canWarp && (sharp || settings.overlay > 0) && this.follow(q, still);
+    const full = sharp ? scene.scale : Math.abs(plane);
+    const fine = scale * (settings.mode === "focus" ? 1 : scene.coarse) >= full;
+    const blur = fine ? 0 : sharp ? scene.blur.share : scene.blur.width / Math.abs(plane);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.viewport(0, 0, width, height);
+    gl.useProgram(this.main.program);
+    this.set(this.main.places, {
+      surfaceFirst: scene.surface.first.map((n, k) => n + (warped ? moved[k] : 0)), cell: scene.surface.spacing,
+      edge: scene.surface.edge, pitch, view: q, flatSize: scene.size, tileStep: scene.tiles.side - 1, tileSide: scene.tiles.side,
+      ringStep: scene.rings.step, origin: scene.origin,
+      radius: scene.radius * (settings.mode === "focus" ? settings.aperture : 1), plane,
+      first: first.map((n, k) => n + moved[k]), spacing, blurred: (blur * scale) ** 2,
+      reach: pitch * (settings.mode === "focus" ? scene.reach.wide : scene.reach.sharp),
+      agreement: sharp ? scene.agreement : tiles ? 0 : ANY_COLOUR, rows: height, overlay: settings.overlay,
+      most: settings.most ?? MOST_SAMPLES,
+      limits: scene.overlay.limits, background: settings.background,
+    });
+    const { places } = this.main;
+    gl.uniform2i(places.tileCount, scene.tiles.columns, scene.tiles.rows);
+    gl.uniform2i(places.bendLow, ...scene.bend.low);
+    gl.uniform1i(places.seenKnown, scene.tiles.seen.length ? 1 : 0);
+    gl.uniformMatrix2fv(places.basis, false, scene.basis.flat());
+    gl.uniformMatrix2fv(places.inverseBasis, false, scene.inverse.flat());
+    NAMES.forEach((name, unit) => this.bind(places[name], unit, name === "surface" && warped ? "warped" : name));
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  // The surface as seen from q, into the texture `warped`.
+  follow(q, still) {
+    const { gl, scene } = this, { surface } = scene, { places } = this.warp;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.warpTarget);
+    gl.viewport(0, 0, surface.shape[1], surface.shape[0]);
+    gl.useProgram(this.warp.program);
+    this.set(places, {
+      surfaceFirst: surface.first, cell: surface.spacing, edge: surface.edge, pitch: scene.pitch, view: q, still,
+      nearest: surface.virtual[0], farthest: surface.virtual[1], least: scene.pitch / 12,
+    });
+    this.bind(places.surface, 0, "surface");
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    return true;
+  }
+
+  set(places, values) {
+    const { gl } = this;
+    for (const [name, value] of Object.entries(values)) {
+      if (!(name in places)) continue;
+      if (Array.isArray(value)) gl[`uniform${value.length}fv`](places[name], value);
+      else gl.uniform1f(places[name], value);
+    }
+  }
+
+  bind(place, unit, name) {
+    const { gl } = this, { target, texture } = this.textures[name];
+    gl.activeTexture(gl.TEXTURE0 + unit);
+    gl.bindTexture(target, texture);
+    if (place) gl.uniform1i(place, unit);
+  }
+
+  // The picture as RGBA bytes, top row first.
+  pixels(settings, width, height, first, spacing) {
+    const { gl } = this, buffer = gl.createRenderbuffer(), target = gl.createFramebuffer();
+    gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+    gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA8, width, height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, buffer);
+    this.draw(settings, width, height, first, spacing, target);
+    const upward = new Uint8Array(4 * width * height), out = new Uint8ClampedArray(upward.length);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, upward);
+    for (let v = 0; v < height; v++) out.set(upward.subarray(4 * width * v, 4 * width * (v + 1)), 4 * width * (height - 1 - v));
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.deleteFramebuffer(target);
+    gl.deleteRenderbuffer(buffer);
+    return out;
+  }
+}
