@@ -24,7 +24,7 @@ from .surface import Surface
 from .visibility import lens_depths
 from .warping import Viewpoint
 
-__all__ = ["Drawing", "Part"]
+__all__ = ["Drawing", "Part", "lens_offsets"]
 
 #: Columns and rows `left, top, right, bottom` of a picture or a flat [px], the last two not included.
 Part = tuple[int, int, int, int]
