@@ -8,6 +8,7 @@ from .compare import LatticeDifference, compare
 from .errors import CalibrationError, CameraFileError, FlatError, LightFieldError
 from .exchange import convert, read_camera
 from .flat import count_pages, read_flat
+from .flat_source import FlatSource, open_flat
 from .lattice import Lattice
 from .lattice_errors import LatticeErrors
 from .lens_types import LensTypes
@@ -23,6 +24,7 @@ __all__ = [
     "CalibrationError",
     "CameraFileError",
     "FlatError",
+    "FlatSource",
     "Lattice",
     "LatticeDifference",
     "LatticeErrors",
@@ -40,6 +42,7 @@ __all__ = [
     "count_pages",
     "load",
     "notebook",
+    "open_flat",
     "read_camera",
     "read_flat",
     "read_published",

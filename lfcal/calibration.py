@@ -19,6 +19,7 @@ from .lattice import Lattice
 from .lattice_errors import LatticeErrors
 from .lens_types import LensTypes
 from .outfile import whole_file
+from .part_gain import PartGain
 from .residuals import Residuals
 from .vignetting import Vignetting
 
@@ -201,6 +202,16 @@ class Calibration:
                 f"{self.image_size[0]} x {self.image_size[1]} px; calibrate on a flat of that size"
             )
         return self._gain_map().flatten(pixels, self.lattice)
+
+    def part_gain(self) -> PartGain:
+        """The gain of parts of a flat, for flats too large for `gain` and `flatten`.
+
+        Raises
+        ------
+        CalibrationError
+            If the camera has neither gain map nor vignetting.
+        """
+        return PartGain(self._gain_map(), self.lattice)
 
     def usable_radius(self) -> NDArray[np.float64]:
         """How far each microimage can be used.

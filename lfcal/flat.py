@@ -13,6 +13,8 @@ import re
 import stat
 import struct
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import FlatError
+from .zarr_flat import is_zarr, open_zarr
 
-__all__ = ["MAX_PIXELS", "count_pages", "read_flat"]
+__all__ = [
+    "MAX_PIXELS", "as_flat", "checked_page", "count_pages", "one_line", "opened_tiff", "read_flat", "tiff_pixels",
+    "translated",
+]  # fmt: skip
 
 #: Largest flat that is read [px]. Twice a 25,000 x 22,000 sensor, and what OpenCV accepts out of the box.
 MAX_PIXELS = 1 << 30
@@ -35,8 +41,8 @@ _STRIP_ROWS = 512
 def read_flat(path: str | os.PathLike[str], page: int | None = None) -> NDArray[Any]:
     """Read a raw plenoptic picture with its pixel values as stored.
 
-    PNG (1 to 16 bit grey, RGB, palette), TIFF (8 and 16 bit, float), WebP, JPEG, BMP, PGM and PPM are read. An alpha
-    channel is dropped and the colours below it are kept as stored. An orientation tag is not obeyed: a
+    PNG (1 to 16 bit grey, RGB, palette), TIFF (8 and 16 bit, float), WebP, JPEG, BMP, PGM, PPM and Zarr are read. An
+    alpha channel is dropped and the colours below it are kept as stored. An orientation tag is not obeyed: a
     calibration belongs to the sensor, not to how the camera was held. In a TIFF, thumbnails are passed over.
 
     Parameters
@@ -58,21 +64,24 @@ def read_flat(path: str | os.PathLike[str], page: int | None = None) -> NDArray[
         has no such page.
     """
     source = Path(path)
+    with translated(source):
+        return as_flat(_decode(source, page))
+
+
+@contextmanager
+def translated(source: Path) -> Iterator[None]:
+    """Whatever goes wrong with a file as a FlatError that names it."""
     try:
-        pixels = _decode(source, page)
+        yield
     except FlatError as error:
         raise FlatError(f"{source}: {error}") from error
     except OSError as error:
-        raise FlatError(f"{source}: cannot be read ({error.strerror or _one_line(error)})") from error
+        raise FlatError(f"{source}: cannot be read ({error.strerror or one_line(error)})") from error
     except MemoryError as error:
         raise FlatError(f"{source}: the image does not fit into memory") from error
     # Decoders raise whatever damaged bytes drive them to: IndexError, struct.error, zlib.error, cv2.error, ...
     except Exception as error:
-        raise FlatError(f"{source}: damaged image file ({_one_line(error)})") from error
-    try:
-        return _as_flat(pixels)
-    except FlatError as error:
-        raise FlatError(f"{source}: {error}") from error
+        raise FlatError(f"{source}: damaged image file ({one_line(error)})") from error
 
 
 def count_pages(path: str | os.PathLike[str]) -> int:
@@ -89,17 +98,19 @@ def count_pages(path: str | os.PathLike[str]) -> int:
         with open(path, "rb") as stream:
             if stream.read(4) not in _TIFF:
                 return 1
-        with _tiff(Path(path)) as tiff:
+        with opened_tiff(Path(path)) as tiff:
             return len(_full_pages(tiff))
     except OSError as error:
-        raise FlatError(f"{path}: cannot be read ({error.strerror or _one_line(error)})") from error
+        raise FlatError(f"{path}: cannot be read ({error.strerror or one_line(error)})") from error
     except (tifffile.TiffFileError, ValueError, struct.error, IndexError, KeyError) as error:
-        raise FlatError(f"{path}: damaged image file ({_one_line(error)})") from error
+        raise FlatError(f"{path}: damaged image file ({one_line(error)})") from error
 
 
 def _decode(source: Path, page: int | None) -> NDArray[Any]:
     mode = source.stat().st_mode
     if stat.S_ISDIR(mode):
+        if is_zarr(source):
+            return open_zarr(source).whole()
         raise FlatError("is a folder; give the image file")
     if not stat.S_ISREG(mode):
         raise FlatError("is not a regular file")
@@ -124,7 +135,7 @@ def _decode(source: Path, page: int | None) -> NDArray[Any]:
     raise FlatError(f"is no image this toolkit reads; give a {_READABLE} file")
 
 
-def _as_flat(pixels: NDArray[Any]) -> NDArray[Any]:
+def as_flat(pixels: NDArray[Any]) -> NDArray[Any]:
     """Bring decoded pixels to one of the three types and two shapes a flat may have."""
     native = pixels.dtype.newbyteorder("=")
     if native == np.bool_:
@@ -245,7 +256,7 @@ def _read_pnm(data: bytes) -> NDArray[Any]:
     return values.reshape((height, width, 3) if channels == 3 else (height, width))
 
 
-def _tiff(source: Path) -> Any:
+def opened_tiff(source: Path) -> Any:
     import tifffile
 
     # What tifffile remarks on damaged files is in our error; without a handler Python would print it as well.
@@ -259,24 +270,30 @@ def _full_pages(tiff: Any) -> list[Any]:
     return [page for page in tiff.pages if not page.is_reduced]
 
 
+def checked_page(tiff: Any, number: int | None) -> Any:
+    """The page of a TIFF that is the flat, its pixels all there and of a kind that is read, or a FlatError."""
+    pages = _full_pages(tiff)
+    if number is None and len(pages) != 1:
+        raise FlatError(f"the TIFF holds {len(pages)} pictures; save the one that is the flat on its own")
+    if not 0 <= (number or 0) < len(pages):
+        raise FlatError(f"the TIFF holds {len(pages)} pictures and no page {number}")
+    page: Any = pages[number or 0]
+    size = tiff.filehandle.size
+    parts = list(zip(page.dataoffsets, page.databytecounts, strict=True))
+    if not parts or any(count == 0 or start + count > size for start, count in parts):
+        raise FlatError("truncated TIFF: pixel data are missing")
+    if len(parts) < np.prod(page.chunked):
+        raise FlatError("damaged TIFF: strips or tiles are missing from its table")
+    kind = page.photometric.name
+    if kind not in ("MINISBLACK", "MINISWHITE", "RGB", "PALETTE", "CFA", "YCBCR", "LINEAR_RAW"):
+        raise FlatError(f"TIFF pixels of kind {kind} are not read; save as grey or RGB")
+    return page
+
+
 def _read_tiff(source: Path, number: int | None) -> NDArray[Any]:
-    with _tiff(source) as tiff:
-        pages = _full_pages(tiff)
-        if number is None and len(pages) != 1:
-            raise FlatError(f"the TIFF holds {len(pages)} pictures; save the one that is the flat on its own")
-        if not 0 <= (number or 0) < len(pages):
-            raise FlatError(f"the TIFF holds {len(pages)} pictures and no page {number}")
-        page: Any = pages[number or 0]
+    with opened_tiff(source) as tiff:
+        page = checked_page(tiff, number)
         _check_size(page.imagewidth, page.imagelength)
-        size = tiff.filehandle.size
-        parts = list(zip(page.dataoffsets, page.databytecounts, strict=True))
-        if not parts or any(count == 0 or start + count > size for start, count in parts):
-            raise FlatError("truncated TIFF: pixel data are missing")
-        if len(parts) < np.prod(page.chunked):
-            raise FlatError("damaged TIFF: strips or tiles are missing from its table")
-        kind = page.photometric.name
-        if kind not in ("MINISBLACK", "MINISWHITE", "RGB", "PALETTE", "CFA", "YCBCR", "LINEAR_RAW"):
-            raise FlatError(f"TIFF pixels of kind {kind} are not read; save as grey or RGB")
         try:
             pixels = page.asarray()
         except (KeyError, ValueError) as error:
@@ -285,11 +302,13 @@ def _read_tiff(source: Path, number: int | None) -> NDArray[Any]:
             if number:
                 raise FlatError("compressed in a way that is read for the first page only; save without it") from error
             # Compressions that tifffile leaves to an optional package; libtiff inside OpenCV knows the common ones.
-            return _from_opencv(source.read_bytes(), grey=page.samplesperpixel < 3 and kind != "PALETTE")
-        return _tiff_pixels(pixels, page)
+            grey = page.samplesperpixel < 3 and page.photometric.name != "PALETTE"
+            return _from_opencv(source.read_bytes(), grey=grey)
+        return tiff_pixels(pixels, page)
 
 
-def _tiff_pixels(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
+def tiff_pixels(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
+    """Decoded pixels of a page, or of a part of it, as grey or colours along the last axis."""
     if page.axes == "SYX":
         pixels = np.moveaxis(pixels, 0, -1)
     elif page.axes not in ("YX", "YXS"):
@@ -344,5 +363,6 @@ def _from_pillow(image: Any) -> NDArray[Any]:
     return pixels
 
 
-def _one_line(error: BaseException) -> str:
+def one_line(error: BaseException) -> str:
+    """The message of an error, cut to one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__

@@ -229,9 +229,9 @@ def _described(a, b, middles, own, level, field, radius, shade, rim, cut, keys, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def fill(out, top, middles, own, starts, ahead, level, field, radius, profile, step, shade, rim, cut):
-    """Gain of the rows from `top` on; NaN where too little light is."""
-    rows, width = out.shape
+def fill(out, top, left, middles, own, starts, ahead, level, field, radius, profile, step, shade, rim, cut):
+    """Gain of the rows from `top` and columns from `left` on; NaN where too little light is."""
+    rows, right = out.shape[0], left + out.shape[1]
     for block in prange((rows + _BLOCK - 1) // _BLOCK):
         keys, powers, lens = np.full(_SLOTS, -1), np.empty(64), np.empty(_FIXED + rim.shape[0])
         lenses = np.empty((_SLOTS, _FIXED + rim.shape[0] + 1))
@@ -239,22 +239,23 @@ def fill(out, top, middles, own, starts, ahead, level, field, radius, profile, s
             y = top + row
             a, b = _first_lens(y, starts[y, 0], starts[y, 1], middles)
             x = 0
-            while x < width:
-                stop, p, q = _next_lens(y, a, b, width, middles, ahead)
-                bright = _described(
-                    a, b, middles, own, level, field, radius, shade, rim, cut, keys, powers, lenses, lens
-                )
-                cx, cy = middles[b, a, 0], middles[b, a, 1]
-                for at in range(x, stop):
-                    value = light(at - cx, y - cy, lens, profile, step, cut)[0] if bright > 0 else 0.0
-                    out[row, at] = value * bright if value >= _LEAST_LIGHT else np.nan
+            while x < right:
+                stop, p, q = _next_lens(y, a, b, right, middles, ahead)
+                if stop > left:
+                    bright = _described(
+                        a, b, middles, own, level, field, radius, shade, rim, cut, keys, powers, lenses, lens
+                    )
+                    cx, cy = middles[b, a, 0], middles[b, a, 1]
+                    for at in range(max(x, left), stop):
+                        value = light(at - cx, y - cy, lens, profile, step, cut)[0] if bright > 0 else 0.0
+                        out[row, at - left] = value * bright if value >= _LEAST_LIGHT else np.nan
                 x, a, b = max(x, stop), p, q
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def divide(flat, gain, out, highest):
     """`flat` over `gain` where that is known; rounded and clipped at `highest` where that is above 0."""
-    for y in range(out.shape[0]):
+    for y in prange(out.shape[0]):
         for x in range(out.shape[1]):
             g = gain[y, x]
             for k in range(out.shape[2]):

@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 
 from .lattice import Lattice
 from .packing import pack, unpack
+from .part_gain import PartGain
 
 __all__ = ["GainMap", "frame", "terms"]
-
-# Rows flattened at a time, so that memory does not grow with the flat.
-_BAND = 512
 
 
 def _readonly(values: Any, kind: type, dimensions: int, name: str) -> NDArray[Any]:
@@ -98,7 +96,7 @@ class GainMap:
     def rows(self, lattice: Lattice, top: int, count: int) -> NDArray[np.float32]:
         """(count, w) rows of `gain` from the row `top` on."""
         out = np.empty((count, lattice.image_size[0]), np.float32)
-        self._fill(lattice)(out, top)
+        self.filler(lattice)(out, top, 0)
         return out
 
     def gain(self, lattice: Lattice) -> NDArray[np.float32]:
@@ -107,25 +105,15 @@ class GainMap:
 
     def flatten(self, flat: NDArray[Any], lattice: Lattice) -> NDArray[Any]:
         """`flat` (h, w) or (h, w, c) divided by the gain; pixels with unknown gain are left as they are."""
-        divide: Any = _kernels().divide
-        pixels = flat.reshape(*flat.shape[:2], -1)
-        out = np.empty_like(pixels)
-        highest = float(np.iinfo(flat.dtype).max) if flat.dtype.kind in "ui" else 0.0
-        fill = self._fill(lattice)
-        gain = np.empty((min(_BAND, len(pixels)), pixels.shape[1]), np.float32)
-        for top in range(0, len(pixels), _BAND):
-            rows = slice(top, top + _BAND)
-            band = gain[: len(pixels[rows])]
-            fill(band, top)
-            divide(pixels[rows], band, out[rows], highest)
-        return out.reshape(flat.shape)
+        return PartGain(self, lattice).flatten(flat)[0]
 
-    def _fill(self, lattice: Lattice) -> Callable[[NDArray[np.float32], int], None]:
-        """What writes the gain of the rows from a given one on into an array."""
+    def filler(self, lattice: Lattice) -> Callable[[NDArray[np.float32], int, int], None]:
+        """What writes the gain of the rows and columns from given ones on into an array."""
         kernels = _kernels()
         way = kernels.walk(lattice, self.own)
         shape = self.shape(lattice)
-        return lambda out, top: kernels.fill(out, top, way.middles, way.own, way.starts, way.ahead, self.level, *shape)
+        known = way.middles, way.own, way.starts, way.ahead, self.level, *shape
+        return lambda out, top, left: kernels.fill(out, top, left, *known)
 
     def usable_radius(self, lattice: Lattice) -> NDArray[np.float64]:
         """(n,) largest distance [px] within which a lens has half its light in every direction; 0 without light."""

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from .drawing import default_scale, render
     from .frame_job import FrameResult
     from .frames import Frames, open_frames
+    from .large_analysis import analyze_large
+    from .large_rendering import LargePicture, render_large
     from .lens_means import traditional
     from .optics import Optics
     from .picture import write_picture, write_stack
@@ -26,9 +28,11 @@ __all__ = [
     "DepthMap",
     "FrameResult",
     "Frames",
+    "LargePicture",
     "Optics",
     "Rendering",
     "analyze",
+    "analyze_large",
     "circle_offsets",
     "default_scale",
     "demosaic",
@@ -40,6 +44,7 @@ __all__ = [
     "render",
     "render_frames",
     "render_frames_on",
+    "render_large",
     "stack_depths",
     "stereo_pair",
     "traditional",
@@ -56,9 +61,11 @@ _HOMES = {
     "DepthMap": "depthmap",
     "FrameResult": "frame_job",
     "Frames": "frames",
+    "LargePicture": "large_rendering",
     "Optics": "optics",
     "Rendering": "rendering",
     "analyze": "analysis",
+    "analyze_large": "large_analysis",
     "circle_offsets": "viewpoints",
     "default_scale": "drawing",
     "demosaic": "demosaicing",
@@ -70,6 +77,7 @@ _HOMES = {
     "render": "drawing",
     "render_frames": "batch",
     "render_frames_on": "cluster",
+    "render_large": "large_rendering",
     "stack_depths": "refocusing",
     "stereo_pair": "view_files",
     "traditional": "lens_means",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,35 @@ from .spreading import grid_shape, spread
 from .surface import Surface
 from .texture import LensStatistics, blank_lenses, find_texture, quick_statistics, untouched_texture
 
-__all__ = ["PRESETS", "analyze"]
+__all__ = [
+    "LEAST_EVIDENCE",
+    "PRESETS",
+    "Overview",
+    "analyze",
+    "lens_by_lens",
+    "lens_halves",
+    "on_one_plane",
+    "regular_plane",
+]
+
+
+@dataclass(frozen=True)
+class Overview:
+    """What the lenses of a part of a flat must be told of the whole.
+
+    Parameters
+    ----------
+    noise : float
+        Standard deviation of a pixel, white = 1.
+    sizes : (m,) float32 [px]
+        Patch sizes of resolved lenses from all over the flat.
+    raw_noise : float
+        As `noise`, before shading is taken out.
+    """
+
+    noise: float
+    sizes: NDArray[np.float32]
+    raw_noise: float
 
 
 # Beyond this share of the pitch neighbouring microimages share too little to tell (GEOMETRY.md).
@@ -40,7 +68,7 @@ _SURE = 0.5
 _POPULATED = 0.005
 # Faint texture is believed when the answer is this sure and the lens itself correlates this much there: of lenses
 # without texture one in a hundred does.
-_PROVEN, _LEAST_EVIDENCE = 0.95, 0.12
+_PROVEN, LEAST_EVIDENCE = 0.95, 0.12
 # Shading correlates as well, with a patch size near zero: within this share of the pitch it takes more.
 _SHADED_REACH, _EVIDENCE_NEAR_ZERO = 0.2, 0.5
 # A lens with texture that correlates less than this with its neighbours at any shift shares no content with them.
@@ -133,23 +161,23 @@ def _analyze(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
     plain = quick_statistics(gray)
     if shortcuts.plane:
         texture = untouched_texture(gray, plain)
-        found = find_plane(texture, lattice, *_halves(lattice), PRESETS[preset])
+        found = find_plane(texture, lattice, *lens_halves(lattice), PRESETS[preset])
         if found is not None:
             return _level(found, lattice, preset)
     if not shortcuts.blank:
-        return _lens_by_lens(gray, lattice, preset, shortcuts, plain, None)
+        return lens_by_lens(gray, lattice, preset, shortcuts, plain, None)
     blank, noise = blank_lenses(plain)
     if 0 < np.sum(~blank) < _FEW * len(blank):
         part, sub = part_of(gray, lattice, ~blank)
         if len(sub) < _PART * len(lattice):
             rows = rows_of(sub, lattice)
-            depth = _lens_by_lens(part, sub, preset, shortcuts, plain.of(rows), (blank[rows], noise))
+            depth = lens_by_lens(part, sub, preset, shortcuts, plain.of(rows), (blank[rows], noise))
             left = (1 - depth.saved["blank"]) * len(sub) / len(lattice)
             return embed_textured(depth, sub, lattice, {**depth.saved, "blank": 1 - left})
-    return _lens_by_lens(gray, lattice, preset, shortcuts, plain, (blank, np.inf))
+    return lens_by_lens(gray, lattice, preset, shortcuts, plain, (blank, np.inf))
 
 
-def _halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def lens_halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Neighbour rows in every lattice direction, and in the opposite ones."""
     neighbours = neighbour_rows(lattice, lattice.steps)
     half = neighbours.shape[1] // 2
@@ -158,27 +186,29 @@ def _halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
 def _level(found: PlaneScene, lattice: Lattice, preset: str) -> DepthMap:
     """One plane for all lenses that show it."""
-    shown = found.evidence >= _LEAST_EVIDENCE
-    return _on_plane(
+    shown = found.evidence >= LEAST_EVIDENCE
+    return on_one_plane(
         found.plane, lattice, preset, np.where(shown, 0, 1), found.confidence * shown, {"plane": 1 - found.sampled}
     )
 
 
-def _on_plane(
+def on_one_plane(
     plane: Plane, lattice: Lattice, preset: str, reason: NDArray, confidence: NDArray, saved: dict[str, float]
 ) -> DepthMap:
     """The depth of a scene that is one plane, for the lenses whose `reason` is 0."""
     centres = lattice.centres()
     sizes = plane.at(centres)
     shape, first, spacing = grid_shape(lattice, PRESETS[preset].cells)
-    v, u = np.mgrid[: shape[0], : shape[1]]
-    grid = np.stack([first[0] + spacing * u.ravel(), first[1] + spacing * v.ravel()], 1)
+    surface = np.empty(shape, np.float32)
+    for v in range(shape[0]):
+        row = np.column_stack([first[0] + spacing * np.arange(shape[1]), np.full(shape[1], first[1] + spacing * v)])
+        surface[v] = plane.at(row)
     return DepthMap(
         patch_size=np.where(reason == 0, sizes, np.nan),
         standard_error=np.where(reason == 0, plane.standard_error(centres), np.inf),
         confidence=confidence,
         drawn=sizes.astype(np.float32),
-        surface=Surface(plane.at(grid).reshape(shape).astype(np.float32), first, spacing),
+        surface=Surface(surface, first, spacing),
         pitch=lattice.pitch,
         image_size=lattice.image_size,
         preset=preset,
@@ -187,7 +217,7 @@ def _on_plane(
     )
 
 
-def _regular(
+def regular_plane(
     lattice: Lattice,
     sizes: NDArray[np.float32],
     errors: NDArray[np.float32],
@@ -205,7 +235,7 @@ def _regular(
     return plane
 
 
-def _lens_by_lens(
+def lens_by_lens(
     gray: GrayFlat,
     lattice: Lattice,
     preset: str,
@@ -214,10 +244,14 @@ def _lens_by_lens(
     blank: tuple[NDArray[np.bool_], float] | None,
     kept: NDArray[np.bool_] | None = None,
     before: DepthMap | None = None,
+    overview: Overview | None = None,
 ) -> DepthMap:
-    """The depth of every lens, but for the `blank` ones and those `kept` from what was found `before`."""
+    """The depth of every lens, but for the `blank` ones and those `kept` from what was found `before`.
+
+    `overview` is of the larger flat of which this is a part.
+    """
     setting = PRESETS[preset]
-    forward, backward = _halves(lattice)
+    forward, backward = lens_halves(lattice)
     neighbours = np.hstack([forward, backward])
     near = np.ones(len(lattice), bool)
     known = None
@@ -225,15 +259,17 @@ def _lens_by_lens(
         # Lenses beside those with a new answer support them, and so do those beside these.
         near = _grown(_grown(~kept, neighbours), neighbours)
         known = np.where(near, np.nan, before.drawn).astype(np.float32)
-    texture = find_texture(gray, lattice, plain, blank, _grown(near, neighbours))
+    noise = None if overview is None else overview.noise
+    texture = find_texture(gray, lattice, plain, blank, _grown(near, neighbours), noise)
     some = texture.clear | texture.faint
     active = near if blank is None else near & some
     clear = texture.clear & active
     # A few clear lenses say nothing about the depths of all the faint ones.
     sample = None
-    if shortcuts.ranges and clear.sum() >= _FEWEST_CLEAR:
+    if shortcuts.ranges and overview is None and clear.sum() >= _FEWEST_CLEAR:
         sample = sample_lenses(lattice, clear, int(np.clip(clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)))
-    found = search(Matcher(texture, forward, backward, setting), active, texture.clear, sample, known)
+    sizes = overview.sizes if overview is not None and shortcuts.ranges and len(overview.sizes) else None
+    found = search(Matcher(texture, forward, backward, setting), active, texture.clear, sample, known, sizes)
     textured = near & (texture.clear | (texture.faint & _credible(found, lattice.pitch)))
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
     first = np.where(textured, found.patch_size, np.nan).astype(np.float32)
@@ -254,7 +290,7 @@ def _lens_by_lens(
             )
         )
     resolved = reason == 0
-    plane = _regular(lattice, refined, error, resolved, neighbours) if kept is None else None
+    plane = regular_plane(lattice, refined, error, resolved, neighbours) if kept is None and overview is None else None
     if plane is not None:
         # A plane confirms what few pairs at the border of the flat could not.
         own = plane.at(lattice.centres())
@@ -262,20 +298,21 @@ def _lens_by_lens(
             np.abs(own) <= _RESOLVABLE * lattice.pitch
         )
         reason = np.where((reason == 3) & near_plane & (found.confidence >= _SURE), 0, reason)
-        return _on_plane(plane, lattice, preset, reason, sure, _saved(shortcuts, some, found, sample, kept))
+        return on_one_plane(plane, lattice, preset, reason, sure, _saved(shortcuts, some, found, sample, kept))
     gap = max(1.0, 0.05 * lattice.pitch)
     guess = found.patch_size if known is None else np.where(np.isfinite(known), known, found.patch_size)
     guess = _within_reach(guess, refined, reason, lattice.pitch)
     drawn = fill(np.where(resolved, refined, guess).astype(np.float32), resolved, neighbours, gap)
-    populated = _populated(found.second, refined[resolved], gap)
+    occurring = refined[resolved] if overview is None else overview.sizes
+    populated = _populated(found.second, occurring, gap)
     seconds = np.where(textured & populated, found.second, np.nan).astype(np.float32)
     evidence = np.where(near, found.evidence, 1)
-    around = refined[resolved] if shortcuts.ranges else None
+    around = occurring if shortcuts.ranges else None
     rest = np.full(len(drawn), np.nan, np.float32)
     if setting.remainder:
         rest = remainder_depths(texture, forward, backward, drawn, evidence, setting, around)
     # Shading matches itself near zero: a depth there must occur by itself.
-    shaded = (np.abs(rest) < _SHADED_REACH * lattice.pitch) & ~_populated(rest, refined[resolved], gap)
+    shaded = (np.abs(rest) < _SHADED_REACH * lattice.pitch) & ~_populated(rest, occurring, gap)
     rest[shaded] = np.nan
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
     old = None if before is None else before.surface
@@ -356,7 +393,7 @@ def _following(
         raise FlatError(f"both frames must have the same channels and type, they have {kinds}")
     if len(before) != len(lattice) or before.preset != preset:
         raise ValueError("the earlier depth map was made with another camera or preset; analyze without previous")
-    forward, backward = _halves(lattice)
+    forward, backward = lens_halves(lattice)
     neighbours = np.hstack([forward, backward])
     kept = ~_grown(changed_lenses(earlier, flat, calibration), neighbours)
     if kept.all():
@@ -365,7 +402,7 @@ def _following(
     if not kept.any():
         return scaled(_analyze(gray, small, preset, shortcuts), lattice, factor)
     plain = quick_statistics(gray)
-    depth = _lens_by_lens(
+    depth = lens_by_lens(
         gray,
         small,
         preset,
@@ -396,7 +433,7 @@ def _reasons(
     """(n,) int8: as `DepthMap.reason`, 0 where the lens is resolved."""
     unsure = found.confidence < _SURE
     little = found.evidence < _SHARED
-    hardly = (np.abs(refined) > _HARDLY_SHARED * pitch) | (found.evidence < _LEAST_EVIDENCE)
+    hardly = (np.abs(refined) > _HARDLY_SHARED * pitch) | (found.evidence < LEAST_EVIDENCE)
     apart = (np.abs(refined) > _RESOLVABLE * pitch) | (unsure & little) | (hardly & ~agreed)
     return np.select([~textured, apart, unsure], [1, 3, 2], 0).astype(np.int8)
 
@@ -411,5 +448,5 @@ def _populated(values: NDArray[np.float32], known: NDArray[np.float32], gap: flo
 def _credible(found: Found, pitch: float) -> NDArray[np.bool_]:
     """Lenses whose match alone proves that they carry texture."""
     near_zero = np.abs(found.patch_size) < _SHADED_REACH * pitch
-    enough = np.where(near_zero, _EVIDENCE_NEAR_ZERO, _LEAST_EVIDENCE)
+    enough = np.where(near_zero, _EVIDENCE_NEAR_ZERO, LEAST_EVIDENCE)
     return (found.confidence >= _PROVEN) & (found.evidence >= enough)

@@ -104,6 +104,17 @@ def analyze(
     for path, endings in ((dense, {".tif", ".tiff", ".pfm"}), (picture, {".png"}), (ply, {".ply"})):
         if path is not None:
             check_output(path, endings, [flat, camera])
+    if roi is None and ply is None:
+        from . import large_cli
+
+        if large_cli.is_large(flat):
+            optics = _read_optics(optics_file)
+            depth, calibration = large_cli.analyze(report, flat, camera, output, preset, not exhaustive)
+            with report.stage("write"):
+                _write_depth(depth, None, calibration, dense, picture, None, optics)
+            figures = {**_camera_figures(calibration), **_depth_figures(depth), **_distance_figures(depth, optics)}
+            report.finish({"depth": str(output), **figures})
+            return
     with report.stage("read"):
         from lfcal import read_flat
 
@@ -157,6 +168,12 @@ def analyze(
 )
 @click.option("--alpha", is_flag=True, help="Make pixels that no lens has seen transparent (not in JPEG).")
 @click.option("--compress", is_flag=True, help="Write a TIFF in deflated tiles: smaller and slower.")
+@click.option(
+    "--tile",
+    type=click.IntRange(16),
+    metavar="PIXELS",
+    help="Draw in tiles of this side, with little memory, going on where a killed run stopped. [default: large flats]",
+)
 @_preset
 @console.report_options
 def render(
@@ -173,13 +190,15 @@ def render(
     mosaic: Mosaic | None,
     alpha: bool,
     compress: bool,
+    tile: int | None,
     preset: str,
     as_json: bool,
     quiet: bool,
 ) -> None:
     """Render FLAT as one picture that is sharp wherever any mode of the camera is.
 
-    Without --depth, --patch-size and --traditional the depth is analysed first.
+    Without --depth, --patch-size and --traditional the depth is analysed first. A flat of more than 100 MB, as TIFF or
+    Zarr, is read and drawn in tiles; started again, a run that was killed goes on from those that were finished.
     """
     report = console.Report(as_json, quiet)
     _at_most_one("--depth", depth_file, "--patch-size", patch_size, "--traditional", traditional or None)
@@ -189,6 +208,16 @@ def render(
     width = _sharpen_width(sharpen)
     if blend and patch_size is None:
         raise click.UsageError("--blend needs --patch-size")
+    if not traditional:
+        from . import large_cli
+
+        if large_cli.wanted(flat, output, tile):
+            asked = large_cli.Asked(
+                flat, output, camera, white, depth_file, patch_size, scale, blend or None, mosaic, alpha, compress,
+                tile, preset,
+            )  # fmt: skip
+            large_cli.render(report, asked)
+            return
     check_picture(output, alpha=alpha, inputs=[flat, camera, white, depth_file])
     _import_meanwhile(output)
     with report.stage("read"):
@@ -641,7 +670,7 @@ def _read_optics(path: Path | None) -> Optics | None:
 
 def _write_depth(
     depth: DepthMap,
-    pixels: NDArray[np.generic],
+    pixels: NDArray[np.generic] | None,
     calibration: Calibration,
     dense: Path | None,
     picture: Path | None,
@@ -657,7 +686,7 @@ def _write_depth(
         from .depth_picture import depth_picture
 
         write_picture(picture, depth_picture(depth, calibration.lattice))
-    if ply:
+    if ply and pixels is not None:
         from .point_cloud import point_cloud, write_points
 
         write_points(ply, point_cloud(pixels, calibration, depth, optics), metres=optics is not None)

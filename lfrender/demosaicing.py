@@ -11,7 +11,7 @@ from lfcal import Calibration, Lattice
 from .bending import bent_by, lattice_bend, nearest_index
 from .fastmath import FAST
 
-__all__ = ["demosaic"]
+__all__ = ["REACH", "demosaic"]
 
 # Differences below this share of white say nothing about the direction of an edge: noise and rounding make them.
 _EVEN = 0.01
@@ -19,19 +19,21 @@ _EVEN = 0.01
 _ALIKE = 0.08
 # Weight of a pixel 0, 1 and 2 rows or columns away: farther ones have lost the colour.
 _NEAR = np.exp(-0.5 * np.arange(3.0) ** 2).astype(np.float32)
+#: Colours are taken from so far away [px]: two, by a colour that is taken there from two, whose green is from two.
+REACH = 6
 _COLOURS = {"R": 0, "G": 1, "B": 2}
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _owners(origin, inverse, basis, bend, low, out):
+def _owners(origin, inverse, basis, bend, low, left, top, out):
     """Number of the lens whose centre is nearest to each pixel; alike for no two lenses that could be neighbours."""
     height, width = out.shape
     bent = bend.size > 0
     for y in prange(height):
         for x in range(width):
-            i, j = nearest_index(float(x), float(y), origin, inverse, bend, low)
-            dx = x - origin[0] - i * basis[0, 0] - j * basis[1, 0]
-            dy = y - origin[1] - i * basis[0, 1] - j * basis[1, 1]
+            i, j = nearest_index(float(left + x), float(top + y), origin, inverse, bend, low)
+            dx = left + x - origin[0] - i * basis[0, 0] - j * basis[1, 0]
+            dy = top + y - origin[1] - i * basis[0, 1] - j * basis[1, 1]
             nearest = np.inf
             for di in range(-1, 2):
                 for dj in range(-1, 2):
@@ -143,7 +145,7 @@ def _refill_rim(flat, owner, colours, near, alike, out):
                 out[y, x, 1] = _guided(flat, owner, colours, 1, colour, y, x, near, alike, out)
 
 
-def demosaic(flat: NDArray, calibration: Calibration) -> NDArray:
+def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = (0, 0)) -> NDArray:
     """Colour flat from one behind a colour filter mosaic; any other flat is given back as it is.
 
     Green is interpolated along edges, red and blue by their difference to green (J. F. Hamilton and J. E. Adams,
@@ -152,9 +154,12 @@ def demosaic(flat: NDArray, calibration: Calibration) -> NDArray:
     Parameters
     ----------
     flat : (H, W) uint8, uint16 or float
-        Of the calibration's image size.
+        Of the calibration's image size, or a part of such.
     calibration : Calibration
         Its `mosaic` names the filters; None means that there are none.
+    corner : (int, int) [px]
+        Flat coordinates x, y of the first pixel of a part, both even. Its outermost pixels, up to `REACH`, are not
+        those of the whole.
 
     Returns
     -------
@@ -164,7 +169,9 @@ def demosaic(flat: NDArray, calibration: Calibration) -> NDArray:
     if pixels.ndim != 2 or calibration.mosaic is None:
         return pixels
     colours = np.array([_COLOURS[letter] for letter in calibration.mosaic], np.int8).reshape(2, 2)
-    owner = _owner_of_pixels(calibration.lattice)
+    if corner[0] % 2 or corner[1] % 2:
+        raise ValueError(f"corner must be two even numbers, or colours are exchanged; got {corner}")
+    owner = _owner_of_pixels(calibration.lattice, corner, pixels.shape)
     white = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 1.0
     out = np.empty((*pixels.shape, 3), np.float32)
     _fill_green(pixels, owner, colours, np.float32(_EVEN * white), out)
@@ -177,9 +184,8 @@ def demosaic(flat: NDArray, calibration: Calibration) -> NDArray:
     return np.minimum(np.rint(out, out=out), white).astype(pixels.dtype)
 
 
-def _owner_of_pixels(lattice: Lattice) -> NDArray[np.int32]:
-    width, height = lattice.image_size
-    owner = np.empty((height, width), np.int32)
+def _owner_of_pixels(lattice: Lattice, corner: tuple[int, int], shape: tuple[int, ...]) -> NDArray[np.int32]:
+    owner = np.empty(shape, np.int32)
     bend, low = lattice_bend(lattice)
-    _owners(lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, bend, low, owner)
+    _owners(lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, bend, low, *corner, owner)
     return owner

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 
-from .drawing import _like
+from .drawing import as_stored
 from .fastmath import FAST
 from .flatcheck import check_flat
 from .neighbours import lens_grid
@@ -79,7 +79,7 @@ def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
     affine = np.array([[pitch, 0.0, first], [0.0, pitch, first]])
-    return Rendering(_like(image, np.asarray(flat).dtype), affine, known.reshape(rows, columns), 1.0)
+    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, known.reshape(rows, columns), 1.0)
 
 
 def _between_lenses(

@@ -54,7 +54,8 @@ def _read(line, at, across, down, w00, w01, w10, w11):
 def draw_rows(
     flat, marks, seen, gains, lights, light_step, origin, inverse, basis, bend, low, offsets, steps, types, shares,
     radius, pitch,
-    surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance, view, out, weight_out,
+    surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance, view, corner, size, start,
+    out, weight_out,
 ):  # fmt: skip
     """Fill `out` (h, w, C) with the mean over the lenses that see each point, `weight_out` with their number.
 
@@ -67,10 +68,10 @@ def draw_rows(
     does one whose pixel is infinitely far, that is unlit; (0, 0) `seen` means not known. `blurred` is the square of
     the share of an output pixel's side over which lenses have averaged already. Microimages are read about `view`
     (2,) [px] beside their centres, which moves places as `warping.py` describes; output pixel (0, 0) lies at `first`
-    (2,).
+    (2,). `flat` and `seen` are the part from the pixel `corner` (2,) on of a flat of `size` (2,), and hold all that is
+    read; `out` is the part of the picture from the pixel `start` (2,) on. The answers are those of the whole.
     """
-    height, width, _ = flat.shape
-    channels = len(marks)
+    width, height, channels = size[0], size[1], len(marks)
     rows, columns, _ = out.shape
     last_ring = len(gains) - 1
     known = seen.size > 0
@@ -89,12 +90,12 @@ def draw_rows(
     line = flat.reshape(-1)
     zero, per_channel = np.float32(0.0), np.float32(1 / channels)
     per_light_step = 1 / light_step
-    across, down = np.uint64(channels), np.uint64(width * channels)
+    across, down = np.uint64(channels), np.uint64(flat.shape[1] * channels)
     for v in prange(rows):
         values = np.empty((MAX_LENSES, 4), np.float32)
         weights = np.empty(MAX_LENSES, np.float32)
         for u in range(columns):
-            centre_x, centre_y = first[0] + u * spacing, first[1] + v * spacing
+            centre_x, centre_y = first[0] + (start[0] + u) * spacing, first[1] + (start[1] + v) * spacing
             s_here = patch_size_at(surface, np.float32(centre_x), np.float32(centre_y), grid_x, grid_y, cell, edge)
             # Side of an output pixel in the flat, and how much of it lens and pixel have not averaged already.
             side = abs(s_here) / scale
@@ -160,7 +161,7 @@ def draw_rows(
                     ix, iy = min(int(px), width - 2), min(int(py), height - 2)
                     fx, fy = np.float32(px - ix), np.float32(py - iy)
                     # Unsigned: signed indices are looked at for being counted from the end.
-                    upper = np.uint64((iy * width + ix) * channels)
+                    upper = np.uint64(((iy - corner[1]) * flat.shape[1] + ix - corner[0]) * channels)
                     w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
                     w10, w11 = (1 - fx) * fy, fx * fy
                     w00, w01, w10, w11 = gain * w00, gain * w01, gain * w10, gain * w11
@@ -182,7 +183,7 @@ def draw_rows(
                         share = shares[kind, min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)]
                         weight *= share
                     if known:
-                        depth = seen[np.uint64(py + 0.5), np.uint64(px + 0.5)]
+                        depth = seen[np.uint64(int(py + 0.5) - corner[1]), np.uint64(int(px + 0.5) - corner[0])]
                         if abs(depth - s) > 2 * edge:
                             weight *= _HIDDEN
                             if aside > 0:

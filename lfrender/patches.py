@@ -15,7 +15,7 @@ from lfcal import Lattice
 
 from .fastmath import FAST
 
-__all__ = ["lay_patches"]
+__all__ = ["lay_patches", "whole_patches"]
 
 # Steps per pixel at which the gain is tabled: between them it changes by less than a grey level.
 _PHASES = 4
@@ -62,9 +62,15 @@ def _start(x, y, origin, inverse, basis, steps):
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _lay(
-    flat, width, channels, origin, inverse, basis, steps, turned, first, spacing, gains, reach, half, top, box, out
+    flat, width, channels, corner, origin, inverse, basis, steps, turned, first, spacing, left, gains, reach, half, top,
+    part, start, out,
 ):  # fmt: skip
-    """Fill the rows and columns of `box` (left, top, right, bottom) of `out` (h, w C) from `flat` (H W C)."""
+    """Fill the columns and rows of `part` (left, top, right, bottom) of the picture from `flat` (h w C).
+
+    `flat` begins at the pixel `corner` (2,) of the whole flat, `out` (rows, columns C) at the pixel `start` (2,) of the
+    picture. Every row is followed from column `left` on, and all weights belong to a lens and not to a part, so that
+    parts are the same bit for bit as the whole.
+    """
     # To the right a row leaves the cell of a lens where it meets the nearest half-way line x = room + tilt * y to one
     # of those, from the centre and in output pixels.
     around, room, tilt = np.empty((len(steps), 2)), np.empty(len(steps)), np.empty(len(steps))
@@ -77,57 +83,65 @@ def _lay(
             around[count, 0], around[count, 1] = ex, ey
             room[count], tilt[count] = 0.5 * (ex * ex + ey * ey) / ex, -ey / ex
             count += 1
-    slope = -1.0 if turned else 1.0
+    slope = -1 if turned else 1
     bunch, one, phases = np.uint64(_BUNCH), np.uint64(1), np.uint64(_PHASES)
     across, down = np.uint64(channels), np.uint64(width * channels)
     gain = gains.reshape(-1)
     gain_line = np.uint64(gains.shape[2])
-    for v in prange(box[1], box[3]):
-        row = out[v]
-        # The border is wider than what is written beyond the end.
-        line = np.empty_like(row) if turned else row
+    # What is written beyond the end of a run must not leave the row.
+    direct = not turned and (part[2] - start[0]) * channels + _BUNCH <= out.shape[1]
+    for v in prange(part[1], part[3]):
+        row = out[v - start[1]]
+        line = row if direct else np.empty(out.shape[1] + _BUNCH, out.dtype)
         y = first + v * spacing
-        u = box[0]
+        u = left
         i, j = _start(first + u * spacing, y, origin, inverse, basis, steps)
         # In output pixels from here on.
         cx = (origin[0] + i * basis[0, 0] + j * basis[1, 0] - first) * per_spacing
         cy = (origin[1] + i * basis[0, 1] + j * basis[1, 1] - first) * per_spacing
-        while u < box[2]:
+        while u < part[2]:
             away, following = np.inf, 0
             for n in range(count):
                 meets = room[n] + tilt[n] * (v - cy)
                 if meets < away:
                     away, following = meets, n
-            end = min(int(np.ceil(cx + away)), box[2])
+            end = min(int(np.ceil(cx + away)), part[2])
+            u = max(u, min(end, part[0]))
             if end > u:
-                place = end - 1 if turned else u
-                dx, dy = (place - cx) * slope, (v - cy) * slope
+                # All pixels of a run lie a whole number of pixels from the one next to the centre.
+                middle = int(np.rint(cx))
+                dx, dy = (middle - cx) * slope, (v - cy) * slope
                 px, py = cx * spacing + first + dx, cy * spacing + first + dy
-                ix, iy = np.uint64(px), np.uint64(py)
-                fx, fy = np.float32(px - ix), np.float32(py - iy)
-                start = np.uint64(u) * across
+                fx, fy = np.float32(px - np.floor(px)), np.float32(py - np.floor(py))
+                beside = ((end - 1 if turned else u) - middle) * slope
+                ix, iy = np.uint64(int(np.floor(px)) + beside - corner[0]), np.uint64(int(np.floor(py)) - corner[1])
+                into = np.uint64(u - start[0]) * across
                 size = (np.uint64(end - u) * across + bunch - one) // bunch * bunch
                 gain_at = np.uint64(0)
                 if len(gain) > 0:
-                    column = np.uint64((dx + reach) * _PHASES + 0.5)
+                    column = np.uint64(int((dx + reach) * _PHASES + 0.5) + beside * _PHASES)
                     gain_row = np.uint64((dy + reach) * _PHASES + 0.5) * phases + column % phases
                     gain_at = gain_row * gain_line + column // phases * across
                 _read_run(
                     flat, iy * down + ix * across, across, down,
                     (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy, gain, gain_at, half, top,
-                    line, start, size,
+                    line, into, size,
                 )  # fmt: skip
+                first_k, last_k = u - start[0], end - start[0]
                 if turned and channels == 3:
                     # The compiler has better instructions for steps that it knows.
-                    for k in range(end - u):
-                        into, at = np.uint64(3 * (end - 1 - k)), np.uint64(3 * (u + k))
-                        row[into] = line[at]
-                        row[into + np.uint64(1)] = line[at + np.uint64(1)]
-                        row[into + np.uint64(2)] = line[at + np.uint64(2)]
+                    for k in range(last_k - first_k):
+                        to, at = np.uint64(3 * (last_k - 1 - k)), np.uint64(3 * (first_k + k))
+                        row[to] = line[at]
+                        row[to + np.uint64(1)] = line[at + np.uint64(1)]
+                        row[to + np.uint64(2)] = line[at + np.uint64(2)]
                 elif turned:
-                    for k in range(end - u):
+                    for k in range(last_k - first_k):
                         for c in range(channels):
-                            row[(end - 1 - k) * channels + c] = line[(u + k) * channels + c]
+                            row[(last_k - 1 - k) * channels + c] = line[(first_k + k) * channels + c]
+                elif not direct:
+                    for k in range(first_k * channels, last_k * channels):
+                        row[k] = line[k]
                 u = end
             cx, cy = cx + around[following, 0], cy + around[following, 1]
 
@@ -139,20 +153,56 @@ def _farthest(lattice: Lattice) -> float:
     return float(np.hypot(*a) * np.hypot(*b) * np.hypot(*c) / (2 * abs(a[0] * b[1] - a[1] * b[0])))
 
 
+def whole_patches(
+    lattice: Lattice, patch_size: float, size: tuple[int, int], first: float
+) -> tuple[int, int, int, int]:
+    """Columns and rows of a picture for which neither a lens nor any of its pixels is missing.
+
+    Parameters
+    ----------
+    lattice : Lattice
+        A straight one.
+    patch_size : float [px]
+    size : (int, int)
+        Columns and rows of the picture, of `|patch_size|` pixels per pitch.
+    first : float [px]
+        Scene coordinates of output pixel (0, 0).
+
+    Returns
+    -------
+    (int, int, int, int)
+        The first ones and those after the last, order `left, top, right, bottom`.
+    """
+    columns, rows = size
+    # Only telescopic patches reach beyond their lens.
+    border = _farthest(lattice) * (1 + max(patch_size, 0.0) / lattice.pitch) + 3
+    inner = max(int(np.ceil((border - first) * abs(patch_size) / lattice.pitch)), _BUNCH)
+    if 2 * inner >= min(columns, rows):
+        return 0, 0, 0, 0
+    return inner, inner, columns - inner, rows - inner
+
+
 def lay_patches(
     pixels: NDArray,
+    corner: tuple[int, int],
     lattice: Lattice,
     patch_size: float,
     first: float,
     gains: NDArray[np.float32],
     gain_step: float,
+    left: int,
+    part: tuple[int, int, int, int],
+    start: tuple[int, int],
     out: NDArray,
-) -> tuple[int, int, int, int]:
+) -> None:
     """Read each pixel of a picture of `|patch_size|` pixels per pitch from the lens whose centre is nearest.
 
     Parameters
     ----------
-    pixels : (H, W, C) uint8, uint16 or float32
+    pixels : (h, w, C) uint8, uint16 or float32
+        Part of the flat.
+    corner : (int, int) [px]
+        Flat coordinates x, y of its first pixel.
     lattice : Lattice
         A straight one.
     patch_size : float [px]
@@ -161,26 +211,18 @@ def lay_patches(
     gains : (k,) float32
         Gain over the squared distance from the centre, as `gain_table`.
     gain_step : float [px^2]
-    out : (h, w, C) array of the type of `pixels`
-        The picture.
-
-    Returns
-    -------
-    (int, int, int, int)
-        Columns and rows that have been filled: the first and the one after the last, order `left, top, right, bottom`.
-        Beside them, at the border, lenses and pixels are missing.
+    left : int
+        First column of the picture that can be filled.
+    part : (int, int, int, int)
+        Columns and rows `left, top, right, bottom` of the picture to be filled, within `whole_patches`.
+    start : (int, int)
+        Column and row of the picture at which `out` begins.
+    out : (rows, columns, C) array of the type of `pixels`
     """
-    _, width, channels = pixels.shape
     spacing = lattice.pitch / abs(patch_size)
-    # Nearer to the border lenses or their pixels may be missing: only telescopic patches reach beyond their lens.
-    border = _farthest(lattice) * (1 + max(patch_size, 0.0) / lattice.pitch) + 3
-    inner = max(int(np.ceil((border - first) / spacing)), _BUNCH)
-    rows, columns = out.shape[:2]
-    box = (min(inner, columns), min(inner, rows), max(columns - inner, inner), max(rows - inner, inner))
-    if box[2] > columns or box[3] > rows:
-        return (columns, rows, columns, rows)
     steps = np.array([(1, 0), (0, 1), (1, 1), (1, -1)])
     steps = np.concatenate([steps, -steps])
+    channels = pixels.shape[2]
     reach = int(np.ceil(_farthest(lattice) / spacing)) + 2
     table = np.empty((0, 0, 0), np.float32)
     if not (gains == gains[0]).all() or gains[0] != 1:
@@ -192,8 +234,9 @@ def lay_patches(
         table = np.pad(table, ((0, 0), (0, 0), (0, _BUNCH)))
     whole = pixels.dtype.kind in "ui"
     _lay(
-        pixels.reshape(-1), width, channels, lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, steps,
-        patch_size > 0, first, spacing, np.ascontiguousarray(table), reach, np.float32(0.5 if whole else 0.0),
-        np.float32(np.iinfo(pixels.dtype).max if whole else np.inf), np.array(box), out.reshape(rows, -1),
+        np.ascontiguousarray(pixels).reshape(-1), pixels.shape[1], channels, np.array(corner), lattice.origin,
+        np.linalg.inv(lattice.basis), lattice.basis, steps, patch_size > 0, first, spacing, left,
+        np.ascontiguousarray(table), reach, np.float32(0.5 if whole else 0.0),
+        np.float32(np.iinfo(pixels.dtype).max if whole else np.inf), np.array(part), np.array(start),
+        out.reshape(len(out), -1),
     )  # fmt: skip
-    return box

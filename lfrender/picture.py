@@ -17,7 +17,7 @@ from lfcal import LightFieldError, check_output, whole_file
 
 from .embedded import Embedded, embed_in_jpeg, embed_in_png
 
-__all__ = ["PictureError", "check_picture", "write_picture", "write_stack"]
+__all__ = ["PictureError", "check_picture", "describe", "tiff_tags", "with_alpha", "write_picture", "write_stack"]
 
 #: Which pixel types each format holds.
 _FORMATS: dict[str, tuple[str, ...]] = {
@@ -117,9 +117,9 @@ def write_picture(
         raise PictureError(f"{path}: a picture has shape (h, w) or (h, w, 3), got {pixels.shape}")
     check_picture(path, pixels.dtype, alpha)
     valid = getattr(picture, "valid", None)
-    text = json.dumps(_describe(picture, settings))
+    text = json.dumps(describe(picture, settings))
     if alpha:
-        pixels = _with_alpha(pixels, np.ones(pixels.shape[:2], bool) if valid is None else np.asarray(valid))
+        pixels = with_alpha(pixels, np.ones(pixels.shape[:2], bool) if valid is None else np.asarray(valid))
     suffix = Path(path).suffix.lower()
     with whole_file(path) as temporary:
         if suffix in (".tif", ".tiff"):
@@ -169,7 +169,7 @@ def write_stack(
         for picture, text in zip(pictures, texts, strict=True):
             pixels = np.asarray(getattr(picture, "image", picture))
             check_picture(target, pixels.dtype)
-            pages.append((pixels, json.dumps(_describe(picture, text))))
+            pages.append((pixels, json.dumps(describe(picture, text))))
         with whole_file(target) as temporary:
             _write_tiff(temporary, pages, embedded.icc, compress)
         return [target]
@@ -180,7 +180,8 @@ def write_stack(
     return paths
 
 
-def _describe(picture: Any, settings: Mapping[str, Any] | None) -> dict[str, Any]:
+def describe(picture: Any, settings: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The entries of the JSON text of a picture."""
     description: dict[str, Any] = {"software": "lfrender"}
     affine = getattr(picture, "affine", None)
     if affine is not None:
@@ -188,7 +189,8 @@ def _describe(picture: Any, settings: Mapping[str, Any] | None) -> dict[str, Any
     return {**description, **(settings or {})}
 
 
-def _with_alpha(pixels: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
+def with_alpha(pixels: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
+    """`pixels` with `valid` as one more channel."""
     opaque = 1.0 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max
     mask = np.where(valid, opaque, 0).astype(pixels.dtype)
     return np.dstack([pixels, mask])
@@ -208,19 +210,21 @@ def _write_page(tiff: Any, pixels: NDArray[Any], text: str, icc: bytes, compress
     if compress:
         tiles = {"tile": _TILE, "compression": "zlib", "compressionargs": {"level": 3}}
         tiles["predictor"] = pixels.dtype.kind != "f"
-    colour = pixels.ndim == 3 and pixels.shape[2] >= 3
-    alpha = pixels.ndim == 3 and pixels.shape[2] in (2, 4)
-    tiff.write(
-        np.ascontiguousarray(pixels),
-        photometric="rgb" if colour else "minisblack",
-        planarconfig="contig" if pixels.ndim == 3 else None,
-        extrasamples=["unassalpha"] if alpha else None,
-        description=text,
-        software="lfrender",
-        metadata=None,
-        iccprofile=icc or None,
-        **tiles,
-    )
+    tiff.write(np.ascontiguousarray(pixels), **tiff_tags(pixels.shape, text, icc), **tiles)
+
+
+def tiff_tags(shape: tuple[int, ...], text: str, icc: bytes) -> dict[str, Any]:
+    """What tifffile is to be told about a picture of this shape, with alpha where it has 2 or 4 channels."""
+    channels = shape[2] if len(shape) == 3 else 1
+    return {
+        "photometric": "rgb" if channels >= 3 else "minisblack",
+        "planarconfig": "contig" if len(shape) == 3 else None,
+        "extrasamples": ["unassalpha"] if channels in (2, 4) else None,
+        "description": text,
+        "software": "lfrender",
+        "metadata": None,
+        "iccprofile": icc or None,
+    }
 
 
 def _encode(pixels: NDArray[Any], suffix: str, text: str, embedded: Embedded) -> bytes:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 
 from .depthmap import DepthMap
-from .drawing import _draw, _like
+from .drawing import _draw, as_stored
 from .flatcheck import check_flat
 from .rendering import Rendering
 from .sharpness import lens_blur
@@ -91,7 +91,7 @@ def refocus(
     )
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
-    return Rendering(_like(image, np.asarray(flat).dtype), affine, lenses > 0, float(scale))
+    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, lenses > 0, float(scale))
 
 
 def focal_stack(

@@ -15,7 +15,7 @@ from .neighbours import lens_grid
 from .radiance import GrayFlat
 from .surface import Surface
 
-__all__ = ["check_region", "embed", "embed_textured", "lenses_in", "part_of", "rows_of", "scaled"]
+__all__ = ["check_region", "embed", "embed_textured", "lattice_of", "lenses_in", "part_of", "rows_of", "scaled"]
 
 # Lenses this many pitches outside support those inside: as far as shading is taken to be common.
 _AROUND = 4.5
@@ -51,14 +51,19 @@ def part_of(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tupl
     size = np.array(lattice.image_size)
     low = np.maximum(0, np.floor(centres.min(0) - _AROUND * lattice.pitch)).astype(int)
     high = np.minimum(size, np.ceil(centres.max(0) + _AROUND * lattice.pitch).astype(int) + 1)
+    sub = lattice_of(lattice, low, high)
+    image = np.ascontiguousarray(gray.image[low[1] : high[1], low[0] : high[0]])
+    return replace(gray, image=image, centres=sub.centres().astype(np.float32)), sub
+
+
+def lattice_of(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int64]) -> Lattice:
+    """The lattice of the part of a flat from the pixel `low` (2,) to before `high` (2,), in its own pixels."""
     distortion = lattice.distortion
     if distortion is not None:
         middle = None if distortion.middle is None else distortion.middle - low
         distortion = replace(distortion, centre=distortion.centre - low, middle=middle)
     width, height = (high - low).tolist()
-    sub = Lattice(lattice.origin - low, lattice.basis, (width, height), lattice.radius, distortion)
-    image = np.ascontiguousarray(gray.image[low[1] : high[1], low[0] : high[0]])
-    return replace(gray, image=image, centres=sub.centres().astype(np.float32)), sub
+    return Lattice(lattice.origin - low, lattice.basis, (width, height), lattice.radius, distortion)
 
 
 def rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:

@@ -147,6 +147,11 @@ class Matcher:
         """(n, k) float32: mean over the pairs of each lens."""
         return lens_costs(pair, self.forward, self.backward)
 
+    def populated(self, sizes: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """(k,) bool: shifts near those that belong to patch sizes (m,) [px of the flat] of other lenses."""
+        best = np.rint(sizes / (self.factor * self.step)).astype(int) + len(self.shifts) // 2
+        return _near(np.bincount(np.clip(best, 0, len(self.shifts) - 1), minlength=len(self.shifts)), self)
+
     def tolerance(self) -> int:
         """Steps that belong to one optimum."""
         return max(1, round(1.5 / self.step))
@@ -158,6 +163,7 @@ def search(
     clear: NDArray[np.bool_],
     sample: NDArray[np.bool_] | None,
     known: NDArray[np.float32] | None = None,
+    sizes: NDArray[np.float32] | None = None,
 ) -> Found:
     """Match signed shifts, lenses supporting each other.
 
@@ -171,8 +177,10 @@ def search(
         unless that leaves them without a match. None matches all lenses at all shifts.
     known : (n,) float32 [px of the flat], optional
         Patch sizes of lenses that need no answer, to support their neighbours; NaN elsewhere.
+    sizes : (m,) float32 [px of the flat], optional
+        Patch sizes that occur, as found elsewhere, instead of those of a `sample`.
     """
-    pair, untried = _all_pairs(matcher, active, clear, sample)
+    pair, untried = _all_pairs(matcher, active, clear, sample, sizes)
     cost = matcher.costs(pair)
     step = matcher.step
     if known is not None:
@@ -196,13 +204,20 @@ def search(
 
 
 def _all_pairs(
-    matcher: Matcher, active: NDArray[np.bool_], clear: NDArray[np.bool_], sample: NDArray[np.bool_] | None
+    matcher: Matcher,
+    active: NDArray[np.bool_],
+    clear: NDArray[np.bool_],
+    sample: NDArray[np.bool_] | None,
+    sizes: NDArray[np.float32] | None,
 ) -> tuple[NDArray[np.float32], float]:
     """Pair costs of all active lenses where it matters, and the share of the work that was left out."""
-    if sample is None:
+    if sample is None and sizes is None:
         return matcher.pairs(active), 0.0
+    if sizes is not None:
+        sample = np.zeros_like(active)
+    assert sample is not None
     pair = matcher.pairs(sample)
-    populated = _occurring(matcher.costs(pair)[sample], matcher)
+    populated = _occurring(matcher.costs(pair)[sample], matcher) if sizes is None else matcher.populated(sizes)
     if populated.all():
         return matcher.pairs(active, done=sample, out=pair), 0.0
     matcher.pairs(active, which=np.flatnonzero(populated), done=sample, out=pair)
@@ -220,7 +235,11 @@ def _all_pairs(
 def _occurring(cost: NDArray[np.float32], matcher: Matcher) -> NDArray[np.bool_]:
     """(k,) bool: shifts near those that sampled lenses (m, k) agree with their neighbours at."""
     best = cost.argmin(1)[cost.min(1) < _TELLING]
-    count = np.bincount(best, minlength=cost.shape[1])
+    return _near(np.bincount(best, minlength=cost.shape[1]), matcher)
+
+
+def _near(count: NDArray[np.int64], matcher: Matcher) -> NDArray[np.bool_]:
+    """(k,) bool: shifts near those that lenses have, by their number (k,)."""
     near = matcher.tolerance()
     margin = max(near, int(np.ceil(_MARGIN * matcher.gray.pitch / matcher.step)))
     votes = np.convolve(count, np.ones(2 * near + 1, int), "same")

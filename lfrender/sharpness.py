@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
@@ -40,14 +43,62 @@ def ready_to_read(pixels: NDArray) -> NDArray:
     -------
     array of the same shape and type
     """
-    import cv2
+    rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
+    out = np.empty_like(rows)
+    if rows.dtype.kind == "f":
+        _give_back(rows, pixels.shape[2], out)
+    else:
+        _give_back_whole(rows, pixels.shape[2], np.int32(np.iinfo(rows.dtype).max), out)
+    return out.reshape(pixels.shape)
 
-    side, middle = -_GIVEN_BACK, 1 + 4 * _GIVEN_BACK
-    kernel = np.array([[0, side, 0], [side, middle, side], [0, side, 0]], np.float32)
-    return cv2.filter2D(pixels, -1, kernel, borderType=cv2.BORDER_REPLICATE).reshape(pixels.shape)
+
+# Exact rules of rounding: a part of a flat gets what the whole has there, whatever pixels a vector loop takes together.
+@njit(cache=True, nogil=True, parallel=True)
+def _give_back(flat, channels, out):
+    height, width = flat.shape
+    middle, side = np.float32(1 + 4 * _GIVEN_BACK), np.float32(_GIVEN_BACK)
+    for y in prange(height):
+        above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
+        into = out[y]
+        n = width - 2 * channels
+        before, own, after = here[: max(n, 0)], here[channels:], here[2 * channels :]
+        up, down, target = above[channels:], below[channels:], into[channels:]
+        for k in range(n):
+            target[k] = middle * own[k] - side * ((before[k] + after[k]) + (up[k] + down[k]))
+        for k in range(width):
+            if k < channels or k >= width - channels:
+                left, right = here[k - channels if k >= channels else k], here[k + channels if k < n + channels else k]
+                into[k] = middle * here[k] - side * ((left + right) + (above[k] + below[k]))
 
 
-def lens_blur(pixels: NDArray, calibration: Calibration, patch_size: NDArray[np.float32]) -> float:
+@njit(cache=True, nogil=True, parallel=True)
+def _give_back_whole(flat, channels, highest, out):
+    """As `_give_back`, in whole numbers: sixteen twelfths of a pixel less one twelfth of each beside it, rounded."""
+    height, width = flat.shape
+    six, zero = np.int32(6), np.int32(0)
+    for y in prange(height):
+        above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
+        into = out[y]
+        n = width - 2 * channels
+        before, own, after = here[: max(n, 0)], here[channels:], here[2 * channels :]
+        up, down, target = above[channels:], below[channels:], into[channels:]
+        for k in range(n):
+            sides = np.int32(before[k]) + np.int32(after[k]) + np.int32(up[k]) + np.int32(down[k])
+            target[k] = min(
+                np.uint32(max(np.int32(own[k]) * np.int32(16) - sides + six, zero)) // np.uint32(12), highest
+            )
+        for k in range(width):
+            if k < channels or k >= width - channels:
+                left, right = here[k - channels if k >= channels else k], here[k + channels if k < n + channels else k]
+                sides = np.int32(left) + np.int32(right) + np.int32(above[k]) + np.int32(below[k])
+                into[k] = min(max(np.int32(here[k]) * 16 - sides + six, zero) // 12, highest)
+
+
+def lens_blur(
+    pixels: NDArray | Callable[[tuple[int, int, int, int]], NDArray],
+    calibration: Calibration,
+    patch_size: NDArray[np.float32],
+) -> float:
     """Width over which the microlenses have averaged the scene, in shares of the patch size.
 
     Brightness differs the more, the farther places lie apart: in a sharp picture of edges of all sizes its mean square
@@ -56,7 +107,8 @@ def lens_blur(pixels: NDArray, calibration: Calibration, patch_size: NDArray[np.
 
     Parameters
     ----------
-    pixels : (H, W, C) array
+    pixels : (H, W, C) array, or callable
+        The latter gives the part `left, top, right, bottom` of them.
     calibration : Calibration
     patch_size : (n,) float32 [px]
         Of all lenses, NaN where unresolved.
@@ -71,16 +123,21 @@ def lens_blur(pixels: NDArray, calibration: Calibration, patch_size: NDArray[np.
     lags = _LAGS[radius >= _LAGS]
     if len(lags) < _LEAST_LAGS or not len(lenses):
         return 0.0
+    look = pixels if callable(pixels) else partial(_part, pixels)
     types = calibration.lens_types
     kinds = np.zeros(len(lenses), int) if types is None else types.of(calibration.lattice.indices()[lenses])
     # The sharpest type leads where it is in focus, and must not alias.
     return min(
-        _blur_of(pixels, calibration, patch_size, lenses[kinds == kind], radius, lags) for kind in np.unique(kinds)
+        _blur_of(look, calibration, patch_size, lenses[kinds == kind], radius, lags) for kind in np.unique(kinds)
     )
 
 
+def _part(pixels: NDArray, part: tuple[int, int, int, int]) -> NDArray:
+    return pixels[part[1] : part[3], part[0] : part[2]]
+
+
 def _blur_of(
-    pixels: NDArray,
+    look: Callable[[tuple[int, int, int, int]], NDArray],
     calibration: Calibration,
     patch_size: NDArray[np.float32],
     lenses: NDArray[np.int64],
@@ -91,7 +148,12 @@ def _blur_of(
     lenses = lenses[:: max(1, len(lenses) // _LENSES)]
     lenses = lenses[np.argsort(np.abs(patch_size[lenses]), kind="stable")]
     found = np.zeros((len(lenses), len(lags)))
-    _differences(pixels, calibration.lattice.centres()[lenses], radius, lags, found)
+    size = np.array(calibration.image_size)
+    for number, centre in enumerate(calibration.lattice.centres()[lenses]):
+        low, high = np.floor(centre - radius).astype(int) - 1, np.ceil(centre + radius).astype(int) + 2
+        low, high = np.maximum(low, 0), np.minimum(high, size)
+        part = np.ascontiguousarray(look((*low.tolist(), *high.tolist())))
+        _differences(part, (centre - low)[None], radius, lags, found[number : number + 1])
     models = _models(lags)
     total = weight = 0.0
     for part in np.array_split(np.arange(len(lenses)), min(_PARTS, len(lenses))):

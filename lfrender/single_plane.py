@@ -19,7 +19,7 @@ from .skipping import sample_lenses
 from .slant import fit_lenses
 from .texture import Texture
 
-__all__ = ["PlaneScene", "find_plane"]
+__all__ = ["PlaneScene", "find_plane", "plane_evidence"]
 
 # So many lenses tell a plane, or at least the second number of them.
 _SAMPLE, _LEAST_SAMPLE = 96, 40
@@ -84,7 +84,7 @@ def find_plane(
     if plane is None:
         return None
     about = plane.at(lattice.centres()).astype(np.float32)
-    evidence = _evidence(matcher, texture, about, setting)
+    evidence = plane_evidence(matcher, texture, about, setting)
     if evidence is None:
         return None
     if plane.slanted:
@@ -116,7 +116,7 @@ def _places(
     return 0.5 * (here + there) - pairs.place[lens, d, 0] * stretch[:, None], sizes
 
 
-def _evidence(
+def plane_evidence(
     matcher: Matcher, texture: Texture, about: NDArray[np.float32], setting: Preset
 ) -> NDArray[np.float32] | None:
     """(n,) correlation of every lens at the plane's shift; None where a lens shows something else."""

@@ -22,6 +22,7 @@ __all__ = [
     "blank_lenses",
     "find_texture",
     "lens_statistics",
+    "noise_of",
     "quick_statistics",
     "untouched_texture",
 ]
@@ -173,9 +174,9 @@ def quick_statistics(gray: GrayFlat) -> LensStatistics:
     return lens_statistics(gray, row_step=2 if gray.radius >= _LEAST_ROWS else 1)
 
 
-def blank_lenses(plain: LensStatistics) -> tuple[NDArray[np.bool_], float]:
-    """(n,) bool: lenses whose pixels are explained by their own noise; and that noise."""
-    noise = _noise(plain)
+def blank_lenses(plain: LensStatistics, noise: float | None = None) -> tuple[NDArray[np.bool_], float]:
+    """(n,) bool: lenses whose pixels are explained by their own noise; and that noise, where it is not given."""
+    noise = noise_of(plain.roughness) if noise is None else noise
     return ~(_some(plain, noise) & _beyond_noise(plain)) & ~_clear(plain, noise), noise
 
 
@@ -185,11 +186,13 @@ def find_texture(
     plain: LensStatistics,
     blank: tuple[NDArray[np.bool_], float] | None = None,
     wanted: NDArray[np.bool_] | None = None,
+    known_noise: float | None = None,
 ) -> Texture:
     """Remove the shading that microimages have in common and tell which lenses are left with texture.
 
     `plain` are the statistics of `gray`. Lenses that are `blank` are so without further ado; the number beside them is
     the noise of a larger flat of which this is a part, else inf. Lenses that are not `wanted` keep their shading.
+    The noise may be known already.
     """
     white = np.zeros(len(plain.mean), bool)
     if blank is not None:
@@ -200,22 +203,25 @@ def find_texture(
         white = white | ~wanted
     flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, ~white)
     found = lens_statistics(flattened, known=plain, wanted=~white)
-    noise = _noise(found) if blank is None else min(_noise(found), blank[1])
+    if known_noise is None:
+        noise = noise_of(found.roughness) if blank is None else min(noise_of(found.roughness), blank[1])
+    else:
+        noise = known_noise
     clear = _clear(found, noise)
     faint = _some(found, noise) & ~clear
     return Texture(flattened, found, noise, clear, faint if blank is None else faint & ~blank[0])
 
 
-def untouched_texture(gray: GrayFlat, plain: LensStatistics) -> Texture:
+def untouched_texture(gray: GrayFlat, plain: LensStatistics, noise: float | None = None) -> Texture:
     """Which lenses carry texture if the shading is left in: quicker, and right where there is much texture."""
-    noise = _noise(plain)
+    noise = noise_of(plain.roughness) if noise is None else noise
     clear = _clear(plain, noise)
     return Texture(gray, plain, noise, clear, _some(plain, noise) & ~clear)
 
 
-def _noise(found: LensStatistics) -> float:
+def noise_of(roughness: NDArray[np.float32]) -> float:
     """The least rough microimages show the noise alone; rounding and coding leave a grey level in any case."""
-    return max(float(np.percentile(found.roughness, 2)), 1 / 255)
+    return max(float(np.percentile(roughness, 2)), 1 / 255)
 
 
 def _some(found: LensStatistics, noise: float) -> NDArray[np.bool_]:

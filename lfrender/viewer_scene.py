@@ -14,13 +14,14 @@ from lfcal import Calibration, CalibrationError, LightFieldError
 
 from .bending import lattice_bend
 from .depthmap import DepthMap
-from .drawing import _AGREEMENT, _COARSE, _REACH, _beside, default_scale, lens_offsets
+from .drawing import _AGREEMENT, _COARSE, _REACH, default_scale
 from .flatcheck import check_flat
 from .lens_focus import focus_shares
 from .merit import nearest_lens
 from .radiance import gain_table, lens_by_lens, white_level
 from .refocusing import _REACH as _WIDE_REACH
 from .sharpness import lens_blur, ready_to_read
+from .tile_drawing import _beside, lens_offsets
 from .visibility import lens_depths
 from .warping import Viewpoint, virtual_depth
 

@@ -11,7 +11,7 @@ from lfcal import Calibration, CalibrationError
 
 from .analysis import analyze
 from .depthmap import DepthMap
-from .drawing import _COARSE, _draw, _like, default_scale
+from .drawing import _COARSE, _draw, as_stored, default_scale
 from .flatcheck import check_flat
 from .rendering import Rendering
 from .sharpness import lens_blur
@@ -99,7 +99,7 @@ def _drawn(
     blur = lens_blur(pixels, calibration, depth.patch_size) if scale * _COARSE < full else 0.0
     for point in points:
         image, lenses, affine = _draw(pixels, calibration, depth.surface, scale, True, blur, viewpoint=point)
-        yield Rendering(_like(image[:, :, 0] if plain else image, dtype), affine, lenses > 0, scale)
+        yield Rendering(as_stored(image[:, :, 0] if plain else image, dtype), affine, lenses > 0, scale)
 
 
 def _checked(offset: tuple[float, float], radius: float) -> tuple[float, float]:

@@ -25,9 +25,10 @@ def nearness(s, pitch):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, out):
+def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, out):
     rows, columns = surface.shape
-    height, width = out.shape
+    left, top = corner
+    right, bottom = left + out.shape[1], top + out.shape[0]
     for lens in prange(len(centres)):
         cx, cy = centres[lens, 0], centres[lens, 1]
         low_u = max(0, int(np.ceil((cx - reach - first_x) / spacing)))
@@ -53,16 +54,22 @@ def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, rea
                 near = nearness(s, pitch)
                 for y in range(int(np.ceil(cy + dy - half)), int(np.floor(cy + dy + half)) + 1):
                     for x in range(int(np.ceil(cx + dx - half)), int(np.floor(cx + dx + half)) + 1):
-                        if x < 0 or y < 0 or x >= width or y >= height:
+                        if x < left or y < top or x >= right or y >= bottom:
                             continue
                         if (x - cx) * (x - cx) + (y - cy) * (y - cy) > radius * radius:
                             continue
-                        before = out[y, x]
+                        before = out[y - top, x - left]
                         if np.isnan(before) or nearness(before, pitch) < near:
-                            out[y, x] = s
+                            out[y - top, x - left] = s
 
 
-def lens_depths(surface: Surface, lattice: Lattice, reach: float, edge: float) -> NDArray[np.float32]:
+def lens_depths(
+    surface: Surface,
+    lattice: Lattice,
+    reach: float,
+    edge: float,
+    part: tuple[int, int, int, int] | None = None,
+) -> NDArray[np.float32]:
     """(H, W) float32 [px]: patch size of what each flat pixel sees through its lens.
 
     NaN where that is unknown, or where nothing can hide anything: around lenses with no depth edge in reach.
@@ -75,13 +82,19 @@ def lens_depths(surface: Surface, lattice: Lattice, reach: float, edge: float) -
         Scene points farther than this from a lens are not looked for in it.
     edge : float [px]
         Patch sizes that differ by less belong to one surface.
+    part : (left, top, right, bottom) [px], optional
+        Only these pixels of the flat.
     """
-    width, height = lattice.image_size
-    out = np.full((height, width), np.nan, np.float32)
+    left, top, right, bottom = part or (0, 0, *lattice.image_size)
+    out = np.full((bottom - top, right - left), np.nan, np.float32)
     radius = min(lattice.radius, lattice.pitch / 2)
+    centres = lattice.centres()
+    if part is not None:
+        near = np.array([left, top]) - radius - 1, np.array([right, bottom]) + radius + 1
+        centres = centres[((centres >= near[0]) & (centres <= near[1])).all(1)]
     _lens_depths(
         surface.patch_size, np.float32(surface.first[0]), np.float32(surface.first[1]), np.float32(surface.spacing),
-        lattice.centres().astype(np.float32), np.float32(radius), np.float32(lattice.pitch), np.float32(reach),
-        np.float32(edge), out,
+        centres.astype(np.float32), np.float32(radius), np.float32(lattice.pitch), np.float32(reach),
+        np.float32(edge), (left, top), out,
     )  # fmt: skip
     return out

@@ -112,7 +112,7 @@ def test_the_command_sharpens_and_says_so(tmp_path):
     shot = capture("plane", LOW)
     cv2.imwrite(str(tmp_path / "flat.png"), shot.flat[..., ::-1])
     shot.truth.calibration.save(tmp_path / "camera.json")
-    common = ["render", str(tmp_path / "flat.png"), "-c", str(tmp_path / "camera.json"), "--patch-size", "-7"]
+    common = ["render", str(tmp_path / "flat.png"), "-c", str(tmp_path / "camera.json")]
     pictures = []
     for name, extra in (("plain", []), ("sharp", ["--sharpen", "auto"])):
         path = tmp_path / f"{name}.png"

@@ -1,0 +1,191 @@
+"""The commands on flats that are too large for memory: the same options, and the same figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+from lfcal import LightFieldError
+
+if TYPE_CHECKING:
+    from lfcal import Calibration, FlatSource
+
+    from .depthmap import DepthMap
+    from .unfinished import Unfinished
+
+__all__ = ["Asked", "analyze", "is_large", "render", "wanted"]
+
+# Flats of more bytes are large: those of usual sensors are quicker in one go.
+_LARGE = 100_000_000
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What `lfrender render` was asked for."""
+
+    flat: Path
+    output: Path
+    camera: Path | None
+    white: Path | None
+    depth_file: Path | None
+    patch_size: float | None
+    scale: float | None
+    blend: bool | None
+    mosaic: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None
+    alpha: bool
+    compress: bool
+    tile: int | None
+    preset: str
+
+
+def wanted(flat: Path, output: Path, tile: int | None) -> bool:
+    """Whether a flat is to be worked on in tiles."""
+    if tile is not None or output.suffix.lower() == ".zarr":
+        return True
+    return is_large(flat)
+
+
+def is_large(flat: Path) -> bool:
+    """Whether a flat can be read in parts and has many of them."""
+    if flat.suffix.lower() not in (".tif", ".tiff") and not flat.is_dir():
+        return False
+    from lfcal import open_flat
+
+    try:
+        # Most files are small, also when expanded to this much.
+        if flat.is_file() and flat.stat().st_size < _LARGE / 100:
+            return False
+        with open_flat(flat) as source:
+            return source.in_parts and source.nbytes > _LARGE
+    except (LightFieldError, OSError):
+        # Reading it says what is wrong.
+        return False
+
+
+def render(report: Any, asked: Asked) -> None:
+    """Calibrate, analyse and render in tiles, keeping what is finished."""
+    from . import cli, render_large
+    from .large_rendering import check_output_of
+    from .unfinished import Unfinished
+
+    with report.stage("read"):
+        from lfcal import open_flat
+
+        source = open_flat(asked.flat)
+        inputs = [asked.flat, asked.camera, asked.white, asked.depth_file]
+        check_output_of(asked.output, source.dtype, asked.alpha, inputs)
+        unfinished = Unfinished(asked.output)
+    with source:
+        with report.stage("calibrate"):
+            calibration = _camera(report, asked, source, unfinished)
+        depth = None
+        if asked.patch_size is None:
+            with report.stage("analyze"):
+                depth = _depth(report, asked, source, calibration, unfinished)
+        report.announce_compilation("lfrender")
+        with report.stage("render"), _tiles(report) as progress:
+            try:
+                made = render_large(
+                    source, asked.output, calibration, depth, patch_size=asked.patch_size, scale=asked.scale,
+                    blend=asked.blend, tile=asked.tile, alpha=asked.alpha, compress=asked.compress,
+                    settings=cli._settings(depth, asked.patch_size), progress=progress,
+                )  # fmt: skip
+            except LightFieldError:
+                raise
+            except ValueError as error:
+                raise click.UsageError(str(error)) from error
+    figures = {
+        "picture": str(asked.output), "size": list(made.size), "scale": made.scale, "valid": made.valid,
+        "affine": made.affine, "tiles": made.tiles, "tiles_kept": made.kept, **cli._camera_figures(calibration),
+        **(cli._depth_figures(depth) if depth else {}),
+    }  # fmt: skip
+    report.finish(figures)
+
+
+def analyze(
+    report: Any, flat: Path, camera: Path, output: Path, preset: str, skip: bool
+) -> tuple[DepthMap, Calibration]:
+    """Analyse in tiles, and save the depth."""
+    from . import analyze_large, cli
+
+    with report.stage("read"):
+        from lfcal import open_flat, read_flat
+
+        source = open_flat(flat)
+    with source:
+        with report.stage("calibrate"):
+            published = camera.suffix.lower() in (".xml", ".cfg")
+            pixels: Any = read_flat(flat) if published else source
+            calibration = cli._read_camera(camera, pixels)
+            del pixels
+        report.announce_compilation("lfrender")
+        with report.stage("analyze"), _tiles(report) as progress:
+            depth = analyze_large(source, calibration, preset, skip=skip, progress=progress)
+        depth.save(output)
+    return depth, calibration
+
+
+@contextmanager
+def _tiles(report: Any) -> Iterator[Callable[[int, int], None]]:
+    """Shows how many tiles are finished, and how long the others will take."""
+    shown: list[Any] = []
+
+    def progress(done: int, count: int) -> None:
+        if not shown:
+            bar = report.progress("tiles", count)
+            shown.extend([bar, bar.__enter__()])
+        shown[1]("")
+
+    try:
+        yield progress
+    finally:
+        if shown:
+            shown[0].__exit__(None, None, None)
+
+
+def _camera(report: Any, asked: Asked, source: FlatSource, unfinished: Unfinished) -> Calibration:
+    """The camera of a file, or calibrated, which an earlier run may have done."""
+    from lfcal import load, read_flat
+
+    from . import cli
+    from .unfinished import fingerprint, stamp
+
+    if asked.camera is not None and asked.camera.suffix.lower() not in (".xml", ".cfg"):
+        shape: Any = source
+        return cli._camera_of(report, asked.flat, shape, asked.camera, None, asked.mosaic)
+    key = fingerprint(stamp(asked.flat), stamp(asked.white), stamp(asked.camera), asked.mosaic)
+    file = unfinished.folder / "camera.json"
+    if unfinished.find("camera", key):
+        return load(file)
+    pixels = read_flat(asked.flat)
+    calibration = cli._camera_of(report, asked.flat, pixels, asked.camera, asked.white, asked.mosaic)
+    unfinished.open()
+    calibration.save(file)
+    unfinished.keep("camera", key)
+    # As it will be read again, so that a picture does not depend on whether a run was killed.
+    return load(file)
+
+
+def _depth(report: Any, asked: Asked, source: FlatSource, calibration: Calibration, unfinished: Unfinished) -> DepthMap:
+    """The depth of a file, or analysed, which an earlier run may have done."""
+    from . import analyze_large
+    from .depthmap import DepthMap
+    from .unfinished import fingerprint, stamp
+
+    if asked.depth_file is not None:
+        return DepthMap.load(asked.depth_file)
+    key = fingerprint(stamp(asked.flat), calibration.to_dict(), asked.preset)
+    file = unfinished.folder / "depth.npz"
+    if unfinished.find("depth", key):
+        return DepthMap.load(file)
+    report.announce_compilation("lfrender")
+    depth = analyze_large(source, calibration, asked.preset)
+    unfinished.open()
+    depth.save(file)
+    unfinished.keep("depth", key)
+    return depth

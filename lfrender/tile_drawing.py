@@ -1,0 +1,307 @@
+"""What a picture is drawn from, prepared once, and any part of the picture drawn from the part of the flat it needs.
+
+Kernels work in the coordinates of the whole flat and picture, so a picture is the same bit for bit in one part or many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration, Lattice
+
+from .bending import lattice_bend
+from .lens_focus import focus_shares
+from .mosaic import draw_rows
+from .patches import lay_patches, whole_patches
+from .radiance import gain_table, lens_by_lens, white_level
+from .sharpness import ready_to_read
+from .surface import Surface
+from .visibility import lens_depths
+from .warping import Viewpoint
+
+__all__ = ["Drawing", "Part", "as_stored", "lens_offsets"]
+
+#: Columns and rows `left, top, right, bottom` of a picture or a flat [px], the last two not included.
+Part = tuple[int, int, int, int]
+
+# Lenses at which the spacing of a distorted lattice is looked at: it changes slowly over the field.
+_PROBES = 500
+# Interpolation reads a pixel further than its place, and what is given back to it before another one.
+_BEYOND = 4
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A picture to be drawn.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    surface : Surface
+    scale : float
+        Output pixels per pitch.
+    blend : bool
+        The mean over all lenses that agree on a point, or the lens alone whose centre is nearest.
+    blur : float
+        As `sharpness.lens_blur`.
+    reach : float
+        Lenses farther than this many pitches from a scene point are not read.
+    agreement : float
+        Difference from the mean colour, as a share of white, at which a lens counts a quarter.
+    aperture : float
+        Part of the radius of microimages that is read.
+    viewpoint : Viewpoint
+    """
+
+    calibration: Calibration
+    surface: Surface
+    scale: float
+    blend: bool
+    blur: float
+    reach: float
+    agreement: float
+    aperture: float = 1.0
+    viewpoint: Viewpoint = field(default_factory=Viewpoint)
+
+    @property
+    def spacing(self) -> float:
+        """Distance between output pixels [px of the flat]."""
+        return self.calibration.lattice.pitch / self.scale
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows of the picture."""
+        width, height = self.calibration.image_size
+        return max(1, round(width / self.spacing)), max(1, round(height / self.spacing))
+
+    @property
+    def affine(self) -> NDArray[np.float64]:
+        """(2, 3) from output pixel to scene coordinates."""
+        first = 0.5 * self.spacing - 0.5
+        return np.array([[self.spacing, 0.0, first], [0.0, self.spacing, first]])
+
+    @cached_property
+    def halo(self) -> int:
+        """How far from the scene points of a part of the picture the flat is read [px]."""
+        lattice = self.calibration.lattice
+        aside = float(np.hypot(*self.viewpoint.offset)) + float(np.abs(self._moved).max())
+        return int(np.ceil(self.reach * lattice.pitch + lattice.radius + 2 * aside + self.spacing)) + _BEYOND
+
+    def needed(self, part: Part) -> Part:
+        """The part of the flat that a part of the picture is drawn from."""
+        width, height = self.calibration.image_size
+        first = 0.5 * self.spacing - 0.5
+        low = [int(first + self.spacing * k) - self.halo for k in part[:2]]
+        high = [int(np.ceil(first + self.spacing * (k - 1))) + self.halo + 1 for k in part[2:]]
+        return max(0, low[0]), max(0, low[1]), min(width, high[0]), min(height, high[1])
+
+    def tiles(self, side: tuple[int, int]) -> Iterator[Part]:
+        """Parts of the picture of at most `side` (columns, rows), row by row."""
+        columns, rows = self.size
+        for top in range(0, rows, side[1]):
+            for left in range(0, columns, side[0]):
+                yield left, top, min(left + side[0], columns), min(top + side[1], rows)
+
+    def draw(
+        self, pixels: NDArray[Any], corner: tuple[int, int] = (0, 0), part: Part | None = None
+    ) -> tuple[NDArray, NDArray[np.float32]]:
+        """Draw a part of the picture.
+
+        Parameters
+        ----------
+        pixels : (h, w, C) array
+            The part of the flat that is `needed`, or more, in colour.
+        corner : (int, int) [px]
+            Flat coordinates x, y of its first pixel.
+        part : (left, top, right, bottom), optional
+            Of the picture; by default all of it.
+
+        Returns
+        -------
+        image : (rows, columns, C) float32, or of the type of `pixels`
+            In the flat's units.
+        seen : (rows, columns) float32
+            Share of each output pixel that some lens has seen.
+        """
+        part = part or (0, 0, *self.size)
+        if self._patches is None:
+            return self._rows(pixels, corner, part)
+        # The kernel of patches needs a whole lens and all its pixels; the other one draws what surrounds that.
+        left, top, right, bottom = inner = _common(part, self._patches)
+        if left >= right or top >= bottom:
+            return self._rows(pixels, corner, part)
+        first = 0.5 * self.spacing - 0.5
+        image = np.empty((part[3] - part[1], part[2] - part[0], pixels.shape[2]), pixels.dtype)
+        seen = np.ones(image.shape[:2], np.float32)
+        size = float(np.copysign(self.scale, self.surface.patch_size[0, 0]))
+        lay_patches(
+            pixels,
+            corner,
+            self.calibration.lattice,
+            size,
+            first,
+            *self._gains,
+            self._patches[0],
+            inner,
+            part[:2],
+            image,
+        )
+        for strip in (
+            (part[0], part[1], part[2], top),
+            (part[0], bottom, part[2], part[3]),
+            (part[0], top, left, bottom),
+            (right, top, part[2], bottom),
+        ):
+            if strip[0] < strip[2] and strip[1] < strip[3]:
+                place = np.s_[strip[1] - part[1] : strip[3] - part[1], strip[0] - part[0] : strip[2] - part[0]]
+                drawn, seen[place] = self._rows(pixels, corner, strip)
+                image[place] = as_stored(drawn, pixels.dtype)
+        return image, seen
+
+    def _rows(
+        self, pixels: NDArray[Any], corner: tuple[int, int], part: Part
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """A part of the picture from all lenses in reach of each pixel."""
+        left, top, right, bottom = part
+        lattice, pitch, single = self.calibration.lattice, self.calibration.lattice.pitch, np.float32
+        image = np.empty((bottom - top, right - left, pixels.shape[2]), single)
+        seen = np.empty(image.shape[:2], single)
+        white = white_level(pixels)
+        seen_depth = self._seen_depth(corner, pixels.shape)
+        gains, step = self._gains
+        lights = 1 / gains
+        if self._part_gain is not None:
+            gains = np.ones_like(gains)
+            pixels, unknown = self._part_gain.flatten(pixels, *corner)
+            if not seen_depth.size:
+                seen_depth = np.full(pixels.shape[:2], np.nan, single)
+            seen_depth[_beside(unknown)] = np.inf
+        drawn = self._seen_surface
+        draw_rows(
+            # Only a mean over many lenses has the sharpness of the flat where what interpolation blurs is given back.
+            ready_to_read(pixels) if self.blend else pixels, (0,) * pixels.shape[2], seen_depth, gains,
+            lights, single(step), lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, *self._bend,
+            *self._offsets, *focus_shares(self.calibration.lens_types), single(self.aperture * lattice.radius), single(pitch),
+            drawn.patch_size, single(drawn.first[0]), single(drawn.first[1]), single(drawn.spacing),
+            single(self._edge), single(self.scale), 0.5 * self.spacing - 0.5 + self._moved, self.spacing,
+            single((self.blur * self.scale) ** 2), single(self.reach * pitch),
+            single(self.agreement * white if self.blend else 0.0), np.array(self.viewpoint.offset, single),
+            np.array(corner), np.array(lattice.image_size), np.array([left, top]), image, seen,
+        )  # fmt: skip
+        return image, seen
+
+    @cached_property
+    def _patches(self) -> Part | None:
+        """Where the picture consists of patches of the flat, pixel by pixel; None if it does not."""
+        lattice, sizes = self.calibration.lattice, self.surface.patch_size
+        plain = lattice.distortion is None and not lens_by_lens(self.calibration)
+        if self.blend or sizes.size > 1 or not plain or np.float32(self.scale) != abs(sizes[0, 0]):
+            return None
+        size = float(np.copysign(self.scale, sizes[0, 0]))
+        return whole_patches(lattice, size, self.size, 0.5 * self.spacing - 0.5)
+
+    def _seen_depth(self, corner: tuple[int, int], shape: tuple[int, ...]) -> NDArray[np.float32]:
+        """What each pixel of a part of the flat sees, (0, 0) where nothing can hide anything."""
+        if not self.blend or self.surface.patch_size.size <= 1:
+            return np.empty((0, 0), np.float32)
+        lattice = self.calibration.lattice
+        reach = self.reach * lattice.pitch + self._parallax
+        part = (*corner, corner[0] + shape[1], corner[1] + shape[0])
+        return lens_depths(self.surface, lattice, reach, self._edge, None if shape[:2] == self._shape else part)
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return self.calibration.image_size[::-1]
+
+    @property
+    def _edge(self) -> float:
+        """Patch sizes that differ by less belong to one surface [px]."""
+        return max(0.5, 0.03 * self.calibration.lattice.pitch)
+
+    @cached_property
+    def _parallax(self) -> float:
+        return self.viewpoint.parallax(self.surface, self.calibration.lattice)
+
+    @cached_property
+    def _gains(self) -> tuple[NDArray[np.float32], float]:
+        return gain_table(self.calibration)
+
+    @cached_property
+    def _part_gain(self) -> Any:
+        return self.calibration.part_gain() if lens_by_lens(self.calibration) else None
+
+    @cached_property
+    def _bend(self) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        return lattice_bend(self.calibration.lattice)
+
+    @cached_property
+    def _offsets(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        return lens_offsets(self.calibration.lattice, self.reach * self.calibration.lattice.pitch)
+
+    @cached_property
+    def _seen_from(self) -> tuple[Surface, NDArray[np.float64]]:
+        return self.viewpoint.seen_from(self.surface, self.calibration.lattice, self._edge)
+
+    @property
+    def _seen_surface(self) -> Surface:
+        return self._seen_from[0]
+
+    @property
+    def _moved(self) -> NDArray[np.float64]:
+        return self._seen_from[1]
+
+
+def as_stored(image: NDArray, dtype: np.dtype) -> NDArray:
+    """Round and clip to the range of `dtype`, in place; a picture of that type is stored as it is."""
+    if dtype.kind == "f" or image.dtype == dtype:
+        return image.astype(dtype, copy=False)
+    np.rint(image, out=image)
+    return np.clip(image, 0, np.iinfo(dtype).max, out=image).astype(dtype)
+
+
+def _common(a: Part, b: Part) -> Part:
+    """What two parts share."""
+    return max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
+
+
+def _beside(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """These pixels and those beside them, which cannot be read without them."""
+    import cv2
+
+    return cv2.dilate(pixels.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool)
+
+
+def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """All lenses about one within `reach` and a pitch, the nearest first.
+
+    Returns
+    -------
+    offsets : (k, 3) float32 [px]
+        Offset `x, y` on the straight lattice, and the least distance that such two lenses have on the flat.
+    steps : (k, 2) int32
+        The same in lattice indices.
+    """
+    limit = reach + lattice.pitch
+    span = np.arange(-1, 2) if limit <= 0 else np.arange(-_span(lattice, limit), _span(lattice, limit) + 1)
+    steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
+    offsets = steps @ lattice.basis
+    distance = np.linalg.norm(offsets, axis=1)
+    if lattice.distortion is not None:
+        ij = lattice.indices()
+        some = ij[:: max(1, len(ij) // _PROBES)]
+        here = lattice.points(some)
+        distance = np.array([np.linalg.norm(lattice.points(some + step) - here, axis=1).min() for step in steps])
+    order = np.argsort(distance, kind="stable")
+    order = order[distance[order] <= limit]
+    return np.column_stack([offsets, distance])[order].astype(np.float32), steps[order].astype(np.int32)
+
+
+def _span(lattice: Lattice, limit: float) -> int:
+    """Largest lattice index of a point within `limit` of the origin."""
+    return int(np.ceil(limit * np.linalg.norm(np.linalg.inv(lattice.basis), axis=0).max()))

@@ -1,0 +1,95 @@
+"""Flats read part by part: the pixels that reading them as a whole gives, from all the ways they may be stored."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import tifffile
+
+import lfcal
+
+_PARTS = [(0, 0, 90, 100), (3, 5, 40, 77), (0, 31, 90, 33), (64, 96, 90, 100), (10, 0, 11, 1)]
+
+
+def picture(dtype, channels):
+    values = np.random.default_rng(3).random((100, 90, *channels))
+    return values.astype(dtype) if np.dtype(dtype).kind == "f" else (values * 255).astype(dtype)
+
+
+def assert_parts_are_those_of_the_whole(path, in_parts=True):
+    whole = lfcal.read_flat(path)
+    with lfcal.open_flat(path) as source:
+        assert (source.shape, source.dtype, source.nbytes) == (whole.shape, whole.dtype, whole.nbytes)
+        assert source.in_parts == in_parts
+        for left, top, right, bottom in _PARTS:
+            part = source.read(left, top, right, bottom)
+            assert part.dtype == whole.dtype
+            np.testing.assert_array_equal(part, whole[top:bottom, left:right])
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32", "float64"])
+@pytest.mark.parametrize("channels", [(), (3,), (4,)])
+@pytest.mark.parametrize(
+    "stored",
+    [
+        {},
+        {"bigtiff": True},
+        {"byteorder": ">"},
+        {"tile": (32, 16)},
+        {"rowsperstrip": 7, "compression": "zlib"},
+        {"tile": (32, 48), "compression": "zlib", "byteorder": ">"},
+    ],
+    ids=lambda stored: "-".join(stored) or "plain",
+)
+def test_parts_of_a_tiff(tmp_path, dtype, channels, stored):
+    path = tmp_path / "flat.tif"
+    tifffile.imwrite(path, picture(dtype, channels), photometric="rgb" if channels else "minisblack", **stored)
+    assert_parts_are_those_of_the_whole(path)
+
+
+def test_parts_of_tiffs_with_planes_white_zero_and_single_bits(tmp_path):
+    path = tmp_path / "flat.tif"
+    planes = np.ascontiguousarray(np.moveaxis(picture("uint8", (3,)), -1, 0))
+    for pixels, stored in (
+        (planes, {"photometric": "rgb", "planarconfig": "separate", "rowsperstrip": 9}),
+        (planes[0], {"photometric": "miniswhite"}),
+        (planes[0] > 99, {"photometric": "minisblack"}),
+    ):
+        tifffile.imwrite(path, pixels, **stored)
+        assert_parts_are_those_of_the_whole(path)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("shape", [(100, 90), (100, 90, 3), (3, 100, 90)])
+def test_parts_of_a_zarr_array(tmp_path, version, shape):
+    zarr = pytest.importorskip("zarr", minversion="3.0")
+    path = tmp_path / "flat.zarr"
+    array = zarr.create_array(
+        path, shape=shape, dtype="uint16", chunks=tuple(min(n, 32) for n in shape), zarr_format=version
+    )
+    array[...] = np.random.default_rng(1).integers(0, 60000, shape)
+    assert_parts_are_those_of_the_whole(path)
+
+
+def test_a_file_of_another_kind_is_read_as_a_whole(tmp_path):
+    from PIL import Image
+
+    Image.fromarray(picture("uint8", (3,))).save(tmp_path / "flat.png")
+    assert_parts_are_those_of_the_whole(tmp_path / "flat.png", in_parts=False)
+
+
+def test_damage_and_numbers_that_are_none_are_reported_with_the_file_name(tmp_path):
+    path = tmp_path / "flat.tif"
+    tifffile.imwrite(path, picture("uint8", (3,)), photometric="rgb")
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(lfcal.FlatError, match=r"flat\.tif: truncated TIFF"):
+        lfcal.open_flat(path)
+    pixels = picture("float32", ())
+    pixels[60, 50] = np.nan
+    tifffile.imwrite(path, pixels)
+    with lfcal.open_flat(path) as source:
+        source.read(0, 0, 90, 60)
+        with pytest.raises(lfcal.FlatError, match=r"flat\.tif: 1 values are NaN"):
+            source.read(0, 0, 90, 61)
+        with pytest.raises(ValueError, match="not on a flat of 90 x 100"):
+            source.read(0, 0, 91, 10)
