@@ -238,6 +238,7 @@ def _lens_by_lens(
     agreed = _agreed(refined, error, neighbours, lattice.pitch)
     reason = _reasons(textured, found, refined, agreed, lattice.pitch)
     signal = 1 - np.minimum(texture.noise / np.maximum(texture.statistics.contrast, 1e-12), 1) ** 2
+    reason[(reason == 0) & _unmeasured(refined, error, neighbours, lattice.pitch)] = 2
     reason[_by_chance(reason == 0, found, refined, signal, neighbours, lattice.pitch)] = 3
     sure = np.where(textured, found.confidence, 0)
     if kept is not None and before is not None:
@@ -369,6 +370,17 @@ def _agreed(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pit
     confirm &= np.abs(refined[neighbours] - refined[:, None]) <= 2 * _AGREED * pitch
     whole = (neighbours >= 0).all(1)
     return np.asarray((agreed & whole) | (confirm.sum(1) >= np.where(agreed, 1, 2)))
+
+
+def _unmeasured(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float) -> NDArray[np.bool_]:
+    """Lenses that share too few pixels with any other to be measured on them, and beside which none at their depth is.
+
+    The search alone is biased toward shifts at which more pixels are shared.
+    """
+    measured = np.isfinite(error)
+    like = (neighbours >= 0) & measured[neighbours]
+    like &= np.abs(refined[neighbours] - refined[:, None]) <= _ALIKE * pitch
+    return np.asarray(~measured & ~like.any(1))
 
 
 def _by_chance(
