@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
+import lfcal
+import lfrender
 from benchmarks.stress.command import of_random_cases
 from benchmarks.stress.outcome import calibrate_white, depth_of_plane
 from benchmarks.stress.plane_flats import PlaneFlat
 from benchmarks.stress.sweeps import sweeps
 from benchmarks.white_images import WhiteImage
-
-import lfcal
-import lfrender
 
 _SWEEPS = {f"{stage} {sweep.name}": sweep for stage, several in sweeps().items() for sweep in several}
 
@@ -112,3 +112,21 @@ def test_the_far_end_of_a_hundred_thousand_pixels_keeps_its_sub_pixels():
     near, far = sweep.run(1000), sweep.run(100_000)
     assert far.error < max(2 * near.error, 0.01)
     assert far.answered > 0.95
+
+
+def test_profiles_reach_to_the_corners_of_cells_that_have_grown():
+    from lfcal.disc_newton import open_lenses
+    from lfcal.disc_parameters import DiscModel
+    from lfcal.features import tone
+    from lfcal.parts import Parts
+
+    truth = WhiteImage(pitch=60.0, degrees=3.0, size=(500, 400))
+    tones = Parts.of(tone(truth.image()))
+    small, large = (
+        DiscModel(lfcal.Lattice(truth.origin, grown * truth.basis, truth.size, 28.0), None) for grown in (0.96, 1.0)
+    )
+    known = open_lenses(tones, small, 1e6, 12, None).discs
+    discs = open_lenses(tones, large, 1e6, 12, known).discs
+    # Pixels in the corner are shared out to the ring before and the one after them.
+    for values in (discs.level, discs.weight, discs.four, discs.edge):
+        assert len(values) >= int(discs.reach / discs.step) + 2

@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from benchmarks.stress.file_faults import fuzz
 
 import lfcal
+from benchmarks.stress.file_faults import fuzz
 
 _ROOT = Path(__file__).parents[2]
 
@@ -71,7 +71,7 @@ def test_a_folder_nobody_can_write_to_is_named():
     if not path.parent.exists():
         pytest.skip("no such folder on this system")
     camera = lfcal.Calibration(lfcal.Lattice((10, 10), ((9, 0), (0, 9)), (300, 200), 4))
-    with pytest.raises(lfcal.OutputError, match="camera.json"):
+    with pytest.raises(lfcal.OutputError, match=r"camera\.json"):
         camera.save(path)
 
 

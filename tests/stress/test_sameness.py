@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numba
 import numpy as np
 import pytest
-from benchmarks.stress.plane_flats import PlaneFlat
-from benchmarks.white_images import WhiteImage
 
 import lfcal
 import lfrender
+from benchmarks.stress.plane_flats import PlaneFlat
+from benchmarks.white_images import WhiteImage
 from data_synth import SCENES, Camera, simulate
 
 
