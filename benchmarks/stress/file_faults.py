@@ -53,10 +53,11 @@ def whole_files(folder: Path) -> dict[str, bytes]:
     colour = np.repeat(grey[..., None], 3, 2)
     files["colour.png"] = _encoded(".png", colour)
     files["deep.png"] = _encoded(".png", colour.astype(np.uint16) * np.uint16(257))
-    for name, pixels, options in (
+    variants: tuple[tuple[str, Any, dict[str, Any]], ...] = (
         ("tiles", grey, {"tile": (32, 32), "compression": "zlib"}),
         ("float", grey.astype(np.float32), {}),
-    ):
+    )
+    for name, pixels, options in variants:
         stream = io.BytesIO()
         tifffile.imwrite(stream, pixels, **options)
         files[f"{name}.tif"] = stream.getvalue()
