@@ -57,16 +57,18 @@ def _small(value: float) -> Outcome:
 
 
 def _far(value: float) -> Outcome:
-    """The far end of a wide flat: single precision has steps of 0.008 px there."""
-    truth = replace(_PLANE, size=(int(value), 130), cell="square")
-    flat, width = truth.flat(), truth.size[0]
-    depth = lfrender.analyze(flat, truth.calibration, roi=(width - 400, 0, width, 130))
-    known = depth.mode != 0
-    centres = truth.lattice.centres()
-    error = np.abs(depth.patch_size - truth.patch_size(centres))
-    asked = centres[:, 0] > width - 400
-    wrong = known & (error > 0.05 * truth.pitch)
-    return Outcome(float(known[asked].mean()), float(np.median(error[known])), float(wrong[asked].mean()))
+    """The far end of a wide flat, dark but there: single precision has steps of 0.008 px at 1e5 px."""
+    near = replace(_PLANE, size=(500, 130), cell="square")
+    flat, lattice = near.flat(), near.lattice
+    width = int(value)
+    wide = np.zeros((130, width), flat.dtype)
+    wide[:, -500:] = flat
+    moved = lfcal.Lattice(lattice.origin + [width - 500, 0], lattice.basis, (width, 130), lattice.radius)
+    depth = lfrender.analyze(wide, lfcal.Calibration(moved), roi=(width - 400, 0, width, 130))
+    asked = moved.centres()[:, 0] > width - 400
+    error = np.abs(depth.patch_size - near.ratio * near.pitch)[asked]
+    known = np.isfinite(error)
+    return Outcome(float(known.mean()), float(np.median(error[known])), float((error > 0.05 * near.pitch).mean()))
 
 
 def _white_far(value: float) -> Outcome:
