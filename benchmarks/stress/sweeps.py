@@ -63,7 +63,7 @@ def _far(value: float) -> Outcome:
     width = int(value)
     wide = np.zeros((130, width), flat.dtype)
     wide[:, -500:] = flat
-    moved = lfcal.Lattice(lattice.origin + [width - 500, 0], lattice.basis, (width, 130), lattice.radius)
+    moved = lfcal.Lattice(lattice.origin + np.array([width - 500, 0]), lattice.basis, (width, 130), lattice.radius)
     depth = lfrender.analyze(wide, lfcal.Calibration(moved), roi=(width - 400, 0, width, 130))
     asked = moved.centres()[:, 0] > width - 400
     error = np.abs(depth.patch_size - near.ratio * near.pitch)[asked]

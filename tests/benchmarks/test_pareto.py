@@ -7,6 +7,7 @@ import cv2
 import numba
 import numpy as np
 import pytest
+
 from benchmarks.pareto.cases import simulated
 from benchmarks.pareto.command import write
 from benchmarks.pareto.compare import differences, main
