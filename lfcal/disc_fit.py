@@ -191,10 +191,11 @@ def _better(
         return state, orders
     try:
         trial, _ = converge(start, more)
+        better = misfit(state, state) - misfit(trial, state)
     except (CalibrationError, ValueError):
         return state, orders
     pixels = len(state.indices) * abs(np.linalg.det(state.model.lattice.basis))
-    gain = (misfit(state, state) - misfit(trial, state)) * pixels / (14 if "general" in more else 1)
+    gain = better * pixels / (14 if "general" in more else 1)
     shift = trial.model.lattice.points(state.indices) - state.model.lattice.points(state.indices)
     matters = np.sqrt((shift**2).sum(1).mean()) > _BENT
     sure = gain > max(_SURE**2, _GAIN * misfit(state, state) * pixels)

@@ -344,7 +344,16 @@ def first_level(discs: Discs) -> NDArray[np.float64]:
 
 
 def disc_steps(discs: Discs) -> DiscSteps:
-    """Gauss-Newton steps of all local parameters of all lenses, over every pixel of their cells."""
+    """Gauss-Newton steps of all local parameters of all lenses, over every pixel of their cells.
+
+    Raises
+    ------
+    LinAlgError
+        If the model has run away: it is not finite, or explains no pixel.
+    """
+    known = (discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.level, discs.weight, discs.four)
+    if not all(np.isfinite(values).all() for values in (*known, discs.radius, discs.soft, discs.dark)):
+        raise np.linalg.LinAlgError("the model of the microimages is not finite")
     lenses, rings = len(discs.centres), len(discs.level)
     normal, right = np.zeros((lenses, LOCAL, LOCAL)), np.zeros((lenses, LOCAL))
     mixed = np.zeros((lenses, LOCAL if discs.soft > 0 else 1, rings))
@@ -369,6 +378,8 @@ def disc_steps(discs: Discs) -> DiscSteps:
         )  # fmt: skip
     normal += np.triu(normal.reshape(-1, LOCAL, LOCAL), 1).transpose(0, 2, 1)
     main, side, force, total, turned, turned_own, squares, count = band.sum(0).T
+    if not (main > 0).any():
+        raise np.linalg.LinAlgError("the model of the microimages explains no pixel")
     # Rings that hardly a pixel fell into are like their neighbours; where lenses lie alike to the pixels, only the
     # smoothness of the profile tells where between the pixels an edge is.
     stiff = float(np.median(main[main > 0])) * _stiffness(rings)

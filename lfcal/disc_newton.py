@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,10 +138,10 @@ def open_lenses(
         # Profile and gains share a scale that the new gains settle.
         discs = replace(
             discs,
-            level=known.level,
-            weight=known.weight,
-            four=known.four,
-            edge=known.edge,
+            level=_of_length(known.level, rings),
+            weight=_of_length(known.weight, rings),
+            four=_of_length(known.four, rings),
+            edge=_of_length(known.edge, rings),
             shared=known.shared,
             dark=known.dark,
         )
@@ -150,6 +151,11 @@ def open_lenses(
         own = np.clip(steps.right[:, -1] / np.maximum(steps.normal[:, -1, -1], 1e-30), -0.5, 1)
         state = replace(state, discs=replace(state.discs, gain=state.discs.gain * (1 + own)))
     return _weighted(state, steps), alight
+
+
+def _of_length(values: NDArray[Any], rings: int) -> NDArray[Any]:
+    """Values over the radius for so many rings, the last one carried on: cells grow as their lattice is refined."""
+    return np.pad(values, (0, max(rings - len(values), 0)), mode="edge")[:rings]
 
 
 def _tilt(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:

@@ -92,8 +92,6 @@ def count_pages(path: str | os.PathLike[str]) -> int:
     FlatError
         If the file cannot be read.
     """
-    import tifffile
-
     try:
         with open(path, "rb") as stream:
             if stream.read(4) not in _TIFF:
@@ -102,7 +100,8 @@ def count_pages(path: str | os.PathLike[str]) -> int:
             return len(_full_pages(tiff))
     except OSError as error:
         raise FlatError(f"{path}: cannot be read ({error.strerror or one_line(error)})") from error
-    except (tifffile.TiffFileError, ValueError, struct.error, IndexError, KeyError) as error:
+    # As in `read_flat`.
+    except Exception as error:
         raise FlatError(f"{path}: damaged image file ({one_line(error)})") from error
 
 

@@ -17,6 +17,8 @@ __all__ = ["Lattice", "reduce_basis"]
 _NEIGHBOUR_STRETCH = 1.2
 # Squared lengths this near to each other count as equal, so that measured hexagons get the basis of exact ones.
 _SAME_LENGTH = 5e-3
+# No camera has more pixels or lenses than this, nor more rows of lenses, nor a centre so far [px] from its flat.
+_MOST_PIXELS, _MOST_LENSES, _MOST_ROWS, _FARTHEST = 1 << 31, 1 << 27, 1e7, 1e9
 # Lenses looked at together, so that hardly more memory is needed than for the result.
 _TOGETHER = 1 << 20
 
@@ -96,6 +98,11 @@ class Lattice:
         width, height = (int(v) for v in self.image_size)
         if width < 1 or height < 1:
             raise ValueError(f"image_size must be positive (width, height), got {self.image_size!r}")
+        if width * height > _MOST_PIXELS or np.abs(origin).max() > _FARTHEST:
+            raise ValueError(f"no camera has {width} x {height} px or a microimage at {self.origin!r}")
+        across = np.abs(np.linalg.inv(basis)).max() * (width + height)
+        if across > _MOST_ROWS or width * height > _MOST_LENSES * abs(np.linalg.det(basis)):
+            raise ValueError(f"no camera has {width} x {height} px full of lenses a basis of {self.basis!r} px apart")
         if not (np.isfinite(self.radius) and self.radius > 0):
             raise ValueError(f"radius must be a positive number of px, got {self.radius!r}")
         origin.flags.writeable = basis.flags.writeable = False

@@ -73,6 +73,9 @@ _PROVEN, LEAST_EVIDENCE = 0.95, 0.12
 _SHADED_REACH, _EVIDENCE_NEAR_ZERO = 0.2, 0.5
 # A lens with texture that correlates less than this with its neighbours at any shift shares no content with them.
 _SHARED = 0.25
+# Unrelated content reaches this correlation at some shift; neighbours that do agree to this share of the pitch only
+# where it is no chance.
+_BY_CHANCE, _ALIKE = 0.4, 0.06
 # Beyond this share of the pitch, and with less correlation than faint texture must have, a match is believed when its
 # pairs agree to the second share: of content beyond what neighbours share, each pair makes its own false match.
 _HARDLY_SHARED, _AGREED = 0.6, 0.014
@@ -277,7 +280,11 @@ def lens_by_lens(
     measured = np.isfinite(lenses.patch_size)
     refined = np.where(measured, lenses.patch_size, found.patch_size)
     error = np.where(measured, lenses.standard_error, np.inf)
-    reason = _reasons(textured, found, refined, _agreed(refined, error, neighbours, lattice.pitch), lattice.pitch)
+    agreed = _agreed(refined, error, neighbours, lattice.pitch)
+    reason = _reasons(textured, found, refined, agreed, lattice.pitch)
+    signal = 1 - np.minimum(texture.noise / np.maximum(texture.statistics.contrast, 1e-12), 1) ** 2
+    reason[(reason == 0) & _unmeasured(refined, error, neighbours, lattice.pitch)] = 2
+    reason[_by_chance(reason == 0, found, refined, signal, neighbours, lattice.pitch)] = 3
     sure = np.where(textured, found.confidence, 0)
     if kept is not None and before is not None:
         refined, error, sure, reason = (
@@ -425,6 +432,35 @@ def _agreed(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pit
     confirm &= np.abs(refined[neighbours] - refined[:, None]) <= 2 * _AGREED * pitch
     whole = (neighbours >= 0).all(1)
     return np.asarray((agreed & whole) | (confirm.sum(1) >= np.where(agreed, 1, 2)))
+
+
+def _unmeasured(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float) -> NDArray[np.bool_]:
+    """Lenses that share too few pixels with any other to be measured on them, and beside which none at their depth is.
+
+    The search alone is biased toward shifts at which more pixels are shared.
+    """
+    measured = np.isfinite(error)
+    like = (neighbours >= 0) & measured[neighbours]
+    like &= np.abs(refined[neighbours] - refined[:, None]) <= _ALIKE * pitch
+    return np.asarray(~measured & ~like.any(1))
+
+
+def _by_chance(
+    resolved: NDArray[np.bool_],
+    found: Found,
+    refined: NDArray,
+    signal: NDArray[np.float32],
+    neighbours: NDArray[np.int32],
+    pitch: float,
+) -> NDArray[np.bool_]:
+    """Lenses that match no better than unrelated content may, without two better ones beside them at their depth.
+
+    `signal` (n,) is the share of the contrast squared that is no noise: what a right match may correlate at best.
+    """
+    better = resolved & (found.evidence >= _SHARED * signal)
+    like = (neighbours >= 0) & better[neighbours]
+    like &= np.abs(refined[neighbours] - refined[:, None]) <= _ALIKE * pitch
+    return np.asarray(resolved & (found.evidence < _BY_CHANCE) & (like.sum(1) < 2))
 
 
 def _reasons(

@@ -46,6 +46,8 @@ _BETTER, _TOGETHER = 0.1, 1
 _APART = 0.04
 # Beyond the depths that occur, but for so many outliers, it reaches as far as the search does beyond its samples.
 _OUTSIDE, _MARGIN = 0.005, 0.12
+# A least value has one shift on either side of it.
+_LEAST_SHIFTS = 3
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
@@ -304,6 +306,8 @@ def remainder_depths(
         low, high = np.quantile(around, [_OUTSIDE, 1 - _OUTSIDE]) / matcher.factor
         margin = _MARGIN * gray.pitch
         shifts = shifts[(shifts >= low - margin) & (shifts <= high + margin)]
+        if len(shifts) < _LEAST_SHIFTS:
+            return second
     rows = np.hstack([forward, backward])
     mask, shares = np.zeros(gray.image.shape, np.float32), np.empty(len(first), np.float32)
     radius, pitch = np.float32(gray.radius), np.float32(gray.pitch)

@@ -59,6 +59,8 @@ _SEARCHED = 0.82
 # Prices of semi-global matching in units of the match cost (0 perfect, 1 unrelated). On ray-traced and real flats a
 # slant costs little at half the price, and at double the price depth edges begin to suffer.
 _SLOPE_PER_PIXEL, _JUMP = 0.07, 0.8
+# Radius [px] below which microimages have no row and no shift to spare.
+_LEAST_RADIUS, _TINY_STEP = 4.0, 0.5
 # A second depth is tried on the pixels when it matches the lens at most this much worse, and the first leaves
 # this much unexplained.
 _SECOND, _UNEXPLAINED = 0.3, 0.2
@@ -117,11 +119,14 @@ class Matcher:
         self.statistics: LensStatistics = (
             texture.statistics if self.factor == 1 else lens_statistics(self.gray, noise_too=False)
         )
+        # Of tiny microimages every row is needed, and every half pixel: the depth that few pixels share is biased.
+        tiny = self.gray.radius < _LEAST_RADIUS
         self.step = setting.step if self.factor > 1 else max(setting.step, setting.full_step)
+        self.step = min(self.step, _TINY_STEP) if tiny else self.step
         side = int(np.ceil(_SEARCHED * self.gray.pitch / self.step))
         self.shifts = (np.arange(-side, side + 1) * self.step).astype(np.float32)
         self.forward, self.backward = forward, backward
-        self._noise, self._row_step = texture.noise / self.factor, setting.row_step
+        self._noise, self._row_step = texture.noise / self.factor, 1 if tiny else setting.row_step
 
     @cached_property
     def _strips(self) -> Strips:

@@ -1,0 +1,1 @@
+"""Every stage driven to its limits: `python -m benchmarks stress [--full]`."""

@@ -1,0 +1,126 @@
+"""The stress suite as a command: runs the sweeps, random cases and damaged files, and writes what came of them."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from .file_faults import fuzz
+from .outcome import Outcome, Sweep, calibrate_white, depth_of_plane
+from .sweeps import random_plane, random_white, sweeps
+
+__all__ = ["main", "of_random_cases", "quick_values"]
+
+#: Confident and wrong answers among random cases must be rarer than this.
+RARE = 1e-3
+_FIELDS = ("value", "answered", "error px", "confident and wrong", "broken")
+
+
+def quick_values(sweep: Sweep) -> tuple[float, ...]:
+    """About a dozen of the values, both ends among them."""
+    step = max(1, len(sweep.values) // 12)
+    return tuple(dict.fromkeys((*sweep.values[::step], sweep.values[-1])))
+
+
+def of_random_cases(stage: str, numbers: range) -> Iterator[tuple[int, Outcome]]:
+    """Outcomes of the random cases of these numbers."""
+    for number in numbers:
+        if stage == "depth":
+            yield number, depth_of_plane(random_plane(number))
+        else:
+            yield number, calibrate_white(*random_white(number))
+
+
+def _plot(path: Path, sweep: Sweep, rows: list[tuple[float, Outcome]]) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    shares, errors = figure.subplots(2, sharex=True)
+    x = [value for value, _ in rows]
+    shares.plot(x, [one.answered for _, one in rows], marker=".", label="answered")
+    shares.plot(x, [one.wrong for _, one in rows], marker=".", label="confident and wrong")
+    errors.plot(x, [one.error for _, one in rows], marker=".", label="error [px]")
+    errors.set(yscale="log", xlabel=f"{sweep.name} [{sweep.unit}]" if sweep.unit else sweep.name)
+    for axes in (shares, errors):
+        axes.grid(True)
+        axes.legend()
+        axes.axvspan(*np.clip(sweep.limits, min(x), max(x)), alpha=0.1)
+    figure.savefig(path, dpi=80)
+
+
+def main(arguments: list[str]) -> None:
+    """Run the suite; exits with 1 where a limit is broken."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks stress", description=__doc__)
+    parser.add_argument("--full", action="store_true", help="all values, 10,000 random cases, 100 kills of each writer")
+    parser.add_argument("--cases", type=int, help="so many random cases of each stage")
+    parser.add_argument("--only", default="", help="sweeps whose name contains this")
+    parser.add_argument("-o", "--output", type=Path, help="folder for CSV files, and plots where matplotlib is there")
+    options = parser.parse_args(arguments)
+    broken = []
+    for stage, several in sweeps().items():
+        for sweep in several:
+            if options.only not in f"{stage} {sweep.name}":
+                continue
+            values = sweep.values if options.full else quick_values(sweep)
+            rows = [(value, sweep.run(value)) for value in values]
+            wrong = [f"{value:g}: {sweep.broken(value, one)}" for value, one in rows if sweep.broken(value, one)]
+            broken += [f"{stage}, {sweep.name} {what}" for what in wrong]
+            worst = max((one.wrong for _, one in rows), default=0.0)
+            print(
+                f"{stage:12} {sweep.name:18} {len(rows):4d} values, confident and wrong at most {worst:.2%}, "
+                f"limits {'broken at ' + '; '.join(wrong) if wrong else 'kept'}",
+                flush=True,
+            )
+            if options.output:
+                _write(options.output, stage, sweep, rows)
+    if not options.only:
+        broken += _random(options.cases or (10_000 if options.full else 60))
+        broken += _files(1000 if options.full else 100, 100 if options.full else 20)
+    sys.exit("\n".join(broken) if broken else 0)
+
+
+def _write(folder: Path, stage: str, sweep: Sweep, rows: list[tuple[float, Outcome]]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{stage}_{sweep.name.replace(' ', '_').replace('/', 'over')}.csv"
+    with path.open("w", newline="") as stream:
+        table = csv.writer(stream)
+        table.writerow(_FIELDS)
+        for value, one in rows:
+            table.writerow((value, one.answered, one.error, one.wrong, sweep.broken(value, one)))
+    try:
+        _plot(path.with_suffix(".png"), sweep, rows)
+    except ImportError:
+        print("no plots: pip install 'lfrender[plots]'")
+
+
+def _random(cases: int) -> list[str]:
+    broken = []
+    for stage in ("calibration", "depth"):
+        wrong = answered = 0.0
+        for number, one in of_random_cases(stage, range(cases)):
+            wrong, answered = wrong + one.wrong, answered + one.answered
+            if one.wrong > 0:
+                print(f"{stage}: case {number} is confident and wrong in {one.wrong:.2%}", flush=True)
+        print(
+            f"{stage:12} {cases} random cases: answered {answered / cases:.1%}, wrong {wrong / cases:.3%}", flush=True
+        )
+        if wrong / cases >= RARE:
+            broken.append(f"{stage}: {wrong / cases:.3%} of random answers confident and wrong")
+    return broken
+
+
+def _files(damages: int, kills: int) -> list[str]:
+    with tempfile.TemporaryDirectory() as folder:
+        tried, faults = fuzz(Path(folder), range(damages))
+        print(f"files        {tried} damaged files, {len(faults)} not refused in order", flush=True)
+        command = [sys.executable, "-m", "benchmarks.stress.write_faults", str(Path(folder) / "kill"), str(kills)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        print(f"files        {kills} kills of each writer, full disk: {done.stdout.strip()}", flush=True)
+    return [str(fault) for fault in faults] + ([done.stdout + done.stderr] if done.returncode else [])

@@ -1,0 +1,145 @@
+"""Damaged and hostile files for every reader: truncated, bits flipped, headers that claim too much, other types."""
+
+from __future__ import annotations
+
+import io
+import resource
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import tifffile
+
+import lfcal
+import lfrender
+
+from .plane_flats import PlaneFlat
+
+__all__ = ["Fault", "damaged", "fuzz", "limit_memory", "whole_files"]
+
+_SIZE = (160, 120)
+# A reader may take so long [s] over a file of a hundred kilobytes at most.
+_TIME = 2.0
+_HEADER = 300
+_CLAIMS = (
+    b"\xff\xff\xff\xff",
+    b"\x7f\xff\xff\xff",
+    b"\0\0\0\0",
+    b"\xff\xff\xff\x7f",
+    b"1e99",
+    b"null",
+    b"-999",
+    b"NaN,",
+)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A file that was not refused as it should be: its name, the number of the damage, and what came of it."""
+
+    name: str
+    number: int
+    what: str
+
+
+def whole_files(folder: Path) -> dict[str, bytes]:
+    """One good file of every kind that is read, by its name; the suffix tells the reader."""
+    grey = (PlaneFlat(size=_SIZE, fill=0.95).flat() >> 8).astype(np.uint8)
+    files = {f"flat{suffix}": _encoded(suffix, grey) for suffix in (".png", ".tif", ".webp", ".bmp", ".pgm", ".jpg")}
+    colour = np.repeat(grey[..., None], 3, 2)
+    files["colour.png"] = _encoded(".png", colour)
+    files["deep.png"] = _encoded(".png", colour.astype(np.uint16) * np.uint16(257))
+    variants: tuple[tuple[str, Any, dict[str, Any]], ...] = (
+        ("tiles", grey, {"tile": (32, 32), "compression": "zlib"}),
+        ("float", grey.astype(np.float32), {}),
+    )
+    for name, pixels, options in variants:
+        stream = io.BytesIO()
+        tifffile.imwrite(stream, pixels, **options)
+        files[f"{name}.tif"] = stream.getvalue()
+    shot = PlaneFlat(size=_SIZE)
+    lfrender.analyze(shot.flat(), shot.calibration).save(folder / "depth.npz")
+    camera = lfcal.calibrate(PlaneFlat(size=_SIZE, pitch=12.0, contrast=0.0, noise=0.01, fill=0.95).flat())
+    camera.save(folder / "camera.json")
+    for suffix in (".xml", ".cfg", ".csv"):
+        lfcal.convert(camera, folder / f"camera{suffix}")
+    return files | {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def _encoded(suffix: str, pixels: Any) -> bytes:
+    return bytes(cv2.imencode(suffix, pixels)[1].tobytes())
+
+
+def damaged(whole: bytes, number: int) -> bytes:
+    """`whole` with the damage of that number: of five kinds in turn, at random places."""
+    rng, data, kind = np.random.default_rng(number), bytearray(whole), number % 5
+    if kind == 0:
+        return bytes(data[: rng.integers(0, len(data))])
+    if kind == 1:
+        for _ in range(rng.integers(1, 6)):
+            data[rng.integers(0, len(data))] ^= 1 << int(rng.integers(0, 8))
+    elif kind == 2:
+        for _ in range(rng.integers(1, 4)):
+            data[rng.integers(0, min(len(data), _HEADER))] = rng.integers(0, 256)
+    elif kind == 3:
+        start, length = int(rng.integers(0, len(data))), int(rng.integers(1, 64))
+        data[start : start + length] = rng.integers(0, 256, length, dtype=np.uint8).tobytes()
+    else:
+        start = int(rng.integers(0, min(len(data) - 4, _HEADER)))
+        data[start : start + 4] = _CLAIMS[rng.integers(len(_CLAIMS))]
+    return bytes(data)
+
+
+def _reader(name: str) -> Callable[[Path], Any]:
+    suffix = Path(name).suffix
+    if suffix == ".npz":
+        return lfrender.DepthMap.load
+    if suffix in (".json", ".xml", ".cfg"):
+        # A camera is of use only where its lenses can be counted.
+        return lambda path: len(lfcal.load(path, None if suffix == ".json" else _SIZE).lattice)
+    if suffix == ".csv":
+        return lambda path: len(lfcal.read_camera(path, _SIZE).lattice)
+    return lambda path: (lfcal.count_pages(path), lfcal.read_flat(path))
+
+
+def fuzz(folder: Path, numbers: range, more: dict[str, bytes] | None = None) -> tuple[int, list[Fault]]:
+    """Read every kind of file with the damages of these numbers.
+
+    Returns
+    -------
+    tried : int
+    faults : list of Fault
+        Errors that are none of the project's own, and reads that took longer than two seconds of CPU time.
+        What is read without an error holds together as far as its format lets anybody tell.
+    """
+    good = folder / "whole"
+    good.mkdir()
+    faults, tried = [], 0
+    for name, whole in (whole_files(good) | (more or {})).items():
+        read, path = _reader(name), folder / f"damaged{Path(name).suffix}"
+        for number in numbers:
+            path.write_bytes(damaged(whole, number))
+            start = time.process_time()
+            what = ""
+            try:
+                read(path)
+            except lfcal.LightFieldError as error:
+                if str(path) not in str(error):
+                    what = f"the file is not named: {error}"
+            except Exception as error:
+                what = repr(error)[:200]
+            spent = time.process_time() - start
+            what = what or ("" if spent < _TIME else f"{spent:.1f} s")
+            if what:
+                faults.append(Fault(name, number, what))
+            tried += 1
+    return tried, faults
+
+
+def limit_memory(gigabytes: float) -> None:
+    """Let this process have no more address space than so much, so that a header cannot claim it."""
+    resource.setrlimit(resource.RLIMIT_AS, (int(gigabytes * 2**30), resource.getrlimit(resource.RLIMIT_AS)[1]))
