@@ -187,8 +187,8 @@ class Drawing:
             # Only a mean over many lenses has the sharpness of the flat where what interpolation blurs is given back.
             ready_to_read(pixels) if self.blend else pixels, (0,) * pixels.shape[2], seen_depth, gains,
             lights, single(step), lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, *self._bend,
-            *self._offsets, *focus_shares(self.calibration.lens_types), single(self.aperture * lattice.radius), single(pitch),
-            drawn.patch_size, single(drawn.first[0]), single(drawn.first[1]), single(drawn.spacing),
+            *self._offsets, *focus_shares(self.calibration.lens_types), single(self.aperture * lattice.radius),
+            single(pitch), drawn.patch_size, single(drawn.first[0]), single(drawn.first[1]), single(drawn.spacing),
             single(self._edge), single(self.scale), 0.5 * self.spacing - 0.5 + self._moved, self.spacing,
             single((self.blur * self.scale) ** 2), single(self.reach * pitch),
             single(self.agreement * white if self.blend else 0.0), np.array(self.viewpoint.offset, single),
