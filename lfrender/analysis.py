@@ -456,7 +456,12 @@ def _by_chance(
     """Lenses that match no better than unrelated content may, without two better ones beside them at their depth.
 
     `signal` (n,) is the share of the contrast squared that is no noise: what a right match may correlate at best.
+    Where most lenses match better than that, neighbours do share what they show, and depths that occur among those are
+    believed of the others.
     """
+    sure = resolved & (found.evidence >= _BY_CHANCE)
+    if 2 * sure.sum() > resolved.sum():
+        resolved = resolved & ~_populated(refined, refined[sure], 0.5 * _ALIKE * pitch)
     better = resolved & (found.evidence >= _SHARED * signal)
     like = (neighbours >= 0) & better[neighbours]
     like &= np.abs(refined[neighbours] - refined[:, None]) <= _ALIKE * pitch

@@ -114,8 +114,15 @@ def test_array_beside_the_middle_of_a_very_large_image_is_found(in_parts):
 def test_scene_with_an_even_middle_is_no_white_image(followed):
     truth = white_images.WhiteImage("hexagonal", 14.3, 3.0, 40.0, size=_SIZE)
     rng = np.random.default_rng(0)
-    scene = 0.1 + 0.9 * rng.random((100, 130)).repeat(10, 0).repeat(10, 1)
-    scene[300:700, 400:900] = 0.7
+    shown = 0.1 + 0.9 * rng.random((100, 130)).repeat(10, 0).repeat(10, 1)
+    shown[300:700, 400:900] = 0.7
+    # Every lens shows the places about it, at a patch size of -0.3 pitches.
+    lattice = lfcal.Lattice(truth.origin, truth.basis, _SIZE, 7.0)
+    y, x = np.mgrid[: _SIZE[1], : _SIZE[0]]
+    pixels = np.stack([x, y], -1).reshape(-1, 2)
+    centres = lattice.points(np.rint(lattice.to_index(pixels)))
+    column, row = np.rint(centres + (pixels - centres) / 0.3).astype(int).T
+    scene = shown[np.clip(row, 0, 999), np.clip(column, 0, 1299)].reshape(x.shape)
     camera = lfcal.calibrate((truth.image() * scene).astype(np.uint16))
     assert followed == [None]
     assert camera.source == "scene"

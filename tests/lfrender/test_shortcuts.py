@@ -130,10 +130,10 @@ def test_texture_in_two_corners_is_found_when_the_rest_is_cut_off_or_not():
         assert quick.saved["blank"] > 0.6
         assert agreement(full, quick) > 0.99
         assert (full.reason == 1).mean() > 0.6
-        # A lens on the edge of a card sees two depths; a rounding on another processor moves its mean a little.
+        # A lens on the edge of a card sees two depths, and may be given something between them.
         off = np.abs(quick.drawn - full.drawn)[full.mode != 0]
         assert (off < 0.05).mean() > 0.98
-        assert off.max() < 0.2
+        assert off.max() < 0.03 * 23.2
 
 
 def test_only_known_shortcuts_can_be_named():

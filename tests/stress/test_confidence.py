@@ -125,8 +125,8 @@ def test_profiles_reach_to_the_corners_of_cells_that_have_grown():
     small, large = (
         DiscModel(lfcal.Lattice(truth.origin, grown * truth.basis, truth.size, 28.0), None) for grown in (0.96, 1.0)
     )
-    known = open_lenses(tones, small, 1e6, 12, None).discs
-    discs = open_lenses(tones, large, 1e6, 12, known).discs
+    known = open_lenses(tones, small, 1e6, 12, None)[0].discs
+    discs = open_lenses(tones, large, 1e6, 12, known)[0].discs
     # Pixels in the corner are shared out to the ring before and the one after them.
     for values in (discs.level, discs.weight, discs.four, discs.edge):
         assert len(values) >= int(discs.reach / discs.step) + 2
