@@ -28,11 +28,13 @@ def rows():
     return {(row.stage, row.method): row for row in found}
 
 
-# Measured: 0.012 px and 67, 69 and 126 times cv2.remap of the flat; with slack for other machines.
-@pytest.mark.parametrize(("preset", "remaps"), [("fast", 250), ("balanced", 250), ("accurate", 450)])
-def test_presets_keep_their_promise_of_error_and_time(rows, preset, remaps):
+# Measured: 0.034, 0.012 and 0.011 px at 27, 60 and 102 times cv2.remap of the flat; with slack for other machines.
+@pytest.mark.parametrize(
+    ("preset", "error", "remaps"), [("fast", 0.05, 110), ("balanced", 0.02, 240), ("accurate", 0.02, 400)]
+)
+def test_presets_keep_their_promise_of_error_and_time(rows, preset, error, remaps):
     row = rows["analysis", preset]
-    assert row.errors["s median px"] < 0.02
+    assert row.errors["s median px"] < error
     assert row.errors["modes wrong"] < 0.005
     assert row.errors["unresolved"] < 0.02
     assert row.remaps < remaps
