@@ -76,6 +76,8 @@ _SHARED = 0.25
 # Unrelated content reaches this correlation at some shift; neighbours that do agree to this share of the pitch only
 # where it is no chance.
 _BY_CHANCE, _ALIKE = 0.4, 0.06
+# Rows of a plane's surface that are found at once.
+_STRIP = 64
 # Beyond this share of the pitch, and with less correlation than faint texture must have, a match is believed when its
 # pairs agree to the second share: of content beyond what neighbours share, each pair makes its own false match.
 _HARDLY_SHARED, _AGREED = 0.6, 0.014
@@ -203,9 +205,12 @@ def on_one_plane(
     sizes = plane.at(centres)
     shape, first, spacing = grid_shape(lattice, PRESETS[preset].cells)
     surface = np.empty(shape, np.float32)
-    for v in range(shape[0]):
-        row = np.column_stack([first[0] + spacing * np.arange(shape[1]), np.full(shape[1], first[1] + spacing * v)])
-        surface[v] = plane.at(row)
+    for top in range(0, shape[0], _STRIP):
+        strip = surface[top : top + _STRIP]
+        v, u = np.mgrid[top : top + len(strip), : shape[1]]
+        strip[:] = plane.at(np.stack([first[0] + spacing * u, first[1] + spacing * v], -1).reshape(-1, 2)).reshape(
+            u.shape
+        )
     return DepthMap(
         patch_size=np.where(reason == 0, sizes, np.nan),
         standard_error=np.where(reason == 0, plane.standard_error(centres), np.inf),
