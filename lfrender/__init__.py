@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from .demosaicing import demosaic
     from .depthmap import DepthMap
     from .drawing import default_scale, render
+    from .fourier_slice import refocus_fourier
     from .frame_job import FrameResult
     from .frames import Frames, open_frames
     from .large_analysis import analyze_large
@@ -41,6 +42,7 @@ __all__ = [
     "napari_layers",
     "open_frames",
     "refocus",
+    "refocus_fourier",
     "render",
     "render_frames",
     "render_frames_on",
@@ -74,6 +76,7 @@ _HOMES = {
     "napari_layers": "plotting",
     "open_frames": "frames",
     "refocus": "refocusing",
+    "refocus_fourier": "fourier_slice",
     "render": "drawing",
     "render_frames": "batch",
     "render_frames_on": "cluster",

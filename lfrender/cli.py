@@ -174,6 +174,7 @@ def analyze(
     metavar="PIXELS",
     help="Draw in tiles of this side, with little memory, going on where a killed run stopped. [default: large flats]",
 )
+@click.option("--roi", type=float, nargs=4, metavar="X0 Y0 X1 Y1", help="Draw only this part [px of the flat].")
 @_preset
 @console.report_options
 def render(
@@ -191,6 +192,7 @@ def render(
     alpha: bool,
     compress: bool,
     tile: int | None,
+    roi: tuple[float, float, float, float] | None,
     preset: str,
     as_json: bool,
     quiet: bool,
@@ -205,13 +207,14 @@ def render(
     _at_most_one("--camera", camera, "--white", white)
     _at_most_one("--scale", scale, "--traditional", traditional or None)
     _at_most_one("--sharpen", sharpen, "--traditional", traditional or None)
+    _at_most_one("--roi", roi, "--sharpen", sharpen, "--traditional", traditional or None, "--tile", tile)
     width = _sharpen_width(sharpen)
     if blend and patch_size is None:
         raise click.UsageError("--blend needs --patch-size")
     if not traditional:
         from . import large_cli
 
-        if large_cli.wanted(flat, output, tile):
+        if roi is None and large_cli.wanted(flat, output, tile):
             asked = large_cli.Asked(
                 flat, output, camera, white, depth_file, patch_size, scale, blend or None, mosaic, alpha, compress,
                 tile, preset,
@@ -231,9 +234,16 @@ def render(
     depth = None
     if not traditional and patch_size is None:
         with report.stage("analyze"):
-            depth = _read_depth(depth_file) if depth_file else _analyze(report, pixels, calibration, preset)
+            if depth_file:
+                depth = _read_depth(depth_file)
+            else:
+                from .drawing import lenses_for
+
+                needed = lenses_for(roi, calibration) if roi else None
+                depth = _analyze(report, pixels, calibration, preset, roi=needed)
+    options = {"patch_size": patch_size, "scale": scale, "blend": blend or None, "sharpen": width, "roi": roi}
     with report.stage("render"):
-        picture = _render(report, pixels, calibration, depth, patch_size, traditional, scale, blend or None, width)
+        picture = _render(report, pixels, calibration, depth, traditional, options)
     with report.stage("write"):
         write_picture(
             output, picture, alpha=alpha, settings=_settings(depth, patch_size, width), embedded=read_embedded(flat),
@@ -706,11 +716,8 @@ def _render(
     pixels: NDArray[np.generic],
     calibration: Calibration,
     depth: DepthMap | None,
-    patch_size: float | None,
     traditional: bool,
-    scale: float | None,
-    blend: bool | None,
-    sharpen: float | Literal["auto"] | None,
+    options: dict[str, Any],
 ) -> Rendering:
     from . import render as run
     from . import traditional as run_traditional
@@ -719,11 +726,11 @@ def _render(
     if traditional:
         return run_traditional(pixels, calibration)
     try:
-        return run(pixels, calibration, depth, patch_size=patch_size, scale=scale, blend=blend, sharpen=sharpen)
+        return run(pixels, calibration, depth, **options)
     except LightFieldError:
         raise
     except ValueError as error:
-        if patch_size is None and scale is None and sharpen is None:
+        if all(value is None for value in options.values()):
             raise
         raise click.UsageError(str(error)) from error
 

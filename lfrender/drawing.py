@@ -13,13 +13,14 @@ from lfcal import Calibration, CalibrationError
 from .analysis import analyze
 from .depthmap import DepthMap
 from .flatcheck import check_flat
+from .region import check_region
 from .rendering import Rendering
 from .sharpness import lens_blur
 from .surface import Surface
 from .tile_drawing import Drawing, Part, as_stored
 from .warping import Viewpoint
 
-__all__ = ["default_scale", "drawing_of", "render"]
+__all__ = ["default_scale", "drawing_of", "lenses_for", "render"]
 
 # Lenses farther than this many pitches from a scene point add little but blur; those that are nearer than the second
 # number suffice to see every point.
@@ -52,6 +53,7 @@ def render(
     scale: float | None = None,
     blend: bool | None = None,
     sharpen: float | Literal["auto"] | None = None,
+    roi: tuple[float, float, float, float] | None = None,
 ) -> Rendering:
     """Draw the scene that a flat shows, sharp at every depth.
 
@@ -75,6 +77,9 @@ def render(
     sharpen : float or "auto", optional
         Take back the blur of the microlenses as far as noise allows: "auto" that which is measured on the flat, a
         number that of a square with sides of so many output pixels.
+    roi : (float, float, float, float), optional [px]
+        Draw only the pixels whose scene points lie between `x0, y0` and `x1, y1`, as they are in the whole picture.
+        Without `depth` only lenses in there, and those that they need, are analysed.
 
     Returns
     -------
@@ -86,19 +91,25 @@ def render(
     FlatError, CalibrationError
         As `analyze`; also if `depth` belongs to another flat size or lattice.
     ValueError
-        If both `depth` and `patch_size` are given, or a number makes no picture.
+        If both `depth` and `patch_size` are given, a number makes no picture, or `roi` and `sharpen` are given, which
+        needs the whole picture.
     """
     pixels = check_flat(flat, calibration)
+    if roi is not None:
+        roi = check_region(roi, calibration.lattice)
+        if sharpen is not None:
+            raise ValueError("sharpen needs the whole picture; give either roi or sharpen")
     if sharpen is not None and sharpen != "auto" and not (np.isfinite(sharpen) and sharpen >= 0):
         raise ValueError(f"sharpen must be 'auto' or a width of 0 or more output pixels, got {sharpen!r}")
     if patch_size is None and depth is None:
-        depth = analyze(pixels, calibration)
+        depth = analyze(pixels, calibration, roi=roi and lenses_for(roi, calibration))
 
     def look(part: Part) -> NDArray:
         return pixels[part[1] : part[3], part[0] : part[2]]
 
     drawing = drawing_of(look, calibration, depth, patch_size, scale, blend)
-    image, lenses = drawing.draw(pixels)
+    part = (0, 0, *drawing.size) if roi is None else drawing.part_in(roi)
+    image, lenses = drawing.draw(pixels, part=part)
     if sharpen is not None:
         from .sharpening import sharpened
 
@@ -110,7 +121,15 @@ def render(
         )  # fmt: skip
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
-    return Rendering(as_stored(image, np.asarray(flat).dtype), drawing.affine, lenses > 0, drawing.scale)
+    affine = drawing.affine
+    affine[:, 2] += affine[:, :2] @ part[:2]
+    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, lenses > 0, drawing.scale)
+
+
+def lenses_for(roi: tuple[float, float, float, float], calibration: Calibration) -> tuple[float, float, float, float]:
+    """The part of the flat `x0, y0, x1, y1` [px] whose lenses show a part of the scene."""
+    margin = _REACH * calibration.lattice.pitch
+    return roi[0] - margin, roi[1] - margin, roi[2] + margin, roi[3] + margin
 
 
 def drawing_of(

@@ -101,6 +101,17 @@ class Drawing:
         high = [int(np.ceil(first + self.spacing * (k - 1))) + self.halo + 1 for k in part[2:]]
         return max(0, low[0]), max(0, low[1]), min(width, high[0]), min(height, high[1])
 
+    def part_in(self, roi: tuple[float, float, float, float]) -> Part:
+        """Columns and rows of the picture whose scene points lie in `x0, y0, x1, y1`, at least one of each."""
+        first = 0.5 * self.spacing - 0.5
+        low = [
+            min(max(int(np.ceil((at - first) / self.spacing)), 0), n - 1)
+            for at, n in zip(roi[:2], self.size, strict=True)
+        ]
+        high = [int(np.floor((at - first) / self.spacing)) + 1 for at in roi[2:]]
+        right, bottom = (min(max(end, start + 1), n) for start, end, n in zip(low, high, self.size, strict=True))
+        return low[0], low[1], right, bottom
+
     def tiles(self, side: tuple[int, int]) -> Iterator[Part]:
         """Parts of the picture of at most `side` (columns, rows), row by row."""
         columns, rows = self.size

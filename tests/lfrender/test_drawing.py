@@ -148,3 +148,26 @@ def test_patches_laid_side_by_side_are_the_picture_of_the_nearest_lenses(ratio, 
     assert difference.mean() < 0.1
     assert (difference > 1).mean() < 0.003
     assert difference.max() <= 6
+
+
+def test_a_part_of_the_picture_is_that_of_the_whole_one():
+    shot = capture("house")
+    calibration = shot.truth.calibration
+    depth = lfrender.analyze(shot.flat, calibration)
+    whole = lfrender.render(shot.flat, calibration, depth, scale=6.0)
+    part = lfrender.render(shot.flat, calibration, depth, scale=6.0, roi=(100, 60, 300, 200))
+    (left, top), (rows, columns) = (
+        np.rint((part.affine[:, 2] - whole.affine[:, 2]) / whole.affine[0, 0]).astype(int),
+        (part.image.shape[:2]),
+    )
+    np.testing.assert_array_equal(part.image, whole.image[top : top + rows, left : left + columns])
+    corners = part.affine @ [[0, columns - 1], [0, rows - 1], [1, 1]]
+    assert (corners[:, 0] >= (100, 60)).all() and (corners[:, 1] <= (300, 200)).all()
+    assert (corners[:, 1] - corners[:, 0] > (190, 130)).all()
+    alone = lfrender.render(shot.flat, calibration, scale=6.0, roi=(100, 60, 300, 200))
+    assert np.abs(alone.image.astype(int) - part.image).mean() < 2
+    for bad in ((300, 60, 100, 200), (900, 0, 950, 50), (0, 0, float("nan"), 9)):
+        with pytest.raises(ValueError, match="roi"):
+            lfrender.render(shot.flat, calibration, depth, roi=bad)
+    with pytest.raises(ValueError, match="either roi or sharpen"):
+        lfrender.render(shot.flat, calibration, depth, roi=(100, 60, 300, 200), sharpen="auto")
