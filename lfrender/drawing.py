@@ -109,21 +109,21 @@ def render(
 
     drawing = drawing_of(look, calibration, depth, patch_size, scale, blend)
     part = (0, 0, *drawing.size) if roi is None else drawing.part_in(roi)
-    image, lenses = drawing.draw(pixels, part=part)
+    image, valid = drawing.draw(pixels, part=part)
     if sharpen is not None:
         from .sharpening import sharpened
 
         one = np.full(len(calibration.lattice), patch_size, np.float32)
         sizes, full = (one, abs(drawing.scale)) if depth is None else (depth.patch_size, default_scale(depth))
         image = sharpened(
-            image.astype(np.float32), lenses > 0, sharpen, pixels, calibration, drawing.surface, sizes,
+            image.astype(np.float32), valid, sharpen, pixels, calibration, drawing.surface, sizes,
             drawing.scale, full, drawing.blend, drawing.blur,
         )  # fmt: skip
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
     affine = drawing.affine
     affine[:, 2] += affine[:, :2] @ part[:2]
-    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, lenses > 0, drawing.scale)
+    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, valid, drawing.scale)
 
 
 def lenses_for(roi: tuple[float, float, float, float], calibration: Calibration) -> tuple[float, float, float, float]:
@@ -176,7 +176,7 @@ def _draw(
     aperture: float = 1.0,
     agreement: float = _AGREEMENT,
     viewpoint: Viewpoint = _MIDDLE,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """The picture in the flat's units, what was seen of each pixel (0..1), and the affine to scene coordinates."""
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.float64]]:
+    """The picture in the flat's units, which of its pixels some lens has seen, and the affine to scene coordinates."""
     drawing = Drawing(calibration, surface, scale, blend, blur, reach, agreement, aperture, viewpoint)
     return *drawing.draw(pixels), drawing.affine

@@ -206,9 +206,7 @@ class _Run:
                 waiting.result()
         return kept, sum(done.values())
 
-    def _drawn(
-        self, tiles: list[Part], numbers: list[int]
-    ) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.float32]]]:
+    def _drawn(self, tiles: list[Part], numbers: list[int]) -> Iterator[tuple[int, NDArray, NDArray[np.bool_]]]:
         needed = [self.drawing.needed(tiles[number]) for number in numbers]
         for number, (part, pixels) in zip(numbers, self.parts.ahead(needed), strict=True):
             yield number, *self.drawing.draw(pixels, part[:2], tiles[number])

@@ -173,11 +173,11 @@ def draw_rows(
                         value2 = _read(line, upper + np.uint64(2), across, down, w00, w01, w10, w11)
                     if len(marks) > 3:
                         value3 = _read(line, upper + np.uint64(3), across, down, w00, w01, w10, w11)
-                    away = d2 * per_limit2
+                    off_axis = d2 * per_limit2
                     if aside > 0:
                         # From the middle, the first alone grows toward the rim of a microimage.
-                        away = max(away, delta2 / radius2)
-                    weight = (np.float32(1.02) - away) * lights[ring] * lights[ring]
+                        off_axis = max(off_axis, delta2 / radius2)
+                    weight = (np.float32(1.02) - off_axis) * lights[ring] * lights[ring]
                     if typed:
                         kind = types[int(i + steps[o, 0]) % len(types), int(j + steps[o, 1]) % len(types)]
                         share = shares[kind, min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)]
@@ -193,6 +193,11 @@ def draw_rows(
                             d2 += limit2
                     if d2 < best:
                         best, best_at = d2, found
+                        if t2 <= 0:
+                            # No lens is nearer than half the way from this one to its neighbours; others lie farther
+                            # from the point than from its nearest lens, less the distance of that one.
+                            away = np.sqrt(best)
+                            farthest = min(farthest, nearest + away) if 2 * away > offsets[1, 2] else zero
                     norm += weight
                     mean0 += weight * value0
                     mean1 += weight * value1

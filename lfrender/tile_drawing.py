@@ -121,7 +121,7 @@ class Drawing:
 
     def draw(
         self, pixels: NDArray[Any], corner: tuple[int, int] = (0, 0), part: Part | None = None
-    ) -> tuple[NDArray, NDArray[np.float32]]:
+    ) -> tuple[NDArray, NDArray[np.bool_]]:
         """Draw a part of the picture.
 
         Parameters
@@ -137,8 +137,8 @@ class Drawing:
         -------
         image : (rows, columns, C) float32, or of the type of `pixels`
             In the flat's units.
-        seen : (rows, columns) float32
-            Share of each output pixel that some lens has seen.
+        valid : (rows, columns) bool
+            Pixels that some lens has seen.
         """
         part = part or (0, 0, *self.size)
         if self._patches is None:
@@ -149,7 +149,7 @@ class Drawing:
             return self._rows(pixels, corner, part)
         first = 0.5 * self.spacing - 0.5
         image = np.empty((part[3] - part[1], part[2] - part[0], pixels.shape[2]), pixels.dtype)
-        seen = np.ones(image.shape[:2], np.float32)
+        valid = np.ones(image.shape[:2], bool)
         size = float(np.copysign(self.scale, self.surface.patch_size[0, 0]))
         lay_patches(
             pixels,
@@ -171,13 +171,13 @@ class Drawing:
         ):
             if strip[0] < strip[2] and strip[1] < strip[3]:
                 place = np.s_[strip[1] - part[1] : strip[3] - part[1], strip[0] - part[0] : strip[2] - part[0]]
-                drawn, seen[place] = self._rows(pixels, corner, strip)
+                drawn, valid[place] = self._rows(pixels, corner, strip)
                 image[place] = as_stored(drawn, pixels.dtype)
-        return image, seen
+        return image, valid
 
     def _rows(
         self, pixels: NDArray[Any], corner: tuple[int, int], part: Part
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """A part of the picture from all lenses in reach of each pixel."""
         left, top, right, bottom = part
         lattice, pitch, single = self.calibration.lattice, self.calibration.lattice.pitch, np.float32
@@ -205,7 +205,7 @@ class Drawing:
             single(self.agreement * white if self.blend else 0.0), np.array(self.viewpoint.offset, single),
             np.array(corner), np.array(lattice.image_size), np.array([left, top]), image, seen,
         )  # fmt: skip
-        return image, seen
+        return image, seen > 0
 
     @cached_property
     def _patches(self) -> Part | None:
