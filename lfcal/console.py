@@ -69,8 +69,10 @@ class Program(click.Group):
             sys.exit(_USER_ERROR)
         except click.UsageError as error:
             # What was given makes no sense to the parser; errors of a command's own say all there is to say.
-            more = f" See '{error.ctx.command_path} --help'." if error.ctx else ""
-            self._fail(f"{error.format_message()}{more}")
+            words = error.format_message()
+            if error.ctx:
+                words += f"{'' if words.endswith(('.', '?', ')')) else '.'} See '{error.ctx.command_path} --help'."
+            self._fail(words)
         except click.ClickException as error:
             self._fail(error.format_message())
         except LightFieldError as error:

@@ -24,12 +24,19 @@ if TYPE_CHECKING:
 
 __all__ = ["analysed", "camera_of", "in_colour", "read_camera", "read_depth", "read_optics"]
 
+_IMAGES = {".png", ".tif", ".tiff", ".webp", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm"}
+
 
 def read_camera(path: Path, pixels: NDArray[np.generic]) -> Calibration:
     """A camera file for flats of this size, in our form or as published."""
     from lfcal import CameraFileError, load
 
     size = (pixels.shape[1], pixels.shape[0])
+    if path.suffix.lower() in _IMAGES and path.exists():
+        raise CameraFileError(
+            f"{path}: is an image, not a camera file; give a white image as --white, or make a camera file of it with "
+            "'lfcal calibrate'"
+        )
     if path.suffix.lower() in (".xml", ".cfg"):
         from lfcal import read_published
 
@@ -101,8 +108,10 @@ def in_colour(pixels: NDArray[Any], calibration: Calibration) -> NDArray[Any]:
 
 def read_depth(path: Path) -> DepthMap:
     """A depth map made by `lfrender analyze`."""
-    from .depthmap import DepthMap
+    from .depthmap import DepthFileError, DepthMap
 
+    if path.suffix.lower() != ".npz" and path.exists():
+        raise DepthFileError(f"{path}: is no depth map (.npz); make one with 'lfrender analyze'")
     return DepthMap.load(path)
 
 

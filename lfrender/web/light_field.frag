@@ -112,9 +112,10 @@ vec2 nearestIndex(vec2 X) {
   return index;
 }
 
+// Tiles begin a pixel before their part of the flat.
 vec3 tilePlace(vec2 p, out ivec2 inside) {
   ivec2 tile = clamp(ivec2(p / tileStep), ivec2(0), tileCount - 1);
-  vec2 local = p - vec2(tile) * tileStep;
+  vec2 local = p - vec2(tile) * tileStep + 1.0;
   inside = ivec2(local + 0.5);
   return vec3((local + 0.5) / tileSide, float(tile.y * tileCount.x + tile.x));
 }

@@ -35,7 +35,15 @@ class Viewer {
     const length = Math.hypot(...settings.q);
     if (length > scene.radius) settings.q = settings.q.map(n => (n * scene.radius) / length);
     this.tell();
+    if (settings.mode === "tiles") this.loadPlain();
     this.request();
+  }
+
+  // The flat as it is, fetched once it is wanted.
+  loadPlain() {
+    if (!this.ready) return;
+    this.plain ??= this.renderer.loadPlain((done, all) => say(done < all ? `Loading the flat as it is, ${done} of ${all}` : ""))
+      .then(() => this.request()).catch(error => say(error.message));
   }
 
   resize() {
@@ -55,7 +63,7 @@ class Viewer {
   }
 
   draw() {
-    if (!this.ready) return;
+    if (!this.ready || (this.settings.mode === "tiles" && !this.renderer.textures.plainTiles)) return;
     const { canvas, frame, renderer } = this, factor = this.moving ? this.coarse : 1;
     const width = Math.max(1, Math.round(this.width / factor)), height = Math.max(1, Math.round(this.height / factor));
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
@@ -273,7 +281,7 @@ function say(words) {
 
 export async function start() {
   try {
-    const scene = await loadScene(), renderer = new Renderer($("picture"), $("shader").textContent.trim(), scene);
+    const scene = await loadScene(), renderer = new Renderer($("picture"), $("shader").textContent.trim(), $("ready").textContent.trim(), scene);
     const viewer = new Viewer(scene, renderer, $("picture"));
     await renderer.load((done, all) => say(`Loading the flat, ${done} of ${all}`));
     viewer.ready = true;
