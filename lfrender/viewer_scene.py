@@ -169,7 +169,7 @@ def _resolved(calibration: Calibration, depth: DepthMap) -> NDArray[np.uint8]:
 def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDArray) -> dict[str, Any]:
     """What goes into the JSON object as numbers."""
     lattice, surface = calibration.lattice, depth.surface
-    offsets, steps = lens_offsets(lattice, _WIDE_REACH * lattice.pitch)
+    offsets, _ = lens_offsets(lattice, _WIDE_REACH * lattice.pitch)
     bend, low = lattice_bend(lattice)
     cell, shares = focus_shares(calibration.lens_types)
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
@@ -182,7 +182,7 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
         "origin": lattice.origin.tolist(),
         "basis": lattice.basis.tolist(),
         "inverse": np.linalg.inv(lattice.basis).tolist(),
-        "offsets": _base64(np.column_stack([offsets, np.zeros(len(offsets)), steps, np.zeros_like(steps)]), np.float32),
+        "offsets": _base64(offsets, np.float32),
         "bend": {"shape": list(bend.shape[:2]), "low": low.tolist(), "values": _base64(bend, np.float32)},
         "types": {"side": len(cell), "cell": cell.ravel().tolist(), "shares": _base64(shares, np.float32)},
         "surface": {

@@ -8,7 +8,9 @@ void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2
 const ANY_COLOUR = 1e3;
 // As many as any zoom needs.
 const MOST_SAMPLES = 1e3;
-const NAMES = ["surface", "flatTiles", "seenTiles", "rings", "offsets", "bend", "shares", "ramp", "types"];
+const NAMES = ["surface", "flatTiles", "seenTiles", "rings", "bend", "shares", "ramp", "types"];
+// Lenses about one that the shader has room for; it mixes 37 at most, the nearest first.
+const MOST_OFFSETS = 128;
 
 export class Renderer {
   constructor(canvas, shader, readyShader, scene) {
@@ -55,19 +57,19 @@ export class Renderer {
 
   makeTables() {
     const { gl, scene } = this;
-    const one = [gl.R32F, gl.RED, gl.FLOAT], two = [gl.RG32F, gl.RG, gl.FLOAT], four = [gl.RGBA32F, gl.RGBA, gl.FLOAT];
+    const one = [gl.R32F, gl.RED, gl.FLOAT], two = [gl.RG32F, gl.RG, gl.FLOAT];
     const [rows, columns] = scene.surface.shape, both = new Float32Array(2 * rows * columns);
     for (let n = 0; n < rows * columns; n++) {
       both[2 * n] = scene.surface.values[n];
       both[2 * n + 1] = scene.surface.resolved[n];
     }
-    const rings = floats(scene.rings.values), offsets = floats(scene.offsets), shares = floats(scene.types.shares);
+    const rings = floats(scene.rings.values), shares = floats(scene.types.shares);
     const bend = floats(scene.bend.values), kinds = Math.max(scene.types.side, 1);
     const ramp = bytes(scene.overlay.ramp);
+    this.offsets = floats(scene.offsets).subarray(0, 3 * MOST_OFFSETS);
     this.textures = {
       surface: this.table(columns, rows, two, both),
       rings: this.table(rings.length / 2, 1, two, rings),
-      offsets: this.table(offsets.length / 4, 1, four, offsets),
       bend: bend.length ? this.table(scene.bend.shape[1], scene.bend.shape[0], two, bend) : this.table(1, 1, two, new Float32Array(2)),
       shares: this.table(401, shares.length / 401, one, shares),
       types: this.table(kinds, kinds, [gl.R8I, gl.RED_INTEGER, gl.BYTE], new Int8Array(scene.types.side ? scene.types.cell : [0])),
@@ -159,7 +161,7 @@ export class Renderer {
       edge: scene.surface.edge, pitch, view: q, flatSize: scene.size, tileStep: scene.tiles.side - 3, tileSide: scene.tiles.side,
       ringStep: scene.rings.step, origin: scene.origin,
       radius: scene.radius * (settings.mode === "focus" ? settings.aperture : 1), plane,
-      first: first.map((n, k) => n + moved[k]), spacing, blurred: (blur * scale) ** 2,
+      first: first.map((n, k) => n + moved[k]), moved, spacing, blurred: (blur * scale) ** 2,
       reach: pitch * (settings.mode === "focus" ? scene.reach.wide : scene.reach.sharp),
       agreement: sharp ? scene.agreement : tiles ? 0 : ANY_COLOUR, rows: height, overlay: settings.overlay,
       most: settings.most ?? MOST_SAMPLES,
@@ -167,6 +169,8 @@ export class Renderer {
     });
     const { places } = this.main;
     gl.uniform2i(places.tileCount, scene.tiles.columns, scene.tiles.rows);
+    gl.uniform3fv(places["offsets[0]"], this.offsets);
+    gl.uniform1i(places.offsetCount, this.offsets.length / 3);
     gl.uniform2i(places.bendLow, ...scene.bend.low);
     gl.uniform1i(places.seenKnown, scene.tiles.seen.length ? 1 : 0);
     gl.uniformMatrix2fv(places.basis, false, scene.basis.flat());

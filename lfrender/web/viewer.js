@@ -5,8 +5,8 @@ import { Renderer } from "lfrender/renderer";
 import { bytes, loadScene } from "lfrender/scene";
 
 const CLICK = 4; // px a click may move
-const SLOW = 45; // ms that a picture may take while something moves; beyond, it is drawn coarser
-const COARSEST = 4;
+const SLOW = 15; // ms that a picture may take while something moves, for 60 a second; beyond, it is drawn coarser
+const COARSEST = 6;
 const $ = id => document.getElementById(id);
 
 class Viewer {
@@ -80,14 +80,15 @@ class Viewer {
   time(start, factor) {
     const { gl } = this.renderer, fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
+    // Animation frames come too seldom to tell how long it took.
     const look = () => {
-      if (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED) return void requestAnimationFrame(look);
+      if (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED) return void setTimeout(look);
       gl.deleteSync(fence);
       const taken = performance.now() - start;
       if (taken > SLOW) this.coarse = Math.min(COARSEST, factor * 1.5);
       else if (taken < SLOW / 3) this.coarse = Math.max(1, factor / 1.25);
     };
-    requestAnimationFrame(look);
+    setTimeout(look);
   }
 
   // Coarser while something moves, and once more in full when it rests.
@@ -287,6 +288,8 @@ export async function start() {
     viewer.ready = true;
     say("");
     viewer.set({});
+    // Keys work at once, but not where the page is a part of another.
+    if (window === window.top) viewer.canvas.focus({ preventScroll: true, focusVisible: false });
     globalThis.lightField = viewer;
   } catch (error) {
     say(error.message);
