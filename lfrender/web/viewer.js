@@ -73,7 +73,8 @@ class Viewer {
     this.settings.background = stage.map(n => n / 255);
     // Coarser pixels alone would only need more samples each.
     renderer.draw(factor > 1 ? { ...this.settings, most: 1 } : this.settings, width, height, first, spacing);
-    if (this.moving) this.time(start, factor);
+    // At rest too: where the card is slow, the first pictures of a movement are not to wait for one in full.
+    this.time(start, factor);
   }
 
   // Drawing goes on after the call has returned; the graphics card says when it is done.
@@ -85,7 +86,8 @@ class Viewer {
       if (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED) return void setTimeout(look);
       gl.deleteSync(fence);
       const taken = performance.now() - start;
-      if (taken > SLOW) this.coarse = Math.min(COARSEST, factor * 1.5);
+      // Time goes with the number of pixels.
+      if (taken > SLOW) this.coarse = Math.min(COARSEST, factor * Math.sqrt(taken / SLOW));
       else if (taken < SLOW / 3) this.coarse = Math.max(1, factor / 1.25);
     };
     setTimeout(look);
