@@ -191,11 +191,14 @@ def _video_frames(path: Path) -> Iterator[Frame]:
     number = 0
     try:
         with _opened_video(path) as container:
+            count = _said_count(container)
             for picture in _decoded(container):
                 yield Frame(_video_name(path, number), _video_pixels(path, number, picture))
                 number += 1
         if number == 0:
             raise FlatError(f"{path}: holds no frames")
+        if number < count:
+            raise FlatError(f"{path}: ends after {number} of {count} frames")
     except FlatError as error:
         yield Frame(_video_name(path, number), partial(_refuse, str(error)))
     # FFmpeg tells damage by errors of many kinds.
@@ -204,15 +207,47 @@ def _video_frames(path: Path) -> Iterator[Frame]:
         yield Frame(_video_name(path, number), partial(_refuse, message))
 
 
+def _said_count(container: Any) -> int:
+    """Number of frames that there must be at least by what a video says, 0 where it does not say."""
+    stream = container.streams.video[0]
+    if stream.frames:
+        return int(stream.frames)
+    steady = stream.average_rate and stream.average_rate == stream.base_rate and len(container.streams) == 1
+    if not steady or not container.duration:
+        return 0
+    # Durations [us] are rounded, and some end where the last frame begins.
+    return int(Fraction(container.duration, 1_000_000) * stream.average_rate - Fraction(1, 2))
+
+
 def _decoded(container: Any) -> Iterator[Any]:
     """The pictures of a video, and an error in the place of those that cannot be decoded."""
     stream = container.streams.video[0]
-    stream.thread_type = "AUTO"
+    # This decoder tells of wrong checksums in nothing but its log, which is to be about one frame.
+    logged = stream.codec_context.name == "ffv1"
+    stream.thread_type = "SLICE" if logged else "AUTO"
     for packet in container.demux(stream):
         try:
-            yield from packet.decode()
+            if not logged:
+                yield from packet.decode()
+                continue
+            pictures, wrong = _overheard(packet)
+            yield from [FlatError(wrong) for _ in pictures] if wrong else pictures
         except Exception as error:
             yield error
+
+
+def _overheard(packet: Any) -> tuple[list[Any], str]:
+    """The pictures of a packet, and the first error that their decoder has logged."""
+    from av import logging
+
+    before = logging.get_level()
+    logging.set_level(logging.ERROR)
+    try:
+        with logging.Capture(local=False) as log:
+            pictures = packet.decode()
+    finally:
+        logging.set_level(before)
+    return pictures, next((text.strip() for level, name, text in log if name == "ffv1" and level <= logging.ERROR), "")
 
 
 def _video_pixels(path: Path, number: int, picture: Any) -> Callable[[], NDArray[Any]]:
