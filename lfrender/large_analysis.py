@@ -55,12 +55,13 @@ def analyze_large(
     preset: str = "balanced",
     *,
     skip: bool | Iterable[str] = True,
-    tile: int | None = None,
     progress: Callable[[int, int], None] | None = None,
     client: Client | None = None,
     threads: int | None = None,
 ) -> DepthMap:
     """Estimate the depth of a flat that need not fit into memory; as `analyze`, with nearly the same answers.
+
+    Size and pitch of the flat alone tell the tiles, so that no setting, number of workers or machine changes an answer.
 
     Parameters
     ----------
@@ -68,8 +69,6 @@ def analyze_large(
         From `lfcal.open_flat`.
     calibration, preset, skip
         As in `analyze`.
-    tile : int or None [px of the flat]
-        Side of the tiles; None leaves it to the memory they take.
     progress : callable or None
         Called with the number of finished tiles and of all.
     client : distributed.Client or None
@@ -93,7 +92,7 @@ def analyze_large(
     parts = FlatParts(source, calibration)
     workers = Here(parts) if client is None else ClusterWorkers(client, source, threads)
     whole = _Whole(calibration, preset, shortcuts)
-    tiles = list(lens_tiles(calibration.lattice, whole.factor, tile, PRESETS[preset]))
+    tiles = list(lens_tiles(calibration.lattice, whole.factor, PRESETS[preset]))
     overview, plane, sure = _overview(whole, workers)
     whole = replace(whole, overview=overview)
     depth = None if plane is None else _checked_plane(whole, workers, tiles, plane, sure)
@@ -127,7 +126,7 @@ class _Whole:
         return self.calibration.part_gain() if uneven_lenses(self.calibration) else None
 
     def gray(self, part: LensPart, pixels: NDArray[Any]) -> GrayFlat:
-        """A part of the flat as it is analysed."""
+        """A part of the flat as it is analysed, its light corrected as that of the whole."""
         height, width = pixels.shape[:2]
         light = None if self._gain is None else self._gain.at(*part.rectangle[:2], width, height)
         return gray_flat(pixels, replace(self.calibration, lattice=part.full), part.factor, light)

@@ -101,18 +101,15 @@ def lens_windows(whole: Lattice, factor: int) -> Iterator[LensPart]:
             yield LensPart.of(whole, factor, (x, y), end, np.stack([low, high]))
 
 
-def lens_tiles(whole: Lattice, factor: int, side: int | None, setting: Preset) -> Iterator[LensPart]:
-    """The flat cut into tiles of at most so many of its pixels, each with its halo."""
+def lens_tiles(whole: Lattice, factor: int, setting: Preset) -> Iterator[LensPart]:
+    """The flat cut into tiles that fit the memory, each with its halo."""
     size = _size(whole, factor)
     pitch = whole.pitch / factor
     # Blocks of pixels are averaged for the search, and rows of them left out: those of the whole flat.
     block = max(1, round(pitch / setting.search_pitch)) * setting.row_step
     halo = int(np.ceil(_HALO * pitch))
-    if side is None:
-        each = _AS_READ * factor**2 + _PER_PIXEL - _AS_READ
-        side = max(2 * halo, int(np.sqrt(_BUDGET / each)) - 2 * halo)
-    else:
-        side = max(1, side // factor)
+    each = _AS_READ * factor**2 + _PER_PIXEL - _AS_READ
+    side = max(2 * halo, int(np.sqrt(_BUDGET / each)) - 2 * halo)
     edges = [np.linspace(0, length, -(-length // side) + 1).round().astype(int).tolist() for length in size]
     spacing = grid_shape(whole if factor == 1 else whole.shrunk(factor), setting.cells)[2]
     for top, bottom in zip(edges[1], edges[1][1:], strict=False):
