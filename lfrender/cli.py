@@ -50,6 +50,15 @@ def _preset(command: Any) -> Any:
     )(command)
 
 
+def _cluster(command: Any) -> Any:
+    command = click.option("--scheduler", metavar="tcp://HOST:PORT", help="Work on tiles on this Dask scheduler.")(
+        command
+    )
+    return click.option("--workers", type=click.IntRange(1), help="Work on tiles in so many processes (needs Dask).")(
+        command
+    )
+
+
 @click.group(cls=console.Program, name="lfrender", context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="lfrender", prog_name="lfrender")
 def main() -> None:
@@ -82,6 +91,7 @@ main.add_command(view)
 )
 @click.option("--roi", type=float, nargs=4, metavar="X0 Y0 X1 Y1", help="Only lenses with their centre in here [px].")
 @click.option("--exhaustive", is_flag=True, help="Take no shortcuts: match every lens at every shift.")
+@_cluster
 @_preset
 @console.report_options
 def analyze(
@@ -94,6 +104,8 @@ def analyze(
     optics_file: Path | None,
     roi: tuple[float, float, float, float] | None,
     exhaustive: bool,
+    workers: int | None,
+    scheduler: str | None,
     preset: str,
     as_json: bool,
     quiet: bool,
@@ -104,12 +116,17 @@ def analyze(
     for path, endings in ((dense, {".tif", ".tiff", ".pfm"}), (picture, {".png"}), (ply, {".ply"})):
         if path is not None:
             check_output(path, endings, [flat, camera])
+    _at_most_one("--workers", workers, "--scheduler", scheduler)
+    cluster = workers or scheduler
+    _at_most_one("--workers or --scheduler", cluster, "--roi", roi, "--ply", ply)
     if roi is None and ply is None:
         from . import large_cli
 
-        if large_cli.is_large(flat):
+        if cluster or large_cli.is_large(flat):
             optics = _read_optics(optics_file)
-            depth, calibration = large_cli.analyze(report, flat, camera, output, preset, not exhaustive)
+            depth, calibration = large_cli.analyze(
+                report, flat, camera, output, preset, not exhaustive, large_cli.Cluster(workers, scheduler)
+            )
             with report.stage("write"):
                 _write_depth(depth, None, calibration, dense, picture, None, optics)
             figures = {**_camera_figures(calibration), **_depth_figures(depth), **_distance_figures(depth, optics)}
@@ -175,6 +192,7 @@ def analyze(
     help="Draw in tiles of this side, with little memory, going on where a killed run stopped. [default: large flats]",
 )
 @click.option("--roi", type=float, nargs=4, metavar="X0 Y0 X1 Y1", help="Draw only this part [px of the flat].")
+@_cluster
 @_preset
 @console.report_options
 def render(
@@ -193,6 +211,8 @@ def render(
     compress: bool,
     tile: int | None,
     roi: tuple[float, float, float, float] | None,
+    workers: int | None,
+    scheduler: str | None,
     preset: str,
     as_json: bool,
     quiet: bool,
@@ -208,16 +228,21 @@ def render(
     _at_most_one("--scale", scale, "--traditional", traditional or None)
     _at_most_one("--sharpen", sharpen, "--traditional", traditional or None)
     _at_most_one("--roi", roi, "--sharpen", sharpen, "--traditional", traditional or None, "--tile", tile)
+    _at_most_one("--workers", workers, "--scheduler", scheduler)
+    _at_most_one("--workers or --scheduler", workers or scheduler, "--roi", roi, "--sharpen", sharpen)
+    _at_most_one("--workers or --scheduler", workers or scheduler, "--traditional", traditional or None)
     width = _sharpen_width(sharpen)
     if blend and patch_size is None:
         raise click.UsageError("--blend needs --patch-size")
     if not traditional:
         from . import large_cli
 
-        if roi is None and large_cli.wanted(flat, output, tile):
+        cluster = large_cli.Cluster(workers, scheduler)
+        # What is given back to a picture is found on all of it.
+        if roi is None and sharpen is None and large_cli.wanted(flat, output, tile, cluster):
             asked = large_cli.Asked(
                 flat, output, camera, white, depth_file, patch_size, scale, blend or None, mosaic, alpha, compress,
-                tile, preset,
+                tile, preset, cluster,
             )  # fmt: skip
             large_cli.render(report, asked)
             return

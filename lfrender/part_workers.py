@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from numpy.typing import NDArray
 
-from lfcal import Calibration, FlatSource, LightFieldError, open_flat
+from lfcal import Calibration, FlatError, FlatSource, LightFieldError, open_flat
 
 from .flat_parts import FlatParts
 from .unfinished import stamp
@@ -88,7 +88,8 @@ class ClusterWorkers:
     def __init__(self, client: Client, source: FlatSource, threads: int | None = None) -> None:
         self._client, self._threads = client, threads
         self._path = str(source.path.absolute())
-        self._stamp = stamp(source.path)
+        # Copies on the disks of several machines differ in their times.
+        self._size = stamp(source.path)[1]
 
     @property
     def count(self) -> int:
@@ -109,7 +110,7 @@ class ClusterWorkers:
         waiting: deque[Any] = deque()
         try:
             for item, rectangle in zip(items, rectangles, strict=True):
-                flat = self._path, self._stamp, self._threads
+                flat = self._path, self._size, self._threads
                 waiting.append(
                     self._client.submit(_work, flat, task, known, item, rectangle, pure=False, retries=_RETRIES)
                 )
@@ -144,8 +145,8 @@ class _Worker:
         return cls.shared
 
     @classmethod
-    def parts_of(cls, flat: tuple[str, list[Any], int | None], calibration: Calibration) -> FlatParts:
-        path, mark, threads = flat
+    def parts_of(cls, flat: tuple[str, int, int | None], calibration: Calibration) -> FlatParts:
+        path, size, threads = flat
         if threads is not None:
             from .cluster import limit_threads
 
@@ -153,9 +154,9 @@ class _Worker:
         if cls.parts is None or cls.flat != flat:
             cls.flat = cls.parts = None
             source = open_flat(path)
-            if stamp(source.path) != mark:
+            if stamp(source.path)[1] != size:
                 source.close()
-                raise LightFieldError(f"{path}: is another file where the workers are, or was changed meanwhile")
+                raise FlatError(f"{path}: is another file where the workers are, or was changed meanwhile")
             cls.parts, cls.flat = FlatParts(source, calibration), flat
         elif cls.parts.calibration is not calibration:
             cls.parts = FlatParts(cls.parts.source, calibration)
@@ -167,7 +168,7 @@ def _same(shared: Shared) -> Shared:
 
 
 def _work(
-    flat: tuple[str, list[Any], int | None],
+    flat: tuple[str, int, int | None],
     task: Callable[[Any, Any, NDArray[Any]], Any],
     shared: Shared,
     item: Any,
