@@ -111,7 +111,7 @@ def _decode(source: Path, page: int | None) -> NDArray[Any]:
     mode = source.stat().st_mode
     if stat.S_ISDIR(mode):
         if is_zarr(source):
-            return open_zarr(source).whole()
+            return open_zarr(source, MAX_PIXELS).whole()
         raise FlatError("is a folder; give the image file")
     if not stat.S_ISREG(mode):
         raise FlatError("is not a regular file")

@@ -148,9 +148,11 @@ class _ZarrWriter:
             self._array = zarr.create_array(
                 str(self._path), shape=self._shape, dtype=self._dtype, chunks=self._chunks,
                 attributes={"description": self._description},
+                # A chunk that is not there is then one that was lost.
+                config={"write_empty_chunks": True},
             )  # fmt: skip
         else:
-            self._array = zarr.open_array(str(self._path), mode="r+")
+            self._array = zarr.open_array(str(self._path), mode="r+", config={"write_empty_chunks": True})
 
     def write(self, part: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
         left, top, right, bottom = part
