@@ -122,6 +122,8 @@ def test_black_chunks_of_our_own_pictures_are_there(tmp_path):
     writer = new_writer(tmp_path / "p.zarr", tmp_path / "work", picture.shape, "uint8", (25, 20), "{}")
     writer.open(fresh=True)
     for top in (0, 20):
+        # As after a run that was killed.
+        writer.open(fresh=False)
         for left in (0, 25):
             writer.write((left, top, left + 25, top + 20), picture[top : top + 20, left : left + 25])
     writer.finish(tmp_path / "p.zarr")
