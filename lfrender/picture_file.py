@@ -144,13 +144,15 @@ class _ZarrWriter:
             raise PictureError("Zarr needs the package 'zarr'; pip install 'lfrender[zarr]'") from error
         if fresh:
             shutil.rmtree(self._path, ignore_errors=True)
-        if not self._path.exists():
-            self._array = zarr.create_array(
-                str(self._path), shape=self._shape, dtype=self._dtype, chunks=self._chunks,
-                attributes={"description": self._description},
-            )  # fmt: skip
-        else:
-            self._array = zarr.open_array(str(self._path), mode="r+")
+        # A chunk that is not there is then one that was lost.
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            if not self._path.exists():
+                self._array = zarr.create_array(
+                    str(self._path), shape=self._shape, dtype=self._dtype, chunks=self._chunks,
+                    attributes={"description": self._description},
+                )  # fmt: skip
+            else:
+                self._array = zarr.open_array(str(self._path), mode="r+")
 
     def write(self, part: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
         left, top, right, bottom = part

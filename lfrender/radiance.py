@@ -194,10 +194,13 @@ def _fill_unlit(centres, radius, light, image):
                     image[y, x] = total / lit
 
 
-def gray_flat(flat: NDArray, calibration: Calibration, factor: int = 1) -> GrayFlat:
+def gray_flat(
+    flat: NDArray, calibration: Calibration, factor: int = 1, light: NDArray[np.float32] | None = None
+) -> GrayFlat:
     """Brightness of `flat` (H, W, C), corrected for vignetting where microimages are trusted, and a little beyond.
 
-    Each pixel is the mean of `factor` x `factor` of the flat.
+    Each pixel is the mean of `factor` x `factor` of the flat. `light` is the gain of its pixels where the flat is part
+    of a larger one, to which the gain map of the camera belongs.
     """
     lattice = calibration.lattice if factor == 1 else calibration.lattice.shrunk(factor)
     image = np.empty(lattice.image_size[::-1], np.float32)
@@ -210,7 +213,7 @@ def gray_flat(flat: NDArray, calibration: Calibration, factor: int = 1) -> GrayF
         radius = radius / factor - _MIXED
     centres = lattice.centres().astype(np.float32)
     if lens_by_lens(calibration):
-        light = _blocks(calibration.gain(), factor)
+        light = _blocks(calibration.gain() if light is None else light, factor)
         np.divide(image, light, out=image, where=np.isfinite(light))
         # Microimages of this radius share no pixel.
         apart = np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min() / 2
