@@ -16,7 +16,7 @@ from .flatcheck import check_flat
 from .modes import fill
 from .neighbours import neighbour_rows
 from .plane import TEXTURED, Plane, fit_plane, strays
-from .radiance import GrayFlat, gray_flat
+from .radiance import GrayFlat, gray_flat, shrunk
 from .region import check_region, embed, embed_textured, lenses_in, part_of, rows_of, scaled
 from .remainder import remainder_depths
 from .search import PRESETS, Found, Matcher, search
@@ -157,8 +157,7 @@ def analyze(
 def _working(flat: NDArray, calibration: Calibration, preset: str) -> tuple[GrayFlat, Lattice, int]:
     """The flat as the preset analyses it, its lattice, and how many of its pixels each way have become one."""
     factor = PRESETS[preset].factor(calibration.lattice.pitch)
-    lattice = calibration.lattice if factor == 1 else calibration.lattice.shrunk(factor)
-    return gray_flat(flat, calibration, factor), lattice, factor
+    return gray_flat(flat, calibration, factor), shrunk(calibration.lattice, factor), factor
 
 
 def _analyze(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts) -> DepthMap:
