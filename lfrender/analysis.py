@@ -14,7 +14,7 @@ from .consensus import measure
 from .depthmap import DepthMap
 from .flatcheck import check_flat
 from .modes import fill
-from .neighbours import neighbour_rows
+from .neighbours import lens_halves
 from .plane import TEXTURED, Plane, fit_plane, strays
 from .radiance import GrayFlat, gray_flat, shrunk
 from .region import check_region, embed, embed_textured, lenses_in, part_of, rows_of, scaled
@@ -33,7 +33,6 @@ __all__ = [
     "Overview",
     "analyze",
     "lens_by_lens",
-    "lens_halves",
     "on_one_plane",
     "regular_plane",
 ]
@@ -179,13 +178,6 @@ def _analyze(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
             left = (1 - depth.saved["blank"]) * len(sub) / len(lattice)
             return embed_textured(depth, sub, lattice, {**depth.saved, "blank": 1 - left})
     return lens_by_lens(gray, lattice, preset, shortcuts, plain, (blank, np.inf))
-
-
-def lens_halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Neighbour rows in every lattice direction, and in the opposite ones."""
-    neighbours = neighbour_rows(lattice, lattice.steps)
-    half = neighbours.shape[1] // 2
-    return neighbours[:, :half], neighbours[:, half:]
 
 
 def _level(found: PlaneScene, lattice: Lattice, preset: str) -> DepthMap:

@@ -21,13 +21,12 @@ from .analysis import (
     PRESETS,
     Overview,
     lens_by_lens,
-    lens_halves,
     on_one_plane,
     regular_plane,
 )  # fmt: skip
 from .depthmap import DepthMap
 from .flat_parts import FlatParts
-from .neighbours import lens_grid
+from .neighbours import lens_grid, lens_halves
 from .plane import TEXTURED, Plane, fit_plane
 from .radiance import GrayFlat, gray_flat
 from .region import lattice_of

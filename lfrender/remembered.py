@@ -17,7 +17,7 @@ _kept: dict[int, tuple[weakref.ref[Any], dict[Hashable, Any]]] = {}
 def remembered(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
     """What `make` returns, made once for each frozen `owner` and `key`; the owner itself is not kept alive.
 
-    Values are shared: nobody may write into them.
+    Values are shared: nobody may write into them. They must not refer to their owner, or both would stay for good.
     """
     at = id(owner)
     entry = _kept.get(at)

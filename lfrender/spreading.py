@@ -36,9 +36,11 @@ def _walk(depths, costs, gap, total):
         lowest = np.float32(np.inf)
         for k in range(most):
             s = depths[p, k]
+            # Candidates come first, unused places after them.
             if np.isnan(s):
-                message[k] = np.inf
-                continue
+                for q in range(k, most):
+                    message[q] = np.inf
+                break
             best = np.float32(0.0)
             if p > 0:
                 best = _JUMP
@@ -176,7 +178,9 @@ def spread(
     grid, low = lens_grid(lattice)
     span = np.arange(-3, 4)
     ring = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
-    ring = ring[np.linalg.norm(ring @ lattice.basis, axis=1) < _LOOKING * pitch]
+    distance = np.linalg.norm(ring @ lattice.basis, axis=1)
+    # The nearest first, as the kernel sorts them for each scene point.
+    ring = ring[np.argsort(distance, kind="stable")[: int((distance < _LOOKING * pitch).sum())]]
     gap = np.float32(max(0.75, 0.04 * pitch))
     calm = calm_lenses(values, seconds, trust, lattice.indices(), grid, low, ring, gap)
     kept = settled is not None and before is not None and before.patch_size.shape == shape and before.first == start
