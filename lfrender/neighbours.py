@@ -9,7 +9,7 @@ from lfcal import Lattice
 
 from .remembered import remembered
 
-__all__ = ["beside", "lens_grid", "lens_halves", "neighbour_rows"]
+__all__ = ["beside", "grown", "lens_grid", "lens_halves", "neighbour_rows"]
 
 # Lattices with no more lenses than this keep what tells who is beside whom.
 _MOST_KEPT = 1 << 18
@@ -72,3 +72,8 @@ def beside(mask: NDArray[np.bool_], rows: NDArray[np.int32]) -> NDArray[np.int64
     count = np.zeros(len(mask), np.int64)
     count[chosen] = (mask[rows[chosen]] & (rows[chosen] >= 0)).sum(1)
     return count
+
+
+def grown(mask: NDArray[np.bool_], neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """(n,) bool: `mask` and all lenses beside it, by neighbour rows (n, k)."""
+    return mask | (mask[neighbours] & (neighbours >= 0)).any(1)

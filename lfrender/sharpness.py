@@ -100,13 +100,14 @@ def _give_back_whole(flat, channels, highest, out):
 
 @njit(cache=True, nogil=True, parallel=True)
 def _give_back_bytes(flat, channels, out):
-    """As `_give_back_whole`, for bytes: the line between two loops keeps numbers to 16 bits, of which vectors hold most."""
+    """As `_give_back_whole`, for bytes: the line between two loops keeps numbers to 16 bits, so that vectors hold more."""
     height, width = flat.shape
     for y in prange(height):
         above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
         into, line = out[y], np.empty(width, np.int16)
         n = max(width - 2 * channels, 0)
-        before, own, after, up, down = here[:n], here[channels:], here[2 * channels :], above[channels:], below[channels:]
+        before, own, after = here[:n], here[channels:], here[2 * channels :]
+        up, down = above[channels:], below[channels:]
         middle = line[channels:]
         for k in range(n):
             middle[k] = np.int16(own[k]) * 16 + 6 - before[k] - after[k] - up[k] - down[k]
