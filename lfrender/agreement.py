@@ -64,8 +64,13 @@ def _walk(cost, chain, slope, jump, total):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _walk_all(cost, chains, starts, slope, jump, total):
+def _walk_all(cost, chains, starts, slope, jump, wanted, total):
     for c in prange(len(starts) - 1):
+        some = False
+        for k in range(starts[c], starts[c + 1]):
+            some = some or wanted[chains[k]]
+        if not some:
+            continue
         _walk(cost, chains[starts[c] : starts[c + 1]], slope, jump, total)
 
 
@@ -103,6 +108,7 @@ def aggregate(
     backward: NDArray[np.int32],
     slope: float,
     jump: float,
+    wanted: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
     """Sum of path costs from all lattice directions (Hirschmueller, Semi-Global Matching, 2008, section 2.2).
 
@@ -116,10 +122,13 @@ def aggregate(
         Price of a step of one shift between neighbours.
     jump : float
         Largest price between neighbours: a depth edge.
+    wanted : (n,) bool, optional
+        Lenses whose sums are asked for; those of others may lack paths.
     """
+    wanted = np.ones(len(cost), bool) if wanted is None else wanted
     total = np.zeros_like(cost)
     # Rows of lenses belong to the lattice, and neighbour rows live as long as that.
     found, other = remembered(forward, "chains", lambda: (_all_chains(forward, backward), backward))
     for chains, starts in found if other is backward else _all_chains(forward, backward):
-        _walk_all(cost, chains, starts, np.float32(slope), np.float32(jump), total)
+        _walk_all(cost, chains, starts, np.float32(slope), np.float32(jump), wanted, total)
     return total

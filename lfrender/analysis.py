@@ -321,9 +321,9 @@ def lens_by_lens(
     shaded = (np.abs(rest) < _SHADED_REACH * lattice.pitch) & ~_populated(rest, occurring, gap)
     rest[shaded] = np.nan
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
-    old = None if before is None else before.surface
+    old, settled = None if before is None else before.surface, None if kept is None else ~grown(~kept, neighbours)
     others = np.stack([seconds, rest], 1)
-    surface = spread(texture.flat, lattice, drawn, others, trust, texture.noise, setting.cells, ~near, old)
+    surface = spread(texture.flat, lattice, drawn, others, trust, texture.noise, setting.cells, settled, old)
     # A lens that sees two depths answers with the one in its middle.
     middle = surface.at(lattice.centres())
     crossed = resolved & (np.abs(middle - drawn) > gap)

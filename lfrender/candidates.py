@@ -234,11 +234,12 @@ def _mean_around(count, there_x, there_y, sizes, trusts, x, y, vote2):
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def propose(
     image, centres, radius, pitch, values, seconds, trust, calm, grid, low, origin, inverse, bend, bend_low, ring,
-    gap, floor, first, spacing, vote2, step, depths, costs,
+    gap, floor, first, spacing, vote2, step, settled, old, depths, costs,
 ):  # fmt: skip
     """Candidate depths of each scene point, from the lenses around it, in `depths`, their mismatch in `costs`.
 
-    Unused places are NaN. A point on whose depth all lenses around agree has one candidate, of cost 0.
+    About lenses that are `settled` the only one is that of the `old` surface, which may else be (0, 0). Unused places
+    are NaN. A point on whose depth all lenses around agree has one candidate, of cost 0.
     """
     rows, columns, most = depths.shape
     nearby = len(ring)
@@ -268,6 +269,9 @@ def propose(
             at_i, at_j = nearest_index(first + u * spacing, first + v * spacing, origin, inverse, bend, bend_low)
             i, j = int(at_i), int(at_j)
             lens = _lens_at(grid, low, i, j)
+            if lens >= 0 and old.size > 0 and settled[lens]:
+                depths[v, u, 0], costs[v, u, 0] = old[v, u], 0.0
+                continue
             if lens >= 0 and calm[lens]:
                 if calm[lens] == _ALONE:
                     depths[v, u, 0] = values[lens]
