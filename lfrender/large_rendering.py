@@ -211,7 +211,7 @@ class _Run:
     ) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.float32]]]:
         needed = [self.drawing.needed(tiles[number]) for number in numbers]
         for number, (part, pixels) in zip(numbers, self.parts.ahead(needed), strict=True):
-            yield number, *self.drawing.draw(pixels, part[:2], tiles[number])
+            yield number, *self.drawing.draw(pixels, part[:2], tiles[number], stored=True)
 
     def _store(self, tile: Part, image: NDArray[np.float32], valid: NDArray[np.bool_]) -> None:
         pixels = as_stored(image, self.dtype)
