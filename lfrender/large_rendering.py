@@ -237,7 +237,7 @@ class _Run:
 
 def _drawn(drawing: Drawing, tile: Part, pixels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """A tile of the picture from the part of the flat that it needs."""
-    return drawing.draw(pixels, drawing.needed(tile)[:2], tile)
+    return drawing.draw(pixels, drawing.needed(tile)[:2], tile, stored=True)
 
 
 def _drawn_to_send(drawing: Drawing, tile: Part, pixels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
