@@ -291,7 +291,8 @@ def as_stored(image: NDArray, dtype: np.dtype) -> NDArray:
     """Round and clip to the range of `dtype`, in place; a picture of that type is stored as it is."""
     if dtype.kind == "f" or image.dtype == dtype:
         return image.astype(dtype, copy=False)
-    np.rint(image, out=image)
+    # As the kernels do it, which cut off.
+    image += image.dtype.type(0.5)
     return np.clip(image, 0, np.iinfo(dtype).max, out=image).astype(dtype)
 
 
