@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatError, Lattice
 
+from .certainty import certainty, confirmed, repeated, widened
 from .consensus import measure
 from .depthmap import DepthMap
 from .flatcheck import check_flat
@@ -76,6 +77,8 @@ _SHARED = 0.25
 # Unrelated content reaches this correlation at some shift; neighbours that do agree to this share of the pitch only
 # where it is no chance.
 _BY_CHANCE, _ALIKE = 0.4, 0.06
+# Of texture that is mostly noise, correlation tells no more about how much of it is explained.
+_LEAST_SIGNAL = 0.1
 # Rows of a plane's surface that are found at once.
 _STRIP = 64
 # Beyond this share of the pitch, and with less correlation than faint texture must have, a match is believed when its
@@ -285,12 +288,8 @@ def lens_by_lens(
     measured = np.isfinite(lenses.patch_size)
     refined = np.where(measured, lenses.patch_size, found.patch_size)
     error = np.where(measured, lenses.standard_error, np.inf)
-    agreed = _agreed(refined, error, neighbours, lattice.pitch)
-    reason = _reasons(textured, found, refined, agreed, lattice.pitch)
     signal = 1 - np.minimum(texture.noise / np.maximum(texture.statistics.contrast, 1e-12), 1) ** 2
-    reason[(reason == 0) & _unmeasured(refined, error, neighbours, lattice.pitch)] = 2
-    reason[_by_chance(reason == 0, found, refined, signal, neighbours, lattice.pitch)] = 3
-    sure = np.where(textured, found.confidence, 0)
+    reason, error, sure = _judged(textured, found, refined, error, signal, neighbours, lattice.pitch)
     if kept is not None and before is not None:
         refined, error, sure, reason = (
             np.where(kept, earlier, new)
@@ -425,6 +424,33 @@ def _following(
         scaled(before, small, 1 / factor),
     )
     return scaled(depth, lattice, factor)
+
+
+def _judged(
+    textured: NDArray[np.bool_],
+    found: Found,
+    refined: NDArray,
+    error: NDArray,
+    signal: NDArray[np.float32],
+    neighbours: NDArray[np.int32],
+    pitch: float,
+) -> tuple[NDArray[np.int8], NDArray, NDArray]:
+    """Reason, standard error and confidence of every lens, as `DepthMap`, from what it and those around it measure.
+
+    `signal` (n,) is the share of the contrast squared that is no noise: what a right match may correlate at best.
+    """
+    reason = _reasons(textured, found, refined, _agreed(refined, error, neighbours, pitch), pitch)
+    reason[(reason == 0) & _unmeasured(refined, error, neighbours, pitch)] = 2
+    reason[_by_chance(reason == 0, found, refined, signal, neighbours, pitch)] = 3
+    explained = found.explained / np.maximum(signal, _LEAST_SIGNAL)
+    beside = confirmed(reason == 0, refined, explained, neighbours, pitch)
+    reason[(reason > 1) & beside & (np.abs(refined) <= _RESOLVABLE * pitch)] = 0
+    single = (reason == 0) & (found.rivals >= _SURE)
+    occurring = _populated(refined, refined[single], 0.5 * _ALIKE * pitch)
+    reason[repeated(reason == 0, found.rivals, occurring, neighbours)] = 2
+    error = widened(error, explained)
+    sure = np.where(textured, np.minimum(found.confidence, found.rivals), 0)
+    return reason, error, certainty(sure, refined, error, explained, neighbours, pitch)
 
 
 def _agreed(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float) -> NDArray[np.bool_]:

@@ -77,6 +77,8 @@ def find_plane(
     matcher = Matcher(texture, forward, backward, setting)
     cost = matcher.costs(matcher.pairs(sample))[sample]
     best = cost.argmin(1)
+    if matcher.repeats(cost):
+        return None
     start = np.full(len(lattice), np.nan, np.float32)
     start[sample] = (matcher.shifts[best] + parabola_peak(cost, best) * matcher.step) * matcher.factor
     points, sizes = _places(_pairs(texture, forward, start, setting), texture.flat, forward)
