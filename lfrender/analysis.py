@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatError, Lattice
 
-from .certainty import certainty, confirmed, repeated, widened
+from .certainty import certainty, confirmed, misled, repeated, signal_share, widened
 from .consensus import measure
 from .depthmap import DepthMap
 from .flatcheck import check_flat
@@ -77,8 +77,6 @@ _SHARED = 0.25
 # Unrelated content reaches this correlation at some shift; neighbours that do agree to this share of the pitch only
 # where it is no chance.
 _BY_CHANCE, _ALIKE = 0.4, 0.06
-# Of texture that is mostly noise, correlation tells no more about how much of it is explained.
-_LEAST_SIGNAL = 0.1
 # Rows of a plane's surface that are found at once.
 _STRIP = 64
 # Beyond this share of the pitch, and with less correlation than faint texture must have, a match is believed when its
@@ -288,7 +286,8 @@ def lens_by_lens(
     measured = np.isfinite(lenses.patch_size)
     refined = np.where(measured, lenses.patch_size, found.patch_size)
     error = np.where(measured, lenses.standard_error, np.inf)
-    signal = 1 - np.minimum(texture.noise / np.maximum(texture.statistics.contrast, 1e-12), 1) ** 2
+    signal = signal_share(texture)
+    astray = misled(error, found.explained / signal)
     reason, error, sure = _judged(textured, found, refined, error, signal, neighbours, lattice.pitch)
     if kept is not None and before is not None:
         refined, error, sure, reason = (
@@ -303,6 +302,7 @@ def lens_by_lens(
     resolved = reason == 0
     plane = regular_plane(lattice, refined, error, resolved, neighbours) if kept is None and overview is None else None
     if plane is not None:
+        plane = replace(plane, misled=float(np.median(astray[resolved & np.isfinite(error)])))
         # A plane confirms what few pairs at the border of the flat could not.
         own = plane.at(lattice.centres())
         near_plane = (np.abs(refined - own) <= 2 * _AGREED * lattice.pitch) & (
@@ -442,7 +442,7 @@ def _judged(
     reason = _reasons(textured, found, refined, _agreed(refined, error, neighbours, pitch), pitch)
     reason[(reason == 0) & _unmeasured(refined, error, neighbours, pitch)] = 2
     reason[_by_chance(reason == 0, found, refined, signal, neighbours, pitch)] = 3
-    explained = found.explained / np.maximum(signal, _LEAST_SIGNAL)
+    explained = found.explained / signal
     beside = confirmed(reason == 0, refined, explained, neighbours, pitch)
     reason[(reason > 1) & beside & (np.abs(refined) <= _RESOLVABLE * pitch)] = 0
     single = (reason == 0) & (found.rivals >= _SURE)

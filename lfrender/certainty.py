@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["certainty", "confirmed", "repeated", "widened"]
+from .texture import Texture
+
+__all__ = ["certainty", "confirmed", "misled", "repeated", "signal_share", "widened"]
 
 # The part of the texture that a match leaves unexplained misleads all pairs of a lens together, which their scatter
 # cannot show: factor of a standard error where all is explained, and what is added in squares for the share that is
@@ -18,10 +20,18 @@ _UNRELATED = 0.03
 _DOUBTFUL, _ALONE = 0.6, 0.3
 _ALIKE, _ALIKE_PX = 0.03, 0.3
 _HALF = 0.5
+# Of texture that is mostly noise, correlation tells no more about how much of it is explained.
+_LEAST_SIGNAL = 0.1
 # Lenses that explain this much of their texture confirm others, so many of them together.
 _WELL, _CONFIRMING = 0.25, 2
 # Lenses that could not be measured on their pixels: less than even.
 _UNMEASURED = 0.4
+
+
+def signal_share(texture: Texture) -> NDArray:
+    """(n,) share of the contrast squared of each lens that is no noise: what a right match may correlate at best."""
+    noise = np.minimum(texture.noise / np.maximum(texture.statistics.contrast, 1e-12), 1)
+    return np.asarray(np.maximum(1 - noise**2, _LEAST_SIGNAL))
 
 
 def widened(error: NDArray, explained: NDArray) -> NDArray:
@@ -34,7 +44,13 @@ def widened(error: NDArray, explained: NDArray) -> NDArray:
     explained : (n,)
         Share of the texture that the match explains, noise apart.
     """
-    return np.asarray(error * np.hypot(_EXPLAINED, _MISLED * (1 - np.clip(explained, 0, 1))))
+    return np.hypot(_EXPLAINED * error, misled(error, explained))
+
+
+def misled(error: NDArray | float, explained: NDArray) -> NDArray:
+    """(n,) the part [px] of `widened` errors that pairs do not show, and that all lenses of a surface may share."""
+    # Nothing is known of infinite errors, even where all is explained.
+    return np.asarray(_MISLED * (1 - np.clip(explained, 0, 0.999)) * error)
 
 
 def certainty(

@@ -1,12 +1,14 @@
 """Confidence and standard errors: what is doubtful says so."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfrender.certainty import certainty, confirmed, repeated, widened
+from lfrender.plane import fit_plane
 from lfrender.rivals import without_rivals
 
 # Lens 0 in the middle of a hexagon of six; the others look at it alone.
@@ -83,3 +85,12 @@ def test_a_texture_that_repeats_along_the_lattice_claims_nothing_wrong():
         depth = lfrender.analyze(shot.flat, shot.truth.calibration)
         wrong = np.abs(depth.patch_size - shot.truth.patch_size) > 0.5
         assert (wrong & (depth.confidence > 0.5)).mean() < 0.01
+
+
+def test_what_misleads_each_lens_of_a_plane_widens_the_error_of_the_plane():
+    points = np.random.default_rng(1).uniform(0, 400, (200, 2))
+    sizes = 9.0 + 0.05 * np.random.default_rng(2).standard_normal(200)
+    plane = fit_plane(points, sizes, 25.0)
+    clear, doubtful = (replace(plane, misled=m).standard_error(points).mean() for m in (0.0, 0.1))
+    assert clear < 0.01
+    assert 0.04 < doubtful < 0.06
