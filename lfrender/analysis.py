@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
 
+from .certainty import certainty, confirmed, misled, repeated, signal_share, widened
 from .consensus import measure
 from .depthmap import DepthMap
 from .flatcheck import check_flat
@@ -279,12 +280,9 @@ def lens_by_lens(
     measured = np.isfinite(lenses.patch_size)
     refined = np.where(measured, lenses.patch_size, found.patch_size)
     error = np.where(measured, lenses.standard_error, np.inf)
-    agreed = _agreed(refined, error, neighbours, lattice.pitch)
-    reason = _reasons(textured, found, refined, agreed, lattice.pitch)
-    signal = 1 - np.minimum(texture.noise / np.maximum(texture.statistics.contrast, 1e-12), 1) ** 2
-    reason[(reason == 0) & _unmeasured(refined, error, neighbours, lattice.pitch)] = 2
-    reason[_by_chance(reason == 0, found, refined, signal, neighbours, lattice.pitch)] = 3
-    sure = np.where(textured, found.confidence, 0)
+    signal = signal_share(texture)
+    astray = misled(error, found.explained / signal)
+    reason, error, sure = _judged(textured, found, refined, error, signal, neighbours, lattice.pitch)
     if kept is not None and before is not None:
         refined, error, sure, reason = (
             np.where(kept, earlier, new)
@@ -298,6 +296,7 @@ def lens_by_lens(
     resolved = reason == 0
     plane = regular_plane(lattice, refined, error, resolved, neighbours) if kept is None and overview is None else None
     if plane is not None:
+        plane = replace(plane, misled=float(np.median(astray[resolved & np.isfinite(error)])))
         # A plane confirms what few pairs at the border of the flat could not.
         own = plane.at(lattice.centres())
         near_plane = (np.abs(refined - own) <= 2 * _AGREED * lattice.pitch) & (
@@ -381,6 +380,33 @@ def _saved(
     if kept is not None:
         saved["still"] = float(kept.mean())
     return saved
+
+
+def _judged(
+    textured: NDArray[np.bool_],
+    found: Found,
+    refined: NDArray,
+    error: NDArray,
+    signal: NDArray[np.float32],
+    neighbours: NDArray[np.int32],
+    pitch: float,
+) -> tuple[NDArray[np.int8], NDArray, NDArray]:
+    """Reason, standard error and confidence of every lens, as `DepthMap`, from what it and those around it measure.
+
+    `signal` (n,) is the share of the contrast squared that is no noise: what a right match may correlate at best.
+    """
+    reason = _reasons(textured, found, refined, _agreed(refined, error, neighbours, pitch), pitch)
+    reason[(reason == 0) & _unmeasured(refined, error, neighbours, pitch)] = 2
+    reason[_by_chance(reason == 0, found, refined, signal, neighbours, pitch)] = 3
+    explained = found.explained / signal
+    beside = confirmed(reason == 0, refined, explained, neighbours, pitch)
+    reason[(reason > 1) & beside & (np.abs(refined) <= _RESOLVABLE * pitch)] = 0
+    single = (reason == 0) & (found.rivals >= _SURE)
+    occurring = _populated(refined, refined[single], 0.5 * _ALIKE * pitch)
+    reason[repeated(reason == 0, found.rivals, occurring, neighbours)] = 2
+    error = widened(error, explained)
+    sure = np.where(textured, np.minimum(found.confidence, found.rivals), 0)
+    return reason, error, certainty(sure, refined, error, explained, neighbours, pitch)
 
 
 def _agreed(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float) -> NDArray[np.bool_]:

@@ -223,7 +223,8 @@ def _draw(
     aperture: float = 1.0,
     agreement: float = _AGREEMENT,
     viewpoint: Viewpoint = _MIDDLE,
-) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.float64]]:
+    stored: bool = False,
+) -> tuple[NDArray, NDArray[np.bool_], NDArray[np.float64]]:
     """The picture in the flat's units, which of its pixels some lens has seen, and the affine to scene coordinates."""
     drawing = Drawing(calibration, surface, scale, blend, blur, reach, agreement, aperture, viewpoint)
-    return *drawing.draw(pixels), drawing.affine
+    return *drawing.draw(pixels, stored=stored), drawing.affine

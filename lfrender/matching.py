@@ -10,7 +10,7 @@ from .fastmath import FAST
 from .microimages import Strips, cut_out, joint_masks
 from .radiance import GrayFlat
 
-__all__ = ["pair_costs"]
+__all__ = ["half_trust", "pair_costs"]
 
 # Part of a difference in mean brightness that counts as mismatch: neighbouring lenses may differ a
 # little in gain, but on a smooth slope their means are all that tells the depth.
@@ -173,6 +173,11 @@ def _shifts_met(
     return (np.concatenate(found)[:, None] + near).reshape(-1, 2)
 
 
+def half_trust(gray: GrayFlat) -> float:
+    """So many pixels that two microimages share make a match count half."""
+    return float(_HALF_TRUST * np.pi * gray.radius**2)
+
+
 def pair_costs(
     gray: GrayFlat,
     rows: NDArray[np.int32],
@@ -231,7 +236,7 @@ def pair_costs(
     which = np.arange(len(shifts)) if which is None else which
     done = np.zeros(len(active), bool) if done is None else done
     about = np.empty(0, np.float32) if about is None else about.astype(np.float32)
-    half = np.float32(_HALF_TRUST * np.pi * gray.radius**2)
+    half = np.float32(half_trust(gray))
     if strips is None:
         strips = cut_out(gray, means, row_step)
     _pair_costs(

@@ -22,7 +22,9 @@ _DEGREE, _EVEN = 3, 0.025
 _FLOOR = 0.006
 # Systematic error of a patch size [px] that no number of lenses averages out, and what it grows by [pitches] with the
 # cube of |s| / D, as neighbours come to share no more than their rims: as measured on the planes of two ray tracers.
-_UNSEEN, _UNSEEN_GROWTH = 0.002, 0.0015
+_UNSEEN, _UNSEEN_GROWTH = 0.0016, 0.0012
+# Share of what misleads the pairs of each lens that all lenses of a plane have in common.
+_COMMON = 0.5
 # Lenses on the plane are at most so many times the scatter away from it.
 _OUTLYING = 4.0
 # A lens strays from the plane by more than so many of its standard errors, and this much [px]; it and so many others
@@ -47,12 +49,15 @@ class Plane:
     covariance : (3, 3) float64
         Of `inverse`.
     pitch : float [px]
+    misled : float [px]
+        What the texture that its matches leave unexplained may have done to each lens.
     """
 
     inverse: NDArray[np.float64]
     scatter: float
     covariance: NDArray[np.float64]
     pitch: float
+    misled: float = 0.0
 
     @property
     def slanted(self) -> bool:
@@ -68,7 +73,7 @@ class Plane:
         terms = np.stack([np.ones(len(points)), *points.T], 1)
         variance = np.einsum("ni,ij,nj->n", terms, self.covariance, terms) * self.at(points) ** 4
         shared = np.hypot(_UNSEEN, _UNSEEN_GROWTH * self.pitch * (np.abs(self.at(points)) / self.pitch) ** 3)
-        return np.hypot(shared, np.sqrt(np.maximum(variance, 0)))
+        return np.hypot(np.hypot(shared, _COMMON * self.misled), np.sqrt(np.maximum(variance, 0)))
 
 
 def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> Plane | None:

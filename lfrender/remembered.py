@@ -10,8 +10,9 @@ __all__ = ["remembered"]
 
 _Value = TypeVar("_Value")
 
-# By the identity of the owner, since cameras hold arrays and compare and hash as those do. An entry goes with its owner.
-_kept: dict[int, tuple[weakref.ref[Any], dict[Hashable, Any]]] = {}
+# By the identity of the owner, since cameras hold arrays, and compare and hash as those do. An entry goes with its
+# owner.
+_kept: dict[int, dict[Hashable, Any]] = {}
 
 
 def remembered(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
@@ -20,18 +21,11 @@ def remembered(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
     Values are shared: nobody may write into them. They must not refer to their owner, or both would stay for good.
     """
     at = id(owner)
-    entry = _kept.get(at)
-    if entry is None or entry[0]() is not owner:
-        entry = weakref.ref(owner, lambda gone: _forget(at, gone)), {}
-        _kept[at] = entry
-    values = entry[1]
+    values = _kept.get(at)
+    if values is None:
+        values = _kept[at] = {}
+        weakref.finalize(owner, _kept.pop, at, None).atexit = False
     if key not in values:
         values[key] = make()
     kept: _Value = values[key]
     return kept
-
-
-def _forget(at: int, gone: weakref.ref[Any]) -> None:
-    entry = _kept.get(at)
-    if entry is not None and entry[0] is gone:
-        del _kept[at]

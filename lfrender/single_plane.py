@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Lattice
 
+from .certainty import misled, signal_share
 from .modes import confidence, parabola_peak
 from .neighbours import beside
 from .plane import TEXTURED, Plane, fit_plane, strays
@@ -77,6 +78,8 @@ def find_plane(
     matcher = Matcher(texture, forward, backward, setting)
     cost = matcher.costs(matcher.pairs(sample))[sample]
     best = cost.argmin(1)
+    if matcher.repeats(cost):
+        return None
     start = np.full(len(lattice), np.nan, np.float32)
     start[sample] = (matcher.shifts[best] + parabola_peak(cost, best) * matcher.step) * matcher.factor
     points, sizes = _places(_pairs(texture, forward, start, setting), texture.flat, forward)
@@ -93,6 +96,8 @@ def find_plane(
         plane = fit_plane(*_places(_pairs(texture, forward, start, setting), texture.flat, forward), lattice.pitch)
         if plane is None:
             return None
+    explained = evidence / np.interp(about / matcher.factor, matcher.shifts, matcher.trust) / signal_share(texture)
+    plane = replace(plane, misled=float(misled(plane.scatter, np.median(explained[texture.clear]))))
     paths = 2 * forward.shape[1]
     sure = float(np.median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance())))
     return PlaneScene(plane, sure, evidence, float(sample.mean()))
