@@ -258,7 +258,7 @@ def propose(
         sorted_costs = np.empty(_MOST_VIEWS, np.float32)
         # The lenses around that by which the last scene points lay, one after the other for a vector loop.
         around = 0
-        around_i, around_j = np.int64(2**62), np.int64(0)
+        around_i, around_j = 2**62, 0
         there_x, there_y = np.empty(nearby, np.float32), np.empty(nearby, np.float32)
         there_sizes, there_trust = np.empty(nearby, np.float32), np.empty(nearby, np.float32)
         for u in range(columns):

@@ -115,9 +115,7 @@ def _hopeless(places: NDArray[np.float64], terms: NDArray[np.float64], sizes: ND
     return _even(places, sizes - 1 / (terms @ _inverse(terms, sizes, _ROUNDS // 2)), _NO_CHANCE) is None
 
 
-def _inverse(
-    terms: NDArray[np.float64], sizes: NDArray[np.float64], rounds: int = _ROUNDS
-) -> NDArray[np.float64]:
+def _inverse(terms: NDArray[np.float64], sizes: NDArray[np.float64], rounds: int = _ROUNDS) -> NDArray[np.float64]:
     """(k,) robust linear fit to 1 / s, every lens with the same error of s (weights after Geman and McClure)."""
     inverse = np.zeros(terms.shape[1])
     inverse[0] = 1 / np.median(sizes)
@@ -137,9 +135,7 @@ def _inverse(
     return inverse
 
 
-def _even(
-    places: NDArray[np.float64], residual: NDArray[np.float64], deviations: float = _UNCERTAIN
-) -> float | None:
+def _even(places: NDArray[np.float64], residual: NDArray[np.float64], deviations: float = _UNCERTAIN) -> float | None:
     """Scatter [px] of lenses about a plane; None where too few lie on it, or a smooth surface leaves it."""
     scatter = 1.48 * float(np.median(np.abs(residual)))
     inside = np.abs(residual) < _OUTLYING * max(scatter, _FLOOR)

@@ -10,7 +10,7 @@ __all__ = ["remembered"]
 
 _Value = TypeVar("_Value")
 
-# By the identity of the owner, since cameras hold arrays and compare and hash as those do. An entry goes with its owner.
+# By the identity of the owner: cameras hold arrays, and compare as those do. An entry goes with its owner.
 _kept: dict[int, tuple[weakref.ref[Any], dict[Hashable, Any]]] = {}
 
 
