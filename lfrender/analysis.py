@@ -122,8 +122,9 @@ def analyze(
         Only lenses with their centre in this part of the flat are analysed; the others are unresolved.
     previous : (flat, DepthMap), optional
         An earlier frame of the same camera and exposure, and its answer with the same preset: lenses that show
-        the same there as now, and whose neighbours do, keep it; so do lenses that move, but still match at their depth. Over many frames with slow changes give the frame
-        that was analysed, not the last one, or changes smaller than the noise add up.
+        the same there as now, and whose neighbours do, keep it; so do lenses that move, but still match at their
+        depth. Over many frames with slow changes give the frame that was analysed, not the last one, or changes
+        smaller than the noise add up.
 
     Returns
     -------

@@ -216,6 +216,18 @@ def calm_lenses(values, seconds, trust, indices, grid, low, ring, gap):
     return calm
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _all_settled(settled, grid, low, ring, i, j, lens):
+    """Whether a lens is settled, or, beyond the last ones, all about its place are."""
+    if lens >= 0:
+        return settled[lens]
+    for r in range(len(ring)):
+        other = _lens_at(grid, low, i + ring[r, 0], j + ring[r, 1])
+        if other >= 0 and not settled[other]:
+            return False
+    return True
+
+
 # Python's error model checks every division, which no vector loop can.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _mean_around(count, there_x, there_y, sizes, trusts, x, y, vote2):
@@ -258,7 +270,7 @@ def propose(
         sorted_costs = np.empty(_MOST_VIEWS, np.float32)
         # The lenses around that by which the last scene points lay, one after the other for a vector loop.
         around = 0
-        around_i, around_j = np.int64(2**62), np.int64(0)
+        around_i, around_j = 2**62, 0
         there_x, there_y = np.empty(nearby, np.float32), np.empty(nearby, np.float32)
         there_sizes, there_trust = np.empty(nearby, np.float32), np.empty(nearby, np.float32)
         for u in range(columns):
@@ -269,7 +281,7 @@ def propose(
             at_i, at_j = nearest_index(first + u * spacing, first + v * spacing, origin, inverse, bend, bend_low)
             i, j = int(at_i), int(at_j)
             lens = _lens_at(grid, low, i, j)
-            if lens >= 0 and old.size > 0 and settled[lens]:
+            if old.size > 0 and _all_settled(settled, grid, low, ring, i, j, lens):
                 depths[v, u, 0], costs[v, u, 0] = old[v, u], 0.0
                 continue
             if lens >= 0 and calm[lens]:

@@ -145,9 +145,7 @@ def _check_previous(
     if depth is None or part:
         raise ValueError("previous needs depth, and the whole picture without roi and sharpen")
     if scale is not None and scale != picture.scale:
-        raise ValueError(
-            f"the earlier picture has {picture.scale} pixels per pitch, not {scale}; draw without previous"
-        )
+        raise ValueError(f"the earlier picture has scale {picture.scale}, not {scale}; draw without previous")
     channels = picture.image.shape[2] if picture.image.ndim == 3 else 1
     if picture.image.dtype != pixels.dtype or channels != pixels.shape[2]:
         raise ValueError(

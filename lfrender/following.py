@@ -92,7 +92,17 @@ def following(
 
 @dataclass(frozen=True)
 class _Probe:
-    """How lenses match at and about the depth they had: `cost` (n,), and (n,) where the least cost is [px of search]."""
+    """How lenses match at and about the depth they had.
+
+    Parameters
+    ----------
+    cost : (n,) float32
+        At that depth.
+    offset : (n,) float32 [px of the search]
+        From there to the least cost.
+    clear, textured : (n,) bool
+        Lenses with texture, and with any that a match may tell from noise.
+    """
 
     cost: NDArray[np.float32]
     offset: NDArray[np.float32]

@@ -69,9 +69,9 @@ def draw_rows(
     the share of an output pixel's side over which lenses have averaged already. Microimages are read about `view`
     (2,) [px] beside their centres, which moves places as `warping.py` describes; output pixel (0, 0) lies at `first`
     (2,). `flat` and `seen` are the part from the pixel `corner` (2,) on of a flat of `size` (2,), and hold all that is
-    read; `out` is the part of the picture from the pixel `start` (2,) on. The answers are those of the whole. Pixels of it
-    that are not `wanted` (h, w) stay as they are; (0, 0) wants all. `half` is added to values of at most `top`, so that
-    cutting off rounds them.
+    read; `out` is the part of the picture from the pixel `start` (2,) on. The answers are those of the whole.
+    Pixels of it that are not `wanted` (h, w) stay as they are; (0, 0) wants all. `half` is added to values, which are
+    then `top` at most, so that cutting off rounds them.
     """
     width, height, channels = size[0], size[1], len(marks)
     rows, columns, _ = out.shape
@@ -167,7 +167,7 @@ def draw_rows(
                         ex, ey = ex - bend_x, ey - bend_y
                     d2 = ex * ex + ey * ey
                     members[near], away_x[near], away_y[near], away_2[near] = o, ex, ey, d2
-                    near += np.int64(d2 <= limit2)
+                    near += int(d2 <= limit2)
                 near = min(near, MAX_LENSES)
                 whole_x, whole_y = np.floor(x), np.floor(y)
                 left_x, left_y = np.float32(x - whole_x) + view_x, np.float32(y - whole_y) + view_y
@@ -196,7 +196,7 @@ def draw_rows(
                             ix, fx = width - 2, np.float32(1.0)
                         if iy > height - 2:
                             iy, fy = height - 2, np.float32(1.0)
-                    ring = np.uint64(min(np.int32(delta2 * per_light_step), last_ring))
+                    ring = np.uint64(min(int(delta2 * per_light_step), last_ring))
                     gain = gains[ring]
                     # Unsigned: signed indices are looked at for being counted from the end.
                     row_at, column_at = np.uint64(iy - corner[1]), np.uint64(ix - corner[0])

@@ -28,6 +28,8 @@ _LEAST_TRUSTED = 0.3
 # Interpolation and smoothing read so far beyond [px]. Within this share of the way to a neighbour pixels belong to a
 # lens alone, even as coordinates are rounded, and at the third number where a distortion changes the way.
 _BEYOND, _UNSHARED, _UNSHARED_BENT = 3.0, 0.4995, 0.49
+# Bytes of no more rows than this are summed as such.
+_MOST_TOGETHER = 64
 # Cameras with no more pixels than this keep what corrects them [px].
 _MOST_KEPT = 1 << 25
 # A pixel made of several at the rim mixes light from beyond it [px].
@@ -234,10 +236,9 @@ def gray_flat(
     if factor == 1:
         _mean_channels(rows, flat.shape[2], 1.0 / white_level(flat), gain, image)
     else:
-        # Sums of that many bytes fit into two.
-        like = np.empty(
-            0, np.uint16 if rows.dtype == np.uint8 and factor * factor * flat.shape[2] < 256 else np.float32
-        )
+        # Sums of so few bytes fit into two.
+        short = rows.dtype == np.uint8 and factor <= _MOST_TOGETHER
+        like = np.empty(0, np.uint16 if short else np.float32)
         _mean_blocks(rows, flat.shape[2], factor, 1.0 / white_level(flat), gain, like, image)
         radius = radius / factor - _MIXED
     centres = lattice.centres().astype(np.float32)

@@ -1,4 +1,4 @@
-"""Which pixels of a picture have to be drawn again after an earlier frame: those that some changed lens takes part in."""
+"""Which pixels of a picture are drawn again after an earlier frame: those in which some changed lens takes part."""
 
 from __future__ import annotations
 

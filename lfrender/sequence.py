@@ -148,8 +148,8 @@ def changed_lenses(before: NDArray, now: NDArray, calibration: Calibration) -> N
     side = _BLOCK if radius >= _ROOMY else _SMALL_BLOCK
     blocks = np.empty((4, max(height // side, 1), max(width // side, 1)), np.float32)
     like = np.empty(0, {"u1": np.int16, "u2": np.int32}.get(before.dtype.str[1:], np.float32))
-    rows = (np.ascontiguousarray(flat).reshape(height, -1) for flat in (before, now))
-    _compare_blocks(*rows, channels, side, like, blocks)
+    first, second = (np.ascontiguousarray(flat).reshape(height, -1) for flat in (before, now))
+    _compare_blocks(first, second, channels, side, like, blocks)
     centres = calibration.lattice.centres().astype(np.float32)
     out = np.empty((6, len(centres)), np.float32)
     within = max(radius - 0.5 * side, 0.75 * side)

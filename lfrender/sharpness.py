@@ -100,7 +100,7 @@ def _give_back_whole(flat, channels, highest, out):
 
 @njit(cache=True, nogil=True, parallel=True)
 def _give_back_bytes(flat, channels, out):
-    """As `_give_back_whole`, for bytes: the line between two loops keeps numbers to 16 bits, so that vectors hold more."""
+    """As `_give_back_whole`, for bytes: a line between two loops keeps numbers to 16 bits: vectors hold more."""
     height, width = flat.shape
     for y in prange(height):
         above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]

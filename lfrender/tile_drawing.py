@@ -185,7 +185,10 @@ class Drawing:
 
         Those are taken from an earlier picture: `image` (rows, columns, C) and what was `valid` of it.
         """
-        return self._rows(pixels, (0, 0), (0, 0, *self.size), image.copy(), valid.astype(np.float32), wanted)
+        image, seen = image.copy(), valid.astype(np.float32)
+        if wanted.any():
+            self._rows(pixels, (0, 0), (0, 0, *self.size), image, seen, wanted)
+        return image, seen
 
     def _rows(
         self,
