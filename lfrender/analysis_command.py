@@ -96,7 +96,7 @@ def analyze(
             depth, calibration = large_cli.analyze(report, flat, camera, white, output, preset, not exhaustive, on)
             with report.stage("write"):
                 _write_depth(depth, None, calibration, dense, picture, None, optics)
-            figures = {**camera_figures(calibration), **depth_figures(depth), **distance_figures(depth, optics)}
+            figures = {**camera_figures(calibration, depth), **depth_figures(depth), **distance_figures(depth, optics)}
             report.finish({"depth": str(output), **figures})
             return
     with report.stage("read"):
@@ -119,7 +119,7 @@ def analyze(
     with report.stage("write"):
         depth.save(output)
         _write_depth(depth, pixels, calibration, dense, picture, ply, optics)
-    figures = {**camera_figures(calibration), **depth_figures(depth), **distance_figures(depth, optics)}
+    figures = {**camera_figures(calibration, depth), **depth_figures(depth), **distance_figures(depth, optics)}
     report.finish({"depth": str(output), **figures})
 
 

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["camera_figures", "depth_figures", "distance_figures", "picture_figures", "settings_of"]
 
+# Even of a scene that is mostly blank more lenses than this share have no depth only where something is wrong.
+_NOTHING = 0.95
 _MODES = {"telescopic": 1, "binocular": -1, "unresolved": 0}
 
 
@@ -30,15 +32,30 @@ def settings_of(
     return {"rendering": "traditional"}
 
 
-def camera_figures(calibration: Calibration) -> dict[str, Any]:
-    """Pitch, lenses, and how far the calibration is to be trusted."""
+def camera_figures(calibration: Calibration, depth: DepthMap | None = None) -> dict[str, Any]:
+    """Pitch, lenses, how far the calibration is to be trusted, and what to beware of in it and in the depth."""
     return {
         "pitch": calibration.lattice.pitch,
         "lenses": len(calibration.lattice),
         "camera_source": calibration.source,
         "camera_confidence": calibration.confidence,
-        "warnings": list(calibration.warnings),
+        "warnings": [*calibration.warnings, *_warnings(depth)],
     }
+
+
+def _warnings(depth: DepthMap | None) -> list[str]:
+    if depth is None:
+        return []
+    import numpy as np
+
+    from .depthmap import REASONS
+
+    # Nothing is wrong with lenses that nobody asked for.
+    modes = np.asarray(depth.mode)[np.asarray(depth.reason) != REASONS.index("not analysed")]
+    missing = float(np.mean(modes == 0)) if modes.size else 0.0
+    if missing <= _NOTHING:
+        return []
+    return [f"{missing:.0%} of the lenses have no depth; is this a capture of a scene, and made with this camera?"]
 
 
 def depth_figures(depth: DepthMap) -> dict[str, Any]:

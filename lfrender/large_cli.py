@@ -127,7 +127,7 @@ def render(report: Any, asked: Asked) -> None:
                 raise click.UsageError(str(error)) from error
     figures = {
         "picture": str(asked.output), "size": list(made.size), "scale": made.scale, "valid": made.valid,
-        "affine": made.affine, "tiles": made.tiles, "tiles_kept": made.kept, **camera_figures(calibration),
+        "affine": made.affine, "tiles": made.tiles, "tiles_kept": made.kept, **camera_figures(calibration, depth),
         **(depth_figures(depth) if depth else {}),
     }  # fmt: skip
     report.finish(figures)

@@ -53,14 +53,14 @@ def view(
     if export is not None:
         with report.stage("write"):
             page = write_viewer(export, pixels, calibration, depth, flat.name)
-        report.finish({"page": str(page), "warnings": list(calibration.warnings)})
+        report.finish({"page": str(page), "warnings": camera_figures(calibration, depth)["warnings"]})
         return
     from .viewer_server import PageServer
 
     with report.stage("prepare"):
         server = PageServer(dict(viewer_files(pixels, calibration, depth, flat.name)), port)
     with server:
-        report.finish({"page": server.url, "warnings": list(calibration.warnings)})
+        report.finish({"page": server.url, "warnings": camera_figures(calibration, depth)["warnings"]})
         if not no_browser:
             click.launch(server.url)
         if not (quiet or as_json):
@@ -105,7 +105,7 @@ def report(
         pictures = draw_pictures(pixels, calibration, depth)
     with progress.stage("write"):
         write_report(output, pixels, calibration, depth, pictures, title=flat.name, seconds=dict(progress.seconds))
-    progress.finish({"report": str(output), **camera_figures(calibration), **depth_figures(depth)})
+    progress.finish({"report": str(output), **camera_figures(calibration, depth), **depth_figures(depth)})
 
 
 @click.command(epilog=console.examples("lfrender demo -o demo"))

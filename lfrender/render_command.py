@@ -159,7 +159,7 @@ def render(
             output, picture, alpha=alpha, settings=settings_of(depth, patch_size, width), embedded=read_embedded(flat),
             compress=compress,
         )  # fmt: skip
-    figures = {**camera_figures(calibration), **(depth_figures(depth) if depth else {})}
+    figures = {**camera_figures(calibration, depth), **(depth_figures(depth) if depth else {})}
     report.finish({"picture": str(output), **picture_figures(picture), **figures})
 
 

@@ -92,7 +92,7 @@ def magnification_histogram(depth: DepthMap) -> str:
     parts.append(f'<path d="M{_LEFT} {floor}H{_WIDTH - 8}" stroke="currentColor" opacity=".4"/>')
     for tick in _ticks(low, high):
         x = _LEFT + plot_width * np.log(tick / low) / np.log(high / low)
-        parts.append(f'<text x="{x:.1f}" y="{floor + 18}" text-anchor="middle">{tick:g}</text>')
+        parts.append(f'<text x="{x:.1f}" y="{floor + 23}" text-anchor="middle">{tick:g}</text>')
     parts.append(f'<text x="{_LEFT - 6}" y="18" text-anchor="end">{most:,}</text>')
     parts.append(f'<text x="{_LEFT - 6}" y="{floor}" text-anchor="end">0</text>')
     described = f"Histogram of the magnification of {int(sum(c.sum() for c in counts.values())):,} lenses"

@@ -104,7 +104,7 @@ def refocus(
             write_picture(output, pictures[0], settings=settings[0], embedded=read_embedded(flat))
             paths = [output]
     written = {"picture": str(output)} if len(paths) == 1 else {"pictures": [str(path) for path in paths]}
-    figures = {**picture_figures(pictures[0]), **camera_figures(calibration)}
+    figures = {**picture_figures(pictures[0]), **camera_figures(calibration, depth)}
     report.finish({**written, "patch_sizes": sizes, **figures})
 
 
@@ -192,7 +192,9 @@ def views(
                 write_picture(output, stereo_pair(*shown), settings=settings, embedded=read_embedded(flat))
             else:
                 write_grid(output, shown, columns, suffix, settings=settings, embedded=read_embedded(flat))
-    report.finish({"views": str(output), "offsets": offsets, **camera_figures(calibration), **depth_figures(depth)})
+    report.finish(
+        {"views": str(output), "offsets": offsets, **camera_figures(calibration, depth), **depth_figures(depth)}
+    )
 
 
 def _told(pictures: Iterable[Rendering], advance: Callable[[str], None]) -> Iterator[Rendering]:

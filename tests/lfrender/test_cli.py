@@ -70,6 +70,20 @@ def test_render_calibrates_from_the_flat_or_a_white_image(house, house_files, tm
         assert drawn["pitch"] == pytest.approx(house.camera.pitch, abs=0.1)
 
 
+def test_a_flat_in_which_no_lens_has_a_depth_is_asked_about(house_files, tmp_path):
+    found = figures_of(
+        "analyze", house_files / "white.png", "-c", house_files / "camera.json", "-o", tmp_path / "d.npz"
+    )
+    assert found["modes"]["unresolved"] > 0.95
+    assert "is this a capture of a scene" in found["warnings"][-1]
+    roi = ("--roi", 200, 150, 260, 210)
+    part = figures_of(
+        "analyze", house_files / "flat.png", *roi, "-c", house_files / "camera.json", "-o", tmp_path / "p.npz"
+    )
+    assert part["modes"]["unresolved"] > 0.95
+    assert part["warnings"] == []
+
+
 def test_depth_needs_nothing_but_the_flat(house, house_files, tmp_path):
     flat = house_files / "flat.png"
     for options, source in [((), "scene"), (("--white", house_files / "white.png"), "white")]:

@@ -1,8 +1,7 @@
-"""The viewer draws what the renderer draws, and does what mouse and keys ask for; its server serves nothing else."""
+"""The viewer draws what the renderer draws, and does what mouse and keys ask for."""
 
 from __future__ import annotations
 
-import http.client
 import json
 import signal
 import subprocess
@@ -26,7 +25,7 @@ from lfrender.depthmap import DepthMap
 from lfrender.sharpness import ready_to_read
 from lfrender.surface import Surface
 from lfrender.viewer_page import viewer_files, write_viewer
-from lfrender.viewer_server import PageServer, ServerError
+from lfrender.viewer_server import PageServer
 
 from ._browser import errors, pixels, start_browser, wait_for
 
@@ -301,45 +300,6 @@ def test_wheel_zooms_about_the_pointer(page):
     assert page.execute_script("return lightField.frame.spacing") == pytest.approx(spacing * np.exp(-0.5), rel=1e-3)
     after = page.execute_script("return lightField.frame.at(300, 200, lightField.width, lightField.height)")
     assert after == pytest.approx(at, abs=0.5)
-
-
-def answer(server, path, host=None, method="GET"):
-    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=5)
-    connection.putrequest(method, path, skip_host=True)
-    connection.putheader("Host", host or f"127.0.0.1:{server.server_port}")
-    connection.endheaders()
-    response = connection.getresponse()
-    content = response.read()
-    connection.close()
-    return response, content
-
-
-@pytest.fixture
-def small_server():
-    server = PageServer({"index.html": b"page", "data/a.js": b"data"})
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield server
-    server.shutdown()
-    server.server_close()
-
-
-def test_the_server_gives_its_own_files_to_this_machine_only(small_server):
-    assert small_server.server_address[0] == "127.0.0.1"
-    response, content = answer(small_server, "/")
-    assert (response.status, content) == (200, b"page")
-    assert response.getheader("Content-Security-Policy").startswith("default-src 'none'")
-    assert answer(small_server, "/data/a.js")[1] == b"data"
-    head, content = answer(small_server, "/index.html", method="HEAD")
-    assert (head.status, content, head.getheader("Content-Length")) == (200, b"", "4")
-    for path in ("/etc/passwd", "/../pyproject.toml", "//etc/passwd", "/data/", "/data/%2e%2e/index.html"):
-        assert answer(small_server, path)[0].status == 404
-    assert answer(small_server, "/", host="elsewhere.example")[0].status == 403
-    assert answer(small_server, "/", method="POST")[0].status == 501
-
-
-def test_a_port_that_is_taken_is_refused_by_name(small_server):
-    with pytest.raises(ServerError, match=f"port {small_server.server_port}"):
-        PageServer({"index.html": b""}, small_server.server_port)
 
 
 def test_tiles_cover_the_flat_and_share_what_reading_them_needs(captured):
