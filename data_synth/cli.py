@@ -62,7 +62,14 @@ def _list_scenes(ctx: click.Context, _param: click.Parameter, wanted: bool) -> N
     ctx.exit()
 
 
-@click.command(cls=_OneLine)
+_EXAMPLES = """\b
+Examples:
+  lfsynth house -o capture
+  lfsynth clutter -o capture --size 2000x1500 --pitch 34.9 --lattice square --noise 9000,5
+"""
+
+
+@click.command(cls=_OneLine, epilog=_EXAMPLES, context_settings={"help_option_names": ["-h", "--help"]})
 @click.argument("scene", type=click.Choice(list(SCENES)))
 @click.option(
     "-o", "--output", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder to write."
@@ -78,6 +85,8 @@ def _list_scenes(ctx: click.Context, _param: click.Parameter, wanted: bool) -> N
 @click.option("--samples", type=int, default=48, show_default=True, help="Rays per pixel.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the scene, the sampling and the noise.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@click.option("--quiet", is_flag=True, help="Print nothing.")
+@click.option("--verbose", is_flag=True, help="Print each stage on stderr, with its seconds, as soon as it has ended.")
 @click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_scenes, help="List the scenes.")
 def main(
     scene: str,
@@ -93,11 +102,20 @@ def main(
     samples: int,
     seed: int,
     as_json: bool,
+    quiet: bool,
+    verbose: bool,
 ) -> None:
     """Simulate SCENE with a focused plenoptic camera and write flat, white image and truth to a folder."""
     from .simulator import simulate
 
-    started = time.perf_counter()
+    started = last = time.perf_counter()
+
+    def ended(stage: str) -> None:
+        nonlocal last
+        last, before = time.perf_counter(), last
+        if verbose:
+            click.echo(f"{stage}: {last - before:.3f} s", err=True)
+
     focus = (-0.45, -0.3, -0.2) if types == "3" else 0.04
     camera = Camera.design(size, pitch, lattice, rotation, focus=focus)
     capture = simulate(
@@ -109,13 +127,20 @@ def main(
         bits=int(bits),
         gamma=not linear,
     )
+    ended("simulate")
     capture.save(output)
+    ended("write")
     summary = capture.summary() | {"folder": str(output), "seconds": round(time.perf_counter() - started, 2)}
     if as_json:
         click.echo(json.dumps(summary))
+    if as_json or quiet:
         return
     click.echo(
         f"{output}: {scene}, {size[0]} x {size[1]} px, {summary['lenses']} lenses "
         f"({summary['telescopic']} telescopic, {summary['binocular']} binocular, "
         f"{summary['unresolvable']} unresolvable), {summary['seconds']} s"
     )
+
+
+if __name__ == "__main__":
+    main()

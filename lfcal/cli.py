@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from .console import Program, Report, about, examples, report_options
+from .console import Input, Program, Report, about, examples, report_options, several_inputs
 from .outfile import check_output
 
 if TYPE_CHECKING:
@@ -16,10 +16,20 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-_PATH = click.Path(path_type=Path)
+_INPUT, _OUTPUT = Input(), click.Path(path_type=Path)
 
 
-@click.group(cls=Program, name="lfcal", context_settings={"help_option_names": ["-h", "--help"]})
+# What is looked for here and is found in another program.
+_ELSEWHERE = dict.fromkeys(("analyze", "batch", "demo", "refocus", "render", "report", "view", "views"), "lfrender")
+
+
+@click.group(
+    cls=Program,
+    name="lfcal",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    elsewhere=_ELSEWHERE,
+    for_a_file="calibrate {} -o camera.json",
+)
 @click.version_option(package_name="lfrender", prog_name="lfcal")
 def main() -> None:
     """Find the microimages of a focused plenoptic camera."""
@@ -32,8 +42,8 @@ def main() -> None:
         "lfcal calibrate scene.tif --kind scene --mosaic rggb -o camera.json",
     )
 )
-@click.argument("images", metavar="IMAGE...", type=_PATH, nargs=-1, required=True)
-@click.option("-o", "--output", type=_PATH, required=True, metavar="CAMERA.json", help="Camera file to write.")
+@several_inputs("images", "IMAGE...")
+@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="CAMERA.json", help="Camera file to write.")
 @click.option(
     "--kind",
     type=click.Choice(["auto", "white", "scene"]),
@@ -81,14 +91,14 @@ def calibrate(
 
 def _sized(command: Any) -> Any:
     """Give a command the two ways to say how large the flats of a published file are."""
-    command = click.option("--image", type=_PATH, help="An image of that size, instead of --size.")(command)
+    command = click.option("--image", type=_INPUT, help="An image of that size, instead of --size.")(command)
     return click.option(
         "--size", metavar="WxH", help="Size of the flats [px], for files that do not say (.xml, .csv)."
     )(command)
 
 
 @main.command(epilog=examples("lfcal info camera.json", "lfcal info calibration.xml --image flat.png"))
-@click.argument("camera", type=_PATH)
+@click.argument("camera", type=_INPUT)
 @_sized
 @report_options
 def info(camera: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
@@ -98,9 +108,9 @@ def info(camera: Path, size: str | None, image: Path | None, as_json: bool, quie
 
 
 @main.command(epilog=examples("lfcal show camera.json --image white.png -o show.png"))
-@click.argument("camera", type=_PATH)
-@click.option("--image", type=_PATH, required=True, help="A white image or scene capture of that camera.")
-@click.option("-o", "--output", type=_PATH, required=True, metavar="SHOW.png", help="Picture to write.")
+@click.argument("camera", type=_INPUT)
+@click.option("--image", type=_INPUT, required=True, help="A white image or scene capture of that camera.")
+@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="SHOW.png", help="Picture to write.")
 @report_options
 def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) -> None:
     """Draw the centres and circles of CAMERA over the centre and corners of an image."""
@@ -124,9 +134,9 @@ def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) ->
 
 
 @main.command(epilog=examples("lfcal flatten flat.png -c camera.json -o even.tif"))
-@click.argument("flat", type=_PATH)
-@click.option("-c", "--camera", type=_PATH, required=True, help="Camera file with a gain map.")
-@click.option("-o", "--output", type=_PATH, required=True, metavar="FLAT.tif", help="Flattened flat to write.")
+@click.argument("flat", type=_INPUT)
+@click.option("-c", "--camera", type=_INPUT, required=True, help="Camera file with a gain map.")
+@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="FLAT.tif", help="Flattened flat to write.")
 @report_options
 def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) -> None:
     """Divide FLAT by the gain of CAMERA, so that microimages are evenly lit; where that is unknown it stays as is."""
@@ -148,8 +158,8 @@ def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) 
 
 
 @main.command(epilog=examples("lfcal compare monday.json friday.json"))
-@click.argument("a", type=_PATH)
-@click.argument("b", type=_PATH)
+@click.argument("a", type=_INPUT)
+@click.argument("b", type=_INPUT)
 @_sized
 @report_options
 def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
@@ -181,8 +191,8 @@ def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: boo
         "lfcal convert camera.json -o calibration.xml", "lfcal convert calibration.xml --image flat.png -o camera.json"
     )
 )
-@click.argument("camera", type=_PATH)
-@click.option("-o", "--output", type=_PATH, required=True, metavar="FILE", help=".xml, .cfg, .csv or .json to write.")
+@click.argument("camera", type=_INPUT)
+@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="FILE", help=".xml, .cfg, .csv or .json to write.")
 @_sized
 @report_options
 def convert(camera: Path, output: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:

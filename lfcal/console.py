@@ -10,15 +10,17 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
 
 from .errors import LightFieldError
+from .path_arguments import Input, hints_on_names, several_inputs, single_input
+from .terminal import Terminal
 
-__all__ = ["Program", "Report", "about", "examples", "report_options"]
+__all__ = ["Input", "Program", "Report", "about", "examples", "report_options", "several_inputs", "single_input"]
 
 _USER_ERROR = 2
 # Where a command keeps whether `--verbose` was given.
@@ -26,7 +28,33 @@ _VERBOSE = "lfcal.verbose"
 
 
 class Program(click.Group):
-    """A command group whose user errors are one line on stderr and exit code 2."""
+    """A command group whose user errors are one line on stderr and exit code 2.
+
+    Parameters
+    ----------
+    elsewhere : mapping of str to str, optional
+        Commands of other programs that are looked for here, and those programs.
+    for_a_file : str, optional
+        Command that does what is meant where a file is given in the place of a command, with `{}` for the file.
+    """
+
+    def __init__(self, *args: Any, elsewhere: Mapping[str, str] | None = None, for_a_file: str = "", **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        self.elsewhere = dict(elsewhere or {})
+        self.for_a_file = for_a_file
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        name = args[0]
+        if self.get_command(ctx, name) is None and not ctx.resilient_parsing:
+            if name in self.elsewhere:
+                ctx.fail(f"No such command {name!r}. Did you mean '{self.elsewhere[name]} {name}'?")
+            if self.for_a_file and Path(name).is_file():
+                ctx.fail(f"No such command {name!r}. Did you mean '{self.name} {self.for_a_file.format(name)}'?")
+        return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        with hints_on_names(ctx):
+            return super().invoke(ctx)
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         kwargs["standalone_mode"] = False
@@ -39,6 +67,12 @@ class Program(click.Group):
         except click.exceptions.NoArgsIsHelpError as error:
             click.echo(error.ctx.get_help() if error.ctx else str(error), err=True)
             sys.exit(_USER_ERROR)
+        except click.UsageError as error:
+            # What was given makes no sense to the parser; errors of a command's own say all there is to say.
+            words = error.format_message()
+            if error.ctx:
+                words += f"{'' if words.endswith(('.', '?', ')')) else '.'} See '{error.ctx.command_path} --help'."
+            self._fail(words)
         except click.ClickException as error:
             self._fail(error.format_message())
         except LightFieldError as error:
@@ -82,41 +116,50 @@ class Report:
         self.log_stages = log_stages
         self.seconds: dict[str, float] = {}
         self._announced = False
+        self._stage = ""
+        self._terminal = None if quiet or not sys.stderr.isatty() else Terminal()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Time a stage; on a terminal, say that it is running."""
         start = time.perf_counter()
-        with self._status(name):
+        self._stage = name
+        if self._terminal is not None:
+            with self._terminal.stage(name):
+                yield
+        else:
+            if self.log_stages and not (self.quiet or self.as_json):
+                click.echo(f"{name} ...")
             yield
         self.seconds[name] = time.perf_counter() - start
         if _verbose():
             click.echo(f"{name}: {self.seconds[name]:.3f} s", err=True)
 
     @contextmanager
-    def progress(self, name: str, total: int | None) -> Iterator[Callable[[str], None]]:
-        """Gives what is to be called after each of `total` steps, with a remark or "".
+    def progress(self, name: str, total: int | None, before: int = 0) -> Iterator[Callable[[str], None]]:
+        """Gives what is to be called after each of `total` steps, some of them done `before`, with a remark or "".
 
         On a terminal a bar shows rate and remaining time; else only remarks are printed, on stderr.
         """
-        if self.quiet or not sys.stderr.isatty():
+        if self._terminal is None:
             yield lambda remark: click.echo(remark, err=True) if remark and not self.quiet else None
             return
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}")
-        start = time.perf_counter()
-        with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(name, total=total, rate="")
-
-            def advance(remark: str) -> None:
-                if remark:
-                    bar.console.print(remark, markup=False)
-                done = bar.tasks[0].completed + 1
-                bar.update(task, advance=1, rate=f"{done / (time.perf_counter() - start):.2f} a second")
-
+        shown = name if self._stage in ("", name) else f"{self._stage}, {name}"
+        with self._terminal.bar(shown, total, before) as advance:
             yield advance
+
+    @contextmanager
+    def counted(self, name: str) -> Iterator[Callable[[int, int], None]]:
+        """As `progress`, for work that tells how many steps are done, and out of how many, after the first of them."""
+        with ExitStack() as shown:
+            advance: list[Callable[[str], None]] = []
+
+            def told(done: int, count: int) -> None:
+                if not advance:
+                    advance.append(shown.enter_context(self.progress(name, count, done - 1)))
+                advance[0]("")
+
+            yield told
 
     def announce_compilation(self, *packages: str) -> None:
         """Say, once, that kernels are being compiled if these packages have none compiled so far."""
@@ -139,17 +182,6 @@ class Report:
             width = max(map(len, rows)) + 2
             for name, value in rows.items():
                 click.echo(f"{name.replace('_', ' '):{width}}{value}")
-
-    def _status(self, name: str) -> Any:
-        if self.quiet:
-            return nullcontext()
-        if not sys.stderr.isatty():
-            if self.log_stages and not self.as_json:
-                click.echo(f"{name} ...")
-            return nullcontext()
-        from rich.console import Console
-
-        return Console(stderr=True).status(f"{name} ...")
 
 
 @contextmanager

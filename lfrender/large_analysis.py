@@ -23,14 +23,13 @@ from .analysis import (
     PRESETS,
     Overview,
     lens_by_lens,
-    lens_halves,
     on_one_plane,
     regular_plane,
 )  # fmt: skip
 from .depthmap import DepthMap
 from .flat_parts import FlatParts
 from .lens_tiles import LensPart, lens_tiles, lens_windows
-from .neighbours import lens_grid
+from .neighbours import lens_grid, lens_halves
 from .part_workers import ClusterWorkers, Here, PartWorkers
 from .plane import TEXTURED, Plane, fit_plane
 from .radiance import GrayFlat, gray_flat

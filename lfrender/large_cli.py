@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from lfcal import LightFieldError
+
+from .command_figures import camera_figures, depth_figures, settings_of
+from .command_inputs import camera_of
 
 if TYPE_CHECKING:
     from lfcal import Calibration, FlatSource
@@ -92,7 +95,7 @@ def is_large(flat: Path) -> bool:
 
 def render(report: Any, asked: Asked) -> None:
     """Calibrate, analyse and render in tiles, keeping what is finished."""
-    from . import cli, render_large
+    from . import render_large
     from .large_rendering import check_output_of
     from .unfinished import Unfinished
 
@@ -111,12 +114,12 @@ def render(report: Any, asked: Asked) -> None:
             with report.stage("analyze"):
                 depth = _depth(report, asked, source, calibration, unfinished, workers)
         report.announce_compilation("lfrender")
-        with report.stage("render"), _tiles(report) as progress:
+        with report.stage("render"), report.counted("tiles") as progress:
             try:
                 made = render_large(
                     source, asked.output, calibration, depth, patch_size=asked.patch_size, scale=asked.scale,
                     blend=asked.blend, tile=asked.tile, alpha=asked.alpha, compress=asked.compress,
-                    settings=cli._settings(depth, asked.patch_size), progress=progress, **workers,
+                    settings=settings_of(depth, asked.patch_size), progress=progress, **workers,
                 )  # fmt: skip
             except LightFieldError:
                 raise
@@ -124,17 +127,17 @@ def render(report: Any, asked: Asked) -> None:
                 raise click.UsageError(str(error)) from error
     figures = {
         "picture": str(asked.output), "size": list(made.size), "scale": made.scale, "valid": made.valid,
-        "affine": made.affine, "tiles": made.tiles, "tiles_kept": made.kept, **cli._camera_figures(calibration),
-        **(cli._depth_figures(depth) if depth else {}),
+        "affine": made.affine, "tiles": made.tiles, "tiles_kept": made.kept, **camera_figures(calibration),
+        **(depth_figures(depth) if depth else {}),
     }  # fmt: skip
     report.finish(figures)
 
 
 def analyze(
-    report: Any, flat: Path, camera: Path, output: Path, preset: str, skip: bool, on: Cluster
+    report: Any, flat: Path, camera: Path | None, white: Path | None, output: Path, preset: str, skip: bool, on: Cluster
 ) -> tuple[DepthMap, Calibration]:
     """Analyse in tiles, and save the depth."""
-    from . import analyze_large, cli
+    from . import analyze_large
 
     with report.stage("read"):
         from lfcal import open_flat, read_flat
@@ -142,51 +145,33 @@ def analyze(
         source = open_flat(flat)
     with source, on.options() as workers:
         with report.stage("calibrate"):
-            published = camera.suffix.lower() in (".xml", ".cfg")
-            pixels: Any = read_flat(flat) if published else source
-            calibration = cli._read_camera(camera, pixels)
+            # Our own camera files need the size of the flat only.
+            own = camera is not None and camera.suffix.lower() not in (".xml", ".cfg")
+            pixels: Any = source if own else read_flat(flat)
+            calibration = camera_of(report, flat, pixels, camera, white, None)
             del pixels
         report.announce_compilation("lfrender")
-        with report.stage("analyze"), _tiles(report) as progress:
+        with report.stage("analyze"), report.counted("tiles") as progress:
             depth = analyze_large(source, calibration, preset, skip=skip, progress=progress, **workers)
         depth.save(output)
     return depth, calibration
-
-
-@contextmanager
-def _tiles(report: Any) -> Iterator[Callable[[int, int], None]]:
-    """Shows how many tiles are finished, and how long the others will take."""
-    shown: list[Any] = []
-
-    def progress(done: int, count: int) -> None:
-        if not shown:
-            bar = report.progress("tiles", count)
-            shown.extend([bar, bar.__enter__()])
-        shown[1]("")
-
-    try:
-        yield progress
-    finally:
-        if shown:
-            shown[0].__exit__(None, None, None)
 
 
 def _camera(report: Any, asked: Asked, source: FlatSource, unfinished: Unfinished) -> Calibration:
     """The camera of a file, or calibrated, which an earlier run may have done."""
     from lfcal import load, read_flat
 
-    from . import cli
     from .unfinished import fingerprint, stamp
 
     if asked.camera is not None and asked.camera.suffix.lower() not in (".xml", ".cfg"):
         shape: Any = source
-        return cli._camera_of(report, asked.flat, shape, asked.camera, None, asked.mosaic)
+        return camera_of(report, asked.flat, shape, asked.camera, None, asked.mosaic)
     key = fingerprint(stamp(asked.flat), stamp(asked.white), stamp(asked.camera), asked.mosaic)
     file = unfinished.folder / "camera.json"
     if unfinished.find("camera", key) and file.exists():
         return load(file)
     pixels = read_flat(asked.flat)
-    calibration = cli._camera_of(report, asked.flat, pixels, asked.camera, asked.white, asked.mosaic)
+    calibration = camera_of(report, asked.flat, pixels, asked.camera, asked.white, asked.mosaic)
     unfinished.open()
     calibration.save(file)
     unfinished.keep("camera", key)
@@ -214,7 +199,8 @@ def _depth(
     if unfinished.find("depth", key) and file.exists():
         return DepthMap.load(file)
     report.announce_compilation("lfrender")
-    depth = analyze_large(source, calibration, asked.preset, **workers)
+    with report.counted("tiles") as progress:
+        depth = analyze_large(source, calibration, asked.preset, progress=progress, **workers)
     unfinished.open()
     depth.save(file)
     unfinished.keep("depth", key)

@@ -24,7 +24,7 @@ from .part_workers import ClusterWorkers, Here, PartWorkers
 from .picture import PictureError, check_picture, describe, with_alpha, write_picture
 from .picture_file import PartWriter, move_into_place, new_writer, written_in_parts
 from .rendering import Rendering
-from .tile_drawing import Drawing, Part, as_stored
+from .tile_drawing import Drawing, Part
 from .unfinished import Unfinished, fingerprint, stamp
 
 if TYPE_CHECKING:
@@ -205,10 +205,9 @@ class _Run:
         last = monotonic()
         waiting: Future[None] | None = None
         with ThreadPoolExecutor(1) as pool:
-            for number, image, seen in self._drawn(tiles, left):
+            for number, image, valid in self._drawn(tiles, left):
                 if waiting is not None:
                     waiting.result()
-                valid = seen > 0
                 waiting = pool.submit(self._store, tiles[number], image, valid)
                 done[str(number)] = int(np.count_nonzero(valid))
                 if progress is not None:
@@ -222,30 +221,20 @@ class _Run:
                 waiting.result()
         return kept, sum(done.values())
 
-    def _drawn(self, tiles: list[Part], numbers: list[int]) -> Iterator[tuple[int, NDArray[Any], NDArray[Any]]]:
+    def _drawn(self, tiles: list[Part], numbers: list[int]) -> Iterator[tuple[int, NDArray, NDArray[np.bool_]]]:
         some = [tiles[number] for number in numbers]
-        # Here the rounding is left to the thread that writes; over a network pixels go as they will be stored.
-        task = _drawn if isinstance(self.workers, Here) else _drawn_to_send
-        found = self.workers.each(task, replace(self.drawing), some, map(self.drawing.needed, some))
-        for number, (image, seen) in zip(numbers, found, strict=True):
-            yield number, image, seen
+        found = self.workers.each(_drawn, replace(self.drawing), some, map(self.drawing.needed, some))
+        for number, (image, valid) in zip(numbers, found, strict=True):
+            yield number, image, valid
 
     def _store(self, tile: Part, image: NDArray[Any], valid: NDArray[np.bool_]) -> None:
-        pixels = as_stored(image, self.parts.source.dtype)
-        if not self.parts.colour:
-            pixels = pixels[:, :, 0]
+        pixels = image if self.parts.colour else image[:, :, 0]
         self.writer.write(tile, with_alpha(pixels, valid) if self.alpha else pixels)
 
 
-def _drawn(drawing: Drawing, tile: Part, pixels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _drawn(drawing: Drawing, tile: Part, pixels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """A tile of the picture from the part of the flat that it needs."""
-    return drawing.draw(pixels, drawing.needed(tile)[:2], tile)
-
-
-def _drawn_to_send(drawing: Drawing, tile: Part, pixels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """As `_drawn`, in as few bytes as what is stored of it."""
-    image, seen = _drawn(drawing, tile, pixels)
-    return as_stored(image, pixels.dtype), seen > 0
+    return drawing.draw(pixels, drawing.needed(tile)[:2], tile, stored=True)
 
 
 def _encode(

@@ -26,6 +26,8 @@ _SHADED = np.float32(0.03)
 _ENOUGH = np.float32(1.0)
 # Centres and shifts are rounded to pixels each on its own, which moves a shift by so many pixels.
 _ROUNDING = np.arange(-2, 3)
+# So many pairs of a direction tell its mean step far better than that.
+_PROBES = 500
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -160,8 +162,9 @@ def _shifts_met(
         tried = np.arange(about.min() + shifts.min(), about.max() + shifts.max() + 1)
     found = []
     for d in range(rows.shape[1]):
-        pairs = rows[:, d] >= 0
-        if pairs.any():
+        pairs = np.flatnonzero(rows[:, d] >= 0)
+        pairs = pairs[:: max(1, len(pairs) // _PROBES)]
+        if len(pairs):
             step = (gray.centres[rows[pairs, d]] - gray.centres[pairs]).mean(0)
             found.append(np.floor(tried[:, None] / gray.pitch * step).astype(int))
     if not found:

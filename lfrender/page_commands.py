@@ -1,4 +1,4 @@
-"""Commands that make something to look at in a browser: the report and the viewer."""
+"""`lfrender view`, `report` and `demo`: something to look at in a browser."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import click
 
 from lfcal import check_output, console
 
-__all__ = ["report", "view"]
+from .command_figures import camera_figures, depth_figures
+from .command_inputs import analysed, camera_of, in_colour, read_depth
+from .command_options import CAMERA, INPUT, OUTPUT, WITHOUT_CAMERA, at_most_one, flat_argument, preset_option
 
-_PATH = click.Path(path_type=Path)
-_CAMERA = "Camera file of lfcal, or a published calibration. Without it, the camera is calibrated from FLAT."
+__all__ = ["demo", "report", "view"]
 
 
 @click.command(
@@ -22,11 +23,11 @@ _CAMERA = "Camera file of lfcal, or a published calibration. Without it, the cam
         "lfrender view flat.png -c camera.json --export page",
     )
 )
-@click.argument("flat", type=_PATH)
-@click.option("-c", "--camera", type=_PATH, help=_CAMERA)
-@click.option("--depth", "depth_file", type=_PATH, help="Depth map made by 'lfrender analyze'.")
+@flat_argument
+@click.option("-c", "--camera", type=INPUT, help=CAMERA + WITHOUT_CAMERA)
+@click.option("--depth", "depth_file", type=INPUT, help="Depth map made by 'lfrender analyze'.")
 @click.option(
-    "--export", type=_PATH, metavar="FOLDER", help="Write the page as static files instead, for any web page."
+    "--export", type=OUTPUT, metavar="FOLDER", help="Write the page as static files instead, for any web page."
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port on this machine; by default any free one.")
 @click.option("--no-browser", is_flag=True, help="Do not open a browser, only say where the page is.")
@@ -75,18 +76,12 @@ def view(
         "lfrender report flat.png -c camera.json -o report.html --preset accurate",
     )
 )
-@click.argument("flat", type=_PATH)
-@click.option("-o", "--output", type=_PATH, required=True, metavar="REPORT.html", help="Page to write.")
-@click.option("-c", "--camera", type=_PATH, help=_CAMERA)
-@click.option("--white", type=_PATH, help="Calibrate from this white image of the same camera.")
-@click.option("--depth", "depth_file", type=_PATH, help="Depth map made by 'lfrender analyze'.")
-@click.option(
-    "--preset",
-    type=click.Choice(["fast", "balanced", "accurate"]),
-    default="balanced",
-    show_default=True,
-    help="How much time the depth analysis may take.",
-)
+@flat_argument
+@click.option("-o", "--output", type=OUTPUT, required=True, metavar="REPORT.html", help="Page to write.")
+@click.option("-c", "--camera", type=INPUT, help=CAMERA + WITHOUT_CAMERA)
+@click.option("--white", type=INPUT, help="Calibrate from this white image of the same camera.")
+@click.option("--depth", "depth_file", type=INPUT, help="Depth map made by 'lfrender analyze'.")
+@preset_option
 @console.report_options
 def report(
     flat: Path,
@@ -99,36 +94,51 @@ def report(
     quiet: bool,
 ) -> None:
     """Write calibration, depth and pictures of FLAT on one page that opens offline."""
-    from .cli import _at_most_one, _camera_figures, _depth_figures
     from .report_page import write_report
     from .report_pictures import draw_pictures
 
     progress = console.Report(as_json, quiet)
-    _at_most_one("--camera", camera, "--white", white)
+    at_most_one("--camera", camera, "--white", white)
     check_output(output, {".html", ".htm"}, [flat, camera, white, depth_file])
     pixels, calibration, depth = _capture(progress, flat, camera, depth_file, white=white, preset=preset)
     with progress.stage("render"):
         pictures = draw_pictures(pixels, calibration, depth)
     with progress.stage("write"):
         write_report(output, pixels, calibration, depth, pictures, title=flat.name, seconds=dict(progress.seconds))
-    progress.finish({"report": str(output), **_camera_figures(calibration), **_depth_figures(depth)})
+    progress.finish({"report": str(output), **camera_figures(calibration), **depth_figures(depth)})
+
+
+@click.command(epilog=console.examples("lfrender demo -o demo"))
+@click.option(
+    "-o",
+    "--output",
+    type=OUTPUT,
+    default=Path("lfrender-demo"),
+    show_default=True,
+    help="Folder for pictures and page.",
+)
+@console.report_options
+def demo(output: Path, as_json: bool, quiet: bool) -> None:
+    """Simulate a capture, run the whole chain on it, and show pictures and figures on an HTML page."""
+    from .demo import run_demo
+
+    report = console.Report(as_json, quiet, log_stages=True)
+    report.finish(run_demo(output, report))
 
 
 def _capture(report: Any, flat: Path, camera: Path | None, depth_file: Path | None, **options: Any) -> Any:
     """The flat in colour, its camera and its depth."""
     from lfcal import read_flat
 
-    from .cli import _analyze, _camera_of, _in_colour, _read_depth
-
     with report.stage("read"):
         pixels = read_flat(flat)
     with report.stage("calibrate"):
-        calibration = _camera_of(report, flat, pixels, camera, options.get("white"), None)
-        pixels = _in_colour(pixels, calibration)
+        calibration = camera_of(report, flat, pixels, camera, options.get("white"), None)
+        pixels = in_colour(pixels, calibration)
     with report.stage("analyze"):
         depth = (
-            _read_depth(depth_file)
+            read_depth(depth_file)
             if depth_file
-            else _analyze(report, pixels, calibration, options.get("preset", "balanced"))
+            else analysed(report, pixels, calibration, options.get("preset", "balanced"))
         )
     return pixels, calibration, depth

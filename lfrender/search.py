@@ -188,11 +188,13 @@ def search(
     pair, untried = _all_pairs(matcher, active, clear, sample, sizes)
     cost = matcher.costs(pair)
     step = matcher.step
+    wanted = None
     if known is not None:
         settled = np.isfinite(known)
+        wanted = ~settled
         away = np.abs(matcher.shifts - known[settled, None] / matcher.factor)
         cost[settled] = np.minimum(away / np.float32(matcher.tolerance() * step), 1)
-    total = aggregate(cost, matcher.forward, matcher.backward, _SLOPE_PER_PIXEL * step, _JUMP)
+    total = aggregate(cost, matcher.forward, matcher.backward, _SLOPE_PER_PIXEL * step, _JUMP, wanted)
     best = total.argmin(1)
     own = cost[np.arange(len(best)), best]
     other, other_cost = second_best(cost, best, max(2, round(2 / step)))

@@ -56,6 +56,7 @@ def viewer_files(
         title=html.escape(title),
         style=(web / "viewer.css").read_text(encoding="utf-8"),
         shader=(web / "light_field.frag").read_text(encoding="utf-8"),
+        ready=(web / "ready_to_read.frag").read_text(encoding="utf-8"),
         modules=json.dumps({"imports": modules}),
     )
     yield "index.html", page.encode()

@@ -20,15 +20,17 @@ from .lens_focus import focus_shares
 from .merit import nearest_lens
 from .radiance import gain_table, lens_by_lens, white_level
 from .refocusing import _REACH as _WIDE_REACH
-from .sharpness import lens_blur, ready_to_read
+from .sharpness import lens_blur
 from .tile_drawing import _beside, lens_offsets
 from .visibility import lens_depths
 from .warping import Viewpoint, virtual_depth
 
 __all__ = ["viewer_scene"]
 
-# Side of a tile that every WebGL 2 takes; neighbours share one row or column, so that each can be read alone.
+# Side of a tile that every WebGL 2 takes.
 _TILE = 2048
+# Rows and columns that neighbours share, one of them before their own part: each is read alone, and sharpened before.
+_SHARED, _BEFORE = 3, 1
 # Layers of a texture that every WebGL 2 takes.
 _MOST_TILES = 256
 # Patch sizes of flat pixels go into 16 bits: 0 is unknown, the last code infinitely far, the others -D to D.
@@ -80,19 +82,19 @@ def viewer_scene(
             "view a part of it, or a smaller copy"
         )
     edge = max(0.5, 0.03 * calibration.lattice.pitch)
-    read, gains, lights, step = _light(pixels, calibration)
+    even, gains, lights, step = _light(pixels, calibration)
     seen, from_middle = _seen(calibration, depth, edge)
     described = _tables(calibration, depth, edge, pixels)
     described |= {"title": title, "size": [width, height]}
     described["rings"] = {"step": step, "values": _base64(np.column_stack([gains, lights]), np.float32)}
     with_seen = []
     for name, (x, y, side) in tiles.items():
-        part = seen[y : y + side, x : x + side]
+        part = _cut(seen, x, y, side)
         if part.any():
             with_seen.append(name)
-            coded = np.dstack([part >> 8, part & 255, from_middle[y : y + side, x : x + side]]).astype(np.uint8)
+            coded = np.dstack([part >> 8, part & 255, _cut(from_middle, x, y, side)]).astype(np.uint8)
             yield f"seen-{name}.png", _png(coded, compression)
-        yield f"flat-{name}.png", _png(_eight_bits(read[y : y + side, x : x + side]), compression)
+        yield f"flat-{name}.png", _png(_eight_bits(_cut(even, x, y, side)), compression)
     last = list(tiles)[-1].split("-")
     described["tiles"] = {
         "side": next(iter(tiles.values()))[2], "columns": int(last[0]) + 1, "rows": int(last[1]) + 1, "seen": with_seen,
@@ -105,20 +107,29 @@ def viewer_scene(
 
 def _tiles(size: tuple[int, int], largest: int) -> dict[str, tuple[int, int, int]]:
     """Left, top and side [px] of every tile by its name `COLUMN-ROW`."""
-    side = min(largest, max(*size, 2))
-    columns, rows = (max(1, -(-(n - 1) // (side - 1))) for n in size)
-    return {f"{i}-{j}": (i * (side - 1), j * (side - 1), side) for j in range(rows) for i in range(columns)}
+    side = min(largest, max(*size, 2) + _SHARED - 1)
+    step = side - _SHARED
+    columns, rows = (max(1, -(-(n - 1) // step)) for n in size)
+    return {f"{i}-{j}": (i * step - _BEFORE, j * step - _BEFORE, side) for j in range(rows) for i in range(columns)}
+
+
+def _cut(pixels: NDArray, left: int, top: int, side: int) -> NDArray:
+    """A tile, as far as the flat reaches and one pixel beyond, where the last one is repeated."""
+    ends = [(k, min(k + side, n + 1), n) for k, n in ((top, pixels.shape[0]), (left, pixels.shape[1]))]
+    part = pixels[tuple(slice(max(low, 0), high) for low, high, _ in ends)]
+    beyond = [(max(-low, 0), max(high - n, 0)) for low, high, n in ends]
+    return np.pad(part, [*beyond, (0, 0)][: pixels.ndim], "edge") if np.any(beyond) else part
 
 
 def _light(
     pixels: NDArray, calibration: Calibration
 ) -> tuple[NDArray, NDArray[np.float32], NDArray[np.float32], float]:
-    """The flat as it is to be read, and over the squared distance from a centre what corrects it and its light."""
+    """The flat, evenly lit where its lenses differ; over the squared distance from a centre its gain and its light."""
     gains, step = gain_table(calibration)
     lights = (1 / gains).astype(np.float32)
     if lens_by_lens(calibration):
         pixels, gains = calibration.flatten(pixels), np.ones_like(gains)
-    return ready_to_read(pixels), gains, lights, step
+    return pixels, gains, lights, step
 
 
 def _seen(calibration: Calibration, depth: DepthMap, edge: float) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
@@ -158,7 +169,7 @@ def _resolved(calibration: Calibration, depth: DepthMap) -> NDArray[np.uint8]:
 def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDArray) -> dict[str, Any]:
     """What goes into the JSON object as numbers."""
     lattice, surface = calibration.lattice, depth.surface
-    offsets, steps = lens_offsets(lattice, _WIDE_REACH * lattice.pitch)
+    offsets, _ = lens_offsets(lattice, _WIDE_REACH * lattice.pitch)
     bend, low = lattice_bend(lattice)
     cell, shares = focus_shares(calibration.lens_types)
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
@@ -171,7 +182,7 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
         "origin": lattice.origin.tolist(),
         "basis": lattice.basis.tolist(),
         "inverse": np.linalg.inv(lattice.basis).tolist(),
-        "offsets": _base64(np.column_stack([offsets, np.zeros(len(offsets)), steps, np.zeros_like(steps)]), np.float32),
+        "offsets": _base64(offsets, np.float32),
         "bend": {"shape": list(bend.shape[:2]), "low": low.tolist(), "values": _base64(bend, np.float32)},
         "types": {"side": len(cell), "cell": cell.ravel().tolist(), "shares": _base64(shares, np.float32)},
         "surface": {

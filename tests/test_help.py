@@ -10,6 +10,7 @@ import sys
 import pytest
 from click.testing import CliRunner
 
+import data_synth.cli
 import lfcal.cli
 import lfrender.cli
 
@@ -28,6 +29,29 @@ def test_each_help_ends_with_examples_that_the_command_understands(program, name
         called, named, *arguments = shlex.split(line)
         assert (called, named) == (program, name)
         command.make_context(name, arguments)
+
+
+def test_the_simulator_shows_examples_that_it_understands():
+    shown = CliRunner().invoke(data_synth.cli.main, ["--help"]).output
+    lines = [line.strip() for line in shown.splitlines() if line.strip().startswith("lfsynth ")]
+    assert len(lines) == 2
+    for line in lines:
+        data_synth.cli.main.make_context("lfsynth", shlex.split(line)[1:])
+
+
+@pytest.mark.parametrize(("program", "name"), [*COMMANDS, ("lfsynth", "")])
+def test_each_command_can_be_quiet_verbose_or_read_by_programs(program, name):
+    command = PROGRAMS[program].commands[name] if name else data_synth.cli.main
+    assert {"--json", "--quiet", "--verbose"} <= {word for option in command.params for word in option.opts}
+
+
+def test_the_simulator_is_quiet_or_verbose_as_asked(tmp_path):
+    words = ["blank", "-o", str(tmp_path / "a"), "--size", "60x40", "--pitch", "20", "--samples", "1"]
+    quiet = CliRunner().invoke(data_synth.cli.main, [*words, "--quiet"])
+    assert (quiet.exit_code, quiet.output) == (0, "")
+    verbose = CliRunner().invoke(data_synth.cli.main, [*words, "--verbose", "--json"])
+    assert [line.partition(":")[0] for line in verbose.stderr.splitlines()] == ["simulate", "write"]
+    assert verbose.stdout.startswith("{")
 
 
 def test_verbose_tells_each_stage_and_its_seconds(house_files, tmp_path):

@@ -57,7 +57,7 @@ void main() {
 #else
 
 uniform sampler2DArray flatTiles, seenTiles;
-uniform sampler2D rings, offsets, bend, shares, ramp;
+uniform sampler2D rings, bend, shares, ramp;
 uniform highp isampler2D types;
 uniform vec2 flatSize;
 uniform float tileStep, tileSide;
@@ -71,6 +71,9 @@ uniform float radius;               // usable radius times aperture
 uniform float plane;                // the one s of all places, or 0 for the surface
 uniform vec2 first;                 // X of the middle of pixel (0, 0)
 uniform float spacing;              // between pixels, in X
+uniform vec3 offsets[128];          // of lenses from the nearest one, and the least distance that such lenses have
+uniform int offsetCount;
+uniform vec2 moved;                 // what has been added to X for the viewpoint
 uniform float blurred, reach, agreement;
 uniform float rows;                 // of the picture
 uniform float most;                 // sub-samples along a pixel's side; fewer while something moves
@@ -112,9 +115,10 @@ vec2 nearestIndex(vec2 X) {
   return index;
 }
 
+// Tiles begin a pixel before their part of the flat.
 vec3 tilePlace(vec2 p, out ivec2 inside) {
   ivec2 tile = clamp(ivec2(p / tileStep), ivec2(0), tileCount - 1);
-  vec2 local = p - vec2(tile) * tileStep;
+  vec2 local = p - vec2(tile) * tileStep + 1.0;
   inside = ivec2(local + 0.5);
   return vec3((local + 0.5) / tileSide, float(tile.y * tileCount.x + tile.x));
 }
@@ -124,9 +128,8 @@ struct Sight { vec3 colour; float weight; float distance; };
 // What the lens at `offset` from the nearest one contributes to X; its weight is 0 where it shows nothing of it.
 Sight sight(vec2 X, vec2 base, ivec2 index, int o, float s, float limit) {
   Sight none = Sight(vec3(0.0), 0.0, 1e30);
-  vec4 to = texelFetch(offsets, ivec2(2 * o, 0), 0);
-  ivec2 steps = ivec2(round(texelFetch(offsets, ivec2(2 * o + 1, 0), 0).xy));
-  vec2 e = base - to.xy;
+  vec2 to = offsets[o].xy, e = base - to;
+  ivec2 steps = ivec2(round(inverseBasis * to));
   if (bent()) e -= bentBy(index + steps);
   float d2 = dot(e, e), limit2 = limit * limit, slope = s / pitch, aside = length(view);
   if (d2 > limit2) return none;
@@ -176,15 +179,20 @@ vec4 colourAt(vec2 X, float s) {
   ivec2 at = ivec2(index);
   float slope = abs(s) / pitch;
   float limit = min((radius + (plane == 0.0 ? length(view) : 0.0)) / max(slope, 1e-6), reach);
-  float farthest = limit + (bent() ? 0.75 * pitch : length(base));
-  int count = textureSize(offsets, 0).x / 2, found = 0;
+  float beside = bent() ? 0.75 * pitch : length(base), farthest = limit + beside;
+  int found = 0;
   vec3 mean = vec3(0.0), central = vec3(0.0);
   float norm = 0.0, best = 1e30;
-  for (int o = 0; o < count; o++) {
-    if (texelFetch(offsets, ivec2(2 * o, 0), 0).z > farthest || found == MOST) break;
+  for (int o = 0; o < offsetCount; o++) {
+    if (offsets[o].z > farthest || found == MOST) break;
     Sight one = sight(X, base, at, o, s, limit);
     if (one.distance > 1e29) continue;
-    if (one.distance < best) { best = one.distance; central = one.colour; }
+    if (one.distance < best) {
+      best = one.distance;
+      central = one.colour;
+      // One lens is enough: those from here on are farther away.
+      if (agreement <= 0.0) farthest = min(farthest, sqrt(best) + beside);
+    }
     mean += one.weight * one.colour;
     norm += one.weight;
     found++;
@@ -197,8 +205,8 @@ vec4 colourAt(vec2 X, float s) {
   vec3 mixed = vec3(0.0);
   norm = 0.0;
   found = 0;
-  for (int o = 0; o < count; o++) {
-    if (texelFetch(offsets, ivec2(2 * o, 0), 0).z > farthest || found == MOST) break;
+  for (int o = 0; o < offsetCount; o++) {
+    if (offsets[o].z > farthest || found == MOST) break;
     Sight one = sight(X, base, at, o, s, limit);
     if (one.distance > 1e29) continue;
     vec3 difference = one.colour - mean;
@@ -220,7 +228,12 @@ vec3 magnificationColour(vec2 X) {
 
 void main() {
   vec2 pixel = vec2(gl_FragCoord.x - 0.5, rows - 0.5 - gl_FragCoord.y);
-  vec2 X = first + pixel * spacing;
+  vec2 X = first + pixel * spacing, shown = X - moved;
+  // The picture ends with the flat, as the renderer's does.
+  if (any(lessThan(shown, vec2(-0.5))) || any(greaterThan(shown, flatSize - 0.5))) {
+    result = vec4(background, 1.0);
+    return;
+  }
   float s = sizeAt(X), side = abs(s) * spacing / pitch;
   int across = max(int(ceil(side - 0.05)), 1);
   float apart = 1.0;

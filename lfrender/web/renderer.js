@@ -8,10 +8,12 @@ void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2
 const ANY_COLOUR = 1e3;
 // As many as any zoom needs.
 const MOST_SAMPLES = 1e3;
-const NAMES = ["surface", "flatTiles", "seenTiles", "rings", "offsets", "bend", "shares", "ramp", "types"];
+const NAMES = ["surface", "flatTiles", "seenTiles", "rings", "bend", "shares", "ramp", "types"];
+// Lenses about one that the shader has room for; it mixes 37 at most, the nearest first.
+const MOST_OFFSETS = 128;
 
 export class Renderer {
-  constructor(canvas, shader, scene) {
+  constructor(canvas, shader, readyShader, scene) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, powerPreference: "high-performance" });
     if (!gl) throw new Error("This browser offers no WebGL 2, which the viewer draws with. Try another, or switch on hardware acceleration.");
     this.gl = gl;
@@ -19,6 +21,7 @@ export class Renderer {
     gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     this.main = this.program(shader);
+    this.ready = this.program(readyShader);
     this.canWarp = Boolean(gl.getExtension("EXT_color_buffer_float"));
     this.warp = this.canWarp && this.program(shader.replace("#version 300 es", "#version 300 es\n#define WARP"));
     this.makeTables();
@@ -54,19 +57,19 @@ export class Renderer {
 
   makeTables() {
     const { gl, scene } = this;
-    const one = [gl.R32F, gl.RED, gl.FLOAT], two = [gl.RG32F, gl.RG, gl.FLOAT], four = [gl.RGBA32F, gl.RGBA, gl.FLOAT];
+    const one = [gl.R32F, gl.RED, gl.FLOAT], two = [gl.RG32F, gl.RG, gl.FLOAT];
     const [rows, columns] = scene.surface.shape, both = new Float32Array(2 * rows * columns);
     for (let n = 0; n < rows * columns; n++) {
       both[2 * n] = scene.surface.values[n];
       both[2 * n + 1] = scene.surface.resolved[n];
     }
-    const rings = floats(scene.rings.values), offsets = floats(scene.offsets), shares = floats(scene.types.shares);
+    const rings = floats(scene.rings.values), shares = floats(scene.types.shares);
     const bend = floats(scene.bend.values), kinds = Math.max(scene.types.side, 1);
     const ramp = bytes(scene.overlay.ramp);
+    this.offsets = floats(scene.offsets).subarray(0, 3 * MOST_OFFSETS);
     this.textures = {
       surface: this.table(columns, rows, two, both),
       rings: this.table(rings.length / 2, 1, two, rings),
-      offsets: this.table(offsets.length / 4, 1, four, offsets),
       bend: bend.length ? this.table(scene.bend.shape[1], scene.bend.shape[0], two, bend) : this.table(1, 1, two, new Float32Array(2)),
       shares: this.table(401, shares.length / 401, one, shares),
       types: this.table(kinds, kinds, [gl.R8I, gl.RED_INTEGER, gl.BYTE], new Int8Array(scene.types.side ? scene.types.cell : [0])),
@@ -93,23 +96,51 @@ export class Renderer {
 
   // Fetches the flat, tile by tile, and what its pixels see; calls `told(done, all)` after each.
   async load(told) {
-    const { gl } = this, { tiles } = this.scene, all = tiles.columns * tiles.rows, known = new Set(tiles.seen);
-    this.textures.flatTiles = this.layers(gl.RGB8, all, tiles.side, gl.LINEAR);
-    this.textures.seenTiles = this.layers(gl.RGB8, known.size ? all : 1, known.size ? tiles.side : 1, gl.NEAREST);
-    for (let layer = 0; layer < all; layer++) {
-      const name = `${layer % tiles.columns}-${Math.floor(layer / tiles.columns)}`;
-      await this.upload(this.textures.flatTiles, layer, `flat-${name}.png`);
+    const { gl } = this, { tiles } = this.scene, known = new Set(tiles.seen);
+    const scratch = this.table(tiles.side, tiles.side, [gl.RGB8, gl.RGB, gl.UNSIGNED_BYTE], null);
+    this.textures.seenTiles = this.layers(gl.RGB8, known.size ? tiles.columns * tiles.rows : 1, known.size ? tiles.side : 1, gl.NEAREST);
+    await this.loadTiles("flatTiles", async (into, layer, name) => {
+      await this.upload(scratch, layer, `flat-${name}.png`);
+      this.makeReady(scratch, into, layer);
       if (known.has(name)) await this.upload(this.textures.seenTiles, layer, `seen-${name}.png`);
+    }, told);
+    gl.deleteTexture(scratch.texture);
+  }
+
+  // The flat as it is, for pictures that are no mean over lenses.
+  async loadPlain(told) {
+    await this.loadTiles("plainTiles", (into, layer, name) => this.upload(into, layer, `flat-${name}.png`), told);
+  }
+
+  async loadTiles(kind, fill, told) {
+    const { gl } = this, { tiles } = this.scene, all = tiles.columns * tiles.rows, into = this.layers(gl.RGB8, all, tiles.side, gl.LINEAR);
+    for (let layer = 0; layer < all; layer++) {
+      await fill(into, layer, `${layer % tiles.columns}-${Math.floor(layer / tiles.columns)}`);
       told(layer + 1, all);
     }
     if (gl.getError() === gl.OUT_OF_MEMORY) throw new Error("The graphics card has too little memory for this flat.");
+    this.textures[kind] = into;
   }
 
   async upload(into, layer, name) {
-    const { gl } = this, bitmap = await picture(name);
+    const { gl } = this, bitmap = await picture(name), { width, height } = bitmap;
     gl.bindTexture(into.target, into.texture);
-    gl.texSubImage3D(into.target, 0, 0, 0, layer, bitmap.width, bitmap.height, 1, gl.RGB, gl.UNSIGNED_BYTE, bitmap);
+    if (into.target === gl.TEXTURE_2D) gl.texSubImage2D(into.target, 0, 0, 0, width, height, gl.RGB, gl.UNSIGNED_BYTE, bitmap);
+    else gl.texSubImage3D(into.target, 0, 0, 0, layer, width, height, 1, gl.RGB, gl.UNSIGNED_BYTE, bitmap);
     bitmap.close();
+  }
+
+  // Gives back to a tile, before, what interpolation will blur.
+  makeReady(plain, into, layer) {
+    const { gl } = this, target = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, into.texture, 0, layer);
+    gl.viewport(0, 0, plain.width, plain.height);
+    gl.useProgram(this.ready.program);
+    this.bindTexture(this.ready.places.plain, 0, plain);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.deleteFramebuffer(target);
   }
 
   // settings: mode "focus" (one plane, all lenses), "sharp" (every place at its own depth) or "tiles" (one plane, the
@@ -127,10 +158,10 @@ export class Renderer {
     gl.useProgram(this.main.program);
     this.set(this.main.places, {
       surfaceFirst: scene.surface.first.map((n, k) => n + (warped ? moved[k] : 0)), cell: scene.surface.spacing,
-      edge: scene.surface.edge, pitch, view: q, flatSize: scene.size, tileStep: scene.tiles.side - 1, tileSide: scene.tiles.side,
+      edge: scene.surface.edge, pitch, view: q, flatSize: scene.size, tileStep: scene.tiles.side - 3, tileSide: scene.tiles.side,
       ringStep: scene.rings.step, origin: scene.origin,
       radius: scene.radius * (settings.mode === "focus" ? settings.aperture : 1), plane,
-      first: first.map((n, k) => n + moved[k]), spacing, blurred: (blur * scale) ** 2,
+      first: first.map((n, k) => n + moved[k]), moved, spacing, blurred: (blur * scale) ** 2,
       reach: pitch * (settings.mode === "focus" ? scene.reach.wide : scene.reach.sharp),
       agreement: sharp ? scene.agreement : tiles ? 0 : ANY_COLOUR, rows: height, overlay: settings.overlay,
       most: settings.most ?? MOST_SAMPLES,
@@ -138,11 +169,14 @@ export class Renderer {
     });
     const { places } = this.main;
     gl.uniform2i(places.tileCount, scene.tiles.columns, scene.tiles.rows);
+    gl.uniform3fv(places["offsets[0]"], this.offsets);
+    gl.uniform1i(places.offsetCount, this.offsets.length / 3);
     gl.uniform2i(places.bendLow, ...scene.bend.low);
     gl.uniform1i(places.seenKnown, scene.tiles.seen.length ? 1 : 0);
     gl.uniformMatrix2fv(places.basis, false, scene.basis.flat());
     gl.uniformMatrix2fv(places.inverseBasis, false, scene.inverse.flat());
-    NAMES.forEach((name, unit) => this.bind(places[name], unit, name === "surface" && warped ? "warped" : name));
+    const instead = { surface: warped && "warped", flatTiles: tiles && "plainTiles" };
+    NAMES.forEach((name, unit) => this.bind(places[name], unit, instead[name] || name));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
@@ -171,7 +205,11 @@ export class Renderer {
   }
 
   bind(place, unit, name) {
-    const { gl } = this, { target, texture } = this.textures[name];
+    this.bindTexture(place, unit, this.textures[name]);
+  }
+
+  bindTexture(place, unit, { target, texture }) {
+    const { gl } = this;
     gl.activeTexture(gl.TEXTURE0 + unit);
     gl.bindTexture(target, texture);
     if (place) gl.uniform1i(place, unit);

@@ -5,8 +5,8 @@ import { Renderer } from "lfrender/renderer";
 import { bytes, loadScene } from "lfrender/scene";
 
 const CLICK = 4; // px a click may move
-const SLOW = 45; // ms that a picture may take while something moves; beyond, it is drawn coarser
-const COARSEST = 4;
+const SLOW = 15; // ms that a picture may take while something moves, for 60 a second; beyond, it is drawn coarser
+const COARSEST = 6;
 const $ = id => document.getElementById(id);
 
 class Viewer {
@@ -35,7 +35,15 @@ class Viewer {
     const length = Math.hypot(...settings.q);
     if (length > scene.radius) settings.q = settings.q.map(n => (n * scene.radius) / length);
     this.tell();
+    if (settings.mode === "tiles") this.loadPlain();
     this.request();
+  }
+
+  // The flat as it is, fetched once it is wanted.
+  loadPlain() {
+    if (!this.ready) return;
+    this.plain ??= this.renderer.loadPlain((done, all) => say(done < all ? `Loading the flat as it is, ${done} of ${all}` : ""))
+      .then(() => this.request()).catch(error => say(error.message));
   }
 
   resize() {
@@ -55,7 +63,7 @@ class Viewer {
   }
 
   draw() {
-    if (!this.ready) return;
+    if (!this.ready || (this.settings.mode === "tiles" && !this.renderer.textures.plainTiles)) return;
     const { canvas, frame, renderer } = this, factor = this.moving ? this.coarse : 1;
     const width = Math.max(1, Math.round(this.width / factor)), height = Math.max(1, Math.round(this.height / factor));
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
@@ -65,21 +73,24 @@ class Viewer {
     this.settings.background = stage.map(n => n / 255);
     // Coarser pixels alone would only need more samples each.
     renderer.draw(factor > 1 ? { ...this.settings, most: 1 } : this.settings, width, height, first, spacing);
-    if (this.moving) this.time(start, factor);
+    // At rest too: where the card is slow, the first pictures of a movement are not to wait for one in full.
+    this.time(start, factor);
   }
 
   // Drawing goes on after the call has returned; the graphics card says when it is done.
   time(start, factor) {
     const { gl } = this.renderer, fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
+    // Animation frames come too seldom to tell how long it took.
     const look = () => {
-      if (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED) return void requestAnimationFrame(look);
+      if (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED) return void setTimeout(look);
       gl.deleteSync(fence);
       const taken = performance.now() - start;
-      if (taken > SLOW) this.coarse = Math.min(COARSEST, factor * 1.5);
+      // Time goes with the number of pixels.
+      if (taken > SLOW) this.coarse = Math.min(COARSEST, factor * Math.sqrt(taken / SLOW));
       else if (taken < SLOW / 3) this.coarse = Math.max(1, factor / 1.25);
     };
-    requestAnimationFrame(look);
+    setTimeout(look);
   }
 
   // Coarser while something moves, and once more in full when it rests.
@@ -273,12 +284,14 @@ function say(words) {
 
 export async function start() {
   try {
-    const scene = await loadScene(), renderer = new Renderer($("picture"), $("shader").textContent.trim(), scene);
+    const scene = await loadScene(), renderer = new Renderer($("picture"), $("shader").textContent.trim(), $("ready").textContent.trim(), scene);
     const viewer = new Viewer(scene, renderer, $("picture"));
     await renderer.load((done, all) => say(`Loading the flat, ${done} of ${all}`));
     viewer.ready = true;
     say("");
     viewer.set({});
+    // Keys work at once, but not where the page is a part of another.
+    if (window === window.top) viewer.canvas.focus({ preventScroll: true, focusVisible: false });
     globalThis.lightField = viewer;
   } catch (error) {
     say(error.message);

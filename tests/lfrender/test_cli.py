@@ -70,6 +70,17 @@ def test_render_calibrates_from_the_flat_or_a_white_image(house, house_files, tm
         assert drawn["pitch"] == pytest.approx(house.camera.pitch, abs=0.1)
 
 
+def test_depth_needs_nothing_but_the_flat(house, house_files, tmp_path):
+    flat = house_files / "flat.png"
+    for options, source in [((), "scene"), (("--white", house_files / "white.png"), "white")]:
+        found = figures_of("analyze", flat, *options, "-o", tmp_path / "depth.npz", "--preset", "fast")
+        assert found["camera_source"] == source
+        assert found["modes"]["telescopic"] > 0.3
+    assert_refused(
+        run("analyze", flat, "-c", "a.json", "--white", "b.png", "-o", tmp_path / "d.npz"), "exclude each other"
+    )
+
+
 def test_scale_is_the_number_of_pixels_per_pitch(house, house_files, tmp_path):
     flat, camera = house_files / "flat.png", house_files / "camera.json"
     drawn = figures_of(
@@ -320,6 +331,13 @@ def test_a_large_flat_goes_through_the_whole_chain_and_a_second_run_goes_on(
     assert figures["modes"]["telescopic"] > 0.3
     assert lfcal.read_flat(tmp_path / "picture.tif").std() > 20
     assert sorted(os.listdir(tmp_path)) == ["flat.tif", "picture.tif"]
+
+
+def test_depth_of_a_large_flat_needs_nothing_but_the_flat(house_files, tmp_path, everything_is_large):
+    flat = as_tiff(house_files, tmp_path)
+    found = figures_of("analyze", flat, "-o", tmp_path / "depth.npz", "--preset", "fast")
+    assert found["camera_source"] == "scene"
+    assert found["modes"]["telescopic"] > 0.3
 
 
 def test_refusals_in_tiles_leave_nothing_behind(house_files, tmp_path):

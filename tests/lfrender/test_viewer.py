@@ -94,9 +94,13 @@ def test_everything_in_focus_and_tiles_are_those_of_the_renderer(page, captured)
     flat, camera, depth = captured
     for scale in (None, 4.0):
         assert np.mean(off(page, lfrender.render(flat, camera, depth, scale=scale), mode="sharp") <= 2) > 0.9995
-    # The page holds one flat for all pictures, that of the blended ones.
-    crisp = lfrender.render(ready_to_read(flat), camera, patch_size=FAR)
+    page.execute_script("lightField.set({ mode: 'tiles' })")
+    wait_for(page, "lightField.renderer.textures.plainTiles")
+    crisp = lfrender.render(flat, camera, patch_size=FAR)
     assert np.mean(off(page, crisp, mode="tiles", plane=FAR) <= 2) > 0.9995
+    # Not the flat that blended pictures read.
+    sharpened = lfrender.render(ready_to_read(flat), camera, patch_size=FAR)
+    assert np.mean(off(page, sharpened, mode="tiles", plane=FAR) <= 2) < 0.9
 
 
 def test_a_view_from_aside_is_that_of_the_renderer(page, captured):
@@ -263,6 +267,29 @@ def test_the_canvas_shows_the_picture_and_every_control_has_a_name(page):
     assert nameless == []
 
 
+def test_a_card_that_is_slow_draws_coarser_while_something_moves_and_in_full_at_rest(page):
+    page.execute_script("lightField.coarse = 1; lightField.set({ mode: 'sharp' })")
+    # Without a graphics card no picture of this size takes 15 ms.
+    wait_for(page, f"{RESTS} && lightField.coarse > 1.2")
+    page.execute_script(
+        "globalThis.least = Infinity; const turn = n => { lightField.look(0.01, 0); least = Math.min(least, "
+        "lightField.canvas.width); if (n) setTimeout(turn, 30, n - 1); }; turn(30)"
+    )
+    wait_for(page, "least < 0.8 * lightField.width")
+    wait_for(page, f"{RESTS} && lightField.canvas.width === lightField.width")
+
+
+def test_nothing_is_drawn_beyond_the_flat(page, captured):
+    flat = captured[0]
+    height, width = flat.shape[:2]
+    affine = np.array([[1.0, 0.0, -20.0], [0.0, 1.0, -20.0]])
+    shown = pixels(page, (height + 40, width + 40), affine, mode="sharp", background=[1, 0, 1]) == [255, 0, 255]
+    beyond = np.ones(shown.shape[:2], bool)
+    beyond[20 : 20 + height, 20 : 20 + width] = False
+    np.testing.assert_array_equal(shown.all(-1)[beyond], True)
+    assert shown.all(-1)[~beyond].mean() < 0.01
+
+
 def test_wheel_zooms_about_the_pointer(page):
     at = page.execute_script("return lightField.frame.at(300, 200, lightField.width, lightField.height)")
     spacing = page.execute_script("return lightField.frame.spacing")
@@ -315,20 +342,17 @@ def test_a_port_that_is_taken_is_refused_by_name(small_server):
         PageServer({"index.html": b""}, small_server.server_port)
 
 
-def test_tiles_cover_the_flat_and_share_their_borders(captured):
+def test_tiles_cover_the_flat_and_share_what_reading_them_needs(captured):
     flat, camera, depth = captured
     side = 200
     files = dict(viewer_files(flat, camera, depth, tile=side))
-    from lfrender.sharpness import ready_to_read
-
-    read = ready_to_read(flat)
+    around = np.pad(flat, ((1, 1), (1, 1), (0, 0)), "edge")
     for row in range(2):
         for column in range(3):
             tile = handed_over(files[f"data/flat-{column}-{row}.png.js"])
-            x, y = column * (side - 1), row * (side - 1)
-            np.testing.assert_array_equal(tile, read[y : y + side, x : x + side])
+            x, y = column * (side - 3), row * (side - 3)
+            np.testing.assert_array_equal(tile, around[y : y + side, x : x + side])
     assert "data/flat-3-0.png.js" not in files
-    assert "data/flat-0-2.png.js" not in files or flat.shape[0] > 2 * (side - 1) + 1
 
 
 def handed_over(script):

@@ -1,0 +1,26 @@
+"""The documentation names all there is."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+@pytest.mark.parametrize("package", ["lfcal", "lfrender", "data_synth"])
+def test_the_reference_lists_every_public_name_and_no_other(package):
+    text = (DOCS / "api.rst").read_text(encoding="utf-8")
+    part = text.partition(f".. currentmodule:: {package}\n")[2].partition(".. currentmodule::")[0]
+    listed = re.findall(r"^   (\w+)$", part, re.MULTILINE)
+    assert sorted(listed) == sorted(import_module(package).__all__)
+
+
+def test_every_page_is_in_a_table_of_contents():
+    pages = {str(path.relative_to(DOCS).with_suffix("")) for path in DOCS.rglob("*.md") if "built" not in str(path)}
+    blocks = re.findall(r"```{toctree}\n(.*?)```", (DOCS / "index.md").read_text(encoding="utf-8"), re.DOTALL)
+    listed = {line for block in blocks for line in block.splitlines() if line and not line.startswith(":")}
+    assert pages - {"index"} == listed - {"api", "built_gallery/index"}
