@@ -16,6 +16,7 @@ from lfcal import Calibration, FlatError, OutputError, read_flat
 from .film_file import FilmFile, check_film, film_pixels
 from .frame_job import FrameResult
 from .frames import Frames
+from .picture_file import move_into_place
 from .unfinished import Unfinished, fingerprint, stamp
 
 if TYPE_CHECKING:
@@ -105,10 +106,7 @@ def render_film(
         if waiting is None:
             raise FlatError(f"{path}: is not written, because none of the frames could be rendered")
         waiting.result()
-    try:
-        os.replace(half, output)
-    except OSError as error:
-        raise OutputError(f"{output}: cannot be written ({error.strerror or error})") from error
+    move_into_place(half, output)
     unfinished.remove()
 
 

@@ -60,7 +60,8 @@ def analyze_large(
 ) -> DepthMap:
     """Estimate the depth of a flat that need not fit into memory; as `analyze`, with nearly the same answers.
 
-    Size and pitch of the flat alone tell the tiles, so that no setting, number of workers or machine changes an answer.
+    Size, type and pitch of the flat alone tell the tiles, so that no setting, number of workers or machine changes an
+    answer.
 
     Parameters
     ----------
@@ -91,7 +92,8 @@ def analyze_large(
     parts = FlatParts(source, calibration)
     workers = Here(parts) if client is None else ClusterWorkers(client, source, threads)
     whole = _Whole(calibration, preset, shortcuts)
-    tiles = list(lens_tiles(calibration.lattice, whole.factor, PRESETS[preset]))
+    pixel_bytes = parts.channels * source.dtype.itemsize
+    tiles = list(lens_tiles(calibration.lattice, whole.factor, PRESETS[preset], pixel_bytes))
     overview, plane, sure = _overview(whole, workers)
     whole = replace(whole, overview=overview)
     depth = None if plane is None else _checked_plane(whole, workers, tiles, plane, sure)

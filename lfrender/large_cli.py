@@ -168,7 +168,7 @@ def _camera(report: Any, asked: Asked, source: FlatSource, unfinished: Unfinishe
         return camera_of(report, asked.flat, shape, asked.camera, None, asked.mosaic)
     key = fingerprint(stamp(asked.flat), stamp(asked.white), stamp(asked.camera), asked.mosaic)
     file = unfinished.folder / "camera.json"
-    if unfinished.find("camera", key):
+    if unfinished.find("camera", key) and file.exists():
         return load(file)
     pixels = read_flat(asked.flat)
     calibration = camera_of(report, asked.flat, pixels, asked.camera, asked.white, asked.mosaic)
@@ -196,7 +196,7 @@ def _depth(
         return DepthMap.load(asked.depth_file)
     key = fingerprint(stamp(asked.flat), calibration.to_dict(), asked.preset)
     file = unfinished.folder / "depth.npz"
-    if unfinished.find("depth", key):
+    if unfinished.find("depth", key) and file.exists():
         return DepthMap.load(file)
     report.announce_compilation("lfrender")
     with report.counted("tiles") as progress:

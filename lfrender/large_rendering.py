@@ -22,7 +22,7 @@ from .embedded import read_embedded
 from .flat_parts import FlatParts
 from .part_workers import ClusterWorkers, Here, PartWorkers
 from .picture import PictureError, check_picture, describe, with_alpha, write_picture
-from .picture_file import PartWriter, new_writer, written_in_parts
+from .picture_file import PartWriter, move_into_place, new_writer, written_in_parts
 from .rendering import Rendering
 from .tile_drawing import Drawing, Part
 from .unfinished import Unfinished, fingerprint, stamp
@@ -194,8 +194,10 @@ class _Run:
     def all(self, tiles: list[Part], progress: Callable[[int, int], None] | None) -> tuple[int, int]:
         """Draw the tiles that are missing; how many were not, and how many pixels some lens has seen."""
         found = self.unfinished.find("picture", self.key)
+        # A run that was killed as it cleaned up may have left its notes alone.
+        if not self.writer.open(fresh=found is None):
+            found = None
         done: dict[str, int] = dict(found) if found else {}
-        self.writer.open(fresh=found is None)
         if found is None:
             self.unfinished.keep("picture", self.key, {})
         kept = len(done)
@@ -253,4 +255,7 @@ def _encode(
     colours = pixels[..., 0] if alpha and pixels.shape[2] == 2 else pixels[..., :3] if alpha else pixels
     valid = pixels[..., -1] > 0 if alpha else np.ones(pixels.shape[:2], bool)
     picture = Rendering(np.asarray(colours), drawing.affine, valid, drawing.scale)
-    write_picture(output, picture, alpha=alpha, settings=settings, embedded=read_embedded(source.path))
+    # In there it is removed by the next run if this one is killed.
+    encoded = unfinished.folder / f"encoded{output.suffix}"
+    write_picture(encoded, picture, alpha=alpha, settings=settings, embedded=read_embedded(source.path))
+    move_into_place(encoded, output)

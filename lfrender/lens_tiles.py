@@ -22,10 +22,11 @@ __all__ = ["LensPart", "lens_tiles", "lens_windows"]
 
 # Lenses so many pitches around a tile are analysed with it: shading is averaged over 4.2, support fades over the rest.
 _HALO = 8.0
-# Bytes that a tile may take, and what it takes for each pixel: as read, in grey, without shading, smoothed, and masks.
-_BUDGET, _PER_PIXEL = 6e8, 26
-# Of these, what each pixel of the flat itself takes, as read for this tile and the next one.
-_AS_READ = 6
+# Bytes that a tile may take, and what it takes for each pixel as it is analysed: in grey, without shading, smoothed,
+# and masks.
+_BUDGET, _PER_PIXEL = 6e8, 20
+# The pixels of the flat itself are there as read for this tile and the next one.
+_READ = 2
 # Windows along each axis, their side [pitches and px], and how far inside them lenses are believed [pitches].
 _WINDOWS, _WINDOW, _INSIDE = 6, (16.0, 256), 3.0
 # Cells of the surface's grid among which one is looked for that begins where a block of pixels does.
@@ -101,14 +102,14 @@ def lens_windows(whole: Lattice, factor: int) -> Iterator[LensPart]:
             yield LensPart.of(whole, factor, (x, y), end, np.stack([low, high]))
 
 
-def lens_tiles(whole: Lattice, factor: int, setting: Preset) -> Iterator[LensPart]:
-    """The flat cut into tiles that fit the memory, each with its halo."""
+def lens_tiles(whole: Lattice, factor: int, setting: Preset, pixel_bytes: int = 3) -> Iterator[LensPart]:
+    """The flat cut into tiles that fit the memory, each with its halo; its pixels have so many bytes."""
     size = _size(whole, factor)
     pitch = whole.pitch / factor
     # Blocks of pixels are averaged for the search, and rows of them left out: those of the whole flat.
     block = max(1, round(pitch / setting.search_pitch)) * setting.row_step
     halo = int(np.ceil(_HALO * pitch))
-    each = _AS_READ * factor**2 + _PER_PIXEL - _AS_READ
+    each = _READ * pixel_bytes * factor**2 + _PER_PIXEL
     side = max(2 * halo, int(np.sqrt(_BUDGET / each)) - 2 * halo)
     edges = [np.linspace(0, length, -(-length // side) + 1).round().astype(int).tolist() for length in size]
     spacing = grid_shape(whole if factor == 1 else whole.shrunk(factor), setting.cells)[2]
