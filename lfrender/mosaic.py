@@ -55,9 +55,9 @@ def draw_rows(
     flat, marks, seen, gains, lights, light_step, origin, inverse, basis, bend, low, offsets, steps, types, shares,
     radius, pitch,
     surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance, view, corner, size, start,
-    wanted, half, top, out, weight_out,
+    wanted, half, top, out, valid,
 ):  # fmt: skip
-    """Fill `out` (h, w, C) with the mean over the lenses that see each point, `weight_out` with their number.
+    """Fill `out` (h, w, C) with the mean over the lenses that see each point, `valid` (h, w) with whether there is one.
 
     `marks` is any tuple of C numbers: its length belongs to its type, so that code for other channels is left out.
     `gains` correct what a lens shows and `lights` are its illumination, over the squared distance from its centre.
@@ -274,7 +274,7 @@ def draw_rows(
                 total2 += mixed2 * norm
                 total3 += mixed3 * norm
                 total_weight += 1
-            weight_out[v, u] = total_weight / (n_sub * n_sub)
+            valid[v, u] = total_weight > 0
             per_sample = 1 / total_weight if total_weight > 0 else zero
             out[v, u, 0] = min(total0 * per_sample + half, top)
             if len(marks) > 1:

@@ -185,10 +185,10 @@ class Drawing:
 
         Those are taken from an earlier picture: `image` (rows, columns, C) and what was `valid` of it.
         """
-        image, seen = image.copy(), valid.astype(np.float32)
+        image, valid = image.copy(), valid.copy()
         if wanted.any():
-            self._rows(pixels, (0, 0), (0, 0, *self.size), image, seen, wanted)
-        return image, seen
+            self._rows(pixels, (0, 0), (0, 0, *self.size), image, valid, wanted)
+        return image, valid
 
     def _rows(
         self,
@@ -196,12 +196,12 @@ class Drawing:
         corner: tuple[int, int],
         part: Part,
         image: NDArray[Any],
-        seen: NDArray[np.float32] | None = None,
+        valid: NDArray[np.bool_] | None = None,
         wanted: NDArray[np.bool_] | None = None,
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Fill `image` with a part of the picture from all lenses in reach of each pixel, rounded to its type."""
         lattice, pitch, single = self.calibration.lattice, self.calibration.lattice.pitch, np.float32
-        seen = np.empty(image.shape[:2], single) if seen is None else seen
+        valid = np.empty(image.shape[:2], bool) if valid is None else valid
         wanted = np.empty((0, 0), bool) if wanted is None else wanted
         whole = image.dtype.kind in "ui"
         white = white_level(pixels)
@@ -225,9 +225,9 @@ class Drawing:
             single((self.blur * self.scale) ** 2), single(self.reach * pitch),
             single(self.agreement * white if self.blend else 0.0), np.array(self.viewpoint.offset, single),
             np.array(corner), np.array(lattice.image_size), np.array(part[:2]), wanted, single(0.5 if whole else 0.0),
-            single(np.iinfo(image.dtype).max if whole else np.inf), image, seen,
+            single(np.iinfo(image.dtype).max if whole else np.inf), image, valid,
         )  # fmt: skip
-        return image, seen > 0
+        return image, valid
 
     @cached_property
     def _patches(self) -> Part | None:
