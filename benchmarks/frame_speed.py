@@ -24,6 +24,8 @@ from data_synth import SCENES, Camera, simulate
 
 _RUNS = 7
 _SIZE, _PITCH = (1400, 1000), 23.2
+# Patch sizes of two analyses that differ by more than this share of the pitch are different depths.
+_APART = 0.04
 _LARGE, _LARGE_PITCH, _SHARES = (14142, 9546), 74.7, (0.15, 0.44, -0.44)
 
 
@@ -70,15 +72,32 @@ def _frame_rows(frames: list[NDArray[Any]], camera: lfcal.Calibration) -> None:
             )
         print(f"  {preset:9} all threads {walls[0] / walls[-1]:.2f} times as fast as one")
         if len(frames) > 1:
-            before = (flat, depth)
+            _next_row(frames, camera, preset, depth)
 
-            def following(preset: str = preset, before: Any = before) -> lfrender.DepthMap:
-                after = lfrender.analyze(frames[1], camera, preset, previous=before)
-                lfrender.render(frames[1], camera, after)
-                return after
 
-            still = following().saved.get("still", 0.0)
-            print(f"  {preset:9} next frame: {_medians(following)[0]:.1f} ms, {100 * still:.0f} % of the lenses still")
+def _next_row(frames: list[NDArray[Any]], camera: lfcal.Calibration, preset: str, depth: lfrender.DepthMap) -> None:
+    """A second frame after the first: its depth and picture, what was kept, and how far it is from one on its own."""
+    before = (frames[0], depth, lfrender.render(frames[0], camera, depth))
+
+    def followed() -> lfrender.DepthMap:
+        return lfrender.analyze(frames[1], camera, preset, previous=before[:2])
+
+    after = followed()
+
+    def drawn() -> lfrender.Rendering:
+        return lfrender.render(frames[1], camera, after, previous=before)
+
+    same = (drawn().image == before[2].image).reshape(*before[2].image.shape[:2], -1).all(2).mean()
+    alone = lfrender.analyze(frames[1], camera, preset)
+    both = (alone.mode != 0) & (after.mode != 0)
+    apart = np.abs(alone.patch_size - after.patch_size)[both] > _APART * depth.pitch
+    analysis, drawing = _medians(followed, drawn)
+    print(
+        f"  {preset:9} next frame: analyze {analysis:.1f} + render {drawing:.1f} = {analysis + drawing:.1f} ms,"
+        f" {100 * after.saved.get('still', 0.0):.0f} % of the lenses still,"
+        f" {100 * after.saved.get('steady', 0.0):.0f} % steady, {100 * same:.0f} % of the pixels kept;"
+        f" {100 * apart.mean():.1f} % of the lenses more than {_APART} D from the depth of the frame on its own"
+    )
 
 
 def _patch_times(flat: NDArray[Any], camera: lfcal.Calibration, s: float) -> list[float]:

@@ -12,8 +12,8 @@ from .combine import clipped_from
 from .disc_model import Discs, DiscSteps, edge_of, first_level
 from .disc_parameters import DiscModel, design, field_of, moved
 from .errors import CalibrationError
-from .fit import cell_faces
 from .lattice import Lattice
+from .lens_cell import cell_faces
 from .lit_lenses import LitLenses
 from .parts import Parts
 from .windows import cut_windows

@@ -7,7 +7,9 @@ import math
 import numpy as np
 from numba import njit, prange
 
-__all__ = ["OUTLIER", "accumulate_whole", "outside", "rows_within", "thinned"]
+from .lens_cell import outside, rows_within
+
+__all__ = ["OUTLIER", "accumulate_whole", "thinned"]
 
 # Residuals beyond so many standard deviations have no say (Tukey's biweight).
 OUTLIER = 4.685
@@ -23,20 +25,6 @@ _FAST = {"contract", "arcp", "nsz", "reassoc"}
 def thinned(radius: float) -> tuple[int, int]:
     """One pixel in how many is enough in an even disc of this radius [px], and by how many px to put rows aside."""
     return next((pair for pair in _THINNED if np.pi * radius**2 / pair[0] > _ENOUGH), _THINNED[-1])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def outside(dx, dy, faces):
-    for face in range(faces.shape[0]):  # noqa: SIM110
-        if dx * faces[face, 0] + dy * faces[face, 1] > 0.5:
-            return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def rows_within(centre, reach, corner, side):
-    """First and last but one row of a window within reach of the centre."""
-    return max(int(np.ceil(centre - reach)) - corner, 0), min(int(np.floor(centre + reach)) + 1 - corner, side)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_FAST)

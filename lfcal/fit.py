@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from .errors import CalibrationError
 from .lattice import Lattice
+from .lens_cell import cell_faces, inner_radius, outside
 from .lit_lenses import lit_lenses
 from .parts import Parts, whole_lenses
 
-__all__ = ["LatticeFit", "RadialProfile", "cell_faces", "fit_lattice", "inner_radius", "radial_profile", "whole_lenses"]
+__all__ = ["LatticeFit", "RadialProfile", "fit_lattice", "radial_profile"]
 
 # Distance between samples of a radial profile [px]: edges of discs are about one pixel wide.
 _STEP = 0.25
@@ -52,14 +53,8 @@ def _accumulate_profile(picture, centres, faces, inner, reach, step, chunks, tot
                 for x in range(int(np.ceil(cx - half)), int(np.floor(cx + half)) + 1):
                     dx = x - cx
                     rho = np.sqrt(dx * dx + dy * dy)
-                    if rho > inner:
-                        inside = True
-                        for face in range(faces.shape[0]):
-                            if dx * faces[face, 0] + dy * faces[face, 1] > 0.5:
-                                inside = False
-                                break
-                        if not inside:
-                            continue
+                    if rho > inner and outside(dx, dy, faces):
+                        continue
                     place = rho / step
                     ring = int(place)
                     part = place - ring
@@ -90,14 +85,8 @@ def _accumulate_steps(picture, centres, faces, inner, first, reach, step, level,
                 for x in range(low, high):
                     dx = x - cx
                     rho = np.sqrt(dx * dx + dy * dy)
-                    if rho > inner:
-                        inside = True
-                        for face in range(faces.shape[0]):
-                            if dx * faces[face, 0] + dy * faces[face, 1] > 0.5:
-                                inside = False
-                                break
-                        if not inside:
-                            continue
+                    if rho > inner and outside(dx, dy, faces):
+                        continue
                     place = rho / step
                     ring = int(place)
                     part = place - ring
@@ -175,26 +164,6 @@ class LatticeFit:
     uncertainty: float
     lenses_used: int
     halves_differ: float
-
-
-def cell_faces(lattice: Lattice) -> tuple[NDArray[np.float64], float]:
-    """Normals (k, 2) such that `delta @ normal <= 0.5` inside the cell of a lens, and the cell's circumradius [px]."""
-    steps = lattice.steps @ lattice.basis
-    if len(steps) == 4:
-        # Corners of an oblique cell are cut by the shorter diagonal.
-        a1, a2 = lattice.basis
-        diagonal = min(a1 + a2, a1 - a2, key=lambda d: float(d @ d))
-        steps = np.vstack([steps, diagonal, -diagonal])
-    faces = steps / (steps**2).sum(1, keepdims=True)
-    corners = []
-    for a in range(len(faces)):
-        for b in range(a):
-            pair = faces[[a, b]]
-            if abs(np.linalg.det(pair)) > 1e-9:
-                corner = np.linalg.solve(pair, [0.5, 0.5])
-                if (faces @ corner <= 0.5 + 1e-9).all():
-                    corners.append(float(np.hypot(*corner)))
-    return faces, max(corners)
 
 
 def radial_profile(
@@ -318,11 +287,6 @@ def _lens_steps(
         1 / profile.variance, _OUTLIER, normal, right,
     )  # fmt: skip
     return indices, normal, right
-
-
-def inner_radius(faces: NDArray[np.float64]) -> float:
-    """Radius of the circle inside a cell with these faces [px]."""
-    return float(0.5 / np.hypot(*faces.T).max())
 
 
 def _standard_error(

@@ -87,6 +87,8 @@ def translated(source: Path) -> Iterator[None]:
 def count_pages(path: str | os.PathLike[str]) -> int:
     """Number of full pictures in an image file: 1, but for a TIFF of several pages.
 
+    A list of pages that is cut off counts as one picture more, which cannot be read.
+
     Raises
     ------
     FlatError
@@ -97,7 +99,7 @@ def count_pages(path: str | os.PathLike[str]) -> int:
             if stream.read(4) not in _TIFF:
                 return 1
         with opened_tiff(Path(path)) as tiff:
-            return len(_full_pages(tiff))
+            return len(_full_pages(tiff)) + _is_cut_off(tiff)
     except OSError as error:
         raise FlatError(f"{path}: cannot be read ({error.strerror or one_line(error)})") from error
     # As in `read_flat`.
@@ -109,7 +111,7 @@ def _decode(source: Path, page: int | None) -> NDArray[Any]:
     mode = source.stat().st_mode
     if stat.S_ISDIR(mode):
         if is_zarr(source):
-            return open_zarr(source).whole()
+            return open_zarr(source, MAX_PIXELS).whole()
         raise FlatError("is a folder; give the image file")
     if not stat.S_ISREG(mode):
         raise FlatError("is not a regular file")
@@ -266,14 +268,43 @@ def opened_tiff(source: Path) -> Any:
 
 
 def _full_pages(tiff: Any) -> list[Any]:
-    return [page for page in tiff.pages if not page.is_reduced]
+    return [page for page in _pages(tiff) if not page.is_reduced]
+
+
+def _pages(tiff: Any) -> list[Any]:
+    """All pages, as far as the list of them can be followed."""
+    found: list[Any] = []
+    try:
+        found.extend(tiff.pages)
+    except Exception:
+        if not found:
+            raise
+    return found
+
+
+def _is_cut_off(tiff: Any) -> bool:
+    """Whether the list of pages goes on to a place where no page is."""
+    kind, file = tiff.tiff, tiff.filehandle
+    offsets = [page.offset for page in _pages(tiff)]
+    file.seek(offsets[-1])
+    (tags,) = struct.unpack(kind.tagnoformat, file.read(kind.tagnosize))
+    file.seek(offsets[-1] + kind.tagnosize + tags * kind.tagsize)
+    following = file.read(kind.offsetsize)
+    if len(following) < kind.offsetsize:
+        return True
+    (offset,) = struct.unpack(kind.offsetformat, following)
+    return offset != 0 and offset not in offsets
 
 
 def checked_page(tiff: Any, number: int | None) -> Any:
     """The page of a TIFF that is the flat, its pixels all there and of a kind that is read, or a FlatError."""
     pages = _full_pages(tiff)
+    if number is None and _is_cut_off(tiff):
+        raise FlatError(f"truncated TIFF: its list of pages is cut off after {len(pages)}")
     if number is None and len(pages) != 1:
         raise FlatError(f"the TIFF holds {len(pages)} pictures; save the one that is the flat on its own")
+    if number == len(pages) and _is_cut_off(tiff):
+        raise FlatError(f"truncated TIFF: its list of pages is cut off after {len(pages)}")
     if not 0 <= (number or 0) < len(pages):
         raise FlatError(f"the TIFF holds {len(pages)} pictures and no page {number}")
     page: Any = pages[number or 0]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import FlatError
-from .flat import as_flat, checked_page, opened_tiff, read_flat, tiff_pixels, translated
+from .flat import MAX_PIXELS, as_flat, checked_page, opened_tiff, read_flat, tiff_pixels, translated
 from .zarr_flat import is_zarr, open_zarr
 
 __all__ = ["FlatSource", "open_flat"]
@@ -111,7 +111,7 @@ def open_flat(path: str | os.PathLike[str], page: int | None = None) -> FlatSour
     source = Path(path)
     if source.is_dir() and is_zarr(source):
         with translated(source):
-            array = open_zarr(source)
+            array = open_zarr(source, MAX_PIXELS)
         return FlatSource(source, array, array.shape)
     if source.suffix.lower() in (".tif", ".tiff") and source.is_file():
         found = _open_tiff(source, page)

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .disc_parameters import CatEye
-from .fit import cell_faces, inner_radius
 from .gain_map import GainMap, frame
 from .gain_residuals import OUTLIER, Left, Sample, compare, lens_sample
 from .gain_terms import cut_terms, rim_terms, shade_terms
 from .lattice import Lattice
+from .lens_cell import cell_faces, inner_radius
 from .parts import Parts
 from .rim_cut import find_rim_cut
 from .scene_profile import scene_profile

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .lattice import Lattice
 
 __all__ = [
-    "ASIDE", "Walk", "describe", "divide", "field_level", "fill", "level_at", "light", "mean_light", "outside",
+    "ASIDE", "Walk", "describe", "divide", "field_level", "fill", "level_at", "light", "mean_light",
     "usable", "walk",
 ]  # fmt: skip
 
@@ -169,15 +169,6 @@ def light(dx, dy, lens, profile, step, cut):
         value = cut[5] + (value - cut[5]) * through
     value *= 1 + dx * (lens[0] + lens[2] * dx + lens[3] * dy) + dy * (lens[1] + lens[4] * dy)
     return value, stretched, through
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def outside(dx, dy, faces):
-    """Whether a place lies outside of the cell with these faces (`fit.cell_faces`)."""
-    most = 0.0
-    for k in range(faces.shape[0]):
-        most = max(most, dx * faces[k, 0] + dy * faces[k, 1])
-    return most > 0.5
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

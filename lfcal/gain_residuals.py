@@ -11,10 +11,10 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .fit import cell_faces, inner_radius
-from .gain_kernels import describe, light, outside
+from .gain_kernels import describe, light
 from .gain_map import GainMap
 from .lattice import Lattice
+from .lens_cell import cell_faces, inner_radius, outside
 from .parts import Parts, whole_lenses
 
 __all__ = ["DIRECTIONS", "OUTLIER", "Left", "Sample", "compare", "lens_sample"]

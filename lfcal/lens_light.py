@@ -9,12 +9,12 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .fit import cell_faces, inner_radius
 from .gain_fit import GainFit
-from .gain_kernels import describe, field_level, light, outside
+from .gain_kernels import describe, field_level, light
 from .gain_map import GainMap, frame, terms
 from .gain_terms import monomials
 from .lattice import Lattice
+from .lens_cell import cell_faces, inner_radius, outside
 from .parts import Look
 
 __all__ = ["LensLights", "dark_in_scene", "lens_lights"]

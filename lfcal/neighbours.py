@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import CalibrationError
-from .fit import whole_lenses
 from .lattice import Lattice
+from .parts import whole_lenses
 
 __all__ = ["Neighbours", "check_neighbours", "compare_neighbours"]
 

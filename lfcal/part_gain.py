@@ -29,6 +29,12 @@ class PartGain:
     def __init__(self, gain_map: GainMap, lattice: Lattice) -> None:
         self._fill = gain_map.filler(lattice)
 
+    def at(self, left: int, top: int, width: int, height: int) -> NDArray[np.float32]:
+        """(height, width) gain of the part of the flat that begins at the pixel `left, top`, as `Calibration.gain`."""
+        out = np.empty((height, width), np.float32)
+        self._fill(out, top, left)
+        return out
+
     def flatten(self, pixels: NDArray[Any], left: int = 0, top: int = 0) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Divide a part of a flat by its gain.
 

@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import CalibrationError
-from .fit import LatticeFit, cell_faces, whole_lenses
+from .fit import LatticeFit
 from .lattice import Lattice
+from .lens_cell import cell_faces
 from .majority import Steps, agreed, regular_ratio
+from .parts import whole_lenses
 from .template import lens_steps
 
 __all__ = ["fit_scene"]

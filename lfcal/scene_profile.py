@@ -14,11 +14,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .fit import cell_faces, inner_radius
-from .gain_kernels import describe, light, outside
+from .gain_kernels import describe, light
 from .gain_map import GainMap
 from .gain_residuals import lens_sample
 from .lattice import Lattice
+from .lens_cell import cell_faces, inner_radius, outside
 
 __all__ = ["scene_profile"]
 

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from .demosaicing import demosaic
     from .depthmap import DepthMap
     from .drawing import default_scale, render
+    from .films import render_film
     from .fourier_slice import refocus_fourier
     from .frame_job import FrameResult
     from .frames import Frames, open_frames
@@ -44,6 +45,7 @@ __all__ = [
     "refocus",
     "refocus_fourier",
     "render",
+    "render_film",
     "render_frames",
     "render_frames_on",
     "render_large",
@@ -78,6 +80,7 @@ _HOMES = {
     "refocus": "refocusing",
     "refocus_fourier": "fourier_slice",
     "render": "drawing",
+    "render_film": "films",
     "render_frames": "batch",
     "render_frames_on": "cluster",
     "render_large": "large_rendering",

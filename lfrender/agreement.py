@@ -7,6 +7,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .fastmath import FAST
+from .remembered import remembered
 
 __all__ = ["aggregate", "lens_costs"]
 
@@ -63,12 +64,26 @@ def _walk(cost, chain, slope, jump, total):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _walk_all(cost, chains, starts, slope, jump, total):
+def _walk_all(cost, chains, starts, slope, jump, wanted, total):
     for c in prange(len(starts) - 1):
+        some = False
+        for k in range(starts[c], starts[c + 1]):
+            some = some or wanted[chains[k]]
+        if not some:
+            continue
         _walk(cost, chains[starts[c] : starts[c + 1]], slope, jump, total)
 
 
-def _chains(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+_Chains = tuple[NDArray[np.int32], NDArray[np.int64]]
+
+
+def _all_chains(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> list[_Chains]:
+    """`_chains` in all directions and their opposites."""
+    pairs = [(forward[:, d], backward[:, d]) for d in range(forward.shape[1])]
+    return [_chains(*turned) for pair in pairs for turned in (pair, pair[::-1])]
+
+
+def _chains(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> _Chains:
     """All straight rows of lenses in one lattice direction, one after the other, and where each starts."""
     current = np.flatnonzero(backward < 0).astype(np.int32)
     # Follow all rows at once: each round moves every row on by one lens.
@@ -93,6 +108,7 @@ def aggregate(
     backward: NDArray[np.int32],
     slope: float,
     jump: float,
+    wanted: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
     """Sum of path costs from all lattice directions (Hirschmueller, Semi-Global Matching, 2008, section 2.2).
 
@@ -106,10 +122,13 @@ def aggregate(
         Price of a step of one shift between neighbours.
     jump : float
         Largest price between neighbours: a depth edge.
+    wanted : (n,) bool, optional
+        Lenses whose sums are asked for; those of others may lack paths.
     """
+    wanted = np.ones(len(cost), bool) if wanted is None else wanted
     total = np.zeros_like(cost)
-    for d in range(forward.shape[1]):
-        for ahead, behind in ((forward[:, d], backward[:, d]), (backward[:, d], forward[:, d])):
-            chains, starts = _chains(ahead, behind)
-            _walk_all(cost, chains, starts, np.float32(slope), np.float32(jump), total)
+    # Rows of lenses belong to the lattice, and neighbour rows live as long as that.
+    found, other = remembered(forward, "chains", lambda: (_all_chains(forward, backward), backward))
+    for chains, starts in found if other is backward else _all_chains(forward, backward):
+        _walk_all(cost, chains, starts, np.float32(slope), np.float32(jump), wanted, total)
     return total

@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, FlatError, Lattice
+from lfcal import Calibration, Lattice
 
+from .certainty import certainty, confirmed, misled, repeated, signal_share, widened
 from .consensus import measure
 from .depthmap import DepthMap
 from .flatcheck import check_flat
 from .modes import fill
-from .neighbours import neighbour_rows
+from .neighbours import grown, lens_halves
 from .plane import TEXTURED, Plane, fit_plane, strays
-from .radiance import GrayFlat, gray_flat
+from .radiance import GrayFlat, gray_flat, shrunk
 from .region import check_region, embed, embed_textured, lenses_in, part_of, rows_of, scaled
 from .remainder import remainder_depths
 from .search import PRESETS, Found, Matcher, search
-from .sequence import changed_lenses
 from .single_plane import PlaneScene, find_plane
 from .skipping import Shortcuts, sample_lenses
 from .spreading import grid_shape, spread
@@ -32,10 +32,11 @@ __all__ = [
     "PRESETS",
     "Overview",
     "analyze",
+    "analyzed",
     "lens_by_lens",
-    "lens_halves",
     "on_one_plane",
     "regular_plane",
+    "working",
 ]
 
 
@@ -116,13 +117,14 @@ def analyze(
         How much time to spend.
     skip : bool or names
         Shortcuts to take: True all, False none (the exhaustive search), or some of `"blank"`, `"ranges"`, `"plane"`,
-        `"still"` (see `Shortcuts`). `DepthMap.saved` tells what they have saved.
+        `"still"`, `"steady"` (see `Shortcuts`). `DepthMap.saved` tells what they have saved.
     roi : (x0, y0, x1, y1), optional [px]
         Only lenses with their centre in this part of the flat are analysed; the others are unresolved.
     previous : (flat, DepthMap), optional
         An earlier frame of the same camera and exposure, and its answer with the same preset: lenses that show
-        the same there as now, and whose neighbours do, keep it. Over many frames with slow changes give the frame
-        that was analysed, not the last one, or changes smaller than the noise add up.
+        the same there as now, and whose neighbours do, keep it; so do lenses that move, but still match at their
+        depth. Over many frames with slow changes give the frame that was analysed, not the last one, or changes
+        smaller than the noise add up.
 
     Returns
     -------
@@ -146,22 +148,23 @@ def analyze(
     if previous is not None and shortcuts.still:
         if inside is not None:
             raise ValueError("give either roi or previous, not both")
-        return _following(flat, calibration, preset, shortcuts, *previous)
-    gray, small, factor = _working(flat, calibration, preset)
+        from .following import following
+
+        return following(flat, calibration, preset, shortcuts, *previous)
+    gray, small, factor = working(flat, calibration, preset)
     if inside is None:
-        return scaled(_analyze(gray, small, preset, shortcuts), lattice, factor)
+        return scaled(analyzed(gray, small, preset, shortcuts), lattice, factor)
     part, sub = part_of(gray, small, inside)
-    return scaled(embed(_analyze(part, sub, preset, shortcuts), sub, small, inside), lattice, factor)
+    return scaled(embed(analyzed(part, sub, preset, shortcuts), sub, small, inside), lattice, factor)
 
 
-def _working(flat: NDArray, calibration: Calibration, preset: str) -> tuple[GrayFlat, Lattice, int]:
+def working(flat: NDArray, calibration: Calibration, preset: str) -> tuple[GrayFlat, Lattice, int]:
     """The flat as the preset analyses it, its lattice, and how many of its pixels each way have become one."""
     factor = PRESETS[preset].factor(calibration.lattice.pitch)
-    lattice = calibration.lattice if factor == 1 else calibration.lattice.shrunk(factor)
-    return gray_flat(flat, calibration, factor), lattice, factor
+    return gray_flat(flat, calibration, factor), shrunk(calibration.lattice, factor), factor
 
 
-def _analyze(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts) -> DepthMap:
+def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts) -> DepthMap:
     """The depth of a flat of which nothing is known."""
     plain = quick_statistics(gray)
     if shortcuts.plane:
@@ -180,13 +183,6 @@ def _analyze(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
             left = (1 - depth.saved["blank"]) * len(sub) / len(lattice)
             return embed_textured(depth, sub, lattice, {**depth.saved, "blank": 1 - left})
     return lens_by_lens(gray, lattice, preset, shortcuts, plain, (blank, np.inf))
-
-
-def lens_halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Neighbour rows in every lattice direction, and in the opposite ones."""
-    neighbours = neighbour_rows(lattice, lattice.steps)
-    half = neighbours.shape[1] // 2
-    return neighbours[:, :half], neighbours[:, half:]
 
 
 def _level(found: PlaneScene, lattice: Lattice, preset: str) -> DepthMap:
@@ -265,10 +261,10 @@ def lens_by_lens(
     known = None
     if kept is not None and before is not None:
         # Lenses beside those with a new answer support them, and so do those beside these.
-        near = _grown(_grown(~kept, neighbours), neighbours)
+        near = grown(grown(~kept, neighbours), neighbours)
         known = np.where(near, np.nan, before.drawn).astype(np.float32)
     noise = None if overview is None else overview.noise
-    texture = find_texture(gray, lattice, plain, blank, _grown(near, neighbours), noise)
+    texture = find_texture(gray, lattice, plain, blank, grown(near, neighbours), noise)
     some = texture.clear | texture.faint
     active = near if blank is None else near & some
     clear = texture.clear & active
@@ -285,12 +281,9 @@ def lens_by_lens(
     measured = np.isfinite(lenses.patch_size)
     refined = np.where(measured, lenses.patch_size, found.patch_size)
     error = np.where(measured, lenses.standard_error, np.inf)
-    agreed = _agreed(refined, error, neighbours, lattice.pitch)
-    reason = _reasons(textured, found, refined, agreed, lattice.pitch)
-    signal = 1 - np.minimum(texture.noise / np.maximum(texture.statistics.contrast, 1e-12), 1) ** 2
-    reason[(reason == 0) & _unmeasured(refined, error, neighbours, lattice.pitch)] = 2
-    reason[_by_chance(reason == 0, found, refined, signal, neighbours, lattice.pitch)] = 3
-    sure = np.where(textured, found.confidence, 0)
+    signal = signal_share(texture)
+    astray = misled(error, found.explained / signal)
+    reason, error, sure = _judged(textured, found, refined, error, signal, neighbours, lattice.pitch)
     if kept is not None and before is not None:
         refined, error, sure, reason = (
             np.where(kept, earlier, new)
@@ -304,6 +297,7 @@ def lens_by_lens(
     resolved = reason == 0
     plane = regular_plane(lattice, refined, error, resolved, neighbours) if kept is None and overview is None else None
     if plane is not None:
+        plane = replace(plane, misled=float(np.median(astray[resolved & np.isfinite(error)])))
         # A plane confirms what few pairs at the border of the flat could not.
         own = plane.at(lattice.centres())
         near_plane = (np.abs(refined - own) <= 2 * _AGREED * lattice.pitch) & (
@@ -327,9 +321,9 @@ def lens_by_lens(
     shaded = (np.abs(rest) < _SHADED_REACH * lattice.pitch) & ~_populated(rest, occurring, gap)
     rest[shaded] = np.nan
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
-    old = None if before is None else before.surface
+    old, settled = None if before is None else before.surface, None if kept is None else ~grown(~kept, neighbours)
     others = np.stack([seconds, rest], 1)
-    surface = spread(texture.flat, lattice, drawn, others, trust, texture.noise, setting.cells, ~near, old)
+    surface = spread(texture.flat, lattice, drawn, others, trust, texture.noise, setting.cells, settled, old)
     # A lens that sees two depths answers with the one in its middle.
     middle = surface.at(lattice.centres())
     crossed = resolved & (np.abs(middle - drawn) > gap)
@@ -363,11 +357,6 @@ def _within_reach(guess: NDArray, refined: NDArray, reason: NDArray[np.int8], pi
     return np.where(astray, np.median(known) if known.size else _UNTOLD * pitch, guess)
 
 
-def _grown(mask: NDArray[np.bool_], neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """`mask` and all lenses beside it."""
-    return mask | (mask[neighbours] & (neighbours >= 0)).any(1)
-
-
 def _level_about(surface: Surface, lattice: Lattice, middle: NDArray[np.float32], gap: float) -> NDArray[np.bool_]:
     """Lenses about whose centre the surface stays at its value there, to all sides."""
     level = np.ones(len(middle), bool)
@@ -394,37 +383,31 @@ def _saved(
     return saved
 
 
-def _following(
-    flat: NDArray, calibration: Calibration, preset: str, shortcuts: Shortcuts, earlier: NDArray, before: DepthMap
-) -> DepthMap:
-    """The depth of a frame after another: only lenses that show something else, or whose neighbours do, are new."""
-    lattice = calibration.lattice
-    earlier = check_flat(earlier, calibration)
-    if earlier.shape != flat.shape or earlier.dtype != flat.dtype:
-        kinds = " and ".join(f"{a.shape[2]} x {a.dtype}" for a in (earlier, flat))
-        raise FlatError(f"both frames must have the same channels and type, they have {kinds}")
-    if len(before) != len(lattice) or before.preset != preset:
-        raise ValueError("the earlier depth map was made with another camera or preset; analyze without previous")
-    forward, backward = lens_halves(lattice)
-    neighbours = np.hstack([forward, backward])
-    kept = ~_grown(changed_lenses(earlier, flat, calibration), neighbours)
-    if kept.all():
-        return replace(before, saved={"still": 1.0})
-    gray, small, factor = _working(flat, calibration, preset)
-    if not kept.any():
-        return scaled(_analyze(gray, small, preset, shortcuts), lattice, factor)
-    plain = quick_statistics(gray)
-    depth = lens_by_lens(
-        gray,
-        small,
-        preset,
-        shortcuts,
-        plain,
-        (blank_lenses(plain)[0], np.inf) if shortcuts.blank else None,
-        kept,
-        scaled(before, small, 1 / factor),
-    )
-    return scaled(depth, lattice, factor)
+def _judged(
+    textured: NDArray[np.bool_],
+    found: Found,
+    refined: NDArray,
+    error: NDArray,
+    signal: NDArray[np.float32],
+    neighbours: NDArray[np.int32],
+    pitch: float,
+) -> tuple[NDArray[np.int8], NDArray, NDArray]:
+    """Reason, standard error and confidence of every lens, as `DepthMap`, from what it and those around it measure.
+
+    `signal` (n,) is the share of the contrast squared that is no noise: what a right match may correlate at best.
+    """
+    reason = _reasons(textured, found, refined, _agreed(refined, error, neighbours, pitch), pitch)
+    reason[(reason == 0) & _unmeasured(refined, error, neighbours, pitch)] = 2
+    reason[_by_chance(reason == 0, found, refined, signal, neighbours, pitch)] = 3
+    explained = found.explained / signal
+    beside = confirmed(reason == 0, refined, explained, neighbours, pitch)
+    reason[(reason > 1) & beside & (np.abs(refined) <= _RESOLVABLE * pitch)] = 0
+    single = (reason == 0) & (found.rivals >= _SURE)
+    occurring = _populated(refined, refined[single], 0.5 * _ALIKE * pitch)
+    reason[repeated(reason == 0, found.rivals, occurring, neighbours)] = 2
+    error = widened(error, explained)
+    sure = np.where(textured, np.minimum(found.confidence, found.rivals), 0)
+    return reason, error, certainty(sure, refined, error, explained, neighbours, pitch)
 
 
 def _agreed(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float) -> NDArray[np.bool_]:

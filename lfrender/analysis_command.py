@@ -11,7 +11,16 @@ from lfcal import LightFieldError, check_output, console
 
 from .command_figures import camera_figures, depth_figures, distance_figures
 from .command_inputs import analysed, camera_of, in_colour, read_optics
-from .command_options import CAMERA, INPUT, OUTPUT, WITHOUT_CAMERA, at_most_one, flat_argument, preset_option
+from .command_options import (
+    CAMERA,
+    INPUT,
+    OUTPUT,
+    WITHOUT_CAMERA,
+    at_most_one,
+    cluster_options,
+    flat_argument,
+    preset_option,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -48,6 +57,7 @@ __all__ = ["analyze"]
 )
 @click.option("--roi", type=float, nargs=4, metavar="X0 Y0 X1 Y1", help="Only lenses with their centre in here [px].")
 @click.option("--exhaustive", is_flag=True, help="Take no shortcuts: match every lens at every shift.")
+@cluster_options
 @preset_option
 @console.report_options
 def analyze(
@@ -61,6 +71,8 @@ def analyze(
     optics_file: Path | None,
     roi: tuple[float, float, float, float] | None,
     exhaustive: bool,
+    workers: int | None,
+    scheduler: str | None,
     preset: str,
     as_json: bool,
     quiet: bool,
@@ -72,12 +84,16 @@ def analyze(
     for path, endings in ((dense, {".tif", ".tiff", ".pfm"}), (picture, {".png"}), (ply, {".ply"})):
         if path is not None:
             check_output(path, endings, [flat, camera, white])
+    at_most_one("--workers", workers, "--scheduler", scheduler)
+    cluster = workers or scheduler
+    at_most_one("--workers or --scheduler", cluster, "--roi", roi, "--ply", ply)
     if roi is None and ply is None:
         from . import large_cli
 
-        if large_cli.is_large(flat):
+        if cluster or large_cli.is_large(flat):
             optics = read_optics(optics_file)
-            depth, calibration = large_cli.analyze(report, flat, camera, white, output, preset, not exhaustive)
+            on = large_cli.Cluster(workers, scheduler)
+            depth, calibration = large_cli.analyze(report, flat, camera, white, output, preset, not exhaustive, on)
             with report.stage("write"):
                 _write_depth(depth, None, calibration, dense, picture, None, optics)
             figures = {**camera_figures(calibration, depth), **depth_figures(depth), **distance_figures(depth, optics)}

@@ -216,31 +216,42 @@ def calm_lenses(values, seconds, trust, indices, grid, low, ring, gap):
     return calm
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _mean_around(centres, values, trust, grid, low, ring, i, j, x, y, vote2):
-    """Weighted mean of the answers of the lenses around a scene point."""
-    weight = total = np.float32(0.0)
+@njit(cache=True, nogil=True, inline="always")
+def _all_settled(settled, grid, low, ring, i, j, lens):
+    """Whether a lens is settled, or, beyond the last ones, all about its place are."""
+    if lens >= 0:
+        return settled[lens]
     for r in range(len(ring)):
-        lens = _lens_at(grid, low, i + ring[r, 0], j + ring[r, 1])
-        if lens < 0:
-            continue
-        d = (x - centres[lens, 0]) ** 2 + (y - centres[lens, 1]) ** 2
-        if d >= vote2:
-            continue
-        w = trust[lens] * (1 - d / vote2) ** 2
+        other = _lens_at(grid, low, i + ring[r, 0], j + ring[r, 1])
+        if other >= 0 and not settled[other]:
+            return False
+    return True
+
+
+# Python's error model checks every division, which no vector loop can.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _mean_around(count, there_x, there_y, sizes, trusts, x, y, vote2):
+    """Weighted mean of the answers of the `count` lenses around a scene point."""
+    weight = total = np.float32(0.0)
+    per_vote2 = np.float32(1.0) / vote2
+    for m in range(count):
+        dx, dy = x - there_x[m], y - there_y[m]
+        share = max(np.float32(1.0) - (dx * dx + dy * dy) * per_vote2, np.float32(0.0))
+        w = trusts[m] * share * share
         weight += w
-        total += w * values[lens]
+        total += w * sizes[m]
     return total / weight
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def propose(
     image, centres, radius, pitch, values, seconds, trust, calm, grid, low, origin, inverse, bend, bend_low, ring,
-    gap, floor, first, spacing, vote2, step, depths, costs,
+    gap, floor, first, spacing, vote2, step, settled, old, depths, costs,
 ):  # fmt: skip
     """Candidate depths of each scene point, from the lenses around it, in `depths`, their mismatch in `costs`.
 
-    Unused places are NaN. A point on whose depth all lenses around agree has one candidate, of cost 0.
+    About lenses that are `settled` the only one is that of the `old` surface, which may else be (0, 0). Unused places
+    are NaN. A point on whose depth all lenses around agree has one candidate, of cost 0.
     """
     rows, columns, most = depths.shape
     nearby = len(ring)
@@ -257,6 +268,11 @@ def propose(
         patches = np.empty((_MOST_VIEWS + 1, (2 * _PATCH + 1) ** 2), np.float32)
         moments = np.empty((_MOST_VIEWS + 1, 2), np.float32)
         sorted_costs = np.empty(_MOST_VIEWS, np.float32)
+        # The lenses around that by which the last scene points lay, one after the other for a vector loop.
+        around = 0
+        around_i, around_j = 2**62, 0
+        there_x, there_y = np.empty(nearby, np.float32), np.empty(nearby, np.float32)
+        there_sizes, there_trust = np.empty(nearby, np.float32), np.empty(nearby, np.float32)
         for u in range(columns):
             x, y = np.float32(first + u * spacing), np.float32(first + v * spacing)
             for k in range(most):
@@ -265,11 +281,22 @@ def propose(
             at_i, at_j = nearest_index(first + u * spacing, first + v * spacing, origin, inverse, bend, bend_low)
             i, j = int(at_i), int(at_j)
             lens = _lens_at(grid, low, i, j)
+            if old.size > 0 and _all_settled(settled, grid, low, ring, i, j, lens):
+                depths[v, u, 0], costs[v, u, 0] = old[v, u], 0.0
+                continue
             if lens >= 0 and calm[lens]:
                 if calm[lens] == _ALONE:
                     depths[v, u, 0] = values[lens]
                 else:
-                    depths[v, u, 0] = _mean_around(centres, values, trust, grid, low, ring, i, j, x, y, vote2)
+                    if i != around_i or j != around_j:
+                        around, around_i, around_j = 0, i, j
+                        for r in range(nearby):
+                            other = _lens_at(grid, low, i + ring[r, 0], j + ring[r, 1])
+                            if other >= 0:
+                                there_x[around], there_y[around] = centres[other, 0], centres[other, 1]
+                                there_sizes[around], there_trust[around] = values[other], trust[other]
+                                around += 1
+                    depths[v, u, 0] = _mean_around(around, there_x, there_y, there_sizes, there_trust, x, y, vote2)
                 costs[v, u, 0] = 0.0
                 continue
             count = 0

@@ -23,7 +23,7 @@ from .frames import Frame
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-__all__ = ["connect", "render_frames_on"]
+__all__ = ["connect", "limit_threads", "render_frames_on", "taken"]
 
 # Frames in flight for each thread of the cluster: enough to keep all busy, few enough to hold videos in memory.
 _AHEAD = 3
@@ -149,8 +149,32 @@ def _readable(job: Job, number: int, frame: Frame) -> Key:
 
 
 def _result(waiting: Any) -> FrameResult:
-    found: FrameResult = waiting if isinstance(waiting, FrameResult) else waiting.result()
+    found: FrameResult = waiting if isinstance(waiting, FrameResult) else taken(waiting)
     return found
+
+
+def taken(future: Future) -> Any:
+    """The result of a task; an OutputError where no worker could be found that lived long enough to finish it."""
+    from distributed.client import FutureCancelledError
+    from distributed.scheduler import KilledWorker
+
+    try:
+        return future.result()
+    except (KilledWorker, FutureCancelledError) as error:
+        raise OutputError(
+            f"the cluster has given up a part of the work ({error}); workers die for want of memory: start fewer of "
+            "them, or on larger machines"
+        ) from error
+
+
+def limit_threads(count: int) -> None:
+    """Have everything that computes in this process take so many threads."""
+    import cv2
+    import numba
+
+    most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+    numba.set_num_threads(min(count, most))
+    cv2.setNumThreads(count)
 
 
 class _Worker:
@@ -165,9 +189,7 @@ class _Worker:
     def job_of(cls, settings: tuple[Any, ...]) -> Job:
         folder, preset, suffix, threads = settings
         if threads is not None:
-            import numba
-
-            numba.set_num_threads(threads)
+            limit_threads(threads)
         if cls.settings != settings or cls.job is None:
             cls.job, cls.key, cls.settings = Job.opened(Path(folder), None, preset, None, suffix, False), None, settings
         return cls.job

@@ -9,7 +9,9 @@ import click
 
 from lfcal import console
 
-__all__ = ["CAMERA", "INPUT", "OUTPUT", "WITHOUT_CAMERA", "at_most_one", "flat_argument", "preset_option"]
+__all__ = [
+    "CAMERA", "INPUT", "OUTPUT", "WITHOUT_CAMERA", "at_most_one", "cluster_options", "flat_argument", "preset_option",
+]  # fmt: skip
 
 INPUT, OUTPUT = console.Input(), click.Path(path_type=Path)
 CAMERA = "Camera file of lfcal, or a published calibration (.xml, .cfg)."
@@ -27,6 +29,13 @@ def preset_option(command: Any) -> Any:
         show_default=True,
         help="How much time the depth analysis may take.",
     )(command)
+
+
+def cluster_options(command: Any) -> Any:
+    """Give a command the options `--workers` and `--scheduler`."""
+    scheduler = click.option("--scheduler", metavar="tcp://HOST:PORT", help="Work on tiles on this Dask scheduler.")
+    workers = click.option("--workers", type=click.IntRange(1), help="Work on tiles in so many processes (needs Dask).")
+    return workers(scheduler(command))
 
 
 def at_most_one(*pairs: Any) -> None:

@@ -54,6 +54,7 @@ def render(
     blend: bool | None = None,
     sharpen: float | Literal["auto"] | None = None,
     roi: tuple[float, float, float, float] | None = None,
+    previous: tuple[NDArray, DepthMap, Rendering] | None = None,
 ) -> Rendering:
     """Draw the scene that a flat shows, sharp at every depth.
 
@@ -80,6 +81,11 @@ def render(
     roi : (float, float, float, float), optional [px]
         Draw only the pixels whose scene points lie between `x0, y0` and `x1, y1`, as they are in the whole picture.
         Without `depth` only lenses in there, and those that they need, are analysed.
+    previous : (flat, DepthMap, Rendering), optional
+        An earlier frame of the same camera and exposure, its depth, and its picture drawn with the same options, whose
+        scale is the default then. Pixels keep their colour where no lens that shows them has changed by more than
+        noise, and the depth has not: still parts do not flicker. All others are as in a whole new picture. It is quick
+        where `depth` was analysed with the same earlier frame as `previous`.
 
     Returns
     -------
@@ -92,7 +98,7 @@ def render(
         As `analyze`; also if `depth` belongs to another flat size or lattice.
     ValueError
         If both `depth` and `patch_size` are given, a number makes no picture, or `roi` and `sharpen` are given, which
-        needs the whole picture.
+        needs the whole picture; or `previous` without `depth`, with either of these, or of another scale or kind.
     """
     pixels = check_flat(flat, calibration)
     if roi is not None:
@@ -101,6 +107,9 @@ def render(
             raise ValueError("sharpen needs the whole picture; give either roi or sharpen")
     if sharpen is not None and sharpen != "auto" and not (np.isfinite(sharpen) and sharpen >= 0):
         raise ValueError(f"sharpen must be 'auto' or a width of 0 or more output pixels, got {sharpen!r}")
+    if previous is not None:
+        _check_previous(previous[2], pixels, depth, scale, roi is not None or sharpen is not None)
+        scale = previous[2].scale
     if patch_size is None and depth is None:
         depth = analyze(pixels, calibration, roi=roi and lenses_for(roi, calibration))
 
@@ -109,21 +118,57 @@ def render(
 
     drawing = drawing_of(look, calibration, depth, patch_size, scale, blend)
     part = (0, 0, *drawing.size) if roi is None else drawing.part_in(roi)
-    image, lenses = drawing.draw(pixels, part=part)
+    if previous is None:
+        image, valid = drawing.draw(pixels, part=part, stored=sharpen is None)
+    else:
+        image, valid = _redrawn(drawing, pixels, depth, *previous)
     if sharpen is not None:
         from .sharpening import sharpened
 
         one = np.full(len(calibration.lattice), patch_size, np.float32)
         sizes, full = (one, abs(drawing.scale)) if depth is None else (depth.patch_size, default_scale(depth))
         image = sharpened(
-            image.astype(np.float32), lenses > 0, sharpen, pixels, calibration, drawing.surface, sizes,
+            image.astype(np.float32), valid, sharpen, pixels, calibration, drawing.surface, sizes,
             drawing.scale, full, drawing.blend, drawing.blur,
         )  # fmt: skip
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
     affine = drawing.affine
     affine[:, 2] += affine[:, :2] @ part[:2]
-    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, lenses > 0, drawing.scale)
+    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, valid, drawing.scale)
+
+
+def _check_previous(
+    picture: Rendering, pixels: NDArray, depth: DepthMap | None, scale: float | None, part: bool
+) -> None:
+    """Refuse an earlier picture that this frame cannot follow."""
+    if depth is None or part:
+        raise ValueError("previous needs depth, and the whole picture without roi and sharpen")
+    if scale is not None and scale != picture.scale:
+        raise ValueError(f"the earlier picture has scale {picture.scale}, not {scale}; draw without previous")
+    channels = picture.image.shape[2] if picture.image.ndim == 3 else 1
+    if picture.image.dtype != pixels.dtype or channels != pixels.shape[2]:
+        raise ValueError(
+            f"the earlier picture is {channels} x {picture.image.dtype}, the flat {pixels.shape[2]} x {pixels.dtype}; "
+            "draw without previous"
+        )
+
+
+def _redrawn(
+    drawing: Drawing, pixels: NDArray, depth: DepthMap | None, earlier: NDArray, before: DepthMap, picture: Rendering
+) -> tuple[NDArray, NDArray[np.bool_]]:
+    """The picture, drawn anew where it may differ from the earlier one."""
+    from .following import changed_since
+    from .redrawing import pixels_to_redraw
+
+    assert depth is not None
+    earlier = check_flat(earlier, drawing.calibration)
+    columns, rows = drawing.size
+    if picture.image.shape[:2] != (rows, columns) or earlier.shape != pixels.shape or earlier.dtype != pixels.dtype:
+        raise ValueError("the earlier frame or its picture is of another kind or size; draw without previous")
+    changed = changed_since(before, depth, earlier, pixels, drawing.calibration)
+    wanted = pixels_to_redraw(drawing, before.surface, changed)
+    return drawing.redraw(pixels, wanted, picture.image.reshape(rows, columns, -1), picture.valid)
 
 
 def lenses_for(roi: tuple[float, float, float, float], calibration: Calibration) -> tuple[float, float, float, float]:
@@ -176,7 +221,8 @@ def _draw(
     aperture: float = 1.0,
     agreement: float = _AGREEMENT,
     viewpoint: Viewpoint = _MIDDLE,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """The picture in the flat's units, what was seen of each pixel (0..1), and the affine to scene coordinates."""
+    stored: bool = False,
+) -> tuple[NDArray, NDArray[np.bool_], NDArray[np.float64]]:
+    """The picture in the flat's units, which of its pixels some lens has seen, and the affine to scene coordinates."""
     drawing = Drawing(calibration, surface, scale, blend, blur, reach, agreement, aperture, viewpoint)
-    return *drawing.draw(pixels), drawing.affine
+    return *drawing.draw(pixels, stored=stored), drawing.affine

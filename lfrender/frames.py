@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from lfcal import FlatError, count_pages, read_flat
 
-__all__ = ["Frame", "Frames", "open_frames"]
+__all__ = ["Frame", "Frames", "exact", "is_film", "open_frames"]
 
 _IMAGES = {".png", ".tif", ".tiff", ".webp", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm"}
 # Raw streams have no header that names their codec.
@@ -23,6 +24,9 @@ _VIDEOS = {
     ".mp4": None, ".mkv": None, ".mov": None, ".avi": None, ".webm": None, ".y4m": None, ".m4v": None,
     ".vvc": "vvc", ".266": "vvc", ".hevc": "hevc", ".265": "hevc", ".h264": "h264", ".264": "h264",
 }  # fmt: skip
+# Without rounding and with colours only at every second pixel, as FFmpeg has it else, 8-bit videos would come out 1.3
+# grey levels too dark.
+_EXACT = "BICUBIC", "ACCURATE_RND", "FULL_CHR_H_INT", "FULL_CHR_H_INP"
 # Videos whose pixels have more than 8 bits a colour are read with 16.
 _DEEP = re.compile(r"1[0-6](le|be)?$")
 
@@ -66,6 +70,16 @@ class Frames:
         counts = [_video_length(part.path) if part.names is None else len(part.names) for part in self.parts]
         return None if None in counts else sum(c for c in counts if c is not None)
 
+    @property
+    def rate(self) -> Fraction | None:
+        """Frames a second of the first video that says, None where there is none."""
+        return next(filter(None, (_video_rate(part.path) for part in self.parts if part.names is None)), None)
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that the frames are read from."""
+        return [part.path for part in self.parts]
+
     def __iter__(self) -> Iterator[Frame]:
         for part in self.parts:
             if part.names is None:
@@ -97,6 +111,11 @@ def open_frames(inputs: Iterable[str | os.PathLike[str]]) -> Frames:
     if twice:
         raise FlatError(f"{len(twice)} frames would have the same name, such as '{twice[0]}'; give them one by one")
     return Frames(tuple(parts))
+
+
+def is_film(path: Path) -> bool:
+    """Whether a name ends as those of videos do."""
+    return path.suffix.lower() in _VIDEOS and not path.is_dir()
 
 
 def _parts(path: Path) -> list[_Part]:
@@ -141,38 +160,122 @@ def _video_length(path: Path) -> int | None:
     """Number of frames that a video says it has; None where it does not say."""
     av = _import_av(path)
     try:
-        with av.open(str(path), format=_VIDEOS[path.suffix.lower()]) as container:
+        with _opened_video(path) as container:
             return int(container.streams.video[0].frames) or None
-    except (av.error.FFmpegError, IndexError, OSError):
+    except (av.error.FFmpegError, FlatError, OSError):
         return None
 
 
-def _video_frames(path: Path) -> Iterator[Frame]:
-    """Frames of a video in RGB; after a damaged one, an error and then those that can be decoded."""
+def _video_rate(path: Path) -> Fraction | None:
+    """Frames a second that a video says it has."""
     av = _import_av(path)
+    try:
+        with _opened_video(path) as container:
+            rate = container.streams.video[0].average_rate
+            return Fraction(rate) if rate and rate > 0 else None
+    except (av.error.FFmpegError, FlatError, OSError):
+        return None
+
+
+def _opened_video(path: Path) -> Any:
+    """A video that has pictures, in a `with` statement."""
+    container = _import_av(path).open(str(path), format=_VIDEOS[path.suffix.lower()])
+    if not container.streams.video:
+        container.close()
+        raise FlatError(f"{path}: there is no video in it")
+    return container
+
+
+def _video_frames(path: Path) -> Iterator[Frame]:
+    """Frames of a video in RGB; one that is damaged, or a video that is, becomes a frame that cannot be read."""
     number = 0
     try:
-        with av.open(str(path), format=_VIDEOS[path.suffix.lower()]) as container:
-            if not container.streams.video:
-                raise FlatError(f"{path}: there is no video in it")
-            stream = container.streams.video[0]
-            stream.thread_type = "AUTO"
-            for packet in container.demux(stream):
-                try:
-                    decoded = packet.decode()
-                except av.error.FFmpegError as error:
-                    yield Frame(_video_name(path, number), partial(_refuse, f"{path}: frame {number}: {error}"))
-                    number += 1
-                    continue
-                for picture in decoded:
-                    deep = _DEEP.search(picture.format.name) is not None
-                    pixels = picture.to_ndarray(format="rgb48le" if deep else "rgb24")
-                    yield Frame(_video_name(path, number), partial(np.ascontiguousarray, pixels))
-                    number += 1
-    except (av.error.FFmpegError, OSError) as error:
-        raise FlatError(f"{path}: cannot be read as a video ({error})") from error
-    if number == 0:
-        raise FlatError(f"{path}: holds no frames")
+        with _opened_video(path) as container:
+            count = _said_count(container)
+            for picture in _decoded(container):
+                yield Frame(_video_name(path, number), _video_pixels(path, number, picture))
+                number += 1
+        if number == 0:
+            raise FlatError(f"{path}: holds no frames")
+        if number < count:
+            raise FlatError(f"{path}: ends after {number} of {count} frames")
+    except FlatError as error:
+        yield Frame(_video_name(path, number), partial(_refuse, str(error)))
+    # FFmpeg tells damage by errors of many kinds.
+    except Exception as error:
+        message = f"{path}: cannot be read as a video from frame {number} on ({_said(error)})"
+        yield Frame(_video_name(path, number), partial(_refuse, message))
+
+
+def _said_count(container: Any) -> int:
+    """Number of frames that there must be at least by what a video says, 0 where it does not say."""
+    stream = container.streams.video[0]
+    if stream.frames:
+        return int(stream.frames)
+    steady = stream.average_rate and stream.average_rate == stream.base_rate and len(container.streams) == 1
+    if not steady or not container.duration:
+        return 0
+    # Durations [us] are rounded, and some end where the last frame begins.
+    return int(Fraction(container.duration, 1_000_000) * stream.average_rate - Fraction(1, 2))
+
+
+def _decoded(container: Any) -> Iterator[Any]:
+    """The pictures of a video, and an error in the place of those that cannot be decoded."""
+    stream = container.streams.video[0]
+    # This decoder tells of wrong checksums in nothing but its log, which is to be about one frame.
+    logged = stream.codec_context.name == "ffv1"
+    stream.thread_type = "SLICE" if logged else "AUTO"
+    for packet in container.demux(stream):
+        try:
+            if not logged:
+                yield from packet.decode()
+                continue
+            pictures, wrong = _overheard(packet)
+            yield from [FlatError(wrong) for _ in pictures] if wrong else pictures
+        except Exception as error:
+            yield error
+
+
+def _overheard(packet: Any) -> tuple[list[Any], str]:
+    """The pictures of a packet, and the first error that their decoder has logged."""
+    from av import logging
+
+    before = logging.get_level()
+    logging.set_level(logging.ERROR)
+    try:
+        with logging.Capture(local=False) as log:
+            pictures = packet.decode()
+    finally:
+        logging.set_level(before)
+    return pictures, next((text.strip() for level, name, text in log if name == "ffv1" and level <= logging.ERROR), "")
+
+
+def _video_pixels(path: Path, number: int, picture: Any) -> Callable[[], NDArray[Any]]:
+    """What reads the pixels of a decoded picture, or says why there are none."""
+    if isinstance(picture, Exception):
+        return partial(_refuse, f"{path}: frame {number}: {_said(picture)}")
+    # Decoders fill what is missing with something; a flat that is half made up would still be rendered.
+    if picture.is_corrupt:
+        return partial(_refuse, f"{path}: frame {number} is damaged")
+    deep = _DEEP.search(picture.format.name) is not None
+    try:
+        pixels = picture.to_ndarray(format="rgb48le") if deep else exact(picture, "rgb24").to_ndarray()
+    except Exception as error:
+        return partial(_refuse, f"{path}: frame {number}: {_said(error)}")
+    return partial(np.ascontiguousarray, pixels)
+
+
+def exact(picture: Any, name: str, **options: Any) -> Any:
+    """A frame of PyAV in another pixel format, rounded to the nearest value."""
+    from av.video.reformatter import Interpolation
+
+    way = sum(int(Interpolation[flag]) for flag in _EXACT)
+    return picture.reformat(format=name, interpolation=way, **options)
+
+
+def _said(error: BaseException) -> str:
+    """The message of an error in one line."""
+    return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def _refuse(message: str) -> NDArray[Any]:

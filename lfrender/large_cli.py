@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from .depthmap import DepthMap
     from .unfinished import Unfinished
 
-__all__ = ["Asked", "analyze", "is_large", "render", "wanted"]
+__all__ = ["Asked", "Cluster", "analyze", "is_large", "render", "wanted"]
 
 # Flats of more bytes are large: those of usual sensors are quicker in one go.
 _LARGE = 100_000_000
@@ -42,11 +44,34 @@ class Asked:
     compress: bool
     tile: int | None
     preset: str
+    on: Cluster
 
 
-def wanted(flat: Path, output: Path, tile: int | None) -> bool:
+@dataclass(frozen=True)
+class Cluster:
+    """Where tiles are to be worked on: on so many processes, on the workers of a scheduler, or here."""
+
+    workers: int | None = None
+    scheduler: str | None = None
+
+    def __bool__(self) -> bool:
+        return self.workers is not None or self.scheduler is not None
+
+    @contextmanager
+    def options(self) -> Iterator[dict[str, Any]]:
+        """What `analyze_large` and `render_large` are to be told."""
+        if not self:
+            yield {}
+            return
+        from .cluster import connect
+
+        with connect(self.workers, self.scheduler) as client:
+            yield {"client": client, "threads": 1 if self.workers else None}
+
+
+def wanted(flat: Path, output: Path, tile: int | None, on: Cluster) -> bool:
     """Whether a flat is to be worked on in tiles."""
-    if tile is not None or output.suffix.lower() == ".zarr":
+    if on or tile is not None or output.suffix.lower() == ".zarr":
         return True
     return is_large(flat)
 
@@ -81,20 +106,20 @@ def render(report: Any, asked: Asked) -> None:
         inputs = [asked.flat, asked.camera, asked.white, asked.depth_file]
         check_output_of(asked.output, source.dtype, asked.alpha, inputs)
         unfinished = Unfinished(asked.output)
-    with source:
+    with source, asked.on.options() as workers:
         with report.stage("calibrate"):
             calibration = _camera(report, asked, source, unfinished)
         depth = None
         if asked.patch_size is None:
             with report.stage("analyze"):
-                depth = _depth(report, asked, source, calibration, unfinished)
+                depth = _depth(report, asked, source, calibration, unfinished, workers)
         report.announce_compilation("lfrender")
         with report.stage("render"), report.counted("tiles") as progress:
             try:
                 made = render_large(
                     source, asked.output, calibration, depth, patch_size=asked.patch_size, scale=asked.scale,
                     blend=asked.blend, tile=asked.tile, alpha=asked.alpha, compress=asked.compress,
-                    settings=settings_of(depth, asked.patch_size), progress=progress,
+                    settings=settings_of(depth, asked.patch_size), progress=progress, **workers,
                 )  # fmt: skip
             except LightFieldError:
                 raise
@@ -109,7 +134,7 @@ def render(report: Any, asked: Asked) -> None:
 
 
 def analyze(
-    report: Any, flat: Path, camera: Path | None, white: Path | None, output: Path, preset: str, skip: bool
+    report: Any, flat: Path, camera: Path | None, white: Path | None, output: Path, preset: str, skip: bool, on: Cluster
 ) -> tuple[DepthMap, Calibration]:
     """Analyse in tiles, and save the depth."""
     from . import analyze_large
@@ -118,7 +143,7 @@ def analyze(
         from lfcal import open_flat, read_flat
 
         source = open_flat(flat)
-    with source:
+    with source, on.options() as workers:
         with report.stage("calibrate"):
             # Our own camera files need the size of the flat only.
             own = camera is not None and camera.suffix.lower() not in (".xml", ".cfg")
@@ -127,7 +152,7 @@ def analyze(
             del pixels
         report.announce_compilation("lfrender")
         with report.stage("analyze"), report.counted("tiles") as progress:
-            depth = analyze_large(source, calibration, preset, skip=skip, progress=progress)
+            depth = analyze_large(source, calibration, preset, skip=skip, progress=progress, **workers)
         depth.save(output)
     return depth, calibration
 
@@ -143,7 +168,7 @@ def _camera(report: Any, asked: Asked, source: FlatSource, unfinished: Unfinishe
         return camera_of(report, asked.flat, shape, asked.camera, None, asked.mosaic)
     key = fingerprint(stamp(asked.flat), stamp(asked.white), stamp(asked.camera), asked.mosaic)
     file = unfinished.folder / "camera.json"
-    if unfinished.find("camera", key):
+    if unfinished.find("camera", key) and file.exists():
         return load(file)
     pixels = read_flat(asked.flat)
     calibration = camera_of(report, asked.flat, pixels, asked.camera, asked.white, asked.mosaic)
@@ -154,7 +179,14 @@ def _camera(report: Any, asked: Asked, source: FlatSource, unfinished: Unfinishe
     return load(file)
 
 
-def _depth(report: Any, asked: Asked, source: FlatSource, calibration: Calibration, unfinished: Unfinished) -> DepthMap:
+def _depth(
+    report: Any,
+    asked: Asked,
+    source: FlatSource,
+    calibration: Calibration,
+    unfinished: Unfinished,
+    workers: dict[str, Any],
+) -> DepthMap:
     """The depth of a file, or analysed, which an earlier run may have done."""
     from . import analyze_large
     from .depthmap import DepthMap
@@ -164,11 +196,11 @@ def _depth(report: Any, asked: Asked, source: FlatSource, calibration: Calibrati
         return DepthMap.load(asked.depth_file)
     key = fingerprint(stamp(asked.flat), calibration.to_dict(), asked.preset)
     file = unfinished.folder / "depth.npz"
-    if unfinished.find("depth", key):
+    if unfinished.find("depth", key) and file.exists():
         return DepthMap.load(file)
     report.announce_compilation("lfrender")
     with report.counted("tiles") as progress:
-        depth = analyze_large(source, calibration, asked.preset, progress=progress)
+        depth = analyze_large(source, calibration, asked.preset, progress=progress, **workers)
     unfinished.open()
     depth.save(file)
     unfinished.keep("depth", key)

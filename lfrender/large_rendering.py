@@ -6,10 +6,10 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +20,23 @@ from .depthmap import DepthMap
 from .drawing import drawing_of
 from .embedded import read_embedded
 from .flat_parts import FlatParts
+from .part_workers import ClusterWorkers, Here, PartWorkers
 from .picture import PictureError, check_picture, describe, with_alpha, write_picture
-from .picture_file import PartWriter, new_writer, written_in_parts
+from .picture_file import PartWriter, move_into_place, new_writer, written_in_parts
 from .rendering import Rendering
-from .tile_drawing import Drawing, Part, as_stored
+from .tile_drawing import Drawing, Part
 from .unfinished import Unfinished, fingerprint, stamp
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 __all__ = ["LargePicture", "render_large"]
 
 # Bytes that the flat and the picture of a tile may take, all copies together.
 _BUDGET = 4 << 28
+# Tiles for each thread of a cluster, so that the last ones do not leave most of them idle; smaller ones [px] would be
+# mostly halo.
+_TILES_EACH, _LEAST_TILE = 4, 512
 # What has been drawn is made safe on the disk at most so often [s].
 _SYNC = 2.0
 
@@ -76,6 +83,8 @@ def render_large(
     compress: bool = False,
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
+    client: Client | None = None,
+    threads: int | None = None,
 ) -> LargePicture:
     """Draw a large flat into a file, tile by tile: the pixels are those of `render`, whatever the tiles.
 
@@ -96,6 +105,8 @@ def render_large(
         As `write_picture`.
     progress : callable or None
         Called with the number of finished tiles and of all.
+    client, threads
+        As `analyze_large`: tiles are drawn by the workers of a cluster, and written here.
 
     Raises
     ------
@@ -108,7 +119,8 @@ def render_large(
         raise ValueError("give depth (analyze_large makes it) or patch_size")
     check_output_of(output, source.dtype, alpha)
     drawing = drawing_of(parts.read, calibration, depth, patch_size, scale, blend)
-    side = drawing_tile(drawing, parts, tile)
+    workers = Here(parts) if client is None else ClusterWorkers(client, source, threads)
+    side = drawing_tile(drawing, parts, tile, 1 if isinstance(workers, Here) else _TILES_EACH * workers.count)
     text = describe(Rendering(np.empty(0), drawing.affine, np.empty(0, bool), drawing.scale), settings)
     channels = parts.channels + alpha
     shape = (*drawing.size[::-1], channels) if channels > 1 else drawing.size[::-1]
@@ -123,7 +135,7 @@ def render_large(
         output if direct else output.with_suffix(".tif"), unfinished.open(), shape, source.dtype, side,
         json.dumps(text), icc=read_embedded(source.path).icc, compress=compress and direct,
     )  # fmt: skip
-    run = _Run(drawing, parts, writer, unfinished, key, alpha, source.dtype)
+    run = _Run(drawing, parts, workers, writer, unfinished, key, alpha)
     kept, seen = run.all(list(drawing.tiles(side)), progress)
     if direct:
         writer.finish(output)
@@ -146,8 +158,8 @@ def check_output_of(output: Path, dtype: Any, alpha: bool, inputs: Any = ()) -> 
         raise PictureError(f"{output}: is an input of this command; give another output")
 
 
-def drawing_tile(drawing: Drawing, parts: FlatParts, tile: int | None) -> tuple[int, int]:
-    """Columns and rows of the tiles: as asked for, or nearly square ones that fit the memory."""
+def drawing_tile(drawing: Drawing, parts: FlatParts, tile: int | None, least: int = 1) -> tuple[int, int]:
+    """Columns and rows of the tiles: as asked for, or nearly square ones that fit the memory, `least` or more."""
     columns, rows = drawing.size
     if tile is not None:
         if tile < 1:
@@ -163,6 +175,8 @@ def drawing_tile(drawing: Drawing, parts: FlatParts, tile: int | None) -> tuple[
     side = 64
     while (side * 1.1 * spacing + halo) ** 2 * flat_bytes + (side * 1.1) ** 2 * picture_bytes < _BUDGET:
         side = int(side * 1.1) + 1
+    shared = int(np.sqrt(columns * rows / least))
+    side = min(side, max(shared, _LEAST_TILE)) if least > 1 else side
     across, down = -(-columns // side), -(-rows // side)
     return -(-columns // across), -(-rows // down)
 
@@ -171,17 +185,19 @@ class _Run:
     """Tiles being drawn, written and remembered."""
 
     def __init__(
-        self, drawing: Drawing, parts: FlatParts, writer: PartWriter, unfinished: Unfinished, key: str, alpha: bool,
-        dtype: Any,
+        self, drawing: Drawing, parts: FlatParts, workers: PartWorkers, writer: PartWriter, unfinished: Unfinished,
+        key: str, alpha: bool,
     ) -> None:  # fmt: skip
-        self.drawing, self.parts, self.writer, self.unfinished = drawing, parts, writer, unfinished
-        self.key, self.alpha, self.dtype = key, alpha, dtype
+        self.drawing, self.parts, self.workers, self.writer = drawing, parts, workers, writer
+        self.unfinished, self.key, self.alpha = unfinished, key, alpha
 
     def all(self, tiles: list[Part], progress: Callable[[int, int], None] | None) -> tuple[int, int]:
         """Draw the tiles that are missing; how many were not, and how many pixels some lens has seen."""
         found = self.unfinished.find("picture", self.key)
+        # A run that was killed as it cleaned up may have left its notes alone.
+        if not self.writer.open(fresh=found is None):
+            found = None
         done: dict[str, int] = dict(found) if found else {}
-        self.writer.open(fresh=found is None)
         if found is None:
             self.unfinished.keep("picture", self.key, {})
         kept = len(done)
@@ -189,10 +205,9 @@ class _Run:
         last = monotonic()
         waiting: Future[None] | None = None
         with ThreadPoolExecutor(1) as pool:
-            for number, image, seen in self._drawn(tiles, left):
+            for number, image, valid in self._drawn(tiles, left):
                 if waiting is not None:
                     waiting.result()
-                valid = seen > 0
                 waiting = pool.submit(self._store, tiles[number], image, valid)
                 done[str(number)] = int(np.count_nonzero(valid))
                 if progress is not None:
@@ -206,18 +221,20 @@ class _Run:
                 waiting.result()
         return kept, sum(done.values())
 
-    def _drawn(
-        self, tiles: list[Part], numbers: list[int]
-    ) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.float32]]]:
-        needed = [self.drawing.needed(tiles[number]) for number in numbers]
-        for number, (part, pixels) in zip(numbers, self.parts.ahead(needed), strict=True):
-            yield number, *self.drawing.draw(pixels, part[:2], tiles[number])
+    def _drawn(self, tiles: list[Part], numbers: list[int]) -> Iterator[tuple[int, NDArray, NDArray[np.bool_]]]:
+        some = [tiles[number] for number in numbers]
+        found = self.workers.each(_drawn, replace(self.drawing), some, map(self.drawing.needed, some))
+        for number, (image, valid) in zip(numbers, found, strict=True):
+            yield number, image, valid
 
-    def _store(self, tile: Part, image: NDArray[np.float32], valid: NDArray[np.bool_]) -> None:
-        pixels = as_stored(image, self.dtype)
-        if not self.parts.colour:
-            pixels = pixels[:, :, 0]
+    def _store(self, tile: Part, image: NDArray[Any], valid: NDArray[np.bool_]) -> None:
+        pixels = image if self.parts.colour else image[:, :, 0]
         self.writer.write(tile, with_alpha(pixels, valid) if self.alpha else pixels)
+
+
+def _drawn(drawing: Drawing, tile: Part, pixels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """A tile of the picture from the part of the flat that it needs."""
+    return drawing.draw(pixels, drawing.needed(tile)[:2], tile, stored=True)
 
 
 def _encode(
@@ -238,4 +255,7 @@ def _encode(
     colours = pixels[..., 0] if alpha and pixels.shape[2] == 2 else pixels[..., :3] if alpha else pixels
     valid = pixels[..., -1] > 0 if alpha else np.ones(pixels.shape[:2], bool)
     picture = Rendering(np.asarray(colours), drawing.affine, valid, drawing.scale)
-    write_picture(output, picture, alpha=alpha, settings=settings, embedded=read_embedded(source.path))
+    # In there it is removed by the next run if this one is killed.
+    encoded = unfinished.folder / f"encoded{output.suffix}"
+    write_picture(encoded, picture, alpha=alpha, settings=settings, embedded=read_embedded(source.path))
+    move_into_place(encoded, output)

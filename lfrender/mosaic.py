@@ -55,7 +55,7 @@ def draw_rows(
     flat, marks, seen, gains, lights, light_step, origin, inverse, basis, bend, low, offsets, steps, types, shares,
     radius, pitch,
     surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance, view, corner, size, start,
-    out, weight_out,
+    wanted, half, top, out, weight_out,
 ):  # fmt: skip
     """Fill `out` (h, w, C) with the mean over the lenses that see each point, `weight_out` with their number.
 
@@ -70,6 +70,8 @@ def draw_rows(
     (2,) [px] beside their centres, which moves places as `warping.py` describes; output pixel (0, 0) lies at `first`
     (2,). `flat` and `seen` are the part from the pixel `corner` (2,) on of a flat of `size` (2,), and hold all that is
     read; `out` is the part of the picture from the pixel `start` (2,) on. The answers are those of the whole.
+    Pixels of it that are not `wanted` (h, w) stay as they are; (0, 0) wants all. `half` is added to values, which are
+    then `top` at most, so that cutting off rounds them.
     """
     width, height, channels = size[0], size[1], len(marks)
     rows, columns, _ = out.shape
@@ -91,10 +93,24 @@ def draw_rows(
     zero, per_channel = np.float32(0.0), np.float32(1 / channels)
     per_light_step = 1 / light_step
     across, down = np.uint64(channels), np.uint64(flat.shape[1] * channels)
+    # Type of each lens about one, by the indices of that: divisions of whole numbers are slow.
+    cells = max(len(types), 1)
+    kinds = np.zeros((cells, cells, len(offsets)), np.int64)
+    if typed:
+        for a in range(cells):
+            for b in range(cells):
+                for o in range(len(offsets)):
+                    kinds[a, b, o] = types[(a + steps[o, 0]) % cells, (b + steps[o, 1]) % cells]
+    squares = lights * lights
     for v in prange(rows):
         values = np.empty((MAX_LENSES, 4), np.float32)
         weights = np.empty(MAX_LENSES, np.float32)
+        members = np.empty(len(offsets) + 1, np.int64)
+        away_x, away_y = np.empty(len(offsets) + 1, np.float32), np.empty(len(offsets) + 1, np.float32)
+        away_2 = np.empty(len(offsets) + 1, np.float32)
         for u in range(columns):
+            if wanted.size > 0 and not wanted[v, u]:
+                continue
             centre_x, centre_y = first[0] + (start[0] + u) * spacing, first[1] + (start[1] + v) * spacing
             s_here = patch_size_at(surface, np.float32(centre_x), np.float32(centre_y), grid_x, grid_y, cell, edge)
             # Side of an output pixel in the flat, and how much of it lens and pixel have not averaged already.
@@ -119,11 +135,16 @@ def draw_rows(
                     else patch_size_at(surface, np.float32(x), np.float32(y), grid_x, grid_y, cell, edge)
                 )
                 slope = s / pitch
+                grown = np.float32(1.0) + slope
                 i, j = nearest_index(x, y, origin, inverse, bend, low)
                 base_x = np.float32(x - origin[0] - (i * basis[0, 0] + j * basis[1, 0]))
                 base_y = np.float32(y - origin[1] - (i * basis[0, 1] + j * basis[1, 1]))
                 limit = min((radius + aside) / max(abs(slope), np.float32(1e-6)), reach)
                 limit2 = limit * limit
+                ratio, kind_at = 0, kinds[0, 0]
+                if typed:
+                    ratio = min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)
+                    kind_at = kinds[int(i) % cells, int(j) % cells]
                 per_limit2 = 1 / limit2
                 # The nearest lens lies `base` away; with a distortion that is not known so well.
                 nearest = np.float32(0.75) * pitch if bent else np.sqrt(base_x * base_x + base_y * base_y)
@@ -134,37 +155,55 @@ def draw_rows(
                 best_at = 0
                 norm = np.float32(0.0)
                 mean0 = mean1 = mean2 = mean3 = zero
+                # Unpredictable branches cost more than what they leave out.
+                near = 0
                 for o in range(len(offsets)):
                     # offsets are sorted: beyond this one none can be near enough
-                    if offsets[o, 2] > farthest or found == MAX_LENSES:
+                    if offsets[o, 2] > farthest:
                         break
                     ex, ey = base_x - offsets[o, 0], base_y - offsets[o, 1]
                     if bent:
                         bend_x, bend_y = bent_by(bend, low, i + steps[o, 0], j + steps[o, 1])
                         ex, ey = ex - bend_x, ey - bend_y
                     d2 = ex * ex + ey * ey
+                    members[near], away_x[near], away_y[near], away_2[near] = o, ex, ey, d2
+                    near += int(d2 <= limit2)
+                near = min(near, MAX_LENSES)
+                whole_x, whole_y = np.floor(x), np.floor(y)
+                left_x, left_y = np.float32(x - whole_x) + view_x, np.float32(y - whole_y) + view_y
+                column, line_at = np.int64(whole_x), np.int64(whole_y)
+                for m in range(near):
+                    ex, ey, d2 = away_x[m], away_y[m], away_2[m]
                     # The most central lens alone is read where none is averaged.
-                    if d2 > limit2 or (t2 <= 0 and d2 >= best):
+                    if t2 <= 0 and d2 >= best:
                         continue
+                    if offsets[members[m], 2] > farthest:
+                        break
                     dx, dy = view_x - ex * slope, view_y - ey * slope
                     delta2 = dx * dx + dy * dy
                     if aside > 0 and delta2 > radius2:
                         continue
-                    px, py = x - ex + dx, y - ey + dy
+                    rx, ry = left_x - ex * grown, left_y - ey * grown
+                    step_x, step_y = np.floor(rx), np.floor(ry)
+                    fx, fy = rx - step_x, ry - step_y
+                    ix, iy = column + np.int64(step_x), line_at + np.int64(step_y)
                     if not inside:
-                        if not (px >= 0 and py >= 0 and px <= width - 1 and py <= height - 1):
+                        if not (ix >= 0 and iy >= 0 and ix + fx <= width - 1 and iy + fy <= height - 1):
                             continue
                         if x - ex < -0.5 or y - ey < -0.5 or x - ex >= width - 0.5 or y - ey >= height - 0.5:
                             continue
+                        if ix > width - 2:
+                            ix, fx = width - 2, np.float32(1.0)
+                        if iy > height - 2:
+                            iy, fy = height - 2, np.float32(1.0)
                     ring = np.uint64(min(int(delta2 * per_light_step), last_ring))
                     gain = gains[ring]
-                    ix, iy = min(int(px), width - 2), min(int(py), height - 2)
-                    fx, fy = np.float32(px - ix), np.float32(py - iy)
                     # Unsigned: signed indices are looked at for being counted from the end.
-                    upper = np.uint64(((iy - corner[1]) * flat.shape[1] + ix - corner[0]) * channels)
-                    w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
-                    w10, w11 = (1 - fx) * fy, fx * fy
-                    w00, w01, w10, w11 = gain * w00, gain * w01, gain * w10, gain * w11
+                    row_at, column_at = np.uint64(iy - corner[1]), np.uint64(ix - corner[0])
+                    upper = row_at * down + column_at * across
+                    gx, gy = gain * fx, np.float32(1.0) - fy
+                    w01, w11 = gx * gy, gx * fy
+                    w00, w10 = gain * gy - w01, gain * fy - w11
                     value1 = value2 = value3 = zero
                     value0 = _read(line, upper, across, down, w00, w01, w10, w11)
                     if len(marks) > 1:
@@ -173,17 +212,16 @@ def draw_rows(
                         value2 = _read(line, upper + np.uint64(2), across, down, w00, w01, w10, w11)
                     if len(marks) > 3:
                         value3 = _read(line, upper + np.uint64(3), across, down, w00, w01, w10, w11)
-                    away = d2 * per_limit2
+                    off_axis = d2 * per_limit2
                     if aside > 0:
                         # From the middle, the first alone grows toward the rim of a microimage.
-                        away = max(away, delta2 / radius2)
-                    weight = (np.float32(1.02) - away) * lights[ring] * lights[ring]
+                        off_axis = max(off_axis, delta2 / radius2)
+                    weight = (np.float32(1.02) - off_axis) * squares[ring]
                     if typed:
-                        kind = types[int(i + steps[o, 0]) % len(types), int(j + steps[o, 1]) % len(types)]
-                        share = shares[kind, min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)]
-                        weight *= share
+                        weight *= shares[kind_at[members[m]], ratio]
                     if known:
-                        depth = seen[np.uint64(int(py + 0.5) - corner[1]), np.uint64(int(px + 0.5) - corner[0])]
+                        below, right = np.uint64(fy + np.float32(0.5)), np.uint64(fx + np.float32(0.5))
+                        depth = seen[row_at + below, column_at + right]
                         if abs(depth - s) > 2 * edge:
                             weight *= _HIDDEN
                             if aside > 0:
@@ -193,6 +231,11 @@ def draw_rows(
                             d2 += limit2
                     if d2 < best:
                         best, best_at = d2, found
+                        if t2 <= 0:
+                            # No lens is nearer than half the way from this one to its neighbours; others lie farther
+                            # from the point than from its nearest lens, less the distance of that one.
+                            away = np.sqrt(best)
+                            farthest = min(farthest, nearest + away) if 2 * away > offsets[1, 2] else zero
                     norm += weight
                     mean0 += weight * value0
                     mean1 += weight * value1
@@ -233,10 +276,10 @@ def draw_rows(
                 total_weight += 1
             weight_out[v, u] = total_weight / (n_sub * n_sub)
             per_sample = 1 / total_weight if total_weight > 0 else zero
-            out[v, u, 0] = total0 * per_sample
+            out[v, u, 0] = min(total0 * per_sample + half, top)
             if len(marks) > 1:
-                out[v, u, 1] = total1 * per_sample
+                out[v, u, 1] = min(total1 * per_sample + half, top)
             if len(marks) > 2:
-                out[v, u, 2] = total2 * per_sample
+                out[v, u, 2] = min(total2 * per_sample + half, top)
             if len(marks) > 3:
-                out[v, u, 3] = total3 * per_sample
+                out[v, u, 3] = min(total3 * per_sample + half, top)

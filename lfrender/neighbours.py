@@ -7,7 +7,12 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
-__all__ = ["beside", "lens_grid", "neighbour_rows"]
+from .remembered import remembered
+
+__all__ = ["beside", "grown", "lens_grid", "lens_halves", "neighbour_rows"]
+
+# Lattices with no more lenses than this keep what tells who is beside whom.
+_MOST_KEPT = 1 << 18
 
 
 def lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
@@ -29,7 +34,17 @@ def lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
 
 
 def neighbour_rows(lattice: Lattice, steps: NDArray[np.int64]) -> NDArray[np.int32]:
-    """(n, k) rows of the lenses `steps` (k, 2) index steps away from each lens, -1 where there is none."""
+    """(n, k) rows of the lenses `steps` (k, 2) index steps away from each lens, -1 where there is none.
+
+    Shared by all who ask: nobody may write into them.
+    """
+    if len(lattice) <= _MOST_KEPT:
+        key = ("neighbours", steps.tobytes())
+        return remembered(lattice, key, lambda: _neighbour_rows(lattice, steps))
+    return _neighbour_rows(lattice, steps)
+
+
+def _neighbour_rows(lattice: Lattice, steps: NDArray[np.int64]) -> NDArray[np.int32]:
     grid, low = lens_grid(lattice)
     ij = lattice.indices() - low
     # A border of -1 as wide as the longest step makes every look-up a valid one.
@@ -40,9 +55,25 @@ def neighbour_rows(lattice: Lattice, steps: NDArray[np.int64]) -> NDArray[np.int
     return grid.ravel()[here[:, None] + (steps[:, 1] * width + steps[:, 0])]
 
 
+def lens_halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Neighbour rows in every lattice direction, and in the opposite ones; shared, as `neighbour_rows`."""
+    return remembered(lattice, "halves", lambda: _halves(lattice)) if len(lattice) <= _MOST_KEPT else _halves(lattice)
+
+
+def _halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    neighbours = neighbour_rows(lattice, lattice.steps)
+    half = neighbours.shape[1] // 2
+    return neighbours[:, :half], neighbours[:, half:]
+
+
 def beside(mask: NDArray[np.bool_], rows: NDArray[np.int32]) -> NDArray[np.int64]:
     """(n,) how many neighbours (n, k) of each lens of `mask` (n,) are of it too; 0 for the other lenses."""
     chosen = np.flatnonzero(mask)
     count = np.zeros(len(mask), np.int64)
     count[chosen] = (mask[rows[chosen]] & (rows[chosen] >= 0)).sum(1)
     return count
+
+
+def grown(mask: NDArray[np.bool_], neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """(n,) bool: `mask` and all lenses beside it, by neighbour rows (n, k)."""
+    return mask | (mask[neighbours] & (neighbours >= 0)).any(1)

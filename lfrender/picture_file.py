@@ -14,7 +14,7 @@ from lfcal import OutputError, whole_file
 
 from .picture import PictureError, tiff_tags
 
-__all__ = ["PartWriter", "new_writer", "written_in_parts"]
+__all__ = ["PartWriter", "move_into_place", "new_writer", "written_in_parts"]
 
 _TILE = 256
 
@@ -24,11 +24,19 @@ def written_in_parts(path: Path) -> bool:
     return path.suffix.lower() in (".tif", ".tiff", ".zarr")
 
 
+def move_into_place(made: Path, output: Path) -> None:
+    """Move what is whole to where it belongs, which is on the same disk."""
+    try:
+        os.replace(made, output)
+    except OSError as error:
+        raise OutputError(f"{output}: cannot be written ({error.strerror or error})") from error
+
+
 class PartWriter(Protocol):
     """Writes the parts of one picture, any in any order, into a folder of unfinished work."""
 
-    def open(self, fresh: bool) -> None:
-        """Begin anew, or go on with what is in the folder."""
+    def open(self, fresh: bool) -> bool:
+        """Begin anew, or go on with what is in the folder; whether there was something to go on with."""
 
     def write(self, part: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
         """Write the pixels of `left, top, right, bottom`."""
@@ -80,14 +88,16 @@ class _TiffWriter:
         self._file: Any = None
         self._start = 0
 
-    def open(self, fresh: bool) -> None:
+    def open(self, fresh: bool) -> bool:
         import tifffile
 
-        if fresh or not self._path.exists():
+        found = not fresh and self._path.exists()
+        if not found:
             tifffile.imwrite(self._path, shape=self._shape, dtype=self._dtype, **self._tags)
         with tifffile.TiffFile(self._path) as tiff:
             self._start = tiff.pages[0].dataoffsets[0]
         self._file = open(self._path, "r+b", buffering=0)  # noqa: SIM115 (closed at the end)
+        return found
 
     def write(self, part: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
         left, top, right, _ = part
@@ -107,16 +117,19 @@ class _TiffWriter:
     def finish(self, output: Path) -> None:
         self._file.close()
         if not self._compress:
-            os.replace(self._path, output)
+            move_into_place(self._path, output)
             return
         import tifffile
 
         options: dict[str, Any] = {"tile": (_TILE, _TILE), "compression": "zlib", "compressionargs": {"level": 3}}
-        with whole_file(output) as temporary:
+        # In the folder of unfinished work it is found again, and removed, by the next run if this one is killed.
+        packed = self._path.with_name("packed.tif")
+        with whole_file(packed) as temporary:
             tifffile.imwrite(
                 temporary, self._tiles(), shape=self._shape, dtype=self._dtype, predictor=self._dtype.kind != "f",
                 **options, **self._tags,
             )  # fmt: skip
+        move_into_place(packed, output)
 
     def _tiles(self) -> Any:
         """The tiles of the finished picture, row by row."""
@@ -137,20 +150,24 @@ class _ZarrWriter:
         self._chunks = (min(side[1], shape[0]), min(side[0], shape[1]), *shape[2:])
         self._array: Any = None
 
-    def open(self, fresh: bool) -> None:
+    def open(self, fresh: bool) -> bool:
         try:
             import zarr
         except ImportError as error:
             raise PictureError("Zarr needs the package 'zarr'; pip install 'lfrender[zarr]'") from error
         if fresh:
             shutil.rmtree(self._path, ignore_errors=True)
-        if not self._path.exists():
-            self._array = zarr.create_array(
-                str(self._path), shape=self._shape, dtype=self._dtype, chunks=self._chunks,
-                attributes={"description": self._description},
-            )  # fmt: skip
-        else:
-            self._array = zarr.open_array(str(self._path), mode="r+")
+        found = self._path.exists()
+        # A chunk that is not there is then one that was lost.
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            if not found:
+                self._array = zarr.create_array(
+                    str(self._path), shape=self._shape, dtype=self._dtype, chunks=self._chunks,
+                    attributes={"description": self._description},
+                )  # fmt: skip
+            else:
+                self._array = zarr.open_array(str(self._path), mode="r+")
+        return found
 
     def write(self, part: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
         left, top, right, bottom = part
@@ -163,5 +180,9 @@ class _ZarrWriter:
     def finish(self, output: Path) -> None:
         if output.exists() and not any((output / name).exists() for name in ("zarr.json", ".zarray", ".zgroup")):
             raise OutputError(f"{output}: is there already and no Zarr array; give another output")
-        shutil.rmtree(output, ignore_errors=True)
-        os.replace(self._path, output)
+        earlier = self._path.with_name("earlier.zarr")
+        # Out of the way in one step: a folder half removed would be taken for a picture.
+        if output.exists():
+            shutil.rmtree(earlier, ignore_errors=True)
+            move_into_place(output, earlier)
+        move_into_place(self._path, output)

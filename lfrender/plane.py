@@ -22,13 +22,18 @@ _DEGREE, _EVEN = 3, 0.025
 _FLOOR = 0.006
 # Systematic error of a patch size [px] that no number of lenses averages out, and what it grows by [pitches] with the
 # cube of |s| / D, as neighbours come to share no more than their rims: as measured on the planes of two ray tracers.
-_UNSEEN, _UNSEEN_GROWTH = 0.002, 0.0015
+_UNSEEN, _UNSEEN_GROWTH = 0.0016, 0.0012
+# Share of what misleads the pairs of each lens that all lenses of a plane have in common.
+_COMMON = 0.5
 # Lenses on the plane are at most so many times the scatter away from it.
 _OUTLYING = 4.0
 # A lens strays from the plane by more than so many of its standard errors, and this much [px]; it and so many others
 # beside it on the same side are a surface of their own: fewer are noise.
 _SURE, _OFF, _TOGETHER = 4.0, 0.1, 3
 _ROUNDS = 8
+# So many lenses tell that there is no plane, where they leave it by so many standard deviations of a smooth surface;
+# all of them together need only the second number.
+_FEW, _NO_CHANCE, _UNCERTAIN = 300, 5.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -44,12 +49,15 @@ class Plane:
     covariance : (3, 3) float64
         Of `inverse`.
     pitch : float [px]
+    misled : float [px]
+        What the texture that its matches leave unexplained may have done to each lens.
     """
 
     inverse: NDArray[np.float64]
     scatter: float
     covariance: NDArray[np.float64]
     pitch: float
+    misled: float = 0.0
 
     @property
     def slanted(self) -> bool:
@@ -65,7 +73,7 @@ class Plane:
         terms = np.stack([np.ones(len(points)), *points.T], 1)
         variance = np.einsum("ni,ij,nj->n", terms, self.covariance, terms) * self.at(points) ** 4
         shared = np.hypot(_UNSEEN, _UNSEEN_GROWTH * self.pitch * (np.abs(self.at(points)) / self.pitch) ** 3)
-        return np.hypot(shared, np.sqrt(np.maximum(variance, 0)))
+        return np.hypot(np.hypot(shared, _COMMON * self.misled), np.sqrt(np.maximum(variance, 0)))
 
 
 def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> Plane | None:
@@ -83,7 +91,10 @@ def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: fl
     middle, reach = points.mean(0), float(np.abs(points - points.mean(0)).max()) + 1e-9
     places = (points - middle) / reach
     terms = np.stack([np.ones(len(sizes)), *places.T], 1)
+    some = slice(None, None, max(1, len(sizes) // _FEW))
     for count in (1, 3):
+        if _hopeless(places[some], terms[some, :count], sizes[some]):
+            continue
         inverse = _inverse(terms[:, :count], sizes)
         predicted = 1 / (terms[:, :count] @ inverse)
         size = np.abs(predicted)
@@ -104,7 +115,12 @@ def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: fl
     return None
 
 
-def _inverse(terms: NDArray[np.float64], sizes: NDArray[np.float64]) -> NDArray[np.float64]:
+def _hopeless(places: NDArray[np.float64], terms: NDArray[np.float64], sizes: NDArray[np.float64]) -> bool:
+    """Whether a few lenses already leave the best plane farther than chance could make them."""
+    return _even(places, sizes - 1 / (terms @ _inverse(terms, sizes, _ROUNDS // 2)), _NO_CHANCE) is None
+
+
+def _inverse(terms: NDArray[np.float64], sizes: NDArray[np.float64], rounds: int = _ROUNDS) -> NDArray[np.float64]:
     """(k,) robust linear fit to 1 / s, every lens with the same error of s (weights after Geman and McClure)."""
     inverse = np.zeros(terms.shape[1])
     inverse[0] = 1 / np.median(sizes)
@@ -112,7 +128,7 @@ def _inverse(terms: NDArray[np.float64], sizes: NDArray[np.float64]) -> NDArray[
     weight = np.ones(len(sizes))
     # Sums run along rows; a matrix product could depend on the number of threads.
     rows = np.ascontiguousarray(terms.T)
-    for turn in range(_ROUNDS):
+    for turn in range(rounds):
         if turn or len(inverse) == 1:
             scatter = max(1.48 * float(np.median(np.abs(residual))), _FLOOR)
             weight = 1 / (1 + (residual / (_OUTLYING * scatter)) ** 2) ** 2
@@ -124,7 +140,7 @@ def _inverse(terms: NDArray[np.float64], sizes: NDArray[np.float64]) -> NDArray[
     return inverse
 
 
-def _even(places: NDArray[np.float64], residual: NDArray[np.float64]) -> float | None:
+def _even(places: NDArray[np.float64], residual: NDArray[np.float64], deviations: float = _UNCERTAIN) -> float | None:
     """Scatter [px] of lenses about a plane; None where too few lie on it, or a smooth surface leaves it."""
     scatter = 1.48 * float(np.median(np.abs(residual)))
     inside = np.abs(residual) < _OUTLYING * max(scatter, _FLOOR)
@@ -137,7 +153,7 @@ def _even(places: NDArray[np.float64], residual: NDArray[np.float64]) -> float |
     inverse = np.linalg.pinv(np.einsum("in,jn->ij", rows, rows))
     smooth = terms @ (inverse @ np.einsum("in,n->i", rows, residual[inside]))
     # What the scatter of single lenses leaves uncertain about that surface is not held against the plane.
-    uncertain = 2 * scatter * np.sqrt(np.maximum(np.einsum("in,in->n", inverse @ rows, rows), 0))
+    uncertain = deviations * scatter * np.sqrt(np.maximum(np.einsum("in,in->n", inverse @ rows, rows), 0))
     return None if (np.abs(smooth) > _EVEN + uncertain).any() else scatter
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from lfcal import Calibration
+from lfcal import Calibration, Lattice
 
 from .fastmath import FAST
+from .remembered import remembered
 
-__all__ = ["GrayFlat", "gain_table", "gray_flat", "lens_by_lens", "shrink", "white_level"]
+__all__ = ["GrayFlat", "gain_table", "gray_flat", "lens_by_lens", "shrink", "shrunk", "white_level"]
 
 # A gain above this would lift more noise than picture at the rim of a microimage.
 _MAX_GAIN = 4.0
@@ -26,6 +28,10 @@ _LEAST_TRUSTED = 0.3
 # Interpolation and smoothing read so far beyond [px]. Within this share of the way to a neighbour pixels belong to a
 # lens alone, even as coordinates are rounded, and at the third number where a distortion changes the way.
 _BEYOND, _UNSHARED, _UNSHARED_BENT = 3.0, 0.4995, 0.49
+# Bytes of no more rows than this are summed as such.
+_MOST_TOGETHER = 64
+# Cameras with no more pixels than this keep what corrects them [px].
+_MOST_KEPT = 1 << 25
 # A pixel made of several at the rim mixes light from beyond it [px].
 _MIXED = 0.5
 
@@ -83,8 +89,8 @@ def white_level(flat: NDArray) -> float:
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _mean_channels(rows, channels, scale, out):
-    """Mean over the channels of rows of pixels that lie one after the other."""
+def _mean_channels(rows, channels, scale, gain, out):
+    """Mean over the channels of rows of pixels that lie one after the other, times the `gain` where there is one."""
     height, width = out.shape
     weight = np.float32(scale / channels)
     for y in prange(height):
@@ -102,26 +108,43 @@ def _mean_channels(rows, channels, scale, out):
                 for k in range(channels):
                     total += np.float32(row[channels * x + k])
                 into[x] = total * weight
+        if gain.size > 0:
+            for x in range(width):
+                into[x] *= gain[y, x]
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _mean_blocks(rows, channels, factor, scale, out):
-    """Mean over the channels of `factor` x `factor` pixels each."""
+def _mean_blocks(rows, channels, factor, scale, gain, like, out):
+    """Mean over the channels of `factor` x `factor` pixels each, times the `gain` where there is one.
+
+    Rows are summed as numbers of the type of `like`.
+    """
     height, width = out.shape
     together = channels * factor
     weight = np.float32(scale / (together * factor))
     for y in prange(height):
-        line = rows[y * factor].astype(np.float32)
+        line = np.empty(width * together, like.dtype)
+        for k in range(len(line)):
+            line[k] = rows[y * factor, k]
         for v in range(1, factor):
             row = rows[y * factor + v]
-            for x in range(len(line)):
-                line[x] += np.float32(row[x])
+            for k in range(len(line)):
+                line[k] += row[k]
         into = out[y]
-        for x in range(width):
-            total = np.float32(0.0)
-            for k in range(x * together, (x + 1) * together):
-                total += line[np.uint64(k)]
-            into[x] = weight * total
+        # As above.
+        if together == 6:
+            for x in range(width):
+                a, b, c = line[6 * x], line[6 * x + 1], line[6 * x + 2]
+                into[x] = weight * np.float32(a + b + c + line[6 * x + 3] + line[6 * x + 4] + line[6 * x + 5])
+        else:
+            for x in range(width):
+                total = np.float32(0.0)
+                for k in range(x * together, (x + 1) * together):
+                    total += np.float32(line[np.uint64(k)])
+                into[x] = weight * total
+        if gain.size > 0:
+            for x in range(width):
+                into[x] *= gain[y, x]
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
@@ -194,36 +217,69 @@ def _fill_unlit(centres, radius, light, image):
                     image[y, x] = total / lit
 
 
-def gray_flat(flat: NDArray, calibration: Calibration, factor: int = 1) -> GrayFlat:
+def gray_flat(
+    flat: NDArray, calibration: Calibration, factor: int = 1, light: NDArray[np.float32] | None = None
+) -> GrayFlat:
     """Brightness of `flat` (H, W, C), corrected for vignetting where microimages are trusted, and a little beyond.
 
-    Each pixel is the mean of `factor` x `factor` of the flat.
+    Each pixel is the mean of `factor` x `factor` of the flat. `light` is the gain of its pixels where the flat is part
+    of a larger one, to which the gain map of the camera belongs.
     """
-    lattice = calibration.lattice if factor == 1 else calibration.lattice.shrunk(factor)
+    lattice = shrunk(calibration.lattice, factor)
     image = np.empty(lattice.image_size[::-1], np.float32)
     rows = np.ascontiguousarray(flat).reshape(len(flat), -1)
     radius = trusted_radius(calibration)
+    uneven = lens_by_lens(calibration)
+    gain = np.empty((0, 0), np.float32)
+    if calibration.vignetting is not None and not uneven:
+        gain = _remembered_if_small(calibration, ("gain", factor), lambda: _gain_image(calibration, lattice, factor))
     if factor == 1:
-        _mean_channels(rows, flat.shape[2], 1.0 / white_level(flat), image)
+        _mean_channels(rows, flat.shape[2], 1.0 / white_level(flat), gain, image)
     else:
-        _mean_blocks(rows, flat.shape[2], factor, 1.0 / white_level(flat), image)
+        # Sums of so few bytes fit into two.
+        short = rows.dtype == np.uint8 and factor <= _MOST_TOGETHER
+        like = np.empty(0, np.uint16 if short else np.float32)
+        _mean_blocks(rows, flat.shape[2], factor, 1.0 / white_level(flat), gain, like, image)
         radius = radius / factor - _MIXED
     centres = lattice.centres().astype(np.float32)
-    if lens_by_lens(calibration):
-        light = _blocks(calibration.gain(), factor)
+    if uneven:
+        if light is None:
+            light = _remembered_if_small(calibration, ("light", factor), lambda: _blocks(calibration.gain(), factor))
+        else:
+            light = _blocks(light, factor)
         np.divide(image, light, out=image, where=np.isfinite(light))
         # Microimages of this radius share no pixel.
         apart = np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min() / 2
         _fill_unlit(centres, np.float32(min(radius + _BEYOND, apart)), light, image)
-    elif calibration.vignetting is not None:
-        gains, step = gain_table(calibration)
-        step /= factor**2
-        around = lattice.steps @ lattice.basis
-        share = _UNSHARED if lattice.distortion is None else _UNSHARED_BENT
-        _correct_lenses(
-            centres, np.float32(radius + _BEYOND), around.astype(np.float32), np.float32(share), gains, step, image
-        )
     return GrayFlat(image, centres, radius, lattice.pitch)
+
+
+def shrunk(lattice: Lattice, factor: int) -> Lattice:
+    """The lattice of a flat of which `factor` x `factor` pixels each have become one, the same object every time."""
+    return lattice if factor == 1 else remembered(lattice, ("shrunk", factor), lambda: lattice.shrunk(factor))
+
+
+def _remembered_if_small(
+    calibration: Calibration, key: tuple[str, int], make: Callable[[], NDArray[np.float32]]
+) -> NDArray[np.float32]:
+    """An image as large as the flat, kept with the camera unless that takes much memory."""
+    width, height = calibration.image_size
+    return remembered(calibration, key, make) if width * height <= _MOST_KEPT else make()
+
+
+def _gain_image(calibration: Calibration, lattice: Lattice, factor: int) -> NDArray[np.float32]:
+    """(H, W) gain of every pixel of the flat as it is analysed, 1 where no microimage is trusted."""
+    image = np.ones(lattice.image_size[::-1], np.float32)
+    radius = trusted_radius(calibration)
+    radius = radius if factor == 1 else radius / factor - _MIXED
+    gains, step = gain_table(calibration)
+    around = lattice.steps @ lattice.basis
+    share = _UNSHARED if lattice.distortion is None else _UNSHARED_BENT
+    _correct_lenses(
+        lattice.centres().astype(np.float32), np.float32(radius + _BEYOND), around.astype(np.float32),
+        np.float32(share), gains, step / factor**2, image,
+    )  # fmt: skip
+    return image
 
 
 def _blocks(light: NDArray[np.float32], factor: int) -> NDArray[np.float32]:

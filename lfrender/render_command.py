@@ -11,7 +11,16 @@ from lfcal import LightFieldError, console
 
 from .command_figures import camera_figures, depth_figures, picture_figures, settings_of
 from .command_inputs import analysed, camera_of, in_colour, read_depth
-from .command_options import CAMERA, INPUT, OUTPUT, WITHOUT_CAMERA, at_most_one, flat_argument, preset_option
+from .command_options import (
+    CAMERA,
+    INPUT,
+    OUTPUT,
+    WITHOUT_CAMERA,
+    at_most_one,
+    cluster_options,
+    flat_argument,
+    preset_option,
+)
 from .early_imports import import_meanwhile
 from .embedded import read_embedded
 from .picture import check_picture, write_picture
@@ -68,6 +77,7 @@ __all__ = ["render"]
     help="Draw in tiles of this side, with little memory, going on where a killed run stopped. [default: large flats]",
 )
 @click.option("--roi", type=float, nargs=4, metavar="X0 Y0 X1 Y1", help="Draw only this part [px of the flat].")
+@cluster_options
 @preset_option
 @console.report_options
 def render(
@@ -86,6 +96,8 @@ def render(
     compress: bool,
     tile: int | None,
     roi: tuple[float, float, float, float] | None,
+    workers: int | None,
+    scheduler: str | None,
     preset: str,
     as_json: bool,
     quiet: bool,
@@ -101,16 +113,21 @@ def render(
     at_most_one("--scale", scale, "--traditional", traditional or None)
     at_most_one("--sharpen", sharpen, "--traditional", traditional or None)
     at_most_one("--roi", roi, "--sharpen", sharpen, "--traditional", traditional or None, "--tile", tile)
+    at_most_one("--workers", workers, "--scheduler", scheduler)
+    at_most_one("--workers or --scheduler", workers or scheduler, "--roi", roi, "--sharpen", sharpen)
+    at_most_one("--workers or --scheduler", workers or scheduler, "--traditional", traditional or None)
     width = _sharpen_width(sharpen)
     if blend and patch_size is None:
         raise click.UsageError("--blend needs --patch-size")
     if not traditional:
         from . import large_cli
 
-        if roi is None and large_cli.wanted(flat, output, tile):
+        cluster = large_cli.Cluster(workers, scheduler)
+        # What is given back to a picture is found on all of it.
+        if roi is None and sharpen is None and large_cli.wanted(flat, output, tile, cluster):
             asked = large_cli.Asked(
                 flat, output, camera, white, depth_file, patch_size, scale, blend or None, mosaic, alpha, compress,
-                tile, preset,
+                tile, preset, cluster,
             )  # fmt: skip
             large_cli.render(report, asked)
             return

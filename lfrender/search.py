@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .agreement import aggregate, lens_costs
-from .matching import pair_costs
+from .matching import half_trust, pair_costs
 from .microimages import Strips, cut_out
 from .modes import confidence, parabola_peak, second_best
 from .radiance import GrayFlat, shrink
+from .rivals import shared_trust, without_rivals
 from .texture import FIXED_SHADING, LensStatistics, Texture, lens_statistics
 
 __all__ = ["PRESETS", "Found", "Matcher", "Preset", "search"]
@@ -66,6 +67,10 @@ _LEAST_RADIUS, _TINY_STEP = 4.0, 0.5
 _SECOND, _UNEXPLAINED = 0.3, 0.2
 # A match that leaves more than this unexplained may have a better one where nobody has looked.
 MISFIT = 0.35
+# Beyond the last pixel that is shared no correlation is anything.
+_LEAST_TRUST = np.float32(0.02)
+# Lenses that match as well at another shift are torn; texture repeats where this share of them is.
+_TORN, _REPEATED = 0.5, 0.2
 # A sampled lens tells a range of depths that occurs when its match is half explained or better.
 _TELLING = 0.5
 # Ranges reach so far beyond the depths of the samples [share of the pitch]: the depths between two samples.
@@ -84,6 +89,10 @@ class Found:
         Best value and the probability that it is the right optimum.
     evidence : (n,) float32
         Correlation of the lens with its neighbours there, 0..1.
+    explained : (n,) float32
+        The same over what the pixels that they share let it be at most.
+    rivals : (n,) float32
+        Probability of the best value among all that correlate as well, whatever neighbours share there.
     second : (n,) float32
         Next best value, NaN where no other comes near.
     step : float
@@ -95,6 +104,8 @@ class Found:
     patch_size: NDArray[np.float32]
     confidence: NDArray[np.float32]
     evidence: NDArray[np.float32]
+    explained: NDArray[np.float32]
+    rivals: NDArray[np.float32]
     second: NDArray[np.float32]
     step: float
     untried: float
@@ -129,6 +140,11 @@ class Matcher:
         self._noise, self._row_step = texture.noise / self.factor, 1 if tiny else setting.row_step
 
     @cached_property
+    def trust(self) -> NDArray[np.float32]:
+        """(k,) float32: share of a correlation that is believed at each shift, for the pixels that are shared there."""
+        return shared_trust(self.gray, self.forward, self.shifts, half_trust(self.gray))
+
+    @cached_property
     def _strips(self) -> Strips:
         return cut_out(self.gray, self.statistics.mean, self._row_step)
 
@@ -156,6 +172,12 @@ class Matcher:
         """(k,) bool: shifts near those that belong to patch sizes (m,) [px of the flat] of other lenses."""
         best = np.rint(sizes / (self.factor * self.step)).astype(int) + len(self.shifts) // 2
         return _near(np.bincount(np.clip(best, 0, len(self.shifts) - 1), minlength=len(self.shifts)), self)
+
+    def repeats(self, cost: NDArray[np.float32]) -> bool:
+        """Whether many lenses, of these costs (m, k), match as well at another shift: their texture repeats."""
+        best, alone = cost.argmin(1), np.empty((len(cost), 0), np.int32)
+        rivals = without_rivals(cost, self.trust, alone, best, np.ones(len(cost), bool), self.tolerance())
+        return bool(len(cost) and (rivals < _TORN).mean() > _REPEATED)
 
     def tolerance(self) -> int:
         """Steps that belong to one optimum."""
@@ -188,20 +210,27 @@ def search(
     pair, untried = _all_pairs(matcher, active, clear, sample, sizes)
     cost = matcher.costs(pair)
     step = matcher.step
+    wanted = None
     if known is not None:
         settled = np.isfinite(known)
+        wanted = ~settled
         away = np.abs(matcher.shifts - known[settled, None] / matcher.factor)
         cost[settled] = np.minimum(away / np.float32(matcher.tolerance() * step), 1)
-    total = aggregate(cost, matcher.forward, matcher.backward, _SLOPE_PER_PIXEL * step, _JUMP)
+    total = aggregate(cost, matcher.forward, matcher.backward, _SLOPE_PER_PIXEL * step, _JUMP, wanted)
     best = total.argmin(1)
     own = cost[np.arange(len(best)), best]
     other, other_cost = second_best(cost, best, max(2, round(2 / step)))
     rival = (own > _UNEXPLAINED) & (other_cost < own + _SECOND)
     factor, shifts = matcher.factor, matcher.shifts
+    rivals = without_rivals(
+        cost, matcher.trust, np.hstack([matcher.forward, matcher.backward]), best, active, matcher.tolerance()
+    )
     return Found(
         patch_size=((shifts[best] + parabola_peak(total, best) * step) * factor).astype(np.float32),
         confidence=confidence(total, best, 2 * matcher.forward.shape[1], matcher.tolerance()),
         evidence=1 - own,
+        explained=(1 - own) / np.maximum(matcher.trust[best], _LEAST_TRUST),
+        rivals=rivals,
         second=np.where(rival, (shifts[other] + parabola_peak(cost, other) * step) * factor, np.nan).astype(np.float32),
         step=step * factor,
         untried=untried,
@@ -222,6 +251,8 @@ def _all_pairs(
         sample = np.zeros_like(active)
     assert sample is not None
     pair = matcher.pairs(sample)
+    if sizes is None and matcher.repeats(matcher.costs(pair)[sample]):
+        return matcher.pairs(active, done=sample, out=pair), 0.0
     populated = _occurring(matcher.costs(pair)[sample], matcher) if sizes is None else matcher.populated(sizes)
     if populated.all():
         return matcher.pairs(active, done=sample, out=pair), 0.0

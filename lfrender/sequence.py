@@ -13,8 +13,9 @@ from .radiance import trusted_radius, white_level
 
 __all__ = ["changed_lenses"]
 
-# Side [px] of the blocks whose sums tell a small motion from noise, which they average out.
-_BLOCK = 4
+# Side [px] of the blocks whose sums tell a small motion from noise, which they average out; the second where
+# microimages of less than the third [px] have no room for several of them.
+_BLOCK, _SMALL_BLOCK, _ROOMY = 4, 2, 6.0
 # Lenses are grouped by brightness, because noise grows with it.
 _LEVELS = 8
 # The quietest lenses of a group show its noise: in one frame the smoothest tenth, between two frames a larger part,
@@ -25,61 +26,112 @@ _SMOOTH, _STILL = 10, 25
 _DEVIATIONS = 6.0
 # Rounding alone leaves this variance [levels^2] in a difference of two equal scenes.
 _ROUNDING = 1 / 6
+# Coding of video makes differences where nothing moves, and none elsewhere. What nobody would see is no change: of
+# pixels and of blocks, as shares of white, and both as shares of the contrast between blocks, of which a quarter of a
+# pixel of motion makes more.
+_UNSEEN_PIXEL, _UNSEEN_BLOCK = 2 / 255, 0.5 / 255
+_UNSEEN_SHARE = 0.007
+
+
+# Python's error model checks every division, which no vector loop can.
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
+def _compare_blocks(first, second, channels, side, like, out):
+    """Fill `out` (4, h, w): per block of `side` x `side` pixels, the sum of the differences, that of their squares, the
+    brightness, and how rough the first is, squared; all of sums over the channels.
+
+    Rows are held as numbers of the type of `like`: short ones, of which vectors hold many.
+    """
+    _, rows, columns = out.shape
+    width = columns * side
+    zero, four = np.float32(0.0), np.float32(1 / 4)
+    for v in prange(rows):
+        apart = np.empty(width * channels, like.dtype)
+        gray = np.empty((3, width), like.dtype)
+        sums, squares = np.zeros(width, like.dtype), np.zeros(width, np.float32)
+        rough = np.zeros(width, np.float32)
+        for r in range(side):
+            a, b = first[v * side + r], second[v * side + r]
+            for k in range(width * channels):
+                apart[k] = b[k] - a[k]
+            # The compiler has vector instructions for steps that it knows.
+            if channels == 3:
+                for x in range(width):
+                    d = apart[3 * x] + apart[3 * x + 1] + apart[3 * x + 2]
+                    sums[x] += d
+                    squares[x] += np.float32(d) * np.float32(d)
+            else:
+                for x in range(width):
+                    d = apart[channels * x]
+                    for k in range(channels * x + 1, channels * (x + 1)):
+                        d += apart[k]
+                    sums[x] += d
+                    squares[x] += np.float32(d) * np.float32(d)
+        for r in range(3):
+            a, into = first[min(v * side + r, len(first) - 1)], gray[r]
+            if channels == 3:
+                for k in range(width * channels):
+                    apart[k] = a[k]
+                for x in range(width):
+                    into[x] = apart[3 * x] + apart[3 * x + 1] + apart[3 * x + 2]
+            else:
+                for x in range(width):
+                    d = a[channels * x]
+                    for k in range(channels * x + 1, channels * (x + 1)):
+                        d += a[k]
+                    into[x] = d
+        above, here, below, bent = gray[0], gray[1], gray[2], rough[1:]
+        for x in range(width - 2):
+            bend = (
+                above[x] + above[x + 2] + below[x] + below[x + 2]
+                - 2 * (above[x + 1] + below[x + 1] + here[x] + here[x + 2]) + 4 * here[x + 1]
+            )  # fmt: skip
+            bent[x] = np.float32(bend) * np.float32(bend)
+        for u in range(columns):
+            total = energy = bright = bends = zero
+            for x in range(u * side, (u + 1) * side):
+                total += np.float32(sums[np.uint64(x)])
+                energy += squares[np.uint64(x)]
+                bright += np.float32(here[np.uint64(x)])
+                bends += rough[np.uint64(x)]
+            out[0, v, u], out[1, v, u], out[2, v, u], out[3, v, u] = total, energy, bright, bends * four / 9
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _differences(first, second, centres, radius, out):
-    """Per lens: mean, roughness^2, difference^2 of a pixel, difference^2 of a block, pixels and blocks."""
-    height, width, channels = first.shape
-    side = int(2 * radius) + 2
-    inverse = np.float32(1.0 / channels)
+def _pool(blocks, centres, side, radius, per_pixel, out):
+    """Per lens: mean, contrast^2 of blocks, roughness^2, difference^2 of a pixel and of a block, and blocks."""
+    _, rows, columns = blocks.shape
+    # Middle of block 0.
+    middle = np.float32(0.5 * (side - 1))
+    area = np.float32(side * side)
     for lens in prange(len(centres)):
-        cx, cy = centres[lens, 0], centres[lens, 1]
-        here = np.zeros((side, side), np.float32)
-        apart = np.zeros((side, side), np.float32)
-        left, top = max(0, int(np.ceil(cx - radius))), max(0, int(np.ceil(cy - radius)))
-        columns = min(width - 1, int(np.floor(cx + radius))) - left + 1
-        rows = min(height - 1, int(np.floor(cy + radius))) - top + 1
-        total = energy = np.float32(0.0)
-        for y in range(rows):
-            for x in range(columns):
-                a = b = np.float32(0.0)
-                for k in range(channels):
-                    a += np.float32(first[top + y, left + x, k])
-                    b += np.float32(second[top + y, left + x, k])
-                here[y, x] = a * inverse
-                apart[y, x] = (b - a) * inverse
-                total += a * inverse
-                energy += ((b - a) * inverse) ** 2
-        rough = np.float32(0.0)
-        for y in range(1, rows - 1):
-            for x in range(1, columns - 1):
-                bend = (
-                    here[y - 1, x - 1] + here[y - 1, x + 1] + here[y + 1, x - 1] + here[y + 1, x + 1]
-                    - 2 * (here[y - 1, x] + here[y + 1, x] + here[y, x - 1] + here[y, x + 1]) + 4 * here[y, x]
-                )  # fmt: skip
-                rough += bend * bend
-        blocks = np.float32(0.0)
+        cx, cy = (centres[lens, 0] - middle) / side, (centres[lens, 1] - middle) / side
+        reach = radius / side
+        total = squares = rough = energy = sums = np.float32(0.0)
         count = 0
-        for v in range(rows // _BLOCK):
-            for u in range(columns // _BLOCK):
-                sum_ = np.float32(0.0)
-                for y in range(v * _BLOCK, v * _BLOCK + _BLOCK):
-                    for x in range(u * _BLOCK, u * _BLOCK + _BLOCK):
-                        sum_ += apart[y, x]
-                blocks += sum_ * sum_
+        top, bottom = max(0, int(np.ceil(cy - reach))), min(rows - 1, int(np.floor(cy + reach)))
+        left, right = max(0, int(np.ceil(cx - reach))), min(columns - 1, int(np.floor(cx + reach)))
+        for v in range(top, bottom + 1):
+            for u in range(left, right + 1):
+                if (u - cx) ** 2 + (v - cy) ** 2 > reach * reach:
+                    continue
+                bright = blocks[2, v, u] / side * per_pixel
+                total += bright
+                squares += bright * bright
+                rough += blocks[3, v, u] / side
+                energy += blocks[1, v, u]
+                sums += blocks[0, v, u] * blocks[0, v, u]
                 count += 1
-        pixels = max(rows * columns, 1)
-        out[0, lens] = total / pixels
-        out[1, lens] = rough / max((rows - 2) * (columns - 2), 1) / np.float32(36.0)
-        out[2, lens] = energy / pixels
-        out[3, lens] = blocks / (max(count, 1) * _BLOCK * _BLOCK)
-        out[4, lens] = pixels
+        one = np.float32(1.0) / max(count, 1)
+        out[0, lens] = total * one
+        out[1, lens] = max(squares * one - total * one * total * one, np.float32(0.0))
+        out[2, lens] = rough * one * per_pixel * per_pixel
+        out[3, lens] = energy * one / area * per_pixel * per_pixel
+        out[4, lens] = sums * one / area * per_pixel * per_pixel
         out[5, lens] = max(count, 1)
 
 
 def changed_lenses(before: NDArray, now: NDArray, calibration: Calibration) -> NDArray[np.bool_]:
-    """(n,) bool: lenses whose pixels differ from those of an earlier frame by more than noise.
+    """(n,) bool: lenses whose pixels differ from those of an earlier frame by more than noise, and so that it shows.
 
     The noise of a difference is taken from the quietest lenses of like brightness: from how rough they are in one
     frame, or from how much they differ between the frames, whichever is less. Where all that moves is
@@ -88,27 +140,41 @@ def changed_lenses(before: NDArray, now: NDArray, calibration: Calibration) -> N
     Parameters
     ----------
     before, now : (H, W, C) array
-        Two flats of one camera and exposure.
+        Two flats of one camera, exposure and type.
     calibration : Calibration
     """
+    height, width, channels = before.shape
+    radius = trusted_radius(calibration)
+    side = _BLOCK if radius >= _ROOMY else _SMALL_BLOCK
+    blocks = np.empty((4, max(height // side, 1), max(width // side, 1)), np.float32)
+    like = np.empty(0, {"u1": np.int16, "u2": np.int32}.get(before.dtype.str[1:], np.float32))
+    first, second = (np.ascontiguousarray(flat).reshape(height, -1) for flat in (before, now))
+    _compare_blocks(first, second, channels, side, like, blocks)
     centres = calibration.lattice.centres().astype(np.float32)
     out = np.empty((6, len(centres)), np.float32)
-    _differences(before, now, centres, np.float32(0.75 * trusted_radius(calibration)), out)
-    mean, rough, pixel, block, pixels, blocks = out
-    rounding = _ROUNDING if before.dtype.kind in "ui" else (white_level(before) / 2**16) ** 2
+    within = max(radius - 0.5 * side, 0.75 * side)
+    _pool(blocks, centres, side, np.float32(within), np.float32(1 / channels), out)
+    mean, contrast, rough, pixel, block, count = out
+    white = white_level(before)
+    rounding = _ROUNDING if before.dtype.kind in "ui" else (white / 2**16) ** 2
     edges = np.quantile(mean, np.arange(1, _LEVELS) / _LEVELS)
     level = np.searchsorted(edges, mean)
     noise = np.empty(_LEVELS)
     for k in range(_LEVELS):
         group = level == k
-        noise[k] = rounding / before.shape[2]
+        noise[k] = rounding / channels
         if group.any():
             quiet = min(np.percentile(2 * rough[group], _SMOOTH), np.percentile(pixel[group], _STILL))
             noise[k] = max(noise[k], quiet)
     # Noise may change much within a group, as where pixels are cut off at black.
     padded = np.pad(noise, 1, mode="edge")
     allowed = np.maximum(np.maximum(padded[:-2], padded[2:]), noise)[level]
-    return (pixel > allowed * _limit(pixels)) | (block > allowed * _limit(blocks))
+    unseen = _UNSEEN_SHARE * contrast
+    area = side * side
+    most = np.maximum(allowed * _limit(count * area), np.maximum((_UNSEEN_PIXEL * white) ** 2, unseen))
+    # A sum over a block is as many times the mean, and its energy is stated per pixel.
+    most_block = np.maximum(allowed * _limit(count), area * np.maximum((_UNSEEN_BLOCK * white) ** 2, unseen))
+    return np.asarray((pixel > most) | (block > most_block))
 
 
 def _limit(count: NDArray[np.float32]) -> NDArray[np.float32]:

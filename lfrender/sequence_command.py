@@ -26,15 +26,28 @@ __all__ = ["batch"]
     epilog=console.examples(
         "lfrender batch frames -o pictures",
         "lfrender batch film.mkv -c camera.json -o pictures --format png",
+        "lfrender batch film.mkv -c camera.json -o sharp.mp4",
         "lfrender batch frames/*.png -o pictures --workers 4",
     )
 )
 @console.several_inputs("inputs", "INPUT...")
-@click.option("-o", "--output", type=OUTPUT, required=True, metavar="FOLDER", help="Folder for the pictures.")
+@click.option(
+    "-o",
+    "--output",
+    type=OUTPUT,
+    required=True,
+    metavar="FOLDER|FILM",
+    help="Folder for the pictures, or a film: .mp4, or .mkv without any loss.",
+)
 @click.option("-c", "--camera", type=INPUT, help=CAMERA + " Without it, the first frame is calibrated.")
 @click.option("--white", type=INPUT, help="Calibrate from this white image of the same camera.")
 @click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
-@click.option("--format", "suffix", default="tif", show_default=True, help="Kind of the pictures: tif, png, jpg, webp.")
+@click.option("--format", "suffix", help="Kind of the pictures: tif, png, jpg, webp.  [default: tif]")
+@click.option(
+    "--fps",
+    type=click.FloatRange(0, 1000, min_open=True),
+    help="Pictures a second of a film.  [default: as the input, or 25]",
+)
 @click.option("--overwrite", is_flag=True, help="Render all frames anew; else pictures already there are kept.")
 @click.option("--workers", type=click.IntRange(1), help="Render on so many processes of this machine (needs Dask).")
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Render on the workers of this Dask scheduler.")
@@ -46,7 +59,8 @@ def batch(
     camera: Path | None,
     white: Path | None,
     scale: float | None,
-    suffix: str,
+    suffix: str | None,
+    fps: float | None,
     overwrite: bool,
     workers: int | None,
     scheduler: str | None,
@@ -60,26 +74,38 @@ def batch(
     cannot be read is reported and does not stop the others (exit code 1).
     """
     from . import open_frames
+    from .frames import is_film
 
     report = console.Report(as_json, quiet)
     at_most_one("--camera", camera, "--white", white)
     at_most_one("--workers", workers, "--scheduler", scheduler)
+    options = {"preset": preset, "scale": scale, "overwrite": overwrite}
+    if film := is_film(output):
+        if suffix is not None:
+            raise click.UsageError(f"{output} is a film: leave out --format")
+        from .film_file import check_film
+
+        check_film(output, inputs)
+        options["rate"] = fps
+    else:
+        if fps is not None:
+            raise click.UsageError("--fps is for films: give -o FILM.mp4 or FILM.mkv")
+        options["suffix"] = f".{(suffix or 'tif').lstrip('.')}"
     frames = open_frames(inputs)
     calibration = None
     if camera or white:
         with report.stage("calibrate"):
             calibration = _batch_camera(frames, camera, white)
     report.announce_compilation("lfcal", "lfrender")
-    options = {"preset": preset, "scale": scale, "suffix": f".{suffix.lstrip('.')}", "overwrite": overwrite}
     outcomes = []
     with report.stage("frames"), report.progress("frames", frames.count) as advance, ExitStack() as opened:
-        for result in _rendered(opened, frames, output, calibration, workers, scheduler, options):
+        for result in _rendered(opened, frames, output, film, calibration, workers, scheduler, options):
             outcomes.append(result)
             advance(result.message)
     rendered = [r for r in outcomes if r.outcome == "rendered"]
     failed = [r for r in outcomes if r.outcome == "failed"]
     figures = {
-        "pictures": str(output),
+        "film" if film else "pictures": str(output),
         "rendered": len(rendered),
         "kept": sum(r.outcome == "kept" for r in outcomes),
         "failed": len(failed),
@@ -94,21 +120,26 @@ def _rendered(
     opened: ExitStack,
     frames: Any,
     output: Path,
+    film: bool,
     calibration: Calibration | None,
     workers: int | None,
     scheduler: str | None,
     options: dict[str, Any],
 ) -> Iterator[FrameResult]:
-    """Results of `render_frames` here or on a cluster, which is closed along with `opened`."""
-    if workers is None and scheduler is None:
-        from . import render_frames
+    """Results of rendering pictures or a film, here or on a cluster, which is closed along with `opened`."""
+    from . import render_film, render_frames, render_frames_on
 
+    client = None
+    if workers is not None or scheduler is not None:
+        from .cluster import connect
+
+        client = opened.enter_context(connect(workers, scheduler))
+    threads = 1 if workers else None
+    if film:
+        return render_film(frames, output, calibration, client=client, threads=threads, **options)
+    if client is None:
         return render_frames(frames, output, calibration, **options)
-    from . import render_frames_on
-    from .cluster import connect
-
-    client = opened.enter_context(connect(workers, scheduler))
-    return render_frames_on(client, frames, output, calibration, threads=1 if workers else None, **options)
+    return render_frames_on(client, frames, output, calibration, threads=threads, **options)
 
 
 def _batch_camera(frames: Any, camera: Path | None, white: Path | None) -> Calibration:

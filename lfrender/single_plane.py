@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Lattice
 
+from .certainty import misled, signal_share
 from .modes import confidence, parabola_peak
 from .neighbours import beside
 from .plane import TEXTURED, Plane, fit_plane, strays
@@ -19,7 +20,7 @@ from .skipping import sample_lenses
 from .slant import fit_lenses
 from .texture import Texture
 
-__all__ = ["PlaneScene", "find_plane", "plane_evidence"]
+__all__ = ["PROBE", "PlaneScene", "find_plane", "plane_evidence", "vertex"]
 
 # So many lenses tell a plane, or at least the second number of them.
 _SAMPLE, _LEAST_SAMPLE = 96, 40
@@ -27,7 +28,7 @@ _SAMPLE, _LEAST_SAMPLE = 96, 40
 _SLANTED = 2
 # Three shifts this far apart [px of the search] tell for each lens whether it, too, has its optimum there. Lenses that
 # are off to one side by the second number together with others beside them are measured.
-_PROBE, _OFF, _TOGETHER = 0.75, 0.25, 2
+PROBE, _OFF, _TOGETHER = 0.75, 0.25, 2
 # A better match elsewhere, by this much, is another surface; so is a share of the lenses without any match.
 _BETTER, _MISFITS = 0.15, 0.05
 # Noise and little overlap make all matches worse: a misfit is so many times as bad as the usual lens, but at most this.
@@ -77,6 +78,8 @@ def find_plane(
     matcher = Matcher(texture, forward, backward, setting)
     cost = matcher.costs(matcher.pairs(sample))[sample]
     best = cost.argmin(1)
+    if matcher.repeats(cost):
+        return None
     start = np.full(len(lattice), np.nan, np.float32)
     start[sample] = (matcher.shifts[best] + parabola_peak(cost, best) * matcher.step) * matcher.factor
     points, sizes = _places(_pairs(texture, forward, start, setting), texture.flat, forward)
@@ -93,6 +96,8 @@ def find_plane(
         plane = fit_plane(*_places(_pairs(texture, forward, start, setting), texture.flat, forward), lattice.pitch)
         if plane is None:
             return None
+    explained = evidence / np.interp(about / matcher.factor, matcher.shifts, matcher.trust) / signal_share(texture)
+    plane = replace(plane, misled=float(misled(plane.scatter, np.median(explained[texture.clear]))))
     paths = 2 * forward.shape[1]
     sure = float(np.median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance())))
     return PlaneScene(plane, sure, evidence, float(sample.mean()))
@@ -121,7 +126,7 @@ def plane_evidence(
 ) -> NDArray[np.float32] | None:
     """(n,) correlation of every lens at the plane's shift; None where a lens shows something else."""
     everyone = texture.clear | texture.faint
-    probes = (_PROBE * np.array([-1, 0, 1])).astype(np.float32)
+    probes = (PROBE * np.array([-1, 0, 1])).astype(np.float32)
     cost = matcher.costs(matcher.pairs(everyone, probes, about=(about / matcher.factor).astype(np.float32)))
     limit = np.clip(_USUAL * np.median(cost[texture.clear, 1]), MISFIT, _WORST)
     misfits = texture.clear & (cost[:, 1] > limit)
@@ -132,7 +137,7 @@ def plane_evidence(
         least = full.min(1)
         if ((least < cost[misfits, 1] - _BETTER) & (least < limit)).any():
             return None
-    off = _vertex(cost) * _PROBE
+    off = vertex(cost) * PROBE
     rows = np.hstack([matcher.forward, matcher.backward])
     doubtful = np.zeros(len(off), bool)
     for side in (-1, 1):
@@ -147,7 +152,7 @@ def plane_evidence(
     return (1 - cost[:, 1]).astype(np.float32)
 
 
-def _vertex(cost: NDArray[np.float32]) -> NDArray[np.float32]:
+def vertex(cost: NDArray[np.float32]) -> NDArray[np.float32]:
     """(n,) where the parabola through three costs has its least value, in steps from the middle, at most 1 away."""
     bend = cost[:, 0] - 2 * cost[:, 1] + cost[:, 2]
     tilt = 0.5 * (cost[:, 0] - cost[:, 2])

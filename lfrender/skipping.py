@@ -27,12 +27,15 @@ class Shortcuts:
         A scene that is one plane is recognised from a sample of its lenses; the others are only checked.
     still : bool
         Lenses whose pixels are those of an earlier frame keep their answer.
+    steady : bool
+        So do those that show something else at the depth they had: they are only checked. None is without `still`.
     """
 
     blank: bool = True
     ranges: bool = True
     plane: bool = True
     still: bool = True
+    steady: bool = True
 
     @classmethod
     def of(cls, skip: bool | Iterable[str]) -> Shortcuts:

@@ -26,23 +26,29 @@ _JUMP, _SLANT = np.float32(0.35), np.float32(0.1)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _walk(depths, costs, gap, total):
-    """One path of semi-global matching over the candidates of a line of scene points."""
+def _walk(depths, costs, single, gap, total):
+    """One path of semi-global matching over the candidates of a line of scene points.
+
+    Where there is a `single` one it is chosen in any case, and tells the next point no more than its depth.
+    """
     most = depths.shape[1]
     message = np.zeros(most, np.float32)
     previous = np.zeros(most, np.float32)
     low = np.float32(0.0)
     for p in range(len(depths)):
+        if single[p]:
+            previous[0] = low = np.float32(0.0)
+            continue
         lowest = np.float32(np.inf)
         for k in range(most):
             s = depths[p, k]
+            # Candidates come first, unused places after them.
             if np.isnan(s):
-                message[k] = np.inf
-                continue
+                break
             best = np.float32(0.0)
             if p > 0:
                 best = _JUMP
-                for q in range(most):
+                for q in range(1 if single[p - 1] else most):
                     t = depths[p - 1, q]
                     if np.isnan(t):
                         break
@@ -60,29 +66,31 @@ def _walk(depths, costs, gap, total):
 def _settle(depths, costs, gap, out):
     """Choose one candidate per scene point with the support of its row and column, both ways."""
     rows, columns, most = depths.shape
-    total = np.zeros_like(costs)
-    # A line on which no point has two candidates has nothing to settle.
-    across, down = np.zeros(rows, np.bool_), np.zeros(columns, np.bool_)
-    for v in range(rows):
-        for u in range(columns):
-            if not np.isnan(depths[v, u, 1]):
-                across[v] = down[u] = True
+    total = np.empty_like(costs)
+    single, turned = np.empty((rows, columns), np.bool_), np.empty((columns, rows), np.bool_)
     for v in prange(rows):
-        if not across[v]:
-            continue
-        _walk(depths[v], costs[v], gap, total[v])
-        _walk(depths[v, ::-1], costs[v, ::-1], gap, total[v, ::-1])
+        some = False
+        for u in range(columns):
+            only = np.isnan(depths[v, u, 1])
+            single[v, u] = turned[u, v] = only
+            if not only:
+                total[v, u] = 0.0
+                some = True
+        # A line on which no point has two candidates has nothing to settle.
+        if some:
+            _walk(depths[v], costs[v], single[v], gap, total[v])
+            _walk(depths[v, ::-1], costs[v, ::-1], single[v, ::-1], gap, total[v, ::-1])
     for u in prange(columns):
-        if not down[u]:
-            continue
-        _walk(depths[:, u], costs[:, u], gap, total[:, u])
-        _walk(depths[::-1, u], costs[::-1, u], gap, total[::-1, u])
+        if not turned[u].all():
+            _walk(depths[:, u], costs[:, u], turned[u], gap, total[:, u])
+            _walk(depths[::-1, u], costs[::-1, u], turned[u, ::-1], gap, total[::-1, u])
     for v in prange(rows):
         for u in range(columns):
             best = 0
-            for k in range(1, most):
-                if not np.isnan(depths[v, u, k]) and total[v, u, k] < total[v, u, best]:
-                    best = k
+            if not single[v, u]:
+                for k in range(1, most):
+                    if not np.isnan(depths[v, u, k]) and total[v, u, k] < total[v, u, best]:
+                        best = k
             out[v, u] = depths[v, u, best]
 
 
@@ -113,24 +121,6 @@ def grid_shape(lattice: Lattice, cells: int) -> tuple[tuple[int, int], tuple[flo
     width, height = lattice.image_size
     spacing = lattice.pitch / cells
     return (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1), (-0.5, -0.5), spacing
-
-
-def _nearest_is(
-    mask: NDArray[np.bool_],
-    lattice: Lattice,
-    grid: NDArray[np.int32],
-    low: NDArray[np.int64],
-    shape: tuple[int, int],
-    first: float,
-    spacing: float,
-) -> NDArray[np.bool_]:
-    """(h, w) bool: grid values whose lattice cell belongs to a lens of `mask` (n,)."""
-    v, u = np.mgrid[: shape[0], : shape[1]]
-    index = np.rint(lattice.to_index(first + spacing * np.stack([u.ravel(), v.ravel()], 1))).astype(int) - low
-    i, j = index.T
-    inside = (i >= 0) & (j >= 0) & (i < grid.shape[1]) & (j < grid.shape[0])
-    lens = np.where(inside, grid[np.where(inside, j, 0), np.where(inside, i, 0)], -1)
-    return ((lens >= 0) & mask[lens]).reshape(shape)
 
 
 def spread(
@@ -176,22 +166,23 @@ def spread(
     grid, low = lens_grid(lattice)
     span = np.arange(-3, 4)
     ring = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
-    ring = ring[np.linalg.norm(ring @ lattice.basis, axis=1) < _LOOKING * pitch]
+    distance = np.linalg.norm(ring @ lattice.basis, axis=1)
+    # The nearest first, as the kernel sorts them for each scene point.
+    ring = ring[np.argsort(distance, kind="stable")[: int((distance < _LOOKING * pitch).sum())]]
     gap = np.float32(max(0.75, 0.04 * pitch))
     calm = calm_lenses(values, seconds, trust, lattice.indices(), grid, low, ring, gap)
-    kept = settled is not None and before is not None and before.patch_size.shape == shape and before.first == start
-    if settled is not None and kept:
-        calm[settled & (calm == 0)] = 1
+    old = np.empty((0, 0), np.float32)
+    if before is not None and before.patch_size.shape == shape and before.first == start:
+        old = before.patch_size
+    settled = np.zeros(len(values), bool) if settled is None else settled
     propose(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(pitch), values, seconds, trust, calm, grid, low,
         lattice.origin, np.linalg.inv(lattice.basis), *lattice_bend(lattice), ring, gap, np.float32(4 * noise * noise),
-        start[0], spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), depths, costs,
+        start[0], spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), settled, old,
+        depths, costs,
     )  # fmt: skip
     chosen = np.empty(shape, np.float32)
     _settle(depths, costs, gap, chosen)
     out = np.empty_like(chosen)
     _without_specks(chosen, depths, gap, out)
-    if settled is not None and before is not None and kept:
-        there = _nearest_is(settled, lattice, grid, low, shape, start[0], spacing)
-        out[there] = before.patch_size[there]
     return Surface(out, start, spacing)

@@ -120,8 +120,8 @@ class Drawing:
                 yield left, top, min(left + side[0], columns), min(top + side[1], rows)
 
     def draw(
-        self, pixels: NDArray[Any], corner: tuple[int, int] = (0, 0), part: Part | None = None
-    ) -> tuple[NDArray, NDArray[np.float32]]:
+        self, pixels: NDArray[Any], corner: tuple[int, int] = (0, 0), part: Part | None = None, stored: bool = False
+    ) -> tuple[NDArray, NDArray[np.bool_]]:
         """Draw a part of the picture.
 
         Parameters
@@ -132,24 +132,27 @@ class Drawing:
             Flat coordinates x, y of its first pixel.
         part : (left, top, right, bottom), optional
             Of the picture; by default all of it.
+        stored : bool
+            Round the picture to the type of `pixels`.
 
         Returns
         -------
         image : (rows, columns, C) float32, or of the type of `pixels`
             In the flat's units.
-        seen : (rows, columns) float32
-            Share of each output pixel that some lens has seen.
+        valid : (rows, columns) bool
+            Pixels that some lens has seen.
         """
         part = part or (0, 0, *self.size)
+        shape = (part[3] - part[1], part[2] - part[0], pixels.shape[2])
         if self._patches is None:
-            return self._rows(pixels, corner, part)
+            return self._rows(pixels, corner, part, np.empty(shape, pixels.dtype if stored else np.float32))
         # The kernel of patches needs a whole lens and all its pixels; the other one draws what surrounds that.
         left, top, right, bottom = inner = _common(part, self._patches)
         if left >= right or top >= bottom:
-            return self._rows(pixels, corner, part)
+            return self._rows(pixels, corner, part, np.empty(shape, pixels.dtype if stored else np.float32))
         first = 0.5 * self.spacing - 0.5
-        image = np.empty((part[3] - part[1], part[2] - part[0], pixels.shape[2]), pixels.dtype)
-        seen = np.ones(image.shape[:2], np.float32)
+        image = np.empty(shape, pixels.dtype)
+        valid = np.ones(image.shape[:2], bool)
         size = float(np.copysign(self.scale, self.surface.patch_size[0, 0]))
         lay_patches(
             pixels,
@@ -171,18 +174,36 @@ class Drawing:
         ):
             if strip[0] < strip[2] and strip[1] < strip[3]:
                 place = np.s_[strip[1] - part[1] : strip[3] - part[1], strip[0] - part[0] : strip[2] - part[0]]
-                drawn, seen[place] = self._rows(pixels, corner, strip)
-                image[place] = as_stored(drawn, pixels.dtype)
+                into = np.empty(image[place].shape, image.dtype)
+                image[place], valid[place] = self._rows(pixels, corner, strip, into)
+        return image, valid
+
+    def redraw(
+        self, pixels: NDArray[Any], wanted: NDArray[np.bool_], image: NDArray[Any], valid: NDArray[np.bool_]
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """As `draw` of a whole picture that is stored, but for pixels that are not `wanted` (rows, columns).
+
+        Those are taken from an earlier picture: `image` (rows, columns, C) and what was `valid` of it.
+        """
+        image, seen = image.copy(), valid.astype(np.float32)
+        if wanted.any():
+            self._rows(pixels, (0, 0), (0, 0, *self.size), image, seen, wanted)
         return image, seen
 
     def _rows(
-        self, pixels: NDArray[Any], corner: tuple[int, int], part: Part
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """A part of the picture from all lenses in reach of each pixel."""
-        left, top, right, bottom = part
+        self,
+        pixels: NDArray[Any],
+        corner: tuple[int, int],
+        part: Part,
+        image: NDArray[Any],
+        seen: NDArray[np.float32] | None = None,
+        wanted: NDArray[np.bool_] | None = None,
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Fill `image` with a part of the picture from all lenses in reach of each pixel, rounded to its type."""
         lattice, pitch, single = self.calibration.lattice, self.calibration.lattice.pitch, np.float32
-        image = np.empty((bottom - top, right - left, pixels.shape[2]), single)
-        seen = np.empty(image.shape[:2], single)
+        seen = np.empty(image.shape[:2], single) if seen is None else seen
+        wanted = np.empty((0, 0), bool) if wanted is None else wanted
+        whole = image.dtype.kind in "ui"
         white = white_level(pixels)
         seen_depth = self._seen_depth(corner, pixels.shape)
         gains, step = self._gains
@@ -203,9 +224,10 @@ class Drawing:
             single(self._edge), single(self.scale), 0.5 * self.spacing - 0.5 + self._moved, self.spacing,
             single((self.blur * self.scale) ** 2), single(self.reach * pitch),
             single(self.agreement * white if self.blend else 0.0), np.array(self.viewpoint.offset, single),
-            np.array(corner), np.array(lattice.image_size), np.array([left, top]), image, seen,
+            np.array(corner), np.array(lattice.image_size), np.array(part[:2]), wanted, single(0.5 if whole else 0.0),
+            single(np.iinfo(image.dtype).max if whole else np.inf), image, seen,
         )  # fmt: skip
-        return image, seen
+        return image, seen > 0
 
     @cached_property
     def _patches(self) -> Part | None:
@@ -272,7 +294,8 @@ def as_stored(image: NDArray, dtype: np.dtype) -> NDArray:
     """Round and clip to the range of `dtype`, in place; a picture of that type is stored as it is."""
     if dtype.kind == "f" or image.dtype == dtype:
         return image.astype(dtype, copy=False)
-    np.rint(image, out=image)
+    # As the kernels do it, which cut off.
+    image += image.dtype.type(0.5)
     return np.clip(image, 0, np.iinfo(dtype).max, out=image).astype(dtype)
 
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import shutil
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,10 @@ class Unfinished:
 
     def remove(self) -> None:
         """Remove the folder."""
+        # First what says that the rest is there, should this be interrupted.
+        self._kept = {}
+        with suppress(OSError):
+            self._state.unlink(missing_ok=True)
         shutil.rmtree(self.folder, ignore_errors=True)
 
 

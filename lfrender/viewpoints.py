@@ -98,8 +98,10 @@ def _drawn(
     scale = float(full if scale is None else scale)
     blur = lens_blur(pixels, calibration, depth.patch_size) if scale * _COARSE < full else 0.0
     for point in points:
-        image, lenses, affine = _draw(pixels, calibration, depth.surface, scale, True, blur, viewpoint=point)
-        yield Rendering(as_stored(image[:, :, 0] if plain else image, dtype), affine, lenses > 0, scale)
+        image, valid, affine = _draw(
+            pixels, calibration, depth.surface, scale, True, blur, viewpoint=point, stored=True
+        )
+        yield Rendering(as_stored(image[:, :, 0] if plain else image, dtype), affine, valid, scale)
 
 
 def _checked(offset: tuple[float, float], radius: float) -> tuple[float, float]:

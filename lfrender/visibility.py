@@ -29,6 +29,8 @@ def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, rea
     rows, columns = surface.shape
     left, top = corner
     right, bottom = left + out.shape[1], top + out.shape[0]
+    for y in prange(out.shape[0]):
+        out[y] = np.nan
     for lens in prange(len(centres)):
         cx, cy = centres[lens, 0], centres[lens, 1]
         low_u = max(0, int(np.ceil((cx - reach - first_x) / spacing)))
@@ -86,7 +88,7 @@ def lens_depths(
         Only these pixels of the flat.
     """
     left, top, right, bottom = part or (0, 0, *lattice.image_size)
-    out = np.full((bottom - top, right - left), np.nan, np.float32)
+    out = np.empty((bottom - top, right - left), np.float32)
     radius = min(lattice.radius, lattice.pitch / 2)
     centres = lattice.centres()
     if part is not None:

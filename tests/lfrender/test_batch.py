@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from fractions import Fraction
 from itertools import islice
 
 import cv2
@@ -16,6 +17,7 @@ import lfcal
 import lfrender
 from lfrender import batch
 from lfrender.cli import main
+from lfrender.film_file import FilmFile
 
 
 @pytest.fixture(scope="module")
@@ -137,3 +139,51 @@ def test_inputs_that_are_no_sequence_are_refused(tmp_path, make):
         inputs = [tmp_path / "a"]
     with pytest.raises(lfcal.FlatError):
         lfrender.open_frames(inputs)
+
+
+def _outcomes(*inputs):
+    """What reading each frame gives: its pixels, or the message of the error."""
+    found = []
+    for frame in lfrender.open_frames(inputs):
+        try:
+            found.append(frame.read())
+        except lfcal.FlatError as error:
+            found.append(str(error))
+    return found
+
+
+def test_damaged_frames_of_videos_are_told_from_whole_ones_and_do_not_stop_the_rest(tmp_path):
+    av = pytest.importorskip("av")
+    pictures = np.random.default_rng(0).integers(0, 256, (4, 40, 56, 3), dtype=np.uint8)
+    path = tmp_path / "film.mkv"
+    with FilmFile(path, Fraction(25), "") as film:
+        for picture in pictures:
+            film.add(picture)
+    with av.open(str(path)) as film:
+        middles = [packet.pos + packet.size // 2 for packet in film.demux(video=0) if packet.size]
+    whole = path.read_bytes()
+    damaged = bytearray(whole)
+    damaged[middles[1]] ^= 255
+    path.write_bytes(damaged)
+    (tmp_path / "torn.mkv").write_bytes(whole[: middles[2]])
+    (tmp_path / "none.mp4").write_bytes(b"no video at all")
+    found = _outcomes(path, tmp_path / "torn.mkv", tmp_path / "none.mp4")
+    assert [type(f) for f in found] == [np.ndarray, str, *[np.ndarray] * 4, str, str]
+    assert "film.mkv: frame 1: slice CRC" in found[1]
+    np.testing.assert_array_equal(np.stack([found[k] for k in (0, 2, 3, 4, 5)]), pictures[[0, 2, 3, 0, 1]])
+    assert "torn.mkv: ends after 2 of" in found[6] and "none.mp4" in found[7]
+
+
+def test_page_that_is_damaged_and_a_list_of_pages_that_is_cut_off_are_reported(tmp_path):
+    pages = np.random.default_rng(0).integers(0, 256, (4, 30, 40), dtype=np.uint8)
+    path = tmp_path / "stack.tif"
+    tifffile.imwrite(path, pages, photometric="minisblack", compression="zlib", metadata=None)
+    with tifffile.TiffFile(path) as tiff:
+        start, last = tiff.pages[1].dataoffsets[0], tiff.pages[3].offset
+    damaged = bytearray(path.read_bytes())
+    damaged[start + 20 : start + 60] = bytes(40)
+    path.write_bytes(damaged[: last + 4])
+    found = _outcomes(path)
+    assert [type(f) for f in found] == [np.ndarray, str, np.ndarray, str]
+    np.testing.assert_array_equal(found[2], pages[2])
+    assert "stack.tif: damaged" in found[1] and "cut off after 3" in found[3]

@@ -126,3 +126,22 @@ def test_files_of_tiles_hold_what_those_of_one_go_hold(tmp_path, name):
         return
     lfrender.write_picture(tmp_path / f"one_{name}", whole, **options)
     assert (tmp_path / name).read_bytes() == (tmp_path / f"one_{name}").read_bytes()
+
+
+@pytest.mark.parametrize("name", ["picture.tif", "picture.zarr"])
+def test_notes_of_tiles_that_are_gone_are_not_believed(tmp_path, monkeypatch, name):
+    """A run may be killed between moving the picture to its place and removing its notes."""
+    if name.endswith("zarr"):
+        pytest.importorskip("zarr", minversion="3.0")
+    monkeypatch.setattr(large_rendering, "_SYNC", 0.0)
+    flat, camera, _, _ = capture()
+    with monkeypatch.context() as patch:
+        patch.setattr("lfrender.unfinished.Unfinished.remove", lambda self: None)
+        drawn_in_tiles(tmp_path, flat, camera, 31, name=name, patch_size=6.5)
+    assert (tmp_path / f".{name}.unfinished" / "state.json").exists()
+    with lfcal.open_flat(tmp_path / "flat.tif") as source:
+        made = lfrender.render_large(source, tmp_path / name, camera, patch_size=6.5, tile=31)
+    assert made.kept == 0
+    whole = lfrender.render(flat, camera, patch_size=6.5)
+    np.testing.assert_array_equal(lfcal.read_flat(tmp_path / name), whole.image)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["flat.tif", name]

@@ -1,0 +1,193 @@
+"""The depth of a frame after another: what lenses that show the same, or the same depth, need not be asked again."""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration, FlatError, Lattice
+
+from .depthmap import DepthMap
+from .flatcheck import check_flat
+from .neighbours import beside, grown, lens_halves
+from .radiance import GrayFlat
+from .region import scaled
+from .remembered import remembered
+from .search import PRESETS, Matcher
+from .sequence import changed_lenses
+from .single_plane import PROBE, vertex
+from .skipping import Shortcuts
+from .texture import LensStatistics, blank_lenses, quick_statistics, untouched_texture
+
+__all__ = ["changed_since", "following"]
+
+# A lens still shows its depth where it matches there no worse than it did, by this much, and the best match about it
+# has not moved to one side by the second number [px of the search], neither there nor in so many lenses beside it.
+_WORSE, _MOVED, _TOGETHER = 0.15, 0.1, 2
+
+
+def following(
+    flat: NDArray, calibration: Calibration, preset: str, shortcuts: Shortcuts, earlier: NDArray, before: DepthMap
+) -> DepthMap:
+    """The depth of a frame after another: only lenses that show something else, or whose neighbours do, are new.
+
+    Parameters
+    ----------
+    flat : (H, W, C) array
+        Checked already.
+    calibration, preset
+        As for `analyze`.
+    shortcuts : Shortcuts
+    earlier : array
+        The earlier frame.
+    before : DepthMap
+        Its depth.
+
+    Raises
+    ------
+    FlatError
+        If the frames are not of one kind.
+    ValueError
+        If the earlier depth is of another camera or preset.
+    """
+    # That module calls this one.
+    from .analysis import analyzed, lens_by_lens, working
+
+    lattice = calibration.lattice
+    earlier = check_flat(earlier, calibration)
+    if earlier.shape != flat.shape or earlier.dtype != flat.dtype:
+        kinds = " and ".join(f"{a.shape[2]} x {a.dtype}" for a in (earlier, flat))
+        raise FlatError(f"both frames must have the same channels and type, they have {kinds}")
+    if len(before) != len(lattice) or before.preset != preset:
+        raise ValueError("the earlier depth map was made with another camera or preset; analyze without previous")
+    neighbours = np.hstack(lens_halves(lattice))
+    changed = changed_lenses(earlier, flat, calibration)
+    kept = ~grown(changed, neighbours)
+    saved = {"still": float(kept.mean())}
+    if kept.all():
+        return _noted(replace(before, saved=saved), before, changed)
+    gray, small, factor = working(flat, calibration, preset)
+    plain = quick_statistics(gray)
+    then = None
+    if shortcuts.steady:
+        then = remembered(
+            before, "probe", lambda: _first_probe(working(earlier, calibration, preset)[0], small, before, factor)
+        )
+        probe = _probe(gray, small, plain, before, factor)
+        told = (before.reason == 0) & probe.textured
+        kept |= ~grown(~kept & _unsteady(then, probe, told, before.reason, neighbours), neighbours)
+        saved["steady"] = float(kept.mean()) - saved["still"]
+        if kept.all():
+            return _noted(replace(before, saved=saved), before, changed, then)
+    if not kept.any():
+        return _noted(scaled(analyzed(gray, small, preset, shortcuts), lattice, factor), before, changed)
+    blank = (blank_lenses(plain)[0], np.inf) if shortcuts.blank else None
+    depth = lens_by_lens(gray, small, preset, shortcuts, plain, blank, kept, scaled(before, small, 1 / factor))
+    after = scaled(replace(depth, saved={**depth.saved, **saved}), lattice, factor)
+    return _noted(after, before, changed, then, kept)
+
+
+@dataclass(frozen=True)
+class _Probe:
+    """How lenses match at and about the depth they had.
+
+    Parameters
+    ----------
+    cost : (n,) float32
+        At that depth.
+    offset : (n,) float32 [px of the search]
+        From there to the least cost.
+    clear, textured : (n,) bool
+        Lenses with texture, and with any that a match may tell from noise.
+    """
+
+    cost: NDArray[np.float32]
+    offset: NDArray[np.float32]
+    clear: NDArray[np.bool_]
+    textured: NDArray[np.bool_]
+
+
+def _first_probe(gray: GrayFlat, lattice: Lattice, depth: DepthMap, factor: int) -> _Probe:
+    """The probe of the frame that a depth belongs to.
+
+    Lenses that have kept their depth from a frame before are compared with that one for good, or many small changes
+    would pass.
+    """
+    then, kept = remembered(depth, "kept probe", lambda: (None, None))
+    probe = _probe(gray, lattice, quick_statistics(gray), depth, factor, kept)
+    if then is None or kept is None:
+        return probe
+    return _Probe(*(np.where(kept, getattr(then, f.name), getattr(probe, f.name)) for f in fields(_Probe)))
+
+
+def _probe(
+    gray: GrayFlat,
+    lattice: Lattice,
+    plain: LensStatistics,
+    depth: DepthMap,
+    factor: int,
+    known: NDArray[np.bool_] | None = None,
+) -> _Probe:
+    """Match every lens at three shifts about what is drawn of it in `depth`, in pixels `factor` times as small.
+
+    Lenses that are `known` are matched for the others only.
+    """
+    texture = untouched_texture(gray, plain)
+    matcher = Matcher(texture, *lens_halves(lattice), PRESETS[depth.preset])
+    shifts = (PROBE * np.array([-1, 0, 1])).astype(np.float32)
+    textured = texture.clear | texture.faint
+    about = (depth.drawn / np.float32(factor * matcher.factor)).astype(np.float32)
+    active = textured if known is None else textured & ~known
+    cost = matcher.costs(matcher.pairs(active, shifts, about=about))
+    return _Probe(cost[:, 1].copy(), np.float32(PROBE) * vertex(cost), texture.clear, textured)
+
+
+def _unsteady(
+    then: _Probe,
+    now: _Probe,
+    told: NDArray[np.bool_],
+    reason: NDArray[np.int8],
+    neighbours: NDArray[np.int32],
+) -> NDArray[np.bool_]:
+    """Lenses whose depth may be another one: they match worse there, or better beside it, together with others.
+
+    Of those without an answer, those that now carry texture, or match where they are drawn.
+    """
+    moved = now.offset - then.offset
+    found = told & (now.cost > then.cost + _WORSE)
+    found |= (reason == 0) & then.textured & ~now.textured
+    found |= (reason != 0) & now.textured & (now.cost < then.cost - _WORSE)
+    found |= (reason == 1) & now.clear & ~then.clear
+    for side in (-1, 1):
+        found |= beside(told & (side * moved > _MOVED), neighbours) >= _TOGETHER
+    return np.asarray(found)
+
+
+def _noted(
+    after: DepthMap,
+    before: DepthMap,
+    changed: NDArray[np.bool_],
+    then: _Probe | None = None,
+    kept: NDArray[np.bool_] | None = None,
+) -> DepthMap:
+    """`after`, with notes for `changed_since` and for the frame that follows it."""
+    reference = weakref.ref(before)
+    remembered(after, "changed", lambda: (reference, changed))
+    if then is not None and kept is None:
+        remembered(after, "probe", lambda: then)
+    elif then is not None:
+        remembered(after, "kept probe", lambda: (then, kept))
+    return after
+
+
+def changed_since(
+    before: DepthMap, after: DepthMap, earlier: NDArray, flat: NDArray, calibration: Calibration
+) -> NDArray[np.bool_]:
+    """(n,) bool: lenses that show something else in `flat` than in the `earlier` one, as known from the analysis."""
+    reference, changed = remembered(after, "changed", lambda: (None, None))
+    if reference is not None and changed is not None and reference() is before:
+        return changed
+    return changed_lenses(earlier, flat, calibration)

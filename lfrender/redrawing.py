@@ -1,0 +1,79 @@
+"""Which pixels of a picture are drawn again after an earlier frame: those in which some changed lens takes part."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from .fastmath import FAST
+from .surface import Surface
+from .tile_drawing import Drawing
+
+__all__ = ["pixels_to_redraw"]
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _mark_beside_changes(old, new, first_x, first_y, spacing, centres, reach, changed):
+    """Set `changed` of lenses with a value within `reach` that differs between two surfaces."""
+    rows, columns = new.shape
+    for lens in prange(len(centres)):
+        if changed[lens]:
+            continue
+        x, y = (centres[lens, 0] - first_x) / spacing, (centres[lens, 1] - first_y) / spacing
+        side = reach / spacing
+        for v in range(max(0, int(np.ceil(y - side))), min(rows - 1, int(np.floor(y + side))) + 1):
+            for u in range(max(0, int(np.ceil(x - side))), min(columns - 1, int(np.floor(x + side))) + 1):
+                if old[v, u] != new[v, u]:
+                    changed[lens] = True
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _mark_pixels(centres, changed, first, spacing, reach, strip, out):
+    """Set `out` within `reach` of `changed` lenses, `strip` rows of it at a time."""
+    rows, columns = out.shape
+    side = reach / spacing
+    for s in prange((rows + strip - 1) // strip):
+        top, bottom = s * strip, min(rows, (s + 1) * strip)
+        for lens in range(len(centres)):
+            y = (centres[lens, 1] - first) / spacing
+            if not changed[lens] or y + side < top or y - side > bottom:
+                continue
+            x = (centres[lens, 0] - first) / spacing
+            for v in range(max(top, int(np.ceil(y - side))), min(bottom - 1, int(np.floor(y + side))) + 1):
+                half = np.sqrt(max(side * side - (v - y) * (v - y), 0.0))
+                for u in range(max(0, int(np.ceil(x - half))), min(columns - 1, int(np.floor(x + half))) + 1):
+                    out[v, u] = True
+
+
+def pixels_to_redraw(drawing: Drawing, before: Surface, changed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(rows, columns) bool: pixels of the picture that may differ from those of an earlier frame.
+
+    They are read from a lens that shows something else, or from one in reach of which the depth is another, so that
+    what hides what may have changed in it. All others would be drawn from the same depth and pixels.
+
+    Parameters
+    ----------
+    drawing : Drawing
+        Of the frame, all in focus.
+    before : Surface
+        Of the earlier frame.
+    changed : (n,) bool
+        Lenses that show something else.
+    """
+    columns, rows = drawing.size
+    lattice, now = drawing.calibration.lattice, drawing.surface
+    if before.patch_size.shape != now.patch_size.shape or before.first != now.first or before.spacing != now.spacing:
+        return np.ones((rows, columns), bool)
+    centres = lattice.centres()
+    reach = drawing.reach * lattice.pitch
+    stale = changed.copy()
+    # A place between grid values depends on all four of them.
+    _mark_beside_changes(
+        before.patch_size, now.patch_size, *now.first, now.spacing, centres, reach + 1.5 * now.spacing, stale
+    )
+    wanted = np.zeros((rows, columns), bool)
+    # Pixels are read at several places where patches are larger, all of them within the pixel.
+    farthest = reach + drawing.spacing
+    _mark_pixels(centres, stale, 0.5 * drawing.spacing - 0.5, drawing.spacing, farthest, 16, wanted)
+    return wanted

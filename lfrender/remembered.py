@@ -1,0 +1,31 @@
+"""What depends on a camera alone, kept as long as the camera is: frame after frame asks for the same."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
+
+__all__ = ["remembered"]
+
+_Value = TypeVar("_Value")
+
+# By the identity of the owner, since cameras hold arrays, and compare and hash as those do. An entry goes with its
+# owner.
+_kept: dict[int, dict[Hashable, Any]] = {}
+
+
+def remembered(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
+    """What `make` returns, made once for each frozen `owner` and `key`; the owner itself is not kept alive.
+
+    Values are shared: nobody may write into them. They must not refer to their owner, or both would stay for good.
+    """
+    at = id(owner)
+    values = _kept.get(at)
+    if values is None:
+        values = _kept[at] = {}
+        weakref.finalize(owner, _kept.pop, at, None).atexit = False
+    if key not in values:
+        values[key] = make()
+    kept: _Value = values[key]
+    return kept

@@ -1,0 +1,96 @@
+"""Confidence and standard errors: what is doubtful says so."""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+
+import lfrender
+from data_synth import SCENES, Camera, simulate
+from lfrender.certainty import certainty, confirmed, repeated, widened
+from lfrender.plane import fit_plane
+from lfrender.rivals import without_rivals
+
+# Lens 0 in the middle of a hexagon of six; the others look at it alone.
+_ROWS = np.array([[1, 2, 3, 4, 5, 6], *([[0, -1, -1, -1, -1, -1]] * 6)], np.int32)
+
+
+def test_an_error_grows_with_the_texture_that_a_match_leaves_unexplained():
+    wide = widened(np.full(3, 0.1), np.array([1.0, 0.7, 0.4]))
+    assert abs(wide[0] - 0.1) < 0.01
+    assert 1.2 < wide[1] / wide[0] < 1.4
+    assert 1.7 < wide[2] / wide[0] < 2.2
+
+
+def test_scattered_pairs_and_lenses_that_stand_alone_take_confidence():
+    sizes = np.array([-6.0, *[-6.1] * 6])
+    explained = np.full(7, 0.5)
+    firm = certainty(np.ones(7), sizes, np.full(7, 0.05), explained, _ROWS, 23.0)[0]
+    loose = certainty(np.ones(7), sizes, np.full(7, 0.9), explained, _ROWS, 23.0)[0]
+    alone = certainty(np.ones(7), np.array([4.0, *[-6.1] * 6]), np.full(7, 0.05), explained, _ROWS, 23.0)[0]
+    unmeasured = certainty(np.ones(7), sizes, np.full(7, np.inf), explained, _ROWS, 23.0)[0]
+    assert firm > 0.98
+    assert loose < 0.5
+    assert alone < 0.51
+    assert unmeasured < 0.5
+
+
+def test_a_faint_lens_is_confirmed_by_two_good_ones_beside_it_and_not_by_one():
+    sizes = np.array([-6.0, -6.2, -5.9, -9.0, -9.0, 3.0, 3.0])
+    resolved = np.array([False, *[True] * 6])
+    good = np.array([0.1, *[0.8] * 6])
+    assert confirmed(resolved, sizes, good, _ROWS, 23.0)[0]
+    good[1] = 0.1
+    assert not confirmed(resolved, sizes, good, _ROWS, 23.0)[0]
+
+
+def test_lenses_torn_between_two_depths_are_ambiguous_together_unless_one_depth_occurs_elsewhere():
+    torn = np.full(7, 0.4)
+    everyone, nobody = np.ones(7, bool), np.zeros(7, bool)
+    assert repeated(everyone, torn, nobody, _ROWS).all()
+    few = np.where(np.arange(7) < 3, 0.4, 1.0)
+    assert not repeated(everyone, few, nobody, _ROWS)[0]
+    # Six of seven lenses have no rival; the depth of the torn ones occurs among them.
+    others = np.array([*torn[:4], *np.ones(21)])
+    rows = np.vstack([_ROWS[:4], np.full((21, 6), -1, np.int32)])
+    assert repeated(np.ones(25, bool), others, np.zeros(25, bool), np.minimum(rows, 3))[0]
+    assert not repeated(np.ones(25, bool), others, np.ones(25, bool), np.minimum(rows, 3))[0]
+
+
+def test_an_optimum_that_matches_as_well_over_fewer_pixels_is_a_rival():
+    shifts = np.arange(41)
+
+    def cost(rival):
+        peaks = 0.9 * np.exp(-(((shifts - 12) / 2.0) ** 2)) + rival * np.exp(-(((shifts - 32) / 2.0) ** 2))
+        return 1 - (peaks * trust)[None].astype(np.float32)
+
+    trust = np.linspace(1.0, 0.4, 41).astype(np.float32)
+    no_rows, best, yes = np.empty((1, 0), np.int32), np.array([12]), np.ones(1, bool)
+    equal, less, none = (without_rivals(cost(r), trust, no_rows, best, yes, 2)[0] for r in (0.9, 0.6, 0.0))
+    # As seen, the rival's cost is 0.5 against 0.3.
+    assert abs(equal - 0.5) < 0.05
+    assert less > 0.98
+    assert none == 1
+
+
+@functools.cache
+def _periodic(ratio, period):
+    camera = Camera.design(size=(360, 300), pitch=24.0, lattice="square")
+    return simulate(SCENES["periodic"](camera, ratio=ratio, period=period), camera, samples=16, seed=2)
+
+
+def test_a_texture_that_repeats_along_the_lattice_claims_nothing_wrong():
+    for ratio, period in ((-0.45, 0.6), (0.3, 0.4)):
+        shot = _periodic(ratio, period)
+        depth = lfrender.analyze(shot.flat, shot.truth.calibration)
+        wrong = np.abs(depth.patch_size - shot.truth.patch_size) > 0.5
+        assert (wrong & (depth.confidence > 0.5)).mean() < 0.01
+
+
+def test_what_misleads_each_lens_of_a_plane_widens_the_error_of_the_plane():
+    points = np.random.default_rng(1).uniform(0, 400, (200, 2))
+    sizes = 9.0 + 0.05 * np.random.default_rng(2).standard_normal(200)
+    plane = fit_plane(points, sizes, 25.0)
+    clear, doubtful = (replace(plane, misled=m).standard_error(points).mean() for m in (0.0, 0.1))
+    assert clear < 0.01
+    assert 0.04 < doubtful < 0.06
