@@ -177,7 +177,8 @@ class Job:
             self.scale = default_scale(depth)
         self._remember(camera)
         depth.save(file)
-        return replace(key, flat=flat, depth=depth)
+        # What an analysis remembers of a depth map beside its file, another worker or a later run would not have.
+        return replace(key, flat=flat, depth=DepthMap.load(file))
 
     def depth_after(self, key: Key, flat: NDArray[Any]) -> DepthMap:
         """Depth of a frame whose still parts keep that of a key frame."""

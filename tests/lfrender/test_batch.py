@@ -85,6 +85,21 @@ def test_a_run_that_was_stopped_goes_on_with_the_same_pictures(sequence, whole, 
     assert _pictures(tmp_path) == _pictures(whole[0])
 
 
+def test_frames_are_analysed_against_what_lies_in_the_folder_as_in_a_later_run(sequence, tmp_path, monkeypatch):
+    monkeypatch.setattr(batch, "STRETCH", 3)
+    made, against = [], []
+
+    def analyze(*arguments, previous=None):
+        made.append(lfrender.analyze(*arguments, previous=previous))
+        against.append(previous)
+        return made[-1]
+
+    monkeypatch.setattr("lfrender.frame_job.analyze", analyze)
+    _run(sequence, tmp_path)
+    assert [previous is None for previous in against] == [True, False, False, False, False]
+    assert not any(previous[1] is depth for previous in against[1:] for depth in made)
+
+
 def test_other_settings_are_refused_until_everything_is_rendered_anew(sequence, whole):
     with pytest.raises(lfcal.OutputError, match="overwrite"):
         _run(sequence, whole[0], scale=3.0)
