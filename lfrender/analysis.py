@@ -72,6 +72,9 @@ _POPULATED = 0.005
 _PROVEN, LEAST_EVIDENCE = 0.95, 0.12
 # Shading correlates as well, with a patch size near zero: within this share of the pitch it takes more.
 _SHADED_REACH, _EVIDENCE_NEAR_ZERO = 0.2, 0.5
+# Shading stays with its lens, but for errors of the lattice [share of the pitch]. A shift beyond these, of so many
+# standard errors, and on which pairs agree to the second share of the pitch, is texture.
+_STILL, _FIRM, _BEYOND_ERRORS = 0.005, 0.002, 8.0
 # A lens with texture that correlates less than this with its neighbours at any shift shares no content with them.
 _SHARED = 0.25
 # Unrelated content reaches this correlation at some shift; neighbours that do agree to this share of the pitch only
@@ -276,11 +279,13 @@ def lens_by_lens(
     found = search(Matcher(texture, forward, backward, setting), active, texture.clear, sample, known, sizes)
     textured = near & (texture.clear | (texture.faint & _credible(found, lattice.pitch)))
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
-    first = np.where(textured, found.patch_size, np.nan).astype(np.float32)
+    maybe = near & texture.faint & ~textured & (found.confidence >= _PROVEN) & (found.evidence >= LEAST_EVIDENCE)
+    first = np.where(textured | maybe, found.patch_size, np.nan).astype(np.float32)
     lenses = measure(texture.flat, forward, backward, first, scale, setting.iterations)
     measured = np.isfinite(lenses.patch_size)
     refined = np.where(measured, lenses.patch_size, found.patch_size)
     error = np.where(measured, lenses.standard_error, np.inf)
+    textured |= maybe & _moving(refined, error, lattice.pitch)
     signal = signal_share(texture)
     astray = misled(error, found.explained / signal)
     reason, error, sure = _judged(textured, found, refined, error, signal, neighbours, lattice.pitch)
@@ -472,6 +477,13 @@ def _populated(values: NDArray[np.float32], known: NDArray[np.float32], gap: flo
     ordered = np.sort(known)
     like = np.searchsorted(ordered, values + gap) - np.searchsorted(ordered, values - gap)
     return like >= max(1, _POPULATED * len(ordered))
+
+
+def _moving(refined: NDArray, error: NDArray, pitch: float) -> NDArray[np.bool_]:
+    """Lenses whose pairs agree on a shift that shading, which stays with its lens, cannot have."""
+    size = np.abs(refined)
+    agreed = (error <= _FIRM * pitch) & (size >= _BEYOND_ERRORS * error)
+    return np.asarray(agreed & (size >= _STILL * pitch))
 
 
 def _credible(found: Found, pitch: float) -> NDArray[np.bool_]:

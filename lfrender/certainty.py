@@ -20,6 +20,8 @@ _UNRELATED = 0.03
 _DOUBTFUL, _ALONE = 0.6, 0.3
 _ALIKE, _ALIKE_PX = 0.03, 0.3
 _HALF = 0.5
+# Where most lenses are not torn, another shift must be twice as likely.
+_TWICE = 1 / 3
 # Of texture that is mostly noise, correlation tells no more about how much of it is explained.
 _LEAST_SIGNAL = 0.1
 # Lenses that explain this much of their texture confirm others, so many of them together.
@@ -92,7 +94,9 @@ def confirmed(
 def repeated(
     resolved: NDArray[np.bool_], rivals: NDArray, occurring: NDArray[np.bool_], rows: NDArray[np.int32]
 ) -> NDArray[np.bool_]:
-    """(n,) bool: lenses that match as well at another shift, as half of those around them do: texture that repeats.
+    """(n,) bool: lenses that match as well at another shift, as half of the flat or of their neighbours do.
+
+    Their texture repeats; a single one is more likely chance.
 
     Parameters
     ----------
@@ -105,6 +109,7 @@ def repeated(
         Neighbour rows, -1 where there is none.
     """
     torn = resolved & (rivals < _HALF)
-    around = rows >= 0
-    together = torn & (2 * (torn[rows] & around).sum(1) >= around.sum(1))
-    return together & ~occurring if 2 * torn.sum() < resolved.sum() else together
+    if 2 * torn.sum() >= resolved.sum():
+        return torn
+    together = 2 * (torn[rows] & (rows >= 0)).sum(1) >= rows.shape[1]
+    return torn & together & (rivals < _TWICE) & ~occurring

@@ -81,14 +81,17 @@ def _without_rivals(cost, trust, rows, best, wanted, apart, out):
         for side in (-1, 1):
             low = top
             k = own + side
-            while 0 < k < shifts - 1 and count[k + 1] > 0 and count[k - 1] > 0:
+            while 0 <= k < shifts and count[k] > 0:
                 low = min(low, pooled[k])
-                peak = pooled[k] >= pooled[k - 1] and pooled[k] > pooled[k + 1]
-                if peak and abs(k - own) > apart and low < pooled[k] - _DIP:
-                    mass += np.exp((pooled[k] - top) / temperature)
-                    low = pooled[k]
-                elif abs(k - own) > apart and pooled[k] > top:
-                    mass += np.exp((pooled[k] - top) / temperature) - 1
+                last = k + side < 0 or k + side >= shifts or count[k + side] == 0
+                # What still rises where too few pixels are shared to look on is an optimum as well.
+                peak = pooled[k] > pooled[k - side] and (last or pooled[k] >= pooled[k + side])
+                if abs(k - own) > apart:
+                    if peak and low < pooled[k] - _DIP:
+                        mass += np.exp((pooled[k] - top) / temperature)
+                        low = pooled[k]
+                    elif pooled[k] > top:
+                        mass += np.exp((pooled[k] - top) / temperature) - 1
                 k += side
         out[lens] = 1 / (1 + mass)
 

@@ -16,7 +16,7 @@ from .file_faults import fuzz
 from .outcome import Outcome, Sweep, calibrate_white, depth_of_plane
 from .sweeps import random_plane, random_white, sweeps
 
-__all__ = ["main", "of_random_cases", "quick_values"]
+__all__ = ["RARE", "main", "of_random_cases", "quick_values"]
 
 #: Confident and wrong answers among random cases must be rarer than this.
 RARE = 1e-3

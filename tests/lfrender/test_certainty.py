@@ -4,6 +4,7 @@ import functools
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
@@ -45,16 +46,15 @@ def test_a_faint_lens_is_confirmed_by_two_good_ones_beside_it_and_not_by_one():
 
 
 def test_lenses_torn_between_two_depths_are_ambiguous_together_unless_one_depth_occurs_elsewhere():
-    torn = np.full(7, 0.4)
-    everyone, nobody = np.ones(7, bool), np.zeros(7, bool)
-    assert repeated(everyone, torn, nobody, _ROWS).all()
-    few = np.where(np.arange(7) < 3, 0.4, 1.0)
-    assert not repeated(everyone, few, nobody, _ROWS)[0]
-    # Six of seven lenses have no rival; the depth of the torn ones occurs among them.
-    others = np.array([*torn[:4], *np.ones(21)])
-    rows = np.vstack([_ROWS[:4], np.full((21, 6), -1, np.int32)])
-    assert repeated(np.ones(25, bool), others, np.zeros(25, bool), np.minimum(rows, 3))[0]
-    assert not repeated(np.ones(25, bool), others, np.ones(25, bool), np.minimum(rows, 3))[0]
+    torn = np.full(7, 0.3)
+    assert repeated(np.ones(7, bool), torn, np.zeros(7, bool), _ROWS).all()
+    # One in three of a larger flat is torn: the lens in the middle with half of its neighbours.
+    rivals = np.array([*torn[:4], *np.ones(8)])
+    rows = np.vstack([[[1, 2, 3, 4, 5, 6]], np.full((11, 6), -1)]).astype(np.int32)
+    resolved, nowhere = np.ones(12, bool), np.zeros(12, bool)
+    assert repeated(resolved, rivals, nowhere, rows).tolist() == [True, *[False] * 11]
+    assert not repeated(resolved, rivals, ~nowhere, rows).any()
+    assert not repeated(resolved, np.where(np.arange(12) == 3, 1.0, rivals), nowhere, rows).any()
 
 
 def test_an_optimum_that_matches_as_well_over_fewer_pixels_is_a_rival():
@@ -71,6 +71,33 @@ def test_an_optimum_that_matches_as_well_over_fewer_pixels_is_a_rival():
     assert abs(equal - 0.5) < 0.05
     assert less > 0.98
     assert none == 1
+
+
+@functools.cache
+def _traced_near_zero(ratio):
+    camera = Camera.design(size=(300, 260), pitch=23.2, rotation=1.3)
+    return simulate(SCENES["plane"](camera, ratio=ratio), camera, samples=16, seed=2)
+
+
+@pytest.mark.parametrize("ratio", [-0.02, -0.01])
+def test_planes_near_zero_patch_size_are_resolved_by_how_they_move(ratio):
+    shot = _traced_near_zero(ratio)
+    depth = lfrender.analyze(shot.flat, shot.truth.calibration)
+    error = np.abs(depth.patch_size - shot.truth.patch_size)
+    # It was 0.026 of them at 0.02 D.
+    assert (depth.mode == -1).mean() > 0.9
+    assert np.nanquantile(error, 0.95) < 0.05
+
+
+def test_shading_that_stays_with_its_lens_is_no_depth_however_strong():
+    shot = simulate(SCENES["blank"](Camera.design(size=(260, 220))), Camera.design(size=(260, 220)), samples=8, seed=2)
+    calibration = shot.truth.calibration
+    y, x = np.mgrid[: shot.flat.shape[0], : shot.flat.shape[1]]
+    index = calibration.lattice.to_index(np.stack([x, y], -1).reshape(-1, 2))
+    delta = (index - np.rint(index)) @ calibration.lattice.basis
+    bump = 1 - 0.1 * np.exp(-(delta**2).sum(1) / 20).reshape(y.shape)
+    depth = lfrender.analyze(np.rint(shot.flat * bump[..., None]).astype(np.uint8), calibration)
+    assert (depth.mode != 0).mean() < 0.02
 
 
 @functools.cache
