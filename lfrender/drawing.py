@@ -221,7 +221,11 @@ def _draw(
     aperture: float = 1.0,
     agreement: float = _AGREEMENT,
     viewpoint: Viewpoint = _MIDDLE,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """The picture in the flat's units, what was seen of each pixel (0..1), and the affine to scene coordinates."""
+    stored: bool = False,
+) -> tuple[NDArray, NDArray[np.float32], NDArray[np.float64]]:
+    """The picture in the flat's units, what was seen of each pixel (0..1), and the affine to scene coordinates.
+
+    Where it is to be `stored` the picture has the flat's type.
+    """
     drawing = Drawing(calibration, surface, scale, blend, blur, reach, agreement, aperture, viewpoint)
-    return *drawing.draw(pixels), drawing.affine
+    return *drawing.draw(pixels, stored=stored), drawing.affine

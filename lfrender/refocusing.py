@@ -87,8 +87,9 @@ def refocus(
     coarse = scale < abs(patch_size)
     blur = lens_blur(pixels, calibration, np.full(len(lattice), patch_size, np.float32)) if coarse else 0.0
     image, lenses, affine = _draw(
-        pixels, calibration, surface, float(scale), True, blur, reach=_REACH, aperture=aperture, agreement=_ANY_COLOUR
-    )
+        pixels, calibration, surface, float(scale), True, blur, reach=_REACH, aperture=aperture, agreement=_ANY_COLOUR,
+        stored=True,
+    )  # fmt: skip
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
     return Rendering(as_stored(image, np.asarray(flat).dtype), affine, lenses > 0, float(scale))

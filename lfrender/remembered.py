@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Hashable
+from functools import partial
 from typing import Any, TypeVar
 
 __all__ = ["remembered"]
@@ -11,7 +12,8 @@ __all__ = ["remembered"]
 _Value = TypeVar("_Value")
 
 # By the identity of the owner: cameras hold arrays, and compare as those do. An entry goes with its owner.
-_kept: dict[int, tuple[weakref.ref[Any], dict[Hashable, Any]]] = {}
+_Kept = dict[int, tuple[weakref.ref[Any], dict[Hashable, Any]]]
+_kept: _Kept = {}
 
 
 def remembered(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
@@ -22,7 +24,7 @@ def remembered(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
     at = id(owner)
     entry = _kept.get(at)
     if entry is None or entry[0]() is not owner:
-        entry = weakref.ref(owner, lambda gone: _forget(at, gone)), {}
+        entry = weakref.ref(owner, partial(_forget, _kept, at)), {}
         _kept[at] = entry
     values = entry[1]
     if key not in values:
@@ -31,7 +33,8 @@ def remembered(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
     return kept
 
 
-def _forget(at: int, gone: weakref.ref[Any]) -> None:
-    entry = _kept.get(at)
+def _forget(kept: _Kept, at: int, gone: weakref.ref[Any]) -> None:
+    """Drop an entry; names of this module may be gone before, when the process ends."""
+    entry = kept.get(at)
     if entry is not None and entry[0] is gone:
-        del _kept[at]
+        del kept[at]

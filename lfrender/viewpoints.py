@@ -98,7 +98,9 @@ def _drawn(
     scale = float(full if scale is None else scale)
     blur = lens_blur(pixels, calibration, depth.patch_size) if scale * _COARSE < full else 0.0
     for point in points:
-        image, lenses, affine = _draw(pixels, calibration, depth.surface, scale, True, blur, viewpoint=point)
+        image, lenses, affine = _draw(
+            pixels, calibration, depth.surface, scale, True, blur, viewpoint=point, stored=True
+        )
         yield Rendering(as_stored(image[:, :, 0] if plain else image, dtype), affine, lenses > 0, scale)
 
 
