@@ -29,19 +29,23 @@ _SMOOTH = 0.01
 _NEARBY = 4.2
 # An average counts as common as far as its energy exceeds this many times that of unrelated pictures.
 _SIGNIFICANT = np.float32(2.0)
+# Vector loops take so many values at a time: rows of microimages are read to a whole number of these, and what lies
+# beyond their end is not looked at.
+_BUNCH = 8
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _subtract_shading(image, centres, wanted, rows, weights, means, contrast, radius, out):
     height, width = image.shape
     side = int(2 * radius) + 3
+    wide = (side + _BUNCH - 1) // _BUNCH * _BUNCH
     for lens in prange(len(centres)):
         if not wanted[lens]:
             continue
         cx, cy = centres[lens, 0], centres[lens, 1]
         top, bottom = max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius)))
         left, right = max(0, int(np.ceil(cx - radius))), min(width - 1, int(np.floor(cx + radius)))
-        shade = np.zeros((side, side), np.float32)
+        shade = np.zeros((side, wide), np.float32)
         total = expected = np.float32(0.0)
         for r in range(rows.shape[1]):
             other = rows[lens, r]
@@ -59,11 +63,12 @@ def _subtract_shading(image, centres, wanted, rows, weights, means, contrast, ra
             total += w
             expected += (w * contrast[other]) ** 2
             offset = w * mean
+            n = wide if left + x0 + wide < width else right - left + 1
             for y in range(top, bottom + 1):
-                upper = image[y + y0, left + x0 : right + x0 + 2]
-                lower = image[y + y0 + 1, left + x0 : right + x0 + 2]
+                upper = image[y + y0, left + x0 : left + x0 + n + 1]
+                lower = image[y + y0 + 1, left + x0 : left + x0 + n + 1]
                 into = shade[y - top]
-                for k in range(right - left + 1):
+                for k in range(n):
                     into[k] += w00 * upper[k] + w01 * upper[k + 1] + w10 * lower[k] + w11 * lower[k + 1] - offset
         if total == 0:
             continue
