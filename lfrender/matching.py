@@ -72,7 +72,7 @@ def _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
 
 
 # Python's error model checks every division, which no vector loop can.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _strip_moments(own, other, mask, start, stop, upper, lower, w00, w01, w10, w11):
     """Sums over the masked pixels of one strip and what another shows `upper` and `lower` values farther."""
     a, m = own[start:stop], mask[start:stop]

@@ -70,7 +70,7 @@ def _spline(f):
 
 
 # Python's error model checks every division, which no vector loop can.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _normal_equation(image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, offset, line, steps):
     """Sums for a change of s and of the offset between two microimages, weighted after Geman and McClure.
 
@@ -138,7 +138,7 @@ def _normal_equation(image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, of
     return sw, sr, srr, sp, spp, spr, sx, sy
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, iterations, line, steps):
     """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be told."""
     s = start
