@@ -12,10 +12,10 @@ from .combine import clipped_from
 from .disc_model import Discs, DiscSteps, edge_of, first_level
 from .disc_parameters import DiscModel, design, field_of, moved
 from .errors import CalibrationError
-from .lattice import Lattice
 from .lens_cell import cell_faces
 from .lit_lenses import LitLenses
 from .parts import Parts
+from .shading_slope import field_slope, shading_slope
 from .windows import cut_windows
 
 __all__ = [
@@ -41,8 +41,6 @@ _RUNAWAY = 0.05
 _DARK = 0.03
 # Lenses are grouped by brightness into so many groups to see how their noise depends on it.
 _GROUPS = 12
-# So many lenses show how the gain changes over the field.
-_TILTED = 4000
 # Lenses that scatter by more than this multiple of what is usual at their brightness lose their say.
 _UNLIKE = 4.0
 # Lenses whose own pixels put them further off than this many times the usual are placed one by one, with a trust that
@@ -123,9 +121,9 @@ def open_lenses(
         )
     rings = int(reach / _STEP) + 3
     indices, centres, gain = indices[lit], centres[lit], gain[lit]
-    none = np.zeros_like(centres)
+    none, tilt = np.zeros_like(centres), field_slope(centres, gain, lattice)
     discs = Discs(
-        light[lit], corners[lit], centres, none, gain, np.ones(len(gain)), _tilt(centres, gain, lattice), 0.0, 0.0,
+        light[lit], corners[lit], centres, none, gain, np.ones(len(gain)), tilt, 0.0, 0.0,
         faces, inner, reach, _STEP, np.zeros(rings), np.ones(rings),
         np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, clipped_from(light),
     )  # fmt: skip
@@ -156,26 +154,6 @@ def open_lenses(
 def _of_length(values: NDArray[Any], rings: int) -> NDArray[Any]:
     """Values over the radius for so many rings, the last one carried on: cells grow as their lattice is refined."""
     return np.pad(values, (0, max(rings - len(values), 0)), mode="edge")[:rings]
-
-
-def _tilt(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
-    """(n, 2) relative slope of the gain over the field [1/px], from a polynomial through all lenses."""
-    scale = np.array(lattice.image_size) / 2
-    x, y = ((centres - scale) / scale).T
-    powers = [(a, b) for a in range(5) for b in range(5 - a)]
-    few = slice(None, None, max(1, len(gain) // _TILTED))
-    log, table = np.log(gain[few]), np.column_stack([x[few] ** a * y[few] ** b for a, b in powers])
-    keep = np.ones(len(log), dtype=bool)
-    slope = np.zeros(len(powers))
-    for _ in range(3):
-        if keep.sum() < 3 * len(powers):
-            return np.zeros_like(centres)
-        slope = np.linalg.lstsq(table[keep], log[keep], rcond=None)[0]
-        miss = np.abs(log - table @ slope)
-        keep = miss < 5 * np.median(miss) + 1e-6
-    dx = np.column_stack([a * x ** max(a - 1, 0) * y**b for a, b in powers]) @ slope
-    dy = np.column_stack([b * x**a * y ** max(b - 1, 0) for a, b in powers]) @ slope
-    return np.column_stack([dx, dy]) / scale
 
 
 def placed(state: FitState) -> FitState:
@@ -299,9 +277,8 @@ def _stepped(state: FitState, orders: tuple[str, ...], frozen: bool = False) -> 
         edge = edge_of(level)
         weighted = _weighted(state, steps).discs
         discs = replace(discs, weight=weighted.weight, trust=weighted.trust, edge=edge, dark=_dark(level, edge))
-    if np.isfinite(discs.full):
-        # Clipped cores, which the gains began with, say nothing about how light falls over the field.
-        discs = replace(discs, tilt=_tilt(discs.centres, np.maximum(discs.gain, 1e-12), state.model.lattice))
+    if not frozen:
+        discs = replace(discs, tilt=shading_slope(discs, state.model.lattice))
     return placed(FitState(moved(state.model, change, names), state.indices, discs)), summary
 
 

@@ -1,0 +1,113 @@
+"""How light falls across a microimage: with the light of the whole field, and with the angle of its rays.
+
+A pixel sees the exit pupil of the main lens through its microlens. Light falls with the angle of its rays, so about the
+place below the microlens; that lies the farther from the centre of the microimage the farther out it is in the field.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from .disc_model import Discs
+from .lattice import Lattice
+from .lens_cell import rows_within
+
+__all__ = ["field_slope", "shading_slope"]
+
+# So many lenses show how the gain changes over the field.
+_TILTED = 4000
+# Slopes are looked at in this share of the radius inside a cell, where cuts are rare and edges far.
+_INSIDE = 0.6
+# They are believed beyond so many standard errors.
+_SURE = 6.0
+# Residuals beyond so many times the median have no say.
+_OUTLIER = 4.0
+
+
+def field_slope(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+    """(n, 2) relative slope of the gain over the field [1/px], from a polynomial through all lenses."""
+    scale = np.array(lattice.image_size) / 2
+    x, y = ((centres - scale) / scale).T
+    powers = [(a, b) for a in range(5) for b in range(5 - a)]
+    few = slice(None, None, max(1, len(gain) // _TILTED))
+    log, table = np.log(gain[few]), np.column_stack([x[few] ** a * y[few] ** b for a, b in powers])
+    keep = np.ones(len(log), dtype=bool)
+    slope = np.zeros(len(powers))
+    for _ in range(3):
+        if keep.sum() < 3 * len(powers):
+            return np.zeros_like(centres)
+        slope = np.linalg.lstsq(table[keep], log[keep], rcond=None)[0]
+        miss = np.abs(log - table @ slope)
+        keep = miss < 5 * np.median(miss) + 1e-6
+    dx = np.column_stack([a * x ** max(a - 1, 0) * y**b for a, b in powers]) @ slope
+    dy = np.column_stack([b * x**a * y ** max(b - 1, 0) for a, b in powers]) @ slope
+    return np.column_stack([dx, dy]) / scale
+
+
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+def _slopes(light, corners, centres, gain, tilt, level, step, reach, out):
+    """(n, 3): slope of the light of each lens beyond `tilt`, relative to its profile [1/px], and its weight [px^2]."""
+    lenses, side = light.shape[0], light.shape[1]
+    for lens in prange(lenses):
+        cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
+        across = down = square = 0.0
+        top, bottom = rows_within(cy, reach, 0, side)
+        for y in range(top, bottom):
+            dy = y - cy
+            left, right = rows_within(cx, math.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
+            for x in range(left, right):
+                dx = x - cx
+                rho = math.sqrt(dx * dx + dy * dy)
+                place = rho / step
+                ring = int(place)
+                model = level[ring] + (level[ring + 1] - level[ring]) * (place - ring)
+                miss = light[lens, y, x] / gain[lens] - model * (1 + tilt[lens, 0] * dx + tilt[lens, 1] * dy)
+                across += miss * model * dx
+                down += miss * model * dy
+                square += 0.5 * model * model * (dx * dx + dy * dy)
+        out[lens, 2] = square
+        out[lens, 0] = across / max(square, 1e-30)
+        out[lens, 1] = down / max(square, 1e-30)
+
+
+def shading_slope(discs: Discs, lattice: Lattice) -> NDArray[np.float64]:
+    """(n, 2) relative slope of the light inside each microimage [1/px], beside what its profile says.
+
+    Parameters
+    ----------
+    discs : Discs
+        With gains and profile that fit.
+    lattice : Lattice
+    """
+    gain = np.maximum(discs.gain, 1e-12)
+    # Clipped cores, which the gains began with, say nothing about how light falls over the field.
+    tilt = field_slope(discs.centres, gain, lattice)
+    if np.isfinite(discs.full):
+        return tilt
+    found = np.zeros((len(gain), 3))
+    _slopes(
+        discs.light, discs.corners, discs.centres, gain, tilt, discs.level, discs.step, _INSIDE * discs.inner, found
+    )
+    far = discs.centres - (np.array(lattice.image_size) - 1) / 2
+    n, one, none = len(far), np.ones(len(far)), np.zeros(len(far))
+    # A slope that grows with the distance from an axis that may lie beside the middle.
+    table = np.concatenate([np.stack([one, none, far[:, 0]], 1), np.stack([none, one, far[:, 1]], 1)])
+    slopes = np.concatenate([found[:, 0], found[:, 1]])
+    root = np.sqrt(np.tile(found[:, 2], 2))
+    keep = root > 0
+    for _ in range(3):
+        if keep.sum() < 4 * table.shape[1]:
+            return tilt
+        weighted = table[keep] * root[keep, None]
+        answer = np.linalg.lstsq(weighted, slopes[keep] * root[keep], rcond=None)[0]
+        miss = np.abs(slopes - table @ answer) * root
+        keep = (root > 0) & (miss < _OUTLIER * np.median(miss[root > 0]) + 1e-12)
+    variance = float((miss[keep] ** 2).mean())
+    information = (table[keep] * root[keep, None]).T @ (table[keep] * root[keep, None]) / max(variance, 1e-30)
+    if answer @ information @ answer < _SURE**2:
+        return tilt
+    return tilt + (table @ answer).reshape(2, n).T
