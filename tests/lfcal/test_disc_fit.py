@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import lfcal
 
@@ -53,6 +54,20 @@ def test_distorted_lattice_is_followed(drawn):
     camera = lfcal.calibrate(truth.image())
     assert camera.lattice.distortion is not None
     assert _error(camera, truth) < 0.02
+
+
+def test_light_that_falls_about_the_place_below_the_microlens_does_not_move_centres(drawn):
+    truth = drawn("hexagonal", 20.3, 5.0, 32.0, size=(1000, 800), inner=0.0)
+    image = truth.image()
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    places = np.column_stack([x.ravel(), y.ravel()])
+    centres = truth.centres(lfcal.Lattice(truth.origin, truth.basis, truth.size, 9.0).indices())
+    centres = centres[cKDTree(centres).query(places)[1]]
+    # cos^4 of the angle at 100 px from a microlens that lies 1 % nearer to the axis than its microimage.
+    aside = places - centres + 0.01 * (centres - np.array(truth.size) / 2)
+    fall = (1 + (aside**2).sum(1) / 100**2) ** -2
+    camera = lfcal.calibrate(np.rint(image * fall.reshape(image.shape)).astype(image.dtype))
+    assert _error(camera, truth) < 0.001
 
 
 def test_stated_errors_of_centres_are_those_found(drawn):
