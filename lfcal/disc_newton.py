@@ -15,7 +15,7 @@ from .errors import CalibrationError
 from .lens_cell import cell_faces
 from .lit_lenses import LitLenses
 from .parts import Parts
-from .shading_slope import field_slope, shading_slope
+from .shading_slope import field_slope, shading_of_field, shading_slope
 from .windows import cut_windows
 
 __all__ = [
@@ -278,7 +278,9 @@ def _stepped(state: FitState, orders: tuple[str, ...], frozen: bool = False) -> 
         weighted = _weighted(state, steps).discs
         discs = replace(discs, weight=weighted.weight, trust=weighted.trust, edge=edge, dark=_dark(level, edge))
     if not frozen:
-        discs = replace(discs, tilt=shading_slope(discs, state.model.lattice))
+        # Of two discs that cut each other, shading tells which one is the microimage: about its middle light is even.
+        slope = shading_slope if state.model.cat_eye is None else shading_of_field
+        discs = replace(discs, tilt=slope(discs, state.model.lattice))
     return placed(FitState(moved(state.model, change, names), state.indices, discs)), summary
 
 

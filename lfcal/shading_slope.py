@@ -16,7 +16,7 @@ from .disc_model import Discs
 from .lattice import Lattice
 from .lens_cell import rows_within
 
-__all__ = ["field_slope", "shading_slope"]
+__all__ = ["field_slope", "shading_of_field", "shading_slope"]
 
 # So many lenses show how the gain changes over the field.
 _TILTED = 4000
@@ -74,6 +74,12 @@ def _slopes(light, corners, centres, gain, tilt, level, step, reach, out):
         out[lens, 1] = down / max(square, 1e-30)
 
 
+def shading_of_field(discs: Discs, lattice: Lattice) -> NDArray[np.float64]:
+    """As `shading_slope`, where microimages shade light evenly about their centres."""
+    # Clipped cores, which the gains began with, say nothing about how light falls over the field.
+    return field_slope(discs.centres, np.maximum(discs.gain, 1e-12), lattice)
+
+
 def shading_slope(discs: Discs, lattice: Lattice) -> NDArray[np.float64]:
     """(n, 2) relative slope of the light inside each microimage [1/px], beside what its profile says.
 
@@ -83,9 +89,7 @@ def shading_slope(discs: Discs, lattice: Lattice) -> NDArray[np.float64]:
         With gains and profile that fit.
     lattice : Lattice
     """
-    gain = np.maximum(discs.gain, 1e-12)
-    # Clipped cores, which the gains began with, say nothing about how light falls over the field.
-    tilt = field_slope(discs.centres, gain, lattice)
+    gain, tilt = np.maximum(discs.gain, 1e-12), shading_of_field(discs, lattice)
     if np.isfinite(discs.full):
         return tilt
     found = np.zeros((len(gain), 3))

@@ -10,10 +10,22 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
 
-from .certainty import certainty, confirmed, misled, repeated, signal_share, widened
+from .certainty import misled, signal_share
 from .consensus import measure
 from .depthmap import DepthMap
 from .flatcheck import check_flat
+from .judgement import (
+    AGREED,
+    LEAST_EVIDENCE,
+    RESOLVABLE,
+    SHADED_REACH,
+    SURE,
+    credible,
+    judged,
+    moving,
+    populated,
+    possible,
+)  # fmt: skip
 from .modes import fill
 from .neighbours import grown, lens_halves
 from .plane import TEXTURED, Plane, fit_plane, strays
@@ -28,7 +40,6 @@ from .surface import Surface
 from .texture import LensStatistics, blank_lenses, find_texture, quick_statistics, untouched_texture
 
 __all__ = [
-    "LEAST_EVIDENCE",
     "PRESETS",
     "Overview",
     "analyze",
@@ -59,32 +70,10 @@ class Overview:
     raw_noise: float
 
 
-# Beyond this share of the pitch neighbouring microimages share too little to tell (GEOMETRY.md).
-_RESOLVABLE = 0.75
 # A scene without any texture is drawn at this s / D: from the middle of the microimages. Its sign makes no difference.
 _UNTOLD = 0.25
-_SURE = 0.5
-# A second depth is one where this share of the lenses has its first: a depth that no lens sees alone is more likely a
-# false match.
-_POPULATED = 0.005
-# Faint texture is believed when the answer is this sure and the lens itself correlates this much there: of lenses
-# without texture one in a hundred does.
-_PROVEN, LEAST_EVIDENCE = 0.95, 0.12
-# Shading correlates as well, with a patch size near zero: within this share of the pitch it takes more.
-_SHADED_REACH, _EVIDENCE_NEAR_ZERO = 0.2, 0.5
-# Shading stays with its lens, but for errors of the lattice [share of the pitch]. A shift beyond these, of so many
-# standard errors, and on which pairs agree to the second share of the pitch, is texture.
-_STILL, _FIRM, _BEYOND_ERRORS = 0.005, 0.002, 8.0
-# A lens with texture that correlates less than this with its neighbours at any shift shares no content with them.
-_SHARED = 0.25
-# Unrelated content reaches this correlation at some shift; neighbours that do agree to this share of the pitch only
-# where it is no chance.
-_BY_CHANCE, _ALIKE = 0.4, 0.06
 # Rows of a plane's surface that are found at once.
 _STRIP = 64
-# Beyond this share of the pitch, and with less correlation than faint texture must have, a match is believed when its
-# pairs agree to the second share: of content beyond what neighbours share, each pair makes its own false match.
-_HARDLY_SHARED, _AGREED = 0.6, 0.014
 # So many lenses, evenly spread, tell which depths occur; where few carry texture, this share of them, but not fewer
 # than the last number.
 _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 150, 1 / 16, 24
@@ -277,18 +266,18 @@ def lens_by_lens(
         sample = sample_lenses(lattice, clear, int(np.clip(clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)))
     sizes = overview.sizes if overview is not None and shortcuts.ranges and len(overview.sizes) else None
     found = search(Matcher(texture, forward, backward, setting), active, texture.clear, sample, known, sizes)
-    textured = near & (texture.clear | (texture.faint & _credible(found, lattice.pitch)))
+    textured = near & (texture.clear | (texture.faint & credible(found, lattice.pitch)))
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
-    maybe = near & texture.faint & ~textured & (found.confidence >= _PROVEN) & (found.evidence >= LEAST_EVIDENCE)
+    maybe = near & texture.faint & ~textured & possible(found)
     first = np.where(textured | maybe, found.patch_size, np.nan).astype(np.float32)
     lenses = measure(texture.flat, forward, backward, first, scale, setting.iterations)
     measured = np.isfinite(lenses.patch_size)
     refined = np.where(measured, lenses.patch_size, found.patch_size)
     error = np.where(measured, lenses.standard_error, np.inf)
-    textured |= maybe & _moving(refined, error, lattice.pitch)
+    textured |= maybe & moving(refined, error, lattice.pitch)
     signal = signal_share(texture)
     astray = misled(error, found.explained / signal)
-    reason, error, sure = _judged(textured, found, refined, error, signal, neighbours, lattice.pitch)
+    reason, error, sure = judged(textured, found, refined, error, signal, neighbours, lattice.pitch)
     if kept is not None and before is not None:
         refined, error, sure, reason = (
             np.where(kept, earlier, new)
@@ -305,25 +294,22 @@ def lens_by_lens(
         plane = replace(plane, misled=float(np.median(astray[resolved & np.isfinite(error)])))
         # A plane confirms what few pairs at the border of the flat could not.
         own = plane.at(lattice.centres())
-        near_plane = (np.abs(refined - own) <= 2 * _AGREED * lattice.pitch) & (
-            np.abs(own) <= _RESOLVABLE * lattice.pitch
-        )
-        reason = np.where((reason == 3) & near_plane & (found.confidence >= _SURE), 0, reason)
+        near_plane = (np.abs(refined - own) <= 2 * AGREED * lattice.pitch) & (np.abs(own) <= RESOLVABLE * lattice.pitch)
+        reason = np.where((reason == 3) & near_plane & (found.confidence >= SURE), 0, reason)
         return on_one_plane(plane, lattice, preset, reason, sure, _saved(shortcuts, some, found, sample, kept))
     gap = max(1.0, 0.05 * lattice.pitch)
     guess = found.patch_size if known is None else np.where(np.isfinite(known), known, found.patch_size)
     guess = _within_reach(guess, refined, reason, lattice.pitch)
     drawn = fill(np.where(resolved, refined, guess).astype(np.float32), resolved, neighbours, gap)
     occurring = refined[resolved] if overview is None else overview.sizes
-    populated = _populated(found.second, occurring, gap)
-    seconds = np.where(textured & populated, found.second, np.nan).astype(np.float32)
+    seconds = np.where(textured & populated(found.second, occurring, gap), found.second, np.nan).astype(np.float32)
     evidence = np.where(near, found.evidence, 1)
     around = occurring if shortcuts.ranges else None
     rest = np.full(len(drawn), np.nan, np.float32)
     if setting.remainder:
         rest = remainder_depths(texture, forward, backward, drawn, evidence, setting, around)
     # Shading matches itself near zero: a depth there must occur by itself.
-    shaded = (np.abs(rest) < _SHADED_REACH * lattice.pitch) & ~_populated(rest, occurring, gap)
+    shaded = (np.abs(rest) < SHADED_REACH * lattice.pitch) & ~populated(rest, occurring, gap)
     rest[shaded] = np.nan
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
     old, settled = None if before is None else before.surface, None if kept is None else ~grown(~kept, neighbours)
@@ -340,7 +326,7 @@ def lens_by_lens(
     return DepthMap(
         patch_size=np.where(crossed, middle, np.where(resolved, refined, np.nan)),
         standard_error=np.where(crossed, np.maximum(error, found.step), np.where(resolved, error, np.inf)),
-        confidence=np.where(crossed | ~resolved, _SURE * sure, sure),
+        confidence=np.where(crossed | ~resolved, SURE * sure, sure),
         drawn=np.where(crossed, middle, drawn),
         surface=surface,
         pitch=lattice.pitch,
@@ -357,7 +343,7 @@ def _within_reach(guess: NDArray, refined: NDArray, reason: NDArray[np.int8], pi
     Costs that are all alike have their minimum at an end of the range. Drawn there, a blank place would be read at
     the rims of microimages.
     """
-    astray = (reason == 1) & (np.abs(guess) > _RESOLVABLE * pitch)
+    astray = (reason == 1) & (np.abs(guess) > RESOLVABLE * pitch)
     known = refined[reason == 0]
     return np.where(astray, np.median(known) if known.size else _UNTOLD * pitch, guess)
 
@@ -386,108 +372,3 @@ def _saved(
     if kept is not None:
         saved["still"] = float(kept.mean())
     return saved
-
-
-def _judged(
-    textured: NDArray[np.bool_],
-    found: Found,
-    refined: NDArray,
-    error: NDArray,
-    signal: NDArray[np.float32],
-    neighbours: NDArray[np.int32],
-    pitch: float,
-) -> tuple[NDArray[np.int8], NDArray, NDArray]:
-    """Reason, standard error and confidence of every lens, as `DepthMap`, from what it and those around it measure.
-
-    `signal` (n,) is the share of the contrast squared that is no noise: what a right match may correlate at best.
-    """
-    reason = _reasons(textured, found, refined, _agreed(refined, error, neighbours, pitch), pitch)
-    reason[(reason == 0) & _unmeasured(refined, error, neighbours, pitch)] = 2
-    reason[_by_chance(reason == 0, found, refined, signal, neighbours, pitch)] = 3
-    explained = found.explained / signal
-    beside = confirmed(reason == 0, refined, explained, neighbours, pitch)
-    reason[(reason > 1) & beside & (np.abs(refined) <= _RESOLVABLE * pitch)] = 0
-    single = (reason == 0) & (found.rivals >= _SURE)
-    occurring = _populated(refined, refined[single], 0.5 * _ALIKE * pitch)
-    reason[repeated(reason == 0, found.rivals, occurring, neighbours)] = 2
-    error = widened(error, explained)
-    sure = np.where(textured, np.minimum(found.confidence, found.rivals), 0)
-    return reason, error, certainty(sure, refined, error, explained, neighbours, pitch)
-
-
-def _agreed(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float) -> NDArray[np.bool_]:
-    """Lenses whose pairs agree, and those that two such lenses beside them confirm.
-
-    At the border, where a lens has few pairs, a lens beside it must confirm what they agree on.
-    """
-    agreed = error <= _AGREED * pitch
-    confirm = (neighbours >= 0) & agreed[neighbours]
-    confirm &= np.abs(refined[neighbours] - refined[:, None]) <= 2 * _AGREED * pitch
-    whole = (neighbours >= 0).all(1)
-    return np.asarray((agreed & whole) | (confirm.sum(1) >= np.where(agreed, 1, 2)))
-
-
-def _unmeasured(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float) -> NDArray[np.bool_]:
-    """Lenses that share too few pixels with any other to be measured on them, and beside which none at their depth is.
-
-    The search alone is biased toward shifts at which more pixels are shared.
-    """
-    measured = np.isfinite(error)
-    like = (neighbours >= 0) & measured[neighbours]
-    like &= np.abs(refined[neighbours] - refined[:, None]) <= _ALIKE * pitch
-    return np.asarray(~measured & ~like.any(1))
-
-
-def _by_chance(
-    resolved: NDArray[np.bool_],
-    found: Found,
-    refined: NDArray,
-    signal: NDArray[np.float32],
-    neighbours: NDArray[np.int32],
-    pitch: float,
-) -> NDArray[np.bool_]:
-    """Lenses that match no better than unrelated content may, without two better ones beside them at their depth.
-
-    `signal` (n,) is the share of the contrast squared that is no noise: what a right match may correlate at best.
-    Where most lenses match better than that, neighbours do share what they show, and depths that occur among those are
-    believed of the others.
-    """
-    sure = resolved & (found.evidence >= _BY_CHANCE)
-    if 2 * sure.sum() > resolved.sum():
-        resolved = resolved & ~_populated(refined, refined[sure], 0.5 * _ALIKE * pitch)
-    better = resolved & (found.evidence >= _SHARED * signal)
-    like = (neighbours >= 0) & better[neighbours]
-    like &= np.abs(refined[neighbours] - refined[:, None]) <= _ALIKE * pitch
-    return np.asarray(resolved & (found.evidence < _BY_CHANCE) & (like.sum(1) < 2))
-
-
-def _reasons(
-    textured: NDArray[np.bool_], found: Found, refined: NDArray, agreed: NDArray[np.bool_], pitch: float
-) -> NDArray[np.int8]:
-    """(n,) int8: as `DepthMap.reason`, 0 where the lens is resolved."""
-    unsure = found.confidence < _SURE
-    little = found.evidence < _SHARED
-    hardly = (np.abs(refined) > _HARDLY_SHARED * pitch) | (found.evidence < LEAST_EVIDENCE)
-    apart = (np.abs(refined) > _RESOLVABLE * pitch) | (unsure & little) | (hardly & ~agreed)
-    return np.select([~textured, apart, unsure], [1, 3, 2], 0).astype(np.int8)
-
-
-def _populated(values: NDArray[np.float32], known: NDArray[np.float32], gap: float) -> NDArray[np.bool_]:
-    """Which `values` have their like among `known`, within `gap`; the false matches of a periodic texture have not."""
-    ordered = np.sort(known)
-    like = np.searchsorted(ordered, values + gap) - np.searchsorted(ordered, values - gap)
-    return like >= max(1, _POPULATED * len(ordered))
-
-
-def _moving(refined: NDArray, error: NDArray, pitch: float) -> NDArray[np.bool_]:
-    """Lenses whose pairs agree on a shift that shading, which stays with its lens, cannot have."""
-    size = np.abs(refined)
-    agreed = (error <= _FIRM * pitch) & (size >= _BEYOND_ERRORS * error)
-    return np.asarray(agreed & (size >= _STILL * pitch))
-
-
-def _credible(found: Found, pitch: float) -> NDArray[np.bool_]:
-    """Lenses whose match alone proves that they carry texture."""
-    near_zero = np.abs(found.patch_size) < _SHADED_REACH * pitch
-    enough = np.where(near_zero, _EVIDENCE_NEAR_ZERO, LEAST_EVIDENCE)
-    return (found.confidence >= _PROVEN) & (found.evidence >= enough)

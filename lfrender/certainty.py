@@ -11,7 +11,7 @@ __all__ = ["certainty", "confirmed", "misled", "repeated", "signal_share", "wide
 
 # The part of the texture that a match leaves unexplained misleads all pairs of a lens together, which their scatter
 # cannot show: factor of a standard error where all is explained, and what is added in squares for the share that is
-# not. Measured on random planes and ray-traced scenes apart from those that are judged.
+# not. Measured on random planes and ray-traced scenes of `data_synth`.
 _EXPLAINED, _MISLED = 0.95, 2.7
 # Pairs of unrelated content scatter by this share of the pitch: a lens with such an error is as likely one of them.
 _UNRELATED = 0.03

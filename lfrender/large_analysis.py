@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from lfcal import Calibration, FlatSource, Lattice
 
 from .analysis import (
-    LEAST_EVIDENCE,
     PRESETS,
     Overview,
     lens_by_lens,
@@ -28,6 +27,7 @@ from .analysis import (
 )  # fmt: skip
 from .depthmap import DepthMap
 from .flat_parts import FlatParts
+from .judgement import LEAST_EVIDENCE
 from .lens_tiles import LensPart, lens_tiles, lens_windows
 from .neighbours import lens_grid, lens_halves
 from .part_workers import ClusterWorkers, Here, PartWorkers

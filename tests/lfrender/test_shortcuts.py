@@ -224,14 +224,14 @@ def test_an_earlier_frame_of_another_kind_is_refused(house):
 
 
 def test_unresolved_lenses_say_why():
-    from lfrender.analysis import _reasons
+    from lfrender.judgement import reasons
     from lfrender.search import Found
 
     sizes = np.array([5, 5, 5, 5, 19], np.float32)
     confidence, evidence = np.array([1, 1, 0.3, 0.3, 1], np.float32), np.array([1, 1, 0.8, 0.1, 0.8], np.float32)
     found = Found(sizes, confidence, evidence, evidence, np.ones(5), np.full(5, np.nan, np.float32), 1.0, 0.0)
     textured = np.array([True, False, True, True, True])
-    assert _reasons(textured, found, sizes, np.ones(5, bool), 23.0).tolist() == [0, 1, 2, 3, 3]
+    assert reasons(textured, found, sizes, np.ones(5, bool), 23.0).tolist() == [0, 1, 2, 3, 3]
 
 
 @pytest.mark.parametrize("basis", [((23.2, 0.4), (11.25, 20.3)), ((22.9, 0.6), (-0.6, 22.9))])
