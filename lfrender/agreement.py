@@ -43,7 +43,7 @@ def lens_costs(
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def _walk(cost, chain, slope, jump, total):
     """One path of semi-global matching along the lenses of `chain`, added to `total`."""
     labels = cost.shape[1]

@@ -51,7 +51,7 @@ class LensFits:
     slant: NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def _gather(lens, centres, pitch, forward, backward, sizes, variances, places, s, v, x, y):
     """Fill `s, v, x, y` with the sizes, variances and places of the pairs of a lens; how many there are."""
     half = forward.shape[1]
@@ -75,7 +75,7 @@ def _gather(lens, centres, pitch, forward, backward, sizes, variances, places, s
     return count
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def _fit_plane(count, s, v, x, y, z, gx, gy, known, rounds, early):
     """Robust plane through the pairs, weighted after Geman and McClure, with a slant near (gx, gy).
 

@@ -25,7 +25,7 @@ _SPECK = 1
 _JUMP, _SLANT = np.float32(0.35), np.float32(0.1)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def _walk(depths, costs, single, gap, total):
     """One path of semi-global matching over the candidates of a line of scene points.
 
