@@ -35,7 +35,6 @@ _BY_CHANCE, _ALIKE = 0.4, 0.06
 # Beyond this share of the pitch, and with less correlation than faint texture must have, a match is believed when its
 # pairs agree to the second share: of content beyond what neighbours share, each pair makes its own false match.
 _HARDLY_SHARED, AGREED = 0.6, 0.014
-_DIGITS = 5
 
 
 def judged(
@@ -62,8 +61,7 @@ def judged(
     reason[repeated(reason == 0, found.rivals, occurring, neighbours)] = 2
     error = widened(error, explained)
     sure = np.where(textured, np.minimum(found.confidence, found.rivals), 0)
-    # More digits would depend on which process has compiled a kernel, and a probability has no use for them.
-    return reason, error, np.round(certainty(sure, refined, error, explained, neighbours, pitch), _DIGITS)
+    return reason, error, certainty(sure, refined, error, explained, neighbours, pitch)
 
 
 def _agreed(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float) -> NDArray[np.bool_]:

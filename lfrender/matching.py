@@ -30,7 +30,22 @@ _ROUNDING = np.arange(-2, 3)
 _PROBES = 500
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _row_moments(row, upper, lower, w00, w01, w10, w11, mean):
+    """Sums over one row of pixels and what another lens shows in the rows `upper` and `lower`."""
+    sa = sb = saa = sbb = sab = np.float32(0.0)
+    for k in range(len(row)):
+        a = row[k] - mean
+        b = w00 * upper[k] + w01 * upper[k + 1] + w10 * lower[k] + w11 * lower[k + 1] - mean
+        sa += a
+        sb += b
+        saa += a * a
+        sbb += b * b
+        sab += a * b
+    return sa, sb, saa, sbb, sab
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
     """Sums over all pixels of lens a whose partner, `(tx, ty)` away, lies in lens b."""
     height, width = image.shape
@@ -60,14 +75,12 @@ def _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
         upper = image[y + y0, left + x0 : right + x0 + 2]
         lower = image[y + y0 + 1, left + x0 : right + x0 + 2]
         count += n
-        for k in range(n):
-            a = row[k] - mean
-            b = w00 * upper[k] + w01 * upper[k + 1] + w10 * lower[k] + w11 * lower[k + 1] - mean
-            sa += a
-            sb += b
-            saa += a * a
-            sbb += b * b
-            sab += a * b
+        ra, rb, raa, rbb, rab = _row_moments(row, upper, lower, w00, w01, w10, w11, mean)
+        sa += ra
+        sb += rb
+        saa += raa
+        sbb += rbb
+        sab += rab
     return count, sa, sb, saa, sbb, sab
 
 
@@ -90,7 +103,9 @@ def _strip_moments(own, other, mask, start, stop, upper, lower, w00, w01, w10, w
     return sa, sb, saa, sbb, sab
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+# Without fast math of its own: Numba optimises such a body once where it compiles and twice where it loads it, which
+# would order its sums differently. Those of the rows keep their order.
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _pair_costs(
     image, centres, radius, pitch, rows, means, contrast, active, done, shifts, which, noise, shading, row_step, half,
     about, strips, middle, whole, side, width, part_rows, slots, masks, ends, counts, out,
