@@ -26,6 +26,7 @@ from .drawing import default_scale, render
 from .embedded import Embedded, read_embedded
 from .frames import Frame
 from .picture import check_picture, write_picture
+from .rendering import Rendering
 
 __all__ = ["STRETCH", "FrameResult", "Job", "Key"]
 
@@ -80,6 +81,7 @@ class Job:
     preset: str
     scale: float | None
     suffix: str
+    _drawn: tuple[int, Rendering] | None = None
 
     @classmethod
     def opened(
@@ -128,7 +130,11 @@ class Job:
             pixels = flat()
             depth = key.depth if key.number == number else self.depth_after(key, pixels)
             assert depth is not None
-            self.write(path, pixels, depth, Embedded() if frame.source is None else read_embedded(frame.source))
+            picture = self.key_picture(key)
+            if key.number != number:
+                assert key.flat is not None and key.depth is not None
+                picture = render(pixels, self.camera(pixels), depth, previous=(key.flat, key.depth, picture))
+            self.write(path, picture, Embedded() if frame.source is None else read_embedded(frame.source))
         except OutputError:
             raise
         except LightFieldError as error:
@@ -193,9 +199,15 @@ class Job:
         with whole_file(state / "settings.json") as temporary:
             temporary.write_text(json.dumps({"preset": self.preset, "scale": self.scale}), encoding="utf-8")
 
-    def write(self, path: Path, pixels: NDArray[Any], depth: DepthMap, embedded: Embedded) -> None:
-        """Draw and write the picture of a frame, with what its file says of its colours and of how it was taken."""
-        picture = render(pixels, self.camera(pixels), depth, scale=self.scale)
+    def key_picture(self, key: Key) -> Rendering:
+        """The picture of a key frame, whose pixels are kept where nothing has changed since."""
+        if self._drawn is None or self._drawn[0] != key.number:
+            assert key.flat is not None
+            self._drawn = key.number, render(key.flat, self.camera(key.flat), key.depth, scale=self.scale)
+        return self._drawn[1]
+
+    def write(self, path: Path, picture: Rendering, embedded: Embedded) -> None:
+        """Write the picture of a frame, with what its file says of its colours and of how it was taken."""
         check_picture(path, np.asarray(picture.image).dtype)
         settings = {"rendering": "all in focus", "preset": self.preset}
         write_picture(path, picture, settings=settings, embedded=embedded)

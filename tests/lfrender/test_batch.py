@@ -60,6 +60,13 @@ def test_frames_come_in_the_order_of_their_numbers_and_keep_depth_where_nothing_
     assert len(sizes) == 1
 
 
+def test_pictures_do_not_flicker_where_nothing_moves(whole):
+    pictures = [tifffile.imread(result.path) for result in whole[1]]
+    for before, after in ((0, 1), (1, 2), (3, 4)):
+        np.testing.assert_array_equal(pictures[after], pictures[before])
+    assert (pictures[3] != pictures[2]).any()
+
+
 def test_pictures_keep_the_colour_profile_and_camera_data_of_their_frames(house, tmp_path):
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     exif = Image.Exif()
