@@ -1,12 +1,17 @@
-"""What all tests share: the data that may lie beside the repository, and what to do where it does not."""
+"""What all tests share: the benchmarks, and the data that may lie beside the repository or not."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 
-_SHARED = Path(__file__).resolve().parents[2] / "shared"
+_ROOT = Path(__file__).resolve().parents[1]
+_SHARED = _ROOT.parent / "shared"
+
+# The benchmarks are not installed. Behind whatever is, so that the packages tested are the installed ones.
+sys.path.append(str(_ROOT))
 
 
 @pytest.fixture(scope="session")

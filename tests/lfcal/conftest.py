@@ -21,3 +21,11 @@ def whites() -> ModuleType:
         sys.modules[name] = module
         spec.loader.exec_module(module)
     return sys.modules[name]
+
+
+@pytest.fixture(scope="session")
+def drawn() -> type:
+    """White images of the benchmark, whose centres and bound are known."""
+    from benchmarks.white_images import WhiteImage
+
+    return WhiteImage

@@ -3,27 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 import lfcal
-
-_PATH = Path(__file__).parents[2] / "benchmarks" / "white_images.py"
-_SPEC = importlib.util.spec_from_file_location("benchmarks.white_images", _PATH)
-
-
-@pytest.fixture(scope="module")
-def drawn():
-    import sys
-
-    module = importlib.util.module_from_spec(_SPEC)
-    sys.modules[_SPEC.name] = module
-    _SPEC.loader.exec_module(module)
-    return module.WhiteImage
 
 
 def _error(camera, truth):

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,17 +14,6 @@ from lfcal.cli import main
 from lfcal.gain_map import GainMap
 from lfcal.lattice import Lattice
 from lfcal.scene_profile import scene_profile
-
-_PATH = Path(__file__).parents[2] / "benchmarks" / "white_images.py"
-_SPEC = importlib.util.spec_from_file_location("benchmarks.white_images", _PATH)
-
-
-@pytest.fixture(scope="module")
-def drawn():
-    module = importlib.util.module_from_spec(_SPEC)
-    sys.modules[_SPEC.name] = module
-    _SPEC.loader.exec_module(module)
-    return module.WhiteImage
 
 
 @pytest.fixture(scope="module")

@@ -2,26 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 
 import lfcal
-
-_PATH = Path(__file__).parents[2] / "benchmarks" / "white_images.py"
-_SPEC = importlib.util.spec_from_file_location("benchmarks.white_images", _PATH)
-
-
-@pytest.fixture(scope="module")
-def drawn():
-    module = importlib.util.module_from_spec(_SPEC)
-    sys.modules[_SPEC.name] = module
-    _SPEC.loader.exec_module(module)
-    return module.WhiteImage
 
 
 def _error(camera, truth):

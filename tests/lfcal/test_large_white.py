@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import lfcal
+from benchmarks import white_images
 from lfcal import disc_fit, large_white, lattice, reduction
 from lfcal.distortion import Distortion
 from lfcal.errors import CalibrationError
 from lfcal.lattice import Lattice
 from lfcal.parts import Parts, whole_lenses
-
-_PATH = Path(__file__).parents[2] / "benchmarks" / "white_images.py"
-_SPEC = importlib.util.spec_from_file_location("benchmarks.white_images", _PATH)
-assert _SPEC is not None and _SPEC.loader is not None
-white_images = sys.modules.setdefault(_SPEC.name, importlib.util.module_from_spec(_SPEC))
-if not hasattr(white_images, "WhiteImage"):
-    _SPEC.loader.exec_module(white_images)
 
 _SIZE = (1300, 1000)
 

@@ -1,22 +1,15 @@
 """Where depth ends: image planes too near the microlenses, noise, and things thinner than a lens."""
 
 import functools
-import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import lfrender
+from benchmarks import depth_sweep
 from data_synth import Camera, Patch, Scene, simulate
 from data_synth.scenes import plane
 from lfrender.plane import fit_plane
-
-_PATH = Path(__file__).parents[2] / "benchmarks" / "depth_sweep.py"
-_SPEC = importlib.util.spec_from_file_location("benchmarks.depth_sweep", _PATH)
-assert _SPEC is not None and _SPEC.loader is not None
-depth_sweep = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(depth_sweep)
 
 
 @functools.cache
