@@ -17,7 +17,7 @@ from lfcal import Lattice
 
 from .fastmath import FAST
 
-__all__ = ["lay_patches", "whole_patches"]
+__all__ = ["lay_patches"]
 
 # Steps per pixel at which the gain is tabled: between them it changes by a fraction of a grey level.
 _PHASES = 8
@@ -27,7 +27,7 @@ _BUNCH = 32
 
 
 # Python's error model checks every division, which no vector loop can.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, out, start, size):
     """Values between four rows of values, times the gain where there is one, rounded by adding `half`.
 
@@ -44,7 +44,7 @@ def _read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, out, sta
         out[start + k] = min(value + half, top)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, half, top, out, start, size):
     """The same of bytes, with weights of whole 256ths: twice as many at a time."""
     at_b, at_c, at_d = at + across, at + down, at + down + across
@@ -63,7 +63,7 @@ def _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, half, top,
             out[start + k] = min(np.float32(value) * (gain[gain_at + k] * np.float32(1 / 256)) + half, top)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(cache=True, nogil=True)
 def _start(x, y, origin, inverse, basis, steps):
     """Index of the lens whose centre is nearest to (x, y)."""
     i = np.rint((x - origin[0]) * inverse[0, 0] + (y - origin[1]) * inverse[1, 0])
@@ -79,42 +79,78 @@ def _start(x, y, origin, inverse, basis, steps):
     return best_i, best_j
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _lay(
-    flat, width, channels, corner, origin, inverse, basis, steps, turned, first, spacing, left, gains, reach, half, top,
-    part, start, out,
-):  # fmt: skip
-    """Fill the columns and rows of `part` (left, top, right, bottom) of the picture from `flat` (h w C).
+@njit(cache=True, nogil=True, error_model="numpy")
+def _read_beside(
+    flat, width, channels, corner, size, x, y, lenses, slope, radius2, gains, per_step, half, top, row, at
+):
+    """One pixel of the picture from the nearest of some `lenses` (k, 2) that shows the point (x, y) on the flat."""
+    nearest, lens = np.inf, -1
+    for k in range(len(lenses)):
+        ex, ey = x - lenses[k, 0], y - lenses[k, 1]
+        away = ex * ex + ey * ey
+        on_x = -0.5 <= lenses[k, 0] < size[0] - 0.5 and 0 <= lenses[k, 0] - ex * slope <= size[0] - 1
+        on_y = -0.5 <= lenses[k, 1] < size[1] - 0.5 and 0 <= lenses[k, 1] - ey * slope <= size[1] - 1
+        if on_x and on_y and away < nearest and away * slope * slope <= radius2:
+            nearest, lens = away, k
+    for c in range(channels):
+        row[at + c] = 0
+    if lens < 0:
+        return False
+    px, py = lenses[lens, 0] * (1 + slope) - x * slope, lenses[lens, 1] * (1 + slope) - y * slope
+    ix, iy = min(int(px), size[0] - 2), min(int(py), size[1] - 2)
+    fx, fy = np.float32(px - ix), np.float32(py - iy)
+    gain = gains[min(int(nearest * slope * slope * per_step), len(gains) - 1)]
+    across, down = channels, width * channels
+    for c in range(channels):
+        place = (iy - corner[1]) * down + (ix - corner[0]) * across + c
+        upper = flat[place] * (1 - fx) + flat[place + across] * fx
+        lower = flat[place + down] * (1 - fx) + flat[place + down + across] * fx
+        row[at + c] = min(gain * (upper * (1 - fy) + lower * fy) + half, top)
+    return True
 
-    `flat` begins at the pixel `corner` (2,) of the whole flat, `out` (rows, columns C) at the pixel `start` (2,) of the
-    picture. Every row is followed from column `left` on, and all weights belong to a lens and not to a part, so that
-    parts are the same bit for bit as the whole.
+
+# Sums of places in any order would differ between a process that compiles this and one that loads it.
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _lay(
+    flat, width, channels, corner, size, origin, inverse, basis, steps, patch_slope, first, spacing, radius2, gains,
+    per_gain_step, tabled, reach, half, top, part, out, valid,
+):  # fmt: skip
+    """Fill `out` (rows, columns C), which is the `part` (left, top, right, bottom) of the picture, from `flat` (h w C).
+
+    `flat` begins at the pixel `corner` (2,) of the whole flat of `size` (2,). Every row is followed from the first
+    column of the picture on, and all weights belong to a lens and not to a part, so that parts are the same bit for bit
+    as the whole.
     """
     # To the right a row leaves the cell of a lens where it meets the nearest half-way line x = room + tilt * y to one
     # of those, from the centre and in output pixels.
     around, room, tilt = np.empty((len(steps), 2)), np.empty(len(steps)), np.empty(len(steps))
+    beside = np.zeros((len(steps) + 1, 2))
     count = 0
     per_spacing = 1 / spacing
     for n in range(len(steps)):
-        ex = (steps[n, 0] * basis[0, 0] + steps[n, 1] * basis[1, 0]) * per_spacing
-        ey = (steps[n, 0] * basis[0, 1] + steps[n, 1] * basis[1, 1]) * per_spacing
+        beside[n, 0] = steps[n, 0] * basis[0, 0] + steps[n, 1] * basis[1, 0]
+        beside[n, 1] = steps[n, 0] * basis[0, 1] + steps[n, 1] * basis[1, 1]
+        ex, ey = beside[n, 0] * per_spacing, beside[n, 1] * per_spacing
         if ex > 1e-9:
             around[count, 0], around[count, 1] = ex, ey
             room[count], tilt[count] = 0.5 * (ex * ex + ey * ey) / ex, -ey / ex
             count += 1
+    turned = patch_slope > 0
     slope = -1 if turned else 1
     bunch, one, phases = np.uint64(_BUNCH), np.uint64(1), np.uint64(_PHASES)
     across, down = np.uint64(channels), np.uint64(width * channels)
-    gain = gains.reshape(-1)
-    gain_line = np.uint64(gains.shape[2])
-    # What is written beyond the end of a run must not leave the row.
-    direct = not turned and (part[2] - start[0]) * channels + _BUNCH <= out.shape[1]
+    gain = tabled.reshape(-1)
+    gain_line = np.uint64(tabled.shape[2])
+    # Two rows from a place on, with what is read beyond the end of a run.
+    last_place = np.uint64(len(flat) - (width + 1) * channels)
     for v in prange(part[1], part[3]):
-        row = out[v - start[1]]
-        line = row if direct else np.empty(out.shape[1] + _BUNCH, out.dtype)
+        row, seen = out[v - part[1]], valid[v - part[1]]
+        room_in_row = np.uint64(len(row))
+        line = np.empty(len(row) + _BUNCH, out.dtype)
+        lenses = np.empty(beside.shape)
         y = first + v * spacing
-        u = left
-        i, j = _start(first + u * spacing, y, origin, inverse, basis, steps)
+        u = 0
+        i, j = _start(first, y, origin, inverse, basis, steps)
         # In output pixels from here on.
         cx = (origin[0] + i * basis[0, 0] + j * basis[1, 0] - first) * per_spacing
         cy = (origin[1] + i * basis[0, 1] + j * basis[1, 1] - first) * per_spacing
@@ -130,37 +166,66 @@ def _lay(
                 # All pixels of a run lie a whole number of pixels from the one next to the centre.
                 middle = int(np.rint(cx))
                 dx, dy = (middle - cx) * slope, (v - cy) * slope
-                px, py = cx * spacing + first + dx, cy * spacing + first + dy
-                fx, fy = np.float32(px - np.floor(px)), np.float32(py - np.floor(py))
-                beside = ((end - 1 if turned else u) - middle) * slope
-                ix, iy = np.uint64(int(np.floor(px)) + beside - corner[0]), np.uint64(int(np.floor(py)) - corner[1])
-                into = np.uint64(u - start[0]) * across
-                size = (np.uint64(end - u) * across + bunch - one) // bunch * bunch
-                gain_at = np.uint64(0)
-                if len(gain) > 0:
-                    column = np.uint64(int((dx + reach) * _PHASES + 0.5) + beside * _PHASES)
-                    gain_row = np.uint64((dy + reach) * _PHASES + 0.5) * phases + column % phases
-                    gain_at = gain_row * gain_line + column // phases * across
-                at = iy * down + ix * across
-                if flat.itemsize == 1:
-                    _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, half, top, line, into, size)
-                else:
-                    _read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, line, into, size)
-                first_k, last_k = u - start[0], end - start[0]
-                if turned and channels == 3:
-                    # The compiler has better instructions for steps that it knows.
-                    for k in range(last_k - first_k):
-                        to, at = np.uint64(3 * (last_k - 1 - k)), np.uint64(3 * (first_k + k))
-                        row[to] = line[at]
-                        row[to + np.uint64(1)] = line[at + np.uint64(1)]
-                        row[to + np.uint64(2)] = line[at + np.uint64(2)]
-                elif turned:
-                    for k in range(last_k - first_k):
-                        for c in range(channels):
-                            row[(last_k - 1 - k) * channels + c] = line[(first_k + k) * channels + c]
-                elif not direct:
-                    for k in range(first_k * channels, last_k * channels):
-                        row[k] = line[k]
+                lens_x, lens_y = cx * spacing + first, cy * spacing + first
+                px, py = lens_x + dx, lens_y + dy
+                column, line_at = int(np.floor(px)), int(np.floor(py))
+                # The lens shows those from `low` to `high` with all four pixels that they are read from.
+                low, high = middle - column, middle - column + size[0] - 1
+                if turned:
+                    low, high = middle + column - size[0] + 2, middle + column + 1
+                if not (-0.5 <= lens_x < size[0] - 0.5 and -0.5 <= lens_y < size[1] - 0.5):
+                    high = low
+                if not 0 <= line_at < size[1] - 1:
+                    high = low
+                low = min(max(low, u), end)
+                high = min(max(high, low), end)
+                if low > u or high < end:
+                    for n in range(len(beside)):
+                        lenses[n, 0], lenses[n, 1] = lens_x + beside[n, 0], lens_y + beside[n, 1]
+                    for k in range(u, end):
+                        if low <= k < high:
+                            continue
+                        seen[k - part[0]] = _read_beside(
+                            flat, width, channels, corner, size, first + k * spacing, y, lenses, patch_slope, radius2,
+                            gains, per_gain_step, half, top, row, (k - part[0]) * channels,
+                        )  # fmt: skip
+                if high > low:
+                    fx, fy = np.float32(px - column), np.float32(py - line_at)
+                    from_middle = ((high - 1 if turned else low) - middle) * slope
+                    at = np.uint64(line_at - corner[1]) * down + np.uint64(column + from_middle - corner[0]) * across
+                    into = np.uint64(low - part[0]) * across
+                    length = np.uint64(high - low) * across
+                    bunched = (length + bunch - one) // bunch * bunch
+                    if at + bunched <= last_place:
+                        length = bunched
+                    # What is written beyond the end of a run must not leave the row.
+                    direct = not turned and into + length <= room_in_row
+                    to = row if direct else line
+                    gain_at = np.uint64(0)
+                    if len(gain) > 0:
+                        step = np.uint64(int((dx + reach) * _PHASES + 0.5) + from_middle * _PHASES)
+                        gain_row = np.uint64((dy + reach) * _PHASES + 0.5) * phases + step % phases
+                        gain_at = gain_row * gain_line + step // phases * across
+                    if flat.itemsize == 1:
+                        _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, half, top, to, into, length)
+                    else:
+                        _read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, to, into, length)
+                    seen[low - part[0] : high - part[0]] = True
+                    first_k, last_k = low - part[0], high - part[0]
+                    if turned and channels == 3:
+                        # The compiler has better instructions for steps that it knows.
+                        for k in range(last_k - first_k):
+                            target, source = np.uint64(3 * (last_k - 1 - k)), np.uint64(3 * (first_k + k))
+                            row[target] = line[source]
+                            row[target + np.uint64(1)] = line[source + np.uint64(1)]
+                            row[target + np.uint64(2)] = line[source + np.uint64(2)]
+                    elif turned:
+                        for k in range(last_k - first_k):
+                            for c in range(channels):
+                                row[(last_k - 1 - k) * channels + c] = line[(first_k + k) * channels + c]
+                    elif not direct:
+                        for k in range(first_k * channels, last_k * channels):
+                            row[k] = line[k]
                 u = end
             cx, cy = cx + around[following, 0], cy + around[following, 1]
 
@@ -176,50 +241,20 @@ def _cell(lattice: Lattice) -> NDArray[np.float64]:
     return np.concatenate([corners, np.negative(corners)])
 
 
-def whole_patches(
-    lattice: Lattice, patch_size: float, size: tuple[int, int], first: float
-) -> tuple[int, int, int, int]:
-    """Columns and rows of a picture for which neither a lens nor any of its pixels is missing.
-
-    Parameters
-    ----------
-    lattice : Lattice
-        A straight one.
-    patch_size : float [px]
-    size : (int, int)
-        Columns and rows of the picture, of `|patch_size|` pixels per pitch.
-    first : float [px]
-        Scene coordinates of output pixel (0, 0).
-
-    Returns
-    -------
-    (int, int, int, int)
-        The first ones and those after the last, order `left, top, right, bottom`.
-    """
-    columns, rows = size
-    # Only telescopic patches reach beyond their lens.
-    border = np.abs(_cell(lattice)).max() * (1 + max(patch_size, 0.0) / lattice.pitch) + 3
-    inner = max(int(np.ceil((border - first) * abs(patch_size) / lattice.pitch)), 0)
-    # What is read beyond the end of a run lies in the two rows of the flat that follow.
-    if 2 * inner >= min(columns, rows) or lattice.image_size[0] < _BUNCH:
-        return 0, 0, 0, 0
-    return inner, inner, columns - inner, rows - inner
-
-
 def lay_patches(
     pixels: NDArray,
     corner: tuple[int, int],
     lattice: Lattice,
     patch_size: float,
     first: float,
+    radius: float,
     gains: NDArray[np.float32],
     gain_step: float,
-    left: int,
     part: tuple[int, int, int, int],
-    start: tuple[int, int],
-    out: NDArray,
-) -> None:
+) -> tuple[NDArray, NDArray[np.bool_]]:
     """Read each pixel of a picture of `|patch_size|` pixels per pitch from the lens whose centre is nearest.
+
+    At the border of the flat, where that lens or some of its pixels is missing, the nearest beside it takes its place.
 
     Parameters
     ----------
@@ -232,16 +267,19 @@ def lay_patches(
     patch_size : float [px]
     first : float [px]
         Scene coordinates of output pixel (0, 0).
+    radius : float [px]
+        So far from its centre a lens takes the place of a missing one.
     gains : (k,) float32
         Gain over the squared distance from the centre, as `gain_table`.
     gain_step : float [px^2]
-    left : int
-        First column of the picture that can be filled.
     part : (int, int, int, int)
-        Columns and rows `left, top, right, bottom` of the picture to be filled, within `whole_patches`.
-    start : (int, int)
-        Column and row of the picture at which `out` begins.
-    out : (rows, columns, C) array of the type of `pixels`
+        Columns and rows `left, top, right, bottom` of the picture.
+
+    Returns
+    -------
+    image : (rows, columns, C) array of the type of `pixels`
+    valid : (rows, columns) bool
+        Pixels that some lens has seen.
     """
     spacing = lattice.pitch / abs(patch_size)
     steps = np.array([(1, 0), (0, 1), (1, 1), (1, -1)])
@@ -257,10 +295,13 @@ def lay_patches(
         table = np.repeat(table.reshape(len(along), -1, _PHASES).transpose(0, 2, 1), channels, 2)
         table = np.pad(table, ((0, 0), (0, 0), (0, _BUNCH)))
     whole = pixels.dtype.kind in "ui"
+    rows, columns = part[3] - part[1], part[2] - part[0]
+    image, valid = np.empty((rows, columns, channels), pixels.dtype), np.empty((rows, columns), bool)
     _lay(
-        np.ascontiguousarray(pixels).reshape(-1), pixels.shape[1], channels, np.array(corner), lattice.origin,
-        np.linalg.inv(lattice.basis), lattice.basis, steps, patch_size > 0, first, spacing, left,
+        np.ascontiguousarray(pixels).reshape(-1), pixels.shape[1], channels, np.array(corner),
+        np.array(lattice.image_size), lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, steps,
+        patch_size / lattice.pitch, first, spacing, radius * radius, gains, 1 / gain_step,
         np.ascontiguousarray(table), reach, np.float32(0.5 if whole else 0.0),
-        np.float32(np.iinfo(pixels.dtype).max if whole else np.inf), np.array(part), np.array(start),
-        out.reshape(len(out), -1),
+        np.float32(np.iinfo(pixels.dtype).max if whole else np.inf), np.array(part), image.reshape(rows, -1), valid,
     )  # fmt: skip
+    return image, valid

@@ -18,7 +18,7 @@ from lfcal import Calibration, Lattice
 from .bending import lattice_bend
 from .lens_focus import focus_shares
 from .mosaic import draw_rows
-from .patches import lay_patches, whole_patches
+from .patches import lay_patches
 from .radiance import gain_table, lens_by_lens, white_level
 from .sharpness import ready_to_read
 from .surface import Surface
@@ -144,39 +144,11 @@ class Drawing:
         """
         part = part or (0, 0, *self.size)
         shape = (part[3] - part[1], part[2] - part[0], pixels.shape[2])
-        if self._patches is None:
+        if not self._is_patches:
             return self._rows(pixels, corner, part, np.empty(shape, pixels.dtype if stored else np.float32))
-        # The kernel of patches needs a whole lens and all its pixels; the other one draws what surrounds that.
-        left, top, right, bottom = inner = _common(part, self._patches)
-        if left >= right or top >= bottom:
-            return self._rows(pixels, corner, part, np.empty(shape, pixels.dtype if stored else np.float32))
-        first = 0.5 * self.spacing - 0.5
-        image = np.empty(shape, pixels.dtype)
-        valid = np.ones(image.shape[:2], bool)
-        size = float(np.copysign(self.scale, self.surface.patch_size[0, 0]))
-        lay_patches(
-            pixels,
-            corner,
-            self.calibration.lattice,
-            size,
-            first,
-            *self._gains,
-            self._patches[0],
-            inner,
-            part[:2],
-            image,
-        )
-        for strip in (
-            (part[0], part[1], part[2], top),
-            (part[0], bottom, part[2], part[3]),
-            (part[0], top, left, bottom),
-            (right, top, part[2], bottom),
-        ):
-            if strip[0] < strip[2] and strip[1] < strip[3]:
-                place = np.s_[strip[1] - part[1] : strip[3] - part[1], strip[0] - part[0] : strip[2] - part[0]]
-                into = np.empty(image[place].shape, image.dtype)
-                image[place], valid[place] = self._rows(pixels, corner, strip, into)
-        return image, valid
+        size, first = float(np.copysign(self.scale, self.surface.patch_size[0, 0])), 0.5 * self.spacing - 0.5
+        lattice = self.calibration.lattice
+        return lay_patches(pixels, corner, lattice, size, first, self.aperture * lattice.radius, *self._gains, part)
 
     def redraw(
         self, pixels: NDArray[Any], wanted: NDArray[np.bool_], image: NDArray[Any], valid: NDArray[np.bool_]
@@ -229,15 +201,13 @@ class Drawing:
         )  # fmt: skip
         return image, valid
 
-    @cached_property
-    def _patches(self) -> Part | None:
-        """Where the picture consists of patches of the flat, pixel by pixel; None if it does not."""
+    @property
+    def _is_patches(self) -> bool:
+        """Whether the picture consists of patches of the flat, pixel by pixel."""
         lattice, sizes = self.calibration.lattice, self.surface.patch_size
-        plain = lattice.distortion is None and not lens_by_lens(self.calibration)
-        if self.blend or sizes.size > 1 or not plain or np.float32(self.scale) != abs(sizes[0, 0]):
-            return None
-        size = float(np.copysign(self.scale, sizes[0, 0]))
-        return whole_patches(lattice, size, self.size, 0.5 * self.spacing - 0.5)
+        if self.blend or sizes.size > 1 or lattice.distortion is not None or lens_by_lens(self.calibration):
+            return False
+        return np.float32(self.scale) == abs(sizes[0, 0]) and min(lattice.image_size) > 1
 
     def _seen_depth(self, corner: tuple[int, int], shape: tuple[int, ...]) -> NDArray[np.float32]:
         """What each pixel of a part of the flat sees, (0, 0) where nothing can hide anything."""
@@ -297,11 +267,6 @@ def as_stored(image: NDArray, dtype: np.dtype) -> NDArray:
     # As the kernels do it, which cut off.
     image += image.dtype.type(0.5)
     return np.clip(image, 0, np.iinfo(dtype).max, out=image).astype(dtype)
-
-
-def _common(a: Part, b: Part) -> Part:
-    """What two parts share."""
-    return max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
 
 
 def _beside(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
