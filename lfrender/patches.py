@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 
 from .fastmath import FAST
+from .prefetching import prefetch
 
 __all__ = ["lay_patches"]
 
@@ -195,6 +196,10 @@ def _lay(
                     at = np.uint64(line_at - corner[1]) * down + np.uint64(column + from_middle - corner[0]) * across
                     into = np.uint64(low - part[0]) * across
                     length = np.uint64(high - low) * across
+                    # The next row of the picture reads one more row here: lenses lie at too odd steps to be foreseen.
+                    ahead = at - down if turned else at + down + down
+                    prefetch(flat, ahead)
+                    prefetch(flat, ahead + length)
                     bunched = (length + bunch - one) // bunch * bunch
                     if at + bunched <= last_place:
                         length = bunched
