@@ -42,7 +42,7 @@ _FEWEST_TILES = 36
 _MOST_LENSES = 20000
 # Lenses that say less than this share of what good ones say about their place have no say.
 _GOOD, _SAYS = 0.9, 0.001
-# Lenses whose place is so many times less sure than that of the surest, beyond those that are enough, have next to none.
+# Lenses whose place is so many times less sure than that of the surest have next to none, if others are enough.
 _DOUBTFUL = 4.0
 _ENOUGH_LENSES = 2000
 

@@ -86,7 +86,9 @@ def _fold(picture, centres, faces, reach, inverse, stride, bins, chunks, sums):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _accumulate(picture, centres, faces, reach, inverse, stride, bins, chunks, maps, cutoff, most, normal, right, noise):
+def _accumulate(
+    picture, centres, faces, reach, inverse, stride, bins, chunks, maps, cutoff, most, normal, right, noise,
+):  # fmt: skip
     lenses = centres.shape[0]
     side = int(2 * reach) // stride + 3
     for chunk in prange(chunks):
@@ -221,7 +223,19 @@ def lens_steps(
     inverse, bins = np.linalg.inv(lattice.basis), _bins(lattice)
     maps, cutoff = template.maps.reshape(bins * bins, -1), np.float32(1 / _OUTLIER**2)
     _accumulate(
-        picture, centres, faces, reach, inverse, stride, bins, _CHUNKS, maps, cutoff, _MOST_CONTRAST, normal, right,
+        picture,
+        centres,
+        faces,
+        reach,
+        inverse,
+        stride,
+        bins,
+        _CHUNKS,
+        maps,
+        cutoff,
+        _MOST_CONTRAST,
+        normal,
+        right,
         noise,
     )
     return LensSteps(normal, right, noise)
