@@ -23,6 +23,8 @@ __all__ = ["FinalLattice", "fit_on_scenes", "fit_on_white"]
 _RIM = 0.5
 # A fit that leaves the first lattice by more than this share of the pitch (RMS) has followed something else.
 _FOLLOWED = 0.2
+# Lenses that scatter by more than this share of the pitch have rims too faint to be placed by them one at a time.
+_FAINT = 0.02
 # So many lenses tell whether it has.
 _TELLING = 4000
 
@@ -96,7 +98,7 @@ def fit_on_scenes(lights: list[NDArray[np.float32]], picture: NDArray[np.float32
         single = picture if len(lights) == 1 else tone(light)
         rims += level_locally(breaks(single), _RIM * found.pitch) / np.float32(len(lights))
     fit = fit_scene(rims, found)
-    if not fit.halves_differ < start.halves_differ:
+    if fit.residual_rms > _FAINT * found.pitch and not fit.halves_differ < start.halves_differ:
         # Rims too faint for single lenses: what whole tiles have in common is the better measure.
         return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.halves_differ)
     lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius)

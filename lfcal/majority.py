@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["Steps", "agreed", "regular_ratio"]
+__all__ = ["SUREST", "Steps", "agreed", "regular_ratio"]
 
 # The best third of the lenses says how well lenses agree; those further off than this have no say. Where most of
 # a flat is dragged the same way the half would follow it.
 _AGREEING = 0.35
 _OUTLIER = 3.0
 _FEWEST_IN_PART = 8
+# Lenses surer than this share of all are not told apart. What the scene does to the others grows with what it shows
+# beside their rims: a codec moves a block along with its content where that outweighs the rims.
+SUREST = 0.02
+_DISTRUST = 3
 # So many lenses, evenly spread, tell which of several answers is the best; all of them refine it.
 _SEARCHED = 1000
 _GOLDEN = 0.6180339887498949
@@ -35,7 +40,7 @@ class Steps:
     design : (n, 3) float64
         Lattice indices with a leading 1.
     step, variance : (n, 2), (n,) float64 [px, px^2]
-        Steps and how sure they are, what scenes do to them left out.
+        Steps and how sure they are, as the pixels of each lens by itself tell.
     basis : (2, 2) float64 [px]
         The steps are from this one.
     regular : complex or None
@@ -48,38 +53,15 @@ class Steps:
     basis: NDArray[np.float64]
     regular: complex | None = None
 
+    @cached_property
+    def spread(self) -> NDArray[np.float64]:
+        """(n,) variance over that of the surest lenses."""
+        return np.maximum(self.variance / np.quantile(self.variance, SUREST), 1.0)
 
-@njit(cache=True, nogil=True)
-def _quantile(values, share):
-    """Quantile by selection, straight lines between the values; their order changes."""
-    place = share * (len(values) - 1)
-    k = int(place)
-    low, high = 0, len(values) - 1
-    while low < high:
-        pivot = values[(low + high) // 2]
-        i, j = low, high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while values[j] > pivot:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if k <= j:
-            high = j
-        elif k >= i:
-            low = i
-        else:
-            break
-    here = values[k]
-    if place == k:
-        return here
-    following = np.inf
-    for m in range(k + 1, len(values)):
-        following = min(following, values[m])
-    return here + (place - k) * (following - here)
+    @cached_property
+    def trust(self) -> NDArray[np.float64]:
+        """(n,) weight of a lens by what is known of it alone."""
+        return self.spread**-_DISTRUST
 
 
 @njit(cache=True, nogil=True)
@@ -125,8 +107,20 @@ def _weighted(design, step, weight, basis, ratio, change):
 
 
 @njit(cache=True, nogil=True)
-def _settle(design, step, variance, basis, ratio, agreeing, outlier, turns, weights, changes, commons):
-    square, left = np.empty(len(step)), np.empty(len(step))
+def _weighted_quantile(values, weight, share):
+    """Least value below which lies at least this share of the weight."""
+    order = np.argsort(values)
+    wanted, below = share * weight.sum(), 0.0
+    for k in order:
+        below += weight[k]
+        if below >= wanted:
+            return values[k]
+    return values[order[-1]]
+
+
+@njit(cache=True, nogil=True)
+def _settle(design, step, spread, trust, basis, ratio, agreeing, outlier, turns, weights, changes, commons):
+    square = np.empty(len(step))
     expected = -2 * np.log(1 - agreeing)
     before = np.empty(6)
     for start in range(len(weights)):
@@ -138,13 +132,11 @@ def _settle(design, step, variance, basis, ratio, agreeing, outlier, turns, weig
             for k in range(len(step)):
                 x = step[k, 0] - change[0, 0] - design[k, 1] * change[1, 0] - design[k, 2] * change[2, 0]
                 y = step[k, 1] - change[0, 1] - design[k, 1] * change[1, 1] - design[k, 2] * change[2, 1]
-                square[k] = x * x + y * y
-                left[k] = square[k] / expected - variance[k]
+                square[k] = (x * x + y * y) / spread[k]
             # That variance at which just the agreeing share lies within what is expected of it.
-            common = max(_quantile(left, agreeing), 1e-12)
+            common = max(_weighted_quantile(square, trust, agreeing) / expected, 1e-12)
             for k in range(len(step)):
-                total = variance[k] + common
-                weight[k] = max(1 - square[k] / (total * outlier * outlier), 0.0) ** 2 / total
+                weight[k] = max(1 - square[k] / (common * outlier * outlier), 0.0) ** 2 * trust[k] / common
             commons[start] = common
             _weighted(design, step, weight, basis, ratio, change)
             moved = 0.0
@@ -159,15 +151,14 @@ def _settled(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Changes (s, 3, 2) after robust least squares from starting weights (n,), weights (s, n), common variances (s,).
 
-    Beside the error of each lens all have one in common, that of their scenes; it follows from how far the best
-    share of the lenses lies off.
+    How far lenses lie off beside what `Steps.spread` says follows from the best share of them.
     """
     weights = np.array(starts)
     changes, commons = np.zeros((len(weights), 3, 2)), np.zeros(len(weights))
     tied = steps.regular or 0j
     ratio = np.array([tied.real, tied.imag])
     _settle(
-        steps.design, steps.step, steps.variance, steps.basis, ratio, _AGREEING, _OUTLIER, _TURNS,
+        steps.design, steps.step, steps.spread, steps.trust, steps.basis, ratio, _AGREEING, _OUTLIER, _TURNS,
         weights, changes, commons,
     )  # fmt: skip
     return changes, weights, commons
@@ -175,7 +166,7 @@ def _settled(
 
 def _starts(steps: Steps) -> list[NDArray[np.float64]]:
     """Weights of all steps, and of those on either side of four lines."""
-    weight = 1 / (steps.variance + 0.1 * np.median(steps.variance) + 1e-12)
+    weight = steps.trust
     place = steps.design[:, 1:] - np.median(steps.design[:, 1:], axis=0)
     starts = [weight]
     for angle in np.arange(8) * np.pi / 4:
@@ -201,12 +192,10 @@ def _best(steps: Steps) -> tuple[NDArray[np.float64], NDArray[np.float64], float
     count = len(steps.step)
     few = steps if count <= _SEARCHED else _only(steps, np.arange(count) * _GOLDEN % 1 < _SEARCHED / count)
     changes, weights, commons = _settled(few, _starts(few))
-    spread = few.variance + commons.min()
-    best = int(np.argmin([_misfit(few, change, spread) for change in changes]))
+    best = int(np.argmin([_misfit(few, change, commons.min()) for change in changes]))
     if few is not steps:
-        total = steps.variance + commons[best]
-        far = ((steps.step - steps.design @ changes[best]) ** 2).sum(1) / total
-        changes, weights, commons = _settled(steps, [np.maximum(1 - far / _OUTLIER**2, 0) ** 2 / total])
+        far = ((steps.step - steps.design @ changes[best]) ** 2).sum(1) / (steps.spread * commons[best])
+        changes, weights, commons = _settled(steps, [np.maximum(1 - far / _OUTLIER**2, 0) ** 2 * steps.trust])
         best = 0
     return changes[best], weights[best], float(commons[best])
 
@@ -215,10 +204,10 @@ def _only(steps: Steps, chosen: NDArray[np.bool_]) -> Steps:
     return replace(steps, design=steps.design[chosen], step=steps.step[chosen], variance=steps.variance[chosen])
 
 
-def _misfit(steps: Steps, change: NDArray[np.float64], spread: NDArray[np.float64]) -> float:
-    """Squared distances of the lenses over their variances, bounded."""
+def _misfit(steps: Steps, change: NDArray[np.float64], common: float) -> float:
+    """Squared distances of the lenses over their variances, bounded, each as far as it is trusted."""
     square = ((steps.step - steps.design @ change) ** 2).sum(1)
-    return float(np.minimum(square / spread, _OUTLIER**2).sum())
+    return float((np.minimum(square / (steps.spread * common), _OUTLIER**2) * steps.trust).sum())
 
 
 def regular_ratio(basis: NDArray[np.float64], steps: Steps) -> complex | None:
@@ -236,7 +225,7 @@ def regular_ratio(basis: NDArray[np.float64], steps: Steps) -> complex | None:
     for known in (None, regular):
         change, _, common = _best(replace(steps, regular=known))
         found.append((change, common))
-    spread = steps.variance + min(common for _, common in found)
-    free, bound = (_misfit(steps, change, spread) for change, _ in found)
+    least = min(common for _, common in found)
+    free, bound = (_misfit(steps, change, least) for change, _ in found)
     freedom = 2 * _PLACES - 6
     return regular if (bound / max(free, 1e-30) - 1) * freedom / 2 < _SIGNIFICANT else None

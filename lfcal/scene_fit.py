@@ -7,7 +7,7 @@ of the flat differ, not from how lenses do.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from .errors import CalibrationError
 from .fit import LatticeFit
 from .lattice import Lattice
 from .lens_cell import cell_faces
-from .majority import Steps, agreed, regular_ratio
+from .majority import SUREST, Steps, agreed, regular_ratio
 from .parts import whole_lenses
 from .template import lens_steps
 
@@ -32,15 +32,18 @@ _SKETCH_PASSES = 4
 _PASSES = 10
 # Steps below this share of the standard error change nothing.
 _SETTLED = 0.2
+# So many steps back are combined; those alike to this share are one. No leap is longer than so many single steps.
+_REMEMBERED, _SAME, _FURTHEST = 4, 0.05, 10.0
 _RUNAWAY = 0.05
 # Lenses of a tile in halves of the flat, and the tiles that are taken for independent of each other.
 _LENSES_PER_TILE = 16
 _FEWEST_TILES = 36
 # More lenses than this make no lattice of a scene any surer.
 _MOST_LENSES = 20000
-# Lenses that say less than this share of what good ones say about their place have no say. Once the lattice is nearly
-# right only those count that say half as much, where they are enough to outvote what a scene does to them.
-_GOOD, _SAYS, _CLEAR = 0.9, 0.001, 0.5
+# Lenses that say less than this share of what good ones say about their place have no say.
+_GOOD, _SAYS = 0.9, 0.001
+# Lenses whose place is so many times less sure than that of the surest have next to none, if others are enough.
+_DOUBTFUL = 4.0
 _ENOUGH_LENSES = 2000
 
 
@@ -64,37 +67,84 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
     start = lattice.basis
     stride = max(1, round(lattice.pitch / _FINE_PITCH))
     most = min(max(int(pixels * stride**2 / abs(np.linalg.det(start))), _SKETCH_LENSES), _MOST_LENSES)
-    for size, passes in ((min(_SKETCH_LENSES, most), _SKETCH_PASSES), (most, _PASSES)):
-        if size < most and min(most, len(lattice)) <= 2 * _SKETCH_LENSES:
-            continue
-        indices = _chosen(lattice, size)
-        for turn in range(passes):
-            steps, said = _look(picture, lattice, indices, stride)
-            change, share = agreed(steps)
-            before, lattice = lattice, _moved(lattice, change)
-            if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
-                raise CalibrationError(
-                    "the microimages do not keep to one lattice; give a sharper flat or a white image"
-                )
-            error = _standard_error(steps, change, share)
-            count = len(indices)
-            indices = _clearest(indices, said) if turn == 0 and size == most else indices
-            if _field_rms(steps, change) < _SETTLED * error and len(indices) == count:
-                break
-    regular = regular_ratio(lattice.basis, steps)
+    if min(most, len(lattice)) > 2 * _SKETCH_LENSES:
+        lattice = _settled(picture, lattice, _chosen(lattice, _SKETCH_LENSES), stride, _SKETCH_PASSES).lattice
+    indices = _chosen(lattice, most)
+    indices = _trusted(indices, _look(picture, lattice, indices, stride)[1])
+    fit = _settled(picture, lattice, indices, stride, _PASSES)
+    regular = regular_ratio(fit.before.basis, fit.steps)
     if regular is not None:
-        # What the lenses say is from the lattice before the last step.
-        lattice = _moved(before, agreed(replace(steps, regular=regular))[0])
-        steps = replace(_look(picture, lattice, indices, stride)[0], regular=regular)
-        change, share = agreed(steps)
-        lattice = _moved(lattice, change)
-        error = _standard_error(steps, change, share)
+        fit = _settled(picture, fit.before, indices, stride, _PASSES, regular)
+    lattice, steps, change, share = fit.lattice, fit.steps, fit.change, fit.share
+    error = _standard_error(steps, change, share)
     tile, colour = _tiles(steps, max(_FEWEST_TILES, len(share) // _LENSES_PER_TILE))
     halves = [agreed(steps, colour[tile] == side)[0] for side in (0, 1)]
     miss = ((steps.step - steps.design @ change) ** 2).sum(1)
     scatter = float(np.sqrt(np.average(miss, weights=share)))
     differ = _field_rms(steps, halves[0] - halves[1])
     return LatticeFit(lattice.origin, lattice.basis, scatter, error, int((share > 0).sum()), differ)
+
+
+@dataclass(frozen=True)
+class _Settled:
+    """A lattice, the one before it, and the steps of the lenses from there: their common change and weights."""
+
+    lattice: Lattice
+    before: Lattice
+    steps: Steps
+    change: NDArray[np.float64]
+    share: NDArray[np.float64]
+
+
+def _settled(
+    picture: NDArray[np.float32],
+    lattice: Lattice,
+    indices: NDArray[np.int64],
+    stride: int,
+    passes: int,
+    regular: complex | None = None,
+) -> _Settled:
+    """Move the lattice until the lenses at `indices` (n, 2) ask for no more.
+
+    Where scenes blur the average microimage a single step falls far short: steps are combined as by Anderson, J. ACM
+    12 (1965), which finds where they lead.
+    """
+    start, path = lattice.basis, _Path([], [])
+    for turn in range(passes):
+        steps = replace(_look(picture, lattice, indices, stride)[0], regular=regular)
+        change, share = agreed(steps)
+        error = _standard_error(steps, change, share)
+        leap = path.leap(lattice, change, steps.design)
+        settled = max(_field_rms(steps, change), _field_rms(steps, leap)) < _SETTLED * error
+        before, lattice = lattice, _moved(lattice, change if settled or turn == passes - 1 else leap)
+        if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
+            raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
+        if settled:
+            break
+    return _Settled(lattice, before, steps, change, share)
+
+
+@dataclass
+class _Path:
+    """Where a fit has been, as (6,) origin and basis, and what the lenses asked for there."""
+
+    places: list[NDArray[np.float64]]
+    asked: list[NDArray[np.float64]]
+
+    def leap(self, lattice: Lattice, change: NDArray[np.float64], design: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Change (3, 2) after which the lenses should ask for nothing, if what they ask for is linear in the place."""
+        self.places.append(np.vstack([lattice.origin, lattice.basis]).ravel())
+        self.asked.append(change.ravel())
+        if len(self.asked) == 1:
+            return change
+        recent = slice(-_REMEMBERED - 1, None)
+        moves, turns = np.diff(self.places[recent], axis=0).T, np.diff(self.asked[recent], axis=0).T
+        # Compared by what they do to the centres.
+        root = np.kron(np.linalg.cholesky(design.T @ design / len(design)).T, np.eye(2))
+        part = np.linalg.lstsq(root @ turns, root @ self.asked[-1], rcond=_SAME)[0]
+        further = self.asked[-1] - (moves + turns) @ part
+        length, plain = (float(np.linalg.norm(root @ v)) for v in (further, self.asked[-1]))
+        return (further * min(1.0, _FURTHEST * plain / max(length, 1e-300))).reshape(3, 2)
 
 
 def _moved(lattice: Lattice, change: NDArray[np.float64]) -> Lattice:
@@ -115,19 +165,17 @@ def _chosen(lattice: Lattice, most: int) -> NDArray[np.int64]:
     return indices
 
 
-def _clearest(indices: NDArray[np.int64], said: NDArray[np.float64]) -> NDArray[np.int64]:
-    """The lenses that say most about their place.
-
-    Where the scene hides the rims, compression has dragged them along with it more often than where they stand out.
-    """
-    enough = np.sort(said)[max(len(said) - _ENOUGH_LENSES, 0)]
-    return indices[said >= min(_CLEAR * np.quantile(said, _GOOD), enough)]
+def _trusted(indices: NDArray[np.int64], variance: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The lenses that have a say, as their `variance` (n,) tells: the rest only takes time."""
+    surest = np.quantile(variance, SUREST)
+    enough = np.sort(variance)[min(_ENOUGH_LENSES, len(variance)) - 1]
+    return indices[variance <= max(_DOUBTFUL * surest, enough)]
 
 
 def _look(
     picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.int64], stride: int
 ) -> tuple[Steps, NDArray[np.float64]]:
-    """Steps of the lenses that show something, and how much each of all (n,) says about its place."""
+    """Steps of the lenses that show something, and the variance (n,) [px^2] of the place of each of all."""
     faces, reach = cell_faces(lattice)
     centres = lattice.points(indices)
     # Where the lattice has moved, so have lenses over the edge of the flat.
@@ -135,10 +183,8 @@ def _look(
     if whole.sum() < _FEWEST_LENSES:
         raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
     found = lens_steps(picture, lattice, np.ascontiguousarray(centres[whole]), (faces, reach), stride)
-    said = np.zeros(len(indices))
     # Dark and blank lenses agree with whatever they are asked.
     told = np.trace(found.normal, axis1=1, axis2=2)
-    said[whole] = told
     clear = told > _SAYS * np.quantile(told, _GOOD)
     count = int(clear.sum())
     if count < _FEWEST_LENSES:
@@ -151,7 +197,9 @@ def _look(
     determinant = xx * yy - xy * xy
     step = np.column_stack([yy * bx - xy * by, xx * by - xy * bx]) / determinant[:, None]
     design = np.column_stack([np.ones(count), indices[whole][clear]])
-    return Steps(design, step, (xx + yy) / determinant / 2, lattice.basis), said
+    variance = np.full(len(indices), np.inf)
+    variance[np.flatnonzero(whole)[clear]] = known = found.noise[clear] * (xx + yy) / determinant / 2
+    return Steps(design, step, known, lattice.basis), variance
 
 
 def _field_rms(steps: Steps, change: NDArray[np.float64]) -> float:

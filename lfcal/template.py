@@ -86,7 +86,9 @@ def _fold(picture, centres, faces, reach, inverse, stride, bins, chunks, sums):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _accumulate(picture, centres, faces, reach, inverse, stride, bins, chunks, maps, cutoff, most, normal, right):
+def _accumulate(
+    picture, centres, faces, reach, inverse, stride, bins, chunks, maps, cutoff, most, normal, right, noise,
+):  # fmt: skip
     lenses = centres.shape[0]
     side = int(2 * reach) // stride + 3
     for chunk in prange(chunks):
@@ -107,12 +109,14 @@ def _accumulate(picture, centres, faces, reach, inverse, stride, bins, chunks, m
             if determinant > 1e-9 * one * square:
                 contrast = np.float32(min(max((one * product - level * value) / determinant, 0.0), most))
                 offset = np.float32((value - contrast * level) / one)
-            xx = xy = yy = bx = by = 0.0
+            xx = xy = yy = bx = by = far = told = 0.0
             for k in range(number):
                 w = maps[place[k], 1]
                 residual = values[k] - offset - contrast * maps[place[k], 0]
                 near = max(np.float32(1) - residual * residual * w * cutoff, np.float32(0))
+                told += near * near
                 w *= near * near
+                far += w * residual * residual
                 gx, gy = maps[place[k], 2], maps[place[k], 3]
                 wx, wy = w * gx, w * gy
                 xx += wx * gx
@@ -126,6 +130,7 @@ def _accumulate(picture, centres, faces, reach, inverse, stride, bins, chunks, m
             normal[lens, 1, 1] = contrast * contrast * yy
             right[lens, 0] = contrast * bx
             right[lens, 1] = contrast * by
+            noise[lens] = far / max(told, 1e-9)
 
 
 @dataclass(frozen=True)
@@ -149,10 +154,13 @@ class LensSteps:
     Parameters
     ----------
     normal, right : (n, 2, 2), (n, 2) float64
+    noise : (n,) float64
+        Variance of a pixel of the lens about the average microimage, over that of all lenses.
     """
 
     normal: NDArray[np.float64]
     right: NDArray[np.float64]
+    noise: NDArray[np.float64]
 
 
 def average_cell(
@@ -211,9 +219,23 @@ def lens_steps(
     few = np.ascontiguousarray(centres[:: max(1, len(centres) // _TEMPLATE_LENSES)])
     template = average_cell(picture, lattice, few, cell, stride)
     normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
+    noise = np.zeros(len(centres))
     inverse, bins = np.linalg.inv(lattice.basis), _bins(lattice)
     maps, cutoff = template.maps.reshape(bins * bins, -1), np.float32(1 / _OUTLIER**2)
     _accumulate(
-        picture, centres, faces, reach, inverse, stride, bins, _CHUNKS, maps, cutoff, _MOST_CONTRAST, normal, right
+        picture,
+        centres,
+        faces,
+        reach,
+        inverse,
+        stride,
+        bins,
+        _CHUNKS,
+        maps,
+        cutoff,
+        _MOST_CONTRAST,
+        normal,
+        right,
+        noise,
     )
-    return LensSteps(normal, right)
+    return LensSteps(normal, right, noise)
