@@ -7,9 +7,10 @@ import pytest
 
 import lfcal
 import lfrender
-from benchmarks.stress.command import RARE, of_random_cases
+from benchmarks.stress.command import of_random_cases
 from benchmarks.stress.outcome import calibrate_white, depth_of_plane
 from benchmarks.stress.plane_flats import PlaneFlat
+from benchmarks.stress.random_cases import RARE
 from benchmarks.stress.sweeps import sweeps
 from benchmarks.white_images import WhiteImage
 
@@ -46,6 +47,20 @@ def test_content_that_no_two_lenses_share_is_left_unresolved():
     ]
     # It was 0.4 before lenses had to be confirmed.
     assert np.mean(wrong) < 0.02
+
+
+@pytest.mark.parametrize(
+    "plane",
+    [
+        PlaneFlat(
+            0.35, cell="square", pitch=22.7, degrees=90, period=0.654, contrast=0.22, fill=0.868, size=(220, 180)
+        ),
+        PlaneFlat(0.2, cell="square", pitch=12.7, degrees=63, period=0.238, contrast=0.28, fill=0.885, size=(130, 100)),
+        PlaneFlat(-0.6, cell="square", pitch=25.0, period=0.82, contrast=0.07, noise=0.014, fill=0.87, size=(220, 180)),
+    ],
+)
+def test_a_texture_that_repeats_within_the_range_is_unresolved_over_the_whole_plane(plane):
+    assert depth_of_plane(plane).off == 0
 
 
 def test_microimages_too_small_to_measure_a_depth_on_say_so():
