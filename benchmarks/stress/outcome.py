@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import lfcal
@@ -14,15 +16,29 @@ import lfrender
 from ..white_images import WhiteImage
 from .plane_flats import PlaneFlat, quantised
 
-__all__ = ["SURE", "Outcome", "Sweep", "calibrate_plane", "calibrate_white", "depth_of_plane", "picture_of_plane"]
+__all__ = [
+    "SURE",
+    "Harm",
+    "Outcome",
+    "Sweep",
+    "calibrate_plane",
+    "calibrate_white",
+    "depth_of_plane",
+    "picture_of_plane",
+]
 
 #: Answers of this confidence and more are taken for certain by users.
 SURE = 0.7
 # Patch sizes off by more than the first share of the pitch are wrong, and lattices off by more than the second: so far
 # may two halves of a flat differ before `lfcal.calibrate` refuses it.
 _WRONG, _ASTRAY = 0.05, 0.1
+# Of one value of a sweep: among 150 lenses chance and the border leave as many.
+_ALLOWED = 0.02
 # Of `Outcome.off`: patch sizes off by so many px and standard errors, at a confidence above the third number.
 _OFF_PX, _OFF_ERRORS, _BELIEVED = 0.5, 4.0, 0.5
+
+
+Harm = Callable[[NDArray[Any]], NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -77,8 +93,9 @@ class Sweep:
 
     def broken(self, value: float, outcome: Outcome) -> str:
         """What of the promise `outcome` breaks at `value`; empty where it keeps it."""
-        if outcome.wrong > 0.02:
-            return f"{outcome.wrong:.1%} confident and wrong"
+        wrong = max(outcome.wrong, outcome.off)
+        if wrong > _ALLOWED:
+            return f"{wrong:.1%} confident and wrong"
         if not self.limits[0] <= value <= self.limits[1]:
             return ""
         if outcome.answered < self.least:
@@ -92,7 +109,7 @@ def _of_camera(camera: lfcal.Calibration, error: float, pitch: float) -> Outcome
     return Outcome(1.0, error, float(sure and astray), note, float(astray and camera.confidence > _BELIEVED))
 
 
-def calibrate_white(truth: WhiteImage, exposure: float = 1.0, kind: str = "") -> Outcome:
+def calibrate_white(truth: WhiteImage, exposure: float = 1.0, kind: str = "", harm: Harm | None = None) -> Outcome:
     """Calibrate on a white image, with its light times `exposure`; clipped where that exceeds white."""
     image = truth.image()
     if exposure != 1.0 or kind:
@@ -102,7 +119,7 @@ def calibrate_white(truth: WhiteImage, exposure: float = 1.0, kind: str = "") ->
         if kind == "f4":
             image = quantised(0.8 * exposure * light, "f4")
     try:
-        camera = lfcal.calibrate(image)
+        camera = lfcal.calibrate(image if harm is None else harm(image))
     except lfcal.LightFieldError as refusal:
         return Outcome(0.0, np.nan, 0.0, str(refusal))
     found = camera.lattice.centres()
@@ -127,9 +144,10 @@ def calibrate_plane(truth: PlaneFlat) -> Outcome:
     return _of_camera(camera, error, truth.pitch)
 
 
-def depth_of_plane(truth: PlaneFlat, preset: str = "balanced") -> Outcome:
+def depth_of_plane(truth: PlaneFlat, preset: str = "balanced", harm: Harm | None = None) -> Outcome:
     """Analyse a flat of a textured plane with its true camera."""
-    depth = lfrender.analyze(truth.flat(), truth.calibration, preset)
+    flat = truth.flat() if harm is None else harm(truth.flat())
+    depth = lfrender.analyze(flat, truth.calibration, preset)
     sizes = truth.patch_size(truth.lattice.centres())
     error = np.abs(depth.patch_size - sizes)
     known = depth.mode != 0

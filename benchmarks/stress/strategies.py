@@ -1,4 +1,4 @@
-"""Random cases as `hypothesis` draws them: plain values and the ends of ranges more often than chance would have them."""
+"""Random cases as `hypothesis` draws them: plain values and ends of ranges more often than chance would have them."""
 
 from __future__ import annotations
 
