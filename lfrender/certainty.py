@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from .texture import Texture
 
-__all__ = ["certainty", "confirmed", "misled", "repeated", "signal_share", "widened"]
+__all__ = ["certainty", "confirmed", "echoing", "misled", "repeated", "signal_share", "widened"]
 
 # The part of the texture that a match leaves unexplained misleads all pairs of a lens together, which their scatter
 # cannot show: factor of a standard error where all is explained, and what is added in squares for the share that is
@@ -22,6 +22,11 @@ _ALIKE, _ALIKE_PX = 0.03, 0.3
 _HALF = 0.5
 # Where most lenses are not torn, another shift must be twice as likely.
 _TWICE = 1 / 3
+# Correlation at another shift over that of the answer: below this on nearly nine lenses of ten with texture that does
+# not repeat, above it on most others.
+_ECHO = 0.3
+# Correlations at two shifts together over that of a perfect match: a tenth more than two depths can have.
+_MORE_THAN_ALL = 1.1
 # Of texture that is mostly noise, correlation tells no more about how much of it is explained.
 _LEAST_SIGNAL = 0.1
 # Lenses that explain this much of their texture confirm others, so many of them together.
@@ -91,25 +96,48 @@ def confirmed(
     return np.asarray(like.sum(1) >= _CONFIRMING)
 
 
-def repeated(
-    resolved: NDArray[np.bool_], rivals: NDArray, occurring: NDArray[np.bool_], rows: NDArray[np.int32]
-) -> NDArray[np.bool_]:
-    """(n,) bool: lenses that match as well at another shift, as half of the flat or of their neighbours do.
+def echoing(matched: NDArray, echo: NDArray, signal: NDArray) -> NDArray[np.bool_]:
+    """(n,) bool: lenses whose texture repeats, as far as they can tell.
 
-    Their texture repeats; a single one is more likely chance.
+    What a lens sees of two depths shares its contrast between them, so that the correlations add up to one at most.
+
+    Parameters
+    ----------
+    matched, echo : (n,)
+        Correlation at the chosen shift and at the best of the others.
+    signal : (n,)
+        What a right match may correlate at best.
+    """
+    return np.asarray((echo > _ECHO * matched) & (matched + echo > _MORE_THAN_ALL * signal))
+
+
+def repeated(
+    resolved: NDArray[np.bool_],
+    rivals: NDArray,
+    echoes: NDArray[np.bool_],
+    occurring: NDArray[np.bool_],
+    rows: NDArray[np.int32],
+) -> NDArray[np.bool_]:
+    """(n,) bool: lenses that match at another shift as well, as half of the flat or of their neighbours do.
+
+    Their texture repeats; a single one is more likely chance. Which of its shifts is the right one cannot be told from
+    which of them matches best: at the right one neighbours may share less, and differ by the shading of their rims.
 
     Parameters
     ----------
     resolved : (n,) bool
     rivals : (n,)
         Probability of each answer among those that correlate as well.
+    echoes : (n,) bool
+        Lenses as `echoing`.
     occurring : (n,) bool
         Lenses whose depth occurs among those without a rival. It tells for the others where most have none.
     rows : (n, k) int32
         Neighbour rows, -1 where there is none.
     """
-    torn = resolved & (rivals < _HALF)
+    beside = rows >= 0
+    torn = resolved & ((rivals < _HALF) | echoes)
     if 2 * torn.sum() >= resolved.sum():
-        return torn
-    together = 2 * (torn[rows] & (rows >= 0)).sum(1) >= rows.shape[1]
-    return torn & together & (rivals < _TWICE) & ~occurring
+        return torn | (resolved & (2 * (torn[rows] & beside).sum(1) >= beside.sum(1)))
+    together = 2 * (torn[rows] & beside).sum(1) >= rows.shape[1]
+    return torn & together & ((rivals < _TWICE) | echoes) & ~occurring

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .certainty import certainty, confirmed, repeated, widened
+from .certainty import certainty, confirmed, echoing, repeated, widened
 from .search import Found
 
 __all__ = [
@@ -56,9 +56,10 @@ def judged(
     explained = found.explained / signal
     beside = confirmed(reason == 0, refined, explained, neighbours, pitch)
     reason[(reason > 1) & beside & (np.abs(refined) <= RESOLVABLE * pitch)] = 0
-    single = (reason == 0) & (found.rivals >= SURE)
+    echoes = echoing(found.matched, found.echo, signal)
+    single = (reason == 0) & (found.rivals >= SURE) & ~echoes
     occurring = populated(refined, refined[single], 0.5 * _ALIKE * pitch)
-    reason[repeated(reason == 0, found.rivals, occurring, neighbours)] = 2
+    reason[repeated(reason == 0, found.rivals, echoes, occurring, neighbours)] = 2
     error = widened(error, explained)
     sure = np.where(textured, np.minimum(found.confidence, found.rivals), 0)
     return reason, error, certainty(sure, refined, error, explained, neighbours, pitch)

@@ -22,8 +22,9 @@ _MAX_GAIN = 4.0
 _EVEN = 0.01
 # Where a lens delivers less than this share of its light, the correction is as uncertain as weak texture.
 _TRUSTED_LIGHT = 0.9
-# No microimage is trusted over less than this share of the pitch: nothing would be left to compare.
-_LEAST_TRUSTED = 0.3
+# However dim, no microimage is trusted over less than this share of the pitch, if it is as large, or than these px:
+# nothing would be left to compare.
+_LEAST_TRUSTED, _LEAST_RADIUS = 0.3, 1.5
 
 # Interpolation and smoothing read so far beyond [px]. Within this share of the way to a neighbour pixels belong to a
 # lens alone, even as coordinates are rounded, and at the third number where a distortion changes the way.
@@ -293,13 +294,13 @@ def trusted_radius(calibration: Calibration) -> float:
     """Radius [px] inside which microimages can be compared: off the rim, and where shading needs little correction."""
     lattice = calibration.lattice
     # Interpolation reads one pixel further.
-    radius = lattice.radius - 1.0
+    radius = max(lattice.radius - 1.0, _LEAST_RADIUS)
     if calibration.vignetting is not None:
         distance = np.arange(0.0, lattice.radius, 0.25)
         dim = distance[calibration.vignetting.at(distance) < _TRUSTED_LIGHT]
         if dim.size:
-            radius = min(radius, float(dim[0]))
-    return max(radius, _LEAST_TRUSTED * lattice.pitch)
+            radius = min(radius, max(float(dim[0]), _LEAST_TRUSTED * lattice.pitch))
+    return radius
 
 
 def shrink(gray: GrayFlat, factor: int) -> GrayFlat:

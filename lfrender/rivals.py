@@ -52,10 +52,11 @@ def shared_trust(gray: GrayFlat, rows: NDArray[np.int32], shifts: NDArray[np.flo
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _without_rivals(cost, trust, rows, best, wanted, apart, out):
+def _without_rivals(cost, trust, rows, best, wanted, apart, out, matched, echo):
     shifts = cost.shape[1]
     for lens in prange(len(best)):
         out[lens] = 1.0
+        matched[lens] = echo[lens] = 0.0
         if not wanted[lens]:
             continue
         own = best[lens]
@@ -77,6 +78,7 @@ def _without_rivals(cost, trust, rows, best, wanted, apart, out):
         for k in range(max(0, own - 1), min(shifts, own + 2)):
             top = max(top, pooled[k])
         mass = np.float32(0.0)
+        loudest = np.float32(0.0)
         temperature = max(_TEMPERATURE, _UNEXPLAINED * (1 - top))
         for side in (-1, 1):
             low = top
@@ -90,10 +92,13 @@ def _without_rivals(cost, trust, rows, best, wanted, apart, out):
                     if peak and low < pooled[k] - _DIP:
                         mass += np.exp((pooled[k] - top) / temperature)
                         low = pooled[k]
+                        loudest = max(loudest, pooled[k])
                     elif pooled[k] > top:
                         mass += np.exp((pooled[k] - top) / temperature) - 1
+                        loudest = pooled[k]
                 k += side
         out[lens] = 1 / (1 + mass)
+        matched[lens], echo[lens] = top, loudest
 
 
 def without_rivals(
@@ -103,8 +108,8 @@ def without_rivals(
     best: NDArray[np.int64],
     wanted: NDArray[np.bool_],
     apart: int,
-) -> NDArray[np.float32]:
-    """Probability of each chosen shift among all that correlate in their own right, whatever they share.
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """How each chosen shift stands beside all others that correlate in their own right, whatever they share.
 
     Parameters
     ----------
@@ -123,8 +128,12 @@ def without_rivals(
 
     Returns
     -------
-    (n,) float32
+    probability : (n,) float32
+        Of the chosen shift.
+    matched, echo : (n,) float32
+        Correlation over what the shared pixels let it be: at the chosen shift, and at the best of the others, 0 where
+        there is no other.
     """
-    out = np.empty(len(best), np.float32)
-    _without_rivals(cost, trust, rows, best, wanted, apart, out)
-    return out
+    probability, matched, echo = (np.empty(len(best), np.float32) for _ in range(3))
+    _without_rivals(cost, trust, rows, best, wanted, apart, probability, matched, echo)
+    return probability, matched, echo

@@ -93,6 +93,9 @@ class Found:
         The same over what the pixels that they share let it be at most.
     rivals : (n,) float32
         Probability of the best value among all that correlate as well, whatever neighbours share there.
+    matched, echo : (n,) float32
+        Correlation over what it can be at most, at the best value and at the best of those others, 0 where there is
+        none; pooled with the lenses around it.
     second : (n,) float32
         Next best value, NaN where no other comes near.
     step : float
@@ -106,6 +109,8 @@ class Found:
     evidence: NDArray[np.float32]
     explained: NDArray[np.float32]
     rivals: NDArray[np.float32]
+    matched: NDArray[np.float32]
+    echo: NDArray[np.float32]
     second: NDArray[np.float32]
     step: float
     untried: float
@@ -176,7 +181,7 @@ class Matcher:
     def repeats(self, cost: NDArray[np.float32]) -> bool:
         """Whether many lenses, of these costs (m, k), match as well at another shift: their texture repeats."""
         best, alone = cost.argmin(1), np.empty((len(cost), 0), np.int32)
-        rivals = without_rivals(cost, self.trust, alone, best, np.ones(len(cost), bool), self.tolerance())
+        rivals, *_ = without_rivals(cost, self.trust, alone, best, np.ones(len(cost), bool), self.tolerance())
         return bool(len(cost) and (rivals < _TORN).mean() > _REPEATED)
 
     def tolerance(self) -> int:
@@ -222,7 +227,7 @@ def search(
     other, other_cost = second_best(cost, best, max(2, round(2 / step)))
     rival = (own > _UNEXPLAINED) & (other_cost < own + _SECOND)
     factor, shifts = matcher.factor, matcher.shifts
-    rivals = without_rivals(
+    rivals, matched, echo = without_rivals(
         cost, matcher.trust, np.hstack([matcher.forward, matcher.backward]), best, active, matcher.tolerance()
     )
     return Found(
@@ -231,6 +236,8 @@ def search(
         evidence=1 - own,
         explained=(1 - own) / np.maximum(matcher.trust[best], _LEAST_TRUST),
         rivals=rivals,
+        matched=matched,
+        echo=echo,
         second=np.where(rival, (shifts[other] + parabola_peak(cost, other) * step) * factor, np.nan).astype(np.float32),
         step=step * factor,
         untried=untried,

@@ -16,10 +16,8 @@ from .file_faults import fuzz
 from .outcome import Outcome, Sweep, calibrate_white, depth_of_plane
 from .sweeps import random_plane, random_white, sweeps
 
-__all__ = ["RARE", "main", "of_random_cases", "quick_values"]
+__all__ = ["main", "of_random_cases", "quick_values"]
 
-#: Confident and wrong answers among random cases must be rarer than this.
-RARE = 1e-3
 _FIELDS = ("value", "answered", "error px", "confident and wrong", "broken")
 
 
@@ -60,6 +58,7 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks stress", description=__doc__)
     parser.add_argument("--full", action="store_true", help="all values, 10,000 random cases, 100 kills of each writer")
     parser.add_argument("--cases", type=int, help="so many random cases of each stage")
+    parser.add_argument("--log", type=Path, help="file that keeps the random cases: a later run goes on from there")
     parser.add_argument("--only", default="", help="sweeps whose name contains this")
     parser.add_argument("-o", "--output", type=Path, help="folder for CSV files, and plots where matplotlib is there")
     options = parser.parse_args(arguments)
@@ -81,7 +80,7 @@ def main(arguments: list[str]) -> None:
             if options.output:
                 _write(options.output, stage, sweep, rows)
     if not options.only:
-        broken += _random(options.cases or (10_000 if options.full else 60))
+        broken += _random(options.cases or (10_000 if options.full else 25), options.log)
         broken += _files(1000 if options.full else 100, 100 if options.full else 20)
     sys.exit("\n".join(broken) if broken else 0)
 
@@ -100,20 +99,13 @@ def _write(folder: Path, stage: str, sweep: Sweep, rows: list[tuple[float, Outco
         print("no plots: pip install 'lfrender[plots]'")
 
 
-def _random(cases: int) -> list[str]:
-    broken = []
-    for stage in ("calibration", "depth"):
-        wrong = answered = 0.0
-        for number, one in of_random_cases(stage, range(cases)):
-            wrong, answered = wrong + one.wrong, answered + one.answered
-            if one.wrong > 0:
-                print(f"{stage}: case {number} is confident and wrong in {one.wrong:.2%}", flush=True)
-        print(
-            f"{stage:12} {cases} random cases: answered {answered / cases:.1%}, wrong {wrong / cases:.3%}", flush=True
-        )
-        if wrong / cases >= RARE:
-            broken.append(f"{stage}: {wrong / cases:.3%} of random answers confident and wrong")
-    return broken
+def _random(cases: int, log: Path | None) -> list[str]:
+    from .random_cases import run_all
+
+    if log is not None:
+        return run_all(log, cases)
+    with tempfile.TemporaryDirectory() as folder:
+        return run_all(Path(folder) / "cases.jsonl", cases)
 
 
 def _files(damages: int, kills: int) -> list[str]:

@@ -134,6 +134,11 @@ class PlaneFlat:
             out[top : top + _ROWS] = self._rows(np.column_stack([x.ravel(), y.ravel()]), texture).reshape(x.shape)
         return out + self.noise * rng.standard_normal(out.shape)
 
+    def scene(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n,) light of the plane itself at scene coordinates (n, 2) [px], 1 at white."""
+        texture = self._texture(np.random.default_rng(self.seed))
+        return self.exposure * (1 + self.contrast * texture(places * self.ratio))
+
     def flat(self) -> NDArray[Any]:
         """(h, w) the flat."""
         return quantised(self.light(), self.kind)

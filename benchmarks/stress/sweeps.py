@@ -12,7 +12,8 @@ import lfcal
 import lfrender
 
 from ..white_images import WhiteImage
-from .outcome import Outcome, Sweep, calibrate_plane, calibrate_white, depth_of_plane
+from .harms import dark_corners, dust, hot_pixels, missing_lenses
+from .outcome import Harm, Outcome, Sweep, calibrate_plane, calibrate_white, depth_of_plane, picture_of_plane
 from .plane_flats import PlaneFlat
 
 __all__ = ["random_plane", "random_white", "sweeps"]
@@ -56,6 +57,22 @@ def _small(value: float) -> Outcome:
     return depth_of_plane(replace(_PLANE, size=(int(value * 23.2) + 12, 300)))
 
 
+def _low(value: float) -> Outcome:
+    return depth_of_plane(replace(_PLANE, size=(300, int(value * 20.1) + 12)))
+
+
+def _depth_shear(value: float) -> Outcome:
+    return depth_of_plane(_own_cell(_PLANE, (value, 1.0)))
+
+
+def _depth_oblong(value: float) -> Outcome:
+    return depth_of_plane(_own_cell(_PLANE, (0.0, value)))
+
+
+def _harmed(harm: Callable[[float], Harm]) -> Callable[[float], Outcome]:
+    return lambda value: depth_of_plane(_PLANE, harm=harm(value))
+
+
 def _far(value: float) -> Outcome:
     """The far end of a wide flat, dark but there: single precision has steps of 0.008 px at 1e5 px."""
     near = replace(_PLANE, size=(500, 130), cell="square")
@@ -81,10 +98,65 @@ def _shear(value: float) -> Outcome:
     return calibrate_plane(replace(skew, cell="square", own_cell=tuple(map(tuple, lattice.basis))))
 
 
+def _own_cell(truth: PlaneFlat, second: tuple[float, float]) -> PlaneFlat:
+    return replace(truth, cell="square", own_cell=((1.0, 0.0), second))
+
+
+def _white_missing(value: float) -> Outcome:
+    centres = _WHITE.centres(
+        _WHITE.index_of(np.zeros((1, 2))) + np.moveaxis(np.mgrid[-60:60, -60:60], 0, -1).reshape(-1, 2)
+    )
+    inside = (np.abs(centres - np.array(_WHITE.size) / 2) < np.array(_WHITE.size) / 2).all(1)
+    return calibrate_white(_WHITE, harm=missing_lenses(centres[inside], _WHITE.pitch, value))
+
+
+def _white_small(value: float) -> Outcome:
+    """So many lenses across a flat that is ten high."""
+    return calibrate_white(replace(_WHITE, pitch=20.0, size=(int(20 * value) + 4, 204)))
+
+
+def _white_oblong(value: float) -> Outcome:
+    white = PlaneFlat(contrast=0.0, noise=0.01, fill=0.92, pitch=16.0, size=(400, 320), exposure=0.7, kind="u1")
+    return calibrate_plane(_own_cell(white, (0.0, value)))
+
+
+def _depth_missing(value: float) -> Outcome:
+    return depth_of_plane(_PLANE, harm=missing_lenses(_PLANE.lattice.centres(), _PLANE.pitch, value))
+
+
+_KINDS = {8.0: "u1", 16.0: "u2", 32.0: "f4"}
+
+
+def _drawn(name: str, **fixed: float) -> Callable[[float], Outcome]:
+    """The picture with that field of the plane set to the value."""
+    return lambda value: picture_of_plane(_changed(_PLANE, {"grain": 3.0, **fixed, name: value}))
+
+
+def _drawn_pitch(value: float) -> Outcome:
+    side = int(np.clip(12 * value, 160, 1000))
+    return picture_of_plane(replace(_PLANE, pitch=value, size=(side, int(0.8 * side)), grain=max(3.0, value / 20)))
+
+
+def _of_pictures() -> tuple[Sweep, ...]:
+    """Errors are over the contrast of the plane: 0.2 is 14 dB under the texture."""
+    ratios = (0.005, 0.02, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.7, 0.8, 0.909)
+    both = tuple(sorted([-r for r in ratios] + list(ratios)))
+    turn = tuple(float(d) for d in range(0, 360, 15))
+    return (
+        Sweep("s / D", "", both, _drawn("ratio"), (-0.7, 0.7), 0.2, 0.9),
+        Sweep("noise", "of white", (0, 0.01, 0.03, 0.1, 0.2), _drawn("noise"), (0, 0.03), 0.3),
+        Sweep("contrast", "", (0, 0.005, 0.02, 0.05, 0.1, 0.25), _drawn("contrast"), (0.05, 0.25), 0.2),
+        Sweep("rotation", "degrees", turn, _drawn("degrees"), _ANY, 0.1),
+        Sweep("pitch", "px", (6, 7, 9, 14, 25, 50, 120, 250), _drawn_pitch, (9, 250), 0.2, 0.9),
+        Sweep("exposure", "of white", (0.01, 0.03, 0.1, 0.3, 0.6), _drawn("exposure"), (0.1, 0.6), 0.2),
+        Sweep("fill factor", "", (0.5, 0.6, 0.7, 0.8, 0.9, 1.0), _drawn("fill"), (0.7, 1), 0.2),
+    )
+
+
 def sweeps() -> dict[str, tuple[Sweep, ...]]:
     """All sweeps by what they drive."""
     turn = tuple(float(d) for d in range(360))
-    ratios = (0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.7, 0.74, 0.8, 0.9, 0.97, 1.0, 1.1, 1.5, 3.0)
+    ratios = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.7, 0.74, 0.8, 0.9, 0.97, 1.0, 1.1, 1.5, 3.0)
     both = tuple(sorted([-r for r in ratios] + list(ratios)))
     return {
         "calibration": (
@@ -98,6 +170,10 @@ def sweeps() -> dict[str, tuple[Sweep, ...]]:
             Sweep("vignetting", "", (0, 0.2, 0.4, 0.6, 0.8, 0.95), _white("outer"), (0, 0.8), 0.05),
             Sweep("hot pixels", "", (0, 30, 100, 300, 1000), _white("hot"), (0, 300), 0.05),
             Sweep("dust", "specks", (0, 3, 10, 30), _white("dust"), (0, 10), 0.05),
+            Sweep("missing lenses", "share", (0, 0.01, 0.05, 0.1, 0.2, 0.4), _white_missing, (0, 0.1), 0.05),
+            Sweep("lenses across", "", (1, 2, 3, 4, 5, 6, 8, 12), _white_small, (6, 12), 0.05),
+            Sweep("cell height", "of its width", (1, 1.2, 1.5, 2, 3, 5), _white_oblong, (1, 1.5), 0.05),
+            Sweep("bits", "", (8, 16, 32), lambda b: calibrate_white(_WHITE, kind=_KINDS[b]), _ANY, 0.02),
             Sweep("width of the flat", "px", (2000, 10_000, 100_000), _white_far, _ANY, 0.02),
         ),
         "depth": (
@@ -116,8 +192,18 @@ def sweeps() -> dict[str, tuple[Sweep, ...]]:
             Sweep("pitch", "px", (6, 6.5, 7, 8, 12, 20, 40, 90, 160, 250), _depth_pitch, (7, 250), 0.05),
             Sweep("lenses across", "", (1, 2, 3, 4, 6, 9), _small, (3, 9), 0.05, 0.7),
             Sweep("width of the flat", "px", (1000, 30_000, 100_000), _far, _ANY, 0.05),
+            Sweep("lens rows", "", (1, 2, 3, 4, 6, 9), _low, (3, 9), 0.05, 0.7),
+            Sweep("shear", "of the pitch", (0, 0.1, 0.2, 0.3, 0.4, 0.5), _depth_shear, _ANY, 0.05),
+            Sweep("cell height", "of its width", (1, 1.2, 1.5, 2, 3, 5), _depth_oblong, (1, 1.5), 0.05),
+            Sweep("fill factor", "", (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0), _plane("fill"), (0.7, 1), 0.05),
+            Sweep("vignetting", "", (0, 0.2, 0.4, 0.6, 0.8, 0.95), _harmed(dark_corners), (0, 0.8), 0.05),
+            Sweep("hot pixels", "share", (0, 1e-4, 1e-3, 3e-3, 0.01, 0.03), _harmed(hot_pixels), (0, 1e-3), 0.05),
+            Sweep("dust", "share", (0, 0.003, 0.01, 0.03, 0.1), _harmed(dust), (0, 0.01), 0.05),
+            Sweep("missing lenses", "share", (0, 0.01, 0.05, 0.1, 0.2, 0.4), _depth_missing, (0, 0.05), 0.05, 0.9),
+            Sweep("bits", "", (8, 16, 32), lambda b: depth_of_plane(_changed(_PLANE, {"kind": _KINDS[b]})), _ANY, 0.02),
             Sweep("exposure", "of white", (0.01, 0.03, 0.1, 0.3, 0.6, 0.9), _plane("exposure"), (0.1, 0.6), 0.05),
         ),
+        "rendering": _of_pictures(),
     }
 
 

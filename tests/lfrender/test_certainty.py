@@ -8,7 +8,7 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.certainty import certainty, confirmed, repeated, widened
+from lfrender.certainty import certainty, confirmed, echoing, repeated, widened
 from lfrender.plane import fit_plane
 from lfrender.rivals import without_rivals
 
@@ -47,14 +47,26 @@ def test_a_faint_lens_is_confirmed_by_two_good_ones_beside_it_and_not_by_one():
 
 def test_lenses_torn_between_two_depths_are_ambiguous_together_unless_one_depth_occurs_elsewhere():
     torn = np.full(7, 0.3)
-    assert repeated(np.ones(7, bool), torn, np.zeros(7, bool), _ROWS).all()
+    assert repeated(np.ones(7, bool), torn, np.zeros(7, bool), np.zeros(7, bool), _ROWS).all()
     # One in three of a larger flat is torn: the lens in the middle with half of its neighbours.
     rivals = np.array([*torn[:4], *np.ones(8)])
     rows = np.vstack([[[1, 2, 3, 4, 5, 6]], np.full((11, 6), -1)]).astype(np.int32)
-    resolved, nowhere = np.ones(12, bool), np.zeros(12, bool)
-    assert repeated(resolved, rivals, nowhere, rows).tolist() == [True, *[False] * 11]
-    assert not repeated(resolved, rivals, ~nowhere, rows).any()
-    assert not repeated(resolved, np.where(np.arange(12) == 3, 1.0, rivals), nowhere, rows).any()
+    resolved, nowhere, quiet = np.ones(12, bool), np.zeros(12, bool), np.zeros(12, bool)
+    assert repeated(resolved, rivals, quiet, nowhere, rows).tolist() == [True, *[False] * 11]
+    assert not repeated(resolved, rivals, quiet, ~nowhere, rows).any()
+    assert not repeated(resolved, np.where(np.arange(12) == 3, 1.0, rivals), quiet, nowhere, rows).any()
+
+
+def test_texture_that_explains_itself_at_two_shifts_repeats_and_two_depths_in_one_lens_do_not():
+    matched, echo = np.array([0.95, 0.6, 0.5, 0.9]), np.array([0.5, 0.35, 0.35, 0.22])
+    # Of the third half is noise: what is left matches twice over.
+    signal = np.array([1.0, 1.0, 0.5, 1.0])
+    assert echoing(matched, echo, signal).tolist() == [True, False, True, False]
+    # Where most lenses repeat, those between them do too, whatever they match by chance.
+    most = np.array([False, True, True, True, True, False, False])
+    sure = np.ones(7)
+    assert repeated(np.ones(7, bool), sure, most, np.zeros(7, bool), _ROWS)[:5].all()
+    assert not repeated(np.ones(7, bool), sure, np.arange(7) == 0, np.zeros(7, bool), _ROWS).any()
 
 
 def test_an_optimum_that_matches_as_well_over_fewer_pixels_is_a_rival():
@@ -66,7 +78,7 @@ def test_an_optimum_that_matches_as_well_over_fewer_pixels_is_a_rival():
 
     trust = np.linspace(1.0, 0.4, 41).astype(np.float32)
     no_rows, best, yes = np.empty((1, 0), np.int32), np.array([12]), np.ones(1, bool)
-    equal, less, none = (without_rivals(cost(r), trust, no_rows, best, yes, 2)[0] for r in (0.9, 0.6, 0.0))
+    equal, less, none = (without_rivals(cost(r), trust, no_rows, best, yes, 2)[0][0] for r in (0.9, 0.6, 0.0))
     # As seen, the rival's cost is 0.5 against 0.3.
     assert abs(equal - 0.5) < 0.05
     assert less > 0.98

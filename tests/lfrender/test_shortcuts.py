@@ -229,7 +229,18 @@ def test_unresolved_lenses_say_why():
 
     sizes = np.array([5, 5, 5, 5, 19], np.float32)
     confidence, evidence = np.array([1, 1, 0.3, 0.3, 1], np.float32), np.array([1, 1, 0.8, 0.1, 0.8], np.float32)
-    found = Found(sizes, confidence, evidence, evidence, np.ones(5), np.full(5, np.nan, np.float32), 1.0, 0.0)
+    found = Found(
+        sizes,
+        confidence,
+        evidence,
+        evidence,
+        np.ones(5),
+        evidence,
+        np.zeros(5),
+        np.full(5, np.nan, np.float32),
+        1.0,
+        0.0,
+    )
     textured = np.array([True, False, True, True, True])
     assert reasons(textured, found, sizes, np.ones(5, bool), 23.0).tolist() == [0, 1, 2, 3, 3]
 

@@ -7,9 +7,10 @@ import pytest
 
 import lfcal
 import lfrender
-from benchmarks.stress.command import RARE, of_random_cases
+from benchmarks.stress.command import of_random_cases
 from benchmarks.stress.outcome import calibrate_white, depth_of_plane
 from benchmarks.stress.plane_flats import PlaneFlat
+from benchmarks.stress.random_cases import RARE
 from benchmarks.stress.sweeps import sweeps
 from benchmarks.white_images import WhiteImage
 
@@ -31,6 +32,25 @@ _SWEEPS = {f"{stage} {sweep.name}": sweep for stage, several in sweeps().items()
         ("calibration rotation", (117.0,)),
         ("calibration shear", (0.0, 0.3)),
         ("calibration fill factor", (0.6, 1.0)),
+        ("calibration missing lenses", (0.1, 0.4)),
+        ("calibration lenses across", (1, 2, 6)),
+        ("calibration cell height", (1.5, 5)),
+        ("calibration bits", (8, 32)),
+        ("depth lens rows", (1, 3)),
+        ("depth shear", (0.3,)),
+        ("depth cell height", (1.5, 5)),
+        ("depth fill factor", (0.4, 0.7)),
+        ("depth vignetting", (0.8,)),
+        ("depth hot pixels", (0.001, 0.03)),
+        ("depth dust", (0.01, 0.1)),
+        ("depth missing lenses", (0.05, 0.4)),
+        ("depth bits", (8, 32)),
+        ("depth period", (0.2, 0.6)),
+        ("rendering s / D", (-0.7, 0.005, 0.45, 0.909)),
+        ("rendering noise", (0.03,)),
+        ("rendering contrast", (0, 0.05)),
+        ("rendering pitch", (6, 9)),
+        ("rendering fill factor", (0.5, 0.7)),
     ],
 )
 def test_promises_are_kept_over_the_range(name, values):
@@ -46,6 +66,28 @@ def test_content_that_no_two_lenses_share_is_left_unresolved():
     ]
     # It was 0.4 before lenses had to be confirmed.
     assert np.mean(wrong) < 0.02
+
+
+@pytest.mark.parametrize(
+    "plane",
+    [
+        PlaneFlat(
+            0.35, cell="square", pitch=22.7, degrees=90, period=0.654, contrast=0.22, fill=0.868, size=(220, 180)
+        ),
+        PlaneFlat(0.2, cell="square", pitch=12.7, degrees=63, period=0.238, contrast=0.28, fill=0.885, size=(130, 100)),
+        PlaneFlat(-0.6, cell="square", pitch=25.0, period=0.82, contrast=0.07, noise=0.014, fill=0.87, size=(220, 180)),
+    ],
+)
+def test_a_texture_that_repeats_within_the_range_is_unresolved_over_the_whole_plane(plane):
+    assert depth_of_plane(plane).off == 0
+
+
+@pytest.mark.parametrize(("ratio", "least"), [(-0.15, 0.9), (-0.3, 0.0)])
+def test_discs_half_as_wide_as_the_pitch_are_read_within_their_rims(ratio, least):
+    """As behind a main lens that is stopped down. Read beyond them, every lens matched its neighbours at zero."""
+    found = depth_of_plane(PlaneFlat(ratio=ratio, fill=0.5, noise=0.005))
+    assert found.off == 0
+    assert found.answered >= least
 
 
 def test_microimages_too_small_to_measure_a_depth_on_say_so():
