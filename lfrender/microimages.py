@@ -109,9 +109,7 @@ def _fill_masks(slots, reach, half, width, rows, step, radius2, masks, ends, cou
             counts[slot] = count
 
 
-def joint_masks(
-    strips: Strips, radius: float, wanted: NDArray[np.int64]
-) -> Masks:
+def joint_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> Masks:
     """Which pixels of one microimage another shows too, when it is shifted by whole pixels.
 
     Parameters
