@@ -271,7 +271,7 @@ def lens_by_lens(
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
     maybe = near & texture.faint & ~textured & possible(found)
     first = np.where(textured | maybe, found.patch_size, np.nan).astype(np.float32)
-    lenses = measure(texture.flat, forward, backward, first, scale, setting.iterations)
+    lenses = measure(texture.flat, forward, backward, first, scale, texture.noise, setting.iterations)
     measured = np.isfinite(lenses.patch_size)
     refined = np.where(measured, lenses.patch_size, found.patch_size)
     error = np.where(measured, lenses.standard_error, np.inf)

@@ -21,10 +21,12 @@ _DEGREE, _EVEN = 3, 0.025
 # Least scatter [px] of lenses about a plane: what interpolation does to each of them.
 _FLOOR = 0.006
 # Systematic error of a patch size [px] that no number of lenses averages out, and what it grows by [pitches] with the
-# cube of |s| / D, as neighbours come to share no more than their rims: as measured on the planes of two ray tracers.
-_UNSEEN, _UNSEEN_GROWTH = 0.0016, 0.0012
+# cube of |s| / D, as neighbours come to share no more than their rims: as measured on planes of two ray tracers.
+_UNSEEN, _UNSEEN_GROWTH = 0.001, 0.003
+# Pairs in opposite directions see the same texture, and each belongs to two lenses: so many measurements make one.
+_SHARED = 4
 # Share of what misleads the pairs of each lens that all lenses of a plane have in common.
-_COMMON = 0.5
+_COMMON = 0.25
 # Lenses on the plane are at most so many times the scatter away from it.
 _OUTLYING = 4.0
 # A lens strays from the plane by more than so many of its standard errors, and this much [px]; it and so many others
@@ -113,7 +115,7 @@ def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: fl
             change[[1, 2], [1, 2]] = 1 / reach
             change = change[:, :count]
             weight = np.einsum("ni,nj,n->ij", terms[:, :count], terms[:, :count], predicted**4)
-            covariance = scatter**2 * np.linalg.inv(weight)
+            covariance = _SHARED * scatter**2 * np.linalg.inv(weight)
             return Plane(change @ inverse, scatter, change @ covariance @ change.T, pitch)
     return None
 

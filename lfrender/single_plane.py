@@ -106,7 +106,7 @@ def find_plane(
 def _pairs(texture: Texture, forward: NDArray[np.int32], start: NDArray[np.float32], setting: Preset) -> PairFits:
     """Sub-pixel patch size of all pairs of the lenses with a first value."""
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
-    return fit_pairs(texture.flat, forward, start, scale, setting.iterations)
+    return fit_pairs(texture.flat, forward, start, scale, texture.noise, setting.iterations)
 
 
 def _places(
