@@ -83,23 +83,29 @@ def _all_chains(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> list
     return [_chains(*turned) for pair in pairs for turned in (pair, pair[::-1])]
 
 
+@njit(cache=True, nogil=True)
+def _follow(following, before, order, starts):
+    """Fill `order` with all straight rows of lenses, one after the other, `starts` with where each begins."""
+    count = chains = 0
+    for first in range(len(following)):
+        if before[first] >= 0:
+            continue
+        starts[chains] = count
+        chains += 1
+        lens = first
+        while lens >= 0:
+            order[count] = lens
+            count += 1
+            lens = following[lens]
+    starts[chains] = count
+    return chains
+
+
 def _chains(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> _Chains:
     """All straight rows of lenses in one lattice direction, one after the other, and where each starts."""
-    current = np.flatnonzero(backward < 0).astype(np.int32)
-    # Follow all rows at once: each round moves every row on by one lens.
-    rounds = []
-    owner = np.arange(len(current))
-    while len(current):
-        rounds.append((current, owner))
-        following = forward[current]
-        keep = following >= 0
-        current, owner = following[keep], owner[keep]
-    lenses = np.concatenate([r[0] for r in rounds])
-    owners = np.concatenate([r[1] for r in rounds])
-    place = np.argsort(owners, kind="stable")
-    order = lenses[place].astype(np.int32)
-    lengths = np.bincount(owners)
-    return order, np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+    order, starts = np.empty(len(forward), np.int32), np.empty(len(forward) + 1, np.int64)
+    chains = _follow(np.ascontiguousarray(forward), np.ascontiguousarray(backward), order, starts)
+    return order, starts[: chains + 1].copy()
 
 
 def aggregate(

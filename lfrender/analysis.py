@@ -37,7 +37,7 @@ from .single_plane import PlaneScene, find_plane
 from .skipping import Shortcuts, sample_lenses
 from .spreading import grid_shape, spread
 from .surface import Surface
-from .texture import LensStatistics, blank_lenses, find_texture, quick_statistics, untouched_texture
+from .texture import LensStatistics, blank_lenses, find_texture, noise_of, quick_statistics, untouched_texture
 
 __all__ = [
     "PRESETS",
@@ -159,14 +159,15 @@ def working(flat: NDArray, calibration: Calibration, preset: str) -> tuple[GrayF
 def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts) -> DepthMap:
     """The depth of a flat of which nothing is known."""
     plain = quick_statistics(gray)
+    raw_noise = noise_of(plain.roughness)
     if shortcuts.plane:
-        texture = untouched_texture(gray, plain)
+        texture = untouched_texture(gray, plain, raw_noise)
         found = find_plane(texture, lattice, *lens_halves(lattice), PRESETS[preset])
         if found is not None:
             return _level(found, lattice, preset)
     if not shortcuts.blank:
         return lens_by_lens(gray, lattice, preset, shortcuts, plain, None)
-    blank, noise = blank_lenses(plain)
+    blank, noise = blank_lenses(plain, raw_noise)
     if 0 < np.sum(~blank) < _FEW * len(blank):
         part, sub = part_of(gray, lattice, ~blank)
         if len(sub) < _PART * len(lattice):
@@ -270,7 +271,7 @@ def lens_by_lens(
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
     maybe = near & texture.faint & ~textured & possible(found)
     first = np.where(textured | maybe, found.patch_size, np.nan).astype(np.float32)
-    lenses = measure(texture.flat, forward, backward, first, scale, setting.iterations)
+    lenses = measure(texture.flat, forward, backward, first, scale, texture.noise, setting.iterations)
     measured = np.isfinite(lenses.patch_size)
     refined = np.where(measured, lenses.patch_size, found.patch_size)
     error = np.where(measured, lenses.standard_error, np.inf)

@@ -14,7 +14,7 @@ __all__ = ["certainty", "confirmed", "echoing", "misled", "repeated", "signal_sh
 # not. Measured on random planes and ray-traced scenes of `data_synth`.
 _EXPLAINED, _MISLED = 0.95, 2.7
 # Pairs of unrelated content scatter by this share of the pitch: a lens with such an error is as likely one of them.
-_UNRELATED = 0.03
+_UNRELATED = 0.035
 # A lens that explains less than this of its texture, and of whose neighbours fewer than the second share have its
 # depth to this share of the pitch (or these px), may have met its match by chance.
 _DOUBTFUL, _ALONE = 0.6, 0.3

@@ -20,6 +20,10 @@ _EXPECTING, _DOUBTFUL, _APART = np.float32(0.3), 0.15, 0.2
 _OUTLYING = np.float32(0.15)
 # A second start may differ from the first by this share of the pitch: more would be another label, not an offset.
 _OFFSET = 0.15
+# Beyond this share of the pitch neighbours share less than half of what they show, and where texture is weak the search
+# falls short of the right shift by about the second share. A start from there must clearly pay: its error must be less
+# than the third share of the other's.
+_LEANING, _LEAN, _CLEARLY = 0.45, 0.06, 0.7
 # Neighbouring lenses share pairs: correlation of an expectation's error with the lens's own.
 _SHARED = np.float32(0.5)
 _LEAST_SPREAD = np.float32(0.01)
@@ -85,6 +89,7 @@ def measure(
     backward: NDArray[np.int32],
     start: NDArray[np.float32],
     scale: NDArray[np.float32],
+    noise: float,
     iterations: int,
 ) -> LensFits:
     """Sub-pixel patch size of each lens from its own pixels first, then with the lenses around it.
@@ -101,22 +106,34 @@ def measure(
         First values; NaN for lenses to leave alone.
     scale : (n,) float32
         Difference of brightness beyond which two pixels hardly count as the same point.
+    noise : float
+        Standard deviation of a pixel.
     iterations : int
         Of each fit of a pair.
     """
-    first = fit_lenses(gray, forward, backward, fit_pairs(gray, forward, start, scale, iterations), start)
+
+    def fit(start: NDArray[np.float32]) -> LensFits:
+        return fit_lenses(gray, forward, backward, fit_pairs(gray, forward, start, scale, noise, iterations), start)
+
+    first = fit(start)
     expected, _ = _expected(gray, forward, backward, first, start, _OFFSET * gray.pitch)
     tolerated = np.maximum(_APART, first.standard_error)
     settled = (first.standard_error < _DOUBTFUL) | (np.abs(expected - first.patch_size) < tolerated)
-    again = np.where(settled, np.nan, expected).astype(np.float32)
-    second = fit_lenses(gray, forward, backward, fit_pairs(gray, forward, again, scale, iterations), again)
-    better = second.standard_error < first.standard_error
-    own = LensFits(
-        np.where(better, second.patch_size, first.patch_size),
-        np.where(better, second.standard_error, first.standard_error),
-        np.where(better[:, None], second.slant, first.slant),
-    )
+    own = _surer(first, fit(np.where(settled, np.nan, expected).astype(np.float32)))
+    leaning = (own.standard_error >= _DOUBTFUL) & (np.abs(start) > _LEANING * gray.pitch)
+    farther = np.where(leaning, start + np.sign(start) * _LEAN * gray.pitch, np.nan).astype(np.float32)
+    own = _surer(own, fit(farther), _CLEARLY)
     return _supported(own, *_expected(gray, forward, backward, own, own.patch_size, np.inf))
+
+
+def _surer(one: LensFits, other: LensFits, share: float = 1.0) -> LensFits:
+    """Of each lens the other answer where its error is less than a `share` of that of the one."""
+    better = other.standard_error < np.float32(share) * one.standard_error
+    return LensFits(
+        np.where(better, other.patch_size, one.patch_size),
+        np.where(better, other.standard_error, one.standard_error),
+        np.where(better[:, None], other.slant, one.slant),
+    )
 
 
 def _supported(own: LensFits, expected: NDArray[np.float32], spread: NDArray[np.float32]) -> LensFits:

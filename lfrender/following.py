@@ -141,7 +141,7 @@ def _probe(
     textured = texture.clear | texture.faint
     about = (depth.drawn / np.float32(factor * matcher.factor)).astype(np.float32)
     active = textured if known is None else textured & ~known
-    cost = matcher.costs(matcher.pairs(active, shifts, about=about))
+    cost = matcher.probe(active, shifts, about)
     return _Probe(cost[:, 1].copy(), np.float32(PROBE) * vertex(cost), texture.clear, textured)
 
 

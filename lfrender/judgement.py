@@ -34,7 +34,7 @@ _SHARED = 0.25
 _BY_CHANCE, _ALIKE = 0.4, 0.06
 # Beyond this share of the pitch, and with less correlation than faint texture must have, a match is believed when its
 # pairs agree to the second share: of content beyond what neighbours share, each pair makes its own false match.
-_HARDLY_SHARED, AGREED = 0.6, 0.014
+_HARDLY_SHARED, AGREED = 0.6, 0.02
 
 
 def judged(

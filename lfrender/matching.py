@@ -7,10 +7,10 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .fastmath import FAST
-from .microimages import Strips, cut_out, joint_masks
+from .microimages import Masks, Strips, cut_out, joint_masks
 from .radiance import GrayFlat
 
-__all__ = ["half_trust", "pair_costs"]
+__all__ = ["half_trust", "pair_costs", "shared_pixels"]
 
 # Part of a difference in mean brightness that counts as mismatch: neighbouring lenses may differ a
 # little in gain, but on a smooth slope their means are all that tells the depth.
@@ -164,16 +164,27 @@ def _pair_costs(
                 out[lens, d, k] = 1.0 - trust * (1.0 - quality)
 
 
+def shared_pixels(
+    strips: Strips,
+    gray: GrayFlat,
+    rows: NDArray[np.int32],
+    shifts: NDArray[np.float32],
+    about: NDArray[np.float32] | None = None,
+) -> Masks:
+    """`joint_masks` for the `shifts` that `pair_costs` is to try with the same arguments."""
+    return joint_masks(strips, gray.radius, _shifts_met(gray, rows, shifts, about))
+
+
 def _shifts_met(
     gray: GrayFlat,
     rows: NDArray[np.int32],
     shifts: NDArray[np.float32],
-    about: NDArray[np.float32],
+    about: NDArray[np.float32] | None,
 ) -> NDArray[np.int64]:
     """(m, 2) whole pixels `x, y` by which neighbours are shifted against each other, the same for all pairs of a
     direction but for rounding."""
     tried = shifts
-    if len(about):
+    if about is not None and len(about):
         tried = np.arange(about.min() + shifts.min(), about.max() + shifts.max() + 1)
     found = []
     for d in range(rows.shape[1]):
@@ -208,6 +219,7 @@ def pair_costs(
     out: NDArray[np.float32] | None = None,
     about: NDArray[np.float32] | None = None,
     strips: Strips | None = None,
+    masks: Masks | None = None,
 ) -> NDArray[np.float32]:
     """How badly each lens agrees with its neighbours if the scene had each of some patch sizes.
 
@@ -242,6 +254,8 @@ def pair_costs(
         Patch size of each lens that `shifts` are relative to; by default 0.
     strips : Strips, optional
         The microimages of `gray` cut out for this `row_step`; they are by default.
+    masks : optional
+        `shared_pixels` of these `strips`, for these shifts at least; made by default.
 
     Returns
     -------
@@ -254,10 +268,12 @@ def pair_costs(
     half = np.float32(half_trust(gray))
     if strips is None:
         strips = cut_out(gray, means, row_step)
+    if masks is None:
+        masks = shared_pixels(strips, gray, rows, shifts[which], about)
     _pair_costs(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, contrast, active,
         done, shifts.astype(np.float32), which, np.float32(noise), np.float32(shading), row_step, half, about,
         strips.values, strips.middle, strips.whole, strips.half, strips.width, strips.rows,
-        *joint_masks(strips, gray.radius, _shifts_met(gray, rows, shifts[which], about)), out,
+        *masks, out,
     )  # fmt: skip
     return out

@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 from .fastmath import FAST
 from .radiance import GrayFlat
 
-__all__ = ["Strips", "cut_out", "joint_masks"]
+__all__ = ["Masks", "Strips", "cut_out", "joint_masks"]
+
+# What `joint_masks` returns.
+Masks = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
 
 # Centres rounded to pixels lie so much off, on the average of both directions [px].
 _SLACK = 0.25
@@ -106,9 +109,7 @@ def _fill_masks(slots, reach, half, width, rows, step, radius2, masks, ends, cou
             counts[slot] = count
 
 
-def joint_masks(
-    strips: Strips, radius: float, wanted: NDArray[np.int64]
-) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+def joint_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> Masks:
     """Which pixels of one microimage another shows too, when it is shifted by whole pixels.
 
     Parameters

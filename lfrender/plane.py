@@ -21,16 +21,19 @@ _DEGREE, _EVEN = 3, 0.025
 # Least scatter [px] of lenses about a plane: what interpolation does to each of them.
 _FLOOR = 0.006
 # Systematic error of a patch size [px] that no number of lenses averages out, and what it grows by [pitches] with the
-# cube of |s| / D, as neighbours come to share no more than their rims: as measured on the planes of two ray tracers.
-_UNSEEN, _UNSEEN_GROWTH = 0.0016, 0.0012
+# cube of |s| / D, as neighbours come to share no more than their rims: as measured on planes of two ray tracers.
+_UNSEEN, _UNSEEN_GROWTH = 0.001, 0.003
+# Pairs in opposite directions see the same texture, and each belongs to two lenses: so many measurements make one.
+_SHARED = 4
 # Share of what misleads the pairs of each lens that all lenses of a plane have in common.
-_COMMON = 0.5
+_COMMON = 0.25
 # Lenses on the plane are at most so many times the scatter away from it.
 _OUTLYING = 4.0
 # A lens strays from the plane by more than so many of its standard errors, and this much [px]; it and so many others
 # beside it on the same side are a surface of their own: fewer are noise.
 _SURE, _OFF, _TOGETHER = 4.0, 0.1, 3
-_ROUNDS = 8
+# A round that moves no lens by more than this [px] was the last.
+_ROUNDS, _SETTLED = 8, 1e-4
 # So many lenses tell that there is no plane, where they leave it by so many standard deviations of a smooth surface;
 # all of them together need only the second number.
 _FEW, _NO_CHANCE, _UNCERTAIN = 300, 5.0, 2.0
@@ -70,10 +73,12 @@ class Plane:
 
     def standard_error(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) standard error [px] of `at`."""
-        terms = np.stack([np.ones(len(points)), *points.T], 1)
-        variance = np.einsum("ni,ij,nj->n", terms, self.covariance, terms) * self.at(points) ** 4
-        shared = np.hypot(_UNSEEN, _UNSEEN_GROWTH * self.pitch * (np.abs(self.at(points)) / self.pitch) ** 3)
-        return np.hypot(np.hypot(shared, _COMMON * self.misled), np.sqrt(np.maximum(variance, 0)))
+        x, y = points.T
+        c = self.covariance
+        variance = c[0, 0] + x * (2 * c[0, 1] + c[1, 1] * x + 2 * c[1, 2] * y) + y * (2 * c[0, 2] + c[2, 2] * y)
+        size2 = self.at(points) ** 2
+        shared = np.hypot(_UNSEEN, _UNSEEN_GROWTH * size2 * np.sqrt(size2) / self.pitch**2)
+        return np.hypot(np.hypot(shared, _COMMON * self.misled), size2 * np.sqrt(np.maximum(variance, 0)))
 
 
 def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> Plane | None:
@@ -110,7 +115,7 @@ def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: fl
             change[[1, 2], [1, 2]] = 1 / reach
             change = change[:, :count]
             weight = np.einsum("ni,nj,n->ij", terms[:, :count], terms[:, :count], predicted**4)
-            covariance = scatter**2 * np.linalg.inv(weight)
+            covariance = _SHARED * scatter**2 * np.linalg.inv(weight)
             return Plane(change @ inverse, scatter, change @ covariance @ change.T, pitch)
     return None
 
@@ -136,7 +141,9 @@ def _inverse(terms: NDArray[np.float64], sizes: NDArray[np.float64], rounds: int
         w = weight * (sizes * sizes) ** 2
         left = np.einsum("in,jn->ij", rows * w, rows)
         inverse = np.linalg.solve(left, np.einsum("in,n->i", rows, w / sizes))
-        residual = sizes - 1 / (terms @ inverse)
+        before, residual = residual, sizes - 1 / (terms @ inverse)
+        if np.abs(residual - before).max() < _SETTLED:
+            break
     return inverse
 
 

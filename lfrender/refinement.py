@@ -14,14 +14,20 @@ from .smoothing import smoothed
 
 __all__ = ["PairFits", "fit_pairs"]
 
+# Of white noise, the smoothed picture has this much of the energy in slopes of one direction; the difference between
+# two pictures has the second.
+_SLOPE_NOISE, _LEFT_NOISE = np.float32(17 / 144), np.float32(0.5)
+# So much of the energy in slopes counts as texture in any case: noise itself is not known better.
+_LEAST_TEXTURE = np.float32(0.25)
 # Each step may move this far [px]: the starting value is the best of a finer grid.
-_MAX_STEP = 1.0
+_MAX_STEP = np.float32(1.0)
 # Steps shrink with their square: after this one [px] the next would not show.
 _SETTLED = 0.02
 # A fit that has left its start by more than this [px] has gone over to another optimum.
 _LEFT = np.float32(2.5)
 # The cubic B-spline leaves a quarter of the energy of white noise, and all of it at low frequencies, where texture is.
-_CORRELATED = np.float32(4.0)
+# Of the frequencies at which noise has its own slopes it leaves less: the integral over all of them.
+_CORRELATED, _CORRELATED_NOISE = np.float32(4.0), np.float32(1.62)
 # Smoothing and slopes each read a pixel beyond [px]; small microimages give up no more than the share of the pitch.
 _RIM, _RIM_SHARE = 1.0, 0.05
 # Neighbours whose first values differ by less than this share of the pitch start from their mean.
@@ -139,9 +145,10 @@ def _normal_equation(image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, of
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
-def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, iterations, line, steps):
+def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, noise2, iterations, line, steps):
     """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be told."""
     s = start
+    slope_noise = _SLOPE_NOISE * ((bx - ax) ** 2 + (by - ay) ** 2) / (pitch * pitch)
     offset = np.float32(0.0)
     variance = np.float32(np.inf)
     x = y = np.float32(0.0)
@@ -157,11 +164,13 @@ def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, iterations
             return np.float32(np.nan), variance, x, y
         gradient = spr - sp * sr * inverse
         offset += sr * inverse
-        step = gradient / hessian
-        left = max(srr - sr * sr * inverse - gradient * step, np.float32(0.0))
-        variance = _CORRELATED * left * inverse / hessian
+        left = max(srr - sr * sr * inverse - gradient * gradient / hessian, np.float32(0.0)) * inverse
+        # Slopes of noise steepen the sum of squares, but do not move with the scene.
+        texture = max(hessian - slope_noise * min(noise2, left / _LEFT_NOISE) * sw, _LEAST_TEXTURE * hessian)
+        step = gradient / texture
+        variance = left * (_CORRELATED * texture + _CORRELATED_NOISE * (hessian - texture)) / (texture * texture)
         x, y = sx / spp, sy / spp
-        s += min(max(step, np.float32(-_MAX_STEP)), np.float32(_MAX_STEP))
+        s += min(max(step, -_MAX_STEP), _MAX_STEP)
         if abs(step) < _SETTLED:
             break
     if abs(s - start) > _LEFT:
@@ -170,7 +179,9 @@ def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, iterations
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _fit_pairs(image, smooth, centres, radius, pitch, rows, start, scale2, iterations, sizes, variances, places):
+def _fit_pairs(
+    image, smooth, centres, radius, pitch, rows, start, scale2, noise2, iterations, sizes, variances, places
+):  # fmt: skip
     # Whole numbers are slow to convert inside a vector loop.
     steps = np.arange(2 * int(radius) + 8).astype(np.float32)
     for lens in prange(len(centres)):
@@ -201,7 +212,8 @@ def _fit_pairs(image, smooth, centres, radius, pitch, rows, start, scale2, itera
                     break
                 s, variance, x, y = _fit(
                     image, smooth, centres[lens, 0], centres[lens, 1], centres[other, 0], centres[other, 1], radius,
-                    first if side == 0 else second, pitch, max(scale2[lens], scale2[other]), iterations, line, steps,
+                    first if side == 0 else second, pitch, max(scale2[lens], scale2[other]), noise2, iterations, line,
+                    steps,
                 )  # fmt: skip
                 sizes[lens, d, side] = s
                 variances[lens, d, side] = variance
@@ -213,6 +225,7 @@ def fit_pairs(
     rows: NDArray[np.int32],
     start: NDArray[np.float32],
     scale: NDArray[np.float32],
+    noise: float,
     iterations: int,
 ) -> PairFits:
     """Patch size of each pair of neighbours by Gauss-Newton steps.
@@ -226,6 +239,8 @@ def fit_pairs(
         First values, NaN for lenses without one; pairs of two such lenses are left out.
     scale : (n,) float32
         Difference of brightness beyond which two pixels hardly count as the same point.
+    noise : float
+        Standard deviation of a pixel, at most: where pairs agree better, it is less.
     iterations : int
     """
     known = np.isfinite(start)
@@ -235,7 +250,7 @@ def fit_pairs(
     fits = PairFits(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32))
     _fit_pairs(
         gray.image, smooth, gray.centres, np.float32(radius), np.float32(gray.pitch), rows,
-        start.astype(np.float32), (scale * scale).astype(np.float32), iterations,
+        start.astype(np.float32), (scale * scale).astype(np.float32), np.float32(noise * noise), iterations,
         fits.patch_size, fits.variance, fits.place,
     )  # fmt: skip
     return fits

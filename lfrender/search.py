@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .agreement import aggregate, lens_costs
-from .matching import half_trust, pair_costs
-from .microimages import Strips, cut_out
+from .matching import half_trust, pair_costs, shared_pixels
+from .microimages import Masks, Strips, cut_out
 from .modes import confidence, parabola_peak, second_best
 from .radiance import GrayFlat, shrink
 from .rivals import shared_trust, without_rivals
@@ -73,6 +73,8 @@ _LEAST_TRUST = np.float32(0.02)
 _TORN, _REPEATED = 0.5, 0.2
 # A sampled lens tells a range of depths that occurs when its match is half explained or better.
 _TELLING = 0.5
+# Lattice directions in which lenses are probed: detail along one of them shows no shift there.
+_PROBED = 2
 # Ranges reach so far beyond the depths of the samples [share of the pitch]: the depths between two samples.
 _MARGIN = 0.12
 # A range needs so many samples: a single one is more likely a false match, and the check finds what is there.
@@ -153,21 +155,36 @@ class Matcher:
     def _strips(self) -> Strips:
         return cut_out(self.gray, self.statistics.mean, self._row_step)
 
+    @cached_property
+    def _masks(self) -> Masks:
+        return shared_pixels(self._strips, self.gray, self.forward, self.shifts)
+
     def pairs(
         self,
         active: NDArray[np.bool_],
-        shifts: NDArray[np.float32] | None = None,
         which: NDArray[np.int64] | None = None,
         done: NDArray[np.bool_] | None = None,
         out: NDArray[np.float32] | None = None,
-        about: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
         """(n, d, k) float32 costs of the pairs of all `active` lenses, as `pair_costs`."""
         return pair_costs(
-            self.gray, self.forward, self.statistics.mean, self.statistics.contrast, active,
-            self.shifts if shifts is None else shifts, self._noise, FIXED_SHADING, self._row_step, which, done, out,
-            about, self._strips,
+            self.gray, self.forward, self.statistics.mean, self.statistics.contrast, active, self.shifts, self._noise,
+            FIXED_SHADING, self._row_step, which, done, out, None, self._strips, self._masks,
         )  # fmt: skip
+
+    def probe(
+        self, active: NDArray[np.bool_], shifts: NDArray[np.float32], about: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """(n, k) float32 costs of the `active` lenses at a few `shifts` from what is expected `about` each.
+
+        Pairs in two directions tell whether a lens shows what is expected; the third adds little.
+        """
+        forward, backward = (np.ascontiguousarray(rows[:, :_PROBED]) for rows in (self.forward, self.backward))
+        pair = pair_costs(
+            self.gray, forward, self.statistics.mean, self.statistics.contrast, active, shifts, self._noise,
+            FIXED_SHADING, self._row_step, about=about, strips=self._strips,
+        )  # fmt: skip
+        return lens_costs(pair, forward, backward)
 
     def costs(self, pair: NDArray[np.float32]) -> NDArray[np.float32]:
         """(n, k) float32: mean over the pairs of each lens."""

@@ -23,9 +23,9 @@ from .texture import Texture
 __all__ = ["PROBE", "PlaneScene", "find_plane", "plane_evidence", "vertex"]
 
 # So many lenses tell a plane, or at least the second number of them.
-_SAMPLE, _LEAST_SAMPLE = 96, 40
+_SAMPLE, _LEAST_SAMPLE = 80, 40
 # A slanted plane needs so many times as many: three numbers instead of one, of which two are carried to the border.
-_SLANTED = 2
+_SLANTED = 3
 # Three shifts this far apart [px of the search] tell for each lens whether it, too, has its optimum there. Lenses that
 # are off to one side by the second number together with others beside them are measured.
 PROBE, _OFF, _TOGETHER = 0.75, 0.25, 2
@@ -106,7 +106,7 @@ def find_plane(
 def _pairs(texture: Texture, forward: NDArray[np.int32], start: NDArray[np.float32], setting: Preset) -> PairFits:
     """Sub-pixel patch size of all pairs of the lenses with a first value."""
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
-    return fit_pairs(texture.flat, forward, start, scale, setting.iterations)
+    return fit_pairs(texture.flat, forward, start, scale, texture.noise, setting.iterations)
 
 
 def _places(
@@ -127,7 +127,7 @@ def plane_evidence(
     """(n,) correlation of every lens at the plane's shift; None where a lens shows something else."""
     everyone = texture.clear | texture.faint
     probes = (PROBE * np.array([-1, 0, 1])).astype(np.float32)
-    cost = matcher.costs(matcher.pairs(everyone, probes, about=(about / matcher.factor).astype(np.float32)))
+    cost = matcher.probe(everyone, probes, (about / matcher.factor).astype(np.float32))
     limit = np.clip(_USUAL * np.median(cost[texture.clear, 1]), MISFIT, _WORST)
     misfits = texture.clear & (cost[:, 1] > limit)
     if misfits.mean() > _MISFITS:

@@ -24,6 +24,9 @@ _DOUBT = np.float32(3.0)
 # What pairs of one lens get wrong together does not show in their scatter. They share less of the lens, and reach
 # farther beyond it, the larger the patch: factor at s = 0 and its growth per |s| / D, measured on ray-traced scenes.
 _UNSEEN, _UNSEEN_GROWTH = np.float32(0.9), np.float32(1.3)
+# Pairs that scatter by more than their noise are misled by their texture; in opposite directions it is the same, and so
+# many of them count as one.
+_ALIKE = np.float32(2.0)
 # Neighbours that differ by less, in shares of the pitch, lie on one surface.
 _ONE_SURFACE = 0.04
 # Slants of neighbours on one surface differ at least by this much: no surface is perfectly even.
@@ -195,7 +198,10 @@ def _standard_errors(forward, backward, sizes, pitch, gap, spreads, out):
                 chi2 += np.float32(0.5) * spreads[other, 2]
                 freedom += np.float32(0.5) * spreads[other, 3]
         unseen = _UNSEEN + _UNSEEN_GROWTH * abs(sizes[lens]) / pitch
-        out[lens] = unseen * np.sqrt(spreads[lens, 0] * (chi2 + 1) / (freedom + 1))
+        scatter = (chi2 + 1) / (freedom + 1)
+        if scatter > 1:
+            scatter += (_ALIKE - 1) * (scatter - 1)
+        out[lens] = unseen * np.sqrt(spreads[lens, 0] * scatter)
 
 
 def fit_lenses(

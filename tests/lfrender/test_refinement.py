@@ -9,7 +9,7 @@ def measure(gray, lattice, start):
     rows = neighbour_rows(lattice, lattice.steps)
     half = rows.shape[1] // 2
     scale = np.full(len(start), 0.1, np.float32)
-    pairs = fit_pairs(gray, rows[:, :half], start.astype(np.float32), scale, 8)
+    pairs = fit_pairs(gray, rows[:, :half], start.astype(np.float32), scale, 0.005, 8)
     return pairs, fit_lenses(gray, rows[:, :half], rows[:, half:], pairs, start.astype(np.float32))
 
 
