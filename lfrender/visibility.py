@@ -95,10 +95,10 @@ def lens_depths(
     out = np.empty((bottom - top, right - left), np.float32)
     radius = min(lattice.radius, lattice.pitch / 2)
     centres = lattice.centres()
-    inside = np.ones(len(centres), bool)
+    inside: NDArray[np.bool_] = np.ones(len(centres), bool)
     if part is not None:
         near = np.array([left, top]) - radius - 1, np.array([right, bottom]) + radius + 1
-        inside = ((centres >= near[0]) & (centres <= near[1])).all(1)
+        inside = np.asarray(((centres >= near[0]) & (centres <= near[1])).all(1))
         centres = centres[inside]
     found = np.empty(len(centres), bool)
     _lens_depths(
