@@ -9,6 +9,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .fastmath import FAST
+from .microimages import copy_box
 from .radiance import GrayFlat
 from .smoothing import smoothed
 
@@ -104,22 +105,6 @@ def _cut(smooth, left, top, side, wide, own, slope_x, slope_y):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _copy(image, left, top, rows, wide, out):
-    """Pixels from (left, top) on, row after row; what lies off the flat is any of its pixels."""
-    pixels, stride = image.reshape(-1), image.shape[1]
-    beyond = len(pixels) - wide
-    for row in range(rows):
-        at = (top + row) * stride + left
-        into = np.uint64(row * wide)
-        if at < 0 or at > beyond:
-            for k in range(wide):
-                out[into + np.uint64(k)] = pixels[min(max(at + k, 0), len(pixels) - 1)]
-        else:
-            for k in range(np.uint64(wide)):
-                out[into + k] = pixels[np.uint64(at) + k]
-
-
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
     """Weighted sums of four values so far `apart`, for `count` places from `start` on."""
     first, second = np.uint64(start), np.uint64(start + apart)
@@ -189,7 +174,7 @@ def _normal_equation(
         return zero, zero, zero, zero, zero, zero, zero, zero
     # Most steps stay between the same pixels.
     if at[0] != x0 or at[1] != y0:
-        _copy(image, left + x0 - 1, top + y0 - 1, side + _MORE, wide, there)
+        copy_box(image, left + x0 - 1, top + y0 - 1, side + _MORE, wide, there)
         at[0], at[1] = x0, y0
     start, count = (begin - top) * wide, _whole((end + 1 - begin) * wide)
     _mean_of_four(there, start, 1, _whole((end + 4 - begin) * wide), cx0, cx1, cx2, cx3, lines)
