@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from .fastmath import FAST
 from .radiance import GrayFlat
 
-__all__ = ["Masks", "Strips", "cut_out", "joint_masks"]
+__all__ = ["Masks", "Strips", "copy_box", "cut_out", "joint_masks"]
 
 # What `joint_masks` returns.
 Masks = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
@@ -143,3 +143,19 @@ def joint_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> Mas
         counts,
     )  # fmt: skip
     return slots, masks, ends, counts
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def copy_box(image, left, top, rows, wide, out):
+    """Pixels from (left, top) on, row after row; what lies off the flat is any of its pixels."""
+    pixels, stride = image.reshape(-1), image.shape[1]
+    beyond = len(pixels) - wide
+    for row in range(rows):
+        at = (top + row) * stride + left
+        into = np.uint64(row * wide)
+        if at < 0 or at > beyond:
+            for k in range(wide):
+                out[into + np.uint64(k)] = pixels[min(max(at + k, 0), len(pixels) - 1)]
+        else:
+            for k in range(np.uint64(wide)):
+                out[into + k] = pixels[np.uint64(at) + k]

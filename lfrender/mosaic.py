@@ -8,12 +8,12 @@ from numba import njit, prange
 from .bending import bent_by, nearest_index
 from .fastmath import FAST
 
-__all__ = ["draw_rows", "patch_size_at"]
+__all__ = ["HIDDEN", "draw_rows", "patch_size_at"]
 
 # Most lenses that may share one scene point; the nearest come first.
 MAX_LENSES = 37
-# Weight of a lens that sees something else: it counts only where no lens sees the point.
-_HIDDEN = np.float32(1e-4)
+#: Weight of a lens that sees something else: it counts only where no lens sees the point.
+HIDDEN = np.float32(1e-4)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -59,7 +59,8 @@ def draw_rows(
 ):  # fmt: skip
     """Fill `out` (h, w, C) with the mean over the lenses that see each point, `valid` (h, w) with whether there is one.
 
-    `marks` is any tuple of C numbers: its length belongs to its type, so that code for other channels is left out.
+    `marks` is any tuple of C numbers: its length belongs to its type, so that code for other channels is left out;
+    pixels of `flat` may have more.
     `gains` correct what a lens shows and `lights` are its illumination, over the squared distance from its centre.
     A lens counts with the square of its illumination, less toward its rim, and only as far as
     its colour agrees with the mean of all within `tolerance` (0: the most central lens alone).
@@ -92,7 +93,7 @@ def draw_rows(
     line = flat.reshape(-1)
     zero, per_channel = np.float32(0.0), np.float32(1 / channels)
     per_light_step = 1 / light_step
-    across, down = np.uint64(channels), np.uint64(flat.shape[1] * channels)
+    across, down = np.uint64(flat.shape[2]), np.uint64(flat.shape[1] * flat.shape[2])
     # Type of each lens about one, by the indices of that: divisions of whole numbers are slow.
     cells = max(len(types), 1)
     kinds = np.zeros((cells, cells, len(offsets)), np.int64)
@@ -223,7 +224,7 @@ def draw_rows(
                         below, right = np.uint64(fy + np.float32(0.5)), np.uint64(fx + np.float32(0.5))
                         depth = seen[row_at + below, column_at + right]
                         if abs(depth - s) > 2 * edge:
-                            weight *= _HIDDEN
+                            weight *= HIDDEN
                             if aside > 0:
                                 # The surface is what `view` sees: there, something else is least likely in front.
                                 beside = d2 / (pitch * pitch) + np.float32(0.05)

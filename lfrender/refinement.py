@@ -9,6 +9,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .fastmath import FAST
+from .microimages import copy_box
 from .radiance import GrayFlat
 from .smoothing import smoothed
 
@@ -32,6 +33,13 @@ _CORRELATED, _CORRELATED_NOISE = np.float32(4.0), np.float32(1.62)
 _RIM, _RIM_SHARE = 1.0, 0.05
 # Neighbours whose first values differ by less than this share of the pitch start from their mean.
 _COMMON_START = np.float32(0.04)
+# Vector loops take up to so many pixels at a time. Places are unsigned: signed ones are looked at for being counted
+# from the end.
+_WHOLE = 64
+# Between columns, three more pixels are read than there are places.
+_MORE = 3
+# No whole step between two microimages.
+_NOWHERE = 2**40
 
 
 @dataclass(frozen=True)
@@ -75,77 +83,123 @@ def _spline(f):
     )
 
 
-# Python's error model checks every division, which no vector loop can.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _normal_equation(image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, offset, line, steps):
-    """Sums for a change of s and of the offset between two microimages, weighted after Geman and McClure.
+@njit(cache=True, nogil=True, inline="always")
+def _whole(count):
+    """The next whole number of what vector loops take at a time."""
+    return (count + _WHOLE - 1) // _WHOLE * _WHOLE
 
-    Returns the sums of weights, residuals, slopes, their products, and the moments of place.
-    """
-    height, width = image.shape
-    ex, ey = bx - ax, by - ay
-    ux, uy = ex / pitch, ey / pitch
-    tx, ty = ex + s * ux, ey + s * uy
-    x0, y0 = int(np.floor(tx)), int(np.floor(ty))
-    cx0, cx1, cx2, cx3 = _spline(np.float32(tx - x0))
-    cy0, cy1, cy2, cy3 = _spline(np.float32(ty - y0))
-    hx, hy = np.float32(0.5) * ux, np.float32(0.5) * uy
-    r2 = radius * radius
-    qx, qy = bx - tx, by - ty
-    mx, my = np.float32(0.5) * (ax + qx), np.float32(0.5) * (ay + qy)
+
+@njit(cache=True, nogil=True, inline="always")
+def _corner(centre, radius, side, size):
+    """First of `side` pixels that hold a microimage, so that these and those beside them lie on the flat."""
+    return min(max(int(np.ceil(centre - radius)), 1), size - side - 1)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _cut(smooth, left, top, side, wide, own, slope_x, slope_y):
+    """A microimage and its slopes, row after row."""
+    pixels = smooth.reshape(-1)
+    stride = np.uint64(smooth.shape[1])
+    half, one = np.float32(0.5), np.uint64(1)
+    for row in range(side):
+        at = np.uint64(top + row) * stride + np.uint64(left)
+        into = np.uint64(row * wide)
+        for k in range(np.uint64(side)):
+            own[into + k] = pixels[at + k]
+            slope_x[into + k] = half * (pixels[at + one + k] - pixels[at - one + k])
+            slope_y[into + k] = half * (pixels[at + stride + k] - pixels[at - stride + k])
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
+    """Weighted sums of four values so far `apart`, for `count` places from `start` on."""
+    first, second = np.uint64(start), np.uint64(start + apart)
+    third, fourth = np.uint64(start + 2 * apart), np.uint64(start + 3 * apart)
+    for k in range(np.uint64(count)):
+        out[first + k] = (c0 * values[first + k] + c1 * values[second + k]) + (
+            c2 * values[third + k] + c3 * values[fourth + k]
+        )
+
+
+# Python's error model checks every division, which no vector loop can.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _sums(
+    own, slope_x, slope_y, other, columns, rows, start, count, ux, uy, ax, ay, qx, qy, mx, my, r2, low_x, high_x, low_y,
+    high_y, offset, scale2,
+):  # fmt: skip
+    """Sums over the pixels of a microimage that the other shows too, weighted after Geman and McClure."""
     zero = np.float32(0.0)
     sw = sr = srr = sp = spp = spr = sx = sy = zero
-    top = max(int(np.ceil(max(ay, qy) - radius)), max(1, 1 - y0))
-    bottom = min(int(np.floor(min(ay, qy) + radius)), min(height - 2, height - 3 - y0))
-    for y in range(top, bottom + 1):
-        ha = r2 - (y - ay) * (y - ay)
-        hb = r2 - (y - qy) * (y - qy)
-        if ha <= 0 or hb <= 0:
-            continue
-        ha, hb = np.sqrt(ha), np.sqrt(hb)
-        left = max(int(np.ceil(max(ax - ha, qx - hb))), max(1, 1 - x0))
-        right = min(int(np.floor(min(ax + ha, qx + hb))), min(width - 2, width - 3 - x0))
-        n = right - left + 1
-        if n <= 0:
-            continue
-        above = smooth[y - 1, left : right + 1]
-        before = smooth[y, left - 1 : right]
-        row = smooth[y, left : right + 1]
-        behind = smooth[y, left + 1 : right + 2]
-        below = smooth[y + 1, left : right + 1]
-        r0 = image[y + y0 - 1, left + x0 - 1 : right + x0 + 3]
-        r1 = image[y + y0, left + x0 - 1 : right + x0 + 3]
-        r2_ = image[y + y0 + 1, left + x0 - 1 : right + x0 + 3]
-        r3 = image[y + y0 + 2, left + x0 - 1 : right + x0 + 3]
-        for k in range(n + 3):
-            line[k] = cy0 * r0[k] + cy1 * r1[k] + cy2 * r2_[k] + cy3 * r3[k]
-        # One view for each offset: an index like k + 1 may wrap round, which no vector loop can.
-        line0, line1, line2, line3 = line[:n], line[1 : n + 1], line[2 : n + 2], line[3 : n + 3]
-        dy = np.float32(y - my)
-        dx = np.float32(left - mx)
-        rowpp = zero
-        for k in range(n):
-            b = cx0 * line0[k] + cx1 * line1[k] + cx2 * line2[k] + cx3 * line3[k]
-            p = hx * (behind[k] - before[k]) + hy * (below[k] - above[k])
-            r = row[k] - b - offset
-            w = scale2 / (scale2 + r * r)
-            w = w * w
-            wp = w * p
-            wpp = wp * p
-            sw += w
-            sr += w * r
-            srr += w * r * r
-            sp += wp
-            spr += wp * r
-            rowpp += wpp
-            sx += wpp * (dx + steps[k])
-        spp += rowpp
-        sy += rowpp * dy
+    first = np.uint64(start)
+    for k in range(np.uint64(count)):
+        at = first + k
+        x, y = columns[at], rows[at]
+        own_2 = (x - ax) * (x - ax) + (y - ay) * (y - ay)
+        other_2 = (x - qx) * (x - qx) + (y - qy) * (y - qy)
+        both = (max(own_2, other_2) <= r2) & (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
+        p = ux * slope_x[at] + uy * slope_y[at]
+        r = own[at] - other[at] - offset
+        # What has not been set may be anything.
+        p, r = p if both else zero, r if both else zero
+        w = scale2 / (scale2 + r * r)
+        w = w * w if both else zero
+        wp, wr = w * p, w * r
+        wpp = wp * p
+        sw += w
+        sr += wr
+        srr += wr * r
+        sp += wp
+        spr += wp * r
+        spp += wpp
+        sx += wpp * (x - mx)
+        sy += wpp * (y - my)
     return sw, sr, srr, sp, spp, spr, sx, sy
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
-def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, noise2, iterations, line, steps):
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _normal_equation(
+    image, ax, ay, bx, by, radius, s, pitch, scale2, offset, left, top, side, wide, columns, rows, own, slope_x,
+    slope_y, at, there, lines, other,
+):  # fmt: skip
+    """Sums for a change of s and of the offset between two microimages.
+
+    Returns the sums of weights, residuals, slopes, their products, and the moments of place. The first microimage is
+    cut out from the pixel (left, top) on.
+    """
+    height, width = image.shape
+    ux, uy = (bx - ax) / pitch, (by - ay) / pitch
+    tx, ty = bx - ax + s * ux, by - ay + s * uy
+    x0, y0 = int(np.floor(tx)), int(np.floor(ty))
+    cx0, cx1, cx2, cx3 = _spline(np.float32(tx - x0))
+    cy0, cy1, cy2, cy3 = _spline(np.float32(ty - y0))
+    qx, qy = bx - tx, by - ty
+    begin = max(int(np.ceil(max(ay, qy) - radius)), max(1, 1 - y0), top)
+    end = min(int(np.floor(min(ay, qy) + radius)), min(height - 2, height - 3 - y0), top + side - 1)
+    if end < begin:
+        zero = np.float32(0.0)
+        return zero, zero, zero, zero, zero, zero, zero, zero
+    # Most steps stay between the same pixels.
+    if at[0] != x0 or at[1] != y0:
+        copy_box(image, left + x0 - 1, top + y0 - 1, side + _MORE, wide, there)
+        at[0], at[1] = x0, y0
+    start, count = (begin - top) * wide, _whole((end + 1 - begin) * wide)
+    _mean_of_four(there, start, 1, _whole((end + 4 - begin) * wide), cx0, cx1, cx2, cx3, lines)
+    _mean_of_four(lines, start, wide, count, cy0, cy1, cy2, cy3, other)
+    # Relative to the first pixel that is cut out.
+    x, y = np.float32(left), np.float32(top)
+    return _sums(
+        own, slope_x, slope_y, other, columns, rows, start, count, ux, uy, ax - x, ay - y, qx - x, qy - y,
+        np.float32(0.5) * (ax + qx) - x, np.float32(0.5) * (ay + qy) - y, radius * radius,
+        np.float32(max(1, 1 - x0) - left), np.float32(min(width - 2 - left, width - 3 - x0 - left, side - 1)),
+        np.float32(begin - top), np.float32(end - top), offset, scale2,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _fit(
+    image, ax, ay, bx, by, radius, start, pitch, scale2, noise2, iterations, left, top, side, wide, columns, rows, own,
+    slope_x, slope_y, at, there, lines, between,
+):  # fmt: skip
     """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be told."""
     s = start
     slope_noise = _SLOPE_NOISE * ((bx - ax) ** 2 + (by - ay) ** 2) / (pitch * pitch)
@@ -154,8 +208,9 @@ def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, noise2, it
     x = y = np.float32(0.0)
     for _ in range(iterations):
         sw, sr, srr, sp, spp, spr, sx, sy = _normal_equation(
-            image, smooth, ax, ay, bx, by, radius, s, pitch, scale2, offset, line, steps
-        )
+            image, ax, ay, bx, by, radius, s, pitch, scale2, offset, left, top, side, wide, columns, rows, own,
+            slope_x, slope_y, at, there, lines, between,
+        )  # fmt: skip
         if sw < 4:
             return np.float32(np.nan), variance, x, y
         inverse = np.float32(1.0) / sw
@@ -164,11 +219,11 @@ def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, noise2, it
             return np.float32(np.nan), variance, x, y
         gradient = spr - sp * sr * inverse
         offset += sr * inverse
-        left = max(srr - sr * sr * inverse - gradient * gradient / hessian, np.float32(0.0)) * inverse
+        rest = max(srr - sr * sr * inverse - gradient * gradient / hessian, np.float32(0.0)) * inverse
         # Slopes of noise steepen the sum of squares, but do not move with the scene.
-        texture = max(hessian - slope_noise * min(noise2, left / _LEFT_NOISE) * sw, _LEAST_TEXTURE * hessian)
+        texture = max(hessian - slope_noise * min(noise2, rest / _LEFT_NOISE) * sw, _LEAST_TEXTURE * hessian)
         step = gradient / texture
-        variance = left * (_CORRELATED * texture + _CORRELATED_NOISE * (hessian - texture)) / (texture * texture)
+        variance = rest * (_CORRELATED * texture + _CORRELATED_NOISE * (hessian - texture)) / (texture * texture)
         x, y = sx / spp, sy / spp
         s += min(max(step, -_MAX_STEP), _MAX_STEP)
         if abs(step) < _SETTLED:
@@ -178,46 +233,59 @@ def _fit(image, smooth, ax, ay, bx, by, radius, start, pitch, scale2, noise2, it
     return s, variance, x, y
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _starts(first, second, near):
+    """First values of the fits of a pair: one in the middle where both agree, or NaN where there is none."""
+    first, second = second if np.isnan(first) else first, first if np.isnan(second) else second
+    together = abs(first - second) < near
+    middle = np.float32(0.5) * (first + second)
+    return middle if together else first, middle if together else second, together
+
+
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _fit_pairs(
     image, smooth, centres, radius, pitch, rows, start, scale2, noise2, iterations, sizes, variances, places
 ):  # fmt: skip
-    # Whole numbers are slow to convert inside a vector loop.
-    steps = np.arange(2 * int(radius) + 8).astype(np.float32)
+    side = int(2 * radius) + 1
+    wide = side + _MORE
+    size = (side + _MORE) * (wide + _MORE) + 2 * _WHOLE
+    column, line = np.empty(size, np.float32), np.empty(size, np.float32)
+    for k in range(size):
+        column[k], line[k] = k % wide, k // wide
     for lens in prange(len(centres)):
-        line = np.empty(len(steps), np.float32)
+        own, slope_x, slope_y = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
+        there, lines, between = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
+        at = np.empty(2, np.int64)
+        ax, ay = centres[lens, 0], centres[lens, 1]
+        left, top = _corner(ax, radius, side, image.shape[1]), _corner(ay, radius, side, image.shape[0])
+        ready = False
         for d in range(rows.shape[1]):
             other = rows[lens, d]
-            for side in range(2):
-                sizes[lens, d, side] = np.nan
-                variances[lens, d, side] = np.inf
-                places[lens, d, side, 0] = places[lens, d, side, 1] = 0.0
-            if other < 0:
+            for k in range(2):
+                sizes[lens, d, k] = np.nan
+                variances[lens, d, k] = np.inf
+                places[lens, d, k, 0] = places[lens, d, k, 1] = 0.0
+            if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
                 continue
-            first, second = start[lens], start[other]
-            if np.isnan(first):
-                first = second
-            if np.isnan(second):
-                second = first
-            if np.isnan(first):
-                continue
-            together = abs(first - second) < _COMMON_START * pitch
-            if together:
-                first = second = np.float32(0.5) * (first + second)
-            for side in range(2):
-                if side == 1 and together:
+            if not ready:
+                _cut(smooth, left, top, side, wide, own, slope_x, slope_y)
+                ready = True
+            first, second, together = _starts(start[lens], start[other], _COMMON_START * pitch)
+            for k in range(2):
+                if k == 1 and together:
                     sizes[lens, d, 1] = sizes[lens, d, 0]
                     variances[lens, d, 1] = variances[lens, d, 0]
                     places[lens, d, 1, 0], places[lens, d, 1, 1] = places[lens, d, 0, 0], places[lens, d, 0, 1]
                     break
+                at[0] = at[1] = _NOWHERE
                 s, variance, x, y = _fit(
-                    image, smooth, centres[lens, 0], centres[lens, 1], centres[other, 0], centres[other, 1], radius,
-                    first if side == 0 else second, pitch, max(scale2[lens], scale2[other]), noise2, iterations, line,
-                    steps,
+                    image, ax, ay, centres[other, 0], centres[other, 1], radius, first if k == 0 else second, pitch,
+                    max(scale2[lens], scale2[other]), noise2, iterations, left, top, side, wide, column, line, own,
+                    slope_x, slope_y, at, there, lines, between,
                 )  # fmt: skip
-                sizes[lens, d, side] = s
-                variances[lens, d, side] = variance
-                places[lens, d, side, 0], places[lens, d, side, 1] = x, y
+                sizes[lens, d, k] = s
+                variances[lens, d, k] = variance
+                places[lens, d, k, 0], places[lens, d, k, 1] = x, y
 
 
 def fit_pairs(
@@ -248,8 +316,13 @@ def fit_pairs(
     radius = gray.radius - min(_RIM, _RIM_SHARE * gray.pitch)
     shape = (*rows.shape, 2)
     fits = PairFits(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32))
+    image = gray.image
+    # Microimages are cut out with what lies about them.
+    missing = [max(0, int(2 * radius) + 2 * _MORE - n) for n in image.shape]
+    if any(missing):
+        image, smooth = (np.pad(a, [(0, n) for n in missing]) for a in (image, smooth))
     _fit_pairs(
-        gray.image, smooth, gray.centres, np.float32(radius), np.float32(gray.pitch), rows,
+        np.ascontiguousarray(image), smooth, gray.centres, np.float32(radius), np.float32(gray.pitch), rows,
         start.astype(np.float32), (scale * scale).astype(np.float32), np.float32(noise * noise), iterations,
         fits.patch_size, fits.variance, fits.place,
     )  # fmt: skip

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .agreement import aggregate
 from .fastmath import FAST
+from .microimages import copy_box
 from .modes import confidence, parabola_peak
 from .search import Matcher, Preset
 from .texture import Texture
@@ -50,43 +51,58 @@ _OUTSIDE, _MARGIN = 0.005, 0.12
 _LEAST_SHIFTS = 3
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
-def _differences(image, ax, ay, bx, by, radius, s, pitch, left, top, row_step, line, out):
-    """Mean squared difference over 3 x 3 pixels of lens a from what lens b shows there; -1 where it shows nothing."""
+# Python's error model checks every division, which no vector loop can.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _squares(own, there, wide, count, w00, w01, w10, w11, out):
+    """Squared difference of a microimage, `wide` pixels a row, from what another shows between its pixels."""
+    down = np.uint64(wide)
+    right, below = np.uint64(1), np.uint64(wide + 1)
+    for k in range(np.uint64(count)):
+        e = own[k] - (w00 * there[k] + w01 * there[k + right] + w10 * there[k + down] + w11 * there[k + below])
+        out[k] = e * e
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _sums_of_three(values, apart, count, out, at):
+    """Sums of values and those so far `apart` on both sides, put a place `at` on."""
+    one, two, first = np.uint64(apart), np.uint64(2 * apart), np.uint64(apart + at)
+    for k in range(np.uint64(count)):
+        out[first + k] = values[k] + values[k + one] + values[k + two]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _differences(
+    image, ax, ay, bx, by, radius, s, pitch, left, top, wide, row_step, own, there, squares, lines, out, at
+):  # fmt: skip
+    """Mean squared difference over 3 x 3 pixels of lens a from what lens b shows there; infinite where that is nothing.
+
+    `own` is lens a with what lies about it, from the pixel (left, top) on, as many rows as each is `wide`; so are the
+    answers in `out`, from place `at` on; only every `row_step`-th row of the flat is cut to what both show.
+    """
     height, width = image.shape
-    out[:] = -1.0
     tx, ty = (bx - ax) * (1 + s / pitch), (by - ay) * (1 + s / pitch)
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
     fx, fy = np.float32(tx - x0), np.float32(ty - y0)
-    w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
-    w10, w11 = (1 - fx) * fy, fx * fy
-    qx, qy = bx - tx, by - ty
-    r2 = radius * radius
-    first = max(int(np.ceil(max(ay, qy) - radius)), max(1, 1 - y0))
-    first += -first % row_step
-    last = min(int(np.floor(min(ay, qy) + radius)), min(height - 2, height - 3 - y0))
-    for y in range(first, last + 1, row_step):
-        ha = r2 - (y - ay) * (y - ay)
-        hb = r2 - (y - qy) * (y - qy)
-        if ha <= 0 or hb <= 0:
-            continue
-        ha, hb = np.sqrt(ha), np.sqrt(hb)
-        begin = max(int(np.ceil(max(ax - ha, qx - hb))), max(1, 1 - x0))
-        end = min(int(np.floor(min(ax + ha, qx + hb))), min(width - 2, width - 3 - x0))
-        n = end - begin + 1
-        if n <= 0:
-            continue
-        line[: n + 2] = 0.0
-        for v in range(-1, 2):
-            row = image[y + v, begin - 1 : end + 2]
-            upper = image[y + v + y0, begin + x0 - 1 : end + x0 + 3]
-            lower = image[y + v + y0 + 1, begin + x0 - 1 : end + x0 + 3]
-            for k in range(n + 2):
-                e = row[k] - (w00 * upper[k] + w01 * upper[k + 1] + w10 * lower[k] + w11 * lower[k + 1])
-                line[k] += e * e
-        target = out[y - top, begin - left : end - left + 1]
-        for k in range(n):
-            target[k] = (line[k] + line[k + 1] + line[k + 2]) / np.float32(9.0)
+    count = wide * wide
+    copy_box(image, left + x0, top + y0, wide + 1, wide, there)
+    _squares(own, there, wide, count, (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy, squares)
+    _sums_of_three(squares, 1, count - 2, lines, 0)
+    _sums_of_three(lines, wide, count - 2 * wide, out, at)
+    qx, qy, r2 = bx - tx, by - ty, radius * radius
+    first, last = max(1, 1 - x0), min(width - 2, width - 3 - x0)
+    above, below = max(1, 1 - y0), min(height - 2, height - 3 - y0)
+    for v in range(-top % row_step, wide, row_step):
+        half = r2 - (top + v - qy) * (top + v - qy)
+        begin, end = wide, -1
+        if half > 0 and above <= top + v <= below:
+            half = np.sqrt(half)
+            begin = min(max(max(int(np.ceil(qx - half)), first) - left, 0), wide)
+            end = min(min(int(np.floor(qx + half)), last) - left, wide - 1)
+        row = at + v * wide
+        for u in range(min(begin, wide)):
+            out[row + u] = np.inf
+        for u in range(max(end + 1, begin), wide):
+            out[row + u] = np.inf
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -111,131 +127,134 @@ def _insert(values, count, value):
     values[at] = value
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+def _better_half(views, size, seen, at, values):
+    """Mean of the better half of what the `seen` neighbours leave at place `at`; -1 where fewer than two show it."""
+    count = 0
+    # Branches that nothing foretells would cost more than all steps of the sorting.
+    for k in range(seen):
+        value = views[np.uint64(k * size + at)]
+        count += int(value < np.inf)
+        for n in range(k):
+            less = min(values[n], value)
+            value = max(values[n], value)
+            values[n] = less
+        values[k] = value
+    total = np.float32(0.0)
+    half = (count + 1) // 2
+    for k in range(half):
+        total += values[k]
+    return total / (9 * half) if count > 1 else np.float32(-1.0)
+
+
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, floor, row_step, mask, shares):
     """Set `mask` (H, W) to 1 at the pixels of `wanted` lenses that `sizes` do not explain, and to 0 at the others."""
     height, width = image.shape
     side = int(np.ceil(radius)) + 1
-    most = rows.shape[1]
+    most, wide = rows.shape[1], 2 * side + 2
+    size = wide * wide
     for lens in prange(len(centres)):
         shares[lens] = 0.0
         if not wanted[lens]:
             continue
         ax, ay = centres[lens, 0], centres[lens, 1]
         left, top = int(ax) - side, int(ay) - side
-        views = np.empty((most, 2 * side + 2, 2 * side + 2), np.float32)
-        line, values = np.empty(2 * side + 4, np.float32), np.empty(most, np.float32)
+        own, there = np.empty(size, np.float32), np.zeros(size + 2 * wide, np.float32)
+        squares, lines = np.empty(size, np.float32), np.zeros(size, np.float32)
+        views, values = np.empty(most * size, np.float32), np.empty(most, np.float32)
         least = floor + _OF_LENS * contrast[lens] * contrast[lens]
+        copy_box(image, left, top, wide, wide, own)
         seen = total = unexplained = 0
         for k in range(most):
             other = rows[lens, k]
             if other >= 0:
                 _differences(
-                    image, ax, ay, centres[other, 0], centres[other, 1], radius, sizes[lens], pitch, left, top,
-                    row_step, line, views[seen],
+                    image, ax, ay, centres[other, 0], centres[other, 1], radius, sizes[lens], pitch, left, top, wide,
+                    row_step, own, there, squares, lines, views, seen * size,
                 )  # fmt: skip
                 seen += 1
         start = max(1, top)
-        for y in range(start + -start % row_step, min(height - 1, top + 2 * side + 2), row_step):
-            for x in range(max(1, left), min(width - 1, left + 2 * side + 2)):
+        for y in range(start + -start % row_step, min(height - 1, top + wide), row_step):
+            for x in range(max(1, left), min(width - 1, left + wide)):
                 if (x - ax) ** 2 + (y - ay) ** 2 > radius * radius:
                     continue
                 total += 1
                 mask[y, x] = 0
-                count = 0
-                for k in range(seen):
-                    if views[k, y - top, x - left] >= 0:
-                        _insert(values, count, views[k, y - top, x - left])
-                        count += 1
-                if count < 2:
-                    continue
-                difference = np.float32(0.0)
-                half = (count + 1) // 2
-                for k in range(half):
-                    difference += values[k]
-                if difference / half > _SHARE * _variance(image, x, y) + least:
+                difference = _better_half(views, size, seen, (y - top) * wide + x - left, values)
+                # What is below the least need not be compared with the variance about it.
+                if difference > least and difference > _SHARE * _variance(image, x, y) + least:
                     mask[y, x] = 1
                     unexplained += 1
         shares[lens] = unexplained / max(total, 1)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _moments(image, mask, extent, base, ax, ay, bx, by, radius, tx, ty, mean, row_step):
-    """Sums over the masked pixels of lens a whose partner, `(tx, ty)` away, lies in lens b.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _masked(image, mask, ax, ay, radius, row_step, xs, ys, places, values):
+    """Put the masked pixels of a microimage one after the other; returns how many there are."""
+    height, width = mask.shape
+    count = 0
+    top, bottom = max(0, int(np.ceil(ay - radius))), min(height - 1, int(np.floor(ay + radius)))
+    for y in range(top + -top % row_step, bottom + 1, row_step):
+        half = np.sqrt(max(radius * radius - (y - ay) * (y - ay), np.float32(0.0)))
+        for x in range(max(0, int(np.ceil(ax - half))), min(width - 1, int(np.floor(ax + half))) + 1):
+            if mask[y, x] > 0:
+                xs[count], ys[count], places[count], values[count] = x, y, y * width + x, image[y, x]
+                count += 1
+    return count
 
-    `extent` (rows, 2) has the first and last masked column of each row from `base` on.
-    """
-    height, width = image.shape
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _moments(pixels, height, width, xs, ys, places, values, number, bx, by, radius, tx, ty, mean):
+    """Sums over those of `number` pixels of one lens whose partner, `(tx, ty)` away, lies in the other."""
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
     fx, fy = np.float32(tx - x0), np.float32(ty - y0)
     w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
     w10, w11 = (1 - fx) * fy, fx * fy
-    sa = sb = saa = sbb = sab = count = np.float32(0.0)
+    sa = sb = saa = sbb = sab = np.float32(0.0)
+    count = 0
     r2 = radius * radius
     qx, qy = bx - tx, by - ty
-    top = max(int(np.ceil(max(ay, qy) - radius)), max(0, -y0))
-    top += -top % row_step
-    bottom = min(int(np.floor(min(ay, qy) + radius)), min(height - 1, height - 2 - y0))
-    for y in range(top, bottom + 1, row_step):
-        ha = r2 - (y - ay) * (y - ay)
-        hb = r2 - (y - qy) * (y - qy)
-        if ha <= 0 or hb <= 0:
+    first, last = np.float32(-x0), np.float32(width - 2 - x0)
+    above, below = np.float32(-y0), np.float32(height - 2 - y0)
+    away, down, right = y0 * width + x0, np.uint64(width), np.uint64(1)
+    for k in range(np.uint64(number)):
+        x, y = xs[k], ys[k]
+        if (x - qx) * (x - qx) + (y - qy) * (y - qy) > r2 or x < first or x > last or y < above or y > below:
             continue
-        ha, hb = np.sqrt(ha), np.sqrt(hb)
-        left = max(int(np.ceil(max(ax - ha, qx - hb))), max(extent[y - base, 0], -x0))
-        right = min(int(np.floor(min(ax + ha, qx + hb))), min(extent[y - base, 1], width - 2 - x0))
-        n = right - left + 1
-        if n <= 0:
-            continue
-        row = image[y, left : right + 1]
-        use = mask[y, left : right + 1]
-        upper = image[y + y0, left + x0 : right + x0 + 2]
-        lower = image[y + y0 + 1, left + x0 : right + x0 + 2]
-        for k in range(n):
-            w = use[k]
-            a = row[k] - mean
-            b = w00 * upper[k] + w01 * upper[k + 1] + w10 * lower[k] + w11 * lower[k + 1] - mean
-            count += w
-            sa += w * a
-            sb += w * b
-            saa += w * a * a
-            sbb += w * b * b
-            sab += w * a * b
+        at = np.uint64(places[k] + away)
+        a = values[k] - mean
+        b = (
+            w00 * pixels[at]
+            + w01 * pixels[at + right]
+            + w10 * pixels[at + down]
+            + w11 * pixels[at + down + right]
+            - mean
+        )
+        count += 1
+        sa += a
+        sb += b
+        saa += a * a
+        sbb += b * b
+        sab += a * b
     return count, sa, sb, saa, sbb, sab
-
-
-@njit(cache=True, nogil=True, fastmath=FAST)
-def _extent(mask, ax, ay, radius):
-    """First row of a microimage, and the first and last masked column of this and each row after it."""
-    height, width = mask.shape
-    side = int(np.ceil(radius)) + 1
-    base = int(ay) - side
-    extent = np.empty((2 * side + 2, 2), np.int64)
-    for v in range(len(extent)):
-        extent[v, 0], extent[v, 1] = width, -1
-        y = base + v
-        if y < 0 or y >= height:
-            continue
-        half = radius * radius - (y - ay) * (y - ay)
-        if half <= 0:
-            continue
-        half = np.sqrt(half)
-        for x in range(max(0, int(np.ceil(ax - half))), min(width - 1, int(np.floor(ax + half))) + 1):
-            if mask[y, x] > 0:
-                extent[v, 0], extent[v, 1] = min(extent[v, 0], x), x
-    return base, extent
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _costs(image, mask, centres, radius, pitch, rows, means, wanted, shifts, floor, half, row_step, out):
     """Mismatch of the masked pixels of each `wanted` lens with the better half of its neighbours, at every shift."""
+    height, width = image.shape
+    pixels = image.reshape(-1)
+    most = (2 * int(radius) + 3) ** 2
     for lens in prange(len(centres)):
         out[lens] = _NEUTRAL
         if not wanted[lens]:
             continue
         values = np.empty(rows.shape[1], np.float32)
+        xs, ys, own = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
+        places = np.empty(most, np.int64)
         ax, ay = centres[lens, 0], centres[lens, 1]
-        base, extent = _extent(mask, ax, ay, radius)
+        number = _masked(image, mask, ax, ay, radius, row_step, xs, ys, places, own)
         for k in range(len(shifts)):
             grow = 1 + shifts[k] / pitch
             shown = 0
@@ -245,8 +264,8 @@ def _costs(image, mask, centres, radius, pitch, rows, means, wanted, shifts, flo
                     continue
                 bx, by = centres[other, 0], centres[other, 1]
                 count, sa, sb, saa, sbb, sab = _moments(
-                    image, mask, extent, base, ax, ay, bx, by, radius, (bx - ax) * grow, (by - ay) * grow, means[lens],
-                    row_step,
+                    pixels, height, width, xs, ys, places, own, number, bx, by, radius, (bx - ax) * grow,
+                    (by - ay) * grow, means[lens],
                 )  # fmt: skip
                 if count < 4:
                     continue

@@ -20,6 +20,7 @@ from .lens_focus import focus_shares
 from .mosaic import draw_rows
 from .patches import lay_patches
 from .radiance import gain_table, lens_by_lens, white_level
+from .row_blending import blend_rows, packed
 from .sharpness import ready_to_read
 from .surface import Surface
 from .visibility import lens_depths
@@ -177,7 +178,8 @@ class Drawing:
         wanted = np.empty((0, 0), bool) if wanted is None else wanted
         whole = image.dtype.kind in "ui"
         white = white_level(pixels)
-        seen_depth = self._seen_depth(corner, pixels.shape)
+        edged = np.zeros(len(lattice), bool)
+        seen_depth = self._seen_depth(corner, pixels.shape, edged)
         gains, step = self._gains
         lights = 1 / gains
         if self._part_gain is not None:
@@ -186,20 +188,58 @@ class Drawing:
             if not seen_depth.size:
                 seen_depth = np.full(pixels.shape[:2], np.nan, single)
             seen_depth[_beside(unknown)] = np.inf
+            edged[:] = True
         drawn = self._seen_surface
-        draw_rows(
-            # Only a mean over many lenses has the sharpness of the flat where what interpolation blurs is given back.
-            ready_to_read(pixels) if self.blend else pixels, (0,) * pixels.shape[2], seen_depth, gains,
-            lights, single(step), lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, *self._bend,
-            *self._offsets, *focus_shares(self.calibration.lens_types), single(self.aperture * lattice.radius),
+        # Only a mean over many lenses has the sharpness of the flat where what interpolation blurs is given back.
+        ready = ready_to_read(pixels) if self.blend else pixels
+        marks, radius, reach = (0,) * pixels.shape[2], single(self.aperture * lattice.radius), self.reach * pitch
+        depths = (
             single(pitch), drawn.patch_size, single(drawn.first[0]), single(drawn.first[1]), single(drawn.spacing),
             single(self._edge), single(self.scale), 0.5 * self.spacing - 0.5 + self._moved, self.spacing,
-            single((self.blur * self.scale) ** 2), single(self.reach * pitch),
-            single(self.agreement * white if self.blend else 0.0), np.array(self.viewpoint.offset, single),
-            np.array(corner), np.array(lattice.image_size), np.array(part[:2]), wanted, single(0.5 if whole else 0.0),
-            single(np.iinfo(image.dtype).max if whole else np.inf), image, valid,
+        )  # fmt: skip
+        tolerance = single(self.agreement * white if self.blend else 0.0)
+        view = np.array(self.viewpoint.offset, single)
+        place = np.array(corner), np.array(lattice.image_size), np.array(part[:2])
+        light = gains, lights, single(step)
+        stored = single(0.5 if whole else 0.0), single(np.iinfo(image.dtype).max if whole else np.inf), image, valid
+        if self._read_once(ready) and not view.any():
+            ready = packed(ready)
+            order, centres, kinds = self._sorted_lenses
+            left = np.empty(image.shape[:2], bool)
+            blend_rows(
+                ready, marks, seen_depth, edged[order], *light, centres, kinds, self._shares[1], radius, *depths,
+                float(reach), tolerance, *place, wanted, *stored, left,
+            )  # fmt: skip
+            if not left.any():
+                return image, valid
+            ready, wanted = ready.view(np.uint8).reshape(*ready.shape, 4), left
+        draw_rows(
+            ready, marks, seen_depth, *light, lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, *self._bend,
+            *self._offsets, *self._shares, radius, *depths, single((self.blur * self.scale) ** 2), single(reach),
+            tolerance, view, *place, wanted, *stored,
         )  # fmt: skip
         return image, valid
+
+    def _read_once(self, pixels: NDArray[Any]) -> bool:
+        """Whether most output pixels are the mean over single readings of bytes, as `blend_rows` wants it."""
+        # Its places in the flat are whole numbers of 31 bits.
+        small = pixels.shape[0] * pixels.shape[1] < 2**31
+        return self.blend and self.blur == 0 and pixels.dtype == np.uint8 and pixels.shape[2] <= 3 and small
+
+    @cached_property
+    def _shares(self) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+        return focus_shares(self.calibration.lens_types)
+
+    @cached_property
+    def _sorted_lenses(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+        """Lenses by y, their centres in that order, and their types."""
+        centres, cell = self.calibration.lattice.centres(), self._shares[0]
+        order = np.argsort(centres[:, 1], kind="stable")
+        kinds = np.zeros(len(order), np.int64)
+        if cell.size:
+            i, j = (self.calibration.lattice.indices()[order] % len(cell)).T
+            kinds[:] = cell[i, j]
+        return order, np.ascontiguousarray(centres[order]), kinds
 
     @property
     def _is_patches(self) -> bool:
@@ -209,14 +249,19 @@ class Drawing:
             return False
         return np.float32(self.scale) == abs(sizes[0, 0]) and min(lattice.image_size) > 1
 
-    def _seen_depth(self, corner: tuple[int, int], shape: tuple[int, ...]) -> NDArray[np.float32]:
-        """What each pixel of a part of the flat sees, (0, 0) where nothing can hide anything."""
+    def _seen_depth(
+        self, corner: tuple[int, int], shape: tuple[int, ...], edged: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        """What each pixel of a part of the flat sees, (0, 0) where nothing can hide anything.
+
+        Sets the lenses that are `edged` (n,): of the others it tells nothing.
+        """
         if not self.blend or self.surface.patch_size.size <= 1:
             return np.empty((0, 0), np.float32)
         lattice = self.calibration.lattice
         reach = self.reach * lattice.pitch + self._parallax
         part = (*corner, corner[0] + shape[1], corner[1] + shape[0])
-        return lens_depths(self.surface, lattice, reach, self._edge, None if shape[:2] == self._shape else part)
+        return lens_depths(self.surface, lattice, reach, self._edge, None if shape[:2] == self._shape else part, edged)
 
     @property
     def _shape(self) -> tuple[int, int]:

@@ -25,7 +25,7 @@ def nearness(s, pitch):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, out):
+def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, edged, out):
     rows, columns = surface.shape
     left, top = corner
     right, bottom = left + out.shape[1], top + out.shape[0]
@@ -42,7 +42,8 @@ def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, rea
             for u in range(low_u, high_u + 1):
                 lowest = min(lowest, surface[v, u])
                 highest = max(highest, surface[v, u])
-        if highest - lowest < edge:
+        edged[lens] = highest - lowest >= edge
+        if not edged[lens]:
             continue
         for v in range(low_v, high_v + 1):
             for u in range(low_u, high_u + 1):
@@ -71,6 +72,7 @@ def lens_depths(
     reach: float,
     edge: float,
     part: tuple[int, int, int, int] | None = None,
+    edged: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
     """(H, W) float32 [px]: patch size of what each flat pixel sees through its lens.
 
@@ -86,17 +88,25 @@ def lens_depths(
         Patch sizes that differ by less belong to one surface.
     part : (left, top, right, bottom) [px], optional
         Only these pixels of the flat.
+    edged : (n,) bool, optional
+        Set to whether lenses have a depth edge in reach, False for those that have no such pixel.
     """
     left, top, right, bottom = part or (0, 0, *lattice.image_size)
     out = np.empty((bottom - top, right - left), np.float32)
     radius = min(lattice.radius, lattice.pitch / 2)
     centres = lattice.centres()
+    inside: NDArray[np.bool_] = np.ones(len(centres), bool)
     if part is not None:
         near = np.array([left, top]) - radius - 1, np.array([right, bottom]) + radius + 1
-        centres = centres[((centres >= near[0]) & (centres <= near[1])).all(1)]
+        inside = np.asarray(((centres >= near[0]) & (centres <= near[1])).all(1))
+        centres = centres[inside]
+    found = np.empty(len(centres), bool)
     _lens_depths(
         surface.patch_size, np.float32(surface.first[0]), np.float32(surface.first[1]), np.float32(surface.spacing),
         centres.astype(np.float32), np.float32(radius), np.float32(lattice.pitch), np.float32(reach),
-        np.float32(edge), (left, top), out,
+        np.float32(edge), (left, top), found, out,
     )  # fmt: skip
+    if edged is not None:
+        edged[:] = False
+        edged[inside] = found
     return out

@@ -1,0 +1,343 @@
+"""Blended pictures row by row: what one lens adds to a row of output pixels is found for sixteen pixels at a time.
+
+The same mean as that of `mosaic.draw_rows`, in another order of work: there every pixel asks which lenses show it,
+here every lens is laid over the pixels that it shows. Neighbours in a row then take the same steps, as vector
+instructions want it. Pixels that need more than one reading are left to the other kernel.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from .fastmath import FAST
+from .mosaic import HIDDEN, patch_size_at
+
+__all__ = ["SECTION", "blend_rows", "packed"]
+
+# So many pixels are worked on together: one vector register of single precision. Counts and places are unsigned: signed
+# ones are looked at for being counted from the end.
+_LANES, _L = 16, np.uint64(16)
+#: Columns of a picture that are blended at once, so that places of a row's buffer lie a known way apart.
+SECTION = 1024
+_LINE = SECTION + 4 * _LANES
+_SECOND, _THIRD, _FOURTH = np.uint64(_LINE), np.uint64(2 * _LINE), np.uint64(3 * _LINE)
+# Rows that one thread blends one after the other with the same buffers.
+_TOGETHER = 8
+# Runs whose places are found before the first of them is read.
+_QUEUE = 8
+# Weight of a lens at the rim of its reach.
+_RIM = np.float32(1.02)
+# An output pixel that is larger in the flat by no more than this is read at one place [px].
+_OVER = np.float32(1.05)
+_BYTE = np.uint32(255)
+_F, _W, _GAIN, _LIGHT = np.uint64(16), np.uint64(32), np.uint64(48), np.uint64(64)
+_PER_RUN = 5 * _LANES
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+def _place(
+    n, e_x, e_y, spacing, inner_x, inner_y, at_x, at_y, slope, limits, share, u, kind, width, height, stride, corner_x,
+    corner_y, per_light_step, last_ring, work, at, whole, whole_at,
+):  # fmt: skip
+    """Where sixteen pixels read a lens, and how much that counts.
+
+    Leaves the parts of a pixel and the weight in `work`, the pixel of the flat and the place in the light table in
+    `whole`.
+    """
+    for k in range(_L):
+        ex = np.float32(n + np.int32(k)) * spacing + e_x
+        d2 = ex * ex + e_y * e_y
+        tilt = slope[u + k]
+        rx, ry = inner_x - ex * tilt, inner_y - e_y * tilt
+        step_x, step_y = np.floor(rx), np.floor(ry)
+        fx, fy = rx - step_x, ry - step_y
+        ix, iy = at_x + np.int32(step_x), at_y + np.int32(step_y)
+        limit = limits[u + k]
+        ok = (d2 <= limit) & (ix >= 0) & (iy >= 0)
+        ok &= (np.float32(ix) + fx <= np.float32(width - 1)) & (np.float32(iy) + fy <= np.float32(height - 1))
+        fx = np.float32(1.0) if ix > width - 2 else fx
+        fy = np.float32(1.0) if iy > height - 2 else fy
+        ix, iy = min(max(ix, np.int32(0)), width - np.int32(2)), min(max(iy, np.int32(0)), height - np.int32(2))
+        weight = (_RIM - d2 / limit) * share[kind + u + k]
+        work[at + k] = fx
+        work[at + _F + k] = fy
+        work[at + _W + k] = weight if ok else np.float32(0.0)
+        whole[whole_at + k] = (iy - corner_y) * stride + (ix - corner_x) if ok else np.int32(0)
+        ring = min(d2 * tilt * tilt * per_light_step, last_ring)
+        whole[whole_at + _F + k] = np.int32(ring)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+def _fetch(line, down, whole, whole_at, work, at, gains, squares, quads, quads_at):
+    """The four pixels about each place, and the light there."""
+    for k in range(_L):
+        pixel = np.uint64(np.uint32(whole[whole_at + k]))
+        ring = np.uint64(np.uint32(whole[whole_at + _F + k]))
+        quads[quads_at + k] = line[pixel]
+        quads[quads_at + _F + k] = line[pixel + np.uint64(1)]
+        quads[quads_at + _W + k] = line[pixel + down]
+        quads[quads_at + _GAIN + k] = line[pixel + down + np.uint64(1)]
+        work[at + _GAIN + k] = gains[ring]
+        work[at + _LIGHT + k] = squares[ring]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+def _between(a, b, c, d, w00, w01, w10, w11):
+    """Weighted sum of the lowest bytes of four pixels."""
+    upper = w00 * np.float32(np.int32(a & _BYTE)) + w01 * np.float32(np.int32(b & _BYTE))
+    return upper + (w10 * np.float32(np.int32(c & _BYTE)) + w11 * np.float32(np.int32(d & _BYTE)))
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+def _add(quads, quads_at, work, at, values, base, sums, u):
+    """Values of sixteen readings, kept in `values`, and added to the `sums` of their pixels."""
+    eight = np.uint32(8)
+    for k in range(_L):
+        fx, fy, gain = work[at + k], work[at + _F + k], work[at + _GAIN + k]
+        weight = work[at + _W + k] * work[at + _LIGHT + k]
+        gx, gy = gain * fx, np.float32(1.0) - fy
+        w01, w11 = gx * gy, gx * fy
+        w00, w10 = gain * gy - w01, gain * fy - w11
+        a, b = quads[quads_at + k], quads[quads_at + _F + k]
+        c, d = quads[quads_at + _W + k], quads[quads_at + _GAIN + k]
+        v0 = _between(a, b, c, d, w00, w01, w10, w11)
+        a, b, c, d = a >> eight, b >> eight, c >> eight, d >> eight
+        v1 = _between(a, b, c, d, w00, w01, w10, w11)
+        a, b, c, d = a >> eight, b >> eight, c >> eight, d >> eight
+        v2 = _between(a, b, c, d, w00, w01, w10, w11)
+        values[base + k] = weight
+        values[base + _F + k] = v0
+        values[base + _W + k] = v1
+        values[base + _GAIN + k] = v2
+        sums[u + k] += weight
+        sums[_SECOND + u + k] += weight * v0
+        sums[_THIRD + u + k] += weight * v1
+        sums[_FOURTH + u + k] += weight * v2
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+def _agree(values, base, sums, u, t2, per_channel, totals):
+    """Add readings to the `totals` of their pixels as far as they agree with the means in `sums`."""
+    for k in range(_L):
+        v0, v1, v2 = values[base + _F + k], values[base + _W + k], values[base + _GAIN + k]
+        e0, e1, e2 = v0 - sums[_SECOND + u + k], v1 - sums[_THIRD + u + k], v2 - sums[_FOURTH + u + k]
+        agree = t2 / (t2 + (e0 * e0 + e1 * e1 + e2 * e2) * per_channel)
+        weight = values[base + k] * agree * agree
+        totals[u + k] += weight
+        totals[_SECOND + u + k] += weight * v0
+        totals[_THIRD + u + k] += weight * v1
+        totals[_FOURTH + u + k] += weight * v2
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _depths_along(
+    surface, x, y, spacing, grid_x, grid_y, cell, edge, pitch, radius, reach, count, slope, limits, sizes
+):
+    """Patch sizes along a row, their share of the pitch, and the squared distance at which lenses are read."""
+    for k in range(count):
+        sizes[k] = patch_size_at(surface, np.float32(x + k * spacing), np.float32(y), grid_x, grid_y, cell, edge)
+    per_pitch = np.float32(1.0) / pitch
+    for k in range(count):
+        tilt = sizes[k] * per_pitch
+        limit = min(radius / max(abs(tilt), np.float32(1e-6)), reach)
+        slope[k], limits[k] = tilt, limit * limit
+    # Lanes beyond the last pixel find nothing.
+    slope[count : count + 2 * _LANES] = 0
+    limits[count : count + 2 * _LANES] = -1
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+def _hide(seen, edge, stride, sizes, u, whole, whole_at, work, at):
+    """Take the weight from readings that see another depth."""
+    for k in range(_L):
+        right, below = np.uint64(work[at + k] + np.float32(0.5)), np.uint64(work[at + _F + k] + np.float32(0.5))
+        depth = seen[np.uint64(np.uint32(whole[whole_at + k])) + right + below * stride]
+        # A branch that cannot be foretold would cost more.
+        work[at + _W + k] *= HIDDEN if abs(depth - sizes[u + k]) > 2 * edge else np.float32(1.0)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+def _read_queue(line, seen, gains, squares, edge, stride, sizes, runs, begin, end, work, whole, quads, values, sums):
+    """Read the runs from `begin` to `end`, whose places are found.
+
+    Loops over several of them: what is written by single values cannot be read as vectors at once.
+    """
+    for n in range(begin, end):
+        q = np.uint64(n % _QUEUE)
+        _fetch(line, stride, whole, q * _W, work, q * np.uint64(_PER_RUN), gains, squares, quads, q * _LIGHT)
+    for n in range(begin, end):
+        q = np.uint64(n % _QUEUE)
+        if runs[n, 1]:
+            _hide(seen, edge, stride, sizes, np.uint64(runs[n, 0]), whole, q * _W, work, q * np.uint64(_PER_RUN))
+    for n in range(begin, end):
+        q = np.uint64(n % _QUEUE)
+        _add(
+            quads, q * _LIGHT, work, q * np.uint64(_PER_RUN), values, np.uint64(n) * _LIGHT, sums,
+            np.uint64(runs[n, 0]),
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _lay_lenses(
+    line, seen, edged, gains, squares, light_step, centres, kinds, lowest, highest, x, y, spacing, column, reach, edge,
+    count, before, slope, limits, sizes, share, size, stride, corner, work, whole, quads, values, runs, sums,
+):  # fmt: skip
+    """Read all lenses that show a part of a row, and add them up; returns how many runs of pixels that are."""
+    width, height = np.int32(size[0]), np.int32(size[1])
+    corner_x, corner_y = np.int32(corner[0]), np.int32(corner[1])
+    down, step, per_spacing = np.uint64(stride), np.float32(spacing), 1 / spacing
+    last_ring, per_light_step = np.float32(len(gains) - 1), np.float32(1 / light_step)
+    found = done = 0
+    for lens in range(lowest, highest):
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        ey = y - cy
+        wide = np.sqrt(max(reach * reach - ey * ey, 0.0))
+        begin = max(int(np.ceil((cx - wide - x) * per_spacing)) - column, 0)
+        end = min(int(np.floor((cx + wide - x) * per_spacing)) + 1 - column, count)
+        # As seen from the first column of the picture, whatever part of it is drawn.
+        anchor = int(np.rint((cx - x) * per_spacing))
+        e_x = np.float32(x + anchor * spacing - cx)
+        at_x, at_y = np.floor(cx), np.floor(cy)
+        for u in range(begin, end, _LANES):
+            if before[min(u + _LANES, count)] == before[u]:
+                continue
+            if found == done + _QUEUE:
+                _read_queue(
+                    line, seen, gains, squares, edge, down, sizes, runs, done, found, work, whole, quads, values, sums
+                )
+                done = found
+            runs[found, 0], runs[found, 1] = u, edged[lens]
+            q = np.uint64(found % _QUEUE)
+            _place(
+                np.int32(u + column - anchor), e_x, np.float32(ey), step, np.float32(cx - at_x), np.float32(cy - at_y),
+                np.int32(at_x), np.int32(at_y), slope, limits, share, np.uint64(u),
+                np.uint64(kinds[lens]) * np.uint64(_LINE), width, height, np.int32(stride), corner_x, corner_y,
+                per_light_step, last_ring, work, q * np.uint64(_PER_RUN), whole, q * _W,
+            )  # fmt: skip
+            found += 1
+    _read_queue(line, seen, gains, squares, edge, down, sizes, runs, done, found, work, whole, quads, values, sums)
+    return found
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _normalise(sums, count):
+    """Make means of the weighted `sums` of `count` pixels."""
+    for k in range(count):
+        weight = sums[k]
+        inverse = np.float32(1.0) / (weight if weight > 0 else np.float32(1.0))
+        sums[_SECOND + k] *= inverse
+        sums[_THIRD + k] *= inverse
+        sums[_FOURTH + k] *= inverse
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _store(totals, sizes, before, largest, half, top, marks, out, valid, left, section):
+    """Round and store the wanted pixels of a row that are read at one place."""
+    for k in range(min(SECTION, len(out) - section)):
+        u, at = section + k, np.uint64(k)
+        more = abs(sizes[at]) > largest
+        wanted = before[at + np.uint64(1)] > before[at]
+        left[u] = wanted and more
+        if more or not wanted:
+            continue
+        valid[u] = totals[at] > 0
+        out[u, 0] = min(totals[_SECOND + at] + half, top)
+        if len(marks) > 1:
+            out[u, 1] = min(totals[_THIRD + at] + half, top)
+        if len(marks) > 2:
+            out[u, 2] = min(totals[_FOURTH + at] + half, top)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _wanted_before(wanted, v, section, count, before):
+    """How many pixels before each place of a row are wanted; all of them where `wanted` is (0, 0)."""
+    before[0] = 0
+    for k in range(count):
+        before[k + 1] = before[k] + (wanted.size == 0 or wanted[v, section + k])
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
+def blend_rows(
+    flat, marks, seen, edged, gains, lights, light_step, centres, kinds, shares, radius, pitch, surface, grid_x, grid_y,
+    cell, edge, scale, first, spacing, reach, tolerance, corner, size, start, wanted, half, top, out, valid, left,
+):  # fmt: skip
+    """Fill `out` (h, w, C) as `mosaic.draw_rows` does, for whole bytes in the middle view.
+
+    `flat` (H, W) uint32 are pixels as `packed`. Lenses have their `centres` (n, 2) on the flat, sorted by y, are of
+    the type `kinds` (n,) and `edged` (n,) where `seen` tells anything of them. Pixels that need more than one reading
+    are marked in `left` (h, w), and are to be drawn by the other kernel. The other arguments are those of that one.
+    """
+    rows, columns, _ = out.shape
+    squares = lights * lights
+    line, seen_line = flat.reshape(-1), seen.reshape(-1)
+    t2, per_channel = tolerance * tolerance, np.float32(1 / len(marks))
+    last_ratio, types = shares.shape[1] - 1, len(shares)
+    tall = 0
+    for v in range(rows):
+        y = first[1] + (start[1] + v) * spacing
+        tall = max(tall, np.searchsorted(centres[:, 1], y + reach) - np.searchsorted(centres[:, 1], y - reach))
+    most = tall * ((int(2 * reach / spacing) + 2) // _LANES + 2)
+    for group in prange((rows + _TOGETHER - 1) // _TOGETHER):
+        slope, limits, sizes = np.empty(_LINE, np.float32), np.empty(_LINE, np.float32), np.empty(_LINE, np.float32)
+        share, before = np.ones(types * _LINE, np.float32), np.empty(SECTION + 1, np.int64)
+        sums, totals = np.empty(4 * _LINE, np.float32), np.empty(4 * _LINE, np.float32)
+        work, whole = np.empty(_QUEUE * _PER_RUN, np.float32), np.empty(_QUEUE * 2 * _LANES, np.int32)
+        quads = np.empty(_QUEUE * 4 * _LANES, np.uint32)
+        values, runs = np.empty(most * 4 * _LANES, np.float32), np.empty((most, 2), np.int64)
+        for v in range(group * _TOGETHER, min((group + 1) * _TOGETHER, rows)):
+            y = first[1] + (start[1] + v) * spacing
+            lowest = np.searchsorted(centres[:, 1], y - reach)
+            highest = np.searchsorted(centres[:, 1], y + reach)
+            for section in range(0, columns, SECTION):
+                count, column = min(SECTION, columns - section), start[0] + section
+                _wanted_before(wanted, v, section, count, before)
+                if before[count] == 0:
+                    left[v, section : section + count] = False
+                    continue
+                _depths_along(
+                    surface, first[0] + column * spacing, y, spacing, grid_x, grid_y, cell, edge, pitch, radius,
+                    np.float32(reach), count, slope, limits, sizes,
+                )  # fmt: skip
+                for t in range(types if last_ratio > 0 else 0):
+                    for k in range(count):
+                        ratio = min(max(int((slope[k] + 1) * np.float32(0.5 * last_ratio) + 0.5), 0), last_ratio)
+                        share[t * _LINE + k] = shares[t, ratio]
+                sums[:] = 0
+                totals[:] = 0
+                found = _lay_lenses(
+                    line, seen_line, edged, gains, squares, light_step, centres, kinds, lowest, highest, first[0], y,
+                    spacing, column, reach, edge, count, before, slope, limits, sizes, share, size, flat.shape[1],
+                    corner, work, whole, quads, values, runs, sums,
+                )  # fmt: skip
+                _normalise(sums, np.uint64(count))
+                for n in range(found):
+                    at, u = np.uint64(n) * _LIGHT, np.uint64(runs[n, 0])
+                    _agree(values, at, sums, u, t2, per_channel, totals)
+                _normalise(totals, np.uint64(count))
+                _store(totals, sizes, before, _OVER * scale, half, top, marks, out[v], valid[v], left[v], section)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _pack(rows, channels, out):
+    for y in prange(len(rows)):
+        own, into = rows[y], out[y]
+        if channels == 3:
+            for x in range(len(into)):
+                at = np.uint64(3) * np.uint64(x)
+                pixel = np.uint32(own[at]) | (np.uint32(own[at + np.uint64(1)]) << np.uint32(8))
+                into[x] = pixel | (np.uint32(own[at + np.uint64(2)]) << np.uint32(16))
+        else:
+            for x in range(len(into)):
+                pixel = np.uint32(0)
+                for c in range(channels):
+                    pixel |= np.uint32(own[x * channels + c]) << np.uint32(8 * c)
+                into[x] = pixel
+
+
+def packed(pixels: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """(H, W) uint32: the bytes of each pixel (H, W, C) in one number, the first lowest; C is 4 at most."""
+    out = np.empty(pixels.shape[:2], np.uint32)
+    _pack(np.ascontiguousarray(pixels).reshape(len(pixels), -1), pixels.shape[2], out)
+    return out

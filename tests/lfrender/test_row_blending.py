@@ -1,0 +1,64 @@
+"""Pictures of bytes are blended lens by lens; the answer is that of asking every pixel for its lenses."""
+
+import functools
+
+import numba
+import numpy as np
+import pytest
+
+import lfrender
+from data_synth import SCENES, Camera, simulate
+from lfrender.tile_drawing import Drawing
+
+
+@functools.cache
+def capture():
+    camera = Camera.design(size=(300, 220), pitch=17.3, rotation=2.1)
+    shot = simulate(SCENES["house"](camera), camera, samples=24, seed=2)
+    return shot.flat, shot.truth.calibration, lfrender.analyze(shot.flat, shot.truth.calibration, "fast")
+
+
+def without_shortcut(monkeypatch):
+    monkeypatch.setattr(Drawing, "_read_once", lambda *_: False)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_blended_rows_are_those_of_the_kernel_that_asks_every_pixel_within_one_grey_level(channels, monkeypatch):
+    flat, camera, depth = capture()
+    flat = flat.reshape(*flat.shape[:2], -1)[:, :, :1].repeat(channels, 2)
+    rows = lfrender.render(flat, camera, depth)
+    without_shortcut(monkeypatch)
+    pixels = lfrender.render(flat, camera, depth)
+    apart = np.abs(rows.image.astype(int) - pixels.image)
+    assert (rows.valid == pixels.valid).all()
+    # Sums in another order may round another way, and rims of reach end a hair aside.
+    assert (apart == 0).mean() > 0.999
+    assert (apart > 1).mean() < 1e-4
+
+
+def test_blended_rows_are_the_kernel_that_draws_whole_pictures_of_bytes(monkeypatch):
+    import lfrender.tile_drawing as tile_drawing
+
+    flat, camera, depth = capture()
+    asked = []
+    draw_rows = tile_drawing.draw_rows
+    monkeypatch.setattr(tile_drawing, "draw_rows", lambda *args: asked.append(args[-5].mean()) or draw_rows(*args))
+    lfrender.render(flat, camera, depth)
+    # Only pixels larger than one of the flat are left to the other kernel.
+    assert sum(asked) < 0.1
+
+
+def test_blended_rows_have_the_same_bits_on_one_thread_and_two_and_in_a_part():
+    flat, camera, depth = capture()
+    threads = numba.get_num_threads()
+    whole = lfrender.render(flat, camera, depth)
+    try:
+        numba.set_num_threads(1)
+        alone = lfrender.render(flat, camera, depth)
+    finally:
+        numba.set_num_threads(threads)
+    np.testing.assert_array_equal(alone.image, whole.image)
+    part = lfrender.render(flat, camera, depth, roi=(61.0, 50.0, 191.0, 140.0))
+    left, top = np.rint((part.affine[:, 2] - whole.affine[:, 2]) / whole.affine[0, 0]).astype(int)
+    rows, columns = part.valid.shape
+    np.testing.assert_array_equal(part.image, whole.image[top : top + rows, left : left + columns])
