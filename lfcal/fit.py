@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from .distortion import Distortion
 from .errors import CalibrationError
 from .lattice import Lattice
 from .lens_cell import cell_faces, inner_radius, outside
@@ -156,6 +157,8 @@ class LatticeFit:
         Microimages with a say.
     halves_differ : float [px]
         RMS distance over the flat between lattices fitted to two independent halves of the microimages.
+    distortion : Distortion or None
+        None where the lattice is straight.
     """
 
     origin: NDArray[np.float64]
@@ -164,6 +167,7 @@ class LatticeFit:
     uncertainty: float
     lenses_used: int
     halves_differ: float
+    distortion: Distortion | None = None
 
 
 def radial_profile(

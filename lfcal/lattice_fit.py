@@ -101,6 +101,6 @@ def fit_on_scenes(lights: list[NDArray[np.float32]], picture: NDArray[np.float32
     if fit.residual_rms > _FAINT * found.pitch and not fit.halves_differ < start.halves_differ:
         # Rims too faint for single lenses: what whole tiles have in common is the better measure.
         return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.halves_differ)
-    lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius)
+    lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius, fit.distortion)
     errors = errors_of_even_fit(lattice, fit.uncertainty)
     return FinalLattice(lattice, fit.residual_rms, fit.lenses_used, fit.halves_differ, errors)

@@ -16,8 +16,8 @@ __all__ = ["SUREST", "Steps", "agreed", "regular_ratio"]
 _AGREEING = 0.35
 _OUTLIER = 3.0
 _FEWEST_IN_PART = 8
-# Lenses surer than this share of all are not told apart. What the scene does to the others grows with what it shows
-# beside their rims: a codec moves a block along with its content where that outweighs the rims.
+# Lenses surer than this share of all are not told apart. What the scene does to the others grows faster than what it
+# shows beside their rims: a codec moves a whole block along with its content where that outweighs the rims.
 SUREST = 0.02
 _DISTRUST = 3
 # So many lenses, evenly spread, tell which of several answers is the best; all of them refine it.

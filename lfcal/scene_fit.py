@@ -18,6 +18,7 @@ from .lattice import Lattice
 from .lens_cell import cell_faces
 from .majority import SUREST, Steps, agreed, regular_ratio
 from .parts import whole_lenses
+from .scene_bend import RadialPull, radial_pull, unbent
 from .template import lens_steps
 
 __all__ = ["fit_scene"]
@@ -48,7 +49,7 @@ _ENOUGH_LENSES = 2000
 
 
 def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e6) -> LatticeFit:
-    """Fit origin and basis of a straight lattice.
+    """Fit origin and basis of a lattice, and a radial distortion where the lenses clearly ask for one.
 
     Parameters
     ----------
@@ -71,10 +72,11 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
         lattice = _settled(picture, lattice, _chosen(lattice, _SKETCH_LENSES), stride, _SKETCH_PASSES).lattice
     indices = _chosen(lattice, most)
     indices = _trusted(indices, _look(picture, lattice, indices, stride)[1])
-    fit = _settled(picture, lattice, indices, stride, _PASSES)
+    fit = _bent(picture, _settled(picture, lattice, indices, stride, _PASSES), indices, stride)
     regular = regular_ratio(fit.before.basis, fit.steps)
     if regular is not None:
         fit = _settled(picture, fit.before, indices, stride, _PASSES, regular)
+        fit = fit if fit.lattice.distortion is None else _bent(picture, fit, indices, stride, regular)
     lattice, steps, change, share = fit.lattice, fit.steps, fit.change, fit.share
     error = _standard_error(steps, change, share)
     tile, colour = _tiles(steps, max(_FEWEST_TILES, len(share) // _LENSES_PER_TILE))
@@ -82,7 +84,7 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
     miss = ((steps.step - steps.design @ change) ** 2).sum(1)
     scatter = float(np.sqrt(np.average(miss, weights=share)))
     differ = _field_rms(steps, halves[0] - halves[1])
-    return LatticeFit(lattice.origin, lattice.basis, scatter, error, int((share > 0).sum()), differ)
+    return LatticeFit(lattice.origin, lattice.basis, scatter, error, int((share > 0).sum()), differ, lattice.distortion)
 
 
 @dataclass(frozen=True)
@@ -122,6 +124,33 @@ def _settled(
         if settled:
             break
     return _Settled(lattice, before, steps, change, share)
+
+
+def _bent(
+    picture: NDArray[np.float32],
+    fit: _Settled,
+    indices: NDArray[np.int64],
+    stride: int,
+    regular: complex | None = None,
+) -> _Settled:
+    """The fit with a radial distortion where that is clearly wanted, else as it is."""
+    before, lattice, pull = fit, fit.lattice, _radial_pull(fit)
+    if lattice.distortion is None and not pull.clear(lattice.pitch):
+        return fit
+    bend = lattice.distortion or unbent(lattice)
+    for _ in range(_PASSES):
+        bend = replace(bend, k1=bend.k1 + pull.k1)
+        fit = _settled(picture, replace(lattice, distortion=bend), indices, stride, _SKETCH_PASSES, regular)
+        lattice, pull = fit.lattice, _radial_pull(fit)
+        if abs(pull.k1) < _SETTLED * pull.error:
+            break
+    return fit if replace(pull, k1=bend.k1).clear(lattice.pitch) else before
+
+
+def _radial_pull(fit: _Settled) -> RadialPull:
+    """The distortion that the lenses of a fit ask for beyond the one it has."""
+    tile = _tiles(fit.steps, _FEWEST_TILES)[0]
+    return radial_pull(fit.before, fit.steps.design, fit.steps.step, fit.share, tile)
 
 
 @dataclass
