@@ -145,7 +145,7 @@ def joint_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> Mas
     return slots, masks, ends, counts
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def copy_box(image, left, top, rows, wide, out):
     """Pixels from (left, top) on, row after row; what lies off the flat is any of its pixels."""
     pixels, stride = image.reshape(-1), image.shape[1]

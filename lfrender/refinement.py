@@ -95,7 +95,7 @@ def _corner(centre, radius, side, size):
     return min(max(int(np.ceil(centre - radius)), 1), size - side - 1)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _cut(smooth, left, top, side, wide, own, slope_x, slope_y):
     """A microimage and its slopes, row after row."""
     pixels = smooth.reshape(-1)
@@ -110,7 +110,7 @@ def _cut(smooth, left, top, side, wide, own, slope_x, slope_y):
             slope_y[into + k] = half * (pixels[at + stride + k] - pixels[at - stride + k])
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
     """Weighted sums of four values so far `apart`, for `count` places from `start` on."""
     first, second = np.uint64(start), np.uint64(start + apart)
@@ -122,7 +122,7 @@ def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
 
 
 # Python's error model checks every division, which no vector loop can.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _sums(
     own, slope_x, slope_y, other, columns, rows, start, count, ux, uy, ax, ay, qx, qy, mx, my, r2, low_x, high_x, low_y,
     high_y, offset, scale2,
@@ -156,7 +156,7 @@ def _sums(
     return sw, sr, srr, sp, spp, spr, sx, sy
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _normal_equation(
     image, ax, ay, bx, by, radius, s, pitch, scale2, offset, left, top, side, wide, columns, rows, own, slope_x,
     slope_y, at, there, lines, other,
@@ -195,7 +195,7 @@ def _normal_equation(
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def _fit(
     image, ax, ay, bx, by, radius, start, pitch, scale2, noise2, iterations, left, top, side, wide, columns, rows, own,
     slope_x, slope_y, at, there, lines, between,
@@ -242,7 +242,7 @@ def _starts(first, second, near):
     return middle if together else first, middle if together else second, together
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _fit_pairs(
     image, smooth, centres, radius, pitch, rows, start, scale2, noise2, iterations, sizes, variances, places
 ):  # fmt: skip

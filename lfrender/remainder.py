@@ -52,7 +52,7 @@ _LEAST_SHIFTS = 3
 
 
 # Python's error model checks every division, which no vector loop can.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _squares(own, there, wide, count, w00, w01, w10, w11, out):
     """Squared difference of a microimage, `wide` pixels a row, from what another shows between its pixels."""
     down = np.uint64(wide)
@@ -62,7 +62,7 @@ def _squares(own, there, wide, count, w00, w01, w10, w11, out):
         out[k] = e * e
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _sums_of_three(values, apart, count, out, at):
     """Sums of values and those so far `apart` on both sides, put a place `at` on."""
     one, two, first = np.uint64(apart), np.uint64(2 * apart), np.uint64(apart + at)
@@ -70,7 +70,7 @@ def _sums_of_three(values, apart, count, out, at):
         out[first + k] = values[k] + values[k + one] + values[k + two]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _differences(
     image, ax, ay, bx, by, radius, s, pitch, left, top, wide, row_step, own, there, squares, lines, out, at
 ):  # fmt: skip
@@ -189,7 +189,7 @@ def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, f
         shares[lens] = unexplained / max(total, 1)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _masked(image, mask, ax, ay, radius, row_step, xs, ys, places, values):
     """Put the masked pixels of a microimage one after the other; returns how many there are."""
     height, width = mask.shape
@@ -204,7 +204,7 @@ def _masked(image, mask, ax, ay, radius, row_step, xs, ys, places, values):
     return count
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _moments(pixels, height, width, xs, ys, places, values, number, bx, by, radius, tx, ty, mean):
     """Sums over those of `number` pixels of one lens whose partner, `(tx, ty)` away, lies in the other."""
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))

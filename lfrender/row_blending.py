@@ -158,7 +158,7 @@ def _hide(seen, edge, stride, sizes, u, whole, whole_at, work, at):
         work[at + _W + k] *= HIDDEN if abs(depth - sizes[u + k]) > 2 * edge else np.float32(1.0)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _read_queue(line, seen, gains, squares, edge, stride, sizes, runs, begin, end, work, whole, quads, values, sums):
     """Read the runs from `begin` to `end`, whose places are found.
 

@@ -20,6 +20,7 @@ from .lens_focus import focus_shares
 from .mosaic import draw_rows
 from .patches import lay_patches
 from .radiance import gain_table, lens_by_lens, white_level
+from .remembered import remembered
 from .row_blending import blend_rows, packed
 from .sharpness import ready_to_read
 from .surface import Surface
@@ -230,16 +231,9 @@ class Drawing:
     def _shares(self) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
         return focus_shares(self.calibration.lens_types)
 
-    @cached_property
+    @property
     def _sorted_lenses(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
-        """Lenses by y, their centres in that order, and their types."""
-        centres, cell = self.calibration.lattice.centres(), self._shares[0]
-        order = np.argsort(centres[:, 1], kind="stable")
-        kinds = np.zeros(len(order), np.int64)
-        if cell.size:
-            i, j = (self.calibration.lattice.indices()[order] % len(cell)).T
-            kinds[:] = cell[i, j]
-        return order, np.ascontiguousarray(centres[order]), kinds
+        return remembered(self.calibration, "sorted lenses", lambda: _sorted_lenses(self.calibration))
 
     @property
     def _is_patches(self) -> bool:
@@ -303,6 +297,17 @@ class Drawing:
     @property
     def _moved(self) -> NDArray[np.float64]:
         return self._seen_from[1]
+
+
+def _sorted_lenses(calibration: Calibration) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    """Lenses by y, their centres in that order, and their types, 0 where all count alike."""
+    centres, cell = calibration.lattice.centres(), focus_shares(calibration.lens_types)[0]
+    order = np.argsort(centres[:, 1], kind="stable")
+    kinds = np.zeros(len(order), np.int64)
+    if cell.size:
+        i, j = (calibration.lattice.indices()[order] % len(cell)).T
+        kinds[:] = cell[i, j]
+    return order, np.ascontiguousarray(centres[order]), kinds
 
 
 def as_stored(image: NDArray, dtype: np.dtype) -> NDArray:
