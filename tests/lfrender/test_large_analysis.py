@@ -64,6 +64,8 @@ def test_one_plane_is_seen_as_one_plane(tmp_path, small_tiles):
     assert np.ptp(many.drawn) < 1e-4
     assert many.drawn.mean() == pytest.approx(one.drawn.mean(), abs=0.02)
     assert (one.mode == many.mode).mean() > 0.99
+    # Both know of what misleads all lenses of the plane together.
+    assert np.median(many.standard_error) == pytest.approx(np.median(one.standard_error), rel=0.5)
 
 
 def test_the_surface_of_every_place_comes_from_the_tile_it_lies_in(tmp_path, small_tiles):
