@@ -166,16 +166,16 @@ def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
         if found is not None:
             return _level(found, lattice, preset)
     if not shortcuts.blank:
-        return lens_by_lens(gray, lattice, preset, shortcuts, plain, None)
+        return lens_by_lens(gray, lattice, preset, shortcuts, plain, None)[0]
     blank, noise = blank_lenses(plain, raw_noise)
     if 0 < np.sum(~blank) < _FEW * len(blank):
         part, sub = part_of(gray, lattice, ~blank)
         if len(sub) < _PART * len(lattice):
             rows = rows_of(sub, lattice)
-            depth = lens_by_lens(part, sub, preset, shortcuts, plain.of(rows), (blank[rows], noise))
+            depth, _ = lens_by_lens(part, sub, preset, shortcuts, plain.of(rows), (blank[rows], noise))
             left = (1 - depth.saved["blank"]) * len(sub) / len(lattice)
             return embed_textured(depth, sub, lattice, {**depth.saved, "blank": 1 - left})
-    return lens_by_lens(gray, lattice, preset, shortcuts, plain, (blank, np.inf))
+    return lens_by_lens(gray, lattice, preset, shortcuts, plain, (blank, np.inf))[0]
 
 
 def _level(found: PlaneScene, lattice: Lattice, preset: str) -> DepthMap:
@@ -219,9 +219,13 @@ def regular_plane(
     sizes: NDArray[np.float32],
     errors: NDArray[np.float32],
     resolved: NDArray[np.bool_],
+    astray: NDArray,
     neighbours: NDArray[np.int32],
 ) -> Plane | None:
-    """The plane that all lenses lie on as far as they can tell: their scatter about it is then nothing but noise."""
+    """The plane that all lenses lie on as far as they can tell: their scatter about it is then nothing but noise.
+
+    `astray` (n,) [px] is the part of their errors that their pairs do not show.
+    """
     known = resolved & np.isfinite(errors)
     if known.mean() < TEXTURED:
         return None
@@ -229,7 +233,7 @@ def regular_plane(
     plane = fit_plane(centres[known], own[known], lattice.pitch)
     if plane is None or strays(np.where(known, own - plane.at(centres), np.nan), errors.astype(float), neighbours):
         return None
-    return plane
+    return replace(plane, misled=float(np.median(astray[known])))
 
 
 def lens_by_lens(
@@ -242,10 +246,11 @@ def lens_by_lens(
     kept: NDArray[np.bool_] | None = None,
     before: DepthMap | None = None,
     overview: Overview | None = None,
-) -> DepthMap:
+) -> tuple[DepthMap, NDArray]:
     """The depth of every lens, but for the `blank` ones and those `kept` from what was found `before`.
 
-    `overview` is of the larger flat of which this is a part.
+    `overview` is of the larger flat of which this is a part. Beside the depth stands the part (n,) [px] of each error
+    that all lenses of a surface may share.
     """
     setting = PRESETS[preset]
     forward, backward = lens_halves(lattice)
@@ -290,14 +295,16 @@ def lens_by_lens(
             )
         )
     resolved = reason == 0
-    plane = regular_plane(lattice, refined, error, resolved, neighbours) if kept is None and overview is None else None
+    plane = None
+    if kept is None and overview is None:
+        plane = regular_plane(lattice, refined, error, resolved, astray, neighbours)
     if plane is not None:
-        plane = replace(plane, misled=float(np.median(astray[resolved & np.isfinite(error)])))
         # A plane confirms what few pairs at the border of the flat could not.
         own = plane.at(lattice.centres())
         near_plane = (np.abs(refined - own) <= 2 * AGREED * lattice.pitch) & (np.abs(own) <= RESOLVABLE * lattice.pitch)
         reason = np.where((reason == 3) & near_plane & (found.confidence >= SURE), 0, reason)
-        return on_one_plane(plane, lattice, preset, reason, sure, _saved(shortcuts, some, found, sample, kept))
+        level = on_one_plane(plane, lattice, preset, reason, sure, _saved(shortcuts, some, found, sample, kept))
+        return level, astray
     gap = max(1.0, 0.05 * lattice.pitch)
     guess = found.patch_size if known is None else np.where(np.isfinite(known), known, found.patch_size)
     guess = _within_reach(guess, refined, reason, lattice.pitch)
@@ -324,7 +331,7 @@ def lens_by_lens(
     if kept is not None:
         crossed &= ~kept
     saved = _saved(shortcuts, some, found, sample, kept)
-    return DepthMap(
+    depth = DepthMap(
         patch_size=np.where(crossed, middle, np.where(resolved, refined, np.nan)),
         standard_error=np.where(crossed, np.maximum(error, found.step), np.where(resolved, error, np.inf)),
         confidence=np.where(crossed | ~resolved, SURE * sure, sure),
@@ -336,6 +343,7 @@ def lens_by_lens(
         reason=reason,
         saved=saved,
     )
+    return depth, astray
 
 
 def _within_reach(guess: NDArray, refined: NDArray, reason: NDArray[np.int8], pitch: float) -> NDArray:

@@ -85,7 +85,7 @@ def following(
     if not kept.any():
         return _noted(scaled(analyzed(gray, small, preset, shortcuts), lattice, factor), before, changed)
     blank = (blank_lenses(plain)[0], np.inf) if shortcuts.blank else None
-    depth = lens_by_lens(gray, small, preset, shortcuts, plain, blank, kept, scaled(before, small, 1 / factor))
+    depth, _ = lens_by_lens(gray, small, preset, shortcuts, plain, blank, kept, scaled(before, small, 1 / factor))
     after = scaled(replace(depth, saved={**depth.saved, **saved}), lattice, factor)
     return _noted(after, before, changed, then, kept)
 

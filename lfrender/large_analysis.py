@@ -36,7 +36,7 @@ from .radiance import GrayFlat, gray_flat
 from .radiance import lens_by_lens as uneven_lenses
 from .region import scaled
 from .search import Matcher
-from .single_plane import plane_evidence
+from .single_plane import explained_by_plane, plane_evidence, with_misled
 from .skipping import Shortcuts
 from .spreading import grid_shape
 from .surface import Surface
@@ -148,21 +148,24 @@ def _depths(
     whole: _Whole, part: LensPart, pixels: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
     """Place, patch size and confidence of the lenses of a window that are resolved."""
-    depth = _part_depth(whole, part, pixels)
+    depth, _ = _part_depth(whole, part, pixels)
     found = part.inside & (depth.reason == 0)
     return part.lattice.centres()[found] + part.corner, depth.patch_size[found], depth.confidence[found]
 
 
-def _part_depth(whole: _Whole, part: LensPart, pixels: NDArray[Any]) -> DepthMap:
-    """The depth of the lenses of a part, and of those around them."""
+def _part_depth(whole: _Whole, part: LensPart, pixels: NDArray[Any]) -> tuple[DepthMap, NDArray[Any]]:
+    """The depth of the lenses of a part, and of those around them; what they may share of their errors."""
     gray = whole.gray(part, pixels)
     plain = quick_statistics(gray)
     blank = (blank_lenses(plain, whole.overview.raw_noise)[0], np.inf) if whole.shortcuts.blank else None
     return lens_by_lens(gray, part.lattice, whole.preset, whole.shortcuts, plain, blank, overview=whole.overview)
 
 
-def _plane_evidence(whole: _Whole, item: tuple[LensPart, Plane], pixels: NDArray[Any]) -> NDArray[np.float32] | None:
-    """How well the lenses of a part match on a plane; None where some show something else."""
+def _plane_evidence(
+    whole: _Whole, item: tuple[LensPart, Plane], pixels: NDArray[Any]
+) -> tuple[NDArray[np.float32], NDArray[Any]] | None:
+    """How well the lenses of a part match on a plane, and how much of their texture that explains; None where some show
+    something else."""
     part, plane = item
     gray = whole.gray(part, pixels)
     plain = quick_statistics(gray)
@@ -170,7 +173,10 @@ def _plane_evidence(whole: _Whole, item: tuple[LensPart, Plane], pixels: NDArray
     matcher = Matcher(texture, *lens_halves(part.lattice), PRESETS[whole.preset])
     about = plane.at(part.lattice.centres() + part.corner).astype(np.float32)
     found = plane_evidence(matcher, texture, about, PRESETS[whole.preset])
-    return None if found is None else found[part.inside]
+    if found is None:
+        return None
+    explained = explained_by_plane(matcher, texture, about, found)
+    return found[part.inside], explained[part.inside & texture.clear]
 
 
 def _overview(whole: _Whole, workers: PartWorkers) -> tuple[Overview, Plane | None, float]:
@@ -199,15 +205,16 @@ def _by_tiles(
     n = len(lattice)
     patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
     confidence, reason, drawn = np.zeros(n, np.float32), np.ones(n, np.int8), np.zeros(n, np.float32)
+    astray = np.full(n, np.inf)
     surface = np.empty(shape, np.float32)
     saved: dict[str, float] = {}
     found = workers.each(_part_depth, whole, tiles, [part.rectangle for part in tiles])
-    for number, (part, depth) in enumerate(zip(tiles, found, strict=True)):
+    for number, (part, (depth, shared)) in enumerate(zip(tiles, found, strict=True)):
         i, j = (part.lattice.indices()[part.inside] - least).T
         rows = grid[j, i]
         for into, some in (
             (patch_size, depth.patch_size), (error, depth.standard_error), (confidence, depth.confidence),
-            (reason, depth.reason), (drawn, depth.drawn),
+            (reason, depth.reason), (drawn, depth.drawn), (astray, shared),
         ):  # fmt: skip
             into[rows] = some[part.inside]
         _paste(surface, depth.surface, part, spacing)
@@ -217,7 +224,7 @@ def _by_tiles(
             progress(number + 1, len(tiles))
     plane = None
     if whole.shortcuts.plane:
-        plane = regular_plane(lattice, patch_size, error, reason == 0, np.hstack(lens_halves(lattice)))
+        plane = regular_plane(lattice, patch_size, error, reason == 0, astray, np.hstack(lens_halves(lattice)))
     if plane is not None:
         return on_one_plane(plane, lattice, preset, reason, confidence, saved)
     return DepthMap(
@@ -248,13 +255,16 @@ def _checked_plane(
     lattice = whole.lattice
     grid, least = lens_grid(lattice)
     evidence = np.zeros(len(lattice), np.float32)
+    explained: list[NDArray[Any]] = []
     items = [(part, plane) for part in tiles]
     checked = workers.each(_plane_evidence, whole, items, [part.rectangle for part in tiles])
     for part, found in zip(tiles, checked, strict=True):
         if found is None:
             return None
         i, j = (part.lattice.indices()[part.inside] - least).T
-        evidence[grid[j, i]] = found
+        evidence[grid[j, i]] = found[0]
+        explained.append(found[1])
+    plane = with_misled(plane, np.concatenate(explained))
     shown = evidence >= LEAST_EVIDENCE
     spared = 1 - len(whole.overview.sizes) / len(lattice)
     reason = np.where(shown, 0, 1)

@@ -20,7 +20,7 @@ from .skipping import sample_lenses
 from .slant import fit_lenses
 from .texture import Texture
 
-__all__ = ["PROBE", "PlaneScene", "find_plane", "plane_evidence", "vertex"]
+__all__ = ["PROBE", "PlaneScene", "explained_by_plane", "find_plane", "plane_evidence", "vertex", "with_misled"]
 
 # So many lenses tell a plane, or at least the second number of them.
 _SAMPLE, _LEAST_SAMPLE = 80, 40
@@ -96,8 +96,7 @@ def find_plane(
         plane = fit_plane(*_places(_pairs(texture, forward, start, setting), texture.flat, forward), lattice.pitch)
         if plane is None:
             return None
-    explained = evidence / np.interp(about / matcher.factor, matcher.shifts, matcher.trust) / signal_share(texture)
-    plane = replace(plane, misled=float(misled(plane.scatter, np.median(explained[texture.clear]))))
+    plane = with_misled(plane, explained_by_plane(matcher, texture, about, evidence)[texture.clear])
     paths = 2 * forward.shape[1]
     sure = float(np.median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance())))
     return PlaneScene(plane, sure, evidence, float(sample.mean()))
@@ -150,6 +149,19 @@ def plane_evidence(
         if strays((lenses.patch_size - about).astype(float), lenses.standard_error.astype(float), rows):
             return None
     return (1 - cost[:, 1]).astype(np.float32)
+
+
+def explained_by_plane(
+    matcher: Matcher, texture: Texture, about: NDArray[np.float32], evidence: NDArray[np.float32]
+) -> NDArray:
+    """(n,) share of the texture of each lens that its match at the plane's shift explains, noise apart."""
+    trust = np.interp(about / matcher.factor, matcher.shifts, matcher.trust)
+    return np.asarray(evidence / trust / signal_share(texture))
+
+
+def with_misled(plane: Plane, explained: NDArray) -> Plane:
+    """The plane with what the texture that its matches leave unexplained may have done to the lenses (m,) of it."""
+    return replace(plane, misled=float(misled(plane.scatter, np.median(explained)))) if explained.size else plane
 
 
 def vertex(cost: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -12,7 +12,7 @@ import tifffile
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender import large_analysis, lens_tiles
+from lfrender import large_analysis, lens_tiles, plane
 from lfrender.radiance import gray_flat
 from lfrender.search import PRESETS
 from lfrender.skipping import Shortcuts
@@ -64,6 +64,20 @@ def test_one_plane_is_seen_as_one_plane(tmp_path, small_tiles):
     assert np.ptp(many.drawn) < 1e-4
     assert many.drawn.mean() == pytest.approx(one.drawn.mean(), abs=0.02)
     assert (one.mode == many.mode).mean() > 0.99
+
+
+@pytest.mark.parametrize("noise", [3, 12])
+def test_the_error_of_one_plane_counts_what_misleads_all_of_its_lenses(tmp_path, small_tiles, monkeypatch, noise):
+    """Little noise lets the plane be checked on every tile, much leaves it to be found among their answers."""
+    shot = capture("plane", ratio=0.32)
+    noisy = shot.flat + np.random.default_rng(1).normal(0, noise, shot.flat.shape)
+    shot = replace(shot, flat=np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+    _, counted, _ = in_both_ways(tmp_path, shot)
+    monkeypatch.setattr(plane, "_COMMON", 0.0)
+    _, uncounted, _ = in_both_ways(tmp_path, shot)
+    assert ("plane" in counted.saved) == (noise < 10)
+    assert np.ptp(counted.drawn) < 1e-4
+    assert np.median(counted.standard_error) > 1.03 * np.median(uncounted.standard_error)
 
 
 def test_the_surface_of_every_place_comes_from_the_tile_it_lies_in(tmp_path, small_tiles):

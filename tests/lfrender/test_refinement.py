@@ -1,15 +1,15 @@
 import numpy as np
 
 from lfrender.neighbours import neighbour_rows
-from lfrender.refinement import fit_pairs
+from lfrender.refinement import PairFits, fit_pairs
 from lfrender.slant import fit_lenses
 
 
-def measure(gray, lattice, start):
+def measure(gray, lattice, start, noise=0.005, iterations=8, scale=0.1):
     rows = neighbour_rows(lattice, lattice.steps)
     half = rows.shape[1] // 2
-    scale = np.full(len(start), 0.1, np.float32)
-    pairs = fit_pairs(gray, rows[:, :half], start.astype(np.float32), scale, 0.005, 8)
+    scale = np.full(len(start), scale, np.float32)
+    pairs = fit_pairs(gray, rows[:, :half], start.astype(np.float32), scale, noise, iterations)
     return pairs, fit_lenses(gray, rows[:, :half], rows[:, half:], pairs, start.astype(np.float32))
 
 
@@ -58,3 +58,31 @@ def test_lenses_without_a_first_value_are_left_alone(drawn_flat):
     assert np.isnan(lenses.patch_size[::2]).all()
     assert np.isinf(lenses.standard_error[::2]).all()
     assert np.isfinite(lenses.patch_size[1::2][inner[1::2]]).all()
+
+
+def test_slopes_of_noise_do_not_hold_a_fit_back_at_its_start(drawn_flat):
+    gray, lattice, truth, inner = drawn_flat(-6.5, noise=0.06, detail=0.4)
+    error = {}
+    for known in (0.06, 0.0):
+        _, lenses = measure(gray, lattice, truth + 1.0, known, 5, scale=0.3)
+        error[known] = np.median((lenses.patch_size - truth)[inner])
+        within = (np.abs(lenses.patch_size - truth) < lenses.standard_error)[inner].mean()
+        assert known == 0 or 0.58 < within < 0.8
+    assert abs(error[0.06]) < 0.025 < 0.04 < error[0.0], f"off by {error} px"
+
+
+def test_pairs_that_scatter_by_more_than_their_noise_widen_the_error_beyond_their_scatter(drawn_flat):
+    gray, lattice, _truth, inner = drawn_flat(6.0)
+    rows = neighbour_rows(lattice, lattice.steps)
+    half = rows.shape[1] // 2
+    start = np.full(len(rows), 6.0, np.float32)
+    rng = np.random.default_rng(3)
+    median = []
+    for scatter in (0.02, 0.06):
+        sizes = np.repeat(6.0 + scatter * rng.standard_normal((len(rows), half, 1)), 2, 2).astype(np.float32)
+        sizes[rows[:, :half] < 0] = np.nan
+        pairs = PairFits(sizes, np.full(sizes.shape, 0.02**2, np.float32), np.zeros((*sizes.shape, 2), np.float32))
+        lenses = fit_lenses(gray, rows[:, :half], rows[:, half:], pairs, start)
+        median.append(np.median(lenses.standard_error[inner]))
+    # Three times the scatter, less what the robust fit takes for outliers (2.7), and up to 1.4 times that.
+    assert median[1] / median[0] > 3
