@@ -1,7 +1,8 @@
 """Random cases by the thousand: `python -m benchmarks.stress.random_cases FILE [--cases N] [--stage NAME]`.
 
 `hypothesis` draws them in batches, each from its own seed. FILE takes one line of JSON a case; batches that are whole
-there are not run again, so that a run can be ended at any time and taken up later.
+there are not run again, so that a run can be ended at any time and taken up later. Another version of hypothesis, or
+other modules beside it, draw other cases of the same seed: rows that are wrong hold their case.
 """
 
 from __future__ import annotations
