@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from .errors import CalibrationError
 from .folding import TileFolds
 
-__all__ = ["check_cell"]
+__all__ = ["check_cell", "check_waves"]
 
 _RAW = "give a raw flat from the sensor, of a camera with a microlens array"
 # Energy of the average cell that must lie beside the strongest line of harmonics: stripes have none there, touching
@@ -63,8 +63,6 @@ def check_cell(
     if beside < _TWO_WAYS:
         raise CalibrationError(f"stripes repeat on the image, in one direction only; {_RAW}")
     pitch = float(np.sqrt(abs(np.linalg.det(basis))))
-    if pitch > _SHARP_PITCH and _beyond_first(tone) < _HARMONICS:
-        raise CalibrationError(f"crossed waves without any edge repeat every {pitch:.1f} px, not microimages; {_RAW}")
     if light.std() > _VISIBLE * light.mean():
         # What one half has in common with the other limits what any model can explain of their mean.
         possible = 2 * repeatability / (1 + repeatability)
@@ -72,6 +70,13 @@ def check_cell(
         explained = float(np.mean([_explained(cell, lengths) for cell in cells]))
         if explained < (_EXPLAINED if beside > _LOPSIDED else _EXPLAINED_ROWS) * possible:
             raise CalibrationError(f"a pattern repeats every {pitch:.1f} px that has no microimages; {_RAW}")
+
+
+def check_waves(tone: TileFolds) -> None:
+    """CalibrationError where the average cell, as for `check_cell`, has no edge that light behind a lens would have."""
+    pitch = float(np.sqrt(abs(np.linalg.det(tone.basis))))
+    if pitch > _SHARP_PITCH and _beyond_first(tone) < _HARMONICS:
+        raise CalibrationError(f"crossed waves without any edge repeat every {pitch:.1f} px, not microimages; {_RAW}")
 
 
 def _power(cell: NDArray[np.float64]) -> NDArray[np.float64]:

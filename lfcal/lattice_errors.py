@@ -45,6 +45,23 @@ class LatticeErrors:
         """(p,) standard errors of the parameters."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0))
 
+    @property
+    def condition(self) -> float:
+        """Condition number of the fit, 1 and more: how much worse parameters are known together than each by itself.
+
+        Of the least-squares design with columns of one length, so that units and the number of lenses do not matter.
+        A flat of 33 x 29 lenses has 1.6, a strip of 70 x 9 whose radial distortion is fitted as well has 18; infinite
+        where the lenses do not tell the parameters apart.
+        """
+        errors = self.standard_errors
+        if not (errors > 0).all():
+            return float("inf")
+        # The information matrix and its inverse have the same condition, but not once their columns are scaled.
+        information = np.linalg.pinv(self.covariance / np.outer(errors, errors))
+        scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+        values = np.linalg.eigvalsh(information / np.outer(scale, scale))
+        return float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else float("inf")
+
     def of_centres(self, lattice: Lattice) -> NDArray[np.float64]:
         """(n,) standard errors [px] of the centres, in the order of `lattice.centres()`.
 

@@ -24,8 +24,9 @@ _OTHER_CELL = 0.3
 # Less than this share of all energy is nothing to find a period in.
 _NOTHING = 1e-3
 # Shifted by half a cell, a board is its own negative to this correlation, and its edges are the same to this one. Soft
-# discs of an oblong array with wide gaps come as far as 0.93, boards blurred by a fifth of a square are beyond 0.98.
-_NEGATIVE, _SAME_EDGES = 0.96, 0.7
+# discs of an oblong array with wide gaps come as far as 0.93, boards blurred by a fifth of a square are beyond 0.98;
+# few squares, or noise, leave a third of the edges.
+_NEGATIVE, _SAME_EDGES = 0.945, 0.3
 _RINGS = 24
 # Part of the pitch around a centre that is lens for any fill.
 _CORE = 0.25

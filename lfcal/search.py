@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .cell_shape import check_cell
+from .cell_shape import check_cell, check_waves
 from .coherence import refine_basis
 from .errors import CalibrationError
 from .features import breaks, level_locally
@@ -145,6 +145,7 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
     if coherence < _COHERENT:
         raise CalibrationError(NO_MICROIMAGES)
     tone = fold_tiles(picture, basis, side, 4 * _BINS, _FEW_TILES)
+    check_waves(tone)
     if is_board(*cells):
         raise CalibrationError("a checkerboard repeats on the image, not microimages; give a raw flat from the sensor")
     light = tone.mean().reshape(_BINS, 4, _BINS, 4).mean((1, 3)) ** 2

@@ -104,6 +104,15 @@ class DepthMap:
             return (self.pitch / np.abs(self.patch_size)).astype(np.float32)
 
     @cached_property
+    def curvature(self) -> NDArray[np.float32]:
+        """(n,) float32 [1/px^2]: of the log likelihood at its peak, `1 / standard_error^2`; 0 where unknown.
+
+        How well the answer is conditioned: twice as much light, or twice as many pairs, double it.
+        """
+        with np.errstate(divide="ignore"):
+            return (1 / self.standard_error.astype(np.float64) ** 2).astype(np.float32)
+
+    @cached_property
     def filled(self) -> NDArray[np.bool_]:
         """(n,) bool: lenses that are drawn with their neighbours' depth since they have none of their own."""
         return np.isnan(self.patch_size)

@@ -7,6 +7,9 @@ import resource
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
+from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,8 @@ import tifffile
 
 import lfcal
 import lfrender
+from lfrender.film_file import FilmFile
+from lfrender.frames import open_frames
 
 from .plane_flats import PlaneFlat
 
@@ -25,6 +30,7 @@ _SIZE = (160, 120)
 # A reader may take so long [s] over a file of a hundred kilobytes at most.
 _TIME = 2.0
 _HEADER = 300
+_MOST_FRAMES = 1000
 _CLAIMS = (
     b"\xff\xff\xff\xff",
     b"\x7f\xff\xff\xff",
@@ -67,6 +73,10 @@ def whole_files(folder: Path) -> dict[str, bytes]:
     camera.save(folder / "camera.json")
     for suffix in (".xml", ".cfg", ".csv"):
         lfcal.convert(camera, folder / f"camera{suffix}")
+    for suffix in (".mp4", ".mkv") if find_spec("av") else ():
+        with FilmFile(folder / f"film{suffix}", Fraction(25), "") as film:
+            for step in range(4):
+                film.add(np.roll(colour, step, 1))
     return files | {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
@@ -94,8 +104,27 @@ def damaged(whole: bytes, number: int) -> bytes:
     return bytes(data)
 
 
+def _read_film(path: Path) -> int:
+    """Read all frames, and raise the first error of theirs when all have been tried."""
+    errors: list[lfcal.LightFieldError] = []
+    count = 0
+    for frame in islice(open_frames([path]), _MOST_FRAMES):
+        try:
+            frame.read()
+        except lfcal.LightFieldError as error:
+            errors.append(error)
+        count += 1
+    if errors:
+        raise errors[0]
+    if count == _MOST_FRAMES:
+        raise RuntimeError("a film of four frames has no end")
+    return count
+
+
 def _reader(name: str) -> Callable[[Path], Any]:
     suffix = Path(name).suffix
+    if suffix in (".mp4", ".mkv"):
+        return _read_film
     if suffix == ".npz":
         return lfrender.DepthMap.load
     if suffix in (".json", ".xml", ".cfg"):

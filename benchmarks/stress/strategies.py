@@ -18,6 +18,8 @@ __all__ = ["drawable_planes", "lookalikes", "planes", "whites"]
 _SEEDS = st.integers(0, 2**31)
 _PHOTOGRAPHS = ("camera", "coins", "astronaut", "coffee", "chelsea", "page", "text", "brick", "grass")
 _SIDE = (150, 400)
+# Of a shorter wave [px] pixels show another one.
+_LEAST_PERIOD = 4.0
 
 
 def _between(low: float, high: float) -> st.SearchStrategy[float]:
@@ -41,6 +43,7 @@ def planes(draw: st.DrawFn, largest: float = 3.0) -> PlaneFlat:
     texture = draw(st.sampled_from(["rich", "rich", "faint", "coarse", "periodic"]))
     contrasts = {"rich": (0.1, 0.4), "faint": (0.0, 0.06), "coarse": (0.05, 0.4), "periodic": (0.05, 0.3)}
     grain = draw(_between(0.15 * pitch, 0.6 * pitch) if texture == "coarse" else _between(1.5, 0.15 * pitch + 1.5))
+    shortest = max(0.12, _LEAST_PERIOD / pitch)
     slant = (0.0, 0.0)
     # D / s may lose or gain a third of itself over the flat.
     if draw(st.booleans()):
@@ -49,7 +52,7 @@ def planes(draw: st.DrawFn, largest: float = 3.0) -> PlaneFlat:
         ratio=ratio, slant=slant, cell=draw(st.sampled_from(sorted(CELLS))), pitch=pitch,
         degrees=draw(_between(0, 360)), size=(side, int(side * draw(_between(0.5, 1)))),
         contrast=draw(_between(*contrasts[texture])), noise=draw(_or_none(_between(0, 0.1))), grain=grain,
-        period=draw(_between(0.12, 1.0)) if texture == "periodic" else 0.0, fill=draw(_or_none(_between(0.8, 1))),
+        period=draw(_between(shortest, 1.0)) if texture == "periodic" else 0.0, fill=draw(_or_none(_between(0.8, 1))),
         exposure=draw(_between(0.05, 0.6)), kind=draw(st.sampled_from(["u1", "u2", "f4"])), seed=draw(_SEEDS),
     )  # fmt: skip
 
@@ -138,10 +141,12 @@ _PICTURES: tuple[Callable[[st.DrawFn], NDArray[np.float64]], ...] = (
 
 
 @st.composite
-def lookalikes(draw: st.DrawFn) -> NDArray[Any]:
-    """(h, w) uint8 picture of something that is no array of microimages, repeating patterns among it."""
-    picture = draw(st.sampled_from(_PICTURES))(draw)
+def lookalikes(draw: st.DrawFn) -> tuple[str, NDArray[Any]]:
+    """What it is, and a (h, w) uint8 picture, of something that is no array of microimages: much of it repeats."""
+    what = draw(st.sampled_from(_PICTURES))
+    picture = what(draw)
     blur = draw(_or_none(_between(0.3, 2)))
     picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), blur) if blur else picture, float)
     noise = draw(_between(0, 0.1)) * np.random.default_rng(draw(_SEEDS)).standard_normal(picture.shape)
-    return np.clip(127.5 * (1 + draw(_between(0.1, 1)) * picture + noise), 0, 255).astype(np.uint8)
+    shown = np.clip(127.5 * (1 + draw(_between(0.1, 1)) * picture + noise), 0, 255).astype(np.uint8)
+    return what.__name__.strip("_").replace("_", " "), shown

@@ -69,3 +69,19 @@ def test_camera_file_keeps_the_standard_errors(tmp_path):
     np.testing.assert_allclose(np.sqrt((kept**2).mean()), 0.02, rtol=1e-9)
     middle, corner = lattice.centres() - [150, 100], np.hypot(150, 100)
     assert kept[np.hypot(*middle.T) < 20].max() < 0.7 * kept[np.hypot(*middle.T) > 0.85 * corner].min()
+
+
+def test_the_condition_of_a_fit_tells_a_strip_from_a_field_whatever_the_unit():
+    from lfcal.lattice_errors import LatticeErrors, errors_of_even_fit
+
+    def condition(size, origin):
+        return errors_of_even_fit(lfcal.Lattice(origin, [[10.0, 0.0], [0.0, 10.0]], size, 4.0), 0.02).condition
+
+    assert 1 <= condition((300, 300), (150.0, 150.0)) < 1.2
+    # Counted from a corner, place and basis are told apart less well.
+    assert 4 < condition((300, 300), (5.0, 5.0)) < 6
+    assert condition((900, 20), (455.0, 5.0)) > 2
+    errors = errors_of_even_fit(lfcal.Lattice((5.0, 5.0), [[10.0, 0.0], [0.0, 10.0]], (300, 300), 4.0), 0.02)
+    assert errors.scaled(8.0).condition == pytest.approx(errors.condition)
+    # All parameters are one and the same number.
+    assert LatticeErrors(errors.names, np.full((6, 6), 1e-6)).condition > 1e6

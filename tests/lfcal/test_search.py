@@ -28,6 +28,15 @@ def test_photograph_of_a_checkerboard_is_refused(side, degrees, blur):
         lfcal.calibrate(_photographed(board, blur))
 
 
+@pytest.mark.parametrize(("side", "degrees", "noise"), [(24.4, 0, 8), (7.1, 33, 4), (8.4, 45, 5)])
+def test_a_small_noisy_picture_of_a_checkerboard_is_refused(side, degrees, noise):
+    u, v = _turned(degrees)
+    board = cv2.GaussianBlur(127.5 + 115 * (2 * ((np.floor(u / side) + np.floor(v / side)) % 2) - 1), (0, 0), 1.0)
+    board += np.random.default_rng(3).normal(0, noise, board.shape)
+    with pytest.raises(lfcal.CalibrationError, match="checkerboard"):
+        lfcal.calibrate(np.clip(board, 0, 255).astype(np.uint8)[:160, :250])
+
+
 @pytest.mark.parametrize("shape", ["SQUARE", "HEXAGON"])
 @pytest.mark.parametrize("pitch", [5.0, 5.4])
 def test_pitch_below_six_pixels_is_named(whites, shape, pitch):

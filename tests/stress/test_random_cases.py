@@ -59,5 +59,7 @@ def test_wrong_answers_of_one_in_a_thousand_are_not_rare():
 def test_every_stage_is_driven_by_what_hypothesis_draws(stage):
     found = outcomes(stage, 4, 4)
     assert len(found) >= 3
-    # Four cases cannot tell how rare wrong answers are, only that they are not common.
-    assert all(0 <= one.answered <= 1 and one.off <= 0.1 for _, one in found)
+    assert len({case for case, _ in found}) >= 2
+    # Which cases a seed gives depends on the modules that hypothesis has seen: how rare wrong answers are is told by
+    # thousands of them, not by these.
+    assert all(0 <= one.off <= one.answered <= 1 for _, one in found)
