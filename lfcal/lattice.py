@@ -21,6 +21,8 @@ _SAME_LENGTH = 5e-3
 _MOST_PIXELS, _MOST_LENSES, _MOST_ROWS, _FARTHEST = 1 << 31, 1 << 27, 1e7, 1e9
 # Lenses looked at together, so that hardly more memory is needed than for the result.
 _TOGETHER = 1 << 20
+# Lattices of no more lenses keep their centres, which are asked for again and again.
+_KEPT = 1 << 16
 
 
 def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
@@ -179,12 +181,16 @@ class Lattice:
 
     def centres(self) -> NDArray[np.float64]:
         """(n, 2) float64 centres `x, y` [px], in the order of `indices()`."""
-        if len(self) <= _TOGETHER:
-            return self.points(self._indices)
+        if len(self) <= _KEPT:
+            return self._centres.copy()
         centres = np.empty((len(self), 2))
         for start in range(0, len(self), _TOGETHER):
             centres[start : start + _TOGETHER] = self.points(self._indices[start : start + _TOGETHER])
         return centres
+
+    @cached_property
+    def _centres(self) -> NDArray[np.float64]:
+        return self.points(self._indices)
 
     def shrunk(self, factor: int) -> Lattice:
         """The same lenses on a flat of which `factor` x `factor` pixels each have become one."""

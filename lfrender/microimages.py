@@ -8,6 +8,7 @@ long loop compares them. Which pixels count is told by a mask that depends on th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numba import njit, prange
@@ -130,18 +131,22 @@ def joint_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> Mas
         The first of them that is 1, and the one after the last.
     counts : (slots,) int32
     """
+    # The same for frame after frame.
+    return _masks_of(strips.half, strips.width, strips.rows, strips.step, radius, wanted.tobytes())
+
+
+@lru_cache(maxsize=8)
+def _masks_of(half: int, width: int, rows: int, step: int, radius: float, shifts: bytes) -> Masks:
+    wanted = np.frombuffer(shifts, np.int64).reshape(-1, 2)
     reach = max(1, int(np.abs(wanted).max(initial=0)))
     side = 2 * reach + 1
     used = np.zeros((side, side), bool)
     used[wanted[:, 1] + reach, wanted[:, 0] + reach] = True
     slots = np.where(used, np.cumsum(used.ravel()).reshape(side, side) - 1, -1).astype(np.int32)
     count = int(used.sum())
-    masks = np.empty((count, strips.rows * strips.width), np.float32)
+    masks = np.empty((count, rows * width), np.float32)
     ends, counts = np.empty((count, 2), np.int32), np.empty(count, np.int32)
-    _fill_masks(
-        slots, reach, strips.half, strips.width, strips.rows, strips.step, max(radius - _SLACK, 1.0) ** 2, masks, ends,
-        counts,
-    )  # fmt: skip
+    _fill_masks(slots, reach, half, width, rows, step, max(radius - _SLACK, 1.0) ** 2, masks, ends, counts)
     return slots, masks, ends, counts
 
 
