@@ -23,8 +23,14 @@ def lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     grid : (nj, ni) int32
         Row in `lattice.centres()` of lens `(i, j)` at `grid[j - low[1], i - low[0]]`, -1 where there is none.
     low : (2,) int64
-        Smallest `i` and `j`.
+        Smallest `i` and `j`. Shared by all who ask: nobody may write into either.
     """
+    return (
+        remembered(lattice, "grid", lambda: _lens_grid(lattice)) if len(lattice) <= _MOST_KEPT else _lens_grid(lattice)
+    )
+
+
+def _lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     ij = lattice.indices()
     low = ij.min(0)
     size = ij.max(0) - low + 1

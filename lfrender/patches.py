@@ -18,7 +18,7 @@ from lfcal import Lattice
 from .fastmath import FAST
 from .prefetching import prefetch
 
-__all__ = ["lay_patches"]
+__all__ = ["lay_patches", "shows_all_patches"]
 
 # Steps per pixel at which the gain is tabled: between them it changes by a fraction of a grey level.
 _PHASES = 8
@@ -244,6 +244,12 @@ def _cell(lattice: Lattice) -> NDArray[np.float64]:
     around = [a, b, b - a, -a]
     corners = [np.linalg.solve(np.array(pair), np.square(pair).sum(1) / 2) for pair in itertools.pairwise(around)]
     return np.concatenate([corners, np.negative(corners)])
+
+
+def shows_all_patches(lattice: Lattice, patch_size: float, radius: float) -> bool:
+    """Whether microimages of this `radius` [px] hold whole patches, to the corners between three lenses."""
+    corner = float(np.linalg.norm(_cell(lattice), axis=1).max())
+    return corner * abs(patch_size) / lattice.pitch <= radius
 
 
 def lay_patches(

@@ -18,7 +18,7 @@ from lfcal import Calibration, Lattice
 from .bending import lattice_bend
 from .lens_focus import focus_shares
 from .mosaic import draw_rows
-from .patches import lay_patches
+from .patches import lay_patches, shows_all_patches
 from .radiance import gain_table, lens_by_lens, white_level
 from .remembered import remembered
 from .row_blending import blend_rows, packed
@@ -241,7 +241,9 @@ class Drawing:
         lattice, sizes = self.calibration.lattice, self.surface.patch_size
         if self.blend or sizes.size > 1 or lattice.distortion is not None or lens_by_lens(self.calibration):
             return False
-        return np.float32(self.scale) == abs(sizes[0, 0]) and min(lattice.image_size) > 1
+        if np.float32(self.scale) != abs(sizes[0, 0]) or min(lattice.image_size) < 2:
+            return False
+        return shows_all_patches(lattice, self.scale, self.aperture * lattice.radius)
 
     def _seen_depth(
         self, corner: tuple[int, int], shape: tuple[int, ...], edged: NDArray[np.bool_]

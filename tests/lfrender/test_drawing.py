@@ -64,7 +64,8 @@ def test_the_picture_reaches_the_border():
 def test_places_without_a_lens_are_masked():
     shot = capture("plane", ratio=0.3)
     lattice = shot.truth.calibration.lattice
-    picture = lfrender.render(shot.flat, Calibration(Lattice(lattice.origin, lattice.basis, lattice.image_size, 3.0)))
+    narrow = Calibration(Lattice(lattice.origin, lattice.basis, lattice.image_size, 3.0))
+    picture = lfrender.render(shot.flat, narrow, patch_size=0.3 * lattice.pitch)
     assert not picture.valid.all()
     assert (picture.image[~picture.valid] == 0).all()
 
