@@ -157,8 +157,9 @@ class Lattice:
             i = np.arange(count.sum()) + np.repeat(first[few] - np.cumsum(count) + count, count)
             ij = np.column_stack([i, np.repeat(rows[few], count)])
             centres = self.points(ij)
-            inside = ((centres >= -0.5) & (centres < np.array([width, height]) - 0.5)).all(1)
-            found.append(ij[inside])
+            x, y = centres.T
+            inside = np.flatnonzero((x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5))
+            found.append(ij.take(inside, 0))
         return np.concatenate(found)
 
     def _ends(self, rows: NDArray[np.int64], low: int, high: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

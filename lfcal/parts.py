@@ -23,9 +23,10 @@ def whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int64], ND
     """Indices (n, 2) and centres (n, 2) of lenses at least `margin` px inside the flat."""
     centres, indices = lattice.centres(), lattice.indices()
     width, height = lattice.image_size
-    limit = np.array([width - 1, height - 1]) - margin
-    keep = ((centres >= margin) & (centres <= limit)).all(1)
-    return indices[keep], centres[keep]
+    x, y = centres.T
+    # Of very many lenses, two columns are compared several times as fast as rows of two, and so are rows taken.
+    keep = np.flatnonzero((x >= margin) & (x <= width - 1 - margin) & (y >= margin) & (y <= height - 1 - margin))
+    return indices.take(keep, 0), centres.take(keep, 0)
 
 
 @dataclass(frozen=True)
