@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -186,6 +186,12 @@ class Lattice:
         for start in range(0, len(self), _TOGETHER):
             centres[start : start + _TOGETHER] = self.points(self._indices[start : start + _TOGETHER])
         return centres
+
+    def with_radius(self, radius: float) -> Lattice:
+        """The same lenses with another usable radius [px]."""
+        other = replace(self, radius=radius)
+        other.__dict__["_indices"] = self._indices
+        return other
 
     def shrunk(self, factor: int) -> Lattice:
         """The same lenses on a flat of which `factor` x `factor` pixels each have become one."""

@@ -48,7 +48,8 @@ class LitLenses:
         if before is not None and before._still_on(lattice):
             return before
         indices, centres, part = tones.lenses(lattice, margin)
-        alight = lit_lenses(tones.picture, lattice, indices, centres - tones.offsets[part], dark)
+        offset = tones.offsets[part] if len(tones) > 1 else tones.offsets
+        alight = lit_lenses(tones.picture, lattice, indices, centres - offset, dark)
         return cls(lattice, indices, part) if alight.all() else cls(lattice, indices[alight], part[alight])
 
     def _still_on(self, lattice: Lattice) -> bool:
