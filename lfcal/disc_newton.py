@@ -122,13 +122,14 @@ def open_lenses(
             f"only {lit.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the flat, "
             f"at least {FEWEST_LENSES} are needed; give the whole sensor"
         )
-    rings = int(reach / _STEP) + 3
-    indices, centres, gain = indices[lit], centres[lit], gain[lit]
+    rings, full = int(reach / _STEP) + 3, clipped_from(light)
+    if not lit.all():
+        indices, centres, gain, corners, light = indices[lit], centres[lit], gain[lit], corners[lit], light[lit]
     none, tilt = np.zeros_like(centres), field_slope(centres, gain, lattice)
     discs = Discs(
-        light[lit], corners[lit], centres, none, gain, np.ones(len(gain)), tilt, 0.0, 0.0,
+        light, corners, centres, none, gain, np.ones(len(gain)), tilt, 0.0, 0.0,
         faces, inner, reach, _STEP, np.zeros(rings), np.ones(rings),
-        np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, clipped_from(light),
+        np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, full,
     )  # fmt: skip
     if known is None:
         level = first_level(discs)

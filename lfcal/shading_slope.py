@@ -42,7 +42,7 @@ def field_slope(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice
     for _ in range(3):
         if keep.sum() < 3 * len(powers):
             return np.zeros_like(centres)
-        slope = np.linalg.lstsq(table[keep], log[keep], rcond=None)[0]
+        slope = _least_squares(table[keep], log[keep])
         miss = np.abs(log - table @ slope)
         keep = miss < 5 * np.median(miss) + 1e-6
     dx, dy = np.zeros(len(gain)), np.zeros(len(gain))
@@ -52,6 +52,11 @@ def field_slope(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice
         if b:
             dy += b * factor * xs[a] * ys[b - 1]
     return np.column_stack([dx, dy]) / scale
+
+
+def _least_squares(table: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(p,) answer of a long table (n, p) of few columns, which its normal equations give in a fraction of the time."""
+    return np.asarray(np.linalg.lstsq(table.T @ table, table.T @ values, rcond=None)[0], np.float64)
 
 
 def _powers(values: NDArray[np.float64], highest: int) -> list[NDArray[np.float64]]:
@@ -121,7 +126,7 @@ def shading_slope(discs: Discs, lattice: Lattice) -> NDArray[np.float64]:
         if keep.sum() < 4 * table.shape[1]:
             return tilt
         weighted = table[keep] * root[keep, None]
-        answer = np.linalg.lstsq(weighted, slopes[keep] * root[keep], rcond=None)[0]
+        answer = _least_squares(weighted, slopes[keep] * root[keep])
         miss = np.abs(slopes - table @ answer) * root
         keep = (root > 0) & (miss < _OUTLIER * np.median(miss[root > 0]) + 1e-12)
     variance = float((miss[keep] ** 2).mean())
