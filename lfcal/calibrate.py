@@ -183,7 +183,7 @@ def _measured(found: _Found) -> Calibration:
             "give a sharper flat or a white image"
         )
     seen = measure_illumination(picture, fit.lattice, white, fit.cat_eye, found.look)
-    lattice = replace(fit.lattice, radius=seen.radius)
+    lattice = fit.lattice.with_radius(seen.radius)
     if isinstance(picture, np.ndarray):
         check_neighbours(picture, lattice, white, found.single)
     confidence = float(np.clip(min(found.start.repeatability, 1 - fit.halves_differ / (_SCATTERED * pitch)), 0, 1))

@@ -28,6 +28,8 @@ __all__ = ["DiscFit", "fit_discs", "followed"]
 # are chosen.
 _FEW = (1e5, 150)
 _SOME = (6e5, 400)
+# With so many lenses, orders that matter stand out by far, however few pixels each has.
+_MANY = 8000
 # Flats of so many pixels are used whole. Of larger ones, so many lenses are enough that centres have this standard
 # error [px]: a hundredth of what any use of them could tell.
 _ALL = 4e6
@@ -92,7 +94,8 @@ def fit_discs(tones: NDArray[np.float32] | Parts, lattice: Lattice, pixels: floa
     state, lit = open_lenses(tones, DiscModel(lattice, None), *_FEW, None)
     state, _ = converge(state, known)
     state = with_cut(state, state if known else _better(state, (), _bent(state), ("k1",))[0], known)
-    state, lit = open_lenses(tones, state.model, *_SOME, state.discs, lit)
+    some = min(_SOME[0], _MANY * abs(float(np.linalg.det(lattice.basis))))
+    state, lit = open_lenses(tones, state.model, some, _SOME[1], state.discs, lit)
     state, _ = converge(state, known)
     if state.model.cat_eye is not None:
         state = settled_roles(state)

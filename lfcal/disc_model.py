@@ -235,7 +235,8 @@ def disc_steps(discs: Discs) -> DiscSteps:
             discs.reach, discs.step, tables, calm, *thinned(calm), discs.full, _CHUNKS, normal, right, mixed, band,
             scatter,
         )  # fmt: skip
-    normal += np.triu(normal.reshape(-1, LOCAL, LOCAL), 1).transpose(0, 2, 1)
+    for row in range(1, LOCAL):
+        normal[:, row, :row] = normal[:, :row, row]
     main, side, force, total, turned, turned_own, squares, count = band.sum(0).T
     if not (main > 0).any():
         raise np.linalg.LinAlgError("the model of the microimages explains no pixel")

@@ -65,7 +65,10 @@ class FitState:
 
 @dataclass(frozen=True)
 class _Reduced:
-    """Least squares without the gains: local parameters (n, 7), profile (r,) and between them; none where unneeded."""
+    """Least squares without the gains: local parameters (n, m), profile (r,) and between them; none where unneeded.
+
+    Of the seven local parameters only the place, `m = 2`, where nothing is cut.
+    """
 
     normal: NDArray[np.float64]
     right: NDArray[np.float64]
@@ -119,13 +122,14 @@ def open_lenses(
             f"only {lit.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the flat, "
             f"at least {FEWEST_LENSES} are needed; give the whole sensor"
         )
-    rings = int(reach / _STEP) + 3
-    indices, centres, gain = indices[lit], centres[lit], gain[lit]
+    rings, full = int(reach / _STEP) + 3, clipped_from(light)
+    if not lit.all():
+        indices, centres, gain, corners, light = indices[lit], centres[lit], gain[lit], corners[lit], light[lit]
     none, tilt = np.zeros_like(centres), field_slope(centres, gain, lattice)
     discs = Discs(
-        light[lit], corners[lit], centres, none, gain, np.ones(len(gain)), tilt, 0.0, 0.0,
+        light, corners, centres, none, gain, np.ones(len(gain)), tilt, 0.0, 0.0,
         faces, inner, reach, _STEP, np.zeros(rings), np.ones(rings),
-        np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, clipped_from(light),
+        np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, full,
     )  # fmt: skip
     if known is None:
         level = first_level(discs)
@@ -225,13 +229,14 @@ def converge(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSum
 
 def _without_gain(steps: DiscSteps, level: NDArray[np.float64]) -> _Reduced:
     own = np.maximum(steps.normal[:, -1, -1], 1e-30)
-    share = steps.normal[:, :-1, -1] / own[:, None]
+    local = slice(-1) if steps.mixed.shape[1] > 1 else slice(2)
+    share = steps.normal[:, local, -1] / own[:, None]
     gain = steps.mixed[:, -1]
     # Gains and profile share one scale, which the profile keeps.
     scale = np.trace(steps.profile) / (level @ level) * np.outer(level, level)
     return _Reduced(
-        steps.normal[:, :-1, :-1] - share[:, :, None] * steps.normal[:, None, :-1, -1],
-        steps.right[:, :-1] - share * steps.right[:, [-1]],
+        steps.normal[:, local, local] - share[:, :, None] * steps.normal[:, None, local, -1],
+        steps.right[:, local] - share * steps.right[:, [-1]],
         steps.mixed[:, :-1] - (share[:, :, None] * gain[:, None] if steps.mixed.shape[1] > 1 else 0),
         steps.profile - gain.T @ (gain / own[:, None]) + scale,
         steps.force - (steps.right[:, -1] / own) @ gain,
@@ -249,8 +254,9 @@ def _stepped(state: FitState, orders: tuple[str, ...], frozen: bool = False) -> 
     change, covariance, weight = _pooled(columns, reduced, slice(None))
     place, local = columns[:, :2], columns @ change
     ridge = 1e-9 * np.trace(reduced.normal[:, :2, :2].sum(0)) / len(columns) * np.eye(2)
-    left = (reduced.right - (reduced.normal @ local[:, :, None])[..., 0])[:, :2, None]
-    miss = np.linalg.solve(reduced.normal[:, :2, :2] + ridge, left)[..., 0]
+    known = reduced.right.shape[1]
+    left = reduced.right[:, :2] - np.einsum("nij,nj->ni", reduced.normal[:, :2], local[:, :known])
+    miss = np.einsum("nij,nj->ni", _inverse(reduced.normal[:, :2, :2] + ridge), left)
     spread = (place.reshape(-1, place.shape[2]) @ covariance).reshape(place.shape)
     summary = FitSummary(
         moved=float(np.sqrt(((place @ change) ** 2).sum(1).mean())),
@@ -291,11 +297,11 @@ def _pooled(
     # Where nothing is cut, lenses have a place alone.
     own = slice(None) if reduced.mixed.shape[1] else slice(2)
     columns, mixed = np.ascontiguousarray(columns[half, own]), reduced.mixed[half]
-    normal, right = reduced.normal[half, own, own], reduced.right[half, own]
+    normal, right = reduced.normal[half], reduced.right[half]
     part = len(columns) / len(reduced.normal)
     lenses, local, globals_ = columns.shape
     places = normal[:, :2, :2] + 1e-9 * np.trace(normal[:, :2, :2].sum(0)) / lenses * np.eye(2)
-    inverse = np.linalg.inv(places)
+    inverse = _inverse(places)
     force, matter = right.reshape(-1), (normal @ columns).reshape(-1, globals_)
     profile = part * reduced.profile
     weight = np.ones(lenses)
@@ -317,6 +323,13 @@ def _pooled(
         spread = float(np.median(far)) / 1.386 + 1e-30
         weight = np.clip(1 - far / (spread * _OUTLIER**2), 0, None) ** 2
     return change, covariance * spread, weight
+
+
+def _inverse(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 2, 2) inverses of symmetric positive matrices; LAPACK takes several times as long for such small ones."""
+    xx, xy, yy = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    over = 1 / np.maximum(xx * yy - xy * xy, np.finfo(float).tiny)
+    return np.stack([yy * over, -xy * over, -xy * over, xx * over], axis=1).reshape(-1, 2, 2)
 
 
 def halves_differ(summary: FitSummary) -> float:

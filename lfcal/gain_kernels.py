@@ -34,6 +34,8 @@ _BLOCK, _SLOTS = 64, 2048
 # Lenses above each other are so far apart in that memory; a prime, so that it fills evenly.
 _SPREAD = 701
 _DIRECTIONS = 32
+# Places that share the memory for their monomials.
+_TOGETHER = 256
 
 
 @dataclass(frozen=True)
@@ -127,12 +129,14 @@ def level_at(cx, cy, field, level, powers):
     return math.exp(total)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def field_level(centres, field, level, out):
     """Exponential of a polynomial of the field at places (n, 2)."""
-    powers = np.empty(64)
-    for n in range(centres.shape[0]):
-        out[n] = level_at(centres[n, 0], centres[n, 1], field, level, powers)
+    places = centres.shape[0]
+    for block in prange((places + _TOGETHER - 1) // _TOGETHER):
+        powers = np.empty(64)
+        for n in range(block * _TOGETHER, min((block + 1) * _TOGETHER, places)):
+            out[n] = level_at(centres[n, 0], centres[n, 1], field, level, powers)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -15,7 +15,7 @@ from .gain_kernels import describe, light
 from .gain_map import GainMap
 from .lattice import Lattice
 from .lens_cell import cell_faces, inner_radius, outside
-from .parts import Parts, whole_lenses
+from .parts import Parts, some_lenses
 
 __all__ = ["DIRECTIONS", "OUTLIER", "Left", "Sample", "compare", "lens_sample"]
 
@@ -214,15 +214,15 @@ def lens_sample(lattice: Lattice, pixels: float, parts: Parts | None = None) -> 
     cell = abs(float(np.linalg.det(lattice.basis)))
     stride = max(1, int(math.sqrt(cell / _LENS_PIXELS)))
     margin = cell_faces(lattice)[1] + 1
-    if parts is None:
-        centres = whole_lenses(lattice, margin)[1]
+    wanted = max(pixels * stride**2 / cell, _LENSES)
+    if parts is None or parts.size == lattice.image_size:
+        centres = some_lenses(lattice, margin, wanted)[1]
         places = centres
     else:
         _, centres, part = parts.lenses(lattice, margin)
         places = centres - parts.offsets[part]
-    every = max(1.0, min(len(centres) * cell / stride**2 / pixels, len(centres) / _LENSES))
-    chosen = np.arange(len(centres)) * _GOLDEN % 1 < 1 / every
-    centres, places = centres[chosen], places[chosen]
+        chosen = np.arange(len(centres)) * _GOLDEN % 1 < wanted / max(len(centres), 1)
+        centres, places = centres[chosen], places[chosen]
     shrink = min(1.0, math.sqrt(len(centres) / (_FEWEST * _WINDOWS[0] * _WINDOWS[1])))
     shape = max(1, int(_WINDOWS[1] * shrink)), max(1, int(_WINDOWS[0] * shrink))
     size = np.array(lattice.image_size)

@@ -90,8 +90,7 @@ def measure_illumination(
 
 def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
     """Vignetting of the average microimage, and the radius to which it is usable."""
-    centres = lattice.centres()
-    centres = np.ascontiguousarray(centres[:: max(1, len(centres) // _LENSES)])
+    centres = np.ascontiguousarray(lattice.points(lattice.indices()[:: max(1, len(lattice) // _LENSES)]))
     limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
     rings = int(limit / gain.step) + 2
     light = np.zeros((len(centres), rings))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -159,8 +159,9 @@ class Lattice:
             i = np.arange(count.sum()) + np.repeat(first[few] - np.cumsum(count) + count, count)
             ij = np.column_stack([i, np.repeat(rows[few], count)])
             centres = self.points(ij)
-            inside = ((centres >= -0.5) & (centres < np.array([width, height]) - 0.5)).all(1)
-            found.append(ij[inside])
+            x, y = centres.T
+            inside = np.flatnonzero((x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5))
+            found.append(ij.take(inside, 0))
         return np.concatenate(found)
 
     def _ends(self, rows: NDArray[np.int64], low: int, high: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -191,6 +192,12 @@ class Lattice:
     @cached_property
     def _centres(self) -> NDArray[np.float64]:
         return self.points(self._indices)
+
+    def with_radius(self, radius: float) -> Lattice:
+        """The same lenses with another usable radius [px]."""
+        other = replace(self, radius=radius)
+        other.__dict__["_indices"] = self._indices
+        return other
 
     def shrunk(self, factor: int) -> Lattice:
         """The same lenses on a flat of which `factor` x `factor` pixels each have become one."""

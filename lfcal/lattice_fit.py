@@ -65,7 +65,8 @@ def fit_on_white(picture: NDArray[np.float32] | Parts, start: FirstLattice) -> F
 
     found = start.lattice
     discs = fit_discs(picture, found)
-    index = Parts.of(picture).lenses(found, 0.0)[0]
+    parts = Parts.of(picture)
+    index = found.indices() if parts.size == found.image_size else parts.lenses(found, 0.0)[0]
     index = index[:: max(1, len(index) // _TELLING)]
     # What the distortion moves counts only where the start knew of it.
     near = discs.lattice if found.distortion is not None else replace(discs.lattice, distortion=None)

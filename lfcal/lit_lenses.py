@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from .lattice import Lattice, reduce_basis
@@ -48,7 +48,8 @@ class LitLenses:
         if before is not None and before._still_on(lattice):
             return before
         indices, centres, part = tones.lenses(lattice, margin)
-        alight = lit_lenses(tones.picture, lattice, indices, centres - tones.offsets[part], dark)
+        offset = tones.offsets[part] if len(tones) > 1 else tones.offsets
+        alight = lit_lenses(tones.picture, lattice, indices, centres - offset, dark)
         return cls(lattice, indices, part) if alight.all() else cls(lattice, indices[alight], part[alight])
 
     def _still_on(self, lattice: Lattice) -> bool:
@@ -65,11 +66,11 @@ class LitLenses:
         return LitLenses(lattice, indices[inside], part[inside])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, parallel=True)
 def _measure(picture, centres, corners, core, gaps):
     """Mean of a picture in the middle of lenses, and at the corners of their cells."""
     height, width = picture.shape
-    for lens in range(len(centres)):
+    for lens in prange(len(centres)):
         cx, cy = centres[lens, 0], centres[lens, 1]
         x, y = int(np.rint(cx)), int(np.rint(cy))
         total = 0.0

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from .errors import CalibrationError
 from .lattice import Lattice
-from .parts import whole_lenses
+from .parts import some_lenses
 
 __all__ = ["Neighbours", "check_neighbours", "compare_neighbours"]
 
 # So many lenses, evenly spread, tell; fewer than the least do not.
 _LENSES, _FEWEST = 450, 24
-_GOLDEN = 0.6180339887498949
 # Radius of the middle of a microimage, as a share of half the distance to the nearest one and of its usable radius,
 # and places across it.
 _CORE, _WELL_INSIDE, _ACROSS = 0.6, 0.7, 9
@@ -128,9 +127,7 @@ def compare_neighbours(picture: NDArray[np.float32], lattice: Lattice, shown: fl
     """
     steps = lattice.steps @ lattice.basis
     nearest, reach = float(np.hypot(*steps.T).min()), float(np.hypot(*steps.T).max())
-    indices, centres = whole_lenses(lattice, 1.5 * reach + 1)
-    chosen = np.arange(len(indices)) * _GOLDEN % 1 < _LENSES / max(len(indices), 1)
-    indices, centres = indices[chosen], centres[chosen]
+    indices, centres = some_lenses(lattice, 1.5 * reach + 1, _LENSES)
     if len(centres) < _FEWEST:
         return None
     grid = np.linspace(-1, 1, _ACROSS)

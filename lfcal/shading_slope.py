@@ -7,6 +7,7 @@ place below the microlens; that lies the farther from the centre of the microima
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -33,19 +34,37 @@ def field_slope(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice
     scale = np.array(lattice.image_size) / 2
     x, y = ((centres - scale) / scale).T
     powers = [(a, b) for a in range(5) for b in range(5 - a)]
+    xs, ys = _powers(x, 4), _powers(y, 4)
     few = slice(None, None, max(1, len(gain) // _TILTED))
-    log, table = np.log(gain[few]), np.column_stack([x[few] ** a * y[few] ** b for a, b in powers])
+    log, table = np.log(gain[few]), np.column_stack([xs[a][few] * ys[b][few] for a, b in powers])
     keep = np.ones(len(log), dtype=bool)
-    slope = np.zeros(len(powers))
+    slope: NDArray[Any] = np.zeros(len(powers))
     for _ in range(3):
         if keep.sum() < 3 * len(powers):
             return np.zeros_like(centres)
-        slope = np.linalg.lstsq(table[keep], log[keep], rcond=None)[0]
+        slope = _least_squares(table[keep], log[keep])
         miss = np.abs(log - table @ slope)
         keep = miss < 5 * np.median(miss) + 1e-6
-    dx = np.column_stack([a * x ** max(a - 1, 0) * y**b for a, b in powers]) @ slope
-    dy = np.column_stack([b * x**a * y ** max(b - 1, 0) for a, b in powers]) @ slope
+    dx, dy = np.zeros(len(gain)), np.zeros(len(gain))
+    for (a, b), factor in zip(powers, slope.tolist(), strict=True):
+        if a:
+            dx += a * factor * xs[a - 1] * ys[b]
+        if b:
+            dy += b * factor * xs[a] * ys[b - 1]
     return np.column_stack([dx, dy]) / scale
+
+
+def _least_squares(table: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(p,) answer of a long table (n, p) of few columns, which its normal equations give in a fraction of the time."""
+    return np.asarray(np.linalg.lstsq(table.T @ table, table.T @ values, rcond=None)[0], np.float64)
+
+
+def _powers(values: NDArray[np.float64], highest: int) -> list[NDArray[np.float64]]:
+    """Powers 0, 1, ... of values (n,); NumPy's own take far longer than products of them."""
+    powers = [np.ones_like(values)]
+    for _ in range(highest):
+        powers.append(powers[-1] * values)
+    return powers
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
@@ -107,7 +126,7 @@ def shading_slope(discs: Discs, lattice: Lattice) -> NDArray[np.float64]:
         if keep.sum() < 4 * table.shape[1]:
             return tilt
         weighted = table[keep] * root[keep, None]
-        answer = np.linalg.lstsq(weighted, slopes[keep] * root[keep], rcond=None)[0]
+        answer = _least_squares(weighted, slopes[keep] * root[keep])
         miss = np.abs(slopes - table @ answer) * root
         keep = (root > 0) & (miss < _OUTLIER * np.median(miss[root > 0]) + 1e-12)
     variance = float((miss[keep] ** 2).mean())
