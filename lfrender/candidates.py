@@ -46,7 +46,7 @@ _TRUSTED = np.float32(0.1)
 _ALONE = np.int8(2)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _sample(image, x, y):
     height, width = image.shape
     x = min(max(x, np.float32(0.0)), np.float32(width - 1.001))
@@ -58,7 +58,7 @@ def _sample(image, x, y):
     )
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _read_patch(image, x, y, step, out):
     """Fill `out` with the samples of the patch about (x, y)."""
     height, width = image.shape
@@ -81,7 +81,7 @@ def _read_patch(image, x, y, step, out):
         left, middle, right = below_left, below, below_right
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, nearest, patches, moments, costs):
     """How badly the better share of the views of the patch at (x, y) agrees with one of the most central ones."""
     size = (2 * _PATCH + 1) ** 2
@@ -137,7 +137,7 @@ def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, 
     return least
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _tried(
     image, centres, members, count, x, y, s, nudge, pitch, radius, step, floor, nearest, patches, moments, costs
 ):  # fmt: skip
@@ -159,7 +159,7 @@ def _tried(
     return best, least
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _hide(depths, costs, pitch, evidence):
     """Raise the mismatch of each candidate by the evidence for a nearer one."""
     for k in range(len(depths)):
@@ -172,7 +172,7 @@ def _hide(depths, costs, pitch, evidence):
         costs[k] += _HIDDEN * hidden
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+@njit(cache=True, nogil=True, inline="always")
 def _lens_at(grid, low, i, j):
     ci, cj = i - low[0], j - low[1]
     if ci < 0 or cj < 0 or cj >= grid.shape[0] or ci >= grid.shape[1]:
@@ -243,7 +243,7 @@ def _mean_around(count, there_x, there_y, sizes, trusts, x, y, vote2):
     return total / weight
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def propose(
     image, centres, radius, pitch, values, seconds, trust, calm, grid, low, origin, inverse, bend, bend_low, ring,
     gap, floor, first, spacing, vote2, step, settled, old, depths, costs,
