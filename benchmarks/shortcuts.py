@@ -40,13 +40,14 @@ def _card(camera: Camera, ratio: float, share: float) -> Patch:
     return Patch(corner, right - corner, below - corner, wide.texture[:rows, :columns])
 
 
-def _mostly_blank(camera: Camera) -> Scene:
-    return Scene("mostly blank", (*blank(camera, ratio=0.2).surfaces, _card(camera, 0.3, 0.1)))
+def _mostly_blank(camera: Camera, share: float) -> Scene:
+    return Scene("mostly blank", (*blank(camera, ratio=0.2).surfaces, _card(camera, 0.3, share)))
 
 
 def _scenes(camera: Camera) -> dict[str, Callable[[], Scene]]:
     return {
-        "mostly blank": lambda: _mostly_blank(camera),
+        "card of 10 %": lambda: _mostly_blank(camera, 0.1),
+        "card of 5 %": lambda: _mostly_blank(camera, 0.05),
         "plane": lambda: plane(camera, ratio=0.3),
         "far plane": lambda: plane(camera, ratio=-0.15),
         "slope": lambda: SCENES["slope"](camera),
