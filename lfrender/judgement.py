@@ -60,11 +60,8 @@ def judged(
     single = (reason == 0) & (found.rivals >= SURE) & ~echoes
     occurring = populated(refined, refined[single], 0.5 * _ALIKE * pitch)
     reason[repeated(reason == 0, found.rivals, echoes, occurring, neighbours)] = 2
-    # What matches near zero, and not well, is shading.
-    shaded = (np.abs(refined) < SHADED_REACH * pitch) & (found.evidence < _EVIDENCE_NEAR_ZERO)
-    reason[(reason > 1) & shaded] = 1
     error = widened(error, explained)
-    sure = np.where(textured & (reason != 1), np.minimum(found.confidence, found.rivals), 0)
+    sure = np.where(textured, np.minimum(found.confidence, found.rivals), 0)
     return reason, error, certainty(sure, refined, error, explained, neighbours, pitch)
 
 

@@ -131,7 +131,7 @@ def joint_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> Mas
         The first of them that is 1, and the one after the last.
     counts : (slots,) int32
     """
-    # The same for frame after frame.
+    # The same for frame after frame; shared by all who ask, so that nobody may write into them.
     return _masks_of(strips.half, strips.width, strips.rows, strips.step, radius, wanted.tobytes())
 
 
