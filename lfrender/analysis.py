@@ -25,6 +25,7 @@ from .judgement import (
     moving,
     populated,
     possible,
+    shaded,
 )  # fmt: skip
 from .modes import fill
 from .neighbours import grown, lens_halves
@@ -272,9 +273,10 @@ def lens_by_lens(
         sample = sample_lenses(lattice, clear, int(np.clip(clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)))
     sizes = overview.sizes if overview is not None and shortcuts.ranges and len(overview.sizes) else None
     found = search(Matcher(texture, forward, backward, setting), active, texture.clear, sample, known, sizes)
-    textured = near & (texture.clear | (texture.faint & credible(found, lattice.pitch)))
+    doubtful = texture.faint | shaded(texture.clear & near, found, texture.statistics.contrast, lattice.pitch)
+    textured = near & ((texture.clear & ~doubtful) | (doubtful & credible(found, lattice.pitch)))
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
-    maybe = near & texture.faint & ~textured & possible(found)
+    maybe = near & doubtful & ~textured & possible(found)
     first = np.where(textured | maybe, found.patch_size, np.nan).astype(np.float32)
     lenses = measure(texture.flat, forward, backward, first, scale, texture.noise, setting.iterations)
     measured = np.isfinite(lenses.patch_size)
@@ -317,8 +319,7 @@ def lens_by_lens(
     if setting.remainder:
         rest = remainder_depths(texture, forward, backward, drawn, evidence, setting, around)
     # Shading matches itself near zero: a depth there must occur by itself.
-    shaded = (np.abs(rest) < SHADED_REACH * lattice.pitch) & ~populated(rest, occurring, gap)
-    rest[shaded] = np.nan
+    rest[(np.abs(rest) < SHADED_REACH * lattice.pitch) & ~populated(rest, occurring, gap)] = np.nan
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
     old, settled = None if before is None else before.surface, None if kept is None else ~grown(~kept, neighbours)
     others = np.stack([seconds, rest], 1)
