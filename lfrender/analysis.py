@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
 
+from .blankness import skipped_lenses
 from .certainty import misled, signal_share
 from .consensus import measure
 from .depthmap import DepthMap
@@ -38,7 +39,7 @@ from .single_plane import PlaneScene, find_plane
 from .skipping import Shortcuts, sample_lenses
 from .spreading import grid_shape, spread
 from .surface import Surface
-from .texture import LensStatistics, blank_lenses, find_texture, noise_of, quick_statistics, untouched_texture
+from .texture import LensStatistics, find_texture, noise_of, quick_statistics, untouched_texture
 
 __all__ = [
     "PRESETS",
@@ -168,12 +169,14 @@ def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
             return _level(found, lattice, preset)
     if not shortcuts.blank:
         return lens_by_lens(gray, lattice, preset, shortcuts, plain, None)[0]
-    blank, noise = blank_lenses(plain, raw_noise)
+    blank = skipped_lenses(gray, lattice, plain, PRESETS[preset], raw_noise)
+    if blank is None:
+        return lens_by_lens(gray, lattice, preset, shortcuts, plain, None)[0]
     if 0 < np.sum(~blank) < _FEW * len(blank):
         part, sub = part_of(gray, lattice, ~blank)
         if len(sub) < _PART * len(lattice):
             rows = rows_of(sub, lattice)
-            depth, _ = lens_by_lens(part, sub, preset, shortcuts, plain.of(rows), (blank[rows], noise))
+            depth, _ = lens_by_lens(part, sub, preset, shortcuts, plain.of(rows), (blank[rows], raw_noise))
             left = (1 - depth.saved["blank"]) * len(sub) / len(lattice)
             return embed_textured(depth, sub, lattice, {**depth.saved, "blank": 1 - left})
     return lens_by_lens(gray, lattice, preset, shortcuts, plain, (blank, np.inf))[0]

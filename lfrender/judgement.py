@@ -137,9 +137,7 @@ def moving(refined: NDArray, error: NDArray, pitch: float) -> NDArray[np.bool_]:
     return np.asarray(agreed & (size >= _STILL * pitch))
 
 
-def shaded(
-    clear: NDArray[np.bool_], found: Found, contrast: NDArray[np.float32], pitch: float
-) -> NDArray[np.bool_]:
+def shaded(clear: NDArray[np.bool_], found: Found, contrast: NDArray[np.float32], pitch: float) -> NDArray[np.bool_]:
     """Those of the `clear` lenses that show no more than shading may: little contrast (white = 1), alike near zero.
 
     Toward the border of a flat the main lens cuts microimages, each a little differently, so that no average of others

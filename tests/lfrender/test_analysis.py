@@ -88,7 +88,7 @@ def test_what_is_left_of_shading_where_the_main_lens_cuts_microimages_is_no_text
 
 
 def test_faint_texture_near_zero_is_texture():
-    shot = capture("plane", ratio=-0.05)
+    shot = capture("plane", ratio=-0.1)
     noise = np.random.default_rng(0).normal(0, 1, shot.flat.shape)
     faint = (100 + 0.08 * (shot.flat - shot.flat.mean()) + noise).round().astype(np.uint8)
     depth = lfrender.analyze(faint, shot.truth.calibration)
