@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
 
+from .blankness import skipped_lenses
 from .certainty import misled, signal_share
 from .consensus import measure
 from .depthmap import DepthMap
@@ -25,6 +26,7 @@ from .judgement import (
     moving,
     populated,
     possible,
+    shaded,
 )  # fmt: skip
 from .modes import fill
 from .neighbours import grown, lens_halves
@@ -37,7 +39,7 @@ from .single_plane import PlaneScene, find_plane
 from .skipping import Shortcuts, sample_lenses
 from .spreading import grid_shape, spread
 from .surface import Surface
-from .texture import LensStatistics, blank_lenses, find_texture, noise_of, quick_statistics, untouched_texture
+from .texture import LensStatistics, find_texture, noise_of, quick_statistics, untouched_texture
 
 __all__ = [
     "PRESETS",
@@ -167,12 +169,14 @@ def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
             return _level(found, lattice, preset)
     if not shortcuts.blank:
         return lens_by_lens(gray, lattice, preset, shortcuts, plain, None)[0]
-    blank, noise = blank_lenses(plain, raw_noise)
+    blank = skipped_lenses(gray, lattice, plain, PRESETS[preset], raw_noise)
+    if blank is None:
+        return lens_by_lens(gray, lattice, preset, shortcuts, plain, None)[0]
     if 0 < np.sum(~blank) < _FEW * len(blank):
         part, sub = part_of(gray, lattice, ~blank)
         if len(sub) < _PART * len(lattice):
             rows = rows_of(sub, lattice)
-            depth, _ = lens_by_lens(part, sub, preset, shortcuts, plain.of(rows), (blank[rows], noise))
+            depth, _ = lens_by_lens(part, sub, preset, shortcuts, plain.of(rows), (blank[rows], raw_noise))
             left = (1 - depth.saved["blank"]) * len(sub) / len(lattice)
             return embed_textured(depth, sub, lattice, {**depth.saved, "blank": 1 - left})
     return lens_by_lens(gray, lattice, preset, shortcuts, plain, (blank, np.inf))[0]
@@ -272,9 +276,10 @@ def lens_by_lens(
         sample = sample_lenses(lattice, clear, int(np.clip(clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)))
     sizes = overview.sizes if overview is not None and shortcuts.ranges and len(overview.sizes) else None
     found = search(Matcher(texture, forward, backward, setting), active, texture.clear, sample, known, sizes)
-    textured = near & (texture.clear | (texture.faint & credible(found, lattice.pitch)))
+    doubtful = texture.faint | shaded(texture.clear & near, found, texture.statistics.contrast, lattice.pitch)
+    textured = near & ((texture.clear & ~doubtful) | (doubtful & credible(found, lattice.pitch)))
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
-    maybe = near & texture.faint & ~textured & possible(found)
+    maybe = near & doubtful & ~textured & possible(found)
     first = np.where(textured | maybe, found.patch_size, np.nan).astype(np.float32)
     lenses = measure(texture.flat, forward, backward, first, scale, texture.noise, setting.iterations)
     measured = np.isfinite(lenses.patch_size)
@@ -317,8 +322,7 @@ def lens_by_lens(
     if setting.remainder:
         rest = remainder_depths(texture, forward, backward, drawn, evidence, setting, around)
     # Shading matches itself near zero: a depth there must occur by itself.
-    shaded = (np.abs(rest) < SHADED_REACH * lattice.pitch) & ~populated(rest, occurring, gap)
-    rest[shaded] = np.nan
+    rest[(np.abs(rest) < SHADED_REACH * lattice.pitch) & ~populated(rest, occurring, gap)] = np.nan
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
     old, settled = None if before is None else before.surface, None if kept is None else ~grown(~kept, neighbours)
     others = np.stack([seconds, rest], 1)

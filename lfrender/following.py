@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatError, Lattice
 
+from .blankness import skipped_lenses
 from .depthmap import DepthMap
 from .flatcheck import check_flat
 from .neighbours import beside, grown, lens_halves
@@ -20,7 +21,7 @@ from .search import PRESETS, Matcher
 from .sequence import changed_lenses
 from .single_plane import PROBE, vertex
 from .skipping import Shortcuts
-from .texture import LensStatistics, blank_lenses, quick_statistics, untouched_texture
+from .texture import LensStatistics, quick_statistics, untouched_texture
 
 __all__ = ["changed_since", "following"]
 
@@ -84,8 +85,9 @@ def following(
             return _noted(replace(before, saved=saved), before, changed, then)
     if not kept.any():
         return _noted(scaled(analyzed(gray, small, preset, shortcuts), lattice, factor), before, changed)
-    blank = (blank_lenses(plain)[0], np.inf) if shortcuts.blank else None
-    depth, _ = lens_by_lens(gray, small, preset, shortcuts, plain, blank, kept, scaled(before, small, 1 / factor))
+    blank = skipped_lenses(gray, small, plain, PRESETS[preset]) if shortcuts.blank else None
+    skipped = None if blank is None else (blank, np.inf)
+    depth, _ = lens_by_lens(gray, small, preset, shortcuts, plain, skipped, kept, scaled(before, small, 1 / factor))
     after = scaled(replace(depth, saved={**depth.saved, **saved}), lattice, factor)
     return _noted(after, before, changed, then, kept)
 

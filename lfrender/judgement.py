@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 from .certainty import certainty, confirmed, echoing, repeated, widened
 from .search import Found
+from .shading import SHADING
 
 __all__ = [
     "AGREED", "LEAST_EVIDENCE", "RESOLVABLE", "SHADED_REACH", "SURE", "credible", "judged", "moving", "populated",
-    "possible", "reasons",
+    "possible", "reasons", "shaded",
 ]  # fmt: skip
 
 # Beyond this share of the pitch neighbouring microimages share too little to tell (GEOMETRY.md).
@@ -134,6 +135,18 @@ def moving(refined: NDArray, error: NDArray, pitch: float) -> NDArray[np.bool_]:
     size = np.abs(refined)
     agreed = (error <= _FIRM * pitch) & (size >= _BEYOND_ERRORS * error)
     return np.asarray(agreed & (size >= _STILL * pitch))
+
+
+def shaded(clear: NDArray[np.bool_], found: Found, contrast: NDArray[np.float32], pitch: float) -> NDArray[np.bool_]:
+    """Those of the `clear` lenses that show no more than shading may: little contrast (white = 1), alike near zero.
+
+    Toward the border of a flat the main lens cuts microimages, each a little differently, so that no average of others
+    removes it. A depth near zero that occurs among the other lenses is the scene's.
+    """
+    size = found.patch_size
+    little = clear & (contrast <= SHADING) & (np.abs(size) < SHADED_REACH * pitch)
+    little &= found.evidence < _EVIDENCE_NEAR_ZERO
+    return np.asarray(little & ~populated(size, size[clear & ~little], 0.5 * _ALIKE * pitch))
 
 
 def credible(found: Found, pitch: float) -> NDArray[np.bool_]:

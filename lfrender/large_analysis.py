@@ -25,6 +25,7 @@ from .analysis import (
     on_one_plane,
     regular_plane,
 )  # fmt: skip
+from .blankness import skipped_lenses
 from .depthmap import DepthMap
 from .flat_parts import FlatParts
 from .judgement import LEAST_EVIDENCE
@@ -40,7 +41,7 @@ from .single_plane import explained_by_plane, plane_evidence, with_misled
 from .skipping import Shortcuts
 from .spreading import grid_shape
 from .surface import Surface
-from .texture import blank_lenses, find_texture, noise_of, quick_statistics, untouched_texture
+from .texture import find_texture, noise_of, quick_statistics, untouched_texture
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -157,8 +158,11 @@ def _part_depth(whole: _Whole, part: LensPart, pixels: NDArray[Any]) -> tuple[De
     """The depth of the lenses of a part, and of those around them; what they may share of their errors."""
     gray = whole.gray(part, pixels)
     plain = quick_statistics(gray)
-    blank = (blank_lenses(plain, whole.overview.raw_noise)[0], np.inf) if whole.shortcuts.blank else None
-    return lens_by_lens(gray, part.lattice, whole.preset, whole.shortcuts, plain, blank, overview=whole.overview)
+    blank = None
+    if whole.shortcuts.blank:
+        blank = skipped_lenses(gray, part.lattice, plain, PRESETS[whole.preset], whole.overview.raw_noise)
+    skipped = None if blank is None else (blank, np.inf)
+    return lens_by_lens(gray, part.lattice, whole.preset, whole.shortcuts, plain, skipped, overview=whole.overview)
 
 
 def _plane_evidence(

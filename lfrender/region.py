@@ -13,12 +13,15 @@ from lfcal import Lattice
 from .depthmap import DepthMap
 from .neighbours import lens_grid
 from .radiance import GrayFlat
+from .remembered import latest
 from .surface import Surface
 
 __all__ = ["check_region", "embed", "embed_textured", "lattice_of", "lenses_in", "part_of", "rows_of", "scaled"]
 
 # Lenses this many pitches outside support those inside: as far as shading is taken to be common.
 _AROUND = 4.5
+# Parts end at multiples of so many pitches: that of the next frame is most often the same.
+_STEP = 2.0
 _BLANK, _NOT_ANALYSED = 1, 4
 
 
@@ -49,9 +52,10 @@ def part_of(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tupl
     """The part of a flat that shows the lenses `inside` and those around them, and its lattice, in its own pixels."""
     centres = lattice.centres()[inside]
     size = np.array(lattice.image_size)
-    low = np.maximum(0, np.floor(centres.min(0) - _AROUND * lattice.pitch)).astype(int)
-    high = np.minimum(size, np.ceil(centres.max(0) + _AROUND * lattice.pitch).astype(int) + 1)
-    sub = lattice_of(lattice, low, high)
+    around, step = _AROUND * lattice.pitch, int(np.ceil(_STEP * lattice.pitch))
+    low = np.maximum(0, np.floor((centres.min(0) - around) / step) * step).astype(int)
+    high = np.minimum(size, np.ceil((centres.max(0) + around) / step) * step + 1).astype(int)
+    sub = latest(lattice, "part", (*low.tolist(), *high.tolist()), lambda: lattice_of(lattice, low, high))
     image = np.ascontiguousarray(gray.image[low[1] : high[1], low[0] : high[0]])
     return replace(gray, image=image, centres=sub.centres().astype(np.float32)), sub
 

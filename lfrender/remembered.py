@@ -6,7 +6,7 @@ import weakref
 from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
 
-__all__ = ["remembered"]
+__all__ = ["latest", "remembered"]
 
 _Value = TypeVar("_Value")
 
@@ -29,3 +29,12 @@ def remembered(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
         values[key] = make()
     kept: _Value = values[key]
     return kept
+
+
+def latest(owner: Any, name: str, key: Hashable, make: Callable[[], _Value]) -> _Value:
+    """As `remembered`, but of each `name` only what was asked for last is kept."""
+    last: dict[Hashable, _Value] = remembered(owner, name, dict)
+    if key not in last:
+        last.clear()
+        last[key] = make()
+    return last[key]

@@ -19,10 +19,10 @@ from .fastmath import FAST
 from .neighbours import neighbour_rows
 from .radiance import GrayFlat
 
-__all__ = ["flatten_shading"]
+__all__ = ["SHADING", "flatten_shading"]
 
 # Contrast (white = 1) that shading may well have: stronger patterns in common are more likely the scene's.
-_SHADING = np.float32(0.02)
+SHADING = np.float32(0.02)
 # Contrast below which lenses are equally smooth: a few grey levels of 8 bits.
 _SMOOTH = 0.01
 # Lenses up to this many pitches away share the shading; nearer than one pitch there are none.
@@ -81,7 +81,7 @@ def _subtract_shading(image, centres, wanted, rows, weights, means, contrast, ra
                 count += 1
         energy /= max(count, 1)
         share = max(np.float32(0.0), 1 - _SIGNIFICANT * expected / (total * total * energy))
-        share *= _SHADING**2 / (_SHADING**2 + energy) / total
+        share *= SHADING**2 / (SHADING**2 + energy) / total
         if share <= 0:
             continue
         for y in range(top, bottom + 1):

@@ -192,10 +192,9 @@ def quick_statistics(gray: GrayFlat) -> LensStatistics:
     return lens_statistics(gray, row_step=2 if gray.radius >= _LEAST_ROWS else 1)
 
 
-def blank_lenses(plain: LensStatistics, noise: float | None = None) -> tuple[NDArray[np.bool_], float]:
-    """(n,) bool: lenses whose pixels are explained by their own noise; and that noise, where it is not given."""
-    noise = noise_of(plain.roughness) if noise is None else noise
-    return ~(_some(plain, noise) & _beyond_noise(plain)) & ~_clear(plain, noise), noise
+def blank_lenses(plain: LensStatistics, noise: float) -> NDArray[np.bool_]:
+    """(n,) bool: lenses whose pixels are explained by their own noise."""
+    return ~(_some(plain, noise) & _beyond_noise(plain)) & ~_clear(plain, noise)
 
 
 def find_texture(

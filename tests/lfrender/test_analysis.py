@@ -1,5 +1,6 @@
 import functools
 
+import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
@@ -68,6 +69,30 @@ def test_shading_inside_microimages_is_not_taken_for_a_plane_without_disparity()
     flat = np.rint(shot.flat * bump[..., None]).astype(np.uint8)
     depth = lfrender.analyze(flat, calibration)
     assert (depth.mode == 0).mean() > 0.9
+
+
+def test_what_is_left_of_shading_where_the_main_lens_cuts_microimages_is_no_texture():
+    shot = capture("plane", ratio=0.45)
+    calibration = shot.truth.calibration
+    y, x = np.mgrid[: shot.flat.shape[0], : shot.flat.shape[1]]
+    index = calibration.lattice.to_index(np.stack([x, y], -1).reshape(-1, 2))
+    above = -((index - np.rint(index)) @ calibration.lattice.basis)[:, 1].reshape(y.shape) / calibration.lattice.pitch
+    dark = 48 * np.clip(1 - y / 50, 0, 1) * np.clip(above - 0.1, 0, None)
+    wall = (30 - dark)[..., None] + np.random.default_rng(3).normal(0, 2, (*y.shape, 1))
+    flat = np.where(y[..., None] > 170, shot.flat, wall).round().clip(0, 255).astype(np.uint8)
+    coded = cv2.imencode(".jpg", flat, [cv2.IMWRITE_JPEG_QUALITY, 20])[1]
+    depth = lfrender.analyze(cv2.imdecode(coded, cv2.IMREAD_COLOR), calibration)
+    reason = depth.reason[calibration.lattice.centres()[:, 1] < 60]
+    assert (reason == 0).sum() == 0
+    assert (reason == 1).mean() > 0.85
+
+
+def test_faint_texture_near_zero_is_texture():
+    shot = capture("plane", ratio=-0.1)
+    noise = np.random.default_rng(0).normal(0, 1, shot.flat.shape)
+    faint = (100 + 0.08 * (shot.flat - shot.flat.mean()) + noise).round().astype(np.uint8)
+    depth = lfrender.analyze(faint, shot.truth.calibration)
+    assert (depth.mode == -1).mean() > 0.9
 
 
 def test_dark_lenses_whose_neighbours_agree_are_resolved():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -134,6 +135,14 @@ def test_texture_in_two_corners_is_found_when_the_rest_is_cut_off_or_not():
         off = np.abs(quick.drawn - full.drawn)[full.mode != 0]
         assert (off < 0.05).mean() > 0.98
         assert off.max() < 0.03 * 23.2
+
+
+@pytest.mark.parametrize("gain", [0.15, 0.1])
+def test_texture_as_fine_as_noise_is_not_taken_for_a_blank_scene(gain, house):
+    faint = (100 + gain * (house.flat - 100.0)).round().astype(np.uint8)
+    full, quick = both(replace(house, flat=faint))
+    assert (full.mode != 0).mean() > 0.4
+    assert agreement(full, quick) > 0.99
 
 
 def test_only_known_shortcuts_can_be_named():
