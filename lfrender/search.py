@@ -134,9 +134,7 @@ class Matcher:
     ) -> None:
         self.factor = max(1, round(texture.flat.pitch / setting.search_pitch))
         self.gray: GrayFlat = shrink(texture.flat, self.factor)
-        self.statistics: LensStatistics = (
-            texture.statistics if self.factor == 1 else lens_statistics(self.gray, noise_too=False)
-        )
+        self.statistics: LensStatistics = texture.statistics if self.factor == 1 else lens_statistics(self.gray)
         # Of tiny microimages every row is needed, and every half pixel: the depth that few pixels share is biased.
         tiny = self.gray.radius < _LEAST_RADIUS
         self.step = setting.step if self.factor > 1 else max(setting.step, setting.full_step)
