@@ -74,25 +74,41 @@ def _places(half: int, width: int, rows: int, step: int) -> tuple[NDArray[np.flo
     return columns, lines
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
+    """Every `step`-th row of the flat's pixels from (left, top) on, one after the other from place `begin` on.
+
+    What lies off the flat is any of its pixels. `pixels` are those of the flat in one line: to make one of it takes
+    longer than to copy the box.
+    """
+    beyond = len(pixels) - wide
+    for row in range(rows):
+        at = (top + row * step) * stride + left
+        into = np.uint64(begin + row * wide)
+        if at < 0 or at > beyond:
+            for k in range(wide):
+                out[into + np.uint64(k)] = pixels[min(max(at + k, 0), len(pixels) - 1)]
+        else:
+            for k in range(np.uint64(wide)):
+                out[into + k] = pixels[np.uint64(at) + k]
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _cut_out(image, middle, whole, means, half, width, rows, step, values):
-    height, across = image.shape
+    pixels, across = image.reshape(-1), image.shape[1]
     size = rows * step * width
     values[len(middle) * size :] = 0.0
     for lens in prange(len(middle)):
-        strip, mean = values[lens * size : (lens + 1) * size], means[lens]
-        left, top = middle[lens, 0] - half, middle[lens, 1] - half
+        strip = values[lens * size : (lens + 1) * size]
         if not whole[lens]:
             strip[:] = 0.0
             continue
-        for r in range(rows * step):
-            y = min(top + r, height - 1)
-            start = ((r % step) * rows + r // step) * width
-            n = min(width, across - left)
-            into, row = strip[start : start + n], image[y, left : left + n]
-            for k in range(n):
-                into[k] = row[k] - mean
-            strip[start + n : start + width] = 0.0
+        left, top = middle[lens, 0] - half, middle[lens, 1] - half
+        for part in range(step):
+            copy_box(pixels, across, left, top + part, rows, width, strip, part * rows * width, step)
+        mean = means[lens]
+        for k in range(np.uint64(size)):
+            strip[k] -= mean
 
 
 def cut_out(gray: GrayFlat, means: NDArray[np.float32], step: int, border: int = 0) -> Strips:
@@ -177,22 +193,3 @@ def _masks_of(half: int, width: int, rows: int, step: int, radius: float, shifts
     ends, counts = np.empty((count, 4), np.int32), np.empty(count, np.int32)
     _fill_masks(slots, reach, half, width, rows, step, max(radius - _SLACK, 1.0) ** 2, masks, ends, counts)
     return slots, masks, ends, counts
-
-
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
-    """Every `step`-th row of the flat's pixels from (left, top) on, one after the other from place `begin` on.
-
-    What lies off the flat is any of its pixels. `pixels` are those of the flat in one line: to make one of it takes
-    longer than to copy the box.
-    """
-    beyond = len(pixels) - wide
-    for row in range(rows):
-        at = (top + row * step) * stride + left
-        into = np.uint64(begin + row * wide)
-        if at < 0 or at > beyond:
-            for k in range(wide):
-                out[into + np.uint64(k)] = pixels[min(max(at + k, 0), len(pixels) - 1)]
-        else:
-            for k in range(np.uint64(wide)):
-                out[into + k] = pixels[np.uint64(at) + k]
