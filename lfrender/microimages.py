@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .fastmath import FAST
 from .radiance import GrayFlat
+from .scratch import scratch
 
 __all__ = ["BUNCH", "Masks", "Strips", "copy_box", "cut_out", "joint_masks"]
 
@@ -111,10 +112,12 @@ def _cut_out(image, middle, whole, means, half, width, rows, step, values):
             strip[k] -= mean
 
 
-def cut_out(gray: GrayFlat, means: NDArray[np.float32], step: int, border: int = 0) -> Strips:
+def cut_out(
+    gray: GrayFlat, means: NDArray[np.float32], step: int, border: int = 0, purpose: str | None = None
+) -> Strips:
     """Cut out all microimages of `gray`, less the `means` (n,) of each, for reading every `step`-th row.
 
-    With a `border` [px] about what shifts of less than one pixel need.
+    With a `border` [px] about what shifts of less than one pixel need, and in `scratch` memory if it has a `purpose`.
     """
     half = max(1, int(gray.radius - _SLACK)) + 1 + border
     # Interpolation reads a pixel beyond the last.
@@ -123,7 +126,8 @@ def cut_out(gray: GrayFlat, means: NDArray[np.float32], step: int, border: int =
     middle = np.rint(gray.centres).astype(np.int32)
     size = np.array(gray.image.shape[::-1])
     whole = np.asarray(((middle >= half) & (middle + half + 1 < size)).all(1), bool)
-    values = np.empty(len(middle) * rows * step * width + _SPARE, np.float32)
+    count = len(middle) * rows * step * width + _SPARE
+    values = np.empty(count, np.float32) if purpose is None else scratch(purpose, (count,), np.float32)
     _cut_out(gray.image, middle, whole, means, half, width, rows, step, values)
     return Strips(values, middle, whole, half, width, rows, step)
 

@@ -13,6 +13,7 @@ from lfcal import Calibration
 
 from .fastmath import FAST
 from .radiance import trusted_radius
+from .scratch import scratch
 
 __all__ = ["lens_blur", "packed_to_read", "ready_to_read"]
 
@@ -145,8 +146,8 @@ def _give_back_packed(flat, channels, out):
 
 def packed_to_read(pixels: NDArray[np.uint8]) -> NDArray[np.uint32]:
     """(H, W) uint32: `ready_to_read` with the bytes of each pixel (H, W, C) in one number, the first lowest; C is 4 at
-    most."""
-    out = np.empty(pixels.shape[:2], np.uint32)
+    most. In `scratch` memory."""
+    out = scratch("packed", pixels.shape[:2], np.uint32)
     _give_back_packed(np.ascontiguousarray(pixels).reshape(len(pixels), -1), pixels.shape[2], out)
     return out
 

@@ -13,6 +13,7 @@ from .candidates import MOST_CANDIDATES, calm_lenses, propose
 from .fastmath import FAST
 from .neighbours import lens_grid, neighbour_rows
 from .radiance import GrayFlat
+from .scratch import scratch
 from .surface import Surface
 
 __all__ = ["grid_shape", "spread"]
@@ -63,10 +64,9 @@ def _walk(depths, costs, single, gap, total):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _settle(depths, costs, gap, out):
+def _settle(depths, costs, gap, total, out):
     """Choose one candidate per scene point with the support of its row and column, both ways."""
     most, rows, columns = depths.shape
-    total = np.empty_like(costs)
     single, turned = np.empty((rows, columns), np.bool_), np.empty((columns, rows), np.bool_)
     for v in prange(rows):
         some = False
@@ -164,8 +164,9 @@ def spread(
     """
     pitch = lattice.pitch
     shape, start, spacing = grid_shape(lattice, cells)
-    depths = np.empty((MOST_CANDIDATES, *shape), np.float32)
-    costs = np.empty_like(depths)
+    depths, costs, totals = (
+        scratch(name, (MOST_CANDIDATES, *shape), np.float32) for name in ("depths", "costs", "totals")
+    )
     grid, low = lens_grid(lattice)
     span = np.arange(-3, 4)
     ring = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
@@ -185,8 +186,8 @@ def spread(
         start[0], spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), settled, old,
         depths, costs,
     )  # fmt: skip
-    chosen = np.empty(shape, np.float32)
-    _settle(depths, costs, gap, chosen)
+    chosen = scratch("chosen", shape, np.float32)
+    _settle(depths, costs, gap, totals, chosen)
     out = np.empty_like(chosen)
     _without_specks(chosen, depths, gap, out)
     return Surface(out, start, spacing)

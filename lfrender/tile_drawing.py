@@ -258,7 +258,8 @@ class Drawing:
         lattice = self.calibration.lattice
         reach = self.reach * lattice.pitch + self._parallax
         part = (*corner, corner[0] + shape[1], corner[1] + shape[0])
-        return lens_depths(self.surface, lattice, reach, self._edge, None if shape[:2] == self._shape else part, edged)
+        whole = shape[:2] == self._shape
+        return lens_depths(self.surface, lattice, reach, self._edge, None if whole else part, edged, "seen depth")
 
     @property
     def _shape(self) -> tuple[int, int]:
