@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from .fastmath import FAST
 from .microimages import BUNCH, Masks, Strips, cut_out, joint_masks
 from .radiance import GrayFlat
+from .remembered import remembered
 
-__all__ = ["half_trust", "pair_costs", "shared_pixels"]
+__all__ = ["half_trust", "mean_steps", "pair_costs", "shared_pixels"]
 
 # Part of a difference in mean brightness that counts as mismatch: neighbouring lenses may differ a
 # little in gain, but on a smooth slope their means are all that tells the depth.
@@ -187,7 +188,7 @@ def _pair_costs(
                     apart = means[lens] - means[other]
                 elif slot >= 0:
                     first = -(min(0, dy) // row_step) * width + max(0, -dx)
-                    number = ((2 * side - max(0, dy)) // row_step + 1) * width - first
+                    number = ((2 * side - 1 - max(0, dy)) // row_step + 1) * width - first
                     if number <= 0:
                         continue
                     number = (number + bunch - 1) // bunch * bunch
@@ -241,16 +242,28 @@ def _shifts_met(
     if about is not None and len(about):
         tried = np.arange(about.min() + shifts.min(), about.max() + shifts.max() + 1)
     found = []
-    for d in range(rows.shape[1]):
-        pairs = np.flatnonzero(rows[:, d] >= 0)
-        pairs = pairs[:: max(1, len(pairs) // _PROBES)]
-        if len(pairs):
-            step = (gray.centres[rows[pairs, d]] - gray.centres[pairs]).mean(0)
-            found.append(np.floor(tried[:, None] / gray.pitch * step).astype(int))
+    for step in mean_steps(gray, rows):
+        found.append(np.floor(tried[:, None] / gray.pitch * step).astype(int))
     if not found:
         return np.zeros((0, 2), np.int64)
     near = np.stack(np.meshgrid(_ROUNDING, _ROUNDING), -1).reshape(-1, 2)
     return (np.concatenate(found)[:, None] + near).reshape(-1, 2)
+
+
+def mean_steps(gray: GrayFlat, rows: NDArray[np.int32]) -> list[NDArray[np.float32]]:
+    """Steps `x, y` [px of `gray`] to the neighbours (n, d) in all directions in which there are any."""
+    # Rows belong to a lattice, of which there may be pictures of several sizes.
+    return remembered(rows, ("mean steps", gray.pitch), lambda: _mean_steps(gray, rows))
+
+
+def _mean_steps(gray: GrayFlat, rows: NDArray[np.int32]) -> list[NDArray[np.float32]]:
+    found = []
+    for d in range(rows.shape[1]):
+        pairs = np.flatnonzero(rows[:, d] >= 0)
+        pairs = pairs[:: max(1, len(pairs) // _PROBES)]
+        if len(pairs):
+            found.append((gray.centres[rows[pairs, d]] - gray.centres[pairs]).mean(0))
+    return found
 
 
 def half_trust(gray: GrayFlat) -> float:

@@ -112,20 +112,18 @@ def _cut_out(image, middle, whole, means, half, width, rows, step, values):
             strip[k] -= mean
 
 
-def cut_out(
-    gray: GrayFlat, means: NDArray[np.float32], step: int, border: int = 0, purpose: str | None = None
-) -> Strips:
+def cut_out(gray: GrayFlat, means: NDArray[np.float32], step: int, purpose: str | None = None) -> Strips:
     """Cut out all microimages of `gray`, less the `means` (n,) of each, for reading every `step`-th row.
 
-    With a `border` [px] about what shifts of less than one pixel need, and in `scratch` memory if it has a `purpose`.
+    In `scratch` memory if it has a `purpose`.
     """
-    half = max(1, int(gray.radius - _SLACK)) + 1 + border
-    # Interpolation reads a pixel beyond the last.
-    width = 2 * half + 2
-    rows = -(-(2 * half + 2) // step)
+    # Interpolation between pixels of the outermost reads one pixel beyond them, to all sides.
+    half = max(1, int(gray.radius - _SLACK)) + 2
+    width = 2 * half + 1
+    rows = -(-width // step)
     middle = np.rint(gray.centres).astype(np.int32)
-    size = np.array(gray.image.shape[::-1])
-    whole = np.asarray(((middle >= half) & (middle + half + 1 < size)).all(1), bool)
+    inside = (middle >= half) & (middle + half < np.array(gray.image.shape[::-1]))
+    whole = inside[:, 0] & inside[:, 1]
     count = len(middle) * rows * step * width + _SPARE
     values = np.empty(count, np.float32) if purpose is None else scratch(purpose, (count,), np.float32)
     _cut_out(gray.image, middle, whole, means, half, width, rows, step, values)

@@ -102,7 +102,7 @@ def _subtract_shading(
 ):  # fmt: skip
     height, across = image.shape
     # Strips, `width` pixels a row, have a border of one pixel about what is in `shade`.
-    count = ((width - 3) * width + _BUNCH - 1) // _BUNCH * _BUNCH
+    count = ((width - 2) * width + _BUNCH - 1) // _BUNCH * _BUNCH
     for part in prange((len(centres) + _TOGETHER - 1) // _TOGETHER):
         shade = np.empty(count, np.float32)
         for lens in range(part * _TOGETHER, min((part + 1) * _TOGETHER, len(centres))):
@@ -158,7 +158,7 @@ def flatten_shading(
     same = (distance > 0) & (distance < _NEARBY * lattice.pitch) & ((steps[:, 0] - steps[:, 1]) % 3 == 0)
     weights = _SMOOTH**2 / (_SMOOTH**2 + contrast**2)
     # What all lenses show is read many times: as strips, in long loops. Their centres differ by less than a pixel.
-    strips = cut_out(gray, means, 1, border=1, purpose="shading")
+    strips = cut_out(gray, means, 1, purpose="shading")
     out = gray.image.copy()
     _subtract_shading(
         gray.image, gray.centres, wanted, neighbour_rows(lattice, steps[same]), weights.astype(np.float32), contrast,
