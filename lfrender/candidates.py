@@ -7,20 +7,12 @@ from numba import njit, prange
 
 from .bending import nearest_index
 from .fastmath import FAST
+from .patch_views import MOST_VIEWS, UNKNOWN, WORK, look, mismatch
 from .visibility import nearness
 
 __all__ = ["MOST_CANDIDATES", "calm_lenses", "propose"]
 
 MOST_CANDIDATES = 5
-# Half width of the patch on which candidate depths compete, in samples.
-_PATCH = 1
-# Lenses compared with the most central one for each candidate.
-_MOST_VIEWS = 5
-# So many of the most central lenses are each compared with the others: an occluder may hide the place from the first.
-_REFERENCES = 2
-# Share of the views that must agree: nothing hides the nearest candidate, while half of the views of one behind it may
-# be hidden.
-_OPEN, _HALF = np.float32(0.7), np.float32(0.5)
 # A place behind another may match as well, past the edge of the nearer one; so each candidate pays this many times
 # what a nearer one stays below that mismatch.
 _HIDDEN, _MATCHED = np.float32(2.0), np.float32(0.5)
@@ -28,15 +20,13 @@ _HIDDEN, _MATCHED = np.float32(2.0), np.float32(0.5)
 _WIDEST = np.float32(2.0)
 # Price of a depth that none of the lenses around votes for, in units of the mismatch.
 _PRIOR = np.float32(0.07)
-# Mismatch of places that tell nothing: too few views show them, or noise explains their contrast.
-_UNKNOWN = np.float32(0.5)
-# A candidate behind another that mismatches in so many views, as if all were hidden, counts half as much as it would.
-_HALF_VIEWS = np.float32(2.0)
 # What fewer than this share of the lenses around vote for is known roughly: values beside it are tried as well, this
 # share of a gap away, at the price of a depth without votes.
 _ROUGH, _NUDGE, _NUDGED = np.float32(0.4), np.float32(0.3), np.float32(0.07)
 # Better matches than this are not improved upon.
 _GOOD = np.float32(0.2)
+# What is known of each lens: its centre, its trust, and from the last place on its depths.
+_X, _Y, _TRUST, _SIZE = 0, 1, 2, 3
 # Weight of the first depth of a lens, of its second best, and of that of what the first leaves unexplained: a second
 # best is false in every fourth lens, and nothing has refined it.
 _VOTES = (np.float32(1.0), np.float32(0.1), np.float32(1.0))
@@ -44,119 +34,6 @@ _VOTES = (np.float32(1.0), np.float32(0.1), np.float32(1.0))
 _TRUSTED = np.float32(0.1)
 # How `calm_lenses` marks lenses far from any that is trusted: whatever is drawn there, nothing shows it.
 _ALONE = np.int8(2)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _sample(image, x, y):
-    height, width = image.shape
-    x = min(max(x, np.float32(0.0)), np.float32(width - 1.001))
-    y = min(max(y, np.float32(0.0)), np.float32(height - 1.001))
-    i, j = int(x), int(y)
-    fx, fy = np.float32(x - i), np.float32(y - j)
-    return (1 - fy) * ((1 - fx) * image[j, i] + fx * image[j, i + 1]) + fy * (
-        (1 - fx) * image[j + 1, i] + fx * image[j + 1, i + 1]
-    )
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _read_patch(image, x, y, step, out):
-    """Fill `out` with the samples of the patch about (x, y)."""
-    height, width = image.shape
-    side = 2 * _PATCH + 1
-    if not (step == 1 and _PATCH == 1 and x >= 1 and y >= 1 and x < width - 2 and y < height - 2):
-        for k in range(side * side):
-            out[k] = _sample(image, x + (k % side - _PATCH) * step, y + (k // side - _PATCH) * step)
-        return
-    # Samples a pixel apart share their weights, and most of their pixels.
-    i, j = int(x) - 1, int(y) - 1
-    fx, fy = np.float32(x - (i + 1)), np.float32(y - (j + 1))
-    left = middle = right = np.float32(0.0)
-    for v in range(4):
-        a, b, c, d = image[j + v, i], image[j + v, i + 1], image[j + v, i + 2], image[j + v, i + 3]
-        below_left, below, below_right = a + fx * (b - a), b + fx * (c - b), c + fx * (d - c)
-        if v > 0:
-            out[3 * v - 3] = left + fy * (below_left - left)
-            out[3 * v - 2] = middle + fy * (below - middle)
-            out[3 * v - 1] = right + fy * (below_right - right)
-        left, middle, right = below_left, below, below_right
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _mismatch(image, centres, members, count, x, y, slope, radius, step, floor, nearest, patches, moments, costs):
-    """How badly the better share of the views of the patch at (x, y) agrees with one of the most central ones."""
-    size = (2 * _PATCH + 1) ** 2
-    views = 0
-    for m in range(count):
-        lens = members[m]
-        dx = -(x - centres[lens, 0]) * slope
-        dy = -(y - centres[lens, 1]) * slope
-        if m > 0 and dx * dx + dy * dy > radius * radius:
-            continue
-        px, py = centres[lens, 0] + dx, centres[lens, 1] + dy
-        mean = squares = np.float32(0.0)
-        _read_patch(image, px, py, step, patches[views])
-        for k in range(size):
-            value = patches[views, k]
-            mean += value
-            squares += value * value
-        mean /= size
-        moments[views, 0] = mean
-        moments[views, 1] = max(squares / size - mean * mean, np.float32(0.0))
-        views += 1
-        if views > _MOST_VIEWS:
-            break
-    if views < 2:
-        return _UNKNOWN
-    least = np.float32(np.inf)
-    share = _OPEN if nearest else _HALF
-    half = max(1, int(share * (views - 1) + np.float32(0.5)))
-    # An occluder may hide the place from the most central view as well.
-    for r in range(min(_REFERENCES, views)):
-        found = 0
-        for m in range(views):
-            if m == r:
-                continue
-            sdd = np.float32(0.0)
-            for k in range(size):
-                sdd += (patches[m, k] - patches[r, k]) ** 2
-            apart = moments[r, 1] + moments[m, 1] + (moments[r, 0] - moments[m, 0]) ** 2
-            cost = (sdd / size + _UNKNOWN * floor) / (apart + floor)
-            # Insertion keeps the costs sorted.
-            at = found
-            while at > 0 and costs[at - 1] > cost:
-                costs[at] = costs[at - 1]
-                at -= 1
-            costs[at] = cost
-            found += 1
-        best = np.float32(0.0)
-        for m in range(half):
-            best += costs[m]
-        least = min(least, best / half)
-    if not nearest and least > _UNKNOWN:
-        least = _UNKNOWN + (least - _UNKNOWN) * views / (views + _HALF_VIEWS)
-    return least
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _tried(
-    image, centres, members, count, x, y, s, nudge, pitch, radius, step, floor, nearest, patches, moments, costs
-):  # fmt: skip
-    """The patch size among `s` and those a `nudge` beside it that matches best, and its mismatch."""
-    best = s
-    least = _mismatch(
-        image, centres, members, count, x, y, s / pitch, radius, step, floor, nearest, patches, moments, costs
-    )
-    # What matches well needs no better value, and what is hidden in all views finds none.
-    if nudge == 0 or least < _GOOD or least == _UNKNOWN:
-        return best, least
-    for turn in (-1, 1):
-        value = s + turn * nudge
-        mismatch = _NUDGED + _mismatch(
-            image, centres, members, count, x, y, value / pitch, radius, step, floor, nearest, patches, moments, costs
-        )
-        if mismatch < least:
-            best, least = value, mismatch
-    return best, least
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -228,14 +105,28 @@ def _all_settled(settled, grid, low, ring, i, j, lens):
     return True
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _around(table, rows, grid, low, ring, i, j, lens, there):
+    """Put the `table` of the lenses around lens (i, j) beside each other; returns how many there are."""
+    count = 0
+    for r in range(len(ring)):
+        other = rows[lens, r] if lens >= 0 else _lens_at(grid, low, i + ring[r, 0], j + ring[r, 1])
+        if other >= 0:
+            for k in range(len(there)):
+                there[k, count] = table[other, k]
+            count += 1
+    return count
+
+
 # Python's error model checks every division, which no vector loop can.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _mean_around(count, there_x, there_y, sizes, trusts, x, y, vote2):
+def _mean_around(there, count, x, y, vote2):
     """Weighted mean of the answers of the `count` lenses around a scene point."""
     weight = total = np.float32(0.0)
     per_vote2 = np.float32(1.0) / vote2
-    for m in range(count):
-        dx, dy = x - there_x[m], y - there_y[m]
+    xs, ys, trusts, sizes = there[_X], there[_Y], there[_TRUST], there[_SIZE]
+    for m in range(np.uint64(count)):
+        dx, dy = x - xs[m], y - ys[m]
         share = max(np.float32(1.0) - (dx * dx + dy * dy) * per_vote2, np.float32(0.0))
         w = trusts[m] * share * share
         weight += w
@@ -243,128 +134,223 @@ def _mean_around(count, there_x, there_y, sizes, trusts, x, y, vote2):
     return total / weight
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _gather(there, count, x, y, distance):
+    """Squared distances of the `count` lenses around a scene point, and which of them is the nearest."""
+    for m in range(np.uint64(count)):
+        dx, dy = x - there[_X, m], y - there[_Y, m]
+        distance[m] = dx * dx + dy * dy
+    nearest = 0
+    for m in range(1, count):
+        nearest = m if distance[m] < distance[nearest] else nearest
+    return nearest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _central(there, count, distance, near, near_x, near_y):
+    """Centres of the nearest of the `count` lenses around a scene point, in order; returns how many."""
+    most = len(near)
+    found = 0
+    for m in range(count):
+        d = distance[m]
+        if found == most and d >= distance[near[found - 1]]:
+            continue
+        at = min(found, most - 1)
+        while at > 0 and distance[near[at - 1]] > d:
+            near[at] = near[at - 1]
+            at -= 1
+        near[at] = m
+        found = min(found + 1, most)
+    for k in range(found):
+        near_x[k], near_y[k] = there[_X, near[k]], there[_Y, near[k]]
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _voices(there, count, nearest, distance, vote2, voters, shares):
+    """Lenses that vote for the depth of a scene point, and their weights; how many, and the range of their answers."""
+    found = 0
+    low, high = np.float32(np.inf), np.float32(-np.inf)
+    for m in range(count):
+        if m != nearest and (distance[m] > vote2 or there[_TRUST, m] < _TRUSTED):
+            continue
+        share = max(1 - distance[m] / vote2, np.float32(1e-3))
+        voters[found], shares[found] = m, there[_TRUST, m] * share * share
+        found += 1
+        for k in range(_SIZE, len(there)):
+            s = there[k, m]
+            # No comparison holds of NaN.
+            low, high = s if s < low else low, s if s > high else high
+    return found, low, high
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mean_vote(there, count, voters, shares):
+    """Weighted mean of all answers of `count` lenses."""
+    weight = total = np.float32(0.0)
+    for n in range(count):
+        for k in range(_SIZE, len(there)):
+            s = there[k, voters[n]]
+            w = shares[n] * _VOTES[k - _SIZE] if np.isfinite(s) else np.float32(0.0)
+            weight += w
+            total += w * s if w > 0 else np.float32(0.0)
+    return total / weight
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sorted_votes(there, count, voters, shares, sizes, weights):
+    """Answers of `count` lenses sorted by patch size, and what they count; returns their number."""
+    votes = 0
+    for n in range(count):
+        for k in range(_SIZE, len(there)):
+            s = there[k, voters[n]]
+            if not np.isfinite(s):
+                continue
+            at = votes
+            while at > 0 and sizes[at - 1] > s:
+                sizes[at], weights[at] = sizes[at - 1], weights[at - 1]
+                at -= 1
+            sizes[at], weights[at] = s, _VOTES[k - _SIZE] * shares[n]
+            votes += 1
+    return votes
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _clusters(votes, sizes, weights, gap, depths, shares):
+    """Clusters of sorted votes, the weightiest first, as many as there is room for; returns their number."""
+    most = len(depths)
+    found = start = 0
+    while start < votes:
+        stop = start + 1
+        while stop < votes and sizes[stop] - sizes[stop - 1] <= gap:
+            if sizes[stop] - sizes[start] > _WIDEST * gap:
+                break
+            stop += 1
+        weight = total = np.float32(0.0)
+        for m in range(start, stop):
+            weight += weights[m]
+            total += weights[m] * sizes[m]
+        at = min(found, most - 1)
+        if found < most or weight > shares[most - 1]:
+            while at > 0 and shares[at - 1] < weight:
+                shares[at], depths[at] = shares[at - 1], depths[at - 1]
+                at -= 1
+            shares[at], depths[at] = weight, total / weight
+            found = min(found + 1, most)
+        start = stop
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _compete(
+    image, pixels, near_x, near_y, count, x, y, everyone, pitch, radius, step, floor, gap, depths, costs, views, work
+):  # fmt: skip
+    """Turn the weights of candidates in `costs` into their mismatch, and move `depths` to what matches better."""
+    zero, part = np.float32(0.0), np.uint64(WORK)
+    nearest = 0
+    # All are read before the first is judged: what is written by single values cannot be read as vectors at once.
+    for k in range(len(depths)):
+        views[k] = look(
+            image, pixels, near_x, near_y, count, x, y, depths[k] / pitch, radius, step, work, np.uint64(k) * part
+        )
+        if nearness(depths[k], pitch) > nearness(depths[nearest], pitch):
+            nearest = k
+    for k in range(len(depths)):
+        share = costs[k] / everyone
+        least = mismatch(
+            image, near_x, near_y, x, y, depths[k] / pitch, step, floor, k == nearest, views[k], work,
+            np.uint64(k) * part,
+        )  # fmt: skip
+        # What matches well needs no better value, and what is hidden in all views finds none.
+        if share < _ROUGH and least >= _GOOD and least != UNKNOWN:
+            depths[k], least = _nudged(
+                image, pixels, near_x, near_y, count, x, y, depths[k], least, _NUDGE * gap, pitch, radius, step, floor,
+                k == nearest, work, np.uint64(len(depths)) * part,
+            )  # fmt: skip
+        costs[k] = least + _PRIOR * max(zero, 1 - share)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nudged(
+    image, pixels, near_x, near_y, count, x, y, s, least, nudge, pitch, radius, step, floor, nearest, work, base
+):  # fmt: skip
+    """The patch size among `s`, of mismatch `least`, and those a `nudge` beside it that matches best; its mismatch."""
+    low, high, other = (s - nudge) / pitch, (s + nudge) / pitch, base + np.uint64(WORK)
+    views_low = look(image, pixels, near_x, near_y, count, x, y, low, radius, step, work, base)
+    views_high = look(image, pixels, near_x, near_y, count, x, y, high, radius, step, work, other)
+    below = _NUDGED + mismatch(image, near_x, near_y, x, y, low, step, floor, nearest, views_low, work, base)
+    above = _NUDGED + mismatch(image, near_x, near_y, x, y, high, step, floor, nearest, views_high, work, other)
+    if above < min(least, below):
+        return s + nudge, above
+    if below < least:
+        return s - nudge, below
+    return s, least
+
+
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def propose(
-    image, centres, radius, pitch, values, seconds, trust, calm, grid, low, origin, inverse, bend, bend_low, ring,
-    gap, floor, first, spacing, vote2, step, settled, old, depths, costs,
+    image, table, around, radius, pitch, calm, grid, low, origin, inverse, bend, bend_low, ring, gap, floor, first,
+    spacing, vote2, step, settled, old, depths, costs,
 ):  # fmt: skip
     """Candidate depths of each scene point, from the lenses around it, in `depths`, their mismatch in `costs`.
 
-    About lenses that are `settled` the only one is that of the `old` surface, which may else be (0, 0). Unused places
-    are NaN. A point on whose depth all lenses around agree has one candidate, of cost 0.
+    Both are (most, rows, columns). `table` (n, 6) float32 holds the centre of each lens, its trust, and its patch size,
+    next best one and that of the remainder; `around` (n, k) the rows of the lenses of `ring` about it. About lenses
+    that are `settled` the only candidate is that of the `old` surface, which may else be (0, 0). The place after the
+    last candidate is NaN; those beyond, and the costs of single candidates, are left as they are. A point on whose
+    depth all lenses around agree has one candidate.
     """
-    rows, columns, most = depths.shape
-    nearby = len(ring)
-    zero = np.float32(0.0)
+    most, rows, columns = depths.shape
+    pixels = image.reshape(-1)
+    nearby, known = len(ring), table.shape[1]
     # Contested places come in clusters: strides spread them over the threads.
     stride = _coprime_stride(rows)
     for row in prange(rows):
         v = row * stride % rows
-        members = np.empty(nearby, np.int32)
-        distance = np.empty(nearby, np.float32)
-        sizes = np.empty((1 + seconds.shape[1]) * nearby, np.float32)
-        weights = np.empty((1 + seconds.shape[1]) * nearby, np.float32)
-        evidence = np.empty(most, np.float32)
-        patches = np.empty((_MOST_VIEWS + 1, (2 * _PATCH + 1) ** 2), np.float32)
-        moments = np.empty((_MOST_VIEWS + 1, 2), np.float32)
-        sorted_costs = np.empty(_MOST_VIEWS, np.float32)
-        # The lenses around that by which the last scene points lay, one after the other for a vector loop.
-        around = 0
+        distance, shares = np.empty(nearby, np.float32), np.empty(nearby, np.float32)
+        voters, near = np.empty(nearby, np.int64), np.empty(MOST_VIEWS, np.int64)
+        near_x, near_y = np.empty(MOST_VIEWS, np.float32), np.empty(MOST_VIEWS, np.float32)
+        sizes, weights = np.empty(known * nearby, np.float32), np.empty(known * nearby, np.float32)
+        own, prices, evidence = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
+        work, views = np.zeros((most + 2) * WORK, np.float32), np.empty(most, np.int64)
+        # The lenses around that by which the last scene points lay.
+        there = np.empty((known, nearby), np.float32)
+        count = 0
         around_i, around_j = 2**62, 0
-        there_x, there_y = np.empty(nearby, np.float32), np.empty(nearby, np.float32)
-        there_sizes, there_trust = np.empty(nearby, np.float32), np.empty(nearby, np.float32)
         for u in range(columns):
             x, y = np.float32(first + u * spacing), np.float32(first + v * spacing)
-            for k in range(most):
-                depths[v, u, k] = np.nan
-                costs[v, u, k] = np.inf
+            depths[1, v, u] = np.nan
             at_i, at_j = nearest_index(first + u * spacing, first + v * spacing, origin, inverse, bend, bend_low)
             i, j = int(at_i), int(at_j)
             lens = _lens_at(grid, low, i, j)
             if old.size > 0 and _all_settled(settled, grid, low, ring, i, j, lens):
-                depths[v, u, 0], costs[v, u, 0] = old[v, u], 0.0
+                depths[0, v, u] = old[v, u]
                 continue
+            if lens >= 0 and calm[lens] == _ALONE:
+                depths[0, v, u] = table[lens, _SIZE]
+                continue
+            if i != around_i or j != around_j:
+                count = _around(table, around, grid, low, ring, i, j, lens, there)
+                around_i, around_j = i, j
             if lens >= 0 and calm[lens]:
-                if calm[lens] == _ALONE:
-                    depths[v, u, 0] = values[lens]
-                else:
-                    if i != around_i or j != around_j:
-                        around, around_i, around_j = 0, i, j
-                        for r in range(nearby):
-                            other = _lens_at(grid, low, i + ring[r, 0], j + ring[r, 1])
-                            if other >= 0:
-                                there_x[around], there_y[around] = centres[other, 0], centres[other, 1]
-                                there_sizes[around], there_trust[around] = values[other], trust[other]
-                                around += 1
-                    depths[v, u, 0] = _mean_around(around, there_x, there_y, there_sizes, there_trust, x, y, vote2)
-                costs[v, u, 0] = 0.0
+                depths[0, v, u] = _mean_around(there, count, x, y, vote2)
                 continue
-            count = 0
-            for r in range(nearby):
-                lens = _lens_at(grid, low, i + ring[r, 0], j + ring[r, 1])
-                if lens < 0:
-                    continue
-                d = (x - centres[lens, 0]) ** 2 + (y - centres[lens, 1]) ** 2
-                at = count
-                while at > 0 and distance[at - 1] > d:
-                    distance[at], members[at] = distance[at - 1], members[at - 1]
-                    at -= 1
-                distance[at], members[at] = d, lens
-                count += 1
-            # Votes, sorted by patch size: every lens's answer, and its second best.
-            votes = 0
-            everyone = np.float32(0.0)
-            for m in range(count):
-                if distance[m] > vote2 and m > 0:
-                    break
-                lens = members[m]
-                if m > 0 and trust[lens] < _TRUSTED:
-                    continue
-                w = trust[lens] * max(1 - distance[m] / vote2, np.float32(1e-3)) ** 2
-                everyone += w
-                for second in range(1 + seconds.shape[1]):
-                    s = seconds[lens, second - 1] if second else values[lens]
-                    if not np.isfinite(s):
-                        continue
-                    at = votes
-                    while at > 0 and sizes[at - 1] > s:
-                        sizes[at], weights[at] = sizes[at - 1], weights[at - 1]
-                        at -= 1
-                    sizes[at], weights[at] = s, _VOTES[second] * w
-                    votes += 1
-            # Clusters of votes are the candidates; the weightiest are kept.
-            found = 0
-            start = 0
-            while start < votes:
-                stop = start + 1
-                while stop < votes and sizes[stop] - sizes[stop - 1] <= gap:
-                    if sizes[stop] - sizes[start] > _WIDEST * gap:
-                        break
-                    stop += 1
-                weight = total = np.float32(0.0)
-                for m in range(start, stop):
-                    weight += weights[m]
-                    total += weights[m] * sizes[m]
-                at = min(found, most - 1)
-                if found < most or weight > costs[v, u, most - 1]:
-                    while at > 0 and costs[v, u, at - 1] < weight:
-                        costs[v, u, at], depths[v, u, at] = costs[v, u, at - 1], depths[v, u, at - 1]
-                        at -= 1
-                    costs[v, u, at], depths[v, u, at] = weight, total / weight
-                    found = min(found + 1, most)
-                start = stop
-            if found <= 1:
-                costs[v, u, 0] = 0.0
+            nearest = _gather(there, count, x, y, distance)
+            voices, least, largest = _voices(there, count, nearest, distance, vote2, voters, shares)
+            if voices == 0 or largest - least <= gap:
+                depths[0, v, u] = _mean_vote(there, voices, voters, shares) if voices else np.float32(np.nan)
                 continue
-            nearest = 0
-            for k in range(1, found):
-                if nearness(depths[v, u, k], pitch) > nearness(depths[v, u, nearest], pitch):
-                    nearest = k
-            for k in range(found):
-                share = costs[v, u, k] / everyone
-                depths[v, u, k], mismatch = _tried(
-                    image, centres, members, count, x, y, depths[v, u, k], _NUDGE * gap if share < _ROUGH else zero,
-                    pitch, radius, step, floor, k == nearest, patches, moments, sorted_costs,
+            votes = _sorted_votes(there, voices, voters, shares, sizes, weights)
+            found = _clusters(votes, sizes, weights, gap, own, prices)
+            if found > 1:
+                _compete(
+                    image, pixels, near_x, near_y, _central(there, count, distance, near, near_x, near_y), x, y,
+                    shares[:voices].sum(), pitch, radius, step, floor, gap, own[:found], prices[:found], views, work,
                 )  # fmt: skip
-                costs[v, u, k] = mismatch + _PRIOR * max(zero, 1 - share)
-            _hide(depths[v, u, :found], costs[v, u, :found], pitch, evidence)
+                _hide(own[:found], prices[:found], pitch, evidence)
+                for k in range(1, found):
+                    depths[k, v, u], costs[k, v, u] = own[k], prices[k]
+                if found < most:
+                    depths[found, v, u] = np.nan
+                costs[0, v, u] = prices[0]
+            depths[0, v, u] = own[0]

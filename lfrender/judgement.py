@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from .certainty import certainty, confirmed, echoing, repeated, widened
@@ -123,10 +124,18 @@ def reasons(
     return np.select([~textured, apart, unsure], [1, 3, 2], 0).astype(np.int8)
 
 
+@njit(cache=True, nogil=True, parallel=True)
+def _count_like(values, ordered, gap, out):
+    for k in prange(len(values)):
+        # As numpy's, which takes one after the other.
+        out[k] = np.searchsorted(ordered, values[k] + gap) - np.searchsorted(ordered, values[k] - gap)
+
+
 def populated(values: NDArray[np.float32], known: NDArray[np.float32], gap: float) -> NDArray[np.bool_]:
     """Which `values` have their like among `known`, within `gap`; the false matches of a periodic texture have not."""
     ordered = np.sort(known)
-    like = np.searchsorted(ordered, values + gap) - np.searchsorted(ordered, values - gap)
+    like = np.empty(len(values), np.int64)
+    _count_like(values, ordered, ordered.dtype.type(gap), like)
     return like >= max(1, _POPULATED * len(ordered))
 
 

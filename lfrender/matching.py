@@ -7,10 +7,11 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .fastmath import FAST
-from .microimages import Masks, Strips, cut_out, joint_masks
+from .microimages import BUNCH, Masks, Strips, cut_out, joint_masks
 from .radiance import GrayFlat
+from .remembered import remembered
 
-__all__ = ["half_trust", "pair_costs", "shared_pixels"]
+__all__ = ["half_trust", "mean_steps", "pair_costs", "shared_pixels"]
 
 # Part of a difference in mean brightness that counts as mismatch: neighbouring lenses may differ a
 # little in gain, but on a smooth slope their means are all that tells the depth.
@@ -84,17 +85,20 @@ def _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
     return count, sa, sb, saa, sbb, sab
 
 
-# Python's error model checks every division, which no vector loop can.
+# Python's error model checks every division, which no vector loop can. Places are unsigned: signed ones are looked at
+# for being counted from the end.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _strip_moments(own, other, mask, start, stop, upper, lower, w00, w01, w10, w11):
+def _strip_moments(strips, own, other, upper, lower, masks, mask, count, w00, w01, w10, w11):
     """Sums over the masked pixels of one strip and what another shows `upper` and `lower` values farther."""
-    a, m = own[start:stop], mask[start:stop]
-    b00, b01 = other[start + upper : stop + upper], other[start + upper + 1 : stop + upper + 1]
-    b10, b11 = other[start + lower : stop + lower], other[start + lower + 1 : stop + lower + 1]
+    one = np.uint64(1)
+    above, below = np.uint64(other + upper), np.uint64(other + lower)
+    a, m = np.uint64(own), np.uint64(mask)
     sa = sb = saa = sbb = sab = np.float32(0.0)
-    for k in range(len(a)):
-        b = m[k] * (w00 * b00[k] + w01 * b01[k] + w10 * b10[k] + w11 * b11[k])
-        c = m[k] * a[k]
+    for k in range(np.uint64(count)):
+        b = w00 * strips[above + k] + w01 * strips[above + one + k]
+        b += w10 * strips[below + k] + w11 * strips[below + one + k]
+        b *= masks[m + k]
+        c = masks[m + k] * strips[a + k]
         sa += c
         sb += b
         saa += c * c
@@ -103,15 +107,50 @@ def _strip_moments(own, other, mask, start, stop, upper, lower, w00, w01, w10, w
     return sa, sb, saa, sbb, sab
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _rim_moments(strips, columns, lines, own, other, upper, lower, start, count, ex, ey, qx, qy, low_x, low_y, r2,
+                 w00, w01, w10, w11):  # fmt: skip
+    """Number of the pixels of one strip that are within the radius in both microimages, and sums over them."""
+    one, zero, unit = np.uint64(1), np.float32(0.0), np.float32(1.0)
+    above, below = np.uint64(other + upper), np.uint64(other + lower)
+    a, first = np.uint64(own), np.uint64(start)
+    number = sa = sb = saa = sbb = sab = zero
+    for k in range(np.uint64(count)):
+        x, y = columns[first + k], lines[first + k]
+        own_2, other_2 = (x - ex) * (x - ex) + (y - ey) * (y - ey), (x - qx) * (x - qx) + (y - qy) * (y - qy)
+        inside = (max(own_2, other_2) <= r2) & (x >= low_x) & (y >= low_y)
+        b = w00 * strips[above + k] + w01 * strips[above + one + k]
+        b += w10 * strips[below + k] + w11 * strips[below + one + k]
+        b, c = b if inside else zero, strips[a + k] if inside else zero
+        number += unit if inside else zero
+        sa += c
+        sb += b
+        saa += c * c
+        sbb += b * b
+        sab += c * b
+    return number, sa, sb, saa, sbb, sab
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _unshaded(shift, pitch):
+    """How much less a match at this shift is doubted than one at zero: shading that is left stays with its lens."""
+    away = shift / (_SHADED_REACH * pitch)
+    return np.exp(-away * away)
+
+
 # Without fast math of its own: Numba optimises such a body once where it compiles and twice where it loads it, which
 # would order its sums differently. Those of the rows keep their order.
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _pair_costs(
     image, centres, radius, pitch, rows, means, contrast, active, done, shifts, which, noise, shading, row_step, half,
-    about, strips, middle, whole, side, width, part_rows, slots, masks, ends, counts, out,
+    about, strips, middle, whole, side, width, size, columns, lines, bunch, slots, masks, ends, counts, out,
 ):  # fmt: skip
-    reach = len(slots) // 2
-    enough = _ENOUGH * radius * radius
+    reach, length = len(slots) // 2, masks.shape[1]
+    enough, one = _ENOUGH * radius * radius, np.float32(1.0)
+    pixels, line = strips.reshape(-1), masks.reshape(-1)
+    near_zero = np.empty(len(shifts), np.float32)
+    for k in range(len(shifts)):
+        near_zero[k] = _unshaded(shifts[k], pitch)
     for lens in prange(len(centres)):
         ax, ay = centres[lens, 0], centres[lens, 1]
         for d in range(rows.shape[1]):
@@ -130,38 +169,54 @@ def _pair_costs(
             gap_x, gap_y = middle[other, 0] - middle[lens, 0], middle[other, 1] - middle[lens, 1]
             for k in which:
                 shift = about_both + shifts[k]
-                grow = 1.0 + shift / pitch
+                grow = one + shift / pitch
                 tx, ty = (bx - ax) * grow, (by - ay) * grow
-                dx, dy = int(np.floor(tx)), int(np.floor(ty))
-                fx, fy = np.float32(tx - dx), np.float32(ty - dy)
-                dx, dy = dx - gap_x, dy - gap_y
+                floor_x, floor_y = np.floor(tx), np.floor(ty)
+                fx, fy = tx - floor_x, ty - floor_y
+                dx, dy = int(floor_x) - gap_x, int(floor_y) - gap_y
                 slot = -1
                 if stripped and abs(dx) <= reach and abs(dy) <= reach:
                     slot = slots[dy + reach, dx + reach]
                 if slot >= 0 and counts[slot] * row_step > enough:
-                    count = counts[slot]
-                    start, stop = ends[slot, 0], ends[slot, 1]
-                    above = ((dy % row_step) * part_rows + dy // row_step) * width + dx
-                    below = (((dy + 1) % row_step) * part_rows + (dy + 1) // row_step) * width + dx
+                    count = np.float32(counts[slot])
+                    start = ends[slot, 0]
                     sa, sb, saa, sbb, sab = _strip_moments(
-                        strips[lens], strips[other], masks[slot], start, stop, above, below,
-                        (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy,
+                        pixels, lens * size + start, other * size + start, ends[slot, 2], ends[slot, 3], line,
+                        slot * length + start, ends[slot, 1], (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy,
+                        fx * fy,
                     )  # fmt: skip
                     apart = means[lens] - means[other]
+                elif slot >= 0:
+                    first = -(min(0, dy) // row_step) * width + max(0, -dx)
+                    number = ((2 * side - 1 - max(0, dy)) // row_step + 1) * width - first
+                    if number <= 0:
+                        continue
+                    number = (number + bunch - 1) // bunch * bunch
+                    mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
+                    count, sa, sb, saa, sbb, sab = _rim_moments(
+                        pixels, columns, lines, lens * size + first, other * size + first, ends[slot, 2], ends[slot, 3],
+                        first, number, ax - mx, ay - my, bx - tx - mx, by - ty - my, np.float32(-side - dx),
+                        np.float32(-side - dy), radius * radius,
+                        (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy,
+                    )  # fmt: skip
+                    apart = means[lens] - means[other]
+                    if count < 4:
+                        continue
                 else:
                     count, sa, sb, saa, sbb, sab = _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step)
                     apart = np.float32(0.0)
                     if count < 4:
                         continue
-                inverse = np.float32(1.0) / count
+                inverse = one / np.float32(count)
                 ma, mb = sa * inverse, sb * inverse
                 variance = (saa + sbb) * inverse - ma * ma - mb * mb
-                offset = _OFFSET_WEIGHT * (ma - mb + apart) ** 2
-                residual = variance - 2 * (sab * inverse - ma * mb) + offset
+                offset = _OFFSET_WEIGHT * (ma - mb + apart) * (ma - mb + apart)
+                residual = variance - np.float32(2.0) * (sab * inverse - ma * mb) + offset
                 quality = (residual + floor) / (variance + offset + floor)
-                trust = count * row_step / (count * row_step + half)
-                trust *= 1 - doubt * np.exp(-((shift / (_SHADED_REACH * pitch)) ** 2))
-                out[lens, d, k] = 1.0 - trust * (1.0 - quality)
+                pixels_read = np.float32(count * row_step)
+                trust = pixels_read / (pixels_read + half)
+                trust *= one - doubt * (near_zero[k] if len(about) == 0 else _unshaded(shift, pitch))
+                out[lens, d, k] = one - trust * (one - quality)
 
 
 def shared_pixels(
@@ -187,16 +242,28 @@ def _shifts_met(
     if about is not None and len(about):
         tried = np.arange(about.min() + shifts.min(), about.max() + shifts.max() + 1)
     found = []
-    for d in range(rows.shape[1]):
-        pairs = np.flatnonzero(rows[:, d] >= 0)
-        pairs = pairs[:: max(1, len(pairs) // _PROBES)]
-        if len(pairs):
-            step = (gray.centres[rows[pairs, d]] - gray.centres[pairs]).mean(0)
-            found.append(np.floor(tried[:, None] / gray.pitch * step).astype(int))
+    for step in mean_steps(gray, rows):
+        found.append(np.floor(tried[:, None] / gray.pitch * step).astype(int))
     if not found:
         return np.zeros((0, 2), np.int64)
     near = np.stack(np.meshgrid(_ROUNDING, _ROUNDING), -1).reshape(-1, 2)
     return (np.concatenate(found)[:, None] + near).reshape(-1, 2)
+
+
+def mean_steps(gray: GrayFlat, rows: NDArray[np.int32]) -> list[NDArray[np.float32]]:
+    """Steps `x, y` [px of `gray`] to the neighbours (n, d) in all directions in which there are any."""
+    # Rows belong to a lattice, of which there may be pictures of several sizes.
+    return remembered(rows, ("mean steps", gray.pitch), lambda: _mean_steps(gray, rows))
+
+
+def _mean_steps(gray: GrayFlat, rows: NDArray[np.int32]) -> list[NDArray[np.float32]]:
+    found = []
+    for d in range(rows.shape[1]):
+        pairs = np.flatnonzero(rows[:, d] >= 0)
+        pairs = pairs[:: max(1, len(pairs) // _PROBES)]
+        if len(pairs):
+            found.append((gray.centres[rows[pairs, d]] - gray.centres[pairs]).mean(0))
+    return found
 
 
 def half_trust(gray: GrayFlat) -> float:
@@ -273,7 +340,7 @@ def pair_costs(
     _pair_costs(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, contrast, active,
         done, shifts.astype(np.float32), which, np.float32(noise), np.float32(shading), row_step, half, about,
-        strips.values, strips.middle, strips.whole, strips.half, strips.width, strips.rows,
+        strips.values, strips.middle, strips.whole, strips.half, strips.width, strips.size, *strips.places, BUNCH,
         *masks, out,
     )  # fmt: skip
     return out

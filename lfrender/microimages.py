@@ -16,12 +16,16 @@ from numpy.typing import NDArray
 
 from .fastmath import FAST
 from .radiance import GrayFlat
+from .scratch import scratch
 
-__all__ = ["Masks", "Strips", "copy_box", "cut_out", "joint_masks"]
+__all__ = ["BUNCH", "Masks", "Strips", "copy_box", "cut_out", "joint_masks"]
 
 # What `joint_masks` returns.
 Masks = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
 
+#: Vector loops take so many values at a time, masked to those that count. Interpolation reads one beyond.
+BUNCH = 64
+_SPARE = BUNCH + 16
 # Centres rounded to pixels lie so much off, on the average of both directions [px].
 _SLACK = 0.25
 
@@ -35,14 +39,14 @@ class Strips:
 
     Parameters
     ----------
-    values : (n, size) float32
-        Brightness less the mean of the lens; 0 outside the flat.
+    values : (n * size + spare,) float32
+        Brightness less the mean of the lens, one strip after the other; 0 outside the flat, and after the last.
     middle : (n, 2) int32 [px]
         The pixel `x, y` in the middle of each.
     whole : (n,) bool
         Microimages that do not reach beyond the flat.
-    half, width, rows, step : int
-        Pixels from the middle to the sides, and from row to row; rows of each part, and number of parts.
+    half, width, rows, step, size : int
+        Pixels from the middle to the sides, and from row to row; rows of each part, number of parts, and pixels of all.
     """
 
     values: NDArray[np.float32]
@@ -53,36 +57,75 @@ class Strips:
     rows: int
     step: int
 
+    @property
+    def size(self) -> int:
+        return self.rows * self.step * self.width
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+    @property
+    def places(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Column and row of each value of the first part of a strip, from the middle [px]; far off after its end."""
+        return _places(self.half, self.width, self.rows, self.step)
+
+
+@lru_cache(maxsize=8)
+def _places(half: int, width: int, rows: int, step: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    at = np.arange(rows * width)
+    off = np.full(_SPARE, np.inf)
+    columns, lines = (np.append(place - half, off).astype(np.float32) for place in (at % width, at // width * step))
+    return columns, lines
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
+    """Every `step`-th row of the flat's pixels from (left, top) on, one after the other from place `begin` on.
+
+    What lies off the flat is any of its pixels. `pixels` are those of the flat in one line: to make one of it takes
+    longer than to copy the box.
+    """
+    beyond = len(pixels) - wide
+    for row in range(rows):
+        at = (top + row * step) * stride + left
+        into = np.uint64(begin + row * wide)
+        if at < 0 or at > beyond:
+            for k in range(wide):
+                out[into + np.uint64(k)] = pixels[min(max(at + k, 0), len(pixels) - 1)]
+        else:
+            for k in range(np.uint64(wide)):
+                out[into + k] = pixels[np.uint64(at) + k]
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _cut_out(image, middle, whole, means, half, width, rows, step, values):
-    height, across = image.shape
+    pixels, across = image.reshape(-1), image.shape[1]
+    size = rows * step * width
+    values[len(middle) * size :] = 0.0
     for lens in prange(len(middle)):
-        strip, mean = values[lens], means[lens]
-        left, top = middle[lens, 0] - half, middle[lens, 1] - half
+        strip = values[lens * size : (lens + 1) * size]
         if not whole[lens]:
             strip[:] = 0.0
             continue
-        for r in range(rows * step):
-            y = min(top + r, height - 1)
-            start = ((r % step) * rows + r // step) * width
-            n = min(width, across - left)
-            into, row = strip[start : start + n], image[y, left : left + n]
-            for k in range(n):
-                into[k] = row[k] - mean
-            strip[start + n : start + width] = 0.0
+        left, top = middle[lens, 0] - half, middle[lens, 1] - half
+        for part in range(step):
+            copy_box(pixels, across, left, top + part, rows, width, strip, part * rows * width, step)
+        mean = means[lens]
+        for k in range(np.uint64(size)):
+            strip[k] -= mean
 
 
-def cut_out(gray: GrayFlat, means: NDArray[np.float32], step: int) -> Strips:
-    """Cut out all microimages of `gray`, less the `means` (n,) of each, for reading every `step`-th row."""
-    half = max(1, int(gray.radius - _SLACK)) + 1
-    # Interpolation reads a pixel beyond the last.
-    width = 2 * half + 2
-    rows = -(-(2 * half + 2) // step)
+def cut_out(gray: GrayFlat, means: NDArray[np.float32], step: int, purpose: str | None = None) -> Strips:
+    """Cut out all microimages of `gray`, less the `means` (n,) of each, for reading every `step`-th row.
+
+    In `scratch` memory if it has a `purpose`.
+    """
+    # Interpolation between pixels of the outermost reads one pixel beyond them, to all sides.
+    half = max(1, int(gray.radius - _SLACK)) + 2
+    width = 2 * half + 1
+    rows = -(-width // step)
     middle = np.rint(gray.centres).astype(np.int32)
-    size = np.array(gray.image.shape[::-1])
-    whole = np.asarray(((middle >= half) & (middle + half + 1 < size)).all(1), bool)
-    values = np.empty((len(middle), rows * step * width), np.float32)
+    inside = (middle >= half) & (middle + half < np.array(gray.image.shape[::-1]))
+    whole = inside[:, 0] & inside[:, 1]
+    count = len(middle) * rows * step * width + _SPARE
+    values = np.empty(count, np.float32) if purpose is None else scratch(purpose, (count,), np.float32)
     _cut_out(gray.image, middle, whole, means, half, width, rows, step, values)
     return Strips(values, middle, whole, half, width, rows, step)
 
@@ -106,7 +149,10 @@ def _fill_masks(slots, reach, half, width, rows, step, radius2, masks, ends, cou
                     if inside:
                         start, stop = min(start, r * width + c), r * width + c + 1
                         count += 1
-            ends[slot, 0], ends[slot, 1] = start, stop
+            ends[slot, 0], ends[slot, 1] = start, (max(stop - start, 0) + BUNCH - 1) // BUNCH * BUNCH
+            # In a strip the pixel at this shift, and the one below that, follow so many values later.
+            ends[slot, 2] = ((dy % step) * rows + dy // step) * width + dx
+            ends[slot, 3] = (((dy + 1) % step) * rows + (dy + 1) // step) * width + dx
             counts[slot] = count
 
 
@@ -125,10 +171,11 @@ def joint_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> Mas
     -------
     slots : (2 k + 1, 2 k + 1) int32
         Row of the shift `x, y` in the other arrays at `[y + k, x + k]`, -1 for the others.
-    masks : (slots, rows * width) float32
-        1 or 0 for the pixels of the first part of a strip.
-    ends : (slots, 2) int32
-        The first of them that is 1, and the one after the last.
+    masks : (slots, rows * width + spare) float32
+        1 or 0 for the pixels of the first part of a strip, and 0 after them.
+    ends : (slots, 4) int32
+        The first of them that is 1, a whole number of what vector loops take that holds them all, and how much later in
+        a strip follow the pixel at this shift and the one below it.
     counts : (slots,) int32
     """
     # The same for frame after frame; shared by all who ask, so that nobody may write into them.
@@ -144,23 +191,7 @@ def _masks_of(half: int, width: int, rows: int, step: int, radius: float, shifts
     used[wanted[:, 1] + reach, wanted[:, 0] + reach] = True
     slots = np.where(used, np.cumsum(used.ravel()).reshape(side, side) - 1, -1).astype(np.int32)
     count = int(used.sum())
-    masks = np.empty((count, rows * width), np.float32)
-    ends, counts = np.empty((count, 2), np.int32), np.empty(count, np.int32)
+    masks = np.zeros((count, rows * width + _SPARE), np.float32)
+    ends, counts = np.empty((count, 4), np.int32), np.empty(count, np.int32)
     _fill_masks(slots, reach, half, width, rows, step, max(radius - _SLACK, 1.0) ** 2, masks, ends, counts)
     return slots, masks, ends, counts
-
-
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def copy_box(image, left, top, rows, wide, out):
-    """Pixels from (left, top) on, row after row; what lies off the flat is any of its pixels."""
-    pixels, stride = image.reshape(-1), image.shape[1]
-    beyond = len(pixels) - wide
-    for row in range(rows):
-        at = (top + row) * stride + left
-        into = np.uint64(row * wide)
-        if at < 0 or at > beyond:
-            for k in range(wide):
-                out[into + np.uint64(k)] = pixels[min(max(at + k, 0), len(pixels) - 1)]
-        else:
-            for k in range(np.uint64(wide)):
-                out[into + k] = pixels[np.uint64(at) + k]

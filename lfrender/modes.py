@@ -21,14 +21,14 @@ def confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, 
     total : (n, k) float32
         Aggregated cost, the sum over `paths` paths.
     best : (n,) int
-        Chosen shift of each lens.
+        Chosen shift of each lens, that of the least cost.
     """
-    energy = (total - total.min(1, keepdims=True)) / np.float32(paths * _TEMPERATURE)
+    lens = np.arange(len(total))
+    energy = (total - total[lens, best][:, None]) / np.float32(paths * _TEMPERATURE)
     mass = np.exp(-energy)
     sums = np.concatenate([np.zeros((len(mass), 1), np.float32), np.cumsum(mass, 1)], 1)
     low = np.maximum(best - tolerance, 0)
     high = np.minimum(best + tolerance + 1, total.shape[1])
-    lens = np.arange(len(mass))
     return ((sums[lens, high] - sums[lens, low]) / sums[:, -1]).astype(np.float32)
 
 
@@ -85,6 +85,18 @@ def fill(
     return result
 
 
+@njit(cache=True, nogil=True, parallel=True)
+def _second_best(cost, best, apart, index, value):
+    for lens in prange(len(cost)):
+        at, least = 0, np.float32(np.inf)
+        own = cost[lens]
+        for k in range(1, len(own) - 1):
+            lowest = own[k] <= own[k - 1] and own[k] < own[k + 1]
+            if lowest and own[k] < least and abs(k - best[lens]) >= apart:
+                at, least = k, own[k]
+        index[lens], value[lens] = at, least
+
+
 def second_best(
     cost: NDArray[np.float32], best: NDArray[np.int64], apart: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
@@ -106,11 +118,6 @@ def second_best(
     value : (n,) float32
         Cost there, inf where there is no other minimum.
     """
-    inner = np.full_like(cost, np.inf)
-    middle = cost[:, 1:-1]
-    lowest = (middle <= cost[:, :-2]) & (middle < cost[:, 2:])
-    inner[:, 1:-1] = np.where(lowest, middle, np.inf)
-    steps = np.arange(cost.shape[1])
-    inner[np.abs(steps - best[:, None]) < apart] = np.inf
-    index = inner.argmin(1)
-    return index, inner[np.arange(len(cost)), index]
+    index, value = np.empty(len(cost), np.int64), np.empty(len(cost), np.float32)
+    _second_best(cost, best, apart, index, value)
+    return index, value

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from .neighbours import beside
@@ -125,26 +126,68 @@ def _hopeless(places: NDArray[np.float64], terms: NDArray[np.float64], sizes: ND
     return _even(places, sizes - 1 / (terms @ _inverse(terms, sizes, _ROUNDS // 2)), _NO_CHANCE) is None
 
 
-def _inverse(terms: NDArray[np.float64], sizes: NDArray[np.float64], rounds: int = _ROUNDS) -> NDArray[np.float64]:
-    """(k,) robust linear fit to 1 / s, every lens with the same error of s (weights after Geman and McClure)."""
-    inverse = np.zeros(terms.shape[1])
-    inverse[0] = 1 / np.median(sizes)
-    residual = sizes - np.median(sizes)
-    weight = np.ones(len(sizes))
-    # Sums run along rows; a matrix product could depend on the number of threads.
-    rows = np.ascontiguousarray(terms.T)
+# One sum after the other: what vector loops or threads add in another order would have other bits.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fitted(rows, sizes, rounds):
+    """`_inverse` for terms (k, n), k at most 3."""
+    count, number = rows.shape
+    inverse, left, right = np.zeros(count), np.empty((count, count)), np.empty(count)
+    middle = np.median(sizes)
+    inverse[0] = 1 / middle
+    residual = sizes - middle
     for turn in range(rounds):
-        if turn or len(inverse) == 1:
-            scatter = max(1.48 * float(np.median(np.abs(residual))), _FLOOR)
-            weight = 1 / (1 + (residual / (_OUTLYING * scatter)) ** 2) ** 2
-        # An error of s is s^2 times that of 1 / s.
-        w = weight * (sizes * sizes) ** 2
-        left = np.einsum("in,jn->ij", rows * w, rows)
-        inverse = np.linalg.solve(left, np.einsum("in,n->i", rows, w / sizes))
-        before, residual = residual, sizes - 1 / (terms @ inverse)
-        if np.abs(residual - before).max() < _SETTLED:
+        weighed = turn > 0 or count == 1
+        limit = _OUTLYING * max(1.48 * np.median(np.abs(residual)), _FLOOR) if weighed else np.inf
+        left[:], right[:] = 0.0, 0.0
+        for n in range(number):
+            s = sizes[n]
+            away = residual[n] / limit
+            share = 1 / (1 + away * away)
+            # An error of s is s^2 times that of 1 / s.
+            w = share * share * (s * s) * (s * s)
+            for i in range(count):
+                right[i] += w * rows[i, n] / s
+                for j in range(i + 1):
+                    left[i, j] += w * rows[i, n] * rows[j, n]
+        _solve(left, right, inverse)
+        change = 0.0
+        for n in range(number):
+            told = inverse[0] * rows[0, n]
+            for i in range(1, count):
+                told += inverse[i] * rows[i, n]
+            after = sizes[n] - 1 / told
+            change = max(change, abs(after - residual[n]))
+            residual[n] = after
+        if change < _SETTLED:
             break
     return inverse
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solve(left, right, out):
+    """Solve normal equations after Cholesky; `left`, of which the lower half is set, becomes its factor."""
+    count = len(right)
+    for i in range(count):
+        for j in range(i + 1):
+            total = left[i, j]
+            for k in range(j):
+                total -= left[i, k] * left[j, k]
+            left[i, j] = np.sqrt(total) if i == j else total / left[j, j]
+    for i in range(count):
+        total = right[i]
+        for k in range(i):
+            total -= left[i, k] * out[k]
+        out[i] = total / left[i, i]
+    for i in range(count - 1, -1, -1):
+        total = out[i]
+        for k in range(i + 1, count):
+            total -= left[k, i] * out[k]
+        out[i] = total / left[i, i]
+
+
+def _inverse(terms: NDArray[np.float64], sizes: NDArray[np.float64], rounds: int = _ROUNDS) -> NDArray[np.float64]:
+    """(k,) robust linear fit to 1 / s, every lens with the same error of s (weights after Geman and McClure)."""
+    return _fitted(np.ascontiguousarray(terms.T), sizes, rounds)
 
 
 def _even(places: NDArray[np.float64], residual: NDArray[np.float64], deviations: float = _UNCERTAIN) -> float | None:

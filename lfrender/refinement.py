@@ -38,6 +38,8 @@ _COMMON_START = np.float32(0.04)
 _WHOLE = 64
 # Between columns, three more pixels are read than there are places.
 _MORE = 3
+# So many lenses share the memory that they are cut out to: to get it takes as long as some steps of a fit.
+_TOGETHER = 32
 # No whole step between two microimages.
 _NOWHERE = 2**40
 
@@ -96,10 +98,8 @@ def _corner(centre, radius, side, size):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _cut(smooth, left, top, side, wide, own, slope_x, slope_y):
+def _cut(pixels, stride, left, top, side, wide, own, slope_x, slope_y):
     """A microimage and its slopes, row after row."""
-    pixels = smooth.reshape(-1)
-    stride = np.uint64(smooth.shape[1])
     half, one = np.float32(0.5), np.uint64(1)
     for row in range(side):
         at = np.uint64(top + row) * stride + np.uint64(left)
@@ -158,15 +158,14 @@ def _sums(
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _normal_equation(
-    image, ax, ay, bx, by, radius, s, pitch, scale2, offset, left, top, side, wide, columns, rows, own, slope_x,
-    slope_y, at, there, lines, other,
+    pixels, height, width, ax, ay, bx, by, radius, s, pitch, scale2, offset, left, top, side, wide, columns, rows, own,
+    slope_x, slope_y, at, there, lines, other,
 ):  # fmt: skip
     """Sums for a change of s and of the offset between two microimages.
 
     Returns the sums of weights, residuals, slopes, their products, and the moments of place. The first microimage is
     cut out from the pixel (left, top) on.
     """
-    height, width = image.shape
     ux, uy = (bx - ax) / pitch, (by - ay) / pitch
     tx, ty = bx - ax + s * ux, by - ay + s * uy
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
@@ -180,7 +179,7 @@ def _normal_equation(
         return zero, zero, zero, zero, zero, zero, zero, zero
     # Most steps stay between the same pixels.
     if at[0] != x0 or at[1] != y0:
-        copy_box(image, left + x0 - 1, top + y0 - 1, side + _MORE, wide, there)
+        copy_box(pixels, width, left + x0 - 1, top + y0 - 1, side + _MORE, wide, there)
         at[0], at[1] = x0, y0
     start, count = (begin - top) * wide, _whole((end + 1 - begin) * wide)
     _mean_of_four(there, start, 1, _whole((end + 4 - begin) * wide), cx0, cx1, cx2, cx3, lines)
@@ -197,8 +196,8 @@ def _normal_equation(
 
 @njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def _fit(
-    image, ax, ay, bx, by, radius, start, pitch, scale2, noise2, iterations, left, top, side, wide, columns, rows, own,
-    slope_x, slope_y, at, there, lines, between,
+    pixels, height, width, ax, ay, bx, by, radius, start, pitch, scale2, noise2, iterations, left, top, side, wide,
+    columns, rows, own, slope_x, slope_y, at, there, lines, between,
 ):  # fmt: skip
     """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be told."""
     s = start
@@ -208,8 +207,8 @@ def _fit(
     x = y = np.float32(0.0)
     for _ in range(iterations):
         sw, sr, srr, sp, spp, spr, sx, sy = _normal_equation(
-            image, ax, ay, bx, by, radius, s, pitch, scale2, offset, left, top, side, wide, columns, rows, own,
-            slope_x, slope_y, at, there, lines, between,
+            pixels, height, width, ax, ay, bx, by, radius, s, pitch, scale2, offset, left, top, side, wide, columns,
+            rows, own, slope_x, slope_y, at, there, lines, between,
         )  # fmt: skip
         if sw < 4:
             return np.float32(np.nan), variance, x, y
@@ -252,40 +251,43 @@ def _fit_pairs(
     column, line = np.empty(size, np.float32), np.empty(size, np.float32)
     for k in range(size):
         column[k], line[k] = k % wide, k // wide
-    for lens in prange(len(centres)):
+    height, width = image.shape
+    pixels, smoothed_pixels, stride = image.reshape(-1), smooth.reshape(-1), np.uint64(smooth.shape[1])
+    for part in prange((len(centres) + _TOGETHER - 1) // _TOGETHER):
         own, slope_x, slope_y = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
         there, lines, between = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
         at = np.empty(2, np.int64)
-        ax, ay = centres[lens, 0], centres[lens, 1]
-        left, top = _corner(ax, radius, side, image.shape[1]), _corner(ay, radius, side, image.shape[0])
-        ready = False
-        for d in range(rows.shape[1]):
-            other = rows[lens, d]
-            for k in range(2):
-                sizes[lens, d, k] = np.nan
-                variances[lens, d, k] = np.inf
-                places[lens, d, k, 0] = places[lens, d, k, 1] = 0.0
-            if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
-                continue
-            if not ready:
-                _cut(smooth, left, top, side, wide, own, slope_x, slope_y)
-                ready = True
-            first, second, together = _starts(start[lens], start[other], _COMMON_START * pitch)
-            for k in range(2):
-                if k == 1 and together:
-                    sizes[lens, d, 1] = sizes[lens, d, 0]
-                    variances[lens, d, 1] = variances[lens, d, 0]
-                    places[lens, d, 1, 0], places[lens, d, 1, 1] = places[lens, d, 0, 0], places[lens, d, 0, 1]
-                    break
-                at[0] = at[1] = _NOWHERE
-                s, variance, x, y = _fit(
-                    image, ax, ay, centres[other, 0], centres[other, 1], radius, first if k == 0 else second, pitch,
-                    max(scale2[lens], scale2[other]), noise2, iterations, left, top, side, wide, column, line, own,
-                    slope_x, slope_y, at, there, lines, between,
-                )  # fmt: skip
-                sizes[lens, d, k] = s
-                variances[lens, d, k] = variance
-                places[lens, d, k, 0], places[lens, d, k, 1] = x, y
+        for lens in range(part * _TOGETHER, min((part + 1) * _TOGETHER, len(centres))):
+            ax, ay = centres[lens, 0], centres[lens, 1]
+            left, top = _corner(ax, radius, side, width), _corner(ay, radius, side, height)
+            ready = False
+            for d in range(rows.shape[1]):
+                other = rows[lens, d]
+                for k in range(2):
+                    sizes[lens, d, k] = np.nan
+                    variances[lens, d, k] = np.inf
+                    places[lens, d, k, 0] = places[lens, d, k, 1] = 0.0
+                if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
+                    continue
+                if not ready:
+                    _cut(smoothed_pixels, stride, left, top, side, wide, own, slope_x, slope_y)
+                    ready = True
+                first, second, together = _starts(start[lens], start[other], _COMMON_START * pitch)
+                for k in range(2):
+                    if k == 1 and together:
+                        sizes[lens, d, 1] = sizes[lens, d, 0]
+                        variances[lens, d, 1] = variances[lens, d, 0]
+                        places[lens, d, 1, 0], places[lens, d, 1, 1] = places[lens, d, 0, 0], places[lens, d, 0, 1]
+                        break
+                    at[0] = at[1] = _NOWHERE
+                    s, variance, x, y = _fit(
+                        pixels, height, width, ax, ay, centres[other, 0], centres[other, 1], radius,
+                        first if k == 0 else second, pitch, max(scale2[lens], scale2[other]), noise2, iterations, left,
+                        top, side, wide, column, line, own, slope_x, slope_y, at, there, lines, between,
+                    )  # fmt: skip
+                    sizes[lens, d, k] = s
+                    variances[lens, d, k] = variance
+                    places[lens, d, k, 0], places[lens, d, k, 1] = x, y
 
 
 def fit_pairs(

@@ -72,19 +72,19 @@ def _sums_of_three(values, apart, count, out, at):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _differences(
-    image, ax, ay, bx, by, radius, s, pitch, left, top, wide, row_step, own, there, squares, lines, out, at
+    pixels, height, width, ax, ay, bx, by, radius, s, pitch, left, top, wide, row_step, own, there, squares, lines, out,
+    at,
 ):  # fmt: skip
     """Mean squared difference over 3 x 3 pixels of lens a from what lens b shows there; infinite where that is nothing.
 
     `own` is lens a with what lies about it, from the pixel (left, top) on, as many rows as each is `wide`; so are the
     answers in `out`, from place `at` on; only every `row_step`-th row of the flat is cut to what both show.
     """
-    height, width = image.shape
     tx, ty = (bx - ax) * (1 + s / pitch), (by - ay) * (1 + s / pitch)
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
     fx, fy = np.float32(tx - x0), np.float32(ty - y0)
     count = wide * wide
-    copy_box(image, left + x0, top + y0, wide + 1, wide, there)
+    copy_box(pixels, width, left + x0, top + y0, wide + 1, wide, there)
     _squares(own, there, wide, count, (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy, squares)
     _sums_of_three(squares, 1, count - 2, lines, 0)
     _sums_of_three(lines, wide, count - 2 * wide, out, at)
@@ -151,6 +151,7 @@ def _better_half(views, size, seen, at, values):
 def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, floor, row_step, mask, shares):
     """Set `mask` (H, W) to 1 at the pixels of `wanted` lenses that `sizes` do not explain, and to 0 at the others."""
     height, width = image.shape
+    pixels = image.reshape(-1)
     side = int(np.ceil(radius)) + 1
     most, wide = rows.shape[1], 2 * side + 2
     size = wide * wide
@@ -164,14 +165,14 @@ def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, f
         squares, lines = np.empty(size, np.float32), np.zeros(size, np.float32)
         views, values = np.empty(most * size, np.float32), np.empty(most, np.float32)
         least = floor + _OF_LENS * contrast[lens] * contrast[lens]
-        copy_box(image, left, top, wide, wide, own)
+        copy_box(pixels, width, left, top, wide, wide, own)
         seen = total = unexplained = 0
         for k in range(most):
             other = rows[lens, k]
             if other >= 0:
                 _differences(
-                    image, ax, ay, centres[other, 0], centres[other, 1], radius, sizes[lens], pitch, left, top, wide,
-                    row_step, own, there, squares, lines, views, seen * size,
+                    pixels, height, width, ax, ay, centres[other, 0], centres[other, 1], radius, sizes[lens], pitch,
+                    left, top, wide, row_step, own, there, squares, lines, views, seen * size,
                 )  # fmt: skip
                 seen += 1
         start = max(1, top)

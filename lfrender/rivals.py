@@ -12,6 +12,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .fastmath import FAST
+from .matching import mean_steps
 from .radiance import GrayFlat
 
 __all__ = ["shared_trust", "without_rivals"]
@@ -23,8 +24,6 @@ _TEMPERATURE, _UNEXPLAINED = np.float32(0.05), np.float32(0.5)
 _DIP = np.float32(0.1)
 # Where this much of a correlation was left by the few pixels that are shared, they tell nothing.
 _LEAST_TRUST = np.float32(0.3)
-# So many pairs of a direction tell its mean step far better than trust depends on it.
-_PROBES = 500
 
 
 def shared_trust(gray: GrayFlat, rows: NDArray[np.int32], shifts: NDArray[np.float32], half: float) -> NDArray:
@@ -40,18 +39,12 @@ def shared_trust(gray: GrayFlat, rows: NDArray[np.int32], shifts: NDArray[np.flo
         So many shared pixels are half believed.
     """
     trust = np.zeros(len(shifts))
-    counted = 0
-    for d in range(rows.shape[1]):
-        pairs = np.flatnonzero(rows[:, d] >= 0)
-        pairs = pairs[:: max(1, len(pairs) // _PROBES)]
-        if not len(pairs):
-            continue
-        step = np.linalg.norm((gray.centres[rows[pairs, d]] - gray.centres[pairs]).mean(0))
+    steps = mean_steps(gray, rows)
+    for step in map(np.linalg.norm, steps):
         x = np.minimum(np.abs(shifts) * step / (2 * gray.pitch * gray.radius), 1)
         area = 2 * gray.radius**2 * (np.arccos(x) - x * np.sqrt(1 - x * x))
         trust += area / (area + half)
-        counted += 1
-    return (trust / max(counted, 1)).astype(np.float32)
+    return (trust / max(len(steps), 1)).astype(np.float32)
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
 
 from .fastmath import FAST
 from .mosaic import HIDDEN, patch_size_at
 
-__all__ = ["SECTION", "blend_rows", "packed"]
+__all__ = ["SECTION", "blend_rows"]
 
 # So many pixels are worked on together: one vector register of single precision. Counts and places are unsigned: signed
 # ones are looked at for being counted from the end.
@@ -265,9 +264,10 @@ def blend_rows(
 ):  # fmt: skip
     """Fill `out` (h, w, C) as `mosaic.draw_rows` does, for whole bytes in the middle view.
 
-    `flat` (H, W) uint32 are pixels as `packed`. Lenses have their `centres` (n, 2) on the flat, sorted by y, are of
-    the type `kinds` (n,) and `edged` (n,) where `seen` tells anything of them. Pixels that need more than one reading
-    are marked in `left` (h, w), and are to be drawn by the other kernel. The other arguments are those of that one.
+    `flat` (H, W) uint32 are pixels as `packed_to_read`. Lenses have their `centres` (n, 2) on the flat, sorted by y,
+    are of the type `kinds` (n,) and `edged` (n,) where `seen` tells anything of them. Pixels that need more than one
+    reading are marked in `left` (h, w), and are to be drawn by the other kernel. The other arguments are those of that
+    one.
     """
     rows, columns, _ = out.shape
     squares = lights * lights
@@ -317,27 +317,3 @@ def blend_rows(
                     _agree(values, at, sums, u, t2, per_channel, totals)
                 _normalise(totals, np.uint64(count))
                 _store(totals, sizes, before, _OVER * scale, half, top, marks, out[v], valid[v], left[v], section)
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def _pack(rows, channels, out):
-    for y in prange(len(rows)):
-        own, into = rows[y], out[y]
-        if channels == 3:
-            for x in range(len(into)):
-                at = np.uint64(3) * np.uint64(x)
-                pixel = np.uint32(own[at]) | (np.uint32(own[at + np.uint64(1)]) << np.uint32(8))
-                into[x] = pixel | (np.uint32(own[at + np.uint64(2)]) << np.uint32(16))
-        else:
-            for x in range(len(into)):
-                pixel = np.uint32(0)
-                for c in range(channels):
-                    pixel |= np.uint32(own[x * channels + c]) << np.uint32(8 * c)
-                into[x] = pixel
-
-
-def packed(pixels: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    """(H, W) uint32: the bytes of each pixel (H, W, C) in one number, the first lowest; C is 4 at most."""
-    out = np.empty(pixels.shape[:2], np.uint32)
-    _pack(np.ascontiguousarray(pixels).reshape(len(pixels), -1), pixels.shape[2], out)
-    return out

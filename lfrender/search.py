@@ -134,9 +134,7 @@ class Matcher:
     ) -> None:
         self.factor = max(1, round(texture.flat.pitch / setting.search_pitch))
         self.gray: GrayFlat = shrink(texture.flat, self.factor)
-        self.statistics: LensStatistics = (
-            texture.statistics if self.factor == 1 else lens_statistics(self.gray, noise_too=False)
-        )
+        self.statistics: LensStatistics = texture.statistics if self.factor == 1 else lens_statistics(self.gray)
         # Of tiny microimages every row is needed, and every half pixel: the depth that few pixels share is biased.
         tiny = self.gray.radius < _LEAST_RADIUS
         self.step = setting.step if self.factor > 1 else max(setting.step, setting.full_step)
@@ -281,12 +279,13 @@ def _all_pairs(
     if populated.all():
         return matcher.pairs(active, done=sample, out=pair), 0.0
     matcher.pairs(active, which=np.flatnonzero(populated), done=sample, out=pair)
-    cost = np.where(populated, matcher.costs(pair), np.inf)
+    cost = np.where(populated, matcher.costs(pair), np.float32(np.inf))
     best = cost.argmin(1)
+    least = cost[np.arange(len(best)), best]
     # A least value at the end of a range goes on beyond it.
     end = populated & ~(np.roll(populated, 1) & np.roll(populated, -1))
     end[[0, -1]] = False
-    doubtful = clear & active & ~sample & ((cost.min(1) > MISFIT) | end[best])
+    doubtful = clear & active & ~sample & ((least > MISFIT) | end[best])
     matcher.pairs(doubtful, which=np.flatnonzero(~populated), done=sample, out=pair)
     spared = (active & ~sample & ~doubtful).sum() * (~populated).sum()
     return pair, float(spared / max(1, active.sum() * len(populated)))

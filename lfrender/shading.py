@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 
 from .fastmath import FAST
+from .microimages import cut_out
 from .neighbours import neighbour_rows
 from .radiance import GrayFlat
 
@@ -29,65 +30,103 @@ _SMOOTH = 0.01
 _NEARBY = 4.2
 # An average counts as common as far as its energy exceeds this many times that of unrelated pictures.
 _SIGNIFICANT = np.float32(2.0)
-# Vector loops take so many values at a time: rows of microimages are read to a whole number of these, and what lies
-# beyond their end is not looked at.
-_BUNCH = 8
+# Vector loops take so many values at a time: what lies beyond the end of a strip is not looked at.
+_BUNCH = 32
+# So many lenses share the memory that their sums are in.
+_TOGETHER = 32
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _subtract_shading(image, centres, wanted, rows, weights, means, contrast, radius, out):
-    height, width = image.shape
-    side = int(2 * radius) + 3
-    wide = (side + _BUNCH - 1) // _BUNCH * _BUNCH
-    for lens in prange(len(centres)):
-        if not wanted[lens]:
+# Python's error model checks every division, which no vector loop can.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _add_strip(strip, aside, down, count, w00, w01, w10, w11, shade):
+    """Add what lies between the pixels of a strip to `shade`, for `count` places."""
+    a00, a01 = strip[aside : aside + count], strip[aside + 1 : aside + 1 + count]
+    a10, a11 = strip[aside + down : aside + down + count], strip[aside + down + 1 : aside + down + 1 + count]
+    for k in range(count):
+        shade[k] += w00 * a00[k] + w01 * a01[k] + w10 * a10[k] + w11 * a11[k]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _add_lenses(strips, middle, whole, width, centres, near, lens, weights, contrast, shade):
+    """Weighted sum of what the lenses `near` one show at its pixels, less their means; the sum of the weights, and the
+    energy that unrelated pictures would have."""
+    size, count = width * width, len(shade)
+    # The first row, and the first pixel of the next one, are there to be read beside it.
+    start, one = width + 1, np.float32(1.0)
+    total = expected = np.float32(0.0)
+    for r in range(len(near)):
+        other = near[r]
+        # Lenses cut by the border would average only part of the microimage.
+        if other < 0 or not whole[other]:
             continue
-        cx, cy = centres[lens, 0], centres[lens, 1]
-        top, bottom = max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius)))
-        left, right = max(0, int(np.ceil(cx - radius))), min(width - 1, int(np.floor(cx + radius)))
-        shade = np.zeros((side, wide), np.float32)
-        total = expected = np.float32(0.0)
-        for r in range(rows.shape[1]):
-            other = rows[lens, r]
-            if other < 0:
+        tx = centres[other, 0] - centres[lens, 0] - np.float32(middle[other, 0] - middle[lens, 0])
+        ty = centres[other, 1] - centres[lens, 1] - np.float32(middle[other, 1] - middle[lens, 1])
+        floor_x, floor_y = np.floor(tx), np.floor(ty)
+        fx, fy = tx - floor_x, ty - floor_y
+        w = weights[other]
+        w01, w11 = w * fx * (one - fy), w * fx * fy
+        w00, w10 = w * (one - fy) - w01, w * fy - w11
+        total += w
+        expected += (w * contrast[other]) * (w * contrast[other])
+        _add_strip(
+            strips, other * size + start + int(floor_y) * width + int(floor_x), width, count, w00, w01, w10, w11, shade
+        )
+    return total, expected
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+def _chord(centre_x, centre_y, y, radius, width):
+    """First and last pixel of row `y` of the flat inside a circle."""
+    half = np.sqrt(max(np.float32(0.0), radius * radius - (y - centre_y) * (y - centre_y)))
+    return max(0, int(np.ceil(centre_x - half))), min(width - 1, int(np.floor(centre_x + half)))
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _mean_square(shade, wide, left, top, cx, cy, radius, width, height):
+    """Mean square of what lies in a microimage."""
+    energy = np.float32(0.0)
+    count = 0
+    for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
+        first, last = _chord(cx, cy, y, radius, width)
+        at = (y - top) * wide - left
+        row = shade[at + first : at + last + 1]
+        for k in range(len(row)):
+            energy += row[k] * row[k]
+        count += len(row)
+    return energy / np.float32(max(count, 1))
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _subtract_shading(
+    image, centres, wanted, near, weights, contrast, radius, strips, middle, whole, half, width, out
+):  # fmt: skip
+    height, across = image.shape
+    # Strips, `width` pixels a row, have a border of one pixel about what is in `shade`.
+    count = ((width - 2) * width + _BUNCH - 1) // _BUNCH * _BUNCH
+    for part in prange((len(centres) + _TOGETHER - 1) // _TOGETHER):
+        shade = np.empty(count, np.float32)
+        for lens in range(part * _TOGETHER, min((part + 1) * _TOGETHER, len(centres))):
+            if not wanted[lens]:
                 continue
-            tx, ty = centres[other, 0] - cx, centres[other, 1] - cy
-            x0, y0 = int(np.floor(tx)), int(np.floor(ty))
-            # Lenses cut by the border would average only part of the microimage.
-            if top + y0 < 0 or left + x0 < 0 or bottom + y0 > height - 2 or right + x0 > width - 2:
+            shade[:] = 0.0
+            total, expected = _add_lenses(
+                strips, middle, whole, width, centres, near[lens], lens, weights, contrast, shade
+            )
+            if total == 0:
                 continue
-            fx, fy = np.float32(tx - x0), np.float32(ty - y0)
-            w, mean = weights[other], means[other]
-            w00, w01 = w * (1 - fx) * (1 - fy), w * fx * (1 - fy)
-            w10, w11 = w * (1 - fx) * fy, w * fx * fy
-            total += w
-            expected += (w * contrast[other]) ** 2
-            offset = w * mean
-            n = wide if left + x0 + wide < width else right - left + 1
-            for y in range(top, bottom + 1):
-                upper = image[y + y0, left + x0 : left + x0 + n + 1]
-                lower = image[y + y0 + 1, left + x0 : left + x0 + n + 1]
-                into = shade[y - top]
-                for k in range(n):
-                    into[k] += w00 * upper[k] + w01 * upper[k + 1] + w10 * lower[k] + w11 * lower[k + 1] - offset
-        if total == 0:
-            continue
-        energy = np.float32(1e-9)
-        count = 0
-        for y in range(top, bottom + 1):
-            half = np.sqrt(max(np.float32(0.0), radius * radius - (y - cy) * (y - cy)))
-            for x in range(max(left, int(np.ceil(cx - half))), min(right, int(np.floor(cx + half))) + 1):
-                energy += (shade[y - top, x - left] / total) ** 2
-                count += 1
-        energy /= max(count, 1)
-        share = max(np.float32(0.0), 1 - _SIGNIFICANT * expected / (total * total * energy))
-        share *= SHADING**2 / (SHADING**2 + energy) / total
-        if share <= 0:
-            continue
-        for y in range(top, bottom + 1):
-            half = np.sqrt(max(np.float32(0.0), radius * radius - (y - cy) * (y - cy)))
-            for x in range(max(left, int(np.ceil(cx - half))), min(right, int(np.floor(cx + half))) + 1):
-                out[y, x] = image[y, x] - share * shade[y - top, x - left]
+            cx, cy = centres[lens, 0], centres[lens, 1]
+            left, top = middle[lens, 0] - half + 1, middle[lens, 1] - half + 1
+            energy = _mean_square(shade, width, left, top, cx, cy, radius, across, height) / (total * total)
+            energy += np.float32(1e-9)
+            share = max(np.float32(0.0), np.float32(1.0) - _SIGNIFICANT * expected / (total * total * energy))
+            share *= SHADING**2 / (SHADING**2 + energy) / total
+            if share <= 0:
+                continue
+            for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
+                first, last = _chord(cx, cy, y, radius, across)
+                at = (y - top) * width - left
+                for x in range(first, last + 1):
+                    out[y, x] = image[y, x] - share * shade[at + x]
 
 
 def flatten_shading(
@@ -118,9 +157,11 @@ def flatten_shading(
     # Three interleaved lens types lie at (i - j) mod 3; on other arrays this is any third of the lenses.
     same = (distance > 0) & (distance < _NEARBY * lattice.pitch) & ((steps[:, 0] - steps[:, 1]) % 3 == 0)
     weights = _SMOOTH**2 / (_SMOOTH**2 + contrast**2)
+    # What all lenses show is read many times: as strips, in long loops. Their centres differ by less than a pixel.
+    strips = cut_out(gray, means, 1, purpose="shading")
     out = gray.image.copy()
     _subtract_shading(
-        gray.image, gray.centres, wanted, neighbour_rows(lattice, steps[same]), weights.astype(np.float32), means,
-        contrast, np.float32(gray.radius), out,
+        gray.image, gray.centres, wanted, neighbour_rows(lattice, steps[same]), weights.astype(np.float32), contrast,
+        np.float32(gray.radius), strips.values, strips.middle, strips.whole, strips.half, strips.width, out,
     )  # fmt: skip
     return dataclasses.replace(gray, image=out)

@@ -13,8 +13,9 @@ from lfcal import Calibration
 
 from .fastmath import FAST
 from .radiance import trusted_radius
+from .scratch import scratch
 
-__all__ = ["lens_blur", "ready_to_read"]
+__all__ = ["lens_blur", "packed_to_read", "ready_to_read"]
 
 # Bilinear reading at any place averages the flat with a triangle of this variance [px^2], at whole pixels with nothing;
 # over all places the mean is 1/6. A second difference with half of that as its factor gives it back.
@@ -98,27 +99,57 @@ def _give_back_whole(flat, channels, highest, out):
             into[k] = min(max(np.float32(here[k]) * sixteen - sides + six, zero) * twelfth, highest)
 
 
+@njit(cache=True, nogil=True)
+def _bytes_given_back(flat, y, channels, line, into):
+    """A row as of `_give_back_whole`, for bytes: a line between two loops keeps them to 16 bits: vectors hold more."""
+    height, width = flat.shape
+    above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
+    n = max(width - 2 * channels, 0)
+    before, own, after = here[:n], here[channels:], here[2 * channels :]
+    up, down = above[channels:], below[channels:]
+    middle = line[channels:]
+    for k in range(n):
+        middle[k] = np.int16(own[k]) * 16 + 6 - before[k] - after[k] - up[k] - down[k]
+    for end in range(min(2 * channels, width)):
+        k = end if end < channels else width - 2 * channels + end
+        left, right = here[k - channels if k >= channels else k], here[k + channels if k < width - channels else k]
+        line[k] = np.int16(here[k]) * 16 + 6 - left - right - above[k] - below[k]
+    for k in range(width):
+        # 5462 / 65536 is a twelfth, rounded up by less than counts below 4096.
+        value = min(max(line[k], np.int16(0)), np.int16(12 * 255 + 11))
+        into[k] = np.uint8((np.uint32(value) * np.uint32(5462)) >> np.uint32(16))
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def _give_back_bytes(flat, channels, out):
-    """As `_give_back_whole`, for bytes: a line between two loops keeps numbers to 16 bits: vectors hold more."""
-    height, width = flat.shape
-    for y in prange(height):
-        above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
-        into, line = out[y], np.empty(width, np.int16)
-        n = max(width - 2 * channels, 0)
-        before, own, after = here[:n], here[channels:], here[2 * channels :]
-        up, down = above[channels:], below[channels:]
-        middle = line[channels:]
-        for k in range(n):
-            middle[k] = np.int16(own[k]) * 16 + 6 - before[k] - after[k] - up[k] - down[k]
-        for end in range(min(2 * channels, width)):
-            k = end if end < channels else width - 2 * channels + end
-            left, right = here[k - channels if k >= channels else k], here[k + channels if k < width - channels else k]
-            line[k] = np.int16(here[k]) * 16 + 6 - left - right - above[k] - below[k]
-        for k in range(width):
-            # 5462 / 65536 is a twelfth, rounded up by less than counts below 4096.
-            value = min(max(line[k], np.int16(0)), np.int16(12 * 255 + 11))
-            into[k] = np.uint8((np.uint32(value) * np.uint32(5462)) >> np.uint32(16))
+    for y in prange(len(flat)):
+        _bytes_given_back(flat, y, channels, np.empty(flat.shape[1], np.int16), out[y])
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _give_back_packed(flat, channels, out):
+    for y in prange(len(flat)):
+        row, into = np.empty(flat.shape[1], np.uint8), out[y]
+        _bytes_given_back(flat, y, channels, np.empty(flat.shape[1], np.int16), row)
+        if channels == 3:
+            for x in range(len(into)):
+                at = np.uint64(3) * np.uint64(x)
+                pixel = np.uint32(row[at]) | (np.uint32(row[at + np.uint64(1)]) << np.uint32(8))
+                into[x] = pixel | (np.uint32(row[at + np.uint64(2)]) << np.uint32(16))
+        else:
+            for x in range(len(into)):
+                pixel = np.uint32(0)
+                for c in range(channels):
+                    pixel |= np.uint32(row[x * channels + c]) << np.uint32(8 * c)
+                into[x] = pixel
+
+
+def packed_to_read(pixels: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """(H, W) uint32: `ready_to_read` with the bytes of each pixel (H, W, C) in one number, the first lowest; C is 4 at
+    most. In `scratch` memory."""
+    out = scratch("packed", pixels.shape[:2], np.uint32)
+    _give_back_packed(np.ascontiguousarray(pixels).reshape(len(pixels), -1), pixels.shape[2], out)
+    return out
 
 
 def lens_blur(

@@ -11,8 +11,9 @@ from lfcal import Lattice
 from .bending import lattice_bend
 from .candidates import MOST_CANDIDATES, calm_lenses, propose
 from .fastmath import FAST
-from .neighbours import lens_grid
+from .neighbours import lens_grid, neighbour_rows
 from .radiance import GrayFlat
+from .scratch import scratch
 from .surface import Surface
 
 __all__ = ["grid_shape", "spread"]
@@ -31,17 +32,17 @@ def _walk(depths, costs, single, gap, total):
 
     Where there is a `single` one it is chosen in any case, and tells the next point no more than its depth.
     """
-    most = depths.shape[1]
+    most = len(depths)
     message = np.zeros(most, np.float32)
     previous = np.zeros(most, np.float32)
     low = np.float32(0.0)
-    for p in range(len(depths)):
+    for p in range(depths.shape[1]):
         if single[p]:
             previous[0] = low = np.float32(0.0)
             continue
         lowest = np.float32(np.inf)
         for k in range(most):
-            s = depths[p, k]
+            s = depths[k, p]
             # Candidates come first, unused places after them.
             if np.isnan(s):
                 break
@@ -49,13 +50,13 @@ def _walk(depths, costs, single, gap, total):
             if p > 0:
                 best = _JUMP
                 for q in range(1 if single[p - 1] else most):
-                    t = depths[p - 1, q]
+                    t = depths[q, p - 1]
                     if np.isnan(t):
                         break
                     apart = abs(s - t) / gap
                     best = min(best, previous[q] - low + min(_JUMP, _SLANT * apart if apart < 1 else _JUMP))
-            message[k] = costs[p, k] + best
-            total[p, k] += message[k]
+            message[k] = costs[k, p] + best
+            total[k, p] += message[k]
             lowest = min(lowest, message[k])
         low = lowest
         for k in range(most):
@@ -63,35 +64,37 @@ def _walk(depths, costs, single, gap, total):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _settle(depths, costs, gap, out):
+def _settle(depths, costs, gap, total, out):
     """Choose one candidate per scene point with the support of its row and column, both ways."""
-    rows, columns, most = depths.shape
-    total = np.empty_like(costs)
+    most, rows, columns = depths.shape
     single, turned = np.empty((rows, columns), np.bool_), np.empty((columns, rows), np.bool_)
     for v in prange(rows):
         some = False
         for u in range(columns):
-            only = np.isnan(depths[v, u, 1])
+            only = np.isnan(depths[1, v, u])
             single[v, u] = turned[u, v] = only
             if not only:
-                total[v, u] = 0.0
                 some = True
+                for k in range(most):
+                    total[k, v, u] = 0.0
         # A line on which no point has two candidates has nothing to settle.
         if some:
-            _walk(depths[v], costs[v], single[v], gap, total[v])
-            _walk(depths[v, ::-1], costs[v, ::-1], single[v, ::-1], gap, total[v, ::-1])
+            _walk(depths[:, v], costs[:, v], single[v], gap, total[:, v])
+            _walk(depths[:, v, ::-1], costs[:, v, ::-1], single[v, ::-1], gap, total[:, v, ::-1])
     for u in prange(columns):
         if not turned[u].all():
-            _walk(depths[:, u], costs[:, u], turned[u], gap, total[:, u])
-            _walk(depths[::-1, u], costs[::-1, u], turned[u, ::-1], gap, total[::-1, u])
+            _walk(depths[:, :, u], costs[:, :, u], turned[u], gap, total[:, :, u])
+            _walk(depths[:, ::-1, u], costs[:, ::-1, u], turned[u, ::-1], gap, total[:, ::-1, u])
     for v in prange(rows):
         for u in range(columns):
             best = 0
             if not single[v, u]:
                 for k in range(1, most):
-                    if not np.isnan(depths[v, u, k]) and total[v, u, k] < total[v, u, best]:
+                    if np.isnan(depths[k, v, u]):
+                        break
+                    if total[k, v, u] < total[best, v, u]:
                         best = k
-            out[v, u] = depths[v, u, best]
+            out[v, u] = depths[best, v, u]
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
@@ -104,7 +107,7 @@ def _without_specks(chosen, depths, gap, out):
         for u in range(columns):
             here = chosen[v, u]
             out[v, u] = here
-            if np.isnan(depths[v, u, 1]):
+            if np.isnan(depths[1, v, u]):
                 continue
             count = agree = 0
             for y in range(max(0, v - _SPECK), min(rows, v + _SPECK + 1)):
@@ -161,8 +164,9 @@ def spread(
     """
     pitch = lattice.pitch
     shape, start, spacing = grid_shape(lattice, cells)
-    depths = np.empty((*shape, MOST_CANDIDATES), np.float32)
-    costs = np.empty_like(depths)
+    depths, costs, totals = (
+        scratch(name, (MOST_CANDIDATES, *shape), np.float32) for name in ("depths", "costs", "totals")
+    )
     grid, low = lens_grid(lattice)
     span = np.arange(-3, 4)
     ring = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
@@ -175,14 +179,15 @@ def spread(
     if before is not None and before.patch_size.shape == shape and before.first == start:
         old = before.patch_size
     settled = np.zeros(len(values), bool) if settled is None else settled
+    table = np.hstack([gray.centres, trust[:, None], values[:, None], seconds])
     propose(
-        gray.image, gray.centres, np.float32(gray.radius), np.float32(pitch), values, seconds, trust, calm, grid, low,
+        gray.image, table, neighbour_rows(lattice, ring), np.float32(gray.radius), np.float32(pitch), calm, grid, low,
         lattice.origin, np.linalg.inv(lattice.basis), *lattice_bend(lattice), ring, gap, np.float32(4 * noise * noise),
         start[0], spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), settled, old,
         depths, costs,
     )  # fmt: skip
-    chosen = np.empty(shape, np.float32)
-    _settle(depths, costs, gap, chosen)
+    chosen = scratch("chosen", shape, np.float32)
+    _settle(depths, costs, gap, totals, chosen)
     out = np.empty_like(chosen)
     _without_specks(chosen, depths, gap, out)
     return Surface(out, start, spacing)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 
 from .fastmath import FAST
+from .microimages import copy_box
 from .neighbours import neighbour_rows
 from .radiance import GrayFlat
 from .shading import flatten_shading
@@ -37,6 +38,8 @@ _MIDDLE, _LEAST_CONTRAST = 0.36, 0.01
 
 # So many microimages are no rougher than the noise makes them.
 _LEAST_ROUGH = 0.02
+# Vector loops take so many values at a time, and so many lenses share the memory that they are cut out to.
+_BUNCH, _TOGETHER = 32, 32
 # Microimages of this radius [px] have rows to spare.
 _LEAST_ROWS = 6.0
 
@@ -88,91 +91,96 @@ class Texture:
     faint: NDArray[np.bool_]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _chord(centre_x, centre_y, y, radius, width):
-    """First and last pixel of row `y` inside a circle."""
-    half = np.sqrt(max(np.float32(0.0), radius * radius - (y - centre_y) * (y - centre_y)))
-    return max(1, int(np.ceil(centre_x - half))), min(width - 2, int(np.floor(centre_x + half)))
+# Python's error model checks every division, which no vector loop can. Places are unsigned: signed ones are looked at
+# for being counted from the end.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _sums(box, columns, lines, start, above, below, count, ex, ey, low, high, last, r2, middle2, near):
+    """Number, sum and sum of squares of the pixels in a circle, less `near`, the same in a smaller one, and the sum of
+    squares of their answers to a checkerboard mask.
 
-
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _moments(image, cx, cy, radius, middle, row_step):
-    """Count, mean and standard deviation of the pixels in a circle, taken from a value near their mean."""
-    height, width = image.shape
-    total = squares = np.float32(0.0)
-    count = 0
-    for y in range(max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius))) + 1, row_step):
-        left, right = _chord(cx, cy, y, radius, width)
-        row = image[y, left : right + 1]
-        for k in range(right - left + 1):
-            value = row[k] - middle
-            total += value
-            squares += value * value
-        count += max(right - left + 1, 0)
-    mean = total / max(count, 1)
-    return count, middle + mean, np.sqrt(max(np.float32(0.0), squares / max(count, 1) - mean * mean))
-
-
-# Python's error model checks every division, which no vector loop can.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _moments_and_roughness(image, cx, cy, radius, middle, row_step):
-    """Mean and standard deviation of the pixels in a circle, and their RMS answer to a checkerboard mask.
-
-    The mask is blind to planes and straight slopes (Immerkaer 1996).
+    The mask is blind to planes and straight slopes (Immerkaer 1996). `box` holds the row above and that below each row
+    of pixels `above` and `below` values farther; circles are about (ex, ey) in `columns` and `lines`.
     """
-    height, width = image.shape
-    two, four = np.float32(2.0), np.float32(4.0)
-    total = squares = rough = np.float32(0.0)
-    count = 0
-    for y in range(max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius))) + 1, row_step):
-        left, right = _chord(cx, cy, y, radius, width)
-        n = right - left + 1
-        if n <= 0:
-            continue
-        # One view for each offset: an index like k + 1 may wrap round, which no vector loop can.
-        above, row, below = image[y - 1, left - 1 :], image[y, left - 1 :], image[y + 1, left - 1 :]
-        above0, above1, above2 = above[:n], above[1 : n + 1], above[2 : n + 2]
-        row0, row1, row2 = row[:n], row[1 : n + 1], row[2 : n + 2]
-        below0, below1, below2 = below[:n], below[1 : n + 1], below[2 : n + 2]
-        for k in range(n):
-            value = row1[k] - middle
-            total += value
-            squares += value * value
-            bend = (
-                above0[k] + above2[k] + below0[k] + below2[k]
-                - two * (above1[k] + below1[k] + row0[k] + row2[k]) + four * row1[k]
-            )  # fmt: skip
-            rough += bend * bend
-        count += n
-    inverse = np.float32(1.0) / np.float32(max(count, 1))
+    zero, unit, two, four = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(4.0)
+    a, b, c, one = np.uint64(start), np.uint64(start + above), np.uint64(start + below), np.uint64(1)
+    number = total = squares = rough = inner_number = inner_total = inner_squares = zero
+    for k in range(np.uint64(count)):
+        x, y = columns[k] - ex, lines[k] - ey
+        away = x * x + y * y
+        inside = (away <= r2) & (columns[k] >= low) & (columns[k] <= high) & (lines[k] <= last)
+        value = box[a + k] - near if inside else zero
+        bend = (
+            box[b + k - one] + box[b + k + one] + box[c + k - one] + box[c + k + one]
+            - two * (box[b + k] + box[c + k] + box[a + k - one] + box[a + k + one]) + four * box[a + k]
+        )  # fmt: skip
+        bend = bend if inside else zero
+        counts = unit if inside else zero
+        number += counts
+        total += value
+        squares += value * value
+        rough += bend * bend
+        within = away <= middle2
+        value, counts = value if within else zero, counts if within else zero
+        inner_number += counts
+        inner_total += value
+        inner_squares += value * value
+    return number, total, squares, rough, inner_number, inner_total, inner_squares
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _spread(number, total, squares):
+    """Mean and standard deviation from sums."""
+    inverse = np.float32(1.0) / max(number, np.float32(1.0))
     mean = total * inverse
-    deviation = np.sqrt(max(np.float32(0.0), squares * inverse - mean * mean))
-    return middle + mean, deviation, np.sqrt(rough * inverse * np.float32(1 / 36))
+    return mean, np.sqrt(max(squares * inverse - mean * mean, np.float32(0.0)))
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _lens_statistics(image, centres, wanted, radius, middle, noise_too, row_step, out):
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _lens_statistics(image, centres, wanted, radius, middle, row_step, out):
     height, width = image.shape
-    for lens in prange(len(centres)):
-        if not wanted[lens]:
-            continue
-        cx, cy = centres[lens, 0], centres[lens, 1]
-        near = image[min(max(int(cy), 0), height - 1), min(max(int(cx), 0), width - 1)]
-        if not noise_too:
-            _, out[0, lens], out[1, lens] = _moments(image, cx, cy, radius, near, row_step)
-            continue
-        out[0, lens], out[1, lens], out[3, lens] = _moments_and_roughness(image, cx, cy, radius, near, row_step)
-        _, _, out[2, lens] = _moments(image, cx, cy, middle, near, row_step)
+    pixels = image.reshape(-1)
+    # Rows that are read follow each other, and then those between them: so one long loop takes them all.
+    wide, tall = 2 * int(np.ceil(radius)) + 3, (2 * int(np.ceil(radius)) + 1 + row_step) // row_step
+    size = (tall * wide + _BUNCH - 1) // _BUNCH * _BUNCH
+    start = wide + 1 if row_step == 1 else 1
+    above, below = (-wide, wide) if row_step == 1 else (tall * wide, (tall + 1) * wide)
+    columns, lines = np.full(size, np.inf, np.float32), np.full(size, np.inf, np.float32)
+    for k in range(tall * wide):
+        columns[k], lines[k] = k % wide, k // wide * row_step
+    for part in prange((len(centres) + _TOGETHER - 1) // _TOGETHER):
+        box = np.zeros(row_step * tall * wide + 3 * wide + 2 * _BUNCH, np.float32)
+        for lens in range(part * _TOGETHER, min((part + 1) * _TOGETHER, len(centres))):
+            if not wanted[lens]:
+                continue
+            cx, cy = centres[lens, 0], centres[lens, 1]
+            top, bottom = max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius)))
+            left = int(np.ceil(cx - radius))
+            count = (bottom - top) // row_step + 1
+            if row_step == 1:
+                copy_box(pixels, width, left - 1, top - 1, count + 2, wide, box, 0, 1)
+            else:
+                copy_box(pixels, width, left - 1, top, count, wide, box, 0, row_step)
+                copy_box(pixels, width, left - 1, top - 1, count + 1, wide, box, tall * wide, row_step)
+            count = max((count * wide + _BUNCH - 1) // _BUNCH * _BUNCH, 0)
+            near = pixels[min(max(int(cy), 0), height - 1) * width + min(max(int(cx), 0), width - 1)]
+            number, total, squares, rough, inner, inner_total, inner_squares = _sums(
+                box, columns, lines, start, above, below, count, cx - np.float32(left), cy - np.float32(top),
+                np.float32(1 - left), np.float32(width - 2 - left), np.float32(bottom - top), radius * radius,
+                middle * middle, near,
+            )  # fmt: skip
+            mean, out[1, lens] = _spread(number, total, squares)
+            out[0, lens] = near + mean
+            out[2, lens] = _spread(inner, inner_total, inner_squares)[1]
+            out[3, lens] = np.sqrt(rough / (np.float32(36) * max(number, np.float32(1.0))))
 
 
 def lens_statistics(
     gray: GrayFlat,
-    noise_too: bool = True,
     known: LensStatistics | None = None,
     wanted: NDArray[np.bool_] | None = None,
     row_step: int = 1,
 ) -> LensStatistics:
-    """Brightness inside each microimage; without `noise_too`, `middle` and `roughness` are left 0.
+    """Brightness inside each microimage.
 
     Lenses that are not `wanted` (n,) keep what is `known` of them. Only every `row_step`-th row of pixels is read.
     """
@@ -182,7 +190,7 @@ def lens_statistics(
     wanted = np.ones(len(gray.centres), bool) if wanted is None else wanted
     _lens_statistics(
         gray.image, gray.centres, wanted, np.float32(gray.radius), np.float32(min(gray.radius, _MIDDLE * gray.pitch)),
-        noise_too, row_step, out,
+        row_step, out,
     )  # fmt: skip
     return LensStatistics(*out)
 

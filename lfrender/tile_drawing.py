@@ -21,8 +21,8 @@ from .mosaic import draw_rows
 from .patches import lay_patches, shows_all_patches
 from .radiance import gain_table, lens_by_lens, white_level
 from .remembered import remembered
-from .row_blending import blend_rows, packed
-from .sharpness import ready_to_read
+from .row_blending import blend_rows
+from .sharpness import packed_to_read, ready_to_read
 from .surface import Surface
 from .visibility import lens_depths
 from .warping import Viewpoint
@@ -191,8 +191,6 @@ class Drawing:
             seen_depth[_beside(unknown)] = np.inf
             edged[:] = True
         drawn = self._seen_surface
-        # Only a mean over many lenses has the sharpness of the flat where what interpolation blurs is given back.
-        ready = ready_to_read(pixels) if self.blend else pixels
         marks, radius, reach = (0,) * pixels.shape[2], single(self.aperture * lattice.radius), self.reach * pitch
         depths = (
             single(pitch), drawn.patch_size, single(drawn.first[0]), single(drawn.first[1]), single(drawn.spacing),
@@ -203,17 +201,20 @@ class Drawing:
         place = np.array(corner), np.array(lattice.image_size), np.array(part[:2])
         light = gains, lights, single(step)
         stored = single(0.5 if whole else 0.0), single(np.iinfo(image.dtype).max if whole else np.inf), image, valid
-        if self._read_once(ready) and not view.any():
-            ready = packed(ready)
+        # Only a mean over many lenses has the sharpness of the flat where what interpolation blurs is given back.
+        if self._read_once(pixels) and not view.any():
+            packed = packed_to_read(pixels)
             order, centres, kinds = self._sorted_lenses
             left = np.empty(image.shape[:2], bool)
             blend_rows(
-                ready, marks, seen_depth, edged[order], *light, centres, kinds, self._shares[1], radius, *depths,
+                packed, marks, seen_depth, edged[order], *light, centres, kinds, self._shares[1], radius, *depths,
                 float(reach), tolerance, *place, wanted, *stored, left,
             )  # fmt: skip
             if not left.any():
                 return image, valid
-            ready, wanted = ready.view(np.uint8).reshape(*ready.shape, 4), left
+            ready, wanted = packed.view(np.uint8).reshape(*packed.shape, 4), left
+        else:
+            ready = ready_to_read(pixels) if self.blend else pixels
         draw_rows(
             ready, marks, seen_depth, *light, lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, *self._bend,
             *self._offsets, *self._shares, radius, *depths, single((self.blur * self.scale) ** 2), single(reach),
@@ -257,7 +258,8 @@ class Drawing:
         lattice = self.calibration.lattice
         reach = self.reach * lattice.pitch + self._parallax
         part = (*corner, corner[0] + shape[1], corner[1] + shape[0])
-        return lens_depths(self.surface, lattice, reach, self._edge, None if shape[:2] == self._shape else part, edged)
+        whole = shape[:2] == self._shape
+        return lens_depths(self.surface, lattice, reach, self._edge, None if whole else part, edged, "seen depth")
 
     @property
     def _shape(self) -> tuple[int, int]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 
 from .fastmath import FAST
+from .scratch import scratch
 from .surface import Surface
 
 __all__ = ["lens_depths"]
@@ -73,6 +74,7 @@ def lens_depths(
     edge: float,
     part: tuple[int, int, int, int] | None = None,
     edged: NDArray[np.bool_] | None = None,
+    purpose: str | None = None,
 ) -> NDArray[np.float32]:
     """(H, W) float32 [px]: patch size of what each flat pixel sees through its lens.
 
@@ -90,9 +92,12 @@ def lens_depths(
         Only these pixels of the flat.
     edged : (n,) bool, optional
         Set to whether lenses have a depth edge in reach, False for those that have no such pixel.
+    purpose : str, optional
+        The answer lies in `scratch` memory for this.
     """
     left, top, right, bottom = part or (0, 0, *lattice.image_size)
-    out = np.empty((bottom - top, right - left), np.float32)
+    shape = (bottom - top, right - left)
+    out = np.empty(shape, np.float32) if purpose is None else scratch(purpose, shape, np.float32)
     radius = min(lattice.radius, lattice.pitch / 2)
     centres = lattice.centres()
     inside: NDArray[np.bool_] = np.ones(len(centres), bool)

@@ -3,6 +3,7 @@ import numpy as np
 from lfrender.neighbours import neighbour_rows
 from lfrender.refinement import PairFits, fit_pairs
 from lfrender.slant import fit_lenses
+from lfrender.smoothing import smoothed
 
 
 def measure(gray, lattice, start, noise=0.005, iterations=8, scale=0.1):
@@ -86,3 +87,13 @@ def test_pairs_that_scatter_by_more_than_their_noise_widen_the_error_beyond_thei
         median.append(np.median(lenses.standard_error[inner]))
     # Three times the scatter, less what the robust fit takes for outliers (2.7), and up to 1.4 times that.
     assert median[1] / median[0] > 3
+
+
+def test_the_flat_smoothed_in_long_rows_has_the_bits_of_its_microimages_smoothed_alone(drawn_flat):
+    gray, lattice, *_ = drawn_flat(6.0)
+    every = smoothed(gray, np.ones(len(lattice), bool))
+    for lens in (0, len(lattice) // 2, len(lattice) - 1):
+        alone = smoothed(gray, np.arange(len(lattice)) == lens)
+        x, y = np.rint(gray.centres[lens]).astype(int)
+        part = slice(max(y - 8, 0), y + 9), slice(max(x - 8, 0), x + 9)
+        np.testing.assert_array_equal(every[part], alone[part])

@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates, uniform_filter
 
 import lfrender
 from lfcal import Calibration, Lattice
-from lfrender.sharpness import lens_blur, ready_to_read
+from lfrender.sharpness import lens_blur, packed_to_read, ready_to_read
 
 SIZE, PITCH = (420, 330), 21.0
 # Texels of the scene per flat pixel, and its margin [flat px].
@@ -109,3 +109,13 @@ def test_what_interpolation_blurs_is_given_back_exactly_rounded(shape, dtype):
     beside = wide[:-2, 1:-1] + wide[2:, 1:-1] + wide[1:-1, :-2] + wide[1:-1, 2:]
     wanted = np.clip(np.maximum(16 * wide[1:-1, 1:-1] - beside + 6, 0) // 12, 0, np.iinfo(dtype).max)
     np.testing.assert_array_equal(ready_to_read(flat), wanted)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3])
+def test_packed_pixels_hold_the_bytes_that_are_ready_to_read(channels):
+    flat = np.random.default_rng(8).integers(0, 256, (37, 53, channels), dtype=np.uint8)
+    packed = packed_to_read(flat)
+    assert packed.dtype == np.uint32 and packed.shape == (37, 53)
+    bytes_of = packed.view(np.uint8).reshape(37, 53, 4)
+    np.testing.assert_array_equal(bytes_of[:, :, :channels], ready_to_read(flat))
+    assert not bytes_of[:, :, channels:].any()

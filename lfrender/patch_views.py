@@ -1,0 +1,219 @@
+"""Views of a small patch of the scene through the lenses around it, and how badly they agree at some depth."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+__all__ = ["MOST_VIEWS", "UNKNOWN", "WORK", "look", "mismatch"]
+
+#: The most central lenses, so many of them, are asked what they show.
+MOST_VIEWS = 6
+# So many of them are each compared with all others: an occluder may hide the place from the first.
+_REFERENCES = 2
+# Share of the views that must agree: nothing hides the nearest candidate, while half of the views of one behind it may
+# be hidden.
+_OPEN, _HALF = np.float32(0.7), np.float32(0.5)
+#: Mismatch of places that tell nothing: too few views show them, or noise explains their contrast.
+UNKNOWN = np.float32(0.5)
+# A candidate behind another that mismatches in so many views, as if all were hidden, counts half as much as it would.
+_HALF_VIEWS = np.float32(2.0)
+# Views are the lanes of one vector register. What is done with them lies known ways apart in one piece of memory, or no
+# compiler would take them together: 4 x 4 pixels, places between these, 3 x 3 samples, their moments, and mismatches.
+# Patches on which candidate depths compete are 3 x 3 samples. No order of sums is left to the compiler.
+_EIGHT = np.uint64(8)
+_FX, _FY = np.uint64(128), np.uint64(136)
+_P0, _P1, _P2, _P3, _P4, _P5, _P6, _P7, _P8 = (np.uint64(144 + 8 * k) for k in range(9))
+_MEAN, _VARIANCE, _COST = np.uint64(216), np.uint64(224), np.uint64(232)
+#: Float32 values of memory that one depth is tried in, finite: from place `base` of `work` on.
+WORK = 240
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _sample(image, x, y):
+    height, width = image.shape
+    x = min(max(x, np.float32(0.0)), np.float32(width - 1.001))
+    y = min(max(y, np.float32(0.0)), np.float32(height - 1.001))
+    i, j = int(x), int(y)
+    fx, fy = np.float32(x - i), np.float32(y - j)
+    return (1 - fy) * ((1 - fx) * image[j, i] + fx * image[j, i + 1]) + fy * (
+        (1 - fx) * image[j + 1, i] + fx * image[j + 1, i + 1]
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fetch(pixels, stride, px, py, work, lane):
+    """Put the 4 x 4 pixels about (px, py) into the place `lane` of `work` and every eighth on, and how far between
+    them it lies."""
+    i, j = int(px), int(py)
+    at, into = np.uint64(j - 1) * stride + np.uint64(i - 1), lane
+    for _ in range(4):
+        for k in range(np.uint64(4)):
+            work[into + k * _EIGHT] = pixels[at + k]
+        at += stride
+        into += np.uint64(4) * _EIGHT
+    work[lane + _FX], work[lane + _FY] = px - np.float32(i), py - np.float32(j)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _between(work, at, fx):
+    """Three values between the four pixels of a row."""
+    a, b, c, d = work[at], work[at + _EIGHT], work[at + np.uint64(16)], work[at + np.uint64(24)]
+    return a + fx * (b - a), b + fx * (c - b), c + fx * (d - c)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _interpolate(work, base):
+    """The 3 x 3 samples about the place of each lane; those a pixel apart share their weights, and most pixels."""
+    for m in range(_EIGHT):
+        at = base + m
+        fx, fy = work[at + _FX], work[at + _FY]
+        left0, middle0, right0 = _between(work, at, fx)
+        left1, middle1, right1 = _between(work, at + np.uint64(32), fx)
+        left2, middle2, right2 = _between(work, at + np.uint64(64), fx)
+        left3, middle3, right3 = _between(work, at + np.uint64(96), fx)
+        work[at + _P0], work[at + _P1] = left0 + fy * (left1 - left0), middle0 + fy * (middle1 - middle0)
+        work[at + _P2], work[at + _P3] = right0 + fy * (right1 - right0), left1 + fy * (left2 - left1)
+        work[at + _P4], work[at + _P5] = middle1 + fy * (middle2 - middle1), right1 + fy * (right2 - right1)
+        work[at + _P6], work[at + _P7] = left2 + fy * (left3 - left2), middle2 + fy * (middle3 - middle2)
+        work[at + _P8] = right2 + fy * (right3 - right2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _moments(work, base):
+    """Mean and variance of the samples of each lane."""
+    ninth = np.float32(1 / 9)
+    for m in range(_EIGHT):
+        p0, p1, p2, p3, p4 = (
+            work[base + _P0 + m],
+            work[base + _P1 + m],
+            work[base + _P2 + m],
+            work[base + _P3 + m],
+            work[base + _P4 + m],
+        )
+        p5, p6, p7, p8 = work[base + _P5 + m], work[base + _P6 + m], work[base + _P7 + m], work[base + _P8 + m]
+        mean = ninth * (((p0 + p1) + (p2 + p3)) + ((p4 + p5) + (p6 + p7)) + p8)
+        squares = ((p0 * p0 + p1 * p1) + (p2 * p2 + p3 * p3)) + ((p4 * p4 + p5 * p5) + (p6 * p6 + p7 * p7)) + p8 * p8
+        work[base + _MEAN + m] = mean
+        work[base + _VARIANCE + m] = max(ninth * squares - mean * mean, np.float32(0.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _compare(work, base, r, floor):
+    """Mismatch of the samples of each lane with those of lane `r`."""
+    ninth, half = np.float32(1 / 9), UNKNOWN * floor
+    mean, variance = work[base + _MEAN + r], work[base + _VARIANCE + r] + floor
+    r0, r1, r2, r3, r4 = (
+        work[base + _P0 + r],
+        work[base + _P1 + r],
+        work[base + _P2 + r],
+        work[base + _P3 + r],
+        work[base + _P4 + r],
+    )
+    r5, r6, r7, r8 = work[base + _P5 + r], work[base + _P6 + r], work[base + _P7 + r], work[base + _P8 + r]
+    for m in range(_EIGHT):
+        d0, d1, d2, d3 = (
+            work[base + _P0 + m] - r0,
+            work[base + _P1 + m] - r1,
+            work[base + _P2 + m] - r2,
+            work[base + _P3 + m] - r3,
+        )
+        d4, d5, d6, d7 = (
+            work[base + _P4 + m] - r4,
+            work[base + _P5 + m] - r5,
+            work[base + _P6 + m] - r6,
+            work[base + _P7 + m] - r7,
+        )
+        d8 = work[base + _P8 + m] - r8
+        squares = ((d0 * d0 + d1 * d1) + (d2 * d2 + d3 * d3)) + ((d4 * d4 + d5 * d5) + (d6 * d6 + d7 * d7)) + d8 * d8
+        apart = mean - work[base + _MEAN + m]
+        work[base + _COST + m] = (ninth * squares + half) / (work[base + _VARIANCE + m] + variance + apart * apart)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _ordered(a, b):
+    return min(a, b), max(a, b)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mean_of_best(work, base, views, r, number):
+    """Mean of the `number` least costs of `views` lanes but `r`."""
+    work[base + _COST + r] = np.inf
+    for m in range(np.uint64(views), np.uint64(MOST_VIEWS)):
+        work[base + _COST + m] = np.inf
+    a, b, c = work[base + _COST], work[base + _COST + np.uint64(1)], work[base + _COST + np.uint64(2)]
+    d, e, f = work[base + _COST + np.uint64(3)], work[base + _COST + np.uint64(4)], work[base + _COST + np.uint64(5)]
+    # A network sorts six values without branches, which nothing would foretell.
+    a, b = _ordered(a, b)
+    c, d = _ordered(c, d)
+    e, f = _ordered(e, f)
+    a, c = _ordered(a, c)
+    d, f = _ordered(d, f)
+    b, e = _ordered(b, e)
+    a, b = _ordered(a, b)
+    c, d = _ordered(c, d)
+    e, f = _ordered(e, f)
+    b, c = _ordered(b, c)
+    d, e = _ordered(d, e)
+    c, d = _ordered(c, d)
+    total = a
+    if number > 1:
+        total += b
+    if number > 2:
+        total += c
+    if number > 3:
+        total += d
+    return total / np.float32(number)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _within(px, py, step, width, height):
+    """Whether the 4 x 4 pixels about a place are all that its samples are read from."""
+    return step == 1 and px >= 1 and py >= 1 and px < width - 2 and py < height - 2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def look(image, pixels, near_x, near_y, count, x, y, slope, radius, step, work, base):
+    """Put what the lenses around (x, y) show of it if it had the depth `slope`, s / D, into `work`.
+
+    The `count` lenses have their centres at `near_x`, `near_y`, the nearest first; `pixels` are those of the image in
+    one line. Returns how many lenses show it, the first in any case.
+    """
+    height, width = image.shape
+    views = 0
+    for m in range(count):
+        dx, dy = -(x - near_x[m]) * slope, -(y - near_y[m]) * slope
+        # Those after it are farther.
+        if m > 0 and dx * dx + dy * dy > radius * radius:
+            break
+        px, py = near_x[m] + dx, near_y[m] + dy
+        if _within(px, py, step, width, height):
+            _fetch(pixels, np.uint64(width), px, py, work, base + np.uint64(m))
+        views += 1
+    return views
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mismatch(image, near_x, near_y, x, y, slope, step, floor, nearest, views, work, base):
+    """How badly the better share of the views of (x, y) that `look` has found agrees with one of the most central."""
+    height, width = image.shape
+    if views < 2:
+        return UNKNOWN
+    _interpolate(work, base)
+    for m in range(views):
+        px, py = near_x[m] - (x - near_x[m]) * slope, near_y[m] - (y - near_y[m]) * slope
+        if not _within(px, py, step, width, height):
+            for k in range(9):
+                value = _sample(image, px + (k % 3 - 1) * step, py + (k // 3 - 1) * step)
+                work[base + _P0 + np.uint64(8 * k + m)] = value
+    _moments(work, base)
+    share = _OPEN if nearest else _HALF
+    number = max(1, int(share * (views - 1) + np.float32(0.5)))
+    # An occluder may hide the place from the most central view as well.
+    least = np.float32(np.inf)
+    for r in range(np.uint64(_REFERENCES)):
+        _compare(work, base, r, floor)
+        least = min(least, _mean_of_best(work, base, views, r, number))
+    if not nearest and least > UNKNOWN:
+        least = UNKNOWN + (least - UNKNOWN) * np.float32(views) / (np.float32(views) + _HALF_VIEWS)
+    return least
