@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .cat_eye import settled_roles, with_cut, without_idle_cut
-from .disc_newton import FEWEST_LENSES, FitState, converge, halves_differ, misfit, open_lenses, own_offsets, promise
+from .disc_lenses import FEWEST_LENSES, open_lenses
+from .disc_newton import FitState, converge, finished, halves_differ, misfit, own_offsets, promise
 from .disc_parameters import CatEye, DiscModel
 from .distortion import Distortion
 from .errors import CalibrationError
@@ -96,7 +97,7 @@ def fit_discs(tones: NDArray[np.float32] | Parts, lattice: Lattice, pixels: floa
     state = with_cut(state, state if known else _better(state, (), _bent(state), ("k1",))[0], known)
     some = min(_SOME[0], _MANY * abs(float(np.linalg.det(lattice.basis))))
     state, lit = open_lenses(tones, state.model, some, _SOME[1], state.discs, lit)
-    state, _ = converge(state, known)
+    state, _ = converge(state, known, known=True)
     if state.model.cat_eye is not None:
         state = settled_roles(state)
     state, orders = _with_orders(state, known)
@@ -108,7 +109,7 @@ def fit_discs(tones: NDArray[np.float32] | Parts, lattice: Lattice, pixels: floa
     )
     if wanted > _pixels(state):
         state, _ = open_lenses(tones, state.model, wanted, FEWEST_LENSES, state.discs, lit)
-    state, summary = converge(state, orders)
+    state, summary = finished(state, orders)
     own = [k for k, name in enumerate(summary.names) if name not in _NOT_OF_LATTICE]
     errors = LatticeErrors(tuple(summary.names[k] for k in own), summary.covariance[np.ix_(own, own)])
     return DiscFit(
@@ -193,7 +194,7 @@ def _better(
     if promise(start, more) < _PROMISING * _BENT:
         return state, orders
     try:
-        trial, _ = converge(start, more)
+        trial, _ = converge(start, more, known=True)
         better = misfit(state, state) - misfit(trial, state)
     except (CalibrationError, ValueError):
         return state, orders
