@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .defects import Defects
 from .gain_fit import GainFit
-from .gain_kernels import ASIDE, describe, level_at, light, walk
+from .gain_kernels import ASIDE, describe, level_at, light, light_of_round, walk
 from .gain_map import GainMap
 from .lattice import Lattice
 
@@ -34,8 +34,6 @@ _BAND = 512
 _CHUNKS = 64
 # Pixels of a lens looked at together.
 _ROOM = 4096
-# Sums may be put in another order, but what is not a number stays so.
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
 # More defects than this share of the pixels are no defects but a model that does not fit.
 _MOST = 0.02
 
@@ -82,43 +80,29 @@ def _ends(y, faces, width):
     return math.ceil(low), math.ceil(high)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _round(pixels, count, over, sharp, lens, scale, level, rise, sure):
-    """Put in the place of pixels (x, y, tone) by how many standard deviations they are off in a round uncut lens."""
-    last, one, most = np.int32(len(rise) - 1), np.float32(1), np.float32(1 / _FLOOR)
-    p, q = np.float32(lens[0]), np.float32(lens[1])
-    uu, uv, vv = np.float32(lens[2]), np.float32(lens[3]), np.float32(lens[4])
-    # One long loop over a lens becomes vector instructions, where short ones over its rows would not.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _light_of_any(pixels, count, lens, profile, step, cut, shape, ring):
+    """`light_of_round` for lenses of any shape."""
+    last = len(profile) - 2
     for k in range(count):
-        x, y, tone = pixels[0, k], pixels[1, k], pixels[2, k]
-        place = np.sqrt(x * x + y * y) * scale
-        ring = min(np.int32(place), last)
-        s = level[ring] + rise[ring] * min(place - np.float32(ring), one)
-        s *= one + x * (p + uu * x + uv * y) + y * (q + vv * y)
-        pixels[0, k] = (tone * tone * over - s) * min(sure[ring] * sharp, most)
+        shape[k], stretched, _ = light(pixels[0, k], pixels[1, k], lens, profile, step, cut)
+        ring[k] = min(int(stretched / step), last)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _any(pixels, count, over, sharp, lens, profile, step, cut, sure):
-    """`_round` for lenses of any shape."""
-    last = len(sure) - 1
-    for k in range(count):
-        s, stretched, _ = light(pixels[0, k], pixels[1, k], lens, profile, step, cut)
-        ring = min(int(stretched / step), last)
-        pixels[0, k] = (pixels[2, k] * pixels[2, k] * over - s) * min(sure[ring] * sharp, 1 / _FLOOR)
+def _noted(tone, count, shape, ring, over, sharp, certain, out):
+    """How far pixels are off as bytes, `_ZERO + _UNIT * standard deviations`; far off by themselves at the ends.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _noted(far, count, out):
-    """As bytes, `_ZERO + _UNIT * standard deviations`; those far off by themselves at the ends."""
-    sure, clip = np.float32(_SURE), np.float32(_CLIP)
+    `shape` is spent: it gets standard deviations.
+    """
+    sure, clip, most = np.float32(_SURE), np.float32(_CLIP), np.float32(1 / _FLOOR)
     middle, unit = np.float32(_ZERO + 0.5), np.float32(_UNIT)
     for k in range(count):
-        value = far[k]
+        shape[k] = (tone[k] * tone[k] * over - shape[k]) * min(certain[ring[k]] * sharp, most)
+    for k in range(count):
+        value = shape[k]
         byte = np.int32(middle + unit * min(max(value, -clip), clip))
-        byte = 255 if value > sure else byte
-        # What is not a number has no light that it could be off from.
-        out[k] = byte if value >= -sure else 1
+        out[k] = byte if abs(value) <= sure else 255 if value > sure else 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
@@ -134,7 +118,8 @@ def _departures(
     for chunk in prange(chunks):
         powers, lens, faces = np.empty(64), np.empty(7 + rim.shape[0]), np.empty((6, 2))
         pixels, rows = np.empty((3, _ROOM + width), np.float32), np.empty((_ROOM, 3), np.int64)
-        noted = np.empty(_ROOM + width, np.uint8)
+        noted, ring = np.empty(_ROOM + width, np.uint8), np.empty(_ROOM + width, np.int32)
+        shape = np.empty(_ROOM + width, np.float32)
         for b in range(1 + chunk, middles.shape[0] - 1, chunks):
             for a in range(1, middles.shape[1] - 1):
                 start, stop = _sides(a, b, middles, sides, height, faces)
@@ -170,11 +155,11 @@ def _departures(
                         break
                     if plain:
                         scale = np.float32((1 - lens[7]) / step)
-                        over = np.float32(1 / bright)
-                        _round(pixels, count, over, np.float32(sharp), lens, scale, base, rise, sure_32)
+                        light_of_round(pixels, count, lens, base, rise, scale, shape, ring)
                     else:
-                        _any(pixels, count, 1 / bright, sharp, lens, profile, step, cut, sure_32)
-                    _noted(pixels[0], count, noted)
+                        _light_of_any(pixels, count, lens, profile, step, cut, shape, ring)
+                    over = np.float32(1 / bright)
+                    _noted(pixels[2], count, shape, ring, over, np.float32(sharp), sure_32, noted)
                     count = 0
                     for k in range(kept):
                         for x in range(rows[k, 1], rows[k, 2]):
@@ -233,11 +218,14 @@ def find_defects(
     _departures(picture, far, 1 / fit.spread, fit.windows, _CHUNKS, *places)
     for top in range(0, height, _BAND):
         start, stop = max(0, top - margin), min(height, top + _BAND + margin)
-        bad = np.argwhere(_marked(far[start:stop])[top - start : top - start + _BAND])
-        number += len(bad)
+        marked = _marked(far[start:stop])[top - start : top - start + _BAND]
+        # Most rows have no defect.
+        rows = np.flatnonzero(marked.any(1))
+        row, column = np.nonzero(marked[rows])
+        number += len(row)
         # More than can be defects are counted, but not kept.
         if number <= _MOST * width * height:
-            found.append((bad + np.array([top, 0]))[:, ::-1].astype(np.int32))
+            found.append(np.column_stack([column, rows[row] + top]).astype(np.int32))
     pixels = np.concatenate(found) if found else np.zeros((0, 2), np.int32)
     if number > _MOST * width * height:
         warning = (

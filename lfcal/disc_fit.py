@@ -34,7 +34,7 @@ _MANY = 8000
 # Flats of so many pixels are used whole. Of larger ones, so many lenses are enough that centres have this standard
 # error [px]: a hundredth of what any use of them could tell.
 _ALL = 4e6
-_FINE = 3e-4
+_FINE = 3.5e-4
 # Further orders must move centres by so many px (RMS) and by so many standard errors, and lower the misfit by this
 # share. Less is no matter to anyone and may be the model's fault. The first step shows about how far they will.
 _BENT = 0.01
@@ -191,7 +191,7 @@ def _better(
     state: FitState, orders: tuple[str, ...], start: FitState, more: tuple[str, ...]
 ) -> tuple[FitState, tuple[str, ...]]:
     """`start` fitted with the parameters `more` where that is clearly better than `state` and matters, else `state`."""
-    if promise(start, more) < _PROMISING * _BENT:
+    if promise(start, orders, more) < _PROMISING * _BENT:
         return state, orders
     try:
         trial, _ = converge(start, more, known=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .combine import clipped_from
 from .disc_model import Discs, edge_of, first_level
-from .disc_newton import FitState, placed, weighted
+from .disc_newton import FitState, by_brightness, placed, weighted
 from .disc_parameters import DiscModel
 from .errors import CalibrationError
 from .lattice import Lattice
@@ -30,8 +30,6 @@ _STEP = 0.125
 _DARK = 0.03
 # Side of the square in the middle of a microimage that tells its light, over the diameter inside its cell.
 _CORE = 0.4
-# Lenses are grouped by brightness into so many groups to see what trust they deserve.
-_GROUPS = 12
 
 
 def open_lenses(
@@ -87,9 +85,9 @@ def open_lenses(
         shared=known.shared,
         dark=known.dark,
     )
-    if model.cat_eye is None:
+    if model.cat_eye is None and not np.isfinite(full):
         return FitState(model, indices, _alike(discs, known, core, lattice)), alight
-    # Profile and gains share a scale that the new gains settle: cores may be cut.
+    # Profile and gains share a scale that the new gains settle: cores may be cut, or clipped.
     state = placed(FitState(model, indices, discs))
     steps = state.discs.steps
     own = np.clip(steps.right[:, -1] / np.maximum(steps.normal[:, -1, -1], 1e-30), -0.5, 1)
@@ -103,9 +101,7 @@ def _alike(discs: Discs, known: Discs, core: int, lattice: Lattice) -> Discs:
     radii = np.hypot(*np.meshgrid(square, square))
     light = float(np.interp(radii, np.arange(len(discs.level)) * discs.step, discs.level).mean())
     gain = discs.gain / max(light, 1e-12)
-    groups = [g for g in np.array_split(np.argsort(known.gain, kind="stable"), _GROUPS) if len(g)]
-    bright, trust = (np.array([np.median(values[g]) for g in groups]) for values in (known.gain, known.trust))
-    discs = replace(discs, gain=gain, trust=np.interp(gain, bright, trust))
+    discs = replace(discs, gain=gain, trust=np.interp(gain, *by_brightness(known.gain, known.trust)))
     return replace(discs, tilt=shading_slope(discs, lattice))
 
 

@@ -106,6 +106,11 @@ class Discs:
         """Whether no disc cuts the microimages."""
         return not self.soft > 0
 
+    @property
+    def plain(self) -> bool:
+        """Whether no disc cuts the microimages and none of their pixels is clipped: gains from cores are right."""
+        return self.whole and not np.isfinite(self.full)
+
 
 @dataclass(frozen=True)
 class DiscSteps:
@@ -228,7 +233,7 @@ def disc_steps(discs: Discs, learn: bool = True) -> DiscSteps:
     own = _WHOLE if discs.whole else LOCAL
     normal, right = np.zeros((lenses, own, own)), np.zeros((lenses, own))
     mixed = np.zeros((lenses if learn else 0, 1 if discs.whole else LOCAL, rings))
-    band, scatter = np.zeros((_CHUNKS, rings, 10 if discs.whole else 8)), np.zeros((lenses, 2))
+    band, scatter = np.zeros((_CHUNKS, rings, 11 if discs.whole else 8)), np.zeros((lenses, 2))
     slope = np.gradient(discs.level, discs.step)
     calm = _calm(discs)
     if not discs.whole:

@@ -13,8 +13,8 @@ from .errors import CalibrationError
 from .shading_slope import shading_of_field, shading_slope
 
 __all__ = [
-    "FitState", "FitSummary", "converge", "few_of", "finished", "halves_differ", "misfit", "own_offsets", "placed",
-    "promise", "weighted", "with_profile",
+    "FitState", "FitSummary", "by_brightness", "converge", "few_of", "finished", "halves_differ", "misfit",
+    "own_offsets", "placed", "promise", "weighted", "with_profile",
 ]  # fmt: skip
 
 _OUTLIER = 4.685
@@ -49,12 +49,16 @@ _OF_LENSES = ("light", "corners", "centres", "cut", "gain", "trust", "tilt")
 
 @dataclass(frozen=True)
 class FitState:
-    """The model, the lenses that take part, and the standard error of a centre by the last fit, RMS [px]."""
+    """The model and the lenses that take part; of a converged fit also what its last step says.
+
+    That are the standard error of a centre, RMS [px], and the least squares that the step solved.
+    """
 
     model: DiscModel
     indices: NDArray[np.int64]
     discs: Discs
     uncertainty: float = np.inf
+    solved: _Reduced | None = None
 
 
 @dataclass(frozen=True)
@@ -112,14 +116,24 @@ def weighted(state: FitState, steps: DiscSteps) -> FitState:
 
 def _trust(discs: Discs, steps: DiscSteps) -> NDArray[np.float64]:
     """(n,) weights of lenses by their brightness."""
-    order = np.argsort(discs.gain, kind="stable")
-    groups = [g for g in np.array_split(order, _GROUPS) if len(g)]
-    typical = np.array([np.median(steps.scatter[g]) for g in groups])
-    spread = np.interp(discs.gain, [np.median(discs.gain[g]) for g in groups], typical)
+    bright, typical = by_brightness(discs.gain, steps.scatter)
+    spread = np.interp(discs.gain, bright, typical)
     trust = 1 / np.maximum(spread / np.median(typical), 0.1)
     # Half a microimage at the border of the array is unlike any other.
     trust *= np.minimum((_UNLIKE * spread / np.maximum(steps.scatter, 1e-30)) ** 4, 1)
     return np.asarray(trust)
+
+
+def by_brightness(
+    gain: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Median gain and median value of the lenses in each of a few groups of like brightness, in its order."""
+    order = np.argsort(gain, kind="stable")
+    groups = min(_GROUPS, len(order))
+    # Single calls for all groups, of the same size but for the few brightest lenses.
+    order = order[: len(order) // groups * groups].reshape(groups, -1)
+    middle = order.shape[1] // 2
+    return gain[order[:, middle]], np.partition(values[order], middle, axis=1)[:, middle]
 
 
 def with_profile(state: FitState) -> tuple[FitState, float]:
@@ -146,9 +160,9 @@ def misfit(state: FitState, standard: FitState) -> float:
 
 def converge(state: FitState, orders: tuple[str, ...], known: bool = False) -> tuple[FitState, FitSummary]:
     """Gauss-Newton until nothing moves any more; `known` where the profile is that of a fit."""
-    start, before = state.model.lattice.basis, 0.0
+    start, before, bold = state.model.lattice.basis, 0.0, True
     for turn in range(_PASSES):
-        summary = _solved(state, orders)
+        summary = _solved(state, orders, bold=bold)
         state = _stepped(state, summary, turn >= _FREE_PASSES)
         if not np.abs(state.model.lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
@@ -156,15 +170,17 @@ def converge(state: FitState, orders: tuple[str, ...], known: bool = False) -> t
         to_come = summary.moved * shrinks / (1 - shrinks) if shrinks < _STEADY else np.inf
         if summary.moved < _SETTLED * summary.uncertainty or to_come < _TO_COME * summary.uncertainty:
             break
-        if (known or turn > 0) and state.discs.whole and _near(summary):
+        if (known or turn > 0) and state.discs.plain and _near(summary):
             break
+        # Where all lenses lie alike to the pixels, place and profile wander together, and longer steps go astray.
+        bold &= turn == 0 or shrinks < _STEADY
         before = summary.moved
-    return replace(state, uncertainty=summary.uncertainty), summary
+    return replace(state, uncertainty=summary.uncertainty, solved=summary.reduced), summary
 
 
 def finished(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSummary]:
     """`converge` for lenses opened with the profile of a fit, which is not needed afterwards."""
-    if state.discs.whole:
+    if state.discs.plain:
         summary = _solved(state, orders, learn=False)
         if _near(summary):
             model = moved(state.model, summary.change, summary.names)
@@ -198,8 +214,8 @@ def _without_gain(steps: DiscSteps, level: NDArray[np.float64], say: NDArray[np.
     )
 
 
-def _solved(state: FitState, orders: tuple[str, ...], learn: bool = True) -> FitSummary:
-    """The next robust Gauss-Newton step of all global parameters."""
+def _solved(state: FitState, orders: tuple[str, ...], learn: bool = True, bold: bool = True) -> FitSummary:
+    """The next robust Gauss-Newton step of all global parameters, in full length where `bold`."""
     columns, names = design(state.model, state.indices, orders)
     discs = state.discs
     try:
@@ -213,7 +229,7 @@ def _solved(state: FitState, orders: tuple[str, ...], learn: bool = True) -> Fit
     ridge = 1e-9 * np.trace(reduced.normal[:, :2, :2].sum(0)) / len(columns) * np.eye(2)
     left = reduced.right[:, :2] - np.einsum("nij,nj->ni", reduced.normal[:, :2], columns @ change)
     miss = np.einsum("nij,nj->ni", _inverse(reduced.normal[:, :2, :2] + ridge), left) / _HELD_BACK
-    change, covariance = change / _HELD_BACK, covariance / _HELD_BACK**2
+    change, covariance = change / (_HELD_BACK if bold else 1.0), covariance / _HELD_BACK**2
     spread = (place.reshape(-1, place.shape[2]) @ covariance).reshape(place.shape)
     return FitSummary(
         change=change,
@@ -305,11 +321,17 @@ def halves_differ(summary: FitSummary) -> float:
     return float(np.sqrt(((summary.columns[:, :2] @ (one - two)) ** 2).sum(1).mean())) / _HELD_BACK
 
 
-def promise(state: FitState, orders: tuple[str, ...]) -> float:
-    """RMS distance [px] by which the first step with these parameters would move the centres."""
-    columns, _ = design(state.model, state.indices, orders)
-    change = _pooled(columns, _without_gain(state.discs.steps, state.discs.level), slice(None))[0]
-    return float(np.sqrt(((columns[:, :2] @ change) ** 2).sum(1).mean())) / _HELD_BACK
+def promise(state: FitState, orders: tuple[str, ...], more: tuple[str, ...]) -> float:
+    """RMS distance [px] by which centres would move if a converged state had the parameters `more` beside `orders`.
+
+    As its last step would have moved them: that was short.
+    """
+    assert state.solved is not None
+    moves = []
+    for names in (orders, more):
+        columns, _ = design(state.model, state.indices, names)
+        moves.append(columns[:, :2] @ _pooled(columns, state.solved, slice(None))[0])
+    return float(np.sqrt(((moves[1] - moves[0]) ** 2).sum(1).mean())) / _HELD_BACK
 
 
 def own_offsets(state: FitState, summary: FitSummary) -> NDArray[np.float64]:
@@ -342,4 +364,4 @@ def _of_lenses(state: FitState, chosen: NDArray[np.int64]) -> FitState:
     """The state with only the chosen lenses."""
     discs = state.discs
     kept = {name: getattr(discs, name)[chosen] for name in _OF_LENSES}
-    return replace(state, indices=state.indices[chosen], discs=replace(discs, **kept))
+    return replace(state, indices=state.indices[chosen], discs=replace(discs, **kept), solved=None)

@@ -33,7 +33,7 @@ def accumulate_whole(
     light, corners, centres, gain, trust, tilt, faces, inner, reach, step, tables, calm, thin, aside, full, chunks,
     learn, normal, right, mixed, band, scatter,
 ):  # fmt: skip
-    """Add up all lenses; `tables` (r, 4) are level, slope, weight and four, `band` (chunks, r, 10) see `by_ring`.
+    """Add up all lenses; `tables` (r, 4) are level, slope, weight and four, `band` (chunks, r, 11) see `by_ring`.
 
     Of each lens there are `x`, `y` and gain, in this order. Up to `calm` px from its centre a microimage is `thinned`.
     What the profile asks for, `band` and `mixed`, is added up only to `learn` it.
@@ -102,9 +102,11 @@ def accumulate_whole(
                         band[chunk, ring, 4] += wr * after
                         band[chunk, ring, 5] += turned
                         band[chunk, ring, 6] += turned * after
-                        band[chunk, ring, 7] += w * angle * angle
-                        band[chunk, ring, 8] += residual * residual * belief
-                        band[chunk, ring, 9] += 1
+                        own = w * angle * angle
+                        band[chunk, ring, 7] += own
+                        band[chunk, ring, 8] += own * after
+                        band[chunk, ring, 9] += residual * residual * belief
+                        band[chunk, ring, 10] += 1
                         mixed[lens, 0, ring] += wm * here
                         mixed[lens, 0, up] += wm * after
                     xx += wx * gx
@@ -127,10 +129,10 @@ def by_ring(band: NDArray[np.float64]) -> NDArray[np.float64]:
 
     Parameters
     ----------
-    band : (r, 10) float64
+    band : (r, 11) float64
         By the ring below each pixel, which it is `after` of the way to the next one beyond: sums of `w`, `w * after`,
         `w * after**2`; of the weighted residual, and that times `after`; of the same two times `angle`, which is
-        `cos(4 * direction)`; of `w * angle**2`; of squared residuals; number of pixels.
+        `cos(4 * direction)`; of `w * angle**2`, and that times `after`; of squared residuals; number of pixels.
 
     Returns
     -------
@@ -138,12 +140,12 @@ def by_ring(band: NDArray[np.float64]) -> NDArray[np.float64]:
         Own weight, weight shared with the next ring, force, weight of all, force and weight of the fourth harmonic,
         sum of squares, number of pixels.
     """
-    w, wa, waa, force, force_up, turned, turned_up, own, squares, count = band.T
+    w, wa, waa, force, force_up, turned, turned_up, own, own_up, squares, count = band.T
 
     def beyond(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.concatenate([[0.0], values[:-1]])
 
     return np.column_stack([
         w - 2 * wa + waa + beyond(waa), wa - waa, force - force_up + beyond(force_up), w,
-        turned - turned_up + beyond(turned_up), 0.5 * (own + beyond(own)), squares, count,
+        turned - turned_up + beyond(turned_up), own - own_up + beyond(own_up), squares, count,
     ])  # fmt: skip
