@@ -176,11 +176,16 @@ def _starts(steps: Steps) -> list[NDArray[np.float64]]:
     return starts
 
 
-def agreed(steps: Steps, chosen: NDArray[np.bool_] | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def agreed(
+    steps: Steps, chosen: NDArray[np.bool_] | None = None, before: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Change (3, 2) of origin and basis on which most lenses agree best, and the weights of the lenses [1/px^2].
 
-    With `chosen` (n,) only those lenses take part.
+    With `chosen` (n,) only those lenses take part; with weights `before` (n,) it is what these lead to.
     """
+    if before is not None:
+        changes, weights, _ = _settled(steps, [before])
+        return changes[0], weights[0]
     return _best(steps if chosen is None else _only(steps, chosen))[:2]
 
 
