@@ -29,6 +29,8 @@ __all__ = ["DiscFit", "fit_discs", "followed"]
 # are chosen.
 _FEW = (1e5, 150)
 _SOME = (6e5, 400)
+# Lenses by which a lattice is followed outwards.
+_FOLLOWS = 800
 # With so many lenses, orders that matter stand out by far, however few pixels each has.
 _MANY = 8000
 # Flats of so many pixels are used whole. Of larger ones, so many lenses are enough that centres have this standard
@@ -139,7 +141,8 @@ def followed(tones: Parts, lattice: Lattice) -> Lattice:
         As for `fit_discs`.
     """
     known = _known_orders(lattice)
-    state, _ = converge(open_lenses(tones, DiscModel(lattice, None), *_FEW, None)[0], known)
+    few = min(_FEW[0], _FOLLOWS * abs(float(np.linalg.det(lattice.basis))))
+    state, _ = converge(open_lenses(tones, DiscModel(lattice, None), few, _FEW[1], None)[0], known)
     if not known:
         state, known = _better(state, (), _bent(state), ("k1",))
     if "general" not in known:

@@ -31,6 +31,10 @@ _REPEATS = 0.8
 # Side of the pieces in which it is followed, in pitches and px, and of those by which white images are told.
 _FOLLOW = (14, 256)
 _WIDE = 2.0
+# Pitches across a part in which lenses are seen whole with their surroundings, and so many parts all over the field:
+# of short pitches, and of any.
+_WHOLE = 6
+_EVENLY, _FEWEST_PARTS = 25.0, 9.0
 # From the pieces so far to the next ones. A cubic that moves centres by hardly a hundredth px within those then moves
 # them by a sixth here.
 _FARTHER = 2.5
@@ -185,7 +189,7 @@ def _parts(look: Look, pieces: list[_Piece], side: int) -> Parts:
 
 def _even(look: Look, size: tuple[int, int], lattice: Lattice) -> bool:
     """Whether microimages are evenly lit all over the field."""
-    side = max(int(_FOLLOW[0] * lattice.pitch), _FOLLOW[1])
-    parts = grid_parts(look, size, side, 25.0 * side**2)
+    side = max(int(_WHOLE * lattice.pitch), _FOLLOW[1])
+    parts = grid_parts(look, size, side, max(_EVENLY * _FOLLOW[1] ** 2, _FEWEST_PARTS * side**2))
     levelled = np.concatenate([level_locally(parts.part(k), _WIDE * lattice.pitch) for k in range(len(parts))])
     return evenly_lit(replace(parts, picture=levelled), parts.picture**2, lattice)
