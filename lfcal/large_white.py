@@ -79,13 +79,14 @@ def some_parts(look: Look, lattice: Lattice) -> tuple[Parts, Look]:
     """Parts of a flat, enough to measure a camera on, and a look at all of it, both of mean tone 1."""
     parts = grid_parts(look, lattice.image_size, _SIDE, _PIXELS)
     scale = np.float32(1 / max(float(parts.picture.mean(dtype=np.float64)), 1e-30))
+    np.multiply(parts.picture, scale, out=parts.picture)
 
     def scaled(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
         tones = look(x, y, width, height)
         tones *= scale
         return tones
 
-    return replace(parts, picture=parts.picture * scale), scaled
+    return parts, scaled
 
 
 def grid_parts(look: Look, size: tuple[int, int], side: int, pixels: float) -> Parts:
@@ -110,7 +111,10 @@ def grid_parts(look: Look, size: tuple[int, int], side: int, pixels: float) -> P
         for length, n in zip(size, (columns, rows), strict=True)
     )
     corners = np.array([(x, y) for y in ys for x in xs], dtype=np.int64)
-    return Parts(np.concatenate([look(x, y, side, side) for x, y in corners.tolist()]), corners, (side, side))
+    picture = np.empty((len(corners) * side, side), np.float32)
+    for number, (x, y) in enumerate(corners.tolist()):
+        picture[number * side : (number + 1) * side] = look(x, y, side, side)
+    return Parts(picture, corners, (side, side))
 
 
 def first_of_white(look: Look, size: tuple[int, int], sure: bool, tries: int) -> FirstLattice | None:
