@@ -64,7 +64,7 @@ class Steps:
         return self.spread**-_DISTRUST
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _weighted(design, step, weight, basis, ratio, change):
     """Weighted least squares: change (3, 2) of origin and basis."""
     total = 1e-300
@@ -106,7 +106,7 @@ def _weighted(design, step, weight, basis, ratio, change):
     change[0, 1] = my - mi * change[1, 1] - mj * change[2, 1]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _weighted_quantile(values, weight, share):
     """Least value below which lies at least this share of the weight."""
     order = np.argsort(values)
@@ -118,7 +118,7 @@ def _weighted_quantile(values, weight, share):
     return values[order[-1]]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _settle(design, step, spread, trust, basis, ratio, agreeing, outlier, turns, weights, changes, commons):
     square = np.empty(len(step))
     expected = -2 * np.log(1 - agreeing)

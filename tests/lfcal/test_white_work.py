@@ -105,7 +105,7 @@ def test_terms_of_the_field_are_its_powers():
     np.testing.assert_allclose(monomials(points, lattice, 4), wanted, atol=1e-12)
 
 
-@pytest.mark.parametrize(("pitch", "half"), [(36.2, 2), (14.1, 1)])
+@pytest.mark.parametrize(("pitch", "half"), [(44.2, 2), (14.1, 1)])
 def test_first_lattice_of_large_microimages_is_found_at_half_size(pitch, half):
     truth = WhiteImage("hexagonal", pitch, 7.0, 26.0, size=(701, 520))
     picture = tone(drawn(truth, 1))
@@ -129,3 +129,9 @@ def test_lenses_that_agreed_before_are_asked_again():
     again, share = agreed(steps, before=misled.astype(float))
     np.testing.assert_allclose(again[0], [1.0, 1.0], atol=0.01)
     assert share[~misled].max() == 0
+
+
+def test_lenses_in_one_place_are_no_division_by_zero():
+    steps = Steps(np.ones((30, 3)), np.full((30, 2), 0.1), np.full(30, 1e-4), np.eye(2) * 20)
+    change, _ = agreed(steps)
+    assert change.shape == (3, 2)
