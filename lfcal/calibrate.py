@@ -250,7 +250,8 @@ def _first(lights: list[NDArray[np.float32]], filtered: bool, single: NDArray[np
     `single` is the tone of the only one.
     """
     from .features import tone
-    from .search import NO_MICROIMAGES, first_lattice
+    from .reduction import sought_in_a_piece
+    from .search import NO_MICROIMAGES, first_lattice, first_lattice_of_large
 
     error: CalibrationError | None = None
     tries = [lambda: _mean_scene(lights)] + [lambda light=light: light for light in lights] * (len(lights) > 1)
@@ -261,7 +262,8 @@ def _first(lights: list[NDArray[np.float32]], filtered: bool, single: NDArray[np
                 raise CalibrationError(
                     "the image is one even grey; give a flat with light on it and without saturation"
                 )
-            start = first_lattice(picture)
+            large = sought_in_a_piece((picture.shape[1], picture.shape[0]))
+            start = first_lattice_of_large(picture) if large else first_lattice(picture)
             # Two halves of a flat with microimages show the same average one.
             if start.repeatability < _REPEATS:
                 raise CalibrationError(NO_MICROIMAGES)

@@ -73,12 +73,24 @@ def white_or_scene(
     if kind != "auto":
         return kind == "white", lights
     if len(lights) == 1:
-        return evenly_lit(start.brightness, lights[0], start.lattice), lights
+        return _evenly_lit_at(start, lights[0]), lights
     from .features import level_locally, tone
 
     window = _LEVEL * start.lattice.pitch
     whites = [light for light in lights if evenly_lit(level_locally(tone(light), window), light, start.lattice)]
     return (True, whites) if whites else (False, lights)
+
+
+def _evenly_lit_at(start: FirstLattice, light: NDArray[np.float32]) -> bool:
+    """`evenly_lit` at the size at which the lattice of a light was found."""
+    factor = light.shape[0] // start.brightness.shape[0]
+    if factor == 1:
+        return evenly_lit(start.brightness, light, start.lattice)
+    import cv2
+
+    height, width = start.brightness.shape
+    small: Any = cv2.resize(light[: factor * height, : factor * width], (width, height), interpolation=cv2.INTER_AREA)
+    return evenly_lit(start.brightness, small, start.lattice.shrunk(factor))
 
 
 def evenly_lit(brightness: NDArray[np.float32] | Parts, light: NDArray[np.float32], lattice: Lattice) -> bool:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from .disc_model import Discs, edge_of
 from .disc_newton import FitState, converge, few_of, misfit, placed, with_profile
 from .disc_parameters import CatEye, DiscModel, field_of
 from .errors import CalibrationError
+from .lens_cell import rows_within
 
 __all__ = ["settled_roles", "with_cut", "without_idle_cut"]
 
@@ -76,31 +79,49 @@ def _narrowing(state: FitState) -> tuple[float, float]:
     a lattice nor its distortion, neither blur nor the shape of pixels give whole discs any.
     """
     discs = state.discs
-    side = discs.light.shape[1]
-    corner = (discs.corners - discs.centres)[:, None, None]
-    dx, dy = np.moveaxis(corner + np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1), -1, 0)
-    rho = np.hypot(dx, dy)
-    ring = np.minimum((rho / discs.step).astype(int), len(discs.level) - 2)
-    lens, row, column = np.nonzero(discs.edge[ring] & (rho < discs.inner))
-    dx, dy, rho, ring = (v[lens, row, column] for v in (dx, dy, rho, ring))
-    part = rho / discs.step - ring
-    level, slope, four, weight = (
-        v[ring] * (1 - part) + v[ring + 1] * part
-        for v in (discs.level, np.gradient(discs.level, discs.step), discs.four, discs.weight)
-    )
-    level = level + four * (1 - 8 * (dx * dy) ** 2 / np.maximum(rho, 1e-6) ** 4)
-    lit = discs.gain[lens] * (1 + discs.tilt[lens, 0] * dx + discs.tilt[lens, 1] * dy)
-    residual = discs.light[lens, row, column] / lit - level
-    weight = weight * discs.trust[lens]
-    weight *= (residual**2 * weight < _FAR**2) & (discs.light[lens, row, column] < discs.full)
-    field = field_of(discs.centres, state.model.lattice)[lens]
-    far = np.maximum(np.hypot(*field.T), 1e-6)
-    along = (field[:, 0] * dx + field[:, 1] * dy) / (far * np.maximum(rho, 1e-6))
-    response = slope * far * (2 * along**2 - 1)
-    information = float((weight * response**2).sum())
+    tables = np.column_stack([discs.level, np.gradient(discs.level, discs.step), discs.four, discs.weight])
+    found = np.zeros((len(discs.centres), 2))
+    _narrowings(
+        discs.light, discs.corners, discs.centres, field_of(discs.centres, state.model.lattice), discs.gain,
+        discs.trust, discs.tilt, discs.inner, discs.step, tables, discs.edge, discs.full, found,
+    )  # fmt: skip
+    force, information = found.sum(0).tolist()
     if information <= 0:
         return 0.0, np.inf
-    return float((weight * response * residual).sum()) / information, information**-0.5
+    return force / information, information**-0.5
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _narrowings(light, corners, centres, field, gain, trust, tilt, inner, step, tables, edge, full, out):
+    """Per lens (n, 2): force on the amplitude of `_narrowing`, and information about it."""
+    for lens in range(len(centres)):
+        cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
+        far = max(math.hypot(field[lens, 0], field[lens, 1]), 1e-6)
+        top, bottom = rows_within(cy, inner, 0, light.shape[1])
+        for y in range(top, bottom):
+            dy = y - cy
+            first, last = rows_within(cx, math.sqrt(max(inner * inner - dy * dy, 0.0)), 0, light.shape[1])
+            for x in range(first, last):
+                dx = x - cx
+                rho = max(math.sqrt(dx * dx + dy * dy), 1e-6)
+                place = rho / step
+                ring = int(place)
+                if not edge[ring] or light[lens, y, x] >= full:
+                    continue
+                part = place - ring
+                level = tables[ring, 0] * (1 - part) + tables[ring + 1, 0] * part
+                slope = tables[ring, 1] * (1 - part) + tables[ring + 1, 1] * part
+                four = tables[ring, 2] * (1 - part) + tables[ring + 1, 2] * part
+                weight = tables[ring, 3] * (1 - part) + tables[ring + 1, 3] * part
+                level += four * (1 - 8 * (dx * dy / (rho * rho)) ** 2)
+                residual = light[lens, y, x] / (gain[lens] * (1 + tilt[lens, 0] * dx + tilt[lens, 1] * dy)) - level
+                weight *= trust[lens]
+                if residual * residual * weight >= _FAR * _FAR:
+                    continue
+                along = (field[lens, 0] * dx + field[lens, 1] * dy) / (far * rho)
+                response = slope * far * (2 * along * along - 1)
+                out[lens, 0] += weight * response * residual
+                out[lens, 1] += weight * response * response
 
 
 def _starts(plain: FitState) -> list[DiscModel]:

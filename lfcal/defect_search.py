@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .defects import Defects
 from .gain_fit import GainFit
-from .gain_kernels import ASIDE, describe, level_at, light, walk
+from .gain_kernels import ASIDE, describe, level_at, light, light_of_round, walk
 from .gain_map import GainMap
 from .lattice import Lattice
 
@@ -32,95 +32,139 @@ _FLOOR = 0.01
 _BAND = 512
 # Rows of lenses are dealt out to so many, whatever the number of threads.
 _CHUNKS = 64
+# Pixels of a lens looked at together.
+_ROOM = 4096
 # More defects than this share of the pixels are no defects but a model that does not fit.
 _MOST = 0.02
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _sides(a, b, middles, ahead, height, faces):
-    """First row, and last but one, of the cell of a lens; `faces` (k, 4) get where its sides lie and how they lean.
+    """First row, and last but one, of the cell of a lens, and into `faces` (6, 2) where its sides are.
 
-    A side is at `x0 - (y - y0) * lean`, to the right of the lens where the last number is positive, else to the left.
-    Both lenses beside it find it in the same place, to the last bit.
+    A side is at `faces[k, 0] - y * faces[k, 1]`, the three to the right first; of each pair of opposite neighbours one
+    is there. Both lenses beside a side find it in the same place, to the last bit.
     """
     top, bottom, far = 0.0, float(height), 0.0
     cx, cy = middles[b, a, 0], middles[b, a, 1]
+    right, left = 0, 3
+    for k in range(6):
+        faces[k, 0], faces[k, 1] = np.inf if k < 3 else -np.inf, 0.0
     for k in range(len(ahead)):
         u, v = a + ahead[k, 0], b + ahead[k, 1]
         dx, dy = middles[v, u, 0] - cx, middles[v, u, 1] - cy
         x, y = 0.5 * (middles[v, u, 0] + cx), 0.5 * (middles[v, u, 1] + cy)
         far = max(far, dx * dx + dy * dy)
-        if abs(dx) > ASIDE:
-            faces[k, 0], faces[k, 1], faces[k, 2], faces[k, 3] = x, y, dy / dx, dx
+        if dx > ASIDE and right < 3:
+            faces[right, 0], faces[right, 1] = x + y * (dy / dx), dy / dx
+            right += 1
+        elif dx < -ASIDE and left < 6:
+            faces[left, 0], faces[left, 1] = x + y * (dy / dx), dy / dx
+            left += 1
+        elif dy > 0:
+            bottom = min(bottom, y)
         else:
-            faces[k, 3] = 0.0
-            if dy > 0:
-                bottom = min(bottom, y)
-            else:
-                top = max(top, y)
+            top = max(top, y)
     # No corner of a reduced cell is farther than its farthest neighbour.
     far = math.sqrt(far)
     return max(math.ceil(top), math.ceil(cy - far)), min(math.ceil(bottom), math.floor(cy + far) + 1)
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _ends(y, faces, width):
+    """First pixel of a row in a cell, and the first one beyond it."""
+    high = min(faces[0, 0] - y * faces[0, 1], faces[1, 0] - y * faces[1, 1])
+    high = min(min(high, faces[2, 0] - y * faces[2, 1]), float(width))
+    low = max(faces[3, 0] - y * faces[3, 1], faces[4, 0] - y * faces[4, 1])
+    low = max(max(low, faces[5, 0] - y * faces[5, 1]), 0.0)
+    return math.ceil(low), math.ceil(high)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _light_of_any(pixels, count, lens, profile, step, cut, shape, ring):
+    """`light_of_round` for lenses of any shape."""
+    last = len(profile) - 2
+    for k in range(count):
+        shape[k], stretched, _ = light(pixels[0, k], pixels[1, k], lens, profile, step, cut)
+        ring[k] = min(int(stretched / step), last)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _noted(tone, count, shape, ring, over, sharp, certain, out):
+    """How far pixels are off as bytes, `_ZERO + _UNIT * standard deviations`; far off by themselves at the ends.
+
+    `shape` is spent: it gets standard deviations.
+    """
+    sure, clip, most = np.float32(_SURE), np.float32(_CLIP), np.float32(1 / _FLOOR)
+    middle, unit = np.float32(_ZERO + 0.5), np.float32(_UNIT)
+    for k in range(count):
+        shape[k] = (tone[k] * tone[k] * over - shape[k]) * min(certain[ring[k]] * sharp, most)
+    for k in range(count):
+        value = shape[k]
+        byte = np.int32(middle + unit * min(max(value, -clip), clip))
+        out[k] = byte if abs(value) <= sure else 255 if value > sure else 1
+
+
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _departures(
-    picture, out, sure, windows, most, chunks, middles, own, sides, level, field, radius, profile, step, shade, rim,
-    cut,
-):  # fmt: skip
-    """How far pixels are off, as `_ZERO + _UNIT * standard deviations`; those far off by themselves at the ends."""
+    picture, out, sure, windows, chunks, middles, own, sides, level, field, radius, profile, step, shade, rim, cut
+):
+    """How far pixels are off: see `_noted`."""
     height, width = picture.shape
-    per_step, last = 1 / step, len(profile) - 2
     # Most maps have neither rims that differ with the direction nor a cut.
     plain = rim.shape[0] == 1 and not cut[4] > 0
+    base, rise = profile[:-1].astype(np.float32), np.diff(profile).astype(np.float32)
+    sure_32 = sure[:-1].astype(np.float32)
     for chunk in prange(chunks):
-        powers, lens, faces = np.empty(64), np.empty(7 + rim.shape[0]), np.empty((len(sides), 4))
+        powers, lens, faces = np.empty(64), np.empty(7 + rim.shape[0]), np.empty((6, 2))
+        pixels, rows = np.empty((3, _ROOM + width), np.float32), np.empty((_ROOM, 3), np.int64)
+        noted, ring = np.empty(_ROOM + width, np.uint8), np.empty(_ROOM + width, np.int32)
+        shape = np.empty(_ROOM + width, np.float32)
         for b in range(1 + chunk, middles.shape[0] - 1, chunks):
             for a in range(1, middles.shape[1] - 1):
                 start, stop = _sides(a, b, middles, sides, height, faces)
-                if stop <= start:
+                if stop <= start or own[b, a] <= 0:
                     continue
                 cx, cy = middles[b, a, 0], middles[b, a, 1]
                 known = False
-                bright = over = scale = sharp = 0.0
-                for y in range(start, stop):
-                    low, high = 0.0, float(width)
-                    for k in range(len(faces)):
-                        side = faces[k, 0] - (y - faces[k, 1]) * faces[k, 2]
-                        if faces[k, 3] > 0:
-                            high = min(high, side)
-                        elif faces[k, 3] < 0:
-                            low = max(low, side)
-                    left, right = math.ceil(low), math.ceil(high)
-                    if left >= right:
+                bright = sharp = 0.0
+                y = start
+                while y < stop:
+                    count = kept = 0
+                    while y < stop and count < _ROOM and kept < _ROOM:
+                        left, right = _ends(y, faces, width)
+                        if left < right:
+                            rows[kept, 0], rows[kept, 1], rows[kept, 2] = y, left, right
+                            kept += 1
+                            for x in range(left, right):
+                                pixels[0, count] = x - cx
+                                pixels[1, count] = y - cy
+                                pixels[2, count] = picture[y, x]
+                                count += 1
+                        y += 1
+                    if count == 0:
                         continue
                     if not known:
                         known = True
                         describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
                         bright = own[b, a] * level_at(cx, cy, field, level, powers)
-                        over, scale = 1 / bright, (1 - lens[7]) * per_step
                         column = min(max(int((cx + 0.5) / width * windows.shape[1]), 0), windows.shape[1] - 1)
                         line = min(max(int((cy + 0.5) / height * windows.shape[0]), 0), windows.shape[0] - 1)
                         sharp = 1 / windows[line, column]
                     if bright <= 0:
-                        continue
-                    dy = y - cy
-                    first, second, lean = 1 + dy * (lens[1] + lens[4] * dy), lens[0] + lens[3] * dy, lens[2]
-                    for x in range(left, right):
-                        dx = x - cx
-                        if plain:
-                            place = math.sqrt(dx * dx + dy * dy) * scale
-                            ring = min(int(place), last)
-                            s = profile[ring] + (profile[ring + 1] - profile[ring]) * min(place - ring, 1.0)
-                            s *= first + dx * (second + lean * dx)
-                        else:
-                            s, stretched, _ = light(dx, dy, lens, profile, step, cut)
-                            ring = min(int(stretched * per_step), last)
-                        far = (picture[y, x] * picture[y, x] * over - s) * min(sure[ring] * sharp, most)
-                        if -_SURE <= far <= _SURE:
-                            out[y, x] = int(_ZERO + 0.5 + _UNIT * min(max(far, -_CLIP), _CLIP))
-                        else:
-                            out[y, x] = 255 if far > 0 else 1
+                        break
+                    if plain:
+                        scale = np.float32((1 - lens[7]) / step)
+                        light_of_round(pixels, count, lens, base, rise, scale, shape, ring)
+                    else:
+                        _light_of_any(pixels, count, lens, profile, step, cut, shape, ring)
+                    over = np.float32(1 / bright)
+                    _noted(pixels[2], count, shape, ring, over, np.float32(sharp), sure_32, noted)
+                    count = 0
+                    for k in range(kept):
+                        for x in range(rows[k, 1], rows[k, 2]):
+                            out[rows[k, 0], x] = noted[count]
+                            count += 1
 
 
 def _marked(far: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -171,14 +215,17 @@ def find_defects(
     found, number, warning = [], 0, ""
     margin = _SQUARES[-1] // 2
     far = np.full((height, width), _ZERO, np.uint8)
-    _departures(picture, far, 1 / fit.spread, fit.windows, 1 / _FLOOR, _CHUNKS, *places)
+    _departures(picture, far, 1 / fit.spread, fit.windows, _CHUNKS, *places)
     for top in range(0, height, _BAND):
         start, stop = max(0, top - margin), min(height, top + _BAND + margin)
-        bad = np.argwhere(_marked(far[start:stop])[top - start : top - start + _BAND])
-        number += len(bad)
+        marked = _marked(far[start:stop])[top - start : top - start + _BAND]
+        # Most rows have no defect.
+        rows = np.flatnonzero(marked.any(1))
+        row, column = np.nonzero(marked[rows])
+        number += len(row)
         # More than can be defects are counted, but not kept.
         if number <= _MOST * width * height:
-            found.append((bad + np.array([top, 0]))[:, ::-1].astype(np.int32))
+            found.append(np.column_stack([column, rows[row] + top]).astype(np.int32))
     pixels = np.concatenate(found) if found else np.zeros((0, 2), np.int32)
     if number > _MOST * width * height:
         warning = (

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .cat_eye import settled_roles, with_cut, without_idle_cut
-from .disc_newton import FEWEST_LENSES, FitState, converge, halves_differ, misfit, open_lenses, own_offsets, promise
+from .disc_lenses import FEWEST_LENSES, open_lenses
+from .disc_newton import FitState, converge, finished, halves_differ, misfit, own_offsets, promise
 from .disc_parameters import CatEye, DiscModel
 from .distortion import Distortion
 from .errors import CalibrationError
@@ -28,12 +29,14 @@ __all__ = ["DiscFit", "fit_discs", "followed"]
 # are chosen.
 _FEW = (1e5, 150)
 _SOME = (6e5, 400)
+# Lenses by which a lattice is followed outwards.
+_FOLLOWS = 800
 # With so many lenses, orders that matter stand out by far, however few pixels each has.
 _MANY = 8000
 # Flats of so many pixels are used whole. Of larger ones, so many lenses are enough that centres have this standard
 # error [px]: a hundredth of what any use of them could tell.
 _ALL = 4e6
-_FINE = 3e-4
+_FINE = 3.5e-4
 # Further orders must move centres by so many px (RMS) and by so many standard errors, and lower the misfit by this
 # share. Less is no matter to anyone and may be the model's fault. The first step shows about how far they will.
 _BENT = 0.01
@@ -96,7 +99,7 @@ def fit_discs(tones: NDArray[np.float32] | Parts, lattice: Lattice, pixels: floa
     state = with_cut(state, state if known else _better(state, (), _bent(state), ("k1",))[0], known)
     some = min(_SOME[0], _MANY * abs(float(np.linalg.det(lattice.basis))))
     state, lit = open_lenses(tones, state.model, some, _SOME[1], state.discs, lit)
-    state, _ = converge(state, known)
+    state, _ = converge(state, known, known=True)
     if state.model.cat_eye is not None:
         state = settled_roles(state)
     state, orders = _with_orders(state, known)
@@ -108,7 +111,7 @@ def fit_discs(tones: NDArray[np.float32] | Parts, lattice: Lattice, pixels: floa
     )
     if wanted > _pixels(state):
         state, _ = open_lenses(tones, state.model, wanted, FEWEST_LENSES, state.discs, lit)
-    state, summary = converge(state, orders)
+    state, summary = finished(state, orders)
     own = [k for k, name in enumerate(summary.names) if name not in _NOT_OF_LATTICE]
     errors = LatticeErrors(tuple(summary.names[k] for k in own), summary.covariance[np.ix_(own, own)])
     return DiscFit(
@@ -138,7 +141,8 @@ def followed(tones: Parts, lattice: Lattice) -> Lattice:
         As for `fit_discs`.
     """
     known = _known_orders(lattice)
-    state, _ = converge(open_lenses(tones, DiscModel(lattice, None), *_FEW, None)[0], known)
+    few = min(_FEW[0], _FOLLOWS * abs(float(np.linalg.det(lattice.basis))))
+    state, _ = converge(open_lenses(tones, DiscModel(lattice, None), few, _FEW[1], None)[0], known)
     if not known:
         state, known = _better(state, (), _bent(state), ("k1",))
     if "general" not in known:
@@ -190,10 +194,10 @@ def _better(
     state: FitState, orders: tuple[str, ...], start: FitState, more: tuple[str, ...]
 ) -> tuple[FitState, tuple[str, ...]]:
     """`start` fitted with the parameters `more` where that is clearly better than `state` and matters, else `state`."""
-    if promise(start, more) < _PROMISING * _BENT:
+    if promise(start, orders, more) < _PROMISING * _BENT:
         return state, orders
     try:
-        trial, _ = converge(start, more)
+        trial, _ = converge(start, more, known=True)
         better = misfit(state, state) - misfit(trial, state)
     except (CalibrationError, ValueError):
         return state, orders

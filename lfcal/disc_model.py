@@ -14,7 +14,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .disc_cut import accumulate_cut
-from .disc_whole import accumulate_whole, thinned
+from .disc_whole import accumulate_whole, by_ring, thinned
 from .lens_cell import outside, rows_within
 
 __all__ = ["LOCAL", "DiscSteps", "Discs", "disc_steps", "edge_of", "first_level"]
@@ -22,6 +22,8 @@ __all__ = ["LOCAL", "DiscSteps", "Discs", "disc_steps", "edge_of", "first_level"
 # Parameters of a single lens: place (2), displacement of the cutting disc (2), its radius, its softness, the blur both
 # edges share, the gain.
 LOCAL = 8
+# Those of a lens that nothing cuts: place and gain.
+_WHOLE = 3
 _CHUNKS = 64
 # Share of the steepest slope of the profile above which it is an edge.
 _STEEP = 0.1
@@ -99,6 +101,16 @@ class Discs:
         """Least squares about this model."""
         return disc_steps(self)
 
+    @property
+    def whole(self) -> bool:
+        """Whether no disc cuts the microimages."""
+        return not self.soft > 0
+
+    @property
+    def plain(self) -> bool:
+        """Whether no disc cuts the microimages and none of their pixels is clipped: gains from cores are right."""
+        return self.whole and not np.isfinite(self.full)
+
 
 @dataclass(frozen=True)
 class DiscSteps:
@@ -107,12 +119,13 @@ class DiscSteps:
     Parameters
     ----------
     normal, right : (n, 8, 8), (n, 8) float64
-        Normal matrix and right side of the local parameters, the gain last.
+        Normal matrix and right side of the local parameters, the gain last; where nothing is cut these are but three.
     mixed : (n, 8 or 1, r) float64
         Part of the normal matrix between local parameters and the profile; only of the gains where nothing is cut,
         since whole microimages move without their profile.
     profile, force : (r, r), (r,) float64
-        Part of the profile over all lenses.
+        Part of the profile over all lenses; as `mixed`, `four` and `variance` without meaning where only places were
+        asked for.
     four : (r,) float64
         Step of `Discs.four`.
     variance : (r,) float64
@@ -202,8 +215,10 @@ def first_level(discs: Discs) -> NDArray[np.float64]:
     return mean
 
 
-def disc_steps(discs: Discs) -> DiscSteps:
+def disc_steps(discs: Discs, learn: bool = True) -> DiscSteps:
     """Gauss-Newton steps of all local parameters of all lenses, over every pixel of their cells.
+
+    Of whole microimages, which move without their profile, the profile need not be learnt.
 
     Raises
     ------
@@ -214,14 +229,14 @@ def disc_steps(discs: Discs) -> DiscSteps:
     if not all(np.isfinite(values).all() for values in (*known, discs.radius, discs.soft, discs.dark)):
         raise np.linalg.LinAlgError("the model of the microimages is not finite")
     lenses, rings = len(discs.centres), len(discs.level)
-    normal, right = np.zeros((lenses, LOCAL, LOCAL)), np.zeros((lenses, LOCAL))
-    mixed = np.zeros((lenses, LOCAL if discs.soft > 0 else 1, rings))
-    # By ring: own weight, weight shared with the next ring, force, weight of all, force and weight of the fourth
-    # harmonic, sum of squares, number of pixels.
-    band, scatter = np.zeros((_CHUNKS, rings, 8)), np.zeros((lenses, 2))
+    learn = learn or not discs.whole
+    own = _WHOLE if discs.whole else LOCAL
+    normal, right = np.zeros((lenses, own, own)), np.zeros((lenses, own))
+    mixed = np.zeros((lenses if learn else 0, 1 if discs.whole else LOCAL, rings))
+    band, scatter = np.zeros((_CHUNKS, rings, 11 if discs.whole else 8)), np.zeros((lenses, 2))
     slope = np.gradient(discs.level, discs.step)
     calm = _calm(discs)
-    if discs.soft > 0:
+    if not discs.whole:
         accumulate_cut(
             discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
             discs.soft, discs.faces, discs.inner, discs.reach, discs.step, discs.level, slope, discs.weight, discs.four,
@@ -232,12 +247,20 @@ def disc_steps(discs: Discs) -> DiscSteps:
         tables = np.column_stack([discs.level, slope, discs.weight, discs.four])
         accumulate_whole(
             discs.light, discs.corners, discs.centres, discs.gain, discs.trust, discs.tilt, discs.faces, discs.inner,
-            discs.reach, discs.step, tables, calm, *thinned(calm), discs.full, _CHUNKS, normal, right, mixed, band,
-            scatter,
+            discs.reach, discs.step, tables, calm, *thinned(calm), discs.full, _CHUNKS, learn, normal, right, mixed,
+            band, scatter,
         )  # fmt: skip
-    for row in range(1, LOCAL):
+    for row in range(1, own):
         normal[:, row, :row] = normal[:, :row, row]
-    main, side, force, total, turned, turned_own, squares, count = band.sum(0).T
+    misfit, number = scatter.sum(0)
+    spread, cost = scatter[:, 0] / np.maximum(scatter[:, 1], 1), float(misfit / max(number, 1))
+    if not learn:
+        if not (normal[:, 0, 0] > 0).any():
+            raise np.linalg.LinAlgError("the model of the microimages explains no pixel")
+        none = np.zeros(0)
+        return DiscSteps(normal, right, mixed, none, none, none, none, spread, cost)
+    rows = by_ring(band.sum(0)) if discs.whole else band.sum(0)
+    main, side, force, total, turned, turned_own, squares, count = rows.T
     if not (main > 0).any():
         raise np.linalg.LinAlgError("the model of the microimages explains no pixel")
     # Rings that hardly a pixel fell into are like their neighbours; where lenses lie alike to the pixels, only the
@@ -246,12 +269,10 @@ def disc_steps(discs: Discs) -> DiscSteps:
     profile = np.diag(main) + np.diag(side[:-1], 1) + np.diag(side[:-1], -1) + stiff
     # Rings that hardly any light reaches through the cutting disc move slowly.
     profile += _SLOW * np.diag(total)
-    misfit, number = scatter.sum(0)
-    own = turned_own + _SLOW * (total + max(float(np.median(total)), 1e-30))
+    settled = turned_own + _SLOW * (total + max(float(np.median(total)), 1e-30))
     return DiscSteps(
-        normal, right, mixed, profile, force - stiff @ discs.level, turned / own,
-        _smooth_variance(squares, count), scatter[:, 0] / np.maximum(scatter[:, 1], 1),
-        float(misfit / max(number, 1)),
+        normal, right, mixed, profile, force - stiff @ discs.level, turned / settled, _smooth_variance(squares, count),
+        spread, cost,
     )  # fmt: skip
 
 

@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .combine import clipped_from
-from .disc_model import Discs, DiscSteps, edge_of, first_level
+from .disc_model import Discs, DiscSteps, disc_steps, edge_of
 from .disc_parameters import DiscModel, design, field_of, moved
 from .errors import CalibrationError
-from .lens_cell import cell_faces
-from .lit_lenses import LitLenses
-from .parts import Parts
-from .shading_slope import field_slope, shading_of_field, shading_slope
-from .windows import cut_windows
+from .shading_slope import shading_of_field, shading_slope
 
 __all__ = [
-    "FEWEST_LENSES", "FitState", "FitSummary", "converge", "few_of", "halves_differ", "misfit", "open_lenses",
-    "own_offsets", "placed", "promise", "with_profile",
+    "FitState", "FitSummary", "by_brightness", "converge", "few_of", "finished", "halves_differ", "misfit",
+    "own_offsets", "placed", "promise", "weighted", "with_profile",
 ]  # fmt: skip
 
-FEWEST_LENSES = 12
-_GOLDEN = 0.6180339887498949
-# Distance between samples of the profile [px]: edges of discs are about one pixel wide.
-_STEP = 0.125
 _OUTLIER = 4.685
+# Weights that fall with the residuals hold a step back: of normal residuals Tukey's biweight lets through their second
+# over their first derivative, 0.76 / 0.91, and a little more of pixels that are thinned out.
+_HELD_BACK = 0.86
 _PASSES = 15
 # Weights that follow the residuals for longer would keep the fit from settling.
 _FREE_PASSES = 5
@@ -36,9 +29,10 @@ _ROBUST_TURNS = 3
 # as the last two where that is below the second share.
 _SETTLED, _TO_COME = 0.3, 0.1
 _STEADY = 0.5
+# A step of whole discs whose profile is known leaves less than a twentieth of itself: so many standard errors are as
+# good as made by it, where it is small against the blur of an edge [px].
+_NEAR, _SHORT = 3.0, 0.05
 _RUNAWAY = 0.05
-# A microimage darker than this share of a bright one is none: the array does not fill the sensor.
-_DARK = 0.03
 # Lenses are grouped by brightness into so many groups to see how their noise depends on it.
 _GROUPS = 12
 # Lenses that scatter by more than this multiple of what is usual at their brightness lose their say.
@@ -55,12 +49,16 @@ _OF_LENSES = ("light", "corners", "centres", "cut", "gain", "trust", "tilt")
 
 @dataclass(frozen=True)
 class FitState:
-    """The model, the lenses that take part, and the standard error of a centre by the last fit, RMS [px]."""
+    """The model and the lenses that take part; of a converged fit also what its last step says.
+
+    That are the standard error of a centre, RMS [px], and the least squares that the step solved.
+    """
 
     model: DiscModel
     indices: NDArray[np.int64]
     discs: Discs
     uncertainty: float = np.inf
+    solved: _Reduced | None = None
 
 
 @dataclass(frozen=True)
@@ -81,9 +79,11 @@ class _Reduced:
 class FitSummary:
     """What the last step says; see `DiscFit`.
 
-    Centres were moved by `moved` (RMS) [px], single microimages lie `miss` (n, 2) [px] off the lattice.
+    Parameters moved by `change` (p,), centres by `moved` (RMS) [px]; single microimages lie `miss` (n, 2) [px] off the
+    lattice.
     """
 
+    change: NDArray[np.float64]
     moved: float
     residual: float
     uncertainty: float
@@ -93,71 +93,6 @@ class FitSummary:
     columns: NDArray[np.float64]
     reduced: _Reduced
     miss: NDArray[np.float64]
-
-
-def open_lenses(
-    tones: Parts, model: DiscModel, pixels: float, fewest: int, known: Discs | None, before: LitLenses | None = None
-) -> tuple[FitState, LitLenses]:
-    """Lenses of about so many pixels in all, but at least so many, with gains from their cores; and all to choose from.
-
-    `before` are those of a like lattice.
-    """
-    lattice = model.lattice
-    faces, reach = cell_faces(lattice)
-    margin = reach + 2
-    alight = LitLenses.on(tones, lattice, margin, np.sqrt(_DARK), before)
-    every = max(1.0, len(alight.indices) * abs(np.linalg.det(lattice.basis)) / pixels)
-    every = max(1.0, min(every, len(alight.indices) / fewest))
-    taken = alight.some(tones, lattice, margin, np.arange(len(alight.indices)) * _GOLDEN % 1 < 1 / every)
-    indices, offset = taken.indices, tones.offsets[taken.part]
-    centres = lattice.points(indices)
-    light, corners = cut_windows(tones.picture, centres - offset, margin)
-    corners += offset
-    inner = float(0.5 / np.hypot(*faces.T).max())
-    core, middle = max(1, int(0.4 * inner)), light.shape[1] // 2
-    gain = light[:, middle - core : middle + core + 1, middle - core : middle + core + 1].mean((1, 2)).astype(float)
-    lit = gain > _DARK * np.quantile(gain, 0.95) if len(gain) else np.zeros(0, dtype=bool)
-    if lit.sum() < FEWEST_LENSES:
-        raise CalibrationError(
-            f"only {lit.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the flat, "
-            f"at least {FEWEST_LENSES} are needed; give the whole sensor"
-        )
-    rings, full = int(reach / _STEP) + 3, clipped_from(light)
-    if not lit.all():
-        indices, centres, gain, corners, light = indices[lit], centres[lit], gain[lit], corners[lit], light[lit]
-    none, tilt = np.zeros_like(centres), field_slope(centres, gain, lattice)
-    discs = Discs(
-        light, corners, centres, none, gain, np.ones(len(gain)), tilt, 0.0, 0.0,
-        faces, inner, reach, _STEP, np.zeros(rings), np.ones(rings),
-        np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, full,
-    )  # fmt: skip
-    if known is None:
-        level = first_level(discs)
-        discs = replace(
-            discs, level=level, weight=np.full(rings, 1 / max(float(np.var(level)), 1e-12)), edge=edge_of(level)
-        )
-    else:
-        # Profile and gains share a scale that the new gains settle.
-        discs = replace(
-            discs,
-            level=_of_length(known.level, rings),
-            weight=_of_length(known.weight, rings),
-            four=_of_length(known.four, rings),
-            edge=_of_length(known.edge, rings),
-            shared=known.shared,
-            dark=known.dark,
-        )
-    state = placed(FitState(model, indices, discs))
-    steps = state.discs.steps
-    if known is not None:
-        own = np.clip(steps.right[:, -1] / np.maximum(steps.normal[:, -1, -1], 1e-30), -0.5, 1)
-        state = replace(state, discs=replace(state.discs, gain=state.discs.gain * (1 + own)))
-    return _weighted(state, steps), alight
-
-
-def _of_length(values: NDArray[Any], rings: int) -> NDArray[Any]:
-    """Values over the radius for so many rings, the last one carried on: cells grow as their lattice is refined."""
-    return np.pad(values, (0, max(rings - len(values), 0)), mode="edge")[:rings]
 
 
 def placed(state: FitState) -> FitState:
@@ -172,19 +107,33 @@ def placed(state: FitState) -> FitState:
     return replace(state, discs=discs)
 
 
-def _weighted(state: FitState, steps: DiscSteps) -> FitState:
+def weighted(state: FitState, steps: DiscSteps) -> FitState:
     """Weights of pixels by their radius and of lenses by their brightness, from the residuals of the present model."""
-    discs = state.discs
-    floor = 1e-6 * float(np.var(discs.level)) + 1e-12
+    floor = 1e-6 * float(np.var(state.discs.level)) + 1e-12
     weight = 1 / np.maximum(steps.variance, floor)
-    order = np.argsort(discs.gain, kind="stable")
-    groups = [g for g in np.array_split(order, _GROUPS) if len(g)]
-    typical = np.array([np.median(steps.scatter[g]) for g in groups])
-    spread = np.interp(discs.gain, [np.median(discs.gain[g]) for g in groups], typical)
+    return replace(state, discs=replace(state.discs, weight=weight, trust=_trust(state.discs, steps)))
+
+
+def _trust(discs: Discs, steps: DiscSteps) -> NDArray[np.float64]:
+    """(n,) weights of lenses by their brightness."""
+    bright, typical = by_brightness(discs.gain, steps.scatter)
+    spread = np.interp(discs.gain, bright, typical)
     trust = 1 / np.maximum(spread / np.median(typical), 0.1)
     # Half a microimage at the border of the array is unlike any other.
     trust *= np.minimum((_UNLIKE * spread / np.maximum(steps.scatter, 1e-30)) ** 4, 1)
-    return replace(state, discs=replace(discs, weight=weight, trust=trust))
+    return np.asarray(trust)
+
+
+def by_brightness(
+    gain: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Median gain and median value of the lenses in each of a few groups of like brightness, in its order."""
+    order = np.argsort(gain, kind="stable")
+    groups = min(_GROUPS, len(order))
+    # Single calls for all groups, of the same size but for the few brightest lenses.
+    order = order[: len(order) // groups * groups].reshape(groups, -1)
+    middle = order.shape[1] // 2
+    return gain[order[:, middle]], np.partition(values[order], middle, axis=1)[:, middle]
 
 
 def with_profile(state: FitState) -> tuple[FitState, float]:
@@ -209,56 +158,81 @@ def misfit(state: FitState, standard: FitState) -> float:
     return replace(state.discs, weight=standard.discs.weight, trust=standard.discs.trust).steps.cost
 
 
-def converge(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSummary]:
-    """Gauss-Newton until nothing moves any more."""
-    start, before = state.model.lattice.basis, 0.0
+def converge(state: FitState, orders: tuple[str, ...], known: bool = False) -> tuple[FitState, FitSummary]:
+    """Gauss-Newton until nothing moves any more; `known` where the profile is that of a fit."""
+    start, before, bold = state.model.lattice.basis, 0.0, True
     for turn in range(_PASSES):
-        try:
-            state, summary = _stepped(state, orders, turn >= _FREE_PASSES)
-        except np.linalg.LinAlgError as error:
-            raise CalibrationError("the microimages show no edges; give a sharper flat or a white image") from error
+        summary = _solved(state, orders, bold=bold)
+        state = _stepped(state, summary, turn >= _FREE_PASSES)
         if not np.abs(state.model.lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
         shrinks = summary.moved / max(before, 1e-30)
         to_come = summary.moved * shrinks / (1 - shrinks) if shrinks < _STEADY else np.inf
         if summary.moved < _SETTLED * summary.uncertainty or to_come < _TO_COME * summary.uncertainty:
             break
+        if (known or turn > 0) and state.discs.plain and _near(summary):
+            break
+        # Where all lenses lie alike to the pixels, place and profile wander together, and longer steps go astray.
+        bold &= turn == 0 or shrinks < _STEADY
         before = summary.moved
-    return replace(state, uncertainty=summary.uncertainty), summary
+    return replace(state, uncertainty=summary.uncertainty, solved=summary.reduced), summary
 
 
-def _without_gain(steps: DiscSteps, level: NDArray[np.float64]) -> _Reduced:
+def finished(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSummary]:
+    """`converge` for lenses opened with the profile of a fit, which is not needed afterwards."""
+    if state.discs.plain:
+        summary = _solved(state, orders, learn=False)
+        if _near(summary):
+            model = moved(state.model, summary.change, summary.names)
+            return placed(replace(state, model=model, uncertainty=summary.uncertainty)), summary
+    return converge(state, orders, known=True)
+
+
+def _near(summary: FitSummary) -> bool:
+    return summary.moved < min(_NEAR * summary.uncertainty, _SHORT)
+
+
+def _without_gain(steps: DiscSteps, level: NDArray[np.float64], say: NDArray[np.float64] | None = None) -> _Reduced:
+    """`say` (n,) is by how much the weights of lenses have changed since these steps."""
     own = np.maximum(steps.normal[:, -1, -1], 1e-30)
-    local = slice(-1) if steps.mixed.shape[1] > 1 else slice(2)
-    share = steps.normal[:, local, -1] / own[:, None]
+    share = steps.normal[:, :-1, -1] / own[:, None]
+    normal = steps.normal[:, :-1, :-1] - share[:, :, None] * steps.normal[:, None, :-1, -1]
+    right = steps.right[:, :-1] - share * steps.right[:, [-1]]
+    if say is not None:
+        normal, right = normal * say[:, None, None], right * say[:, None]
+    if len(steps.force) == 0:
+        return _Reduced(normal, right, steps.mixed[:, :-1], steps.profile, steps.force)
     gain = steps.mixed[:, -1]
     # Gains and profile share one scale, which the profile keeps.
     scale = np.trace(steps.profile) / (level @ level) * np.outer(level, level)
     return _Reduced(
-        steps.normal[:, local, local] - share[:, :, None] * steps.normal[:, None, local, -1],
-        steps.right[:, local] - share * steps.right[:, [-1]],
+        normal,
+        right,
         steps.mixed[:, :-1] - (share[:, :, None] * gain[:, None] if steps.mixed.shape[1] > 1 else 0),
         steps.profile - gain.T @ (gain / own[:, None]) + scale,
         steps.force - (steps.right[:, -1] / own) @ gain,
     )
 
 
-def _stepped(state: FitState, orders: tuple[str, ...], frozen: bool = False) -> tuple[FitState, FitSummary]:
-    """One robust Gauss-Newton step of all global parameters, of the profile and of the gains.
-
-    `frozen` leaves weights, the range of the edge and the light between microimages as they are.
-    """
+def _solved(state: FitState, orders: tuple[str, ...], learn: bool = True, bold: bool = True) -> FitSummary:
+    """The next robust Gauss-Newton step of all global parameters, in full length where `bold`."""
     columns, names = design(state.model, state.indices, orders)
-    steps = state.discs.steps
-    reduced = _without_gain(steps, state.discs.level)
-    change, covariance, weight = _pooled(columns, reduced, slice(None))
-    place, local = columns[:, :2], columns @ change
+    discs = state.discs
+    try:
+        steps = discs.steps if learn else disc_steps(discs, learn=False)
+        say = _trust(discs, steps) / discs.trust if discs.whole else None
+        reduced = _without_gain(steps, discs.level, say)
+        change, covariance, weight = _pooled(columns, reduced, slice(None))
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError("the microimages show no edges; give a sharper flat or a white image") from error
+    place = columns[:, :2]
     ridge = 1e-9 * np.trace(reduced.normal[:, :2, :2].sum(0)) / len(columns) * np.eye(2)
-    known = reduced.right.shape[1]
-    left = reduced.right[:, :2] - np.einsum("nij,nj->ni", reduced.normal[:, :2], local[:, :known])
-    miss = np.einsum("nij,nj->ni", _inverse(reduced.normal[:, :2, :2] + ridge), left)
+    left = reduced.right[:, :2] - np.einsum("nij,nj->ni", reduced.normal[:, :2], columns @ change)
+    miss = np.einsum("nij,nj->ni", _inverse(reduced.normal[:, :2, :2] + ridge), left) / _HELD_BACK
+    change, covariance = change / (_HELD_BACK if bold else 1.0), covariance / _HELD_BACK**2
     spread = (place.reshape(-1, place.shape[2]) @ covariance).reshape(place.shape)
-    summary = FitSummary(
+    return FitSummary(
+        change=change,
         moved=float(np.sqrt(((place @ change) ** 2).sum(1).mean())),
         residual=float(np.sqrt(np.average((miss**2).sum(1), weights=weight))),
         uncertainty=float(np.sqrt(max((place * spread).sum((1, 2)).mean(), 0.0))),
@@ -269,10 +243,21 @@ def _stepped(state: FitState, orders: tuple[str, ...], frozen: bool = False) -> 
         reduced=reduced,
         miss=miss,
     )
+
+
+def _stepped(state: FitState, summary: FitSummary, frozen: bool = False) -> FitState:
+    """The state after a step of the global parameters, of the profile and of the gains.
+
+    `frozen` leaves weights, the range of the edge and the light between microimages as they are.
+    """
+    steps, reduced, local = state.discs.steps, summary.reduced, summary.columns @ summary.change
     force = reduced.force
     if reduced.mixed.shape[1]:
         force = force - local.reshape(-1) @ reduced.mixed.reshape(local.size, -1)
-    level = np.linalg.solve(reduced.profile, force)
+    try:
+        level = np.linalg.solve(reduced.profile, force)
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError("the microimages show no edges; give a sharper flat or a white image") from error
     own = np.maximum(steps.normal[:, -1, -1], 1e-30)
     gain = (steps.right[:, -1] - (steps.normal[:, -1, :-1] * local).sum(1) - steps.mixed[:, -1] @ level) / own
     old = state.discs.level
@@ -280,23 +265,20 @@ def _stepped(state: FitState, orders: tuple[str, ...], frozen: bool = False) -> 
     discs = replace(state.discs, level=level, gain=state.discs.gain * (1 + np.clip(gain, -0.5, 1)))
     discs = replace(discs, four=discs.four + steps.four)
     if not frozen:
-        edge = edge_of(level)
-        weighted = _weighted(state, steps).discs
-        discs = replace(discs, weight=weighted.weight, trust=weighted.trust, edge=edge, dark=_dark(level, edge))
-    if not frozen:
+        edge, by = edge_of(level), weighted(state, steps).discs
+        discs = replace(discs, weight=by.weight, trust=by.trust, edge=edge, dark=_dark(level, edge))
         # Of two discs that cut each other, shading tells which one is the microimage: about its middle light is even.
         slope = shading_slope if state.model.cat_eye is None else shading_of_field
         discs = replace(discs, tilt=slope(discs, state.model.lattice))
-    return placed(FitState(moved(state.model, change, names), state.indices, discs)), summary
+    return placed(FitState(moved(state.model, summary.change, summary.names), state.indices, discs))
 
 
 def _pooled(
     columns: NDArray[np.float64], reduced: _Reduced, half: NDArray[np.bool_] | slice
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Robust least squares over a part of the lenses: change (p,), covariance (p, p) and weights (n,) of the lenses."""
-    # Where nothing is cut, lenses have a place alone.
-    own = slice(None) if reduced.mixed.shape[1] else slice(2)
-    columns, mixed = np.ascontiguousarray(columns[half, own]), reduced.mixed[half]
+    columns = np.ascontiguousarray(columns[half])
+    mixed = reduced.mixed[half] if reduced.mixed.shape[1] else reduced.mixed
     normal, right = reduced.normal[half], reduced.right[half]
     part = len(columns) / len(reduced.normal)
     lenses, local, globals_ = columns.shape
@@ -336,14 +318,20 @@ def halves_differ(summary: FitSummary) -> float:
     """RMS distance over the flat between the last steps of every other microimage and of the others [px]."""
     parity = np.arange(len(summary.columns)) % 2
     one, two = (_pooled(summary.columns, summary.reduced, parity == half)[0] for half in (0, 1))
-    return float(np.sqrt(((summary.columns[:, :2] @ (one - two)) ** 2).sum(1).mean()))
+    return float(np.sqrt(((summary.columns[:, :2] @ (one - two)) ** 2).sum(1).mean())) / _HELD_BACK
 
 
-def promise(state: FitState, orders: tuple[str, ...]) -> float:
-    """RMS distance [px] by which the first step with these parameters would move the centres."""
-    columns, _ = design(state.model, state.indices, orders)
-    change = _pooled(columns, _without_gain(state.discs.steps, state.discs.level), slice(None))[0]
-    return float(np.sqrt(((columns[:, :2] @ change) ** 2).sum(1).mean()))
+def promise(state: FitState, orders: tuple[str, ...], more: tuple[str, ...]) -> float:
+    """RMS distance [px] by which centres would move if a converged state had the parameters `more` beside `orders`.
+
+    As its last step would have moved them: that was short.
+    """
+    assert state.solved is not None
+    moves = []
+    for names in (orders, more):
+        columns, _ = design(state.model, state.indices, names)
+        moves.append(columns[:, :2] @ _pooled(columns, state.solved, slice(None))[0])
+    return float(np.sqrt(((moves[1] - moves[0]) ** 2).sum(1).mean())) / _HELD_BACK
 
 
 def own_offsets(state: FitState, summary: FitSummary) -> NDArray[np.float64]:
@@ -376,4 +364,4 @@ def _of_lenses(state: FitState, chosen: NDArray[np.int64]) -> FitState:
     """The state with only the chosen lenses."""
     discs = state.discs
     kept = {name: getattr(discs, name)[chosen] for name in _OF_LENSES}
-    return replace(state, indices=state.indices[chosen], discs=replace(discs, **kept))
+    return replace(state, indices=state.indices[chosen], discs=replace(discs, **kept), solved=None)

@@ -82,13 +82,14 @@ def design(
     Returns
     -------
     (n, 7, p) float64, list of p names
+        Only the two of the place, (n, 2, p), where the model has no cat-eye.
     """
-    n = len(indices)
+    n, own = len(indices), 2 if model.cat_eye is None else LOCAL - 1
     columns: list[NDArray[np.float64]] = []
     names: list[str] = []
 
     def add(name: str, first: int, values: NDArray[np.float64]) -> None:
-        column = np.zeros((n, LOCAL - 1))
+        column = np.zeros((n, own))
         column[:, first : first + values.shape[1]] = values
         columns.append(column)
         names.append(name)

@@ -83,11 +83,12 @@ def fit_gain(
     core = (_SCENE_CORE if scene else _CORE) * limit
     spread, windows = np.full(rings, np.inf), np.ones(len(sample.first) - 1)
 
-    def left_over(sectors: bool = False) -> Left:
-        return compare(picture, lattice, gain, sample, core, scene, OUTLIER * spread * windows[:, None], sectors)
+    def left_over(sectors: bool = False, terms: bool = True) -> Left:
+        limit = OUTLIER * spread * windows[:, None]
+        return compare(picture, lattice, gain, sample, core, scene, limit, sectors, terms)
 
     for turn in range(_PASSES[0]):
-        left = left_over(sectors=cat_eye is None and turn == _PASSES[0] - 1)
+        left = left_over(sectors=cat_eye is None and turn == _PASSES[0] - 1, terms=False)
         gain = _scaled(gain, left)
     if cat_eye is None:
         gain = _with_cut(gain, left, sample, lattice)

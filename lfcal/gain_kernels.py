@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from .lattice import Lattice
 
 __all__ = [
-    "ASIDE", "Walk", "describe", "divide", "field_level", "fill", "level_at", "light", "mean_light",
-    "usable", "walk",
+    "ASIDE", "Walk", "describe", "divide", "field_level", "fill", "level_at", "light", "light_of_round",
+    "mean_light",    "usable", "walk",
 ]  # fmt: skip
 
 # Where a lens delivers a smaller share of its light, correction would show noise and stray light: nothing is known.
@@ -36,6 +36,8 @@ _SPREAD = 701
 _DIRECTIONS = 32
 # Places that share the memory for their monomials.
 _TOGETHER = 256
+# Sums may be put in another order, but what is not a number stays so.
+_FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
 @dataclass(frozen=True)
@@ -106,11 +108,23 @@ def describe(cx, cy, field, radius, shade, rim, cut, powers, lens):
     """Write what the shape of the lens at `(cx, cy)` is, in px, into `lens`; `powers` gets the field's monomials."""
     x, y = (cx - field[0]) / field[2], (cy - field[1]) / field[2]
     _monomials(x, y, max(shade.shape[1], rim.shape[1]), powers)
-    for row in range(5):
-        total = 0.0
-        for t in range(shade.shape[1]):
-            total += shade[row, t] * powers[t]
-        lens[row] = total / radius if row < 2 else total / (radius * radius)
+    # Side by side: one sum after the other would wait for each of its terms.
+    u = v = uu = uv = vv = 0.0
+    for t in range(shade.shape[1]):
+        power = powers[t]
+        u += shade[0, t] * power
+        v += shade[1, t] * power
+        uu += shade[2, t] * power
+        uv += shade[3, t] * power
+        vv += shade[4, t] * power
+    over = 1 / radius
+    lens[0], lens[1], lens[2], lens[3], lens[4] = (
+        u * over,
+        v * over,
+        uu * over * over,
+        uv * over * over,
+        vv * over * over,
+    )
     lens[5], lens[6] = cut[0] + cut[2] * x, cut[1] + cut[2] * y
     for row in range(rim.shape[0]):
         total = 0.0
@@ -123,10 +137,14 @@ def describe(cx, cy, field, radius, shade, rim, cut, powers, lens):
 def level_at(cx, cy, field, level, powers):
     """Exponential of a polynomial of the field at one place; `powers` gets the field's monomials."""
     _monomials((cx - field[0]) / field[2], (cy - field[1]) / field[2], len(level), powers)
-    total = 0.0
-    for t in range(len(level)):
+    total = other = 0.0
+    whole = len(level) // 2 * 2
+    for t in range(0, whole, 2):
         total += level[t] * powers[t]
-    return math.exp(total)
+        other += level[t + 1] * powers[t + 1]
+    if whole < len(level):
+        total += level[whole] * powers[whole]
+    return math.exp(total + other)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
@@ -173,6 +191,27 @@ def light(dx, dy, lens, profile, step, cut):
         value = cut[5] + (value - cut[5]) * through
     value *= 1 + dx * (lens[0] + lens[2] * dx + lens[3] * dy) + dy * (lens[1] + lens[4] * dy)
     return value, stretched, through
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def light_of_round(pixels, count, lens, profile, rise, scale, shape, ring):
+    """`light` of a described round uncut lens at `count` places (2, k) float32, and its `ring` of the profile there.
+
+    `profile` and the `rise` from ring to ring are float32, `scale` is rings per px. Long loops that read and write in
+    order become vector instructions; what is looked up in between does not.
+    """
+    one, most, last = np.float32(1), np.float32(len(rise)), np.int32(len(rise) - 1)
+    p, q = np.float32(lens[0]), np.float32(lens[1])
+    uu, uv, vv = np.float32(lens[2]), np.float32(lens[3]), np.float32(lens[4])
+    for k in range(count):
+        shape[k] = min(np.sqrt(pixels[0, k] * pixels[0, k] + pixels[1, k] * pixels[1, k]) * scale, most)
+    for k in range(count):
+        here = min(np.int32(shape[k]), last)
+        ring[k] = here
+        shape[k] = profile[here] + rise[here] * (shape[k] - np.float32(here))
+    for k in range(count):
+        x, y = pixels[0, k], pixels[1, k]
+        shape[k] *= one + x * (p + uu * x + uv * y) + y * (q + vv * y)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -34,6 +34,8 @@ _LENSES = 200
 _SMOOTH = 0.06
 # Numbers of a pixel's own factors in shading, and parameters of the cutting disc.
 _SHADES, _CUTS = 6, 5
+# Sums may be put in another order, but what is not a number stays so.
+_FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -116,10 +118,10 @@ def _direction(dx, dy):
     return math.floor(math.atan2(dy, dx) / (2 * math.pi) * DIRECTIONS + 0.5) % DIRECTIONS
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_FAST)
 def _compare(
     picture, centres, places, first, stride, faces, inner, reach, core, scene, brightest, limit, field, radius,
-    profile, step, shade, rim, cut, slope, rings, normal, right, rims, sector, dark, cut_normal, cut_right,
+    profile, step, shade, rim, cut, slope, terms, rings, normal, right, rims, sector, dark, cut_normal, cut_right,
 ):  # fmt: skip
     for window in prange(len(first) - 1):
         powers, lens, features = np.empty(64), np.empty(7 + rim.shape[0]), np.empty(6)
@@ -165,6 +167,8 @@ def _compare(
                         rings[1, window, ring] += bright * through * plane * (1 - part)
                         rings[0, window, ring + 1] += bright * e * part
                         rings[1, window, ring + 1] += bright * through * plane * part
+                    if not terms:
+                        continue
                     if 0.001 < through < 0.999:
                         fx, fy = (cx - field[0]) / field[2], (cy - field[1]) / field[2]
                         _push_of_cut(dx - lens[5], dy - lens[6], fx, fy, s, through, plane, cut, features)
@@ -271,7 +275,7 @@ class Left:
 
 def compare(
     picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, sample: Sample, core: float, scene: bool,
-    limit: NDArray[np.float64], sectors: bool = False,
+    limit: NDArray[np.float64], sectors: bool = False, terms: bool = True,
 ) -> Left:  # fmt: skip
     """Compare a sample of lenses with a map.
 
@@ -290,6 +294,8 @@ def compare(
         Pixels that are off by more, as a share of the light of the lens, have no say.
     sectors : bool
         Whether residuals are collected over directions whatever their distance.
+    terms : bool
+        Whether rim, cut and shading are asked for; else these are zero.
     """
     faces, reach = cell_faces(lattice)
     parts, rings = len(sample.first) - 1, len(gain.profile)
@@ -302,8 +308,8 @@ def compare(
     kernel: Any = _compare
     kernel(
         picture, sample.centres, sample.places, sample.first, sample.stride, faces, inner_radius(faces), reach, core,
-        scene, brightest, limit**2, *gain.shape(lattice), np.gradient(gain.profile, gain.step), sums, normal, right,
-        rims, sector, dark, cut_normal, cut_right,
+        scene, brightest, limit**2, *gain.shape(lattice), np.gradient(gain.profile, gain.step), terms, sums,
+        normal, right, rims, sector, dark, cut_normal, cut_right,
     )  # fmt: skip
     up, down, square, count = sums
     normal += np.tril(normal, -1).transpose(0, 2, 1)

@@ -22,7 +22,7 @@ from .vignetting import Vignetting
 __all__ = ["Illumination", "measure_illumination"]
 
 # Lenses over which the vignetting of the average microimage is taken.
-_LENSES = 200
+_LENSES = 64
 
 
 @dataclass(frozen=True)

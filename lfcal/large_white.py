@@ -31,6 +31,10 @@ _REPEATS = 0.8
 # Side of the pieces in which it is followed, in pitches and px, and of those by which white images are told.
 _FOLLOW = (14, 256)
 _WIDE = 2.0
+# Pitches across a part in which lenses are seen whole with their surroundings, and so many parts all over the field:
+# of short pitches, and of any.
+_WHOLE = 6
+_EVENLY, _FEWEST_PARTS = 25.0, 9.0
 # From the pieces so far to the next ones. A cubic that moves centres by hardly a hundredth px within those then moves
 # them by a sixth here.
 _FARTHER = 2.5
@@ -75,13 +79,14 @@ def some_parts(look: Look, lattice: Lattice) -> tuple[Parts, Look]:
     """Parts of a flat, enough to measure a camera on, and a look at all of it, both of mean tone 1."""
     parts = grid_parts(look, lattice.image_size, _SIDE, _PIXELS)
     scale = np.float32(1 / max(float(parts.picture.mean(dtype=np.float64)), 1e-30))
+    np.multiply(parts.picture, scale, out=parts.picture)
 
     def scaled(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
         tones = look(x, y, width, height)
         tones *= scale
         return tones
 
-    return replace(parts, picture=parts.picture * scale), scaled
+    return parts, scaled
 
 
 def grid_parts(look: Look, size: tuple[int, int], side: int, pixels: float) -> Parts:
@@ -106,7 +111,10 @@ def grid_parts(look: Look, size: tuple[int, int], side: int, pixels: float) -> P
         for length, n in zip(size, (columns, rows), strict=True)
     )
     corners = np.array([(x, y) for y in ys for x in xs], dtype=np.int64)
-    return Parts(np.concatenate([look(x, y, side, side) for x, y in corners.tolist()]), corners, (side, side))
+    picture = np.empty((len(corners) * side, side), np.float32)
+    for number, (x, y) in enumerate(corners.tolist()):
+        picture[number * side : (number + 1) * side] = look(x, y, side, side)
+    return Parts(picture, corners, (side, side))
 
 
 def first_of_white(look: Look, size: tuple[int, int], sure: bool, tries: int) -> FirstLattice | None:
@@ -185,7 +193,7 @@ def _parts(look: Look, pieces: list[_Piece], side: int) -> Parts:
 
 def _even(look: Look, size: tuple[int, int], lattice: Lattice) -> bool:
     """Whether microimages are evenly lit all over the field."""
-    side = max(int(_FOLLOW[0] * lattice.pitch), _FOLLOW[1])
-    parts = grid_parts(look, size, side, 25.0 * side**2)
+    side = max(int(_WHOLE * lattice.pitch), _FOLLOW[1])
+    parts = grid_parts(look, size, side, max(_EVENLY * _FOLLOW[1] ** 2, _FEWEST_PARTS * side**2))
     levelled = np.concatenate([level_locally(parts.part(k), _WIDE * lattice.pitch) for k in range(len(parts))])
     return evenly_lit(replace(parts, picture=levelled), parts.picture**2, lattice)

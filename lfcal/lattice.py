@@ -22,7 +22,7 @@ _MOST_PIXELS, _MOST_LENSES, _MOST_ROWS, _FARTHEST = 1 << 31, 1 << 27, 1e7, 1e9
 # Lenses looked at together, so that hardly more memory is needed than for the result.
 _TOGETHER = 1 << 20
 # Lattices of no more lenses keep their centres, which are asked for again and again.
-_KEPT = 1 << 16
+_KEPT = 1 << 20
 
 
 def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
@@ -196,7 +196,9 @@ class Lattice:
     def with_radius(self, radius: float) -> Lattice:
         """The same lenses with another usable radius [px]."""
         other = replace(self, radius=radius)
-        other.__dict__["_indices"] = self._indices
+        for name in ("_indices", "_centres"):
+            if name in self.__dict__:
+                other.__dict__[name] = self.__dict__[name]
         return other
 
     def shrunk(self, factor: int) -> Lattice:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from .lattice import Lattice
 
-__all__ = ["cell_faces", "inner_radius", "outside", "rows_within"]
+__all__ = ["cell_faces", "cell_reach", "cell_sides", "inner_radius", "outside", "row_in_cell", "rows_within"]
 
 
 def cell_faces(lattice: Lattice) -> tuple[NDArray[np.float64], float]:
@@ -20,6 +20,11 @@ def cell_faces(lattice: Lattice) -> tuple[NDArray[np.float64], float]:
         diagonal = min(a1 + a2, a1 - a2, key=lambda d: float(d @ d))
         steps = np.vstack([steps, diagonal, -diagonal])
     faces = steps / (steps**2).sum(1, keepdims=True)
+    return faces, cell_reach(faces)
+
+
+def cell_reach(faces: NDArray[np.float64]) -> float:
+    """Radius of the circle around a cell with these faces [px]."""
     corners = []
     for a in range(len(faces)):
         for b in range(a):
@@ -28,12 +33,46 @@ def cell_faces(lattice: Lattice) -> tuple[NDArray[np.float64], float]:
                 corner = np.linalg.solve(pair, [0.5, 0.5])
                 if (faces @ corner <= 0.5 + 1e-9).all():
                     corners.append(float(np.hypot(*corner)))
-    return faces, max(corners)
+    return max(corners)
 
 
 def inner_radius(faces: NDArray[np.float64]) -> float:
     """Radius of the circle inside a cell with these faces [px]."""
     return float(0.5 / np.hypot(*faces.T).max())
+
+
+def cell_sides(faces: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The sides of a cell with these faces (k, 2), for `row_in_cell`.
+
+    Returns
+    -------
+    (7, 2) float64 [px]
+        Place, from the centre, and lean of three sides to the right and three to the left, where there are so many;
+        then first and last row.
+    """
+    sides = np.array([[np.inf, 0.0]] * 3 + [[-np.inf, 0.0]] * 3 + [[-np.inf, np.inf]])
+    level = 1e-9 * np.abs(faces).max()
+    right = left = 0
+    for x, y in faces.tolist():
+        if x > level:
+            sides[right] = 0.5 / x, y / x
+            right += 1
+        elif x < -level:
+            sides[3 + left] = 0.5 / x, y / x
+            left += 1
+        else:
+            sides[6, int(y > 0)] = 0.5 / y
+    reach = cell_reach(faces)
+    sides[6] = max(sides[6, 0], -reach), min(sides[6, 1], reach)
+    return sides
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def row_in_cell(dy, sides):
+    """First and last place of a row in a cell (`cell_sides`), both from its centre [px]."""
+    high = min(min(sides[0, 0] - dy * sides[0, 1], sides[1, 0] - dy * sides[1, 1]), sides[2, 0] - dy * sides[2, 1])
+    low = max(max(sides[3, 0] - dy * sides[3, 1], sides[4, 0] - dy * sides[4, 1]), sides[5, 0] - dy * sides[5, 1])
+    return low, high
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -10,17 +10,25 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .gain_fit import GainFit
-from .gain_kernels import describe, field_level, light
+from .gain_kernels import describe, field_level, light, light_of_round
 from .gain_map import GainMap, frame, terms
 from .gain_terms import monomials
 from .lattice import Lattice
-from .lens_cell import cell_faces, inner_radius, outside
+from .lens_cell import cell_faces, cell_sides, row_in_cell
 from .parts import Look
 
 __all__ = ["LensLights", "dark_in_scene", "lens_lights"]
 
 # Pixels of a lens that are looked at, and lenses looked at together.
 _SAMPLES, _TOGETHER = 48, 256
+# Room for the pixels of a lens and for those of a row of them: cells are compact, four times as many are never needed.
+_MOST, _ACROSS = 6 * _SAMPLES, 2 * _SAMPLES
+# Share of the brightest light of a lens above which pixels tell its light.
+_RIM = 0.8
+# Standard deviation of normal values over half the range between their quartiles.
+_TO_SIGMA = 1.4826
+# Share of its mean squared below which single precision shows no variance.
+_EVEN = 1e-6
 # Degrees of the polynomial tried in turn; each must lower the scatter of the lenses by this share.
 _DEGREES = (0, 2, 4, 6)
 _LOWERS = 0.03
@@ -44,6 +52,8 @@ _DARK, _DIM, _ALIKE = 0.03, 0.25, 0.5
 _SHAPED = 0.25
 # A lens of a scene is missing where its brightest pixel is below this share of the least mean of its neighbours.
 _ABSENT = 0.05
+# Sums may be put in another order, but what is not a number stays so.
+_FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
 @dataclass(frozen=True)
@@ -76,78 +86,119 @@ def _middle(values, count):
     return 0.5 * (values[(count - 1) // 2] + values[count // 2]), 0.5 * (values[3 * count // 4] - values[count // 4])
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pixels(picture, cx, cy, sides, stride, pixels):
+    """Put distances from the centre and light of every so many pixels of a cell into `pixels` (3, k); their number."""
+    height, width = picture.shape
+    count = 0
+    for y in range(max(0, math.ceil(cy + sides[6, 0])), min(height - 1, math.floor(cy + sides[6, 1])) + 1, stride):
+        dy = y - cy
+        low, high = row_in_cell(dy, sides)
+        stop = min(min(width - 1, math.floor(cx + high)) + 1, max(0, math.ceil(cx + low)) + stride * _ACROSS)
+        for x in range(max(0, math.ceil(cx + low)), stop, stride):
+            pixels[0, count], pixels[1, count], pixels[2, count] = x - cx, dy, picture[y, x] * picture[y, x]
+            count += 1
+        if count > pixels.shape[1] - _ACROSS:
+            break
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _sums(pixels, count, shape, sums):
+    """Sums of shape, light, their squares and product; of their ratios in the bright part, these squared, and number.
+
+    The rim tells more of the place of the lens than of its light.
+    """
+    one, none, rim = np.float32(1), np.float32(0), np.float32(_RIM)
+    ms = mv = mss = msv = mvv = mr = mrr = bright = most = none
+    for k in range(count):
+        s, v = shape[k], pixels[2, k]
+        ms += s
+        mv += v
+        mss += s * s
+        msv += s * v
+        mvv += v * v
+        most = max(most, v)
+        inside = one if s > rim else none
+        ratio = inside * v / max(s, rim)
+        mr += ratio
+        mrr += ratio * ratio
+        bright += inside
+    sums[0], sums[1], sums[2], sums[3], sums[4] = ms, mv, mss, msv, mvv
+    sums[5], sums[6], sums[7], sums[8] = mr, mrr, bright, most
+
+
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _look(
-    picture, top, chosen, centres, faces, inner, reach, stride, out, field, radius, profile, step, shade, rim, cut
-):
+def _look(picture, top, chosen, centres, sides, stride, noise, out, field, radius, profile, step, shade, rim, cut):
     """Per lens: light, pixels it rests on, correlation with the shape, contrast of it, mean, brightest, scatter.
 
-    Only of the `chosen` rows of `centres` and `out`. The first row of `picture` is the row `top` of the flat.
+    Only of the `chosen` rows of `centres` and `out`. The first row of `picture` is the row `top` of the flat. Where
+    pixels of a lens scatter by no more than by `noise`, as a share of their light, their mean is its light.
     """
-    height, width = picture.shape
     lenses = chosen.shape[0]
+    plain = rim.shape[0] == 1 and not cut[4] > 0
+    level, rise = profile[:-1].astype(np.float32), np.diff(profile).astype(np.float32)
     for block in prange((lenses + _TOGETHER - 1) // _TOGETHER):
-        powers, lens, ratios = np.empty(64), np.empty(7 + rim.shape[0]), np.empty(4 * _SAMPLES)
+        powers, lens, ratios = np.empty(64), np.empty(7 + rim.shape[0]), np.empty(_MOST)
+        pixels, shape, sums = np.empty((3, _MOST), np.float32), np.empty(_MOST, np.float32), np.empty(9)
+        ring = np.empty(_MOST, np.int32)
         for k in range(block * _TOGETHER, min((block + 1) * _TOGETHER, lenses)):
             n = chosen[k]
             cx, cy = centres[n, 0], centres[n, 1]
             describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
-            cy -= top
-            count, bright = 0, 0
-            ms = mv = mss = msv = mvv = most = 0.0
-            for y in range(max(0, math.ceil(cy - reach)), min(height - 1, math.floor(cy + reach)) + 1, stride):
-                dy = y - cy
-                half = math.sqrt(max(reach * reach - dy * dy, 0.0))
-                for x in range(max(0, math.ceil(cx - half)), min(width - 1, math.floor(cx + half)) + 1, stride):
-                    dx = x - cx
-                    if dx * dx + dy * dy > inner * inner and outside(dx, dy, faces):
-                        continue
-                    s = light(dx, dy, lens, profile, step, cut)[0]
-                    v = picture[y, x] * picture[y, x]
-                    count += 1
-                    ms += s
-                    mv += v
-                    mss += s * s
-                    msv += s * v
-                    mvv += v * v
-                    most = max(most, v)
-                    # The rim tells more of the place of the lens than of its light.
-                    if s > 0.8 and bright < len(ratios):
-                        ratios[bright] = v / s
-                        bright += 1
+            count = _pixels(picture, cx, cy - top, sides, stride, pixels)
+            if plain:
+                light_of_round(pixels, count, lens, level, rise, np.float32((1 - lens[7]) / step), shape, ring)
+            else:
+                for m in range(count):
+                    shape[m] = light(pixels[0, m], pixels[1, m], lens, profile, step, cut)[0]
+            _sums(pixels, count, shape, sums)
+            bright = sums[7]
             if bright == 0:
                 out[n, :] = 0.0
                 continue
-            # Dust and hot pixels have no say in the median, which is worth two thirds of the pixels.
-            out[n, 0], out[n, 6] = _middle(ratios, bright)
-            out[n, 1] = bright / 1.5
-            spread_s, spread_v = mss / count - (ms / count) ** 2, mvv / count - (mv / count) ** 2
-            both = msv / count - ms * mv / (count * count)
-            out[n, 2] = both / math.sqrt(spread_s * spread_v) if spread_s > 1e-12 and spread_v > 1e-12 else 0.0
-            out[n, 3] = math.sqrt(max(spread_s, 0.0)) / max(ms / count, 1e-9)
-            out[n, 4], out[n, 5] = mv / count, most
+            mean = sums[5] / bright
+            scatter = math.sqrt(max(sums[6] / bright - mean * mean, 0.0))
+            if scatter <= noise[n] * mean:
+                out[n, 0], out[n, 1], out[n, 6] = mean, bright, scatter / _TO_SIGMA
+            else:
+                # Dust and hot pixels have no say in the median, which is worth two thirds of the pixels.
+                number = 0
+                for m in range(count):
+                    if shape[m] > np.float32(_RIM):
+                        ratios[number] = pixels[2, m] / shape[m]
+                        number += 1
+                out[n, 0], out[n, 6] = _middle(ratios, number)
+                out[n, 1] = number / 1.5
+            ms, mv = sums[0] / count, sums[1] / count
+            spread_s, spread_v = sums[2] / count - ms * ms, sums[4] / count - mv * mv
+            even = spread_s < _EVEN * ms * ms or spread_v < _EVEN * mv * mv
+            out[n, 2] = 0.0 if even else (sums[3] / count - ms * mv) / math.sqrt(spread_s * spread_v)
+            out[n, 3] = math.sqrt(max(spread_s, 0.0)) / max(ms, 1e-9)
+            out[n, 4], out[n, 5] = mv, sums[8]
 
 
 def _looked(
-    picture: NDArray[np.float32] | Look, lattice: Lattice, gain: GainMap, centres: NDArray[np.float64]
-) -> NDArray[np.float32]:
-    faces, reach = cell_faces(lattice)
+    picture: NDArray[np.float32] | Look, lattice: Lattice, gain: GainMap, centres: NDArray[np.float64],
+    noise: NDArray[np.float32],
+) -> NDArray[np.float32]:  # fmt: skip
+    sides = cell_sides(cell_faces(lattice)[0])
     cell = abs(float(np.linalg.det(lattice.basis)))
     out = np.zeros((len(centres), 7), np.float32)
     stride = max(1, round(math.sqrt(cell / (_SAMPLES if len(centres) < _MANY else _FEW_SAMPLES))))
     shape = gain.shape(lattice)
     if not callable(picture):
-        _look(picture, 0, np.arange(len(centres)), centres, faces, inner_radius(faces), reach, stride, out, *shape)
+        _look(picture, 0, np.arange(len(centres)), centres, sides, stride, noise, out, *shape)
         return out
     width, height = lattice.image_size
     band = np.clip(centres[:, 1] // _ROWS, 0, (height - 1) // _ROWS).astype(np.uint16)
     order = np.argsort(band, kind="stable")
     ends = np.cumsum(np.bincount(band))
     for number, (start, stop) in enumerate(zip(np.append(0, ends[:-1]).tolist(), ends.tolist(), strict=True)):
-        top = max(0, math.floor(number * _ROWS - reach) - 1)
-        rows = min(height, math.ceil((number + 1) * _ROWS + reach) + 1) - top
+        top = max(0, math.floor(number * _ROWS + sides[6, 0]) - 1)
+        rows = min(height, math.ceil((number + 1) * _ROWS + sides[6, 1]) + 1) - top
         strip = picture(0, top, width, rows)
-        _look(strip, top, order[start:stop], centres, faces, inner_radius(faces), reach, stride, out, *shape)
+        _look(strip, top, order[start:stop], centres, sides, stride, noise, out, *shape)
     return out
 
 
@@ -162,7 +213,9 @@ def lens_lights(picture: NDArray[np.float32] | Look, lattice: Lattice, fit: Gain
     fit : GainFit
     """
     centres = lattice.centres()
-    found = _looked(picture, lattice, fit.gain, centres)
+    single = _errors(fit, centres, lattice)
+    noise = np.float32(_UNEVEN) * np.hypot(single, np.float32(_DIFFERS))
+    found = _looked(picture, lattice, fit.gain, centres, noise)
     lights, weight, alike, contrast = found[:, :4].T
     seen = weight > 0
     top = float(np.percentile(lights[seen], 95)) if seen.any() else 1.0
@@ -178,10 +231,9 @@ def lens_lights(picture: NDArray[np.float32] | Look, lattice: Lattice, fit: Gain
     field_level(centres, frame(lattice), level, smooth)
     # Far from all light a polynomial may fall to nothing.
     np.maximum(smooth, np.float32(1e-30), out=smooth)
-    single = _errors(fit, centres, lattice)
     error = single / np.sqrt(np.maximum(weight, 1e-9))
     # Dust makes a lens darker in parts, which is no light of the lens.
-    uneven = 1.4826 * found[:, 6] > _UNEVEN * np.hypot(single, np.float32(_DIFFERS)) * lights
+    uneven = np.float32(_TO_SIGMA) * found[:, 6] > noise * lights
     own = _own(np.where(uneven, np.float32(1), lights / smooth), error, lit)
     # 1 at the brightest part of the field, taken where lenses are.
     brightest = float(np.percentile((smooth * own)[lit], 99.5))
@@ -247,7 +299,8 @@ def _own(ratio: NDArray[np.float32], error: NDArray[np.float32], lit: NDArray[np
 
 def dark_in_scene(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap) -> NDArray[np.int64]:
     """(m,) rows of lenses without any light amid neighbours that have some, on a scene capture."""
-    found = _looked(picture, lattice, gain, lattice.centres())
+    centres = lattice.centres()
+    found = _looked(picture, lattice, gain, centres, np.full(len(centres), np.inf, np.float32))
     mean, most = found[:, 4:6].T
     indices = lattice.indices()
     low = indices.min(0) - 1

@@ -6,6 +6,7 @@ see nearly the same piece of the scene, so that the difference from them is a pr
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -146,35 +147,35 @@ def _sample_of_parts(lattice: Lattice, parts: Parts) -> LensSample:
     return LensSample(lattice, index, centre, np.asarray(whole), centre - parts.offsets[home][:, None, None])
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _look(picture, centres, radius, inside, lag, rows, energy, tilt, light, count):
     height, width = picture.shape
     rings = light.shape[1]
+    per_ring, within = rings / radius, inside * inside
     for lens in prange(len(centres)):
-        cx, cy = centres[lens]
-        pairs = 0
-        for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1, rows):
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        pairs, square, across, down = 0, 0.0, 0.0, 0.0
+        for y in range(max(0, math.ceil(cy - radius)), min(height - 1, math.floor(cy + radius)) + 1, rows):
             dy = y - cy
-            half = np.sqrt(max(radius * radius - dy * dy, 0.0))
-            for x in range(max(0, int(np.ceil(cx - half))), min(width - 1, int(np.floor(cx + half))) + 1):
+            half = math.sqrt(max(radius * radius - dy * dy, 0.0))
+            for x in range(max(0, math.ceil(cx - half)), min(width - 1, math.floor(cx + half)) + 1):
                 dx = x - cx
                 value = picture[y, x]
-                distance = np.sqrt(dx * dx + dy * dy)
-                ring = min(int(distance / radius * rings), rings - 1)
+                far = dx * dx + dy * dy
+                ring = min(int(math.sqrt(far) * per_ring), rings - 1)
                 light[lens, ring] += value * value
                 count[lens, ring] += 1
                 # Both neighbours and the pixel itself lie within the circle in which contrast is measured.
-                if max(dx, dx + lag) ** 2 + max(dy, dy + lag) ** 2 > inside * inside or distance > inside:
+                if far > within or max(dx, dx + lag) ** 2 + max(dy, dy + lag) ** 2 > within:
                     continue
                 right = picture[y, x + lag] - value
                 below = picture[y + lag, x] - value
-                energy[lens] += right * right + below * below
-                tilt[0, lens] += right
-                tilt[1, lens] += below
+                square += right * right + below * below
+                across += right
+                down += below
                 pairs += 1
-        energy[lens] /= max(2 * pairs, 1)
-        tilt[0, lens] /= max(pairs, 1)
-        tilt[1, lens] /= max(pairs, 1)
+        energy[lens] = square / max(2 * pairs, 1)
+        tilt[0, lens], tilt[1, lens] = across / max(pairs, 1), down / max(pairs, 1)
 
 
 def lens_features(picture: NDArray[np.float32], sample: LensSample) -> LensFeatures:

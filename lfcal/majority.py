@@ -64,7 +64,7 @@ class Steps:
         return self.spread**-_DISTRUST
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _weighted(design, step, weight, basis, ratio, change):
     """Weighted least squares: change (3, 2) of origin and basis."""
     total = 1e-300
@@ -106,7 +106,7 @@ def _weighted(design, step, weight, basis, ratio, change):
     change[0, 1] = my - mi * change[1, 1] - mj * change[2, 1]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _weighted_quantile(values, weight, share):
     """Least value below which lies at least this share of the weight."""
     order = np.argsort(values)
@@ -118,7 +118,7 @@ def _weighted_quantile(values, weight, share):
     return values[order[-1]]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _settle(design, step, spread, trust, basis, ratio, agreeing, outlier, turns, weights, changes, commons):
     square = np.empty(len(step))
     expected = -2 * np.log(1 - agreeing)
@@ -176,11 +176,16 @@ def _starts(steps: Steps) -> list[NDArray[np.float64]]:
     return starts
 
 
-def agreed(steps: Steps, chosen: NDArray[np.bool_] | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def agreed(
+    steps: Steps, chosen: NDArray[np.bool_] | None = None, before: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Change (3, 2) of origin and basis on which most lenses agree best, and the weights of the lenses [1/px^2].
 
-    With `chosen` (n,) only those lenses take part.
+    With `chosen` (n,) only those lenses take part; with weights `before` (n,) it is what these lead to.
     """
+    if before is not None:
+        changes, weights, _ = _settled(steps, [before])
+        return changes[0], weights[0]
     return _best(steps if chosen is None else _only(steps, chosen))[:2]
 
 

@@ -26,6 +26,8 @@ _PIECEWISE = 6e6
 _LEAST_PITCH = 9.0
 # Side of the part in which the pitch is looked for [px], where in the flat in turn, and rows averaged at a time.
 _PART = 2400
+# A smaller part will do where so many pitches are in it.
+_SMALL_PART, _PERIODS = 1024, 12
 _PLACES = ((0.5, 0.5), (0.2, 0.5), (0.8, 0.5), (0.5, 0.2), (0.5, 0.8))
 _ROWS = 32
 
@@ -55,6 +57,15 @@ def _pitch(flat: NDArray[Any]) -> float:
 
     height, width = flat.shape[:2]
     error: CalibrationError | None = None
+    # Most arrays show their pitch in a small part of the middle.
+    left, top = max(0, width - _SMALL_PART) // 2, max(0, height - _SMALL_PART) // 2
+    small = np.ascontiguousarray(flat[top : top + _SMALL_PART, left : left + _SMALL_PART])
+    try:
+        pitch = first_lattice(tone(luminance(small))).lattice.pitch
+        if pitch * _PERIODS < _SMALL_PART:
+            return pitch
+    except CalibrationError:
+        pass
     for across, down in _PLACES:
         left, top = int(across * max(0, width - _PART)), int(down * max(0, height - _PART))
         part = np.ascontiguousarray(flat[top : top + _PART, left : left + _PART])

@@ -35,6 +35,8 @@ _PASSES = 10
 _SETTLED = 0.2
 # So many steps back are combined; those alike to this share are one. No leap is longer than so many single steps.
 _REMEMBERED, _SAME, _FURTHEST = 4, 0.05, 10.0
+# So often it is asked which lenses agree best.
+_CHOICES = 2
 _RUNAWAY = 0.05
 # Lenses of a tile in halves of the flat, and the tiles that are taken for independent of each other.
 _LENSES_PER_TILE = 16
@@ -112,18 +114,32 @@ def _settled(
     12 (1965), which finds where they lead.
     """
     start, path = lattice.basis, _Path([], [])
+    # Which lenses agree best is asked at first, and again where the fit has settled on those: asked at every step, it
+    # would go to and fro between parts of the flat that do not agree, and never settle.
+    weights: NDArray[np.float64] | None = None
+    asked = _CHOICES - 1
     for turn in range(passes):
-        steps = replace(_look(picture, lattice, indices, stride)[0], regular=regular)
-        change, share = agreed(steps)
+        found, variance = _look(picture, lattice, indices, stride)
+        steps, seen = replace(found, regular=regular), np.isfinite(variance)
+        before = None if weights is None else weights[seen]
+        change, share = agreed(steps, before=before if before is not None and before.any() else None)
         error = _standard_error(steps, change, share)
         leap = path.leap(lattice, change, steps.design)
         settled = max(_field_rms(steps, change), _field_rms(steps, leap)) < _SETTLED * error
-        before, lattice = lattice, _moved(lattice, change if settled or turn == passes - 1 else leap)
+        if settled and asked and before is not None:
+            asked -= 1
+            other, others = agreed(steps)
+            if _field_rms(steps, other - change) > _SETTLED * error:
+                change, share, path, settled = other, others, _Path([], []), False
+                leap = path.leap(lattice, change, steps.design)
+        weights = np.zeros(len(indices))
+        weights[seen] = share
+        before_lattice, lattice = lattice, _moved(lattice, change if settled or turn == passes - 1 else leap)
         if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
         if settled:
             break
-    return _Settled(lattice, before, steps, change, share)
+    return _Settled(lattice, before_lattice, steps, change, share)
 
 
 def _bent(

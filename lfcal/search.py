@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from .lattice import Lattice, reduce_basis
 from .origin import is_board, lens_centre, round_centres, true_cell
 from .spectrum import candidate_bases, spectrum_of
 
-__all__ = ["FirstLattice", "first_lattice"]
+__all__ = ["FirstLattice", "first_lattice", "first_lattice_of_large"]
 
 _BINS = 36
 # Support of a candidate by the spectrum above which longer periods are not looked for, and below which it is none.
@@ -32,6 +33,8 @@ NO_MICROIMAGES = (
 )
 # Smaller microimages hold too few pixels to tell discs from gaps; measured pitches may be off by a hundredth.
 _LEAST_PITCH = 0.99 * 6.0
+# Pitch [px] from which on microimages show all that a first lattice asks for at half their size.
+_HALVED_PITCH = 20.0
 # Tiles this many pitches wide hold enough lenses for an average and are small against a wandering period.
 _TILE = 8
 # Small flats are still cut into this many tiles each way where that leaves them so many pitches wide.
@@ -62,7 +65,7 @@ class FirstLattice:
     lattice : Lattice [px]
         Its radius is half the distance to the nearest neighbour.
     brightness, breaks : (h, w) float32
-        Locally levelled features.
+        Locally levelled features, of half the size where the lattice was found at that.
     coherence : float
         Share of the harmonics' energy that all tiles have in common, 0..1.
     roundness : float
@@ -169,6 +172,26 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
         fit.support,
         repeatability,
     )
+
+
+def first_lattice_of_large(picture: NDArray[np.float32]) -> FirstLattice:
+    """`first_lattice` of a picture (h, w) of many pixels, at half its size where that leaves enough of microimages.
+
+    The features are then of half the size; the lattice is in px of the picture.
+    """
+    import cv2
+
+    height, width = (length // 2 for length in picture.shape)
+    half: Any = cv2.resize(picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+    try:
+        start = first_lattice(half)
+    except CalibrationError:
+        return first_lattice(picture)
+    small = start.lattice
+    if small.pitch < _HALVED_PITCH:
+        return first_lattice(picture)
+    lattice = Lattice(2 * small.origin + 0.5, 2 * small.basis, picture.shape[::-1], 2 * small.radius)
+    return replace(start, lattice=lattice, halves_differ=2 * start.halves_differ, tile_rms=2 * start.tile_rms)
 
 
 def _kept(refined: NDArray[np.float64], basis: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -27,6 +27,8 @@ _INSIDE = 0.6
 _SURE = 6.0
 # Residuals beyond so many times the median have no say.
 _OUTLIER = 4.0
+# Sums may be put in another order, but what is not a number stays so.
+_FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
 def field_slope(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
@@ -67,11 +69,13 @@ def _powers(values: NDArray[np.float64], highest: int) -> list[NDArray[np.float6
     return powers
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_FAST)
 def _slopes(light, corners, centres, gain, tilt, level, step, reach, out):
     """(n, 3): slope of the light of each lens beyond `tilt`, relative to its profile [1/px], and its weight [px^2]."""
     lenses, side = light.shape[0], light.shape[1]
+    per_step = 1 / step
     for lens in prange(lenses):
+        over, tilt_x, tilt_y = 1 / gain[lens], tilt[lens, 0], tilt[lens, 1]
         cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
         across = down = square = 0.0
         top, bottom = rows_within(cy, reach, 0, side)
@@ -80,11 +84,10 @@ def _slopes(light, corners, centres, gain, tilt, level, step, reach, out):
             left, right = rows_within(cx, math.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
             for x in range(left, right):
                 dx = x - cx
-                rho = math.sqrt(dx * dx + dy * dy)
-                place = rho / step
+                place = math.sqrt(dx * dx + dy * dy) * per_step
                 ring = int(place)
                 model = level[ring] + (level[ring + 1] - level[ring]) * (place - ring)
-                miss = light[lens, y, x] / gain[lens] - model * (1 + tilt[lens, 0] * dx + tilt[lens, 1] * dy)
+                miss = light[lens, y, x] * over - model * (1 + tilt_x * dx + tilt_y * dy)
                 across += miss * model * dx
                 down += miss * model * dy
                 square += 0.5 * model * model * (dx * dx + dy * dy)

@@ -168,36 +168,51 @@ def _peaks(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return np.column_stack([x + dx, y - n // 2 + dy]) / n, strength
 
 
-def _snap(
+def _reduced(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(m, 2, 2) shortest bases of the lattices that pairs span, the shorter vector first (Lagrange-Gauss reduction)."""
+    a, b = pairs[:, 0], pairs[:, 1]
+    while True:
+        swap = ((a * a).sum(1) > (b * b).sum(1))[:, None]
+        a, b = np.where(swap, b, a), np.where(swap, a, b)
+        times = np.rint((a * b).sum(1) / (a * a).sum(1))
+        if not times.any():
+            return np.stack([a, b], axis=1)
+        b = b - times[:, None] * a
+
+
+def _snapped(
     reciprocal: NDArray[np.float64], peaks: NDArray[np.float64], strength: NDArray[np.float64], size: int
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Least-squares reciprocal basis through all peaks that lie on its nodes, and which peaks those are."""
-    on, before = np.zeros(len(peaks), dtype=bool), np.zeros((0, 2))
+    """Least-squares reciprocal bases (m, 2, 2) through all peaks on their nodes, and which (m, k) peaks those are."""
+    on, before = np.zeros((len(reciprocal), len(peaks)), dtype=bool), np.full((len(reciprocal), len(peaks), 2), np.nan)
     for _ in range(4):
         index = peaks @ np.linalg.inv(reciprocal)
         node = np.rint(index)
-        on = (np.hypot(*((index - node) @ reciprocal).T) * size < _ON_NODE) & (np.abs(node).sum(1) > 0)
-        chosen = node * on[:, None]
-        if np.array_equal(chosen, before):
+        apart = (index - node) @ reciprocal
+        on = (np.hypot(apart[..., 0], apart[..., 1]) * size < _ON_NODE) & (np.abs(node).sum(-1) > 0)
+        chosen = node * on[..., None]
+        gram = chosen.transpose(0, 2, 1) @ chosen
+        # Whole numbers: nodes on one line give exactly 0.
+        turned = gram[:, 0, 0] * gram[:, 1, 1] != gram[:, 0, 1] ** 2
+        active = turned & (chosen != before).any((1, 2))
+        if not active.any():
             break
         before = chosen
-        weighted = chosen.T * strength
-        gram = chosen.T @ chosen
-        # Whole numbers: nodes on one line give exactly 0.
-        if gram[0, 0] * gram[1, 1] == gram[0, 1] ** 2:
-            break
-        reciprocal = np.linalg.solve(weighted @ chosen, weighted @ peaks)
+        few = chosen[active]
+        weighted = few.transpose(0, 2, 1) * strength
+        reciprocal = reciprocal.copy()
+        reciprocal[active] = np.linalg.solve(weighted @ few, weighted @ peaks)
     return reciprocal, on
 
 
-def _lowest_nodes(reciprocal: NDArray[np.float64], count: int) -> NDArray[np.int64]:
-    """(count, 2) indices of the nodes nearest to zero frequency, one of each opposite pair."""
+def _lowest_nodes(reciprocal: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """(m, count, 2) nodes nearest to zero frequency, one of each opposite pair, of reciprocal bases (m, 2, 2)."""
     span = np.arange(-5, 6)
     h, k = (v.ravel() for v in np.meshgrid(span, span))
     half = (h > 0) | ((h == 0) & (k > 0))
-    index = np.column_stack([h[half], k[half]])
-    order = np.argsort(np.hypot(*(index @ reciprocal).T), kind="stable")
-    return index[order[:count]]
+    nodes = np.column_stack([h[half], k[half]]) @ reciprocal
+    order = np.argsort(np.hypot(nodes[..., 0], nodes[..., 1]), axis=1, kind="stable")[:, :count]
+    return np.take_along_axis(nodes, order[..., None], axis=1)
 
 
 def candidate_bases(spectrum: Spectrum, count: int = 6) -> list[Candidate]:
@@ -212,39 +227,32 @@ def candidate_bases(spectrum: Spectrum, count: int = 6) -> list[Candidate]:
         Empty where no two independent periods stand out.
     """
     peaks, strength = _peaks(spectrum)
-    found: list[Candidate] = []
     if len(peaks) < 3:
-        return found
+        return []
     n = spectrum.size
     # Low frequencies are the likely fundamentals, strong peaks the sure ones: seeds of both kinds.
     by_period = np.argsort(np.hypot(*peaks.T), kind="stable")[:_SEEDS]
     seeds = list(dict.fromkeys([*range(min(_SEEDS, len(peaks))), *by_period.tolist()]))
-    seen: set[tuple[float, ...]] = set()
-    for a, b in combinations(seeds, 2):
-        pair = peaks[[a, b]]
-        if abs(np.linalg.det(pair)) < 0.2 * np.hypot(*pair[0]) * np.hypot(*pair[1]):
-            continue
-        reciprocal = reduce_basis(pair)
-        lengths = np.hypot(*reciprocal.T)
-        if lengths.min() * n < _FEWEST_PERIODS * 0.9 or lengths.max() > 1 / (_SHORTEST_PERIOD * np.sqrt(0.75)):
-            continue
-        key = tuple(np.round(reciprocal.ravel() * n * 0.7))
-        if key in seen:
-            continue
-        seen.add(key)
-        reciprocal, on = _snap(reciprocal, peaks, strength, n)
-        if on.sum() < 3 or abs(np.linalg.det(reciprocal)) < 1e-9:
-            continue
-        chance = min(0.9, np.pi * (_ON_NODE / n) ** 2 / abs(np.linalg.det(reciprocal)))
-        covered = max(0.0, ((strength[on] ** 2).sum() / (strength**2).sum() - chance) / (1 - chance))
-        nodes = _lowest_nodes(reciprocal, _NODES) @ reciprocal
-        nodes = nodes[np.abs(nodes).max(1) < 0.45]
-        occupied = float((spectrum.at(nodes) > _OCCUPIED).mean()) if len(nodes) >= 3 else 0.0
-        basis = reduce_basis(np.linalg.inv(reciprocal).T) * spectrum.reduction
-        found.append(Candidate(basis, float(covered * occupied)))
-    found.sort(key=lambda c: -c.support)
+    pairs = peaks[np.array(list(combinations(seeds, 2)))]
+    lengths = np.hypot(pairs[..., 0], pairs[..., 1])
+    reciprocal = _reduced(pairs[np.abs(np.linalg.det(pairs)) >= 0.2 * lengths[:, 0] * lengths[:, 1]])
+    lengths = np.hypot(reciprocal[..., 0], reciprocal[..., 1])
+    fit = (lengths.min(1) * n >= _FEWEST_PERIODS * 0.9) & (lengths.max(1) <= 1 / (_SHORTEST_PERIOD * np.sqrt(0.75)))
+    reciprocal, on = _snapped(reciprocal[fit], peaks, strength, n)
+    area = np.abs(np.linalg.det(reciprocal))
+    sure = (on.sum(1) >= 3) & (area >= 1e-9)
+    reciprocal, on, area = reciprocal[sure], on[sure], area[sure]
+    chance = np.minimum(0.9, np.pi * (_ON_NODE / n) ** 2 / area)
+    covered = np.maximum(0.0, (on @ strength**2 / (strength**2).sum() - chance) / (1 - chance))
+    nodes = _lowest_nodes(reciprocal, _NODES)
+    near = np.abs(nodes).max(2) < 0.45
+    occupied = (spectrum.at(nodes.reshape(-1, 2)) > _OCCUPIED).reshape(near.shape) & near
+    support = np.where(near.sum(1) >= 3, covered * occupied.sum(1) / np.maximum(near.sum(1), 1), 0.0)
     distinct: list[Candidate] = []
-    for candidate in found:
-        if all(np.abs(candidate.basis - other.basis).max() > 0.02 * np.abs(other.basis).max() for other in distinct):
-            distinct.append(candidate)
-    return distinct[:count]
+    for best in np.argsort(-support, kind="stable").tolist():
+        basis = reduce_basis(np.linalg.inv(reciprocal[best]).T) * spectrum.reduction
+        if all(np.abs(basis - other.basis).max() > 0.02 * np.abs(other.basis).max() for other in distinct):
+            distinct.append(Candidate(basis, float(support[best])))
+        if len(distinct) == count:
+            break
+    return distinct

@@ -100,6 +100,15 @@ def find_lens_types(picture: NDArray[np.float32] | Parts, lattice: Lattice, whit
     return LensTypes(types.astype(np.int8), order.known, order.focus[order.sequence], 1 - 1 / float(strength.max()))
 
 
+def _waves(indices: NDArray[np.int64], vectors: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """(n, v) `exp(-2 pi i * index @ vector)`: of far fewer different indices than lenses along each axis."""
+    waves: NDArray[np.complex128] = np.ones((len(indices), len(vectors)), np.complex128)
+    for axis in range(2):
+        own, where = np.unique(indices[:, axis], return_inverse=True)
+        waves *= np.exp(-2j * np.pi * np.outer(own, vectors[:, axis])).take(where, 0)
+    return waves
+
+
 @dataclass(frozen=True)
 class _Evidence:
     """Power of patterns in several measures of the lenses of a sample.
@@ -134,8 +143,7 @@ class _Evidence:
     def of(cls, sample: LensSample, features: LensFeatures, disparity: NDArray[np.float64], white: bool) -> _Evidence:
         lattice = sample.lattice
         vectors = np.vstack([_VECTORS, _other_patterns(lattice)])
-        phases = np.einsum("nk,vk->nv", sample.inner, vectors)
-        waves = np.exp(-2j * np.pi * phases) / _gain(vectors, lattice)
+        waves = _waves(sample.inner, vectors) / _gain(vectors, lattice)
         beats = _beats(_VECTORS, lattice, 1.0, _IN_STEP)
         # Two colours of a mosaic, or pixels that fall on edges in two ways, look like two types.
         regular = np.any([_beats(_VECTORS, lattice, step, 2.0) for step in (1.0, 0.5)], axis=0)

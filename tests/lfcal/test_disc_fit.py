@@ -84,8 +84,8 @@ def test_film_scanned_with_a_general_distortion_is_followed(drawn):
 
 
 def test_even_inside_of_a_large_microimage_is_seen_in_one_pixel_of_sixteen(drawn):
+    from lfcal.disc_lenses import open_lenses
     from lfcal.disc_model import disc_steps
-    from lfcal.disc_newton import open_lenses
     from lfcal.disc_parameters import DiscModel
     from lfcal.features import tone
     from lfcal.parts import Parts
