@@ -50,7 +50,7 @@ def _read(line, at, across, down, w00, w01, w10, w11):
     )
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, parallel=True)
 def draw_rows(
     flat, marks, seen, gains, lights, light_step, origin, inverse, basis, bend, low, offsets, steps, types, shares,
     radius, pitch,

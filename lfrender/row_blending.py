@@ -257,7 +257,7 @@ def _wanted_before(wanted, v, section, count, before):
         before[k + 1] = before[k] + (wanted.size == 0 or wanted[v, section + k])
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def blend_rows(
     flat, marks, seen, edged, gains, lights, light_step, centres, kinds, shares, radius, pitch, surface, grid_x, grid_y,
     cell, edge, scale, first, spacing, reach, tolerance, corner, size, start, wanted, half, top, out, valid, left,
