@@ -31,10 +31,11 @@ _MORE_THAN_ALL = 1.1
 _LEAST_SIGNAL = 0.1
 # Lenses that explain this much of their texture confirm others, so many of them together.
 _WELL, _CONFIRMING = 0.25, 2
-# Where noise leaves at least the first share of the contrast squared to explain, most lenses of a scene explain more
-# than the second: of captures and ray-traced scenes 0.58 and more, of textures that repeat beyond reach 0.3 to 0.75.
-# Where all lenses see nearly the same, planes explain more than the third, those that repeat less.
-_CLEAR, _MOSTLY, _NEARLY = 0.8, 0.5, 0.8
+# Where noise leaves so much of the contrast squared to explain, most lenses of a scene explain more than the second
+# share of it: of captures and ray-traced scenes 0.58 and more, of textures that repeat beyond reach 0.3 to 0.75.
+_CLEAR, _MOSTLY = 0.8, 0.55
+# Where all lenses see nearly the same, planes explain 0.85 and more, and textures that repeat less than this.
+_CLEAR_ALIKE, _MOSTLY_ALIKE = 0.5, 0.8
 # Lenses that could not be measured on their pixels: less than even.
 _UNMEASURED = 0.4
 
@@ -99,8 +100,8 @@ def unexplained(explained: NDArray, signal: NDArray, resolved: NDArray[np.bool_]
     alike : bool
         All lenses see nearly the same.
     """
-    clear = resolved & (signal >= _CLEAR)
-    least = _NEARLY if alike else _MOSTLY
+    enough, least = (_CLEAR_ALIKE, _MOSTLY_ALIKE) if alike else (_CLEAR, _MOSTLY)
+    clear = resolved & (signal >= enough)
     return bool(2 * clear.sum() >= max(resolved.sum(), 1) and np.median(explained[clear]) < least)
 
 

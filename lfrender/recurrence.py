@@ -43,6 +43,8 @@ _AGAIN = ((20.0, 0.5, 0.45), (8.0, 0.65, 0.6), (3.0, 0.75, 0.7))
 _PERHAPS = ((20.0, 0.5, 0.4), (8.0, 0.5, 0.45), (3.0, 0.5, 0.3))
 # Lags with a larger cosine between them are one direction.
 _ALONG = 0.87
+# Lenses that see less than so many microimages' worth of it together all see nearly the same.
+_ALIKE = 8.0
 # Parts of the scene along each side of the flat, at most; fewer lenses tell nothing.
 _PARTS, _FEWEST = 3, 8
 
@@ -168,12 +170,12 @@ def recurring(
 
 
 def hardly_seen(gray: GrayFlat, sizes: NDArray, resolved: NDArray[np.bool_]) -> bool:
-    """Whether all lenses together see so little more of the scene than one that nobody can tell if it repeats."""
+    """Whether all lenses together see so little more of the scene than one that it hardly shows if it repeats."""
     if not resolved.any():
         return False
     size = float(np.median(np.abs(sizes[resolved])))
     across = np.ptp(gray.centres[resolved], axis=0) * size / gray.pitch**2 + 1
-    return bool(across.prod() < _AGAIN[-1][0])
+    return bool(across.prod() < _ALIKE)
 
 
 def _evenly(side: int, reach: float) -> NDArray[np.float64]:
