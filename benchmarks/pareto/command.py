@@ -26,7 +26,6 @@ _ERRORS = {
     "calibration": ("centre RMS px", False),
     "analysis": ("s median px", False),
     "rendering": ("PSNR dB", True),
-    "peers": ("centre RMS px", False),
 }
 
 
@@ -87,8 +86,6 @@ def _plot(folder: Path, rows: list[Row]) -> None:
             figures = np.array([(row.remaps, row.errors.get(error, np.nan)) for row in found])
             if np.isfinite(figures).all():
                 points[method] = np.exp(np.log(figures[:, 0]).mean()), figures[:, 1].mean()
-        if not points:
-            continue
         figure = Figure(figsize=(7, 4.5), layout="constrained")
         axes = figure.subplots()
         for method, (x, y) in points.items():

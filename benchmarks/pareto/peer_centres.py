@@ -55,7 +55,8 @@ def _plenpy(white: Any, pitch: float) -> Any:
         try:
             import_module(name)
         except ImportError:
-            sys.modules[name] = MagicMock()
+            # SciPy asks of what it is given whether it is one of its tensors.
+            sys.modules[name] = MagicMock(Tensor=type("Tensor", (), {}))
     base = import_module("plenpy.cameras.abstract_lightfield_camera").AbstractLightFieldCamera
     kind = type("Camera", (base,), {name: lambda *_: None for name in base.__abstractmethods__})
     camera: Any = object.__new__(kind)

@@ -119,7 +119,7 @@ def _remap_time(size: tuple[int, int]) -> float:
     """CPU time [s] of `cv2.remap` of a grey image of 8 bits onto a grid of its own size, the least of several."""
     x, y = np.meshgrid(np.arange(size[0], dtype=np.float32), np.arange(size[1], dtype=np.float32))
     image, least = np.zeros(size[::-1], np.uint8), np.inf
-    for _ in range(5):
+    for _ in range(20):
         start = time.process_time()
         cv2.remap(image, x + 0.3, y + 0.3, cv2.INTER_LINEAR)
         least = min(least, time.process_time() - start)
