@@ -25,7 +25,7 @@ _REACH, _LONGEST = 2.0, 1.2
 # Share of the radius within which microimages are free of rims that nobody corrects.
 _INNER = 0.9
 # Lenses this far apart on the scene, in pitches of a microimage, overlap two or three times.
-_APART = 0.35
+_APART = 0.5
 # Patch sizes within this factor are one surface, if a slanted one.
 _SURFACE = 3.0
 # So much of what is seen of the scene, and of a microimage, must be laid over itself.
@@ -45,8 +45,8 @@ _PERHAPS = ((20.0, 0.5, 0.4), (8.0, 0.5, 0.45), (3.0, 0.5, 0.3))
 _ALONG = 0.87
 # Lenses that see less than so many microimages' worth of it together all see nearly the same.
 _ALIKE = 8.0
-# Parts of the scene along each side of the flat, at most; fewer lenses tell nothing.
-_PARTS, _FEWEST = 3, 8
+# Parts of the scene along each side of what the lenses cover, at most; fewer lenses tell nothing.
+_PARTS, _FEWEST = 2, 8
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
@@ -137,7 +137,7 @@ def recurring(
 ) -> tuple[NDArray[np.bool_], bool]:
     """Lenses (n,) that see a part of the scene whose texture repeats, and whether that of most parts may.
 
-    Where half of the parts do for certain, all lenses do.
+    Where most of the parts do for certain, all lenses do.
 
     Parameters
     ----------
@@ -153,11 +153,11 @@ def recurring(
     if len(known) < _FEWEST:
         return certain, False
     centres = gray.centres
-    width, height = gray.image.shape[::-1]
+    (left, top), (right, bottom) = centres[known].min(0), centres[known].max(0)
     reach = _REACH * gray.pitch**2 / float(np.median(np.abs(sizes[known])))
     verdicts = []
-    for v in _evenly(height, reach):
-        for u in _evenly(width, reach):
+    for v in _evenly(top, bottom, reach):
+        for u in _evenly(left, right, reach):
             middle = known[((centres[known] - np.array([u, v], np.float32)) ** 2).sum(1).argmin()]
             extent = (_REACH + 0.5) * gray.pitch**2 / abs(float(sizes[middle]))
             factor = sizes[known] / sizes[middle]
@@ -165,7 +165,7 @@ def recurring(
             lenses = known[near & (factor > 1 / _SURFACE) & (factor < _SURFACE)]
             verdicts.append(_part_repeats(gray, indices, sizes, lenses, int(middle)))
             certain[lenses] |= verdicts[-1][0]
-    most = np.mean(verdicts, axis=0) >= 0.5
+    most = np.mean(verdicts, axis=0) > 0.5
     return certain | (resolved & most[0]), bool(most[1])
 
 
@@ -178,10 +178,10 @@ def hardly_seen(gray: GrayFlat, sizes: NDArray, resolved: NDArray[np.bool_]) -> 
     return bool(across.prod() < _ALIKE)
 
 
-def _evenly(side: int, reach: float) -> NDArray[np.float64]:
-    """Middles of parts of this half side along a side of the flat [px], the outer ones as far from its ends."""
-    count = int(np.clip(side / (2 * reach), 1, _PARTS))
-    return (np.arange(count) + 0.5) * side / count
+def _evenly(first: float, last: float, reach: float) -> NDArray[np.float64]:
+    """Middles of parts of this half side between two places [px], the outer ones as far from these."""
+    count = int(np.clip((last - first) / (2 * reach), 1, _PARTS))
+    return first + (np.arange(count) + 0.5) * (last - first) / count
 
 
 def _part_repeats(
