@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -22,6 +23,7 @@ _SHAPES = {"hexagonal": ((1.0, 0.0), (0.5, np.sqrt(0.75))), "square": ((1.0, 0.0
 @njit(cache=True, nogil=True, parallel=True)
 def _draw(height, width, origin, basis, inverse, middle, reach, k1, radius, soft, gap, inner, outer, cut, ratio, light):
     n = _SUBPIXELS
+    dark = radius + 0.5 * soft
     for y in prange(height):
         for x in range(width):
             total = 0.0
@@ -30,7 +32,7 @@ def _draw(height, width, origin, basis, inverse, middle, reach, k1, radius, soft
                 py = y + (sub // n + 0.5) / n - 0.5
                 # Undistorted place, by two fixed-point steps: good to far below a lens.
                 ux, uy = px - middle[0], py - middle[1]
-                for _ in range(2):
+                for _ in range(2 if k1 != 0 else 0):
                     stretch = 1 + k1 * (ux * ux + uy * uy) / (reach * reach)
                     ux, uy = (px - middle[0]) / stretch, (py - middle[1]) / stretch
                 wx, wy = ux + middle[0] - origin[0], uy + middle[1] - origin[1]
@@ -44,6 +46,8 @@ def _draw(height, width, origin, basis, inverse, middle, reach, k1, radius, soft
                     stretch = 1 + k1 * (mx * mx + my * my) / (reach * reach)
                     mx, my = mx * stretch, my * stretch
                     dx, dy = px - middle[0] - mx, py - middle[1] - my
+                    if dx * dx + dy * dy >= dark * dark:
+                        continue
                     r = np.sqrt(dx * dx + dy * dy)
                     disc = min(max((radius - r) / soft + 0.5, 0.0), 1.0)
                     if cut != 0 and disc > 0:
@@ -156,13 +160,13 @@ class WhiteImage:
         )  # fmt: skip
         return drawn
 
-    @property
+    @cached_property
     def noise(self) -> float:
         """Standard deviation of the noise, with 1 the light in an unshaded disc."""
         return float(np.sqrt((replace(self, size=(400, 300)).light() ** 2).mean()) * 10 ** (-self.decibels / 20))
 
-    def image(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """(h, w) the white image."""
+    def image(self, exposure: float = 1.0, kind: str = "") -> NDArray[Any]:
+        """(h, w) the white image, with the light times `exposure`: uint8 or uint16, or of `kind` u1, u2 or f4."""
         rng = np.random.default_rng(self.seed + 1)
         light = self.light()
         height, width = light.shape
@@ -172,9 +176,13 @@ class WhiteImage:
             box = np.s_[max(0, int(cy - 5 * r)) : int(cy + 5 * r), max(0, int(cx - 5 * r)) : int(cx + 5 * r)]
             light[box] *= 1 - 0.6 * np.exp(-((x[box] - cx) ** 2 + (y[box] - cy) ** 2) / (2 * r * r))
         light += self.noise * rng.standard_normal(light.shape)
-        light[rng.integers(0, height, self.hot), rng.integers(0, width, self.hot)] = 1.25
-        full = 2**self.bits - 1
-        return np.rint(np.clip(0.8 * light, 0, 1) * full).astype(np.uint8 if self.bits == 8 else np.uint16)
+        light *= 0.8 * exposure
+        light[rng.integers(0, height, self.hot), rng.integers(0, width, self.hot)] = 1.0
+        light = np.clip(light, 0, 1)
+        if kind == "f4":
+            return light.astype(np.float32)
+        pixel = np.dtype(kind or f"u{self.bits // 8}")
+        return np.rint(light * np.iinfo(pixel).max).astype(pixel)
 
     def bound(self) -> float:
         """Cramer-Rao bound: least RMS error [px] of a centre over the field, for six unknown lattice parameters.

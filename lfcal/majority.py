@@ -90,8 +90,12 @@ def _weighted(design, step, weight, basis, ratio, change):
         # Lenses in one line say nothing across it.
         ii, jj = ii * (1 + 1e-12) + 1e-300, jj * (1 + 1e-12) + 1e-300
         determinant = ii * jj - ij * ij
-        change[1, 0], change[1, 1] = (jj * ix - ij * jx) / determinant, (jj * iy - ij * jy) / determinant
-        change[2, 0], change[2, 1] = (ii * jx - ij * ix) / determinant, (ii * jy - ij * iy) / determinant
+        if determinant > 0:
+            change[1, 0], change[1, 1] = (jj * ix - ij * jx) / determinant, (jj * iy - ij * jy) / determinant
+            change[2, 0], change[2, 1] = (ii * jx - ij * ix) / determinant, (ii * jy - ij * iy) / determinant
+        else:
+            # A single lens, or several without weight, say nothing of the basis: such products underflow.
+            change[1:] = 0.0
     else:
         # A regular lattice is one complex number a1 beside its origin: c = origin + (i + j * ratio) * a1.
         r, s = ratio

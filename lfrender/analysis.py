@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration, Lattice
 
 from .blankness import skipped_lenses
-from .certainty import misled, signal_share
+from .certainty import misled, signal_share, unexplained
 from .consensus import measure
 from .depthmap import DepthMap
 from .flatcheck import check_flat
@@ -32,6 +32,7 @@ from .modes import fill
 from .neighbours import grown, lens_halves
 from .plane import TEXTURED, Plane, fit_plane, strays
 from .radiance import GrayFlat, gray_flat, shrunk
+from .recurrence import hardly_seen, recurring
 from .region import check_region, embed, embed_textured, lenses_in, part_of, rows_of, scaled
 from .remainder import remainder_depths
 from .search import PRESETS, Found, Matcher, search
@@ -166,7 +167,7 @@ def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
         texture = untouched_texture(gray, plain, raw_noise)
         found = find_plane(texture, lattice, *lens_halves(lattice), PRESETS[preset])
         if found is not None:
-            return _level(found, lattice, preset)
+            return _level(found, gray, lattice, preset)
     if not shortcuts.blank:
         return lens_by_lens(gray, lattice, preset, shortcuts, plain, None)[0]
     blank = skipped_lenses(gray, lattice, plain, PRESETS[preset], raw_noise)
@@ -182,12 +183,14 @@ def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
     return lens_by_lens(gray, lattice, preset, shortcuts, plain, (blank, np.inf))[0]
 
 
-def _level(found: PlaneScene, lattice: Lattice, preset: str) -> DepthMap:
+def _level(found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str) -> DepthMap:
     """One plane for all lenses that show it."""
     shown = found.evidence >= LEAST_EVIDENCE
-    return on_one_plane(
-        found.plane, lattice, preset, np.where(shown, 0, 1), found.confidence * shown, {"plane": 1 - found.sampled}
-    )
+    sizes = found.plane.at(lattice.centres())
+    again, perhaps = recurring(gray, lattice.indices(), sizes, shown)
+    sure = found.confidence * (SURE if perhaps else 1.0)
+    reason = np.where(shown, np.where(again, 2, 0), 1)
+    return on_one_plane(found.plane, lattice, preset, reason, sure * shown, {"plane": 1 - found.sampled})
 
 
 def on_one_plane(
@@ -289,6 +292,11 @@ def lens_by_lens(
     signal = signal_share(texture)
     astray = misled(error, found.explained / signal)
     reason, error, sure = judged(textured, found, refined, error, signal, neighbours, lattice.pitch)
+    again, perhaps = recurring(texture.flat, lattice.indices(), refined, reason == 0)
+    little = hardly_seen(texture.flat, refined, reason == 0)
+    perhaps = perhaps or unexplained(found.explained / signal, signal, reason == 0, little)
+    reason[again] = 2
+    sure = SURE * sure if perhaps else sure
     if kept is not None and before is not None:
         refined, error, sure, reason = (
             np.where(kept, earlier, new)

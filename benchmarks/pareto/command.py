@@ -7,8 +7,10 @@ import csv
 import json
 import platform
 import subprocess
+import sys
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,11 @@ __all__ = ["about", "main", "write"]
 
 _PACKAGES = ("lfrender", "numpy", "scipy", "numba", "opencv-contrib-python-headless", "plenopticam", "plenpy")
 # What is plotted against time, and whether more of it is better.
-_ERRORS = {"calibration": ("centre RMS px", False), "analysis": ("s median px", False), "rendering": ("PSNR dB", True)}
+_ERRORS = {
+    "calibration": ("centre RMS px", False),
+    "analysis": ("s median px", False),
+    "rendering": ("PSNR dB", True),
+}
 
 
 def about() -> dict[str, Any]:
@@ -105,6 +111,9 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--full", action="store_true", help="scenes of a megapixel, with three lens types as well")
     parser.add_argument("--quick", action="store_true", help="small scenes (the default)")
     parser.add_argument("--truth", type=Path, help="folder of ray-traced flats to measure on as well")
+    parser.add_argument(
+        "--peers", default=sys.executable, metavar="PYTHON", help="that may have plenopticam and plenpy"
+    )
     parser.add_argument("--runs", type=int, default=2, help="repetitions of each measurement")
     parser.add_argument("-o", "--output", type=Path, default=Path("benchmark-results"), help="folder to write to")
     options = parser.parse_args(arguments)
@@ -112,19 +121,20 @@ def main(arguments: list[str]) -> None:
     import numba
 
     from .cases import of_folder, simulated
+    from .peers import measure_peers
 
     numba.set_num_threads(1)
     cv2.setNumThreads(1)
-    cases = [simulated(options.full)] + ([of_folder(options.truth)] if options.truth else [])
+    cases = chain(simulated(options.full), of_folder(options.truth) if options.truth else ())
     rows = []
-    for several in cases:
-        for case in several:
-            for row in measure(case, options.runs):
-                rows.append(row)
-                figures = ", ".join(f"{name} {value:.4g}" for name, value in row.errors.items()) or row.note
-                print(
-                    f"{row.stage:12}{row.method:34}{row.case:18}{row.seconds_per_megapixel:8.3f} s/Mpx"
-                    f"{row.remaps:9.1f} remaps  {figures}",
-                    flush=True,
-                )
+    for row in chain(chain.from_iterable(measure(case, options.runs) for case in cases), measure_peers(options.peers)):
+        rows.append(row)
+        figures = ", ".join(f"{name} {value:.4g}" for name, value in row.errors.items()) or row.note
+        print(
+            f"{row.stage:12}{row.method:34}{row.case:18}{row.seconds_per_megapixel:8.3f} s/Mpx"
+            f"{row.remaps:9.1f} remaps  {figures}",
+            flush=True,
+        )
+    if not any(row.stage == "peers" for row in rows):
+        print(f"neither plenopticam nor plenpy is installed for {options.peers}: not measured")
     write(options.output, rows)

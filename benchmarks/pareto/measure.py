@@ -28,7 +28,7 @@ class Row:
 
     Parameters
     ----------
-    stage : {"calibration", "analysis", "rendering"}
+    stage : {"calibration", "analysis", "rendering", "peers"}
     method, case : str
     seconds_per_megapixel : float
         CPU time of one thread per megapixel of the flat, the least of several runs.

@@ -14,7 +14,7 @@ import lfcal
 import lfrender
 
 from ..white_images import WhiteImage
-from .plane_flats import PlaneFlat, quantised
+from .plane_flats import PlaneFlat
 
 __all__ = [
     "SURE",
@@ -111,13 +111,7 @@ def _of_camera(camera: lfcal.Calibration, error: float, pitch: float) -> Outcome
 
 def calibrate_white(truth: WhiteImage, exposure: float = 1.0, kind: str = "", harm: Harm | None = None) -> Outcome:
     """Calibrate on a white image, with its light times `exposure`; clipped where that exceeds white."""
-    image = truth.image()
-    if exposure != 1.0 or kind:
-        light = truth.light()
-        light += truth.noise * np.random.default_rng(truth.seed + 1).standard_normal(light.shape)
-        image = quantised(0.8 * exposure * light, "u1" if (kind or f"u{truth.bits // 8}") == "u1" else "u2")
-        if kind == "f4":
-            image = quantised(0.8 * exposure * light, "f4")
+    image = truth.image(exposure, kind)
     try:
         camera = lfcal.calibrate(image if harm is None else harm(image))
     except lfcal.LightFieldError as refusal:

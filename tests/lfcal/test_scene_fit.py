@@ -14,6 +14,7 @@ import lfcal
 from lfcal.distortion import Distortion
 from lfcal.features import breaks, level_locally, tone
 from lfcal.lattice import Lattice
+from lfcal.majority import Steps, agreed
 from lfcal.scene_fit import fit_scene
 
 
@@ -187,3 +188,14 @@ def test_lenses_that_a_step_moves_over_the_edge_of_the_flat_say_nothing(whites):
     assert over.sum() > 10
     assert np.isinf(variance[over]).all()
     assert np.isfinite(variance[~over]).any()
+
+
+def test_one_lens_far_surer_than_all_others_moves_the_lattice_and_leaves_its_basis():
+    """As on a photograph of one clear spot; sums of squares about a single place underflow."""
+    i, j = np.arange(12) % 4, np.arange(12) // 4
+    step = np.random.default_rng(1).normal(size=(12, 2))
+    variance = np.where(i + j == 0, 1e-60, 1e60)
+    steps = Steps(np.column_stack([np.ones(12), i, j]), step, variance, 20 * np.eye(2))
+    change, weight = agreed(steps)
+    np.testing.assert_allclose(change, [step[0], [0, 0], [0, 0]], atol=1e-12)
+    assert (weight[1:] == 0).all() and weight[0] > 0

@@ -1,0 +1,210 @@
+"""Textures that repeat: what lenses see of the scene is seen again so near that other depths explain it as well.
+
+At any of these depths neighbouring microimages match, those beyond reach among them, so that the shifts that can be
+matched do not tell of all. The scene itself does: drawn from its lenses, a part of it is laid over itself.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import fft
+from scipy.ndimage import label
+
+from .fastmath import FAST
+from .radiance import GrayFlat
+
+__all__ = ["autocorrelation", "hardly_seen", "recurring", "repeats"]
+
+# Pixels of the scene over one pitch of a microimage, at most: periods of a quarter of it keep their shape.
+_FINE = 18.0
+# Half the side of a part of the scene, and the longest lag, in pitches of a microimage: depths are as far apart as a
+# period is long, and beyond these none is left.
+_REACH, _LONGEST = 2.0, 1.2
+# Share of the radius within which microimages are free of rims that nobody corrects.
+_INNER = 0.9
+# Lenses this far apart on the scene, in pitches of a microimage, overlap two or three times.
+_APART = 0.5
+# Patch sizes within this factor are one surface, if a slanted one.
+_SURFACE = 3.0
+# So much of what is seen of the scene, and of a microimage, must be laid over itself.
+_SHARE, _LAID = 0.2, 0.25
+# Of this share of the weight of a pixel and more, a place counts as seen.
+_SEEN = 0.25
+# Variance where two parts lie over each other, as a share of that of all: flat places match anything.
+_CONTRAST = 0.1
+# Correlation below which a texture has ended.
+_ENDED = 0.3
+# Correlation at which a texture comes again, in one direction and in another, where at least so many microimages'
+# worth of the scene is seen: the more there is of it, the less of it repeats by chance. Where neighbours see a wave at
+# depths that are not quite its own, it comes again less clearly: as from the second numbers on, it may repeat.
+_AGAIN = ((20.0, 0.5, 0.45), (8.0, 0.65, 0.6), (3.0, 0.75, 0.7))
+_PERHAPS = ((20.0, 0.5, 0.4), (8.0, 0.5, 0.45), (3.0, 0.5, 0.3))
+# Lags with a larger cosine between them are one direction.
+_ALONG = 0.87
+# Lenses that see less than so many microimages' worth of it together all see nearly the same.
+_ALIKE = 8.0
+# Parts of the scene along each side of what the lenses cover, at most; fewer lenses tell nothing.
+_PARTS, _FEWEST = 2, 8
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _lay_out(image, centres, sizes, lenses, middle, own, pitch, radius, stride, zoom, light, weight):
+    side = light.shape[0]
+    half = (side - 1) / 2
+    height, width = image.shape
+    for lens in lenses:
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        ratio = own / sizes[lens]
+        px, py = (cx - middle[0]) * own / pitch, (cy - middle[1]) * own / pitch
+        for y in range(max(0, int(np.ceil(cy - radius))), min(height, int(cy + radius) + 1), stride):
+            for x in range(max(0, int(np.ceil(cx - radius))), min(width, int(cx + radius) + 1), stride):
+                dx, dy = x - cx, y - cy
+                if dx * dx + dy * dy > radius * radius:
+                    continue
+                u, v = half + zoom * (px - dx * ratio), half + zoom * (py - dy * ratio)
+                i, j = int(np.floor(u)), int(np.floor(v))
+                if i < 0 or j < 0 or i >= side - 1 or j >= side - 1:
+                    continue
+                fu, fv = u - i, v - j
+                for k in range(4):
+                    share = (fu if k % 2 else 1 - fu) * (fv if k // 2 else 1 - fv)
+                    light[j + k // 2, i + k % 2] += share * image[y, x]
+                    weight[j + k // 2, i + k % 2] += share
+
+
+def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int, least: float) -> NDArray[np.float64]:
+    """(2 * reach + 1, 2 * reach + 1) correlation of a picture with itself at lags up to `reach` px, 0 in the middle.
+
+    Only what is seen in both counts.
+
+    Parameters
+    ----------
+    picture : (n, n)
+    seen : (n, n) bool
+    reach : int [px]
+    least : float
+        Lags at which fewer pixels lie over each other get -1, and so do those at which these are flat.
+    """
+    # What is carried round the border lies beyond the longest lag.
+    size = fft.next_fast_len(len(picture) + reach, real=True)
+    light = np.where(seen, picture - picture[seen].mean(), 0.0)
+    of_light, of_seen, of_square = fft.rfft2(np.stack([light, seen, light**2]), (size, size))
+    both = np.stack([of_seen, of_light, of_square, of_light]) * np.conj([of_seen, of_seen, of_seen, of_light])
+    lags = np.arange(-reach, reach + 1)
+    common, here, square, like = fft.irfft2(both, (size, size))[:, lags[:, None], lags]
+    count = np.maximum(np.rint(common), 1)
+    spread = square - here**2 / count
+    # At the opposite lag the other of both is moved.
+    limit = _CONTRAST * (light**2).sum() / seen.sum() * count
+    product = spread * spread[::-1, ::-1]
+    known = (count >= least) & (spread > limit) & (spread > limit)[::-1, ::-1]
+    covariance = like - here * here[::-1, ::-1] / count
+    return np.where(known, covariance / np.sqrt(np.where(known, product, 1)), -1)
+
+
+def repeats(correlation: NDArray[np.float64], seen: float) -> tuple[bool, bool]:
+    """Whether a texture comes again along two directions, and whether it may.
+
+    Parameters
+    ----------
+    correlation : (m, m)
+        As `autocorrelation`.
+    seen : float
+        So many microimages' worth of the scene.
+    """
+    middle = len(correlation) // 2
+    parts, _ = label(correlation > _ENDED)
+    y, x = np.mgrid[: len(correlation), : len(correlation)] - middle
+    away = np.hypot(x, y)
+    again = np.where((parts != parts[middle, middle]) & (away <= middle), correlation, -1)
+    best = again.argmax()
+    along = np.abs(x * x.flat[best] + y * y.flat[best]) > _ALONG * away * away.flat[best]
+    first, second = again.flat[best], np.where(along, -1, again).max()
+    certain, perhaps = (
+        any(seen >= least and first > one and second > other for least, one, other in limits)
+        for limits in (_AGAIN, _PERHAPS)
+    )
+    return certain, perhaps
+
+
+def recurring(
+    gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, resolved: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], bool]:
+    """Lenses (n,) that see a part of the scene whose texture repeats, and whether that of most parts may.
+
+    Where most of the parts do for certain, all lenses do.
+
+    Parameters
+    ----------
+    gray : GrayFlat
+    indices : (n, 2) int
+        Of the lenses on the lattice.
+    sizes : (n,) [px of `gray`]
+        Patch sizes; those of the resolved lenses count.
+    resolved : (n,) bool
+    """
+    certain = np.zeros(len(sizes), bool)
+    known = np.flatnonzero(resolved & (np.abs(sizes) > 0))
+    if len(known) < _FEWEST:
+        return certain, False
+    centres = gray.centres
+    (left, top), (right, bottom) = centres[known].min(0), centres[known].max(0)
+    reach = _REACH * gray.pitch**2 / float(np.median(np.abs(sizes[known])))
+    verdicts: list[tuple[bool, bool]] = []
+    places = [(u, v) for v in _evenly(top, bottom, reach) for u in _evenly(left, right, reach)]
+    # Opposite corners first: where neither is in doubt, most parts are not.
+    for u, v in places[::3] + places[1:3]:
+        if len(verdicts) == 2 and not np.any(verdicts):
+            break
+        middle = known[((centres[known] - np.array([u, v], np.float32)) ** 2).sum(1).argmin()]
+        extent = (_REACH + 0.5) * gray.pitch**2 / abs(float(sizes[middle]))
+        factor = sizes[known] / sizes[middle]
+        near = (np.abs(centres[known] - centres[middle]) < extent).all(1)
+        lenses = known[near & (factor > 1 / _SURFACE) & (factor < _SURFACE)]
+        verdicts.append(_part_repeats(gray, indices, sizes, lenses, int(middle)))
+        certain[lenses] |= verdicts[-1][0]
+    most = np.mean(verdicts, axis=0) > 0.5
+    return certain | (resolved & most[0]), bool(most[1])
+
+
+def hardly_seen(gray: GrayFlat, sizes: NDArray, resolved: NDArray[np.bool_]) -> bool:
+    """Whether all lenses together see so little more of the scene than one that it hardly shows if it repeats."""
+    if not resolved.any():
+        return False
+    size = float(np.median(np.abs(sizes[resolved])))
+    across = np.ptp(gray.centres[resolved], axis=0) * size / gray.pitch**2 + 1
+    return bool(across.prod() < _ALIKE)
+
+
+def _evenly(first: float, last: float, reach: float) -> NDArray[np.float64]:
+    """Middles of parts of this half side between two places [px], the outer ones as far from these."""
+    count = int(np.clip((last - first) / (2 * reach), 1, _PARTS))
+    return first + (np.arange(count) + 0.5) * (last - first) / count
+
+
+def _part_repeats(
+    gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, lenses: NDArray[np.int64], middle: int
+) -> tuple[bool, bool]:
+    """Whether what `lenses` see of the scene about the one in the `middle` repeats, and whether it may."""
+    pitch, own = gray.pitch, float(sizes[middle])
+    apart = max(1, int(_APART * pitch / abs(own)))
+    chosen = lenses[((indices[lenses] - indices[middle]) % apart == 0).all(1)]
+    zoom = min(1.0, _FINE / pitch)
+    side = 2 * int(np.ceil(_REACH * pitch * zoom)) + 1
+    light, weight = np.zeros((side, side)), np.zeros((side, side))
+    stride, radius = max(1, int(0.7 / zoom)), _INNER * gray.radius
+    place = gray.centres[middle].astype(float)
+    _lay_out(
+        gray.image, gray.centres, np.asarray(sizes, np.float64), chosen, place, own, pitch, radius, stride, zoom,
+        light, weight,
+    )  # fmt: skip
+    seen = weight > _SEEN / (zoom * stride) ** 2
+    area = np.pi * (radius * zoom) ** 2
+    if seen.sum() < max(1.0, _AGAIN[-1][0] * area):
+        return False, False
+    least = max(_SHARE * float(seen.sum()), _LAID * area)
+    picture = light / np.where(seen, weight, 1)
+    lags = autocorrelation(picture, seen, int(np.ceil(_LONGEST * pitch * zoom)), least)
+    return repeats(lags, float(seen.sum()) / area)
