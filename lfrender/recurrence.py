@@ -64,17 +64,23 @@ def _lay_out(image, centres, sizes, lenses, middle, own, pitch, radius, stride, 
                 if dx * dx + dy * dy > radius * radius:
                     continue
                 u, v = half + zoom * (px - dx * ratio), half + zoom * (py - dy * ratio)
-                i, j = int(np.floor(u)), int(np.floor(v))
-                if i < 0 or j < 0 or i >= side - 1 or j >= side - 1:
+                if u < 0 or v < 0 or u >= side - 1 or v >= side - 1:
                     continue
+                i, j, value = int(u), int(v), image[y, x]
                 fu, fv = u - i, v - j
-                for k in range(4):
-                    share = (fu if k % 2 else 1 - fu) * (fv if k // 2 else 1 - fv)
-                    light[j + k // 2, i + k % 2] += share * image[y, x]
-                    weight[j + k // 2, i + k % 2] += share
+                w01, w11 = fu * (1 - fv), fu * fv
+                w00, w10 = 1 - fv - w01, fv - w11
+                light[j, i] += w00 * value
+                light[j, i + 1] += w01 * value
+                light[j + 1, i] += w10 * value
+                light[j + 1, i + 1] += w11 * value
+                weight[j, i] += w00
+                weight[j, i + 1] += w01
+                weight[j + 1, i] += w10
+                weight[j + 1, i + 1] += w11
 
 
-def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int, least: float) -> NDArray[np.float64]:
+def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int, least: float) -> NDArray[np.float32]:
     """(2 * reach + 1, 2 * reach + 1) correlation of a picture with itself at lags up to `reach` px, 0 in the middle.
 
     Only what is seen in both counts.
@@ -89,8 +95,8 @@ def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int, least
     """
     # What is carried round the border lies beyond the longest lag.
     size = fft.next_fast_len(len(picture) + reach, real=True)
-    light = np.where(seen, picture - picture[seen].mean(), 0.0)
-    of_light, of_seen, of_square = fft.rfft2(np.stack([light, seen, light**2]), (size, size))
+    light = np.where(seen, picture - picture[seen].mean(), 0).astype(np.float32)
+    of_light, of_seen, of_square = fft.rfft2(np.stack([light, seen, light * light]), (size, size))
     both = np.stack([of_seen, of_light, of_square, of_light]) * np.conj([of_seen, of_seen, of_seen, of_light])
     lags = np.arange(-reach, reach + 1)
     common, here, square, like = fft.irfft2(both, (size, size))[:, lags[:, None], lags]
@@ -104,7 +110,7 @@ def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int, least
     return np.where(known, covariance / np.sqrt(np.where(known, product, 1)), -1)
 
 
-def repeats(correlation: NDArray[np.float64], seen: float) -> tuple[bool, bool]:
+def repeats(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool]:
     """Whether a texture comes again along two directions, and whether it may.
 
     Parameters

@@ -21,7 +21,7 @@ __all__ = ["check_region", "embed", "embed_textured", "lattice_of", "lenses_in",
 # Lenses this many pitches outside support those inside: as far as shading is taken to be common.
 _AROUND = 4.5
 # Parts end at multiples of so many pitches: that of the next frame is most often the same.
-_STEP = 2.0
+_STEP = 1.0
 _BLANK, _NOT_ANALYSED = 1, 4
 
 
