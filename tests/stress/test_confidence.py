@@ -158,7 +158,7 @@ def test_the_far_end_of_a_hundred_thousand_pixels_keeps_its_sub_pixels():
 
 
 def test_profiles_reach_to_the_corners_of_cells_that_have_grown():
-    from lfcal.disc_newton import open_lenses
+    from lfcal.disc_lenses import open_lenses
     from lfcal.disc_parameters import DiscModel
     from lfcal.features import tone
     from lfcal.parts import Parts
