@@ -84,14 +84,9 @@ def _moments(work, base):
     """Mean and variance of the samples of each lane."""
     ninth = np.float32(1 / 9)
     for m in range(_EIGHT):
-        p0, p1, p2, p3, p4 = (
-            work[base + _P0 + m],
-            work[base + _P1 + m],
-            work[base + _P2 + m],
-            work[base + _P3 + m],
-            work[base + _P4 + m],
-        )
-        p5, p6, p7, p8 = work[base + _P5 + m], work[base + _P6 + m], work[base + _P7 + m], work[base + _P8 + m]
+        p0, p1, p2 = work[base + _P0 + m], work[base + _P1 + m], work[base + _P2 + m]
+        p3, p4, p5 = work[base + _P3 + m], work[base + _P4 + m], work[base + _P5 + m]
+        p6, p7, p8 = work[base + _P6 + m], work[base + _P7 + m], work[base + _P8 + m]
         mean = ninth * (((p0 + p1) + (p2 + p3)) + ((p4 + p5) + (p6 + p7)) + p8)
         squares = ((p0 * p0 + p1 * p1) + (p2 * p2 + p3 * p3)) + ((p4 * p4 + p5 * p5) + (p6 * p6 + p7 * p7)) + p8 * p8
         work[base + _MEAN + m] = mean
@@ -103,28 +98,13 @@ def _compare(work, base, r, floor):
     """Mismatch of the samples of each lane with those of lane `r`."""
     ninth, half = np.float32(1 / 9), UNKNOWN * floor
     mean, variance = work[base + _MEAN + r], work[base + _VARIANCE + r] + floor
-    r0, r1, r2, r3, r4 = (
-        work[base + _P0 + r],
-        work[base + _P1 + r],
-        work[base + _P2 + r],
-        work[base + _P3 + r],
-        work[base + _P4 + r],
-    )
-    r5, r6, r7, r8 = work[base + _P5 + r], work[base + _P6 + r], work[base + _P7 + r], work[base + _P8 + r]
+    r0, r1, r2 = work[base + _P0 + r], work[base + _P1 + r], work[base + _P2 + r]
+    r3, r4, r5 = work[base + _P3 + r], work[base + _P4 + r], work[base + _P5 + r]
+    r6, r7, r8 = work[base + _P6 + r], work[base + _P7 + r], work[base + _P8 + r]
     for m in range(_EIGHT):
-        d0, d1, d2, d3 = (
-            work[base + _P0 + m] - r0,
-            work[base + _P1 + m] - r1,
-            work[base + _P2 + m] - r2,
-            work[base + _P3 + m] - r3,
-        )
-        d4, d5, d6, d7 = (
-            work[base + _P4 + m] - r4,
-            work[base + _P5 + m] - r5,
-            work[base + _P6 + m] - r6,
-            work[base + _P7 + m] - r7,
-        )
-        d8 = work[base + _P8 + m] - r8
+        d0, d1, d2 = work[base + _P0 + m] - r0, work[base + _P1 + m] - r1, work[base + _P2 + m] - r2
+        d3, d4, d5 = work[base + _P3 + m] - r3, work[base + _P4 + m] - r4, work[base + _P5 + m] - r5
+        d6, d7, d8 = work[base + _P6 + m] - r6, work[base + _P7 + m] - r7, work[base + _P8 + m] - r8
         squares = ((d0 * d0 + d1 * d1) + (d2 * d2 + d3 * d3)) + ((d4 * d4 + d5 * d5) + (d6 * d6 + d7 * d7)) + d8 * d8
         apart = mean - work[base + _MEAN + m]
         work[base + _COST + m] = (ninth * squares + half) / (work[base + _VARIANCE + m] + variance + apart * apart)

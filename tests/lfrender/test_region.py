@@ -1,0 +1,34 @@
+"""Parts of a flat that are analysed alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lfcal import Lattice
+from lfrender.radiance import GrayFlat
+from lfrender.region import part_of
+from lfrender.remembered import latest
+
+
+def test_the_next_frame_has_the_lattice_of_the_same_part_and_another_part_its_own():
+    lattice = Lattice(np.array([5.0, 6.0]), np.array([[20.0, 0.0], [10.0, 17.3]]), (400, 300), 9.0)
+    centres = lattice.centres()
+    gray = GrayFlat(np.zeros((300, 400), np.float32), centres.astype(np.float32), 9.0, 20.0)
+    left, right = centres[:, 0] < 60, centres[:, 0] > 340
+    part, sub = part_of(gray, lattice, left)
+    assert part_of(gray, lattice, left)[1] is sub
+    other, beside = part_of(gray, lattice, right)
+    assert beside is not sub
+    assert part.image.shape[::-1] == sub.image_size
+    assert other.image.shape[::-1] == beside.image_size
+    assert set(map(tuple, centres[left].round(6))) <= set(map(tuple, sub.centres().round(6)))
+
+
+def test_only_the_latest_value_of_a_name_is_kept():
+    owner, made = Lattice(np.zeros(2), np.eye(2) * 9, (50, 50), 4.0), []
+
+    def make():
+        made.append(len(made))
+        return made[-1]
+
+    assert [latest(owner, "part", key, make) for key in ("a", "a", "b", "b", "a")] == [0, 0, 1, 1, 2]
