@@ -11,31 +11,18 @@ from numpy.typing import NDArray
 from lfcal import Calibration, Lattice
 
 from .blankness import skipped_lenses
-from .certainty import misled, signal_share, unexplained
-from .consensus import measure
 from .depthmap import DepthMap
 from .flatcheck import check_flat
-from .judgement import (
-    AGREED,
-    LEAST_EVIDENCE,
-    RESOLVABLE,
-    SHADED_REACH,
-    SURE,
-    credible,
-    judged,
-    moving,
-    populated,
-    possible,
-    shaded,
-)  # fmt: skip
+from .judgement import AGREED, LEAST_EVIDENCE, RESOLVABLE, SHADED_REACH, SURE, populated
+from .lens_answers import UNTOLD, Answers, Earlier, Lenses, ask
 from .modes import fill
-from .neighbours import grown, lens_halves
+from .neighbours import grown, lens_halves, nearest_of
 from .plane import TEXTURED, Plane, fit_plane, strays
 from .radiance import GrayFlat, gray_flat, shrunk
-from .recurrence import hardly_seen, recurring
-from .region import check_region, embed, embed_textured, lenses_in, part_of, rows_of, scaled
+from .recurrence import recurring
+from .region import check_region, embed, lenses_in, part_of, scaled
 from .remainder import remainder_depths
-from .search import PRESETS, Found, Matcher, search
+from .search import PRESETS, Found, Preset
 from .single_plane import PlaneScene, find_plane
 from .skipping import Shortcuts, sample_lenses
 from .spreading import grid_shape, spread
@@ -73,16 +60,13 @@ class Overview:
     raw_noise: float
 
 
-# A scene without any texture is drawn at this s / D: from the middle of the microimages. Its sign makes no difference.
-_UNTOLD = 0.25
 # Rows of a plane's surface that are found at once.
 _STRIP = 64
 # So many lenses, evenly spread, tell which depths occur; where few carry texture, this share of them, but not fewer
 # than the last number.
 _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 150, 1 / 16, 24
-# Where less than this share of the lenses carry texture, and a box about them holds less than the second, the rest of
-# the flat is cut off.
-_FEW, _PART = 0.5, 0.7
+# Where less than this share of the lenses are asked, the others are left out of all that is done with them.
+_FEW = 0.5
 # Fewer clear lenses than this do not tell it for the others.
 _FEWEST_CLEAR = 60
 
@@ -168,19 +152,8 @@ def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
         found = find_plane(texture, lattice, *lens_halves(lattice), PRESETS[preset])
         if found is not None:
             return _level(found, gray, lattice, preset)
-    if not shortcuts.blank:
-        return lens_by_lens(gray, lattice, preset, shortcuts, plain, None)[0]
-    blank = skipped_lenses(gray, lattice, plain, PRESETS[preset], raw_noise)
-    if blank is None:
-        return lens_by_lens(gray, lattice, preset, shortcuts, plain, None)[0]
-    if 0 < np.sum(~blank) < _FEW * len(blank):
-        part, sub = part_of(gray, lattice, ~blank)
-        if len(sub) < _PART * len(lattice):
-            rows = rows_of(sub, lattice)
-            depth, _ = lens_by_lens(part, sub, preset, shortcuts, plain.of(rows), (blank[rows], raw_noise))
-            left = (1 - depth.saved["blank"]) * len(sub) / len(lattice)
-            return embed_textured(depth, sub, lattice, {**depth.saved, "blank": 1 - left})
-    return lens_by_lens(gray, lattice, preset, shortcuts, plain, (blank, np.inf))[0]
+    blank = skipped_lenses(gray, lattice, plain, PRESETS[preset], raw_noise) if shortcuts.blank else None
+    return lens_by_lens(gray, lattice, preset, shortcuts, plain, blank)[0]
 
 
 def _level(found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str) -> DepthMap:
@@ -249,7 +222,7 @@ def lens_by_lens(
     preset: str,
     shortcuts: Shortcuts,
     plain: LensStatistics,
-    blank: tuple[NDArray[np.bool_], float] | None,
+    blank: NDArray[np.bool_] | None,
     kept: NDArray[np.bool_] | None = None,
     before: DepthMap | None = None,
     overview: Overview | None = None,
@@ -262,111 +235,130 @@ def lens_by_lens(
     setting = PRESETS[preset]
     forward, backward = lens_halves(lattice)
     neighbours = np.hstack([forward, backward])
-    near = np.ones(len(lattice), bool)
-    known = None
+    near, earlier = np.ones(len(lattice), bool), None
     if kept is not None and before is not None:
         # Lenses beside those with a new answer support them, and so do those beside these.
-        near = grown(grown(~kept, neighbours), neighbours)
-        known = np.where(near, np.nan, before.drawn).astype(np.float32)
+        near, earlier = grown(grown(~kept, neighbours), neighbours), Earlier.by(before, kept)
     noise = None if overview is None else overview.noise
     texture = find_texture(gray, lattice, plain, blank, grown(near, neighbours), noise)
     some = texture.clear | texture.faint
     active = near if blank is None else near & some
-    clear = texture.clear & active
-    # A few clear lenses say nothing about the depths of all the faint ones.
-    sample = None
-    if shortcuts.ranges and overview is None and clear.sum() >= _FEWEST_CLEAR:
-        sample = sample_lenses(lattice, clear, int(np.clip(clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)))
+    sample = _telling(lattice, texture.clear & active) if shortcuts.ranges and overview is None else None
     sizes = overview.sizes if overview is not None and shortcuts.ranges and len(overview.sizes) else None
-    found = search(Matcher(texture, forward, backward, setting), active, texture.clear, sample, known, sizes)
-    doubtful = texture.faint | shaded(texture.clear & near, found, texture.statistics.contrast, lattice.pitch)
-    textured = near & ((texture.clear & ~doubtful) | (doubtful & credible(found, lattice.pitch)))
-    scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
-    maybe = near & doubtful & ~textured & possible(found)
-    first = np.where(textured | maybe, found.patch_size, np.nan).astype(np.float32)
-    lenses = measure(texture.flat, forward, backward, first, scale, texture.noise, setting.iterations)
-    measured = np.isfinite(lenses.patch_size)
-    refined = np.where(measured, lenses.patch_size, found.patch_size)
-    error = np.where(measured, lenses.standard_error, np.inf)
-    textured |= maybe & moving(refined, error, lattice.pitch)
-    signal = signal_share(texture)
-    astray = misled(error, found.explained / signal)
-    reason, error, sure = judged(textured, found, refined, error, signal, neighbours, lattice.pitch)
-    again, perhaps = recurring(texture.flat, lattice.indices(), refined, reason == 0)
-    little = hardly_seen(texture.flat, refined, reason == 0)
-    perhaps = perhaps or unexplained(found.explained / signal, signal, reason == 0, little)
-    reason[again] = 2
-    sure = SURE * sure if perhaps else sure
-    if kept is not None and before is not None:
-        refined, error, sure, reason = (
-            np.where(kept, earlier, new)
-            for earlier, new in (
-                (before.drawn, refined),
-                (before.standard_error, error),
-                (before.confidence, sure),
-                (before.reason, reason),
-            )
+    lenses = Lenses(texture, forward, backward, lattice.indices(), near, active, sample)
+    asked = active if kept is None else active | ~kept
+    rows = np.flatnonzero(grown(asked, neighbours)) if 0 < asked.mean() < _FEW else None
+    few = lenses if rows is None else lenses.of(rows)
+    answers = ask(few, setting, earlier if rows is None or earlier is None else earlier.of(rows), sizes)
+    skipped = np.zeros(len(lattice), bool) if blank is None else ~some
+    saved = _saved(shortcuts, skipped, answers.found, sample, kept)
+    if rows is None and kept is None and overview is None:
+        plane = regular_plane(
+            lattice, answers.patch_size, answers.standard_error, answers.resolved, answers.astray, neighbours
         )
-    resolved = reason == 0
-    plane = None
-    if kept is None and overview is None:
-        plane = regular_plane(lattice, refined, error, resolved, astray, neighbours)
-    if plane is not None:
-        # A plane confirms what few pairs at the border of the flat could not.
-        own = plane.at(lattice.centres())
-        near_plane = (np.abs(refined - own) <= 2 * AGREED * lattice.pitch) & (np.abs(own) <= RESOLVABLE * lattice.pitch)
-        reason = np.where((reason == 3) & near_plane & (found.confidence >= SURE), 0, reason)
-        level = on_one_plane(plane, lattice, preset, reason, sure, _saved(shortcuts, some, found, sample, kept))
-        return level, astray
+        if plane is not None:
+            return _confirmed(plane, answers, lattice, preset, saved), answers.astray
     gap = max(1.0, 0.05 * lattice.pitch)
-    guess = found.patch_size if known is None else np.where(np.isfinite(known), known, found.patch_size)
-    guess = _within_reach(guess, refined, reason, lattice.pitch)
-    drawn = fill(np.where(resolved, refined, guess).astype(np.float32), resolved, neighbours, gap)
-    occurring = refined[resolved] if overview is None else overview.sizes
-    seconds = np.where(textured & populated(found.second, occurring, gap), found.second, np.nan).astype(np.float32)
-    evidence = np.where(near, found.evidence, 1)
-    around = occurring if shortcuts.ranges else None
-    rest = np.full(len(drawn), np.nan, np.float32)
-    if setting.remainder:
-        rest = remainder_depths(texture, forward, backward, drawn, evidence, setting, around)
-    # Shading matches itself near zero: a depth there must occur by itself.
-    rest[(np.abs(rest) < SHADED_REACH * lattice.pitch) & ~populated(rest, occurring, gap)] = np.nan
+    occurring = _occurring(answers, rows, earlier) if overview is None else overview.sizes
+    drawn = fill(answers.drawn, answers.resolved, few.neighbours, gap)
+    seconds = _seconds(few, answers, drawn, occurring, setting, shortcuts, gap)
+    if rows is not None:
+        answers, drawn, seconds = _among_all(lattice, rows, answers, drawn, seconds, earlier)
+    resolved, sure = answers.resolved, answers.confidence
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
     old, settled = None if before is None else before.surface, None if kept is None else ~grown(~kept, neighbours)
-    others = np.stack([seconds, rest], 1)
-    surface = spread(texture.flat, lattice, drawn, others, trust, texture.noise, setting.cells, settled, old)
+    surface = spread(texture.flat, lattice, drawn, seconds, trust, texture.noise, setting.cells, settled, old)
     # A lens that sees two depths answers with the one in its middle.
     middle = surface.at(lattice.centres())
-    crossed = resolved & (np.abs(middle - drawn) > gap)
-    crossed &= (np.abs(middle - seconds) <= gap) | (np.abs(middle - rest) <= gap)
+    crossed = resolved & (np.abs(middle - drawn) > gap) & (np.abs(middle[:, None] - seconds) <= gap).any(1)
     crossed &= _level_about(surface, lattice, middle, gap)
     if kept is not None:
         crossed &= ~kept
-    saved = _saved(shortcuts, some, found, sample, kept)
+    error = answers.standard_error
     depth = DepthMap(
-        patch_size=np.where(crossed, middle, np.where(resolved, refined, np.nan)),
-        standard_error=np.where(crossed, np.maximum(error, found.step), np.where(resolved, error, np.inf)),
+        patch_size=np.where(crossed, middle, np.where(resolved, answers.patch_size, np.nan)),
+        standard_error=np.where(crossed, np.maximum(error, answers.found.step), np.where(resolved, error, np.inf)),
         confidence=np.where(crossed | ~resolved, SURE * sure, sure),
         drawn=np.where(crossed, middle, drawn),
         surface=surface,
         pitch=lattice.pitch,
         image_size=lattice.image_size,
         preset=preset,
-        reason=reason,
+        reason=answers.reason,
         saved=saved,
     )
-    return depth, astray
+    return depth, answers.astray
 
 
-def _within_reach(guess: NDArray, refined: NDArray, reason: NDArray[np.int8], pitch: float) -> NDArray:
-    """First guesses of unresolved lenses; those without texture that end where no depth is resolvable start anew.
+def _telling(lattice: Lattice, clear: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """Those of the `clear` lenses that tell which depths occur; None where they say nothing about all faint ones."""
+    count = clear.sum()
+    if count < _FEWEST_CLEAR:
+        return None
+    return sample_lenses(lattice, clear, int(np.clip(count * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)))
 
-    Costs that are all alike have their minimum at an end of the range. Drawn there, a blank place would be read at
-    the rims of microimages.
-    """
-    astray = (reason == 1) & (np.abs(guess) > RESOLVABLE * pitch)
-    known = refined[reason == 0]
-    return np.where(astray, np.median(known) if known.size else _UNTOLD * pitch, guess)
+
+def _confirmed(plane: Plane, answers: Answers, lattice: Lattice, preset: str, saved: dict[str, float]) -> DepthMap:
+    """The depth of lenses that all lie on a plane: it confirms what few pairs at the border of the flat could not."""
+    own, reason = plane.at(lattice.centres()), answers.reason
+    near_plane = np.abs(answers.patch_size - own) <= 2 * AGREED * lattice.pitch
+    near_plane &= np.abs(own) <= RESOLVABLE * lattice.pitch
+    reason = np.where((reason == 3) & near_plane & (answers.found.confidence >= SURE), 0, reason)
+    return on_one_plane(plane, lattice, preset, reason, answers.confidence, saved)
+
+
+def _occurring(answers: Answers, rows: NDArray[np.int64] | None, earlier: Earlier | None) -> NDArray[np.float32]:
+    """Patch sizes [px] of all resolved lenses: those that are asked, at `rows` if not all, and the others."""
+    sizes = answers.patch_size[answers.resolved]
+    if rows is None or earlier is None:
+        return sizes
+    others = earlier.reason == 0
+    others[rows] = False
+    return np.concatenate([sizes, earlier.drawn[others]]).astype(sizes.dtype)
+
+
+def _seconds(
+    lenses: Lenses,
+    answers: Answers,
+    drawn: NDArray[np.float32],
+    occurring: NDArray[np.float32],
+    setting: Preset,
+    shortcuts: Shortcuts,
+    gap: float,
+) -> NDArray[np.float32]:
+    """(n, 2) [px] other patch sizes that lenses may show beside `drawn`, of those that occur, as for `spread`."""
+    second = np.where(populated(answers.second, occurring, gap), answers.second, np.nan)
+    rest = np.full(len(drawn), np.nan, np.float32)
+    if setting.remainder:
+        evidence = np.where(lenses.near, answers.found.evidence, 1)
+        around = occurring if shortcuts.ranges else None
+        rest = remainder_depths(lenses.texture, lenses.forward, lenses.backward, drawn, evidence, setting, around)
+    # Shading matches itself near zero: a depth there must occur by itself.
+    rest[(np.abs(rest) < SHADED_REACH * lenses.pitch) & ~populated(rest, occurring, gap)] = np.nan
+    return np.stack([second, rest], 1).astype(np.float32)
+
+
+def _among_all(
+    lattice: Lattice,
+    rows: NDArray[np.int64],
+    answers: Answers,
+    drawn: NDArray[np.float32],
+    seconds: NDArray[np.float32],
+    earlier: Earlier | None,
+) -> tuple[Answers, NDArray[np.float32], NDArray[np.float32]]:
+    """What the lenses at `rows` answer among all; the others keep what they had, or are blank and drawn like the
+    nearest that are resolved."""
+    whole = answers.among(len(lattice), rows, earlier)
+    all_drawn, all_seconds = np.empty(len(lattice), np.float32), np.full((len(lattice), 2), np.nan, np.float32)
+    if earlier is not None:
+        all_drawn[:] = earlier.drawn
+    elif whole.resolved.any():
+        all_drawn[rows] = drawn
+        all_drawn = all_drawn[nearest_of(lattice, whole.resolved)]
+    else:
+        all_drawn[:] = UNTOLD * lattice.pitch
+    all_drawn[rows], all_seconds[rows] = drawn, seconds
+    return whole, all_drawn, all_seconds
 
 
 def _level_about(surface: Surface, lattice: Lattice, middle: NDArray[np.float32], gap: float) -> NDArray[np.bool_]:
@@ -380,14 +372,14 @@ def _level_about(surface: Surface, lattice: Lattice, middle: NDArray[np.float32]
 
 def _saved(
     shortcuts: Shortcuts,
-    some: NDArray[np.bool_],
+    skipped: NDArray[np.bool_],
     found: Found,
     sample: NDArray[np.bool_] | None,
     kept: NDArray[np.bool_] | None,
 ) -> dict[str, float]:
     saved = {}
     if shortcuts.blank:
-        saved["blank"] = float(1 - some.mean())
+        saved["blank"] = float(skipped.mean())
     if sample is not None:
         saved["ranges"] = found.untried
     if kept is not None:

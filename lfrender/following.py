@@ -86,8 +86,7 @@ def following(
     if not kept.any():
         return _noted(scaled(analyzed(gray, small, preset, shortcuts), lattice, factor), before, changed)
     blank = skipped_lenses(gray, small, plain, PRESETS[preset]) if shortcuts.blank else None
-    skipped = None if blank is None else (blank, np.inf)
-    depth, _ = lens_by_lens(gray, small, preset, shortcuts, plain, skipped, kept, scaled(before, small, 1 / factor))
+    depth, _ = lens_by_lens(gray, small, preset, shortcuts, plain, blank, kept, scaled(before, small, 1 / factor))
     after = scaled(replace(depth, saved={**depth.saved, **saved}), lattice, factor)
     return _noted(after, before, changed, then, kept)
 

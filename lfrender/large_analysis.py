@@ -161,8 +161,7 @@ def _part_depth(whole: _Whole, part: LensPart, pixels: NDArray[Any]) -> tuple[De
     blank = None
     if whole.shortcuts.blank:
         blank = skipped_lenses(gray, part.lattice, plain, PRESETS[whole.preset], whole.overview.raw_noise)
-    skipped = None if blank is None else (blank, np.inf)
-    return lens_by_lens(gray, part.lattice, whole.preset, whole.shortcuts, plain, skipped, overview=whole.overview)
+    return lens_by_lens(gray, part.lattice, whole.preset, whole.shortcuts, plain, blank, overview=whole.overview)
 
 
 def _plane_evidence(

@@ -95,11 +95,13 @@ def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
-def _cut_out(image, middle, whole, means, half, width, rows, step, values):
+def _cut_out(image, middle, whole, wanted, means, half, width, rows, step, values):
     pixels, across = image.reshape(-1), image.shape[1]
     size = rows * step * width
     values[len(middle) * size :] = 0.0
     for lens in prange(len(middle)):
+        if not wanted[lens]:
+            continue
         strip = values[lens * size : (lens + 1) * size]
         if not whole[lens]:
             strip[:] = 0.0
@@ -112,10 +114,16 @@ def _cut_out(image, middle, whole, means, half, width, rows, step, values):
             strip[k] -= mean
 
 
-def cut_out(gray: GrayFlat, means: NDArray[np.float32], step: int, purpose: str | None = None) -> Strips:
+def cut_out(
+    gray: GrayFlat,
+    means: NDArray[np.float32],
+    step: int,
+    purpose: str | None = None,
+    wanted: NDArray[np.bool_] | None = None,
+) -> Strips:
     """Cut out all microimages of `gray`, less the `means` (n,) of each, for reading every `step`-th row.
 
-    In `scratch` memory if it has a `purpose`.
+    In `scratch` memory if it has a `purpose`. What is in the strips of lenses that are not `wanted` (n,) is not told.
     """
     # Interpolation between pixels of the outermost reads one pixel beyond them, to all sides.
     half = max(1, int(gray.radius - _SLACK)) + 2
@@ -126,7 +134,8 @@ def cut_out(gray: GrayFlat, means: NDArray[np.float32], step: int, purpose: str 
     whole = inside[:, 0] & inside[:, 1]
     count = len(middle) * rows * step * width + _SPARE
     values = np.empty(count, np.float32) if purpose is None else scratch(purpose, (count,), np.float32)
-    _cut_out(gray.image, middle, whole, means, half, width, rows, step, values)
+    wanted = np.ones(len(middle), bool) if wanted is None else wanted
+    _cut_out(gray.image, middle, whole, wanted, means, half, width, rows, step, values)
     return Strips(values, middle, whole, half, width, rows, step)
 
 

@@ -9,7 +9,7 @@ from lfcal import Lattice
 
 from .remembered import remembered
 
-__all__ = ["beside", "grown", "lens_grid", "lens_halves", "neighbour_rows"]
+__all__ = ["beside", "grown", "lens_grid", "lens_halves", "nearest_of", "neighbour_rows", "rows_among"]
 
 # Lattices with no more lenses than this keep what tells who is beside whom.
 _MOST_KEPT = 1 << 18
@@ -83,3 +83,23 @@ def beside(mask: NDArray[np.bool_], rows: NDArray[np.int32]) -> NDArray[np.int64
 def grown(mask: NDArray[np.bool_], neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
     """(n,) bool: `mask` and all lenses beside it, by neighbour rows (n, k)."""
     return mask | (mask[neighbours] & (neighbours >= 0)).any(1)
+
+
+def rows_among(rows: NDArray[np.int64], neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(m, k) neighbour rows of some lenses, by their `rows` (m,), counted among these; -1 for all others."""
+    # The last place is that of no lens.
+    place = np.full(len(neighbours) + 1, -1, np.int32)
+    place[rows] = np.arange(len(rows), dtype=np.int32)
+    return place[neighbours[rows]]
+
+
+def nearest_of(lattice: Lattice, chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """(n,) row of the lens nearest to each, in steps on the lattice, of those that are `chosen` (n,), at least one."""
+    from scipy.ndimage import distance_transform_edt
+
+    grid, low = lens_grid(lattice)
+    away = np.ones(grid.shape, bool)
+    i, j = (lattice.indices() - low).T
+    away[j, i] = ~chosen
+    v, u = distance_transform_edt(away, return_distances=False, return_indices=True)[:, j, i]
+    return grid[v, u]

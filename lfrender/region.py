@@ -16,13 +16,13 @@ from .radiance import GrayFlat
 from .remembered import latest
 from .surface import Surface
 
-__all__ = ["check_region", "embed", "embed_textured", "lattice_of", "lenses_in", "part_of", "rows_of", "scaled"]
+__all__ = ["check_region", "embed", "lattice_of", "lenses_in", "part_of", "scaled"]
 
 # Lenses this many pitches outside support those inside: as far as shading is taken to be common.
 _AROUND = 4.5
 # Parts end at multiples of so many pitches: that of the next frame is most often the same.
 _STEP = 1.0
-_BLANK, _NOT_ANALYSED = 1, 4
+_NOT_ANALYSED = 4
 
 
 def check_region(roi: tuple[float, float, float, float], lattice: Lattice) -> tuple[float, float, float, float]:
@@ -70,48 +70,16 @@ def lattice_of(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int64]
     return Lattice(lattice.origin - low, lattice.basis, (width, height), lattice.radius, distortion)
 
 
-def rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
-    """(m,) rows in `lattice` of the lenses of a part of it."""
-    grid, low = lens_grid(lattice)
-    i, j = (sub.indices() - low).T
-    return grid[j, i]
-
-
 def embed(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArray[np.bool_]) -> DepthMap:
     """The depth of a part as that of the whole flat, whose lenses are not analysed but for those `inside`.
 
     The surface stays that of the part: readers take its nearest value beyond its border.
     """
-    rows = rows_of(sub, lattice)
-    drawn = np.full(len(lattice), np.median(depth.drawn[inside[rows]]), np.float32)
-    saved = {**depth.saved, "roi": 1 - float(inside.mean())}
-    return _embedded(depth, sub, lattice, rows, inside, drawn, _NOT_ANALYSED, saved)
-
-
-def embed_textured(depth: DepthMap, sub: Lattice, lattice: Lattice, saved: dict[str, float]) -> DepthMap:
-    """The depth of the part that holds all texture as that of the whole flat; all other lenses are blank."""
-    rows = rows_of(sub, lattice)
-    inside = np.zeros(len(lattice), bool)
-    inside[rows] = True
-    corner = lattice.origin - sub.origin
-    drawn = depth.surface.at(lattice.centres() - corner)
-    return _embedded(depth, sub, lattice, rows, inside, drawn, _BLANK, saved)
-
-
-def _embedded(
-    depth: DepthMap,
-    sub: Lattice,
-    lattice: Lattice,
-    rows: NDArray[np.int32],
-    inside: NDArray[np.bool_],
-    drawn: NDArray[np.float32],
-    outside: int,
-    saved: dict[str, float],
-) -> DepthMap:
-    n = len(lattice)
+    n, rows = len(lattice), _rows_of(sub, lattice)
     patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
-    confidence, reason = np.zeros(n, np.float32), np.full(n, outside, np.int8)
+    confidence, reason = np.zeros(n, np.float32), np.full(n, _NOT_ANALYSED, np.int8)
     chosen = inside[rows]
+    drawn = np.full(n, np.median(depth.drawn[chosen]), np.float32)
     for whole, part in (
         (patch_size, depth.patch_size),
         (error, depth.standard_error),
@@ -124,8 +92,15 @@ def _embedded(
     first = (depth.surface.first[0] + float(corner[0]), depth.surface.first[1] + float(corner[1]))
     return DepthMap(
         patch_size, error, confidence, drawn, Surface(depth.surface.patch_size, first, depth.surface.spacing),
-        lattice.pitch, lattice.image_size, depth.preset, reason, saved,
+        lattice.pitch, lattice.image_size, depth.preset, reason, {**depth.saved, "roi": 1 - float(inside.mean())},
     )  # fmt: skip
+
+
+def _rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
+    """(m,) rows in `lattice` of the lenses of a part of it."""
+    grid, low = lens_grid(lattice)
+    i, j = (sub.indices() - low).T
+    return grid[j, i]
 
 
 def scaled(depth: DepthMap, lattice: Lattice, factor: float) -> DepthMap:

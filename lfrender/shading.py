@@ -158,10 +158,14 @@ def flatten_shading(
     same = (distance > 0) & (distance < _NEARBY * lattice.pitch) & ((steps[:, 0] - steps[:, 1]) % 3 == 0)
     weights = _SMOOTH**2 / (_SMOOTH**2 + contrast**2)
     # What all lenses show is read many times: as strips, in long loops. Their centres differ by less than a pixel.
-    strips = cut_out(gray, means, 1, purpose="shading")
+    near = neighbour_rows(lattice, steps[same])
+    # The last place is that of no lens.
+    read = np.zeros(len(near) + 1, bool)
+    read[near[wanted]] = True
+    strips = cut_out(gray, means, 1, purpose="shading", wanted=read[:-1])
     out = gray.image.copy()
     _subtract_shading(
-        gray.image, gray.centres, wanted, neighbour_rows(lattice, steps[same]), weights.astype(np.float32), contrast,
+        gray.image, gray.centres, wanted, near, weights.astype(np.float32), contrast,
         np.float32(gray.radius), strips.values, strips.middle, strips.whole, strips.half, strips.width, out,
     )  # fmt: skip
     return dataclasses.replace(gray, image=out)

@@ -12,7 +12,7 @@ __all__ = ["smoothed"]
 
 # Slopes are taken between the pixels on both sides, and the smoothing itself reads one further [px].
 _BEYOND = 2
-# Beyond this share of the lenses all pixels are smoothed.
+# Where lenses cover more than this share of the flat, all its pixels are smoothed.
 _MOST = 0.3
 
 
@@ -71,7 +71,7 @@ def smoothed(gray: GrayFlat, wanted: NDArray[np.bool_]) -> NDArray[np.float32]:
     """
     out = np.empty_like(gray.image)
     # Microimages with what lies about them overlap: all pixels are fewer than those of most lenses.
-    if wanted.mean() > _MOST:
+    if wanted.sum() * gray.pitch**2 > _MOST * gray.image.size:
         _smooth_rows(gray.image, out)
     else:
         _smooth(gray.image, gray.centres, wanted, np.float32(gray.radius + _BEYOND), out)

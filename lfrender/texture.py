@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit, prange
@@ -62,7 +62,7 @@ class LensStatistics:
     middle: NDArray[np.float32]
     roughness: NDArray[np.float32]
 
-    def of(self, rows: NDArray[np.int32]) -> LensStatistics:
+    def of(self, rows: NDArray[np.int64]) -> LensStatistics:
         """Those of some lenses."""
         return LensStatistics(self.mean[rows], self.contrast[rows], self.middle[rows], self.roughness[rows])
 
@@ -88,6 +88,11 @@ class Texture:
     noise: float
     clear: NDArray[np.bool_]
     faint: NDArray[np.bool_]
+
+    def of(self, rows: NDArray[np.int64]) -> Texture:
+        """That of some lenses."""
+        flat = replace(self.flat, centres=self.flat.centres[rows])
+        return Texture(flat, self.statistics.of(rows), self.noise, self.clear[rows], self.faint[rows])
 
 
 # Without fast math: that part of the loop of lenses which it is drawn into is optimised once where Numba compiles and
@@ -221,32 +226,28 @@ def find_texture(
     gray: GrayFlat,
     lattice: Lattice,
     plain: LensStatistics,
-    blank: tuple[NDArray[np.bool_], float] | None = None,
+    blank: NDArray[np.bool_] | None = None,
     wanted: NDArray[np.bool_] | None = None,
     known_noise: float | None = None,
 ) -> Texture:
     """Remove the shading that microimages have in common and tell which lenses are left with texture.
 
-    `plain` are the statistics of `gray`. Lenses that are `blank` are so without further ado; the number beside them is
-    the noise of a larger flat of which this is a part, else inf. Lenses that are not `wanted` keep their shading.
-    The noise may be known already.
+    `plain` are the statistics of `gray`. Lenses that are `blank` are so without further ado. Lenses that are not
+    `wanted` keep their shading. The noise may be known already.
     """
     white = np.zeros(len(plain.mean), bool)
     if blank is not None:
         # Lenses with texture are compared with those beside them.
         rows = neighbour_rows(lattice, lattice.steps)
-        white = blank[0] & ((rows < 0) | blank[0][rows]).all(1)
+        white = blank & ((rows < 0) | blank[rows]).all(1)
     if wanted is not None:
         white = white | ~wanted
     flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, ~white)
     found = lens_statistics(flattened, known=plain, wanted=~white)
-    if known_noise is None:
-        noise = noise_of(found.roughness) if blank is None else min(noise_of(found.roughness), blank[1])
-    else:
-        noise = known_noise
+    noise = noise_of(found.roughness) if known_noise is None else known_noise
     clear = _clear(found, noise)
     faint = _some(found, noise) & ~clear
-    return Texture(flattened, found, noise, clear, faint if blank is None else faint & ~blank[0])
+    return Texture(flattened, found, noise, clear, faint if blank is None else faint & ~blank)
 
 
 def untouched_texture(gray: GrayFlat, plain: LensStatistics, noise: float | None = None) -> Texture:

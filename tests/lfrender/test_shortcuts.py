@@ -137,6 +137,38 @@ def test_texture_in_two_corners_is_found_when_the_rest_is_cut_off_or_not():
         assert off.max() < 0.03 * 23.2
 
 
+def with_slopes(shot, strength):
+    """A capture whose microimages all grow brighter to the right, by so much from the middle to the rim."""
+    lattice = shot.truth.calibration.lattice
+    y, x = np.mgrid[: shot.flat.shape[0], : shot.flat.shape[1]]
+    points = np.stack([x, y], -1).reshape(-1, 2)
+    straight = np.linalg.inv(lattice.basis)
+    away = (points - lattice.centres()[0]) @ straight
+    away = (away - np.rint(away)) @ lattice.basis
+    light = 1 + strength * (away[:, 0] / lattice.radius).reshape(y.shape)
+    return np.clip(np.rint(shot.flat * light[..., None]), 0, 255).astype(np.uint8)
+
+
+def test_shading_that_all_lenses_share_does_not_pass_for_fine_texture_of_blank_ones():
+    shot = shot_of(*blank(camera(), ratio=0.2).surfaces, card(0.3, (200, 150), (420, 330)), noise=(4000, 5))
+    calibration = shot.truth.calibration
+    quick = lfrender.analyze(with_slopes(shot, 0.03), calibration)
+    assert quick.saved["blank"] > 0.6
+    plain = lfrender.analyze(shot.flat, calibration)
+    assert np.mean((quick.mode == 0) == (plain.mode == 0)) > 0.97
+
+
+def test_lenses_without_texture_are_drawn_like_the_nearest_that_have_some():
+    cards = card(0.3, (40, 40), (200, 160)), card(-0.3, (440, 320), (600, 440))
+    shot = shot_of(*blank(camera(), ratio=0.2).surfaces, *cards, noise=(4000, 5))
+    depth = lfrender.analyze(shot.flat, shot.truth.calibration)
+    centres = shot.truth.calibration.lattice.centres()
+    for corner, ratio in (((0, 0), 0.3), (SIZE, -0.3)):
+        lens = np.argmin(np.linalg.norm(centres - np.array(corner), axis=1))
+        assert depth.mode[lens] == 0
+        assert abs(depth.drawn[lens] - ratio * 23.2) < 0.3
+
+
 @pytest.mark.parametrize("gain", [0.15, 0.1])
 def test_texture_as_fine_as_noise_is_not_taken_for_a_blank_scene(gain, house):
     faint = (100 + gain * (house.flat - 100.0)).round().astype(np.uint8)

@@ -1,0 +1,210 @@
+"""What lenses answer to the question for their depth: searched, measured on their pixels, and judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .certainty import misled, signal_share, unexplained
+from .consensus import measure
+from .depthmap import DepthMap
+from .judgement import RESOLVABLE, SURE, credible, judged, moving, possible, shaded
+from .neighbours import rows_among
+from .recurrence import hardly_seen, recurring
+from .search import Found, Matcher, Preset, search
+from .texture import Texture
+
+__all__ = ["UNTOLD", "Answers", "Earlier", "Lenses", "ask"]
+
+# What lenses keep, and where that stands in `Earlier`.
+_KEPT = {
+    "patch_size": "drawn", "standard_error": "standard_error", "confidence": "confidence", "reason": "reason",
+    "guess": "drawn",
+}  # fmt: skip
+# A scene without any texture is drawn at this s / D: from the middle of the microimages. Its sign makes no difference.
+UNTOLD = 0.25
+
+
+@dataclass(frozen=True)
+class Lenses:
+    """Lenses that are asked, all of a flat or some with those beside them, and those of them that are matched.
+
+    Parameters
+    ----------
+    texture : Texture
+    forward, backward : (n, d) int32
+        Neighbour rows in `d` directions and in their opposites, -1 where there is none.
+    indices : (n, 2) int
+        On the lattice.
+    near : (n,) bool
+        Lenses with a new answer, and those that support them.
+    active : (n,) bool
+        Those of them to match.
+    sample : (n,) bool, optional
+        Lenses that tell which depths occur, see `search`.
+    """
+
+    texture: Texture
+    forward: NDArray[np.int32]
+    backward: NDArray[np.int32]
+    indices: NDArray[np.int64]
+    near: NDArray[np.bool_]
+    active: NDArray[np.bool_]
+    sample: NDArray[np.bool_] | None
+
+    @property
+    def pitch(self) -> float:
+        return self.texture.flat.pitch
+
+    @property
+    def neighbours(self) -> NDArray[np.int32]:
+        """(n, 2 d) int32 neighbour rows in all directions."""
+        return np.hstack([self.forward, self.backward])
+
+    def of(self, rows: NDArray[np.int64]) -> Lenses:
+        """Some of them, as if there were no others."""
+        forward, backward = (rows_among(rows, half) for half in (self.forward, self.backward))
+        sample = None if self.sample is None else self.sample[rows]
+        return Lenses(
+            self.texture.of(rows), forward, backward, self.indices[rows], self.near[rows], self.active[rows], sample
+        )
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """Answers that lenses keep.
+
+    Parameters
+    ----------
+    kept : (n,) bool
+    drawn, standard_error, confidence, reason : (n,)
+        As `DepthMap`.
+    """
+
+    kept: NDArray[np.bool_]
+    drawn: NDArray[np.float32]
+    standard_error: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    reason: NDArray[np.int8]
+
+    @classmethod
+    def by(cls, before: DepthMap, kept: NDArray[np.bool_]) -> Earlier:
+        """Those of an earlier depth map."""
+        return cls(kept, before.drawn, before.standard_error, before.confidence, before.reason)
+
+    def of(self, rows: NDArray[np.int64]) -> Earlier:
+        """Those of some lenses."""
+        return Earlier(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What lenses answer.
+
+    Parameters
+    ----------
+    patch_size, standard_error, confidence : (n,) [px]
+        Also of unresolved lenses.
+    reason : (n,) int8
+        As `DepthMap`.
+    astray : (n,) [px]
+        Part of each error that all lenses of a surface may share.
+    guess : (n,) [px]
+        Patch size to draw unresolved lenses with, where those beside them tell nothing else.
+    second : (n,) float32 [px]
+        Next best patch size of lenses with texture; NaN where there is none.
+    found : Found
+    """
+
+    patch_size: NDArray
+    standard_error: NDArray
+    confidence: NDArray
+    reason: NDArray[np.int8]
+    astray: NDArray
+    guess: NDArray
+    second: NDArray[np.float32]
+    found: Found
+
+    @property
+    def resolved(self) -> NDArray[np.bool_]:
+        return self.reason == 0
+
+    @property
+    def drawn(self) -> NDArray[np.float32]:
+        """(n,) float32 [px]: the answers of resolved lenses, and guesses of the others."""
+        return np.where(self.resolved, self.patch_size, self.guess).astype(np.float32)
+
+    def among(self, count: int, rows: NDArray[np.int64], earlier: Earlier | None) -> Answers:
+        """These as those of the lenses at `rows` of `count`; the others are blank, or as they were."""
+        blank = {
+            "patch_size": np.nan, "standard_error": np.inf, "confidence": 0, "reason": 1, "astray": np.inf,
+            "guess": np.nan, "second": np.nan,
+        }  # fmt: skip
+        whole = {}
+        for name, value in blank.items():
+            some = getattr(self, name)
+            whole[name] = np.full(count, value, some.dtype)
+            if earlier is not None and name in _KEPT:
+                whole[name][:] = getattr(earlier, _KEPT[name])
+            whole[name][rows] = some
+        return Answers(**whole, found=self.found)
+
+
+def ask(
+    lenses: Lenses, setting: Preset, earlier: Earlier | None = None, sizes: NDArray[np.float32] | None = None
+) -> Answers:
+    """Search the depth of lenses, measure it on the pixels of every pair, and judge it.
+
+    `sizes` (m,) [px] are patch sizes that occur, as found elsewhere, see `search`.
+    """
+    texture, near, pitch, neighbours = lenses.texture, lenses.near, lenses.pitch, lenses.neighbours
+    known = None if earlier is None else np.where(near, np.nan, earlier.drawn).astype(np.float32)
+    matcher = Matcher(texture, lenses.forward, lenses.backward, setting)
+    found = search(matcher, lenses.active, texture.clear, lenses.sample, known, sizes)
+    doubtful = texture.faint | shaded(texture.clear & near, found, texture.statistics.contrast, pitch)
+    textured = near & ((texture.clear & ~doubtful) | (doubtful & credible(found, pitch)))
+    maybe = near & doubtful & ~textured & possible(found)
+    refined, error = _refined(lenses, setting, found, textured | maybe)
+    textured |= maybe & moving(refined, error, pitch)
+    signal = signal_share(texture)
+    explained = found.explained / signal
+    astray = misled(error, explained)
+    reason, error, sure = judged(textured, found, refined, error, signal, neighbours, pitch)
+    again, perhaps = recurring(texture.flat, lenses.indices, refined, reason == 0)
+    little = hardly_seen(texture.flat, refined, reason == 0)
+    perhaps = perhaps or unexplained(explained, signal, reason == 0, little)
+    reason[again] = 2
+    sure = SURE * sure if perhaps else sure
+    guess = found.patch_size
+    if earlier is not None and known is not None:
+        refined = np.where(earlier.kept, earlier.drawn, refined)
+        error = np.where(earlier.kept, earlier.standard_error, error)
+        sure = np.where(earlier.kept, earlier.confidence, sure)
+        reason = np.where(earlier.kept, earlier.reason, reason)
+        guess = np.where(np.isfinite(known), known, guess)
+    second = np.where(textured, found.second, np.nan).astype(np.float32)
+    return Answers(refined, error, sure, reason, astray, _within_reach(guess, refined, reason, pitch), second, found)
+
+
+def _refined(lenses: Lenses, setting: Preset, found: Found, wanted: NDArray[np.bool_]) -> tuple[NDArray, NDArray]:
+    """Patch sizes and their errors (n,) [px], measured on the pixels of the lenses `wanted`; else found, and inf."""
+    texture = lenses.texture
+    scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
+    first = np.where(wanted, found.patch_size, np.nan).astype(np.float32)
+    by_pixels = measure(texture.flat, lenses.forward, lenses.backward, first, scale, texture.noise, setting.iterations)
+    measured = np.isfinite(by_pixels.patch_size)
+    refined = np.where(measured, by_pixels.patch_size, found.patch_size)
+    return refined, np.where(measured, by_pixels.standard_error, np.inf)
+
+
+def _within_reach(guess: NDArray, refined: NDArray, reason: NDArray[np.int8], pitch: float) -> NDArray:
+    """First guesses of unresolved lenses; those without texture that end where no depth is resolvable start anew.
+
+    Costs that are all alike have their minimum at an end of the range. Drawn there, a blank place would be read at
+    the rims of microimages.
+    """
+    astray = (reason == 1) & (np.abs(guess) > RESOLVABLE * pitch)
+    known = refined[reason == 0]
+    return np.where(astray, np.median(known) if known.size else UNTOLD * pitch, guess)
