@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numba
@@ -23,6 +24,8 @@ from data_synth.scenes import blank, plane
 from data_synth.surfaces import Patch
 
 _SIZE, _PITCH = (1400, 1000), 23.2
+# A flat on which what every call takes hardly counts. Toward its corners microimages are darker on one side.
+_LARGE = (2800, 2000)
 _RUNS = 5
 _DIFFERENT = 0.05
 # Full well and readout noise [electrons] of a middling sensor.
@@ -121,9 +124,11 @@ def main(paths: list[str]) -> None:
         _row(path.split("/")[-1], flat, lfcal.calibrate(flat))
     if paths:
         return
-    camera = Camera.design(_SIZE, _PITCH, rotation=1.3)
-    for name, scene in _scenes(camera).items():
-        capture = simulate(scene(), camera, samples=48, seed=2, noise=_NOISE)
+    camera, large = (Camera.design(size, _PITCH, rotation=1.3) for size in (_SIZE, _LARGE))
+    scenes = {name: (camera, scene) for name, scene in _scenes(camera).items()}
+    scenes |= {f"large, {share} %": (large, partial(_mostly_blank, large, share / 100)) for share in (10, 5)}
+    for name, (taken_by, scene) in scenes.items():
+        capture = simulate(scene(), taken_by, samples=48, seed=2, noise=_NOISE)
         _row(name, capture.flat, capture.truth.calibration, capture)
         if name == "house":
             _still_row(capture)

@@ -19,6 +19,7 @@ from .fastmath import FAST
 from .microimages import cut_out
 from .neighbours import neighbour_rows
 from .radiance import GrayFlat
+from .remembered import remembered
 
 __all__ = ["SHADING", "flatten_shading"]
 
@@ -129,6 +130,16 @@ def _subtract_shading(
                     out[y, x] = image[y, x] - share * shade[at + x]
 
 
+def _steps_of_type(lattice: Lattice) -> NDArray[np.int64]:
+    """(k, 2) index steps to the lenses nearby that share the shading of one of their type."""
+    span = np.arange(-6, 7)
+    steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
+    distance = np.linalg.norm(steps @ lattice.basis, axis=1)
+    # Three interleaved lens types lie at (i - j) mod 3; on other arrays this is any third of the lenses.
+    same = (distance > 0) & (distance < _NEARBY * lattice.pitch) & ((steps[:, 0] - steps[:, 1]) % 3 == 0)
+    return steps[same]
+
+
 def flatten_shading(
     gray: GrayFlat,
     lattice: Lattice,
@@ -151,14 +162,9 @@ def flatten_shading(
     wanted : (n,) bool
         Lenses to take it from; the others stay as they are.
     """
-    span = np.arange(-6, 7)
-    steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
-    distance = np.linalg.norm(steps @ lattice.basis, axis=1)
-    # Three interleaved lens types lie at (i - j) mod 3; on other arrays this is any third of the lenses.
-    same = (distance > 0) & (distance < _NEARBY * lattice.pitch) & ((steps[:, 0] - steps[:, 1]) % 3 == 0)
     weights = _SMOOTH**2 / (_SMOOTH**2 + contrast**2)
     # What all lenses show is read many times: as strips, in long loops. Their centres differ by less than a pixel.
-    near = neighbour_rows(lattice, steps[same])
+    near = neighbour_rows(lattice, remembered(lattice, "of its type", lambda: _steps_of_type(lattice)))
     # The last place is that of no lens.
     read = np.zeros(len(near) + 1, bool)
     read[near[wanted]] = True

@@ -13,6 +13,7 @@ from .candidates import MOST_CANDIDATES, calm_lenses, propose
 from .fastmath import FAST
 from .neighbours import lens_grid, neighbour_rows
 from .radiance import GrayFlat
+from .remembered import remembered
 from .scratch import scratch
 from .surface import Surface
 
@@ -126,6 +127,14 @@ def grid_shape(lattice: Lattice, cells: int) -> tuple[tuple[int, int], tuple[flo
     return (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1), (-0.5, -0.5), spacing
 
 
+def _steps_nearby(lattice: Lattice) -> NDArray[np.int64]:
+    """(k, 2) index steps to the lenses that look at the same points, the nearest first, as the kernel sorts them."""
+    span = np.arange(-3, 4)
+    steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
+    distance = np.linalg.norm(steps @ lattice.basis, axis=1)
+    return steps[np.argsort(distance, kind="stable")[: int((distance < _LOOKING * lattice.pitch).sum())]]
+
+
 def spread(
     gray: GrayFlat,
     lattice: Lattice,
@@ -168,11 +177,7 @@ def spread(
         scratch(name, (MOST_CANDIDATES, *shape), np.float32) for name in ("depths", "costs", "totals")
     )
     grid, low = lens_grid(lattice)
-    span = np.arange(-3, 4)
-    ring = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
-    distance = np.linalg.norm(ring @ lattice.basis, axis=1)
-    # The nearest first, as the kernel sorts them for each scene point.
-    ring = ring[np.argsort(distance, kind="stable")[: int((distance < _LOOKING * pitch).sum())]]
+    ring = remembered(lattice, "looking", lambda: _steps_nearby(lattice))
     gap = np.float32(max(0.75, 0.04 * pitch))
     calm = calm_lenses(values, seconds, trust, lattice.indices(), grid, low, ring, gap)
     old = np.empty((0, 0), np.float32)
