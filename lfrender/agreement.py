@@ -11,6 +11,9 @@ from .remembered import remembered
 
 __all__ = ["aggregate", "lens_costs"]
 
+# Vector loops take so many labels at a time.
+_LANES = 16
+
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _lens_costs(pair, forward, backward, out):
@@ -43,24 +46,50 @@ def lens_costs(
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _nearer(message, other, places, shift, price):
+    """Each message, or what one that many labels beside it costs with the `price`, in `other`."""
+    here, left, right = np.uint64(_LANES), np.uint64(_LANES - shift), np.uint64(_LANES + shift)
+    for k in range(np.uint64(places)):
+        other[here + k] = min(message[here + k], min(message[left + k], message[right + k]) + price)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _walk(cost, chain, slope, jump, total):
-    """One path of semi-global matching along the lenses of `chain`, added to `total`."""
-    labels = cost.shape[1]
-    message = np.zeros(labels, np.float32)
+    """One path of semi-global matching along the lenses of `chain`, added to `total`.
+
+    The least of all messages with the slope to them is found in steps of 1, 2, 4, ... labels: all labels at once, where
+    one after the other each would wait for that before it.
+    """
+    labels, first = cost.shape[1], np.uint64(_LANES)
+    places = (labels + _LANES - 1) // _LANES * _LANES
+    # Beyond the labels nothing is near.
+    message, other = np.full(places + 2 * _LANES, np.inf, np.float32), np.full(places + 2 * _LANES, np.inf, np.float32)
+    lows = np.empty(_LANES, np.float32)
+    for k in range(np.uint64(labels)):
+        message[first + k] = 0.0
+    reach = min(labels - 1, int(jump / slope) + 1)
     for step in range(len(chain)):
-        lens = chain[step]
-        low = np.float32(np.inf)
-        for k in range(labels):
-            message[k] += cost[lens, k]
-            total[lens, k] += message[k]
-            low = min(low, message[k])
-        for k in range(labels):
-            message[k] = min(message[k] - low, jump)
-        for k in range(1, labels):
-            message[k] = min(message[k], message[k - 1] + slope)
-        for k in range(labels - 2, -1, -1):
-            message[k] = min(message[k], message[k + 1] + slope)
+        own, summed = cost[chain[step]], total[chain[step]]
+        for k in range(np.uint64(labels)):
+            message[first + k] += own[k]
+            summed[k] += message[first + k]
+        lows[:] = np.inf
+        for k in range(labels, places):
+            message[_LANES + k] = np.inf
+        for bunch in range(_LANES, _LANES + places, _LANES):
+            for k in range(first):
+                lows[k] = min(lows[k], message[np.uint64(bunch) + k])
+        low = lows[0]
+        for k in range(1, _LANES):
+            low = min(low, lows[k])
+        for k in range(np.uint64(places)):
+            message[first + k] = min(message[first + k] - low, jump)
+        covered, shift = 0, 1
+        while covered < reach:
+            _nearer(message, other, places, shift, np.float32(shift) * slope)
+            message, other = other, message
+            covered, shift = covered + shift, min(2 * shift, _LANES)
 
 
 @njit(cache=True, nogil=True, parallel=True)

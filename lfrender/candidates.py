@@ -8,6 +8,7 @@ from numba import njit, prange
 from .bending import nearest_index
 from .fastmath import FAST
 from .patch_views import MOST_VIEWS, UNKNOWN, WORK, look, mismatch
+from .striding import coprime_stride
 from .visibility import nearness
 
 __all__ = ["MOST_CANDIDATES", "calm_lenses", "propose"]
@@ -55,19 +56,6 @@ def _lens_at(grid, low, i, j):
     if ci < 0 or cj < 0 or cj >= grid.shape[0] or ci >= grid.shape[1]:
         return -1
     return grid[cj, ci]
-
-
-@njit(cache=True, nogil=True)
-def _coprime_stride(n):
-    """A step near the golden section of `n` that visits all of 0..n-1."""
-    stride = max(1, int(0.618 * n))
-    while True:
-        a, b = n, stride
-        while b:
-            a, b = b, a % b
-        if a == 1:
-            return stride
-        stride -= 1
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
@@ -304,7 +292,7 @@ def propose(
     pixels = image.reshape(-1)
     nearby, known = len(ring), table.shape[1]
     # Contested places come in clusters: strides spread them over the threads.
-    stride = _coprime_stride(rows)
+    stride = coprime_stride(rows)
     for row in prange(rows):
         v = row * stride % rows
         distance, shares = np.empty(nearby, np.float32), np.empty(nearby, np.float32)

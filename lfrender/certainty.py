@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .neighbours import alike, around
 from .texture import Texture
 
 __all__ = ["certainty", "confirmed", "echoing", "misled", "repeated", "signal_share", "unexplained", "widened"]
@@ -83,9 +84,8 @@ def certainty(
     pitch : float [px]
     """
     share = np.where(np.isfinite(error), 1 / (1 + (error / (_UNRELATED * pitch)) ** 2), _UNMEASURED)
-    beside = rows >= 0
-    like = beside & (np.abs(sizes[rows] - sizes[:, None]) <= max(_ALIKE * pitch, _ALIKE_PX))
-    alone = like.sum(1) < _ALONE * beside.sum(1)
+    like = alike(np.ones(len(rows), bool), sizes, rows, max(_ALIKE * pitch, _ALIKE_PX))
+    alone = like < _ALONE * (rows >= 0).sum(1)
     return np.asarray(confidence * share * np.where(alone & (explained < _DOUBTFUL), _HALF, 1))
 
 
@@ -113,8 +113,7 @@ def confirmed(
     A faint or dark lens on a surface says too little for itself, but not something else.
     """
     good = resolved & (explained >= _WELL)
-    like = (rows >= 0) & good[rows] & (np.abs(sizes[rows] - sizes[:, None]) <= 2 * _ALIKE * pitch)
-    return np.asarray(like.sum(1) >= _CONFIRMING)
+    return np.asarray(alike(good, sizes, rows, 2 * _ALIKE * pitch) >= _CONFIRMING)
 
 
 def echoing(matched: NDArray, echo: NDArray, signal: NDArray) -> NDArray[np.bool_]:
@@ -156,9 +155,9 @@ def repeated(
     rows : (n, k) int32
         Neighbour rows, -1 where there is none.
     """
-    beside = rows >= 0
     torn = resolved & ((rivals < _HALF) | echoes)
+    beside = around(torn, rows)
     if 2 * torn.sum() >= resolved.sum():
-        return torn | (resolved & (2 * (torn[rows] & beside).sum(1) >= beside.sum(1)))
-    together = 2 * (torn[rows] & beside).sum(1) >= rows.shape[1]
+        return torn | (resolved & (2 * beside >= (rows >= 0).sum(1)))
+    together = 2 * beside >= rows.shape[1]
     return torn & together & ((rivals < _TWICE) | echoes) & ~occurring

@@ -29,12 +29,26 @@ _SHARED = np.float32(0.5)
 _LEAST_SPREAD = np.float32(0.01)
 
 
+@njit(cache=True, nogil=True)
+def _median(values, count, ordered):
+    """Median of the first `count` values, which are put in order in `ordered`: of so few no general sort is as fast."""
+    for k in range(count):
+        value = values[k]
+        at = k
+        while at > 0 and ordered[at - 1] > value:
+            ordered[at] = ordered[at - 1]
+            at -= 1
+        ordered[at] = value
+    return np.float32(0.5) * (ordered[(count - 1) // 2] + ordered[count // 2])
+
+
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _expect(centres, pitch, forward, backward, sizes, errors, slants, about, reach, means, spreads):
     half = forward.shape[1]
     for lens in prange(len(centres)):
         means[lens] = spreads[lens] = np.nan
-        values = np.empty(2 * half, np.float32)
+        values, apart = np.empty(2 * half, np.float32), np.empty(2 * half, np.float32)
+        ordered = np.empty(2 * half, np.float32)
         count = 0
         for k in range(2 * half):
             other = forward[lens, k] if k < half else backward[lens, k - half]
@@ -48,8 +62,10 @@ def _expect(centres, pitch, forward, backward, sizes, errors, slants, about, rea
                 count += 1
         if count == 0:
             continue
-        median = np.median(values[:count])
-        limit = max(_OUTLYING, np.float32(3 * 1.48) * np.median(np.abs(values[:count] - median)))
+        median = _median(values, count, ordered)
+        for k in range(count):
+            apart[k] = abs(values[k] - median)
+        limit = max(_OUTLYING, np.float32(3 * 1.48) * _median(apart, count, ordered))
         total = squares = np.float32(0.0)
         kept = 0
         for k in range(count):

@@ -7,6 +7,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .certainty import certainty, confirmed, echoing, repeated, widened
+from .neighbours import alike
 from .search import Found
 from .shading import SHADING
 
@@ -73,10 +74,9 @@ def _agreed(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pit
     At the border, where a lens has few pairs, a lens beside it must confirm what they agree on.
     """
     agreed = error <= AGREED * pitch
-    confirm = (neighbours >= 0) & agreed[neighbours]
-    confirm &= np.abs(refined[neighbours] - refined[:, None]) <= 2 * AGREED * pitch
+    confirm = alike(agreed, refined, neighbours, 2 * AGREED * pitch)
     whole = (neighbours >= 0).all(1)
-    return np.asarray((agreed & whole) | (confirm.sum(1) >= np.where(agreed, 1, 2)))
+    return np.asarray((agreed & whole) | (confirm >= np.where(agreed, 1, 2)))
 
 
 def _unmeasured(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float) -> NDArray[np.bool_]:
@@ -85,9 +85,9 @@ def _unmeasured(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32],
     The search alone is biased toward shifts at which more pixels are shared.
     """
     measured = np.isfinite(error)
-    like = (neighbours >= 0) & measured[neighbours]
-    like &= np.abs(refined[neighbours] - refined[:, None]) <= _ALIKE * pitch
-    return np.asarray(~measured & ~like.any(1))
+    if measured.all():
+        return ~measured
+    return np.asarray(~measured & (alike(measured, refined, neighbours, _ALIKE * pitch) == 0))
 
 
 def _by_chance(
@@ -108,9 +108,8 @@ def _by_chance(
     if 2 * sure.sum() > resolved.sum():
         resolved = resolved & ~populated(refined, refined[sure], 0.5 * _ALIKE * pitch)
     better = resolved & (found.evidence >= _SHARED * signal)
-    like = (neighbours >= 0) & better[neighbours]
-    like &= np.abs(refined[neighbours] - refined[:, None]) <= _ALIKE * pitch
-    return np.asarray(resolved & (found.evidence < _BY_CHANCE) & (like.sum(1) < 2))
+    like = alike(better, refined, neighbours, _ALIKE * pitch)
+    return np.asarray(resolved & (found.evidence < _BY_CHANCE) & (like < 2))
 
 
 def reasons(
@@ -125,18 +124,20 @@ def reasons(
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _count_like(values, ordered, gap, out):
+def _have_like(values, ordered, gap, least, out):
     for k in prange(len(values)):
-        # As numpy's, which takes one after the other.
-        out[k] = np.searchsorted(ordered, values[k] + gap) - np.searchsorted(ordered, values[k] - gap)
+        # As numpy's, which takes one after the other. No comparison holds of NaN.
+        last = np.searchsorted(ordered, values[k] - gap) + least - 1
+        out[k] = last < len(ordered) and ordered[last] < values[k] + gap
 
 
 def populated(values: NDArray[np.float32], known: NDArray[np.float32], gap: float) -> NDArray[np.bool_]:
     """Which `values` have their like among `known`, within `gap`; the false matches of a periodic texture have not."""
     ordered = np.sort(known)
-    like = np.empty(len(values), np.int64)
-    _count_like(values, ordered, ordered.dtype.type(gap), like)
-    return like >= max(1, _POPULATED * len(ordered))
+    like = np.empty(len(values), bool)
+    least = max(1, int(np.ceil(_POPULATED * len(ordered))))
+    _have_like(values, ordered, ordered.dtype.type(gap), least, like)
+    return like
 
 
 def moving(refined: NDArray, error: NDArray, pitch: float) -> NDArray[np.bool_]:

@@ -143,7 +143,7 @@ def _unshaded(shift, pitch):
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _pair_costs(
     image, centres, radius, pitch, rows, means, contrast, active, done, shifts, which, noise, shading, row_step, half,
-    about, strips, middle, whole, side, width, size, columns, lines, bunch, slots, masks, ends, counts, out,
+    about, strips, middle, whole, side, width, size, columns, lines, bunch, slots, masks, ends, counts, fresh, out,
 ):  # fmt: skip
     reach, length = len(slots) // 2, masks.shape[1]
     enough, one = _ENOUGH * radius * radius, np.float32(1.0)
@@ -152,6 +152,8 @@ def _pair_costs(
     for k in range(len(shifts)):
         near_zero[k] = _unshaded(shifts[k], pitch)
     for lens in prange(len(centres)):
+        if fresh:
+            out[lens] = 1.0
         ax, ay = centres[lens, 0], centres[lens, 1]
         for d in range(rows.shape[1]):
             other = rows[lens, d]
@@ -328,7 +330,9 @@ def pair_costs(
     -------
     (n, d, k) float32
     """
-    out = np.ones((len(gray.centres), rows.shape[1], len(shifts)), np.float32) if out is None else out
+    fresh = out is None
+    if out is None:
+        out = np.empty((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
     which = np.arange(len(shifts)) if which is None else which
     done = np.zeros(len(active), bool) if done is None else done
     about = np.empty(0, np.float32) if about is None else about.astype(np.float32)
@@ -341,6 +345,6 @@ def pair_costs(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, contrast, active,
         done, shifts.astype(np.float32), which, np.float32(noise), np.float32(shading), row_step, half, about,
         strips.values, strips.middle, strips.whole, strips.half, strips.width, strips.size, *strips.places, BUNCH,
-        *masks, out,
+        *masks, fresh, out,
     )  # fmt: skip
     return out

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .fastmath import FAST
 from .radiance import GrayFlat
-from .scratch import scratch
+from .remembered import remembered
 
 __all__ = ["BUNCH", "Masks", "Strips", "copy_box", "cut_out", "joint_masks"]
 
@@ -32,7 +32,7 @@ _SLACK = 0.25
 
 @dataclass(frozen=True)
 class Strips:
-    """All microimages, as strips of one length.
+    """Microimages, as strips of one length.
 
     Row `r` of a microimage is the row `r // step` of part `r % step` of its strip: rows that are read together, every
     `step`-th of them, follow each other.
@@ -45,6 +45,8 @@ class Strips:
         The pixel `x, y` in the middle of each.
     whole : (n,) bool
         Microimages that do not reach beyond the flat.
+    done : (n,) bool
+        Microimages that have been cut out.
     half, width, rows, step, size : int
         Pixels from the middle to the sides, and from row to row; rows of each part, number of parts, and pixels of all.
     """
@@ -52,6 +54,7 @@ class Strips:
     values: NDArray[np.float32]
     middle: NDArray[np.int32]
     whole: NDArray[np.bool_]
+    done: NDArray[np.bool_]
     half: int
     width: int
     rows: int
@@ -95,13 +98,13 @@ def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
-def _cut_out(image, middle, whole, wanted, means, half, width, rows, step, values):
+def _cut_out(image, middle, whole, means, half, width, rows, step, wanted, done, values):
     pixels, across = image.reshape(-1), image.shape[1]
     size = rows * step * width
-    values[len(middle) * size :] = 0.0
     for lens in prange(len(middle)):
-        if not wanted[lens]:
+        if done[lens] or not (wanted.size == 0 or wanted[lens]):
             continue
+        done[lens] = True
         strip = values[lens * size : (lens + 1) * size]
         if not whole[lens]:
             strip[:] = 0.0
@@ -112,31 +115,42 @@ def _cut_out(image, middle, whole, wanted, means, half, width, rows, step, value
         mean = means[lens]
         for k in range(np.uint64(size)):
             strip[k] -= mean
+    # Vector loops go on into what lies after a strip: that must be some number.
+    for lens in prange(len(middle) if wanted.size > 0 else 0):
+        if wanted[lens]:
+            for k in range((lens + 1) * size, min((lens + 1) * size + _SPARE, len(middle) * size)):
+                if not done[k // size]:
+                    values[k] = 0.0
 
 
-def cut_out(
-    gray: GrayFlat,
-    means: NDArray[np.float32],
-    step: int,
-    purpose: str | None = None,
-    wanted: NDArray[np.bool_] | None = None,
-) -> Strips:
-    """Cut out all microimages of `gray`, less the `means` (n,) of each, for reading every `step`-th row.
+def cut_out(gray: GrayFlat, means: NDArray[np.float32], step: int, wanted: NDArray[np.bool_] | None = None) -> Strips:
+    """Cut out the microimages of `gray`, less the `means` (n,) of each, for reading every `step`-th row.
 
-    In `scratch` memory if it has a `purpose`. What is in the strips of lenses that are not `wanted` (n,) is not told.
+    Only those that are `wanted` (n,), all by default, and that have not been cut out of this flat for the same means
+    and step before: the same strips are handed out again.
     """
+    kept: dict[int, tuple[NDArray[np.float32], Strips]] = remembered(gray, "strips", dict)
+    if step not in kept or kept[step][0] is not means:
+        kept[step] = means, _empty_strips(gray, step)
+    strips = kept[step][1]
+    _cut_out(
+        gray.image, strips.middle, strips.whole, means, strips.half, strips.width, strips.rows, step,
+        np.empty(0, bool) if wanted is None else wanted, strips.done, strips.values,
+    )  # fmt: skip
+    return strips
+
+
+def _empty_strips(gray: GrayFlat, step: int) -> Strips:
+    """Strips for all lenses, of which none is cut out."""
     # Interpolation between pixels of the outermost reads one pixel beyond them, to all sides.
     half = max(1, int(gray.radius - _SLACK)) + 2
     width = 2 * half + 1
     rows = -(-width // step)
     middle = np.rint(gray.centres).astype(np.int32)
     inside = (middle >= half) & (middle + half < np.array(gray.image.shape[::-1]))
-    whole = inside[:, 0] & inside[:, 1]
-    count = len(middle) * rows * step * width + _SPARE
-    values = np.empty(count, np.float32) if purpose is None else scratch(purpose, (count,), np.float32)
-    wanted = np.ones(len(middle), bool) if wanted is None else wanted
-    _cut_out(gray.image, middle, whole, wanted, means, half, width, rows, step, values)
-    return Strips(values, middle, whole, half, width, rows, step)
+    values = np.empty(len(middle) * rows * step * width + _SPARE, np.float32)
+    values[-_SPARE:] = 0.0
+    return Strips(values, middle, inside[:, 0] & inside[:, 1], np.zeros(len(middle), bool), half, width, rows, step)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)

@@ -11,6 +11,25 @@ __all__ = ["confidence", "fill", "parabola_peak", "second_best"]
 # Cost difference that makes one shift e times as likely as another (measured on simulated scenes).
 _TEMPERATURE = 0.05
 _FILL_ROUNDS = 24
+_NOWHERE = np.float32(24.0)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _confidence(total, best, scale, tolerance, out):
+    for lens in prange(len(best)):
+        own = total[lens]
+        least, at = own[best[lens]], best[lens]
+        here = everywhere = np.float32(0.0)
+        for k in range(len(own)):
+            energy = (own[k] - least) / scale
+            # What is less likely by this does not show in single precision.
+            if energy > _NOWHERE:
+                continue
+            mass = np.exp(-energy)
+            everywhere += mass
+            if abs(k - at) <= tolerance:
+                here += mass
+        out[lens] = here / everywhere
 
 
 def confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, tolerance: int) -> NDArray[np.float32]:
@@ -23,40 +42,48 @@ def confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, 
     best : (n,) int
         Chosen shift of each lens, that of the least cost.
     """
-    lens = np.arange(len(total))
-    energy = (total - total[lens, best][:, None]) / np.float32(paths * _TEMPERATURE)
-    mass = np.exp(-energy)
-    sums = np.concatenate([np.zeros((len(mass), 1), np.float32), np.cumsum(mass, 1)], 1)
-    low = np.maximum(best - tolerance, 0)
-    high = np.minimum(best + tolerance + 1, total.shape[1])
-    return ((sums[lens, high] - sums[lens, low]) / sums[:, -1]).astype(np.float32)
+    out = np.empty(len(total), np.float32)
+    _confidence(total, best, np.float32(paths * _TEMPERATURE), tolerance, out)
+    return out
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _parabola_peak(total, best, out):
+    half = np.float32(0.5)
+    for lens in prange(len(best)):
+        at, own = best[lens], total[lens]
+        out[lens] = 0.0
+        if at < 1 or at > len(own) - 2:
+            continue
+        left, middle, right = own[at - 1], own[at], own[at + 1]
+        bend = left - (middle + middle) + right
+        if bend > 1e-9:
+            out[lens] = min(max(half * (left - right) / bend, -half), half)
 
 
 def parabola_peak(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArray[np.float32]:
     """(n,) float32: offset of the minimum from `best`, in steps, of the parabola through three costs."""
-    inner = np.clip(best, 1, total.shape[1] - 2)
-    lens = np.arange(len(total))
-    left, middle, right = (total[lens, inner + d] for d in (-1, 0, 1))
-    bend = left - 2 * middle + right
-    with np.errstate(divide="ignore", invalid="ignore"):
-        offset = np.where(bend > 1e-9, 0.5 * (left - right) / bend, 0.0)
-    return np.where(inner == best, np.clip(offset, -0.5, 0.5), 0.0).astype(np.float32)
+    out = np.empty(len(total), np.float32)
+    _parabola_peak(total, best, out)
+    return out
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _smooth(values, unknown, neighbours, gap, out):
-    """Mean of the neighbours of each unknown lens that differ from it by `gap` at most."""
-    for u in prange(len(unknown)):
-        lens = unknown[u]
-        total = np.float32(0.0)
-        count = 0
-        for k in range(neighbours.shape[1]):
-            other = neighbours[lens, k]
-            if other >= 0 and abs(values[other] - values[lens]) <= gap:
-                total += values[other]
-                count += 1
-        if count:
-            out[lens] = total / count
+def _smooth(values, unknown, neighbours, gap, rounds, fresh):
+    """Mean of the neighbours of each unknown lens that differ from it by `gap` at most, so many times."""
+    for _ in range(rounds):
+        for u in prange(len(unknown)):
+            lens = unknown[u]
+            total = np.float32(0.0)
+            count = 0
+            for k in range(neighbours.shape[1]):
+                other = neighbours[lens, k]
+                if other >= 0 and abs(values[other] - values[lens]) <= gap:
+                    total += values[other]
+                    count += 1
+            fresh[u] = total / count if count else values[lens]
+        for u in prange(len(unknown)):
+            values[unknown[u]] = fresh[u]
 
 
 def fill(
@@ -79,9 +106,7 @@ def fill(
     unknown = np.flatnonzero(~known)
     if unknown.size == 0:
         return result
-    for _ in range(_FILL_ROUNDS):
-        before = result.copy()
-        _smooth(before, unknown, neighbours, np.float32(gap), result)
+    _smooth(result, unknown, neighbours, np.float32(gap), _FILL_ROUNDS, np.empty(len(unknown), np.float32))
     return result
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
 
 from .remembered import remembered
 
-__all__ = ["beside", "grown", "lens_grid", "lens_halves", "nearest_of", "neighbour_rows", "rows_among"]
+__all__ = [
+    "alike", "around", "beside", "grown", "lens_grid", "lens_halves", "nearest_of", "neighbour_rows", "rows_among",
+]  # fmt: skip
 
 # Lattices with no more lenses than this keep what tells who is beside whom.
 _MOST_KEPT = 1 << 18
@@ -72,17 +75,53 @@ def _halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     return neighbours[:, :half], neighbours[:, half:]
 
 
+@njit(cache=True, nogil=True, parallel=True)
+def _count_beside(mask, rows, own, out):
+    for lens in prange(len(rows)):
+        count = 0
+        if mask[lens] or not own:
+            for k in range(rows.shape[1]):
+                other = rows[lens, k]
+                if other >= 0 and mask[other]:
+                    count += 1
+        out[lens] = count
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _count_like(mask, sizes, rows, gap, out):
+    for lens in prange(len(rows)):
+        count = 0
+        for k in range(rows.shape[1]):
+            other = rows[lens, k]
+            if other >= 0 and mask[other] and abs(sizes[other] - sizes[lens]) <= gap:
+                count += 1
+        out[lens] = count
+
+
 def beside(mask: NDArray[np.bool_], rows: NDArray[np.int32]) -> NDArray[np.int64]:
     """(n,) how many neighbours (n, k) of each lens of `mask` (n,) are of it too; 0 for the other lenses."""
-    chosen = np.flatnonzero(mask)
-    count = np.zeros(len(mask), np.int64)
-    count[chosen] = (mask[rows[chosen]] & (rows[chosen] >= 0)).sum(1)
+    count = np.empty(len(rows), np.int64)
+    _count_beside(mask, rows, True, count)
+    return count
+
+
+def around(mask: NDArray[np.bool_], rows: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(n,) how many neighbours (n, k) of each lens are of `mask` (n,)."""
+    count = np.empty(len(rows), np.int64)
+    _count_beside(mask, rows, False, count)
+    return count
+
+
+def alike(mask: NDArray[np.bool_], sizes: NDArray, rows: NDArray[np.int32], gap: float) -> NDArray[np.int64]:
+    """(n,) how many neighbours (n, k) of each lens are of `mask` (n,) and have its patch size (n,), within `gap`."""
+    count = np.empty(len(rows), np.int64)
+    _count_like(mask, sizes, rows, sizes.dtype.type(gap), count)
     return count
 
 
 def grown(mask: NDArray[np.bool_], neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
     """(n,) bool: `mask` and all lenses beside it, by neighbour rows (n, k)."""
-    return mask | (mask[neighbours] & (neighbours >= 0)).any(1)
+    return mask | (around(mask, neighbours) > 0)
 
 
 def rows_among(rows: NDArray[np.int64], neighbours: NDArray[np.int32]) -> NDArray[np.int32]:

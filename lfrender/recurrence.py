@@ -155,21 +155,22 @@ def recurring(
     known = np.flatnonzero(resolved & (np.abs(sizes) > 0))
     if len(known) < _FEWEST:
         return certain, False
-    centres = gray.centres
-    (left, top), (right, bottom) = centres[known].min(0), centres[known].max(0)
-    reach = _REACH * gray.pitch**2 / float(np.median(np.abs(sizes[known])))
+    x, y = gray.centres[known, 0], gray.centres[known, 1]
+    own = sizes[known]
+    left, top, right, bottom = x.min(), y.min(), x.max(), y.max()
+    reach = _REACH * gray.pitch**2 / float(np.median(np.abs(own)))
     verdicts: list[tuple[bool, bool]] = []
     places = [(u, v) for v in _evenly(top, bottom, reach) for u in _evenly(left, right, reach)]
     # Opposite corners first: where neither is in doubt, most parts are not.
     for u, v in places[::3] + places[1:3]:
         if len(verdicts) == 2 and not np.any(verdicts):
             break
-        middle = known[((centres[known] - np.array([u, v], np.float32)) ** 2).sum(1).argmin()]
-        extent = (_REACH + 0.5) * gray.pitch**2 / abs(float(sizes[middle]))
-        factor = sizes[known] / sizes[middle]
-        near = (np.abs(centres[known] - centres[middle]) < extent).all(1)
-        lenses = known[near & (factor > 1 / _SURFACE) & (factor < _SURFACE)]
-        verdicts.append(_part_repeats(gray, indices, sizes, lenses, int(middle)))
+        middle = int(((x - np.float32(u)) ** 2 + (y - np.float32(v)) ** 2).argmin())
+        extent = np.float32((_REACH + 0.5) * gray.pitch**2 / abs(float(own[middle])))
+        near = np.flatnonzero((np.abs(x - x[middle]) < extent) & (np.abs(y - y[middle]) < extent))
+        factor = own[near] / own[middle]
+        lenses = known[near[(factor > 1 / _SURFACE) & (factor < _SURFACE)]]
+        verdicts.append(_part_repeats(gray, indices, sizes, lenses, int(known[middle])))
         certain[lenses] |= verdicts[-1][0]
     most = np.mean(verdicts, axis=0) > 0.5
     return certain | (resolved & most[0]), bool(most[1])
@@ -180,8 +181,8 @@ def hardly_seen(gray: GrayFlat, sizes: NDArray, resolved: NDArray[np.bool_]) -> 
     if not resolved.any():
         return False
     size = float(np.median(np.abs(sizes[resolved])))
-    across = np.ptp(gray.centres[resolved], axis=0) * size / gray.pitch**2 + 1
-    return bool(across.prod() < _ALIKE)
+    across = [float(np.ptp(gray.centres[resolved, k])) * size / gray.pitch**2 + 1 for k in (0, 1)]
+    return across[0] * across[1] < _ALIKE
 
 
 def _evenly(first: float, last: float, reach: float) -> NDArray[np.float64]:

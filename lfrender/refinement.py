@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .fastmath import FAST
 from .microimages import copy_box
+from .neighbours import grown
 from .radiance import GrayFlat
 from .smoothing import smoothed
 
@@ -314,7 +315,7 @@ def fit_pairs(
     iterations : int
     """
     known = np.isfinite(start)
-    smooth = smoothed(gray, known | (known[rows] & (rows >= 0)).any(1))
+    smooth = smoothed(gray, grown(known, rows))
     radius = gray.radius - min(_RIM, _RIM_SHARE * gray.pitch)
     shape = (*rows.shape, 2)
     fits = PairFits(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32))

@@ -12,6 +12,7 @@ from .agreement import aggregate, lens_costs
 from .matching import half_trust, pair_costs, shared_pixels
 from .microimages import Masks, Strips, cut_out
 from .modes import confidence, parabola_peak, second_best
+from .neighbours import grown
 from .radiance import GrayFlat, shrink
 from .rivals import shared_trust, without_rivals
 from .texture import FIXED_SHADING, LensStatistics, Texture, lens_statistics
@@ -67,6 +68,8 @@ _LEAST_RADIUS, _TINY_STEP = 4.0, 0.5
 _SECOND, _UNEXPLAINED = 0.3, 0.2
 # A match that leaves more than this unexplained may have a better one where nobody has looked.
 MISFIT = 0.35
+# Of fewer lenses than this share microimages are cut out for these and their neighbours alone.
+_FEW = 0.2
 # Beyond the last pixel that is shared no correlation is anything.
 _LEAST_TRUST = np.float32(0.02)
 # Lenses that match as well at another shift are torn; texture repeats where this share of them is.
@@ -149,13 +152,17 @@ class Matcher:
         """(k,) float32: share of a correlation that is believed at each shift, for the pixels that are shared there."""
         return shared_trust(self.gray, self.forward, self.shifts, half_trust(self.gray))
 
-    @cached_property
-    def _strips(self) -> Strips:
-        return cut_out(self.gray, self.statistics.mean, self._row_step)
+    def _strips(self, active: NDArray[np.bool_]) -> Strips:
+        """The microimages of the `active` lenses and of those beside them."""
+        wanted = None
+        if active.sum() < _FEW * len(active):
+            wanted = grown(active, np.hstack([self.forward, self.backward]))
+        return cut_out(self.gray, self.statistics.mean, self._row_step, wanted)
 
     @cached_property
     def _masks(self) -> Masks:
-        return shared_pixels(self._strips, self.gray, self.forward, self.shifts)
+        strips = cut_out(self.gray, self.statistics.mean, self._row_step, np.zeros(len(self.gray.centres), bool))
+        return shared_pixels(strips, self.gray, self.forward, self.shifts)
 
     def pairs(
         self,
@@ -167,7 +174,7 @@ class Matcher:
         """(n, d, k) float32 costs of the pairs of all `active` lenses, as `pair_costs`."""
         return pair_costs(
             self.gray, self.forward, self.statistics.mean, self.statistics.contrast, active, self.shifts, self._noise,
-            FIXED_SHADING, self._row_step, which, done, out, None, self._strips, self._masks,
+            FIXED_SHADING, self._row_step, which, done, out, None, self._strips(active), self._masks,
         )  # fmt: skip
 
     def probe(
@@ -180,7 +187,7 @@ class Matcher:
         forward, backward = (np.ascontiguousarray(rows[:, :_PROBED]) for rows in (self.forward, self.backward))
         pair = pair_costs(
             self.gray, forward, self.statistics.mean, self.statistics.contrast, active, shifts, self._noise,
-            FIXED_SHADING, self._row_step, about=about, strips=self._strips,
+            FIXED_SHADING, self._row_step, about=about, strips=self._strips(active),
         )  # fmt: skip
         return lens_costs(pair, forward, backward)
 

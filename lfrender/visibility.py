@@ -10,9 +10,13 @@ from lfcal import Lattice
 
 from .fastmath import FAST
 from .scratch import scratch
+from .striding import coprime_stride
 from .surface import Surface
 
 __all__ = ["lens_depths"]
+
+# Lenses that one thread works on, one after the other.
+_TOGETHER = 64
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -25,14 +29,13 @@ def nearness(s, pitch):
     return s if s > 0 else s + 2 * pitch
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, edged, out):
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _enter(surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, edged, out):
+    """Set `out` to the depth of what is seen through some lenses, and `edged` where they have a depth edge in reach."""
     rows, columns = surface.shape
     left, top = corner
     right, bottom = left + out.shape[1], top + out.shape[0]
-    for y in prange(out.shape[0]):
-        out[y] = np.nan
-    for lens in prange(len(centres)):
+    for lens in range(len(centres)):
         cx, cy = centres[lens, 0], centres[lens, 1]
         low_u = max(0, int(np.ceil((cx - reach - first_x) / spacing)))
         high_u = min(columns - 1, int(np.floor((cx + reach - first_x) / spacing)))
@@ -65,6 +68,21 @@ def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, rea
                         before = out[y - top, x - left]
                         if np.isnan(before) or nearness(before, pitch) < near:
                             out[y - top, x - left] = s
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, edged, out):
+    for y in prange(out.shape[0]):
+        out[y] = np.nan
+    # Depth edges come in clusters; but lenses beside each other share what is in the caches.
+    parts = (len(centres) + _TOGETHER - 1) // _TOGETHER
+    stride = coprime_stride(max(parts, 1))
+    for number in prange(parts):
+        first = number * stride % parts * _TOGETHER
+        _enter(
+            surface, first_x, first_y, spacing, centres[first : first + _TOGETHER], radius, pitch, reach, edge, corner,
+            edged[first : first + _TOGETHER], out,
+        )  # fmt: skip
 
 
 def lens_depths(
