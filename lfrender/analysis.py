@@ -339,7 +339,7 @@ def lens_by_lens(
     middle = surface.at(lattice.centres())
     crossed = resolved & (np.abs(middle - drawn) > gap)
     crossed &= (np.abs(middle - seconds) <= gap) | (np.abs(middle - rest) <= gap)
-    crossed &= _level_about(surface, lattice, middle, gap)
+    crossed[crossed] = _level_about(surface, lattice.centres()[crossed], middle[crossed], gap)
     if kept is not None:
         crossed &= ~kept
     saved = _saved(shortcuts, some, found, sample, kept)
@@ -369,11 +369,13 @@ def _within_reach(guess: NDArray, refined: NDArray, reason: NDArray[np.int8], pi
     return np.where(astray, np.median(known) if known.size else _UNTOLD * pitch, guess)
 
 
-def _level_about(surface: Surface, lattice: Lattice, middle: NDArray[np.float32], gap: float) -> NDArray[np.bool_]:
+def _level_about(
+    surface: Surface, centres: NDArray[np.float64], middle: NDArray[np.float32], gap: float
+) -> NDArray[np.bool_]:
     """Lenses about whose centre the surface stays at its value there, to all sides."""
     level = np.ones(len(middle), bool)
     for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
-        beside = surface.at(lattice.centres() + np.array([x, y]) * surface.spacing)
+        beside = surface.at(centres + np.array([x, y]) * surface.spacing)
         level &= np.abs(beside - middle) <= gap
     return level
 
