@@ -271,7 +271,7 @@ def lens_by_lens(
     # A lens that sees two depths answers with the one in its middle.
     middle = surface.at(lattice.centres())
     crossed = resolved & (np.abs(middle - drawn) > gap) & (np.abs(middle[:, None] - seconds) <= gap).any(1)
-    crossed &= _level_about(surface, lattice, middle, gap)
+    crossed[crossed] = _level_about(surface, lattice.centres()[crossed], middle[crossed], gap)
     if kept is not None:
         crossed &= ~kept
     error = answers.standard_error
@@ -361,11 +361,13 @@ def _among_all(
     return whole, all_drawn, all_seconds
 
 
-def _level_about(surface: Surface, lattice: Lattice, middle: NDArray[np.float32], gap: float) -> NDArray[np.bool_]:
+def _level_about(
+    surface: Surface, centres: NDArray[np.float64], middle: NDArray[np.float32], gap: float
+) -> NDArray[np.bool_]:
     """Lenses about whose centre the surface stays at its value there, to all sides."""
     level = np.ones(len(middle), bool)
     for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
-        beside = surface.at(lattice.centres() + np.array([x, y]) * surface.spacing)
+        beside = surface.at(centres + np.array([x, y]) * surface.spacing)
         level &= np.abs(beside - middle) <= gap
     return level
 

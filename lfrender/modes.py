@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["confidence", "fill", "parabola_peak", "second_best"]
+__all__ = ["confidence", "fill", "least", "parabola_peak", "second_best"]
 
 # Cost difference that makes one shift e times as likely as another (measured on simulated scenes).
 _TEMPERATURE = 0.05
@@ -30,6 +30,26 @@ def _confidence(total, best, scale, tolerance, out):
             if abs(k - at) <= tolerance:
                 here += mass
         out[lens] = here / everywhere
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _least(cost, among, best, value):
+    for lens in prange(len(best)):
+        at, least = 0, np.float32(np.inf)
+        own = cost[lens]
+        for k in range(len(own)):
+            if own[k] < least and (among.size == 0 or among[k]):
+                at, least = k, own[k]
+        best[lens], value[lens] = at, least
+
+
+def least(
+    cost: NDArray[np.float32], among: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Shift (n,) of the least cost (n, k) of each lens, the first of equals, and that cost; of those `among` (k,)."""
+    best, value = np.empty(len(cost), np.int64), np.empty(len(cost), np.float32)
+    _least(cost, np.empty(0, bool) if among is None else among, best, value)
+    return best, value
 
 
 def confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, tolerance: int) -> NDArray[np.float32]:
@@ -69,21 +89,18 @@ def parabola_peak(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArra
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _smooth(values, unknown, neighbours, gap, rounds, fresh):
-    """Mean of the neighbours of each unknown lens that differ from it by `gap` at most, so many times."""
-    for _ in range(rounds):
-        for u in prange(len(unknown)):
-            lens = unknown[u]
-            total = np.float32(0.0)
-            count = 0
-            for k in range(neighbours.shape[1]):
-                other = neighbours[lens, k]
-                if other >= 0 and abs(values[other] - values[lens]) <= gap:
-                    total += values[other]
-                    count += 1
-            fresh[u] = total / count if count else values[lens]
-        for u in prange(len(unknown)):
-            values[unknown[u]] = fresh[u]
+def _smooth(values, unknown, neighbours, gap, out):
+    """Mean of the neighbours of each unknown lens that differ from it by `gap` at most, or its own value."""
+    for u in prange(len(unknown)):
+        lens = unknown[u]
+        total = np.float32(0.0)
+        count = 0
+        for k in range(neighbours.shape[1]):
+            other = neighbours[lens, k]
+            if other >= 0 and abs(values[other] - values[lens]) <= gap:
+                total += values[other]
+                count += 1
+        out[lens] = total / count if count else values[lens]
 
 
 def fill(
@@ -106,7 +123,10 @@ def fill(
     unknown = np.flatnonzero(~known)
     if unknown.size == 0:
         return result
-    _smooth(result, unknown, neighbours, np.float32(gap), _FILL_ROUNDS, np.empty(len(unknown), np.float32))
+    other = values.copy()
+    for _ in range(_FILL_ROUNDS):
+        _smooth(result, unknown, neighbours, np.float32(gap), other)
+        result, other = other, result
     return result
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .agreement import aggregate, lens_costs
 from .matching import half_trust, pair_costs, shared_pixels
 from .microimages import Masks, Strips, cut_out
-from .modes import confidence, parabola_peak, second_best
+from .modes import confidence, least, parabola_peak, second_best
 from .neighbours import grown
 from .radiance import GrayFlat, shrink
 from .rivals import shared_trust, without_rivals
@@ -244,7 +244,7 @@ def search(
         away = np.abs(matcher.shifts - known[settled, None] / matcher.factor)
         cost[settled] = np.minimum(away / np.float32(matcher.tolerance() * step), 1)
     total = aggregate(cost, matcher.forward, matcher.backward, _SLOPE_PER_PIXEL * step, _JUMP, wanted)
-    best = total.argmin(1)
+    best, _ = least(total)
     own = cost[np.arange(len(best)), best]
     other, other_cost = second_best(cost, best, max(2, round(2 / step)))
     rival = (own > _UNEXPLAINED) & (other_cost < own + _SECOND)
@@ -256,7 +256,7 @@ def search(
         patch_size=((shifts[best] + parabola_peak(total, best) * step) * factor).astype(np.float32),
         confidence=confidence(total, best, 2 * matcher.forward.shape[1], matcher.tolerance()),
         evidence=1 - own,
-        explained=(1 - own) / np.maximum(matcher.trust[best], _LEAST_TRUST),
+        explained=((1 - own) / np.maximum(matcher.trust[best], _LEAST_TRUST)).astype(np.float32),
         rivals=rivals,
         matched=matched,
         echo=echo,
@@ -286,13 +286,11 @@ def _all_pairs(
     if populated.all():
         return matcher.pairs(active, done=sample, out=pair), 0.0
     matcher.pairs(active, which=np.flatnonzero(populated), done=sample, out=pair)
-    cost = np.where(populated, matcher.costs(pair), np.float32(np.inf))
-    best = cost.argmin(1)
-    least = cost[np.arange(len(best)), best]
+    best, lowest = least(matcher.costs(pair), populated)
     # A least value at the end of a range goes on beyond it.
     end = populated & ~(np.roll(populated, 1) & np.roll(populated, -1))
     end[[0, -1]] = False
-    doubtful = clear & active & ~sample & ((least > MISFIT) | end[best])
+    doubtful = clear & active & ~sample & ((lowest > MISFIT) | end[best])
     matcher.pairs(doubtful, which=np.flatnonzero(~populated), done=sample, out=pair)
     spared = (active & ~sample & ~doubtful).sum() * (~populated).sum()
     return pair, float(spared / max(1, active.sum() * len(populated)))

@@ -39,29 +39,22 @@ _TOGETHER = 32
 
 # Python's error model checks every division, which no vector loop can.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _add_strips(strips, places, weights, first, shade):
-    """Add four weighted strips to `shade`, from their `places` on."""
-    count = len(shade)
-    a, b, c, d = places[first], places[first + 1], places[first + 2], places[first + 3]
-    s0, s1, s2, s3 = strips[a : a + count], strips[b : b + count], strips[c : c + count], strips[d : d + count]
-    w0, w1, w2, w3 = weights[first], weights[first + 1], weights[first + 2], weights[first + 3]
+def _add_strip(strip, aside, down, count, w00, w01, w10, w11, shade):
+    """Add what lies between the pixels of a strip to `shade`, for `count` places."""
+    a00, a01 = strip[aside : aside + count], strip[aside + 1 : aside + 1 + count]
+    a10, a11 = strip[aside + down : aside + down + count], strip[aside + down + 1 : aside + down + 1 + count]
     for k in range(count):
-        shade[k] += (w0 * s0[k] + w1 * s1[k]) + (w2 * s2[k] + w3 * s3[k])
+        shade[k] += w00 * a00[k] + w01 * a01[k] + w10 * a10[k] + w11 * a11[k]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _add_lenses(strips, middle, whole, width, centres, near, lens, weights, contrast, places, chosen, shade):
+def _add_lenses(strips, middle, whole, width, centres, near, lens, weights, contrast, shade):
     """Weighted sum of what the lenses `near` one show at its pixels, less their means; the sum of the weights, and the
-    energy that unrelated pictures would have.
-
-    Each is read at the nearest whole pixel: between pixels shading hardly differs, and interpolation would blur it by
-    twice as much as the lenses are aside of each other then. `places` and `chosen` hold four more than `near`.
-    """
-    size = width * width
+    energy that unrelated pictures would have."""
+    size, count = width * width, len(shade)
     # The first row, and the first pixel of the next one, are there to be read beside it.
-    start, half = width + 1, np.float32(0.5)
+    start, one = width + 1, np.float32(1.0)
     total = expected = np.float32(0.0)
-    found = 0
     for r in range(len(near)):
         other = near[r]
         # Lenses cut by the border would average only part of the microimage.
@@ -69,16 +62,16 @@ def _add_lenses(strips, middle, whole, width, centres, near, lens, weights, cont
             continue
         tx = centres[other, 0] - centres[lens, 0] - np.float32(middle[other, 0] - middle[lens, 0])
         ty = centres[other, 1] - centres[lens, 1] - np.float32(middle[other, 1] - middle[lens, 1])
+        floor_x, floor_y = np.floor(tx), np.floor(ty)
+        fx, fy = tx - floor_x, ty - floor_y
         w = weights[other]
+        w01, w11 = w * fx * (one - fy), w * fx * fy
+        w00, w10 = w * (one - fy) - w01, w * fy - w11
         total += w
         expected += (w * contrast[other]) * (w * contrast[other])
-        places[found] = other * size + start + int(np.floor(ty + half)) * width + int(np.floor(tx + half))
-        chosen[found] = w
-        found += 1
-    for more in range(4):
-        places[found + more], chosen[found + more] = places[0], 0.0
-    for first in range(0, found, 4):
-        _add_strips(strips, places, chosen, first, shade)
+        _add_strip(
+            strips, other * size + start + int(floor_y) * width + int(floor_x), width, count, w00, w01, w10, w11, shade
+        )
     return total, expected
 
 
@@ -121,13 +114,12 @@ def _subtract_shading(
     count = ((width - 2) * width + _BUNCH - 1) // _BUNCH * _BUNCH
     for part in prange((len(centres) + _TOGETHER - 1) // _TOGETHER):
         shade = np.empty(count, np.float32)
-        places, chosen = np.empty(near.shape[1] + 4, np.int64), np.empty(near.shape[1] + 4, np.float32)
         for lens in range(part * _TOGETHER, min((part + 1) * _TOGETHER, len(centres))):
             if not wanted[lens]:
                 continue
             shade[:] = 0.0
             total, expected = _add_lenses(
-                strips, middle, whole, width, centres, near[lens], lens, weights, contrast, places, chosen, shade
+                strips, middle, whole, width, centres, near[lens], lens, weights, contrast, shade
             )
             if total == 0:
                 continue
