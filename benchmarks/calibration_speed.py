@@ -23,11 +23,13 @@ from .white_images import WhiteImage
 __all__ = ["drawn", "error_of_some", "main"]
 
 _SIZES = {"3": (2000, 1500), "12": (4000, 3000), "48": (8000, 6000), "542": (24862, 21818)}
-# Megapixels, shape, pitch [px], channels, bits.
+# Megapixels, shape, pitch [px], channels, bits, and where microimages are cut how strongly (`WhiteImage.strength`).
 _CASES = [
     ("3", "hexagonal", "14.3", "1", "8"), ("12", "hexagonal", "6.3", "1", "8"), ("12", "hexagonal", "14.3", "1", "8"),
     ("12", "hexagonal", "14.3", "3", "8"), ("12", "square", "35.4", "1", "16"), ("12", "hexagonal", "70.4", "1", "8"),
-    ("48", "hexagonal", "14.3", "1", "8"),
+    ("48", "hexagonal", "14.3", "1", "8"), ("3", "hexagonal", "9.97", "1", "8", "0.3"),
+    ("12", "hexagonal", "9.97", "1", "8", "0.3"), ("12", "hexagonal", "14.3", "1", "8", "-0.3"),
+    ("12", "square", "35.4", "1", "16", "0.3"), ("12", "hexagonal", "70.4", "1", "8", "-0.3"),
 ]  # fmt: skip
 _GIGA = [
     ("542", "hexagonal", "75", "1", "8"), ("542", "hexagonal", "75", "3", "8"), ("542", "hexagonal", "20", "3", "8"),
@@ -85,19 +87,22 @@ def error_of_some(camera: lfcal.Calibration, truth: WhiteImage) -> float:
     return float(np.sqrt(((found - truth.centres(truth.index_of(found))) ** 2).sum(1).mean()))
 
 
-def _measure(megapixels: str, shape: str, pitch: str, channels: str, bits: str) -> None:
+def _measure(megapixels: str, shape: str, pitch: str, channels: str, bits: str, cut: str = "0") -> None:
     """Print one line of the table."""
     import resource
 
-    truth = WhiteImage(shape, float(pitch), 3.0, 26.0, int(bits), size=_SIZES[megapixels])
-    lfcal.calibrate(drawn(replace(truth, pitch=14.3, size=(1000, 750)), int(channels)))
-    image = drawn(truth, int(channels))
+    truth = WhiteImage(shape, float(pitch), 3.0, 26.0, int(bits), float(cut), size=_SIZES[megapixels])
+    small = replace(truth, pitch=14.3, size=(1000, 750))
+    lfcal.calibrate(small.image() if truth.strength else drawn(small, int(channels)))
+    image = truth.image() if truth.strength else drawn(truth, int(channels))
     for _ in range(1 if megapixels == "542" else 2):
         wall, spent = time.perf_counter(), time.process_time()
         camera = lfcal.calibrate(image)
         wall, spent = time.perf_counter() - wall, time.process_time() - spent
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**30 if sys.platform == "darwin" else 2**20)
-    kind = f"{shape[:3]} {pitch} px, {'RGB' if channels == '3' else 'grey'} {bits} bit"
+    kind = (
+        f"{shape[:3]} {pitch} px, {'RGB' if channels == '3' else 'grey'} {bits} bit{' cut' if truth.strength else ''}"
+    )
     print(
         f"{megapixels:>4s} {kind:28s} {wall:7.2f} {spent:7.2f} {peak:8.2f} {image.nbytes / 2**30:8.2f} "
         f"{error_of_some(camera, truth):9.5f} {camera.source}",

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
+from numba import njit, prange
 
+from .cut_start import cut_starts, disc_radius
 from .disc_model import Discs, edge_of
-from .disc_newton import FitState, converge, few_of, misfit, placed, with_profile
+from .disc_newton import FitState, converge, misfit, placed, with_profile
 from .disc_parameters import CatEye, DiscModel, field_of
 from .errors import CalibrationError
 from .lens_cell import rows_within
@@ -22,22 +23,16 @@ _CUT_GAIN = 0.005
 _CUT_DEPTH = 0.3
 # Misfits that differ by the square of so many standard errors are told apart.
 _SURE = 8.0
+# A disc smaller than this share of the other one is taken for the microimage where shading does not tell.
+_SMALLER = 0.9
 # Cut microimages are narrower along the field by so many px at least, in the second harmonic of their edge (a cut of
 # a pixel has twenty times this), and by so many standard errors.
 _NARROW, _CERTAIN = 0.01, 6.0
-# Shading is judged so many times the blur of an edge inside of it, on about so many pixels, at least on so many, and
-# without those so many standard deviations off.
+# Shading is judged so many times the blur of an edge inside of it, at least on so many pixels, and without those so
+# many standard deviations off.
 _DEPTH = 2.0
-_SHADED_PIXELS, _FEWEST_SHADED = 2e6, 500
+_FEWEST_SHADED = 500
 _FAR = 6.0
-# Displacements in the corner and radii, both in radii of the microimage, at which cutting discs are looked for, and
-# the part of the displacement by which the lattice found without it follows; the best few are tried to the end.
-_GROWTHS = (-0.6, -0.4, -0.25, -0.12, 0.12, 0.25, 0.4, 0.6)
-_RADII = (1.0, 1.1, 1.25)
-_FOLLOWED = (0.25, 0.5)
-_STARTS = 3
-# So many lenses, and about so many pixels, are enough to choose the starts.
-_SCOUTS, _SCOUT_PIXELS = (40, 100), 3e4
 
 
 def with_cut(plain: FitState, rival: FitState, orders: tuple[str, ...]) -> FitState:
@@ -56,20 +51,39 @@ def with_cut(plain: FitState, rival: FitState, orders: tuple[str, ...]) -> FitSt
     if narrow < max(_NARROW, _CERTAIN * error):
         return plain
     found, least = plain, np.inf
-    for model in _starts(plain):
-        trial = placed(replace(plain, model=model))
-        try:
-            trial, _ = converge(with_profile(with_profile(trial)[0])[0], orders)
-        except (CalibrationError, ValueError):
-            continue
-        if misfit(trial, plain) < least:
-            found, least = trial, misfit(trial, plain)
+    for models in cut_starts(plain):
+        for trial in _of_either_role(plain, models, orders):
+            if misfit(trial, plain) < least:
+                found, least = trial, misfit(trial, plain)
     if found.model.cat_eye is None:
         return plain
     # A disc that stays outside the microimages cuts nothing.
-    depth = _radius(found.discs) + np.hypot(*found.discs.cut.T).max() - found.model.cat_eye.radius
+    depth = disc_radius(found.discs) + np.hypot(*found.discs.cut.T).max() - found.model.cat_eye.radius
     better = least < (1 - _CUT_GAIN) * min(misfit(plain, plain), misfit(rival, plain))
     return found if better and depth > _CUT_DEPTH else plain
+
+
+def _of_either_role(
+    plain: FitState, models: tuple[DiscModel, DiscModel], orders: tuple[str, ...]
+) -> Iterator[FitState]:
+    """Fits with a cut from models of `cut_starts`: the likelier one, and the other where that does not settle it."""
+    try:
+        starts = [with_profile(placed(replace(plain, model=models[0])))]
+        if _shading_tells(starts[0].discs) > _SURE**2:
+            starts.insert(0, with_profile(placed(replace(plain, model=models[1]))))
+        else:
+            starts.append(placed(replace(plain, model=models[1])))
+    except (CalibrationError, ValueError):
+        return
+    for start in starts:
+        try:
+            trial, _ = converge(with_profile(start), orders)
+        except (CalibrationError, ValueError):
+            continue
+        yield trial
+        gain = _shading_tells(trial.discs)
+        if gain < -(_SURE**2) or (gain < _SURE**2 and disc_radius(trial.discs) < _SMALLER * trial.discs.radius):
+            return
 
 
 def _narrowing(state: FitState) -> tuple[float, float]:
@@ -124,36 +138,6 @@ def _narrowings(light, corners, centres, field, gain, trust, tilt, inner, step, 
                 out[lens, 1] += weight * response * response
 
 
-def _starts(plain: FitState) -> list[DiscModel]:
-    """Cutting discs to start from, best first."""
-    lattice = plain.model.lattice
-    middle, reach = (np.array(lattice.image_size) - 1) / 2, np.hypot(*lattice.image_size) / 2
-    radius = _radius(plain.discs)
-    scouts = few_of(plain, int(np.clip(_SCOUT_PIXELS / abs(np.linalg.det(lattice.basis)), *_SCOUTS)))
-
-    def cost(model: DiscModel) -> float:
-        trial = placed(replace(scouts, model=model))
-        return with_profile(with_profile(trial)[0])[1]
-
-    trials: list[tuple[float, int, DiscModel]] = []
-    for growth in _GROWTHS:
-        for ratio in _RADII:
-            for followed in _FOLLOWED:
-                shrink = 1 - followed * growth * radius / reach
-                origin = middle + (lattice.origin - middle) * shrink
-                eye = CatEye(np.zeros(2), np.array([growth * radius, 0.0, 0.0]), ratio * radius, 0.5)
-                model = DiscModel(replace(lattice, origin=origin, basis=lattice.basis * shrink), eye)
-                trials.append((cost(model), len(trials), model))
-    return [model for _, _, model in sorted(trials, key=lambda t: t[:2])[:_STARTS]]
-
-
-def _radius(discs: Discs) -> float:
-    """Distance from the centre [px] at which the profile falls through the middle between disc and gap."""
-    level = discs.level
-    half = 0.5 * (float(np.median(level[: max(2, len(level) // 2)])) + discs.dark)
-    return max(int(np.argmax(level < half)), 1) * discs.step
-
-
 def settled_roles(state: FitState) -> FitState:
     """Which of the two discs is the microimage: the one that fits better as such, or else the smaller one.
 
@@ -162,9 +146,12 @@ def settled_roles(state: FitState) -> FitState:
     """
     lattice, eye = state.model.lattice, state.model.cat_eye
     assert eye is not None
+    gain = _shading_tells(state.discs)
+    if gain < -(_SURE**2) or (gain <= _SURE**2 and disc_radius(state.discs) <= eye.radius):
+        return state
     middle, reach = (np.array(lattice.image_size) - 1) / 2, np.hypot(*lattice.image_size) / 2
     grown = 1 + eye.growth[0] / reach
-    radius = _radius(state.discs)
+    radius = disc_radius(state.discs)
     other = replace(lattice, origin=middle + (lattice.origin - middle) * grown + eye.shift, basis=lattice.basis * grown)
     swapped = CatEye(-eye.shift, -eye.growth / grown, radius, eye.soft, eye.shared)
     radii = np.arange(len(state.discs.level)) * state.discs.step
@@ -175,10 +162,9 @@ def settled_roles(state: FitState) -> FitState:
     except CalibrationError:
         return state
     assert trial.model.cat_eye is not None
-    gain = _shading_tells(state.discs)
-    if abs(gain) > _SURE**2:
-        return trial if gain > 0 else state
-    excess = [_radius(t.discs) - t.discs.radius for t in (state, trial)]
+    if gain > _SURE**2:
+        return trial
+    excess = [disc_radius(t.discs) - t.discs.radius for t in (state, trial)]
     return state if excess[0] <= excess[1] else trial
 
 
@@ -187,32 +173,65 @@ def _shading_tells(discs: Discs) -> float:
 
     Only pixels deep inside both discs are looked at: their edges are what a fit with the wrong roles has adapted to.
     """
-    side = discs.light.shape[1]
-    few = slice(None, None, max(1, int(discs.light.size / _SHADED_PIXELS)))
-    light, gain, trust = discs.light[few], discs.gain[few, None, None], np.sqrt(discs.trust[few, None, None])
-    corner = (discs.corners[few] - discs.centres[few])[:, None, None]
-    offset = corner + np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1)
-    shares = []
-    for place, radius in ((offset, _radius(discs)), (offset - discs.cut[few, None, None], discs.radius)):
-        shares.append((place**2).sum(-1) / max(radius - _DEPTH * discs.soft, 1.0) ** 2)
-    inside = ((shares[0] < 1) & (shares[1] < 1) & (light < discs.full)).astype(float)
-    number = np.maximum(inside.sum((1, 2), keepdims=True), 1)
-    value = light / (gain * (1 + (offset * discs.tilt[few, None, None]).sum(-1)))
-
-    def apart(v: NDArray[np.float64]) -> NDArray[np.float64]:
-        # The gain of each lens is its own: only differences within a lens count.
-        return ((v - (v * inside).sum((1, 2), keepdims=True) / number) * trust)[inside > 0]
-
-    value = apart(value)
-    keep = np.abs(value) < _FAR * 1.4826 * np.median(np.abs(value)) if value.size else value > 0
-    if keep.sum() < _FEWEST_SHADED:
+    moments, number = np.zeros((len(discs.centres), 7, 7)), np.zeros(len(discs.centres), np.int64)
+    own_reach, cut_reach = (max(radius - _DEPTH * discs.soft, 1.0) for radius in (disc_radius(discs), discs.radius))
+    _shading_moments(
+        discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, own_reach, cut_reach,
+        discs.step, discs.level, discs.weight, discs.full, moments, number,
+    )  # fmt: skip
+    if number.sum() < _FEWEST_SHADED:
         return 0.0
-    costs = []
-    for share in shares:
-        columns = np.column_stack([apart(share**power) for power in (1, 2, 3)])[keep]
-        left = value[keep] - columns @ np.linalg.lstsq(columns, value[keep], rcond=None)[0]
-        costs.append(float(left @ left))
-    return (costs[0] - costs[1]) / max(min(costs), 1e-30) * float(keep.sum())
+    total, costs = moments.sum(0), []
+    for own in (slice(1, 4), slice(4, 7)):
+        force = total[0, own]
+        costs.append(float(total[0, 0] - force @ np.linalg.lstsq(total[own, own], force, rcond=1e-9)[0]))
+    return (costs[0] - costs[1]) / max(min(costs), 1e-30) * float(number.sum())
+
+
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+def _shading_moments(
+    light, corners, centres, cut, gain, trust, tilt, inside, within, step, level, weight, full, moments, number
+):
+    """Per lens the covariances of light, and of powers of the distances to the middles of both discs.
+
+    Of pixels within `inside` of the one and `within` of the other; not of those that are far off the profile.
+    """
+    side = light.shape[1]
+    for lens in prange(len(centres)):
+        cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
+        value, total, count = np.zeros(7), np.zeros(7), 0
+        products = np.zeros((7, 7))
+        top, bottom = rows_within(cy, inside, 0, side)
+        for y in range(top, bottom):
+            dy = y - cy
+            first, last = rows_within(cx, math.sqrt(max(inside * inside - dy * dy, 0.0)), 0, side)
+            for x in range(first, last):
+                dx = x - cx
+                ex, ey = dx - cut[lens, 0], dy - cut[lens, 1]
+                own = (dx * dx + dy * dy) / (inside * inside)
+                other = (ex * ex + ey * ey) / (within * within)
+                if other >= 1 or own >= 1 or light[lens, y, x] >= full:
+                    continue
+                place = math.sqrt(dx * dx + dy * dy) / step
+                ring = int(place)
+                model = level[ring] + (level[ring + 1] - level[ring]) * (place - ring)
+                # The gain of each lens is its own: only differences within a lens count.
+                more = light[lens, y, x] / (gain[lens] * (1 + tilt[lens, 0] * dx + tilt[lens, 1] * dy)) - model
+                if more * more * weight[ring] * trust[lens] >= _FAR * _FAR:
+                    continue
+                value[0] = more + model - level[0]
+                value[1], value[2], value[3] = own, own * own, own * own * own
+                value[4], value[5], value[6] = other, other * other, other * other * other
+                count += 1
+                for a in range(7):
+                    total[a] += value[a]
+                    for b in range(a, 7):
+                        products[a, b] += value[a] * value[b]
+        number[lens] = count
+        for a in range(7):
+            for b in range(a, 7):
+                moments[lens, a, b] = (products[a, b] - total[a] * total[b] / max(count, 1)) * trust[lens]
+                moments[lens, b, a] = moments[lens, a, b]
 
 
 def without_idle_cut(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, tuple[str, ...]]:

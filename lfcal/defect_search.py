@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .defects import Defects
 from .gain_fit import GainFit
-from .gain_kernels import ASIDE, describe, level_at, light, light_of_round, walk
+from .gain_kernels import ASIDE, cut_table, describe, level_at, light_of_any, light_of_round, walk
 from .gain_map import GainMap
 from .lattice import Lattice
 
@@ -81,15 +81,6 @@ def _ends(y, faces, width):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _light_of_any(pixels, count, lens, profile, step, cut, shape, ring):
-    """`light_of_round` for lenses of any shape."""
-    last = len(profile) - 2
-    for k in range(count):
-        shape[k], stretched, _ = light(pixels[0, k], pixels[1, k], lens, profile, step, cut)
-        ring[k] = min(int(stretched / step), last)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _noted(tone, count, shape, ring, over, sharp, certain, out):
     """How far pixels are off as bytes, `_ZERO + _UNIT * standard deviations`; far off by themselves at the ends.
 
@@ -114,12 +105,12 @@ def _departures(
     # Most maps have neither rims that differ with the direction nor a cut.
     plain = rim.shape[0] == 1 and not cut[4] > 0
     base, rise = profile[:-1].astype(np.float32), np.diff(profile).astype(np.float32)
-    sure_32 = sure[:-1].astype(np.float32)
+    sure_32, table = sure[:-1].astype(np.float32), cut_table()
     for chunk in prange(chunks):
         powers, lens, faces = np.empty(64), np.empty(7 + rim.shape[0]), np.empty((6, 2))
         pixels, rows = np.empty((3, _ROOM + width), np.float32), np.empty((_ROOM, 3), np.int64)
         noted, ring = np.empty(_ROOM + width, np.uint8), np.empty(_ROOM + width, np.int32)
-        shape = np.empty(_ROOM + width, np.float32)
+        shape, spare = np.empty(_ROOM + width, np.float32), np.empty((5, _ROOM + width), np.float32)
         for b in range(1 + chunk, middles.shape[0] - 1, chunks):
             for a in range(1, middles.shape[1] - 1):
                 start, stop = _sides(a, b, middles, sides, height, faces)
@@ -157,7 +148,7 @@ def _departures(
                         scale = np.float32((1 - lens[7]) / step)
                         light_of_round(pixels, count, lens, base, rise, scale, shape, ring)
                     else:
-                        _light_of_any(pixels, count, lens, profile, step, cut, shape, ring)
+                        light_of_any(pixels, count, lens, base, rise, step, cut, table, spare, shape, ring)
                     over = np.float32(1 / bright)
                     _noted(pixels[2], count, shape, ring, over, np.float32(sharp), sure_32, noted)
                     count = 0

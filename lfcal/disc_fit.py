@@ -37,12 +37,19 @@ _MANY = 8000
 # error [px]: a hundredth of what any use of them could tell.
 _ALL = 4e6
 _FINE = 3.5e-4
+# Of cut microimages, whose model leaves centres unsure by several times this, so many that they have this one [px],
+# but no fewer and no more pixels, nor fewer lenses.
+_FINE_CUT = 2e-3
+_CUT, _FEWEST_CUT = (1e5, 2e5), 250
 # Further orders must move centres by so many px (RMS) and by so many standard errors, and lower the misfit by this
 # share. Less is no matter to anyone and may be the model's fault. The first step shows about how far they will.
 _BENT = 0.01
 _PROMISING = 0.5
 _SURE = 8.0
 _GAIN = 0.003
+_RADIAL = ("k1", "centre", "k2")
+# Steps after which a model without a cut has settled as far as it ever will.
+_FIRST_PASSES = 5
 # Parameters of the cutting disc.
 _NOT_OF_LATTICE = ("shift", "growth", "growth2", "growth3", "radius", "soft", "shared")
 
@@ -95,23 +102,30 @@ def fit_discs(tones: NDArray[np.float32] | Parts, lattice: Lattice, pixels: floa
     """
     tones, known = Parts.of(tones), _known_orders(lattice)
     state, lit = open_lenses(tones, DiscModel(lattice, None), *_FEW, None)
-    state, _ = converge(state, known)
-    state = with_cut(state, state if known else _better(state, (), _bent(state), ("k1",))[0], known)
-    some = min(_SOME[0], _MANY * abs(float(np.linalg.det(lattice.basis))))
-    state, lit = open_lenses(tones, state.model, some, _SOME[1], state.discs, lit)
-    state, _ = converge(state, known, known=True)
+    state, _ = converge(state, known, passes=_FIRST_PASSES)
+    bent, bends = (state, known) if known else _better(state, (), _bent(state), ("k1",))
+    state = with_cut(state, bent, known)
+    if state.model.cat_eye is None:
+        state, known = bent, bends
+    some, fewest = min(_SOME[0], _MANY * abs(float(np.linalg.det(lattice.basis)))), _SOME[1]
+    if state.model.cat_eye is not None:
+        some, fewest = float(np.clip(_pixels(state) * (state.uncertainty / _FINE_CUT) ** 2, *_CUT)), _FEWEST_CUT
+    state, lit = open_lenses(tones, state.model, some, fewest, state.discs, lit)
+    state, summary = converge(state, known, known=True)
+    first = state
     if state.model.cat_eye is not None:
         state = settled_roles(state)
     state, orders = _with_orders(state, known)
-    if state.model.cat_eye is None and orders and not known:
+    if state.model.cat_eye is None and orders != known:
         state = with_cut(state, state, orders)
-    state, orders = without_idle_cut(state, orders)
-    wanted = (
-        pixels if np.prod(lattice.image_size) < _ALL else min(pixels, _pixels(state) * (state.uncertainty / _FINE) ** 2)
-    )
-    if wanted > _pixels(state):
-        state, _ = open_lenses(tones, state.model, wanted, FEWEST_LENSES, state.discs, lit)
-    state, summary = finished(state, orders)
+    if orders != known:
+        state, orders = without_idle_cut(state, orders)
+    if state.model.cat_eye is None:
+        if _wanted(state, pixels) > _pixels(state):
+            state, _ = open_lenses(tones, state.model, _wanted(state, pixels), FEWEST_LENSES, state.discs, lit)
+        state, summary = finished(state, orders)
+    elif state is not first:
+        state, summary = converge(state, orders, known=True)
     own = [k for k, name in enumerate(summary.names) if name not in _NOT_OF_LATTICE]
     errors = LatticeErrors(tuple(summary.names[k] for k in own), summary.covariance[np.ix_(own, own)])
     return DiscFit(
@@ -119,6 +133,13 @@ def fit_discs(tones: NDArray[np.float32] | Parts, lattice: Lattice, pixels: floa
         halves_differ(summary),
         Residuals(state.indices.astype(np.int32), own_offsets(state, summary).astype(np.float32)),
     )  # fmt: skip
+
+
+def _wanted(state: FitState, pixels: float) -> float:
+    """Pixels to be used of a flat of whole microimages, at most so many."""
+    if np.prod(state.model.lattice.image_size) < _ALL:
+        return pixels
+    return min(pixels, _pixels(state) * (state.uncertainty / _FINE) ** 2)
 
 
 def _pixels(state: FitState) -> float:
@@ -162,7 +183,7 @@ def _with_orders(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, tu
         for name in ("growth2", "growth3"):
             state, orders = _better(state, orders, state, (*orders, name))
     cut, straight = orders, state
-    for name in ("k1", "centre", "k2"):
+    for name in _RADIAL:
         before = orders
         if "general" in orders:
             return state, orders
@@ -174,7 +195,9 @@ def _with_orders(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, tu
     if state.model.cat_eye is not None:
         # What its model leaves over can be taken for a distortion that follows no law.
         return state, orders
-    return _better(state, orders, _bent(straight, np.zeros((2, 7))), (*cut, "general"))
+    # What is radial of it stays as it is: a general distortion could do the same.
+    general = (*(name for name in cut if name not in _RADIAL), "general")
+    return _better(state, orders, _bent(straight, np.zeros((2, 7))), general)
 
 
 def _bent(state: FitState, general: NDArray[np.float64] | None = None) -> FitState:

@@ -236,15 +236,15 @@ def disc_steps(discs: Discs, learn: bool = True) -> DiscSteps:
     band, scatter = np.zeros((_CHUNKS, rings, 11 if discs.whole else 8)), np.zeros((lenses, 2))
     slope = np.gradient(discs.level, discs.step)
     calm = _calm(discs)
+    tables = np.column_stack([discs.level, slope, discs.weight, discs.four])
     if not discs.whole:
         accumulate_cut(
             discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
-            discs.soft, discs.faces, discs.inner, discs.reach, discs.step, discs.level, slope, discs.weight, discs.four,
-            discs.edge, calm, *thinned(calm), _depths(discs), discs.shared, discs.dark, discs.full, _CHUNKS, normal,
-            right, mixed, band, scatter,
+            discs.soft, discs.faces, discs.inner, discs.reach, discs.step, np.column_stack([tables, _depths(discs)]),
+            discs.edge, calm, *thinned(calm), discs.shared, discs.dark, discs.full, _CHUNKS, normal, right, mixed, band,
+            scatter,
         )  # fmt: skip
     else:
-        tables = np.column_stack([discs.level, slope, discs.weight, discs.four])
         accumulate_whole(
             discs.light, discs.corners, discs.centres, discs.gain, discs.trust, discs.tilt, discs.faces, discs.inner,
             discs.reach, discs.step, tables, calm, *thinned(calm), discs.full, _CHUNKS, learn, normal, right, mixed,

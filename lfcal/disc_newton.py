@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .disc_model import Discs, DiscSteps, disc_steps, edge_of
-from .disc_parameters import DiscModel, design, field_of, moved
+from .disc_parameters import DiscModel, design, field_of, moved, step_limits
 from .errors import CalibrationError
 from .shading_slope import shading_of_field, shading_slope
 
 __all__ = [
-    "FitState", "FitSummary", "by_brightness", "converge", "few_of", "finished", "halves_differ", "misfit",
+    "FitState", "FitSummary", "by_brightness", "converge", "finished", "halves_differ", "misfit",
     "own_offsets", "placed", "promise", "weighted", "with_profile",
 ]  # fmt: skip
 
@@ -32,6 +33,8 @@ _STEADY = 0.5
 # A step of whole discs whose profile is known leaves less than a twentieth of itself: so many standard errors are as
 # good as made by it, where it is small against the blur of an edge [px].
 _NEAR, _SHORT = 3.0, 0.05
+# Times that the damping of a step is doubled at most.
+_DAMPINGS = 60
 _RUNAWAY = 0.05
 # Lenses are grouped by brightness into so many groups to see how their noise depends on it.
 _GROUPS = 12
@@ -136,13 +139,11 @@ def by_brightness(
     return gain[order[:, middle]], np.partition(values[order], middle, axis=1)[:, middle]
 
 
-def with_profile(state: FitState) -> tuple[FitState, float]:
-    """The state with the profile that fits it, and the cost it had before."""
+def with_profile(state: FitState) -> FitState:
+    """The state with the profile that fits it."""
     steps = state.discs.steps
-    level = state.discs.level + np.linalg.pinv(steps.profile, rcond=1e-9, hermitian=True) @ steps.force
-    return replace(
-        state, discs=replace(state.discs, level=level, edge=edge_of(level), dark=_dark(level, edge_of(level)))
-    ), steps.cost
+    level = state.discs.level + np.linalg.solve(steps.profile, steps.force)
+    return replace(state, discs=replace(state.discs, level=level, edge=edge_of(level)))
 
 
 def _dark(level: NDArray[np.float64], edge: NDArray[np.bool_]) -> float:
@@ -158,11 +159,20 @@ def misfit(state: FitState, standard: FitState) -> float:
     return replace(state.discs, weight=standard.discs.weight, trust=standard.discs.trust).steps.cost
 
 
-def converge(state: FitState, orders: tuple[str, ...], known: bool = False) -> tuple[FitState, FitSummary]:
+def converge(
+    state: FitState, orders: tuple[str, ...], known: bool = False, passes: int = _PASSES
+) -> tuple[FitState, FitSummary]:
     """Gauss-Newton until nothing moves any more; `known` where the profile is that of a fit."""
-    start, before, bold = state.model.lattice.basis, 0.0, True
-    for turn in range(_PASSES):
+    start, before, bold, trust, last = state.model.lattice.basis, 0.0, True, 1.0, None
+    for turn in range(passes):
         summary = _solved(state, orders, bold=bold)
+        if state.model.cat_eye is not None:
+            limits = step_limits(state.model.cat_eye, summary.names)
+            if last is not None:
+                # Steps to and fro go too far.
+                trust = min(2 * trust, 1.0) if summary.change / limits @ last > 0 else 0.5 * trust
+            summary = _held(summary, trust * limits)
+            last = summary.change / limits
         state = _stepped(state, summary, turn >= _FREE_PASSES)
         if not np.abs(state.model.lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
@@ -186,6 +196,25 @@ def finished(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSum
             model = moved(state.model, summary.change, summary.names)
             return placed(replace(state, model=model, uncertainty=summary.uncertainty)), summary
     return converge(state, orders, known=True)
+
+
+def _held(summary: FitSummary, limits: NDArray[np.float64]) -> FitSummary:
+    """The step with the part that least squares are least sure of held back, so far that none exceeds its limit (p,).
+
+    Levenberg's damping, as much of it as keeps the step within a trust region (Moré 1978).
+    """
+    change: NDArray[Any] = summary.change
+    if not np.abs(change / limits).max() > 1:
+        return summary
+    ease = summary.covariance / limits**2
+    damping = 0.01 / max(float(np.diag(ease).max()), 1e-300)
+    for _ in range(_DAMPINGS):
+        change = np.linalg.solve(np.eye(len(limits)) + damping * ease, summary.change)
+        if np.abs(change / limits).max() <= 1:
+            break
+        damping *= 2
+    place = summary.columns[:, :2] @ change
+    return replace(summary, change=change, moved=float(np.sqrt((place**2).sum(1).mean())))
 
 
 def _near(summary: FitSummary) -> bool:
@@ -266,7 +295,9 @@ def _stepped(state: FitState, summary: FitSummary, frozen: bool = False) -> FitS
     discs = replace(discs, four=discs.four + steps.four)
     if not frozen:
         edge, by = edge_of(level), weighted(state, steps).discs
-        discs = replace(discs, weight=by.weight, trust=by.trust, edge=edge, dark=_dark(level, edge))
+        # Behind a cutting disc hardly any pixel tells the light between microimages from that of the edge.
+        dark = _dark(level, edge) if discs.whole else discs.dark
+        discs = replace(discs, weight=by.weight, trust=by.trust, edge=edge, dark=dark)
         # Of two discs that cut each other, shading tells which one is the microimage: about its middle light is even.
         slope = shading_slope if state.model.cat_eye is None else shading_of_field
         discs = replace(discs, tilt=slope(discs, state.model.lattice))
@@ -353,11 +384,6 @@ def own_offsets(state: FitState, summary: FitSummary) -> NDArray[np.float64]:
         discs = replace(discs, centres=discs.centres + np.clip(step, -_LONGEST, _LONGEST))
     offset[far] = discs.centres - start
     return offset
-
-
-def few_of(state: FitState, lenses: int) -> FitState:
-    """The state with only about so many lenses, evenly spread."""
-    return _of_lenses(state, np.arange(0, len(state.indices), max(1, len(state.indices) // lenses)))
 
 
 def _of_lenses(state: FitState, chosen: NDArray[np.int64]) -> FitState:

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from .disc_model import LOCAL
 from .lattice import Lattice
 
-__all__ = ["CatEye", "DiscModel", "design", "field_of", "moved"]
+__all__ = ["CatEye", "DiscModel", "design", "field_of", "moved", "step_limits"]
 
 # No step moves a disc, or changes its radius, by more than this share of the radius.
 _LONGEST = 0.1
+# Nor the softness of the cut by more than this share, nor its correlation with the other edge by more than that.
+_SOFTENS, _SHARES = 0.3, 0.2
 # Softest edge of a cutting disc over its radius, and the sharpest edge that pixels of finite size show [px].
 _SOFTEST = 0.1
 _SHARPEST = 0.2
@@ -119,6 +121,13 @@ def design(
     return np.stack(columns, axis=2), names
 
 
+def step_limits(eye: CatEye, names: list[str]) -> NDArray[np.float64]:
+    """(p,) how far the parameters `names` of `design` can go in one step; infinite for those of the lattice."""
+    most = _LONGEST * eye.radius
+    limits = {"radius": most, "shift": most, "soft": _SOFTENS * eye.soft, "shared": _SHARES}
+    return np.array([most if name.startswith("growth") else limits.get(name, np.inf) for name in names])
+
+
 def moved(model: DiscModel, change: NDArray[np.float64], names: list[str]) -> DiscModel:
     """The model after a step `change` (p,) of the parameters `names` of `design`."""
     by = {name: change[[k for k, other in enumerate(names) if other == name]] for name in names}
@@ -132,7 +141,7 @@ def moved(model: DiscModel, change: NDArray[np.float64], names: list[str]) -> Di
         return DiscModel(lattice, None)
     most = _LONGEST * eye.radius
     growth = np.array([float(by.get(name, [0.0])[0]) for name in ("growth", "growth2", "growth3")])
-    soft = eye.soft + float(np.clip(by["soft"][0], -0.3 * eye.soft, 0.3 * eye.soft))
+    soft = eye.soft + float(np.clip(by["soft"][0], -_SOFTENS * eye.soft, _SOFTENS * eye.soft))
     return DiscModel(
         lattice,
         CatEye(
@@ -140,6 +149,6 @@ def moved(model: DiscModel, change: NDArray[np.float64], names: list[str]) -> Di
             eye.growth + np.clip(growth, -most, most),
             eye.radius + float(np.clip(by["radius"][0], -most, most)),
             float(np.clip(soft, _SHARPEST, _SOFTEST * eye.radius + _SHARPEST)),
-            float(np.clip(eye.shared + np.clip(by["shared"][0], -0.2, 0.2), 0.0, _MOST_SHARED)),
+            float(np.clip(eye.shared + np.clip(by["shared"][0], -_SHARES, _SHARES), 0.0, _MOST_SHARED)),
         ),
     )

@@ -10,7 +10,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .gain_fit import GainFit
-from .gain_kernels import describe, field_level, light, light_of_round
+from .gain_kernels import cut_table, describe, field_level, light_of_any, light_of_round
 from .gain_map import GainMap, frame, terms
 from .gain_terms import monomials
 from .lattice import Lattice
@@ -137,11 +137,11 @@ def _look(picture, top, chosen, centres, sides, stride, noise, out, field, radiu
     """
     lenses = chosen.shape[0]
     plain = rim.shape[0] == 1 and not cut[4] > 0
-    level, rise = profile[:-1].astype(np.float32), np.diff(profile).astype(np.float32)
+    level, rise, table = profile[:-1].astype(np.float32), np.diff(profile).astype(np.float32), cut_table()
     for block in prange((lenses + _TOGETHER - 1) // _TOGETHER):
         powers, lens, ratios = np.empty(64), np.empty(7 + rim.shape[0]), np.empty(_MOST)
         pixels, shape, sums = np.empty((3, _MOST), np.float32), np.empty(_MOST, np.float32), np.empty(9)
-        ring = np.empty(_MOST, np.int32)
+        ring, spare = np.empty(_MOST, np.int32), np.empty((5, _MOST), np.float32)
         for k in range(block * _TOGETHER, min((block + 1) * _TOGETHER, lenses)):
             n = chosen[k]
             cx, cy = centres[n, 0], centres[n, 1]
@@ -150,8 +150,7 @@ def _look(picture, top, chosen, centres, sides, stride, noise, out, field, radiu
             if plain:
                 light_of_round(pixels, count, lens, level, rise, np.float32((1 - lens[7]) / step), shape, ring)
             else:
-                for m in range(count):
-                    shape[m] = light(pixels[0, m], pixels[1, m], lens, profile, step, cut)[0]
+                light_of_any(pixels, count, lens, level, rise, step, cut, table, spare, shape, ring)
             _sums(pixels, count, shape, sums)
             bright = sums[7]
             if bright == 0:

@@ -1,4 +1,8 @@
-"""Find the disc that cuts microimages (cat-eye) from where their rims lie in parts of the field."""
+"""Find the disc that cuts microimages (cat-eye) from where their rims lie in parts of the field.
+
+Where lens shapes are cut from two discs, either could be the microimage: rims are the same with both in each other's
+place.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RimCut", "find_rim_cut"]
+__all__ = ["RimCut", "find_rim_cut", "rim_cuts"]
 
 # Displacements in the corner and radii, in radii of the microimage, from which the fit starts, and the part of the
 # displacement by which the lattice may have followed what is left of the microimages.
-_GROWTHS = (-0.6, -0.35, -0.2, 0.2, 0.35, 0.6)
+_GROWTHS = (0.15, 0.35, 0.6)
 _RADII = (1.0, 1.1, 1.25)
 _FOLLOWED = (0.0, 0.4)
 _TURNS = 12
+# Step by which slopes are taken [px], and the share by which the squares must fall for another turn.
+_NUDGE, _ENOUGH = 1e-3, 1e-4
+# Where two rims cross, blur takes light from both: so many px there, times the logarithm of 2, of edges that are half a
+# pixel soft and mostly blurred together.
+_CROSSING = 0.22
+# Cuts whose rims differ in the mean square by less than this share of what one leaves over are the same.
+_OTHER = 0.1
 # A cut must explain this share of the squared deviations of the rim from a circle, and at least so many px (RMS).
 _EXPLAINS, _MATTERS = 0.8, 0.05
 
@@ -25,17 +36,21 @@ class RimCut:
 
     Parameters
     ----------
-    own : float [px]
-        Displacement of the microimages themselves in the corner: what the lattice misses.
+    own, whole : float [px]
+        Displacement of the microimages themselves in the corner, what the lattice misses, and their radius.
     shift : (2,) float64 [px]
     growth, radius : float [px]
         As of `CatEye`.
+    left : float [px^2]
+        Mean square of what the rims are off it.
     """
 
     own: float
+    whole: float
     shift: NDArray[np.float64]
     growth: float
     radius: float
+    left: float
 
 
 def _rim(
@@ -43,16 +58,27 @@ def _rim(
 ) -> NDArray[np.float64]:
     """(n, d) distance from the centre to the rim of an own disc cut by another."""
     own, radius, growth, cutting, sx, sy = parameters
-    nearest = np.full((len(field), len(along)), np.inf)
+    rims = []
     for centre, r in ((own * field, radius), (growth * field + (sx, sy), cutting)):
         ahead = centre @ along.T
         aside = (centre**2).sum(1)[:, None] - ahead**2
-        nearest = np.minimum(nearest, ahead + np.sqrt(np.maximum(r * r - aside, 0)))
-    return nearest
+        rims.append(ahead + np.sqrt(np.maximum(r * r - aside, 0)))
+    apart = np.abs(rims[0] - rims[1])
+    return np.asarray(np.minimum(*rims) - _CROSSING * np.log1p(np.exp(-apart / _CROSSING)))
 
 
 def find_rim_cut(rim: NDArray[np.float64], weight: NDArray[np.float64], field: NDArray[np.float64]) -> RimCut | None:
-    """The cut that explains where rims lie, or None where they are as good as round.
+    """The first of `rim_cuts`, or None where rims are as good as round."""
+    mean = float(np.average(rim, weights=weight))
+    plain = float(np.average((rim - mean) ** 2, weights=weight))
+    if plain < _MATTERS**2:
+        return None
+    found = rim_cuts(rim, weight, field)[0]
+    return None if found.left > (1 - _EXPLAINS) * plain or plain - found.left < _MATTERS**2 else found
+
+
+def rim_cuts(rim: NDArray[np.float64], weight: NDArray[np.float64], field: NDArray[np.float64]) -> list[RimCut]:
+    """Cuts that explain where rims lie, the best one first: of discs displaced inwards and outwards.
 
     Parameters
     ----------
@@ -64,37 +90,54 @@ def find_rim_cut(rim: NDArray[np.float64], weight: NDArray[np.float64], field: N
     """
     angle = np.arange(rim.shape[1]) * 2 * np.pi / rim.shape[1]
     along = np.column_stack([np.cos(angle), np.sin(angle)])
-    mean = float(np.average(rim, weights=weight))
     widest = float(np.percentile(rim[weight > 0], 90))
-    plain = float(np.average((rim - mean) ** 2, weights=weight))
-    if plain < _MATTERS**2:
-        return None
+    share = weight / weight.sum()
 
     def misfit(p: NDArray[np.float64]) -> float:
-        return float(np.average((rim - _rim(p, field, along)) ** 2, weights=weight))
+        return float((share * (rim - _rim(p, field, along)) ** 2).sum())
 
-    starts = [
-        np.array([-f * g * widest, widest, (1 - f) * g * widest, r * widest, 0.0, 0.0])
-        for g in _GROWTHS for r in _RADII for f in _FOLLOWED
-    ]  # fmt: skip
-    best = min(starts, key=misfit)
-    least, damping = misfit(best), 1e-2
-    root = np.sqrt(weight / weight.sum()).ravel()
+    found: list[tuple[RimCut, NDArray[np.float64]]] = []
+    for growths in (_GROWTHS, [-g for g in _GROWTHS]):
+        starts = [
+            np.array([-f * g * widest, widest, (1 - f) * g * widest, r * widest, 0.0, 0.0])
+            for g in growths for r in _RADII for f in _FOLLOWED
+        ]  # fmt: skip
+        best, left = _settled(min(starts, key=misfit), rim, share, field, along)
+        own, whole, growth, radius, sx, sy = best.tolist()
+        rims = _rim(best, field, along)
+        # Discs of one size may be found twice, each in the other's place.
+        if all((share * (rims - other) ** 2).sum() > _OTHER * left for _, other in found):
+            found.append((RimCut(own, whole, np.array([sx, sy]), growth, radius, left), rims))
+    return sorted((cut for cut, _ in found), key=lambda cut: cut.left)
+
+
+def _settled(
+    best: NDArray[np.float64], rim: NDArray[np.float64], share: NDArray[np.float64], field: NDArray[np.float64],
+    along: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], float]:  # fmt: skip
+    """Parameters of `_rim` by damped least squares (Marquardt 1963), and the mean square that is left."""
+    root = np.sqrt(share)
+    miss = root * (rim - _rim(best, field, along))
+    least, damping = float((miss**2).sum()), 1e-2
+    fresh = True
     for _ in range(_TURNS):
-        here = _rim(best, field, along)
-        slopes = [root * ((_rim(best + step, field, along) - here) / 1e-3).ravel() for step in 1e-3 * np.eye(6)]
-        table = np.column_stack(slopes)
-        normal = table.T @ table
-        step = np.linalg.solve(
-            normal + damping * np.diag(np.diag(normal)) + 1e-9 * np.eye(6), table.T @ (root * (rim - here).ravel())
-        )
-        trial = best + step
-        cost = misfit(trial)
-        if cost < least:
-            best, least, damping = trial, cost, 0.3 * damping
+        if fresh:
+            table = np.column_stack(
+                [
+                    ((root * (rim - _rim(best + step, field, along)) - miss) / -_NUDGE).ravel()
+                    for step in _NUDGE * np.eye(6)
+                ]
+            )
+            normal, force = table.T @ table, table.T @ miss.ravel()
+        trial = best + np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + 1e-9 * np.eye(6), force)
+        left = root * (rim - _rim(trial, field, along))
+        cost = float((left**2).sum())
+        fresh = cost < least
+        if fresh:
+            done = least - cost < _ENOUGH * least
+            best, least, miss, damping = trial, cost, left, 0.3 * damping
+            if done:
+                break
         else:
             damping *= 5
-    if least > (1 - _EXPLAINS) * plain or plain - least < _MATTERS**2:
-        return None
-    own, _, growth, radius, sx, sy = best
-    return RimCut(float(own), np.array([sx, sy]), float(growth), float(radius))
+    return best, least

@@ -9,8 +9,10 @@ import lfcal
 from benchmarks.calibration_speed import drawn
 from benchmarks.white_images import WhiteImage
 from lfcal import disc_model, disc_newton
+from lfcal.disc_newton import FitSummary
+from lfcal.disc_parameters import CatEye, step_limits
 from lfcal.features import tone
-from lfcal.gain_kernels import light, light_of_round
+from lfcal.gain_kernels import cut_table, light, light_of_any, light_of_round
 from lfcal.gain_terms import monomials
 from lfcal.lattice import Lattice
 from lfcal.lens_cell import cell_faces, cell_sides, outside, row_in_cell
@@ -42,6 +44,46 @@ def test_all_lenses_are_compared_with_the_model_once(white, monkeypatch):
     assert sum(compared) < 2.5 * camera.lenses_used
     found = camera.lattice.centres()
     assert np.sqrt(((found - truth.centres(truth.index_of(found))) ** 2).sum(1).mean()) < 5e-4
+
+
+def test_some_lenses_are_enough_where_they_are_cut(drawn, monkeypatch):
+    truth = drawn("hexagonal", 12.3, 4.0, 26.0, 8, 0.3, size=(1400, 1000))
+    compared = []
+    original = disc_model.disc_steps
+
+    def counted(discs, learn=True):
+        compared.append(len(discs.centres))
+        return original(discs, learn)
+
+    monkeypatch.setattr(disc_model, "disc_steps", counted)
+    camera = lfcal.calibrate(truth.image())
+    found = camera.lattice.centres()
+    assert np.sqrt(((found - truth.centres(truth.index_of(found))) ** 2).sum(1).mean()) < 0.01
+    # The model of the cut is off by several times what chance leaves of a tenth of the lenses.
+    assert max(compared) < 0.25 * len(found)
+    assert len(compared) < 40
+
+
+def test_step_is_held_back_where_least_squares_are_least_sure():
+    names = ["origin", "origin", "growth", "radius", "soft", "shared"]
+    eye = CatEye(np.zeros(2), np.array([1.0, 0.0, 0.0]), 5.0, 0.5)
+    limits = step_limits(eye, names)
+    assert np.isinf(limits[:2]).all()
+    # Growth and radius are known together to a tenth of a pixel, their difference to a hundredth.
+    mixing = np.eye(6)
+    mixing[2:4, 2:4] = np.array([[1, 1], [1, -1]]) / np.sqrt(2)
+    covariance = mixing @ np.diag([1e-6, 1e-6, 1e-2, 1e-4, 1e-4, 1e-2]) @ mixing.T
+    change = np.array([0.3, -0.2, 2.0, 1.9, 0.01, 0.02])
+    columns = np.zeros((3, 7, 6))
+    columns[:, :2, :2] = np.eye(2)
+    whole = FitSummary(change, 1.0, 0.0, 0.0, 3, names, covariance, columns, None, np.zeros((3, 2)))
+    held = disc_newton._held(whole, limits)
+    assert np.abs(held.change / limits).max() <= 1
+    assert held.change[2] > 0.25
+    assert held.change[2] - held.change[3] == pytest.approx(0.1, abs=0.02)
+    np.testing.assert_allclose(held.change[:2], change[:2])
+    assert held.moved == pytest.approx(np.hypot(0.3, 0.2))
+    assert disc_newton._held(held, limits) is held
 
 
 def test_step_of_a_known_profile_leaves_a_tenth_of_itself_at_most(white, monkeypatch):
@@ -95,6 +137,22 @@ def test_light_of_many_pixels_at_once_is_that_of_each():
     cut = np.zeros(6)
     wanted = [light(float(x), float(y), lens, profile, 0.25, cut)[0] for x, y in pixels[:2].T]
     np.testing.assert_allclose(shape, wanted, atol=2e-5)
+
+
+@pytest.mark.parametrize("rim", [1, 3, 7])
+@pytest.mark.parametrize("soft", [0.0, 0.4])
+def test_light_of_many_pixels_of_a_cut_lens_at_once_is_that_of_each(rim, soft):
+    rng = np.random.default_rng(0)
+    profile = np.exp(-((np.arange(40) / 25) ** 4))
+    lens = np.concatenate([rng.normal(0, 0.01, 2), rng.normal(0, 1e-3, 3), [0.4, -0.8], rng.normal(0, 0.03, rim)])
+    cut = np.array([0.1, 0.2, 1.0, 5.0, soft, 0.03])
+    pixels = rng.uniform(-8, 8, (3, 500)).astype(np.float32)
+    shape, ring, spare = np.empty(500, np.float32), np.empty(500, np.int32), np.empty((5, 500), np.float32)
+    base, rise = profile[:-1].astype(np.float32), np.diff(profile).astype(np.float32)
+    light_of_any(pixels, 500, lens, base, rise, 0.25, cut, cut_table(), spare, shape, ring)
+    wanted = np.array([light(float(x), float(y), lens, profile, 0.25, cut)[:2] for x, y in pixels[:2].T])
+    np.testing.assert_allclose(shape, wanted[:, 0], atol=5e-5)
+    np.testing.assert_allclose(ring, np.minimum(wanted[:, 1] / 0.25, 38.5), atol=1.001)
 
 
 def test_terms_of_the_field_are_its_powers():
