@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import CalibrationError
 from .lattice import Lattice
 from .lattice_errors import LatticeErrors, errors_of_even_fit
 from .residuals import Residuals
@@ -64,7 +65,15 @@ def fit_on_white(picture: NDArray[np.float32] | Parts, start: FirstLattice) -> F
     from .parts import Parts
 
     found = start.lattice
-    discs = fit_discs(picture, found)
+    try:
+        discs = fit_discs(picture, found)
+    except CalibrationError:
+        raise
+    except ValueError as error:
+        # A distortion that no lattice can have.
+        raise CalibrationError(
+            "the microimages do not keep to one lattice; give a white image with more of them or with less noise"
+        ) from error
     parts = Parts.of(picture)
     index = found.indices() if parts.size == found.image_size else parts.lenses(found, 0.0)[0]
     index = index[:: max(1, len(index) // _TELLING)]

@@ -114,6 +114,34 @@ def test_models_of_microimages_that_run_away_are_given_up():
     assert calibrate_white(truth, 0.5).wrong == 0
 
 
+@pytest.mark.parametrize(
+    ("truth", "exposure"),
+    [
+        # Its general distortion runs away.
+        (
+            WhiteImage(
+                "square", 19.170215242962318, 252.478908970371, 31.977077438352868, 8, hot=12, dust=4,
+                fill=0.983218754712506, soft=2.0, gap=0.1129756501203463, inner=0.274083867828715,
+                outer=0.6072187802208167, size=(171, 77), seed=10760,
+            ),
+            0.04635016415891615,
+        ),
+        # So few lenses that one half of the tiles has none.
+        (
+            WhiteImage(
+                "square", 33.4415601033102, 223.86617360860788, 37.75696588183838, 8, strength=-0.24903192783673406,
+                k1=0.005511434929485238, hot=18, dust=4, fill=0.9521965910424837, soft=1.6476959329435494,
+                gap=0.4769430697218106, inner=0.03310337352222459, outer=0.5842873457118251, size=(211, 182),
+                seed=1687326927,
+            ),
+            0.03244504035963777,
+        ),
+    ],
+)  # fmt: skip
+def test_flats_of_few_lenses_are_calibrated_or_refused(truth, exposure):
+    assert calibrate_white(truth, exposure).wrong == 0
+
+
 def test_random_flats_get_no_confident_wrong_depth():
     outcomes = [one for _, one in of_random_cases("depth", range(30))]
     # Of 600 such cases it was 0.0003; the limit is that of `python -m benchmarks stress`.
