@@ -16,7 +16,7 @@ from .errors import CalibrationError
 from .fit import LatticeFit
 from .lattice import Lattice
 from .lens_cell import cell_faces
-from .majority import SUREST, Steps, agreed, regular_ratio
+from .majority import SUREST, Steps, agreed, held_back, regular_ratio
 from .parts import whole_lenses
 from .scene_bend import RadialPull, radial_pull, unbent
 from .template import lens_steps
@@ -82,7 +82,7 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
         fit = _settled(picture, fit.before, indices, stride, _PASSES, regular)
         fit = fit if fit.lattice.distortion is None else _bent(picture, fit, indices, stride, regular)
     lattice, steps, change, share = fit.lattice, fit.steps, fit.change, fit.share
-    error = _standard_error(steps, change, share)
+    error = _standard_error(steps, change, share) * held_back(steps, share)
     tile, colour = _tiles(steps, max(_FEWEST_TILES, len(share) // _LENSES_PER_TILE))
     sides = [colour[tile] == side for side in (0, 1)]
     if min(side.sum() for side in sides) < _FEWEST_IN_HALF:
@@ -91,18 +91,24 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
     miss = ((steps.step - steps.design @ change) ** 2).sum(1)
     scatter = float(np.sqrt(np.average(miss, weights=share)))
     differ = _field_rms(steps, halves[0] - halves[1])
+    # Halves are independent, each half as sure as the whole; a fit that has not settled is off by as much as it asks.
+    error = float(np.hypot(max(error, differ / 2), fit.unsettled))
     return LatticeFit(lattice.origin, lattice.basis, scatter, error, int((share > 0).sum()), differ, lattice.distortion)
 
 
 @dataclass(frozen=True)
 class _Settled:
-    """A lattice, the one before it, and the steps of the lenses from there: their common change and weights."""
+    """A lattice, the one before it, and the steps of the lenses from there: their common change and weights.
+
+    `unsettled` [px] is how far the lattice would still have gone, RMS over the field.
+    """
 
     lattice: Lattice
     before: Lattice
     steps: Steps
     change: NDArray[np.float64]
     share: NDArray[np.float64]
+    unsettled: float
 
 
 def _settled(
@@ -144,7 +150,7 @@ def _settled(
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
         if settled:
             break
-    return _Settled(lattice, before_lattice, steps, change, share)
+    return _Settled(lattice, before_lattice, steps, change, share, 0.0 if settled else _field_rms(steps, leap))
 
 
 def _bent(
