@@ -188,7 +188,13 @@ def _measured(found: _Found) -> Calibration:
     seen = measure_illumination(picture, fit.lattice, white, fit.cat_eye, found.look)
     lattice = fit.lattice.with_radius(seen.radius)
     doubt = _doubt(found, lattice)
-    confidence = min(found.start.repeatability, 1 - fit.halves_differ / (_SCATTERED * pitch), _UNPROVEN if doubt else 1)
+    # Half of the pixels beside the model leave no trust in where it puts the centres.
+    confidence = min(
+        found.start.repeatability,
+        1 - fit.halves_differ / (_SCATTERED * pitch),
+        1 - 2 * seen.unlike,
+        _UNPROVEN if doubt else 1,
+    )
     return Calibration(
         lattice=lattice,
         vignetting=seen.vignetting,
