@@ -37,6 +37,11 @@ _BRIGHT = 0.96
 # Correlation of the light with itself moved by half a cell: boards and crossed waves have -1, blurred lenses on squares
 # of 6 px reach -0.92.
 _OPPOSITE = -0.95
+# Energy of what tells two kinds of cells apart, over that of the average cell: a quarter to a half of it for threads
+# and for bricks cut in halves; lens types blur rims only.
+_TWO_KINDS = 0.1
+# Such a difference is in most cells (noise is in half of them, dust and hot pixels are in few) and beyond all others.
+_IN_MOST, _BEYOND = 0.7, 3.0
 # Figures are good to so many standard errors.
 _SURE = 2.0
 
@@ -57,6 +62,9 @@ class Aperture:
         Light half way to the neighbours over that in the middle, in the brightest direction.
     error : float
         Standard error of `unexplained` and `opposite`.
+    two_kinds : float
+        Energy of a difference that most cells have, one way or the other, over that of the average cell; 0 where there
+        is none.
     """
 
     alike: float
@@ -64,6 +72,7 @@ class Aperture:
     opposite: float
     joint: float
     error: float
+    two_kinds: float
 
 
 def aperture_doubt(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> str | None:
@@ -90,6 +99,8 @@ def aperture_doubt(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> st
         )
     if found.opposite - _SURE * found.error < _OPPOSITE:
         return "a checkerboard or crossed waves could look like them"
+    if found.two_kinds > _TWO_KINDS:
+        return "they are of two kinds in turn, as threads or bricks are"
     if found.joint > _BRIGHT:
         return "their joints are not darker than their middles"
     if found.unexplained + _SURE * found.error > _UNEXPLAINED:
@@ -121,9 +132,10 @@ def average_aperture(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> 
     common = float(a @ b)
     alike = common / max(float(np.sqrt((a @ a) * (b @ b))), 1e-30)
     if alike <= 0:
-        return Aperture(alike, 1.0, -1.0, 1.0, float("inf"))
-    left = (half - explained_by(half, lengths_of(lattice.basis, offsets)) for half in (a, b))
-    unexplained = float(np.prod(list(left), axis=0).sum()) / common
+        return Aperture(alike, 1.0, -1.0, 1.0, float("inf"), 0.0)
+    both = np.column_stack([a, b])
+    left = both - explained_by(both, lengths_of(lattice.basis, offsets))
+    unexplained = float(left.prod(1).sum()) / common
     moves = _ACROSS // 2 * np.array([(1, 0), (0, 1), (1, 1)])
     square = b.reshape(_ACROSS, _ACROSS)
     opposite = min(float(a @ np.roll(square, tuple(move), (0, 1)).ravel()) / common for move in moves)
@@ -132,7 +144,21 @@ def average_aperture(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> 
     joint = max(float((at_places(picture, centres + step / 2) ** 2 / level).mean()) for step in steps)
     # Noise is as many independent values as a cell has pixels.
     error = (1 - alike) / alike / np.sqrt(min(abs(np.linalg.det(lattice.basis)), _ACROSS**2))
-    return Aperture(alike, unexplained, opposite, joint / core, float(error))
+    return Aperture(alike, unexplained, opposite, joint / core, float(error), _two_kinds(cells, centres))
+
+
+def _two_kinds(cells: NDArray[np.float64], centres: NDArray[np.float64]) -> float:
+    """`Aperture.two_kinds` of cells (n, places) at `centres` (n, 2) [px], without what changes evenly over the flat."""
+    middle = centres - centres.mean(0)
+    trend = np.column_stack([np.ones(len(cells)), middle / max(float(np.abs(middle).max()), 1e-12)])
+    left = cells - trend @ np.linalg.lstsq(trend, cells, rcond=None)[0]
+    values, vectors = np.linalg.eigh(left @ left.T / len(cells))
+    share = vectors[:, -1] ** 2
+    # The number of equal parts that would make the same sum of squares, over that of cells.
+    part = 1 / (float((share**2).sum()) * len(cells))
+    if part < _IN_MOST or values[-1] < _BEYOND * values[-2]:
+        return 0.0
+    return float(values[-1] / ((cells.mean(0) - 1) ** 2).sum())
 
 
 def _offsets(basis: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -144,7 +144,7 @@ def _explained(cell: NDArray[np.float64], lengths: tuple[NDArray[np.float64], ND
 def explained_by(
     values: NDArray[np.float64], lengths: tuple[NDArray[np.float64], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """(n,) the sum of a function of each length (n,) that is next to `values` (n,)."""
+    """The sum of a function of each length (n,) that is next to `values` (n,), or to each column of (n, m)."""
     design = np.hstack([_hats(length) for length in lengths])
     fitted: NDArray[np.float64] = design @ np.linalg.lstsq(design, values, rcond=None)[0]
     return fitted

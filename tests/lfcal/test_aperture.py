@@ -58,6 +58,22 @@ def test_faint_brick_wall_is_never_a_sure_lattice(wall):
     assert any("nothing on the flat proves" in warning for warning in camera.warnings)
 
 
+@pytest.mark.parametrize(("period", "twill"), [(12.0, False), (26.0, False), (20.0, True)])
+def test_threads_of_a_weave_are_two_kinds_of_cells(period, twill):
+    u, v = _turned(9)
+    i, j = np.floor(u / period), np.floor(v / period)
+    along, across = np.cos(np.pi * (u / period - i - 0.5)), np.cos(np.pi * (v / period - j - 0.5))
+    over = (i - j) % 4 < 2 if twill else (i + j) % 2 > 0
+    thread = np.where(over, across * (0.75 + 0.25 * along), along * (0.75 + 0.25 * across))
+    light = _photographed(20 + 200 * thread, 0.8)
+    cos, sin = np.cos(np.radians(9)), np.sin(np.radians(9))
+    turn = np.array([[cos, sin], [-sin, cos]])
+    lattice = lfcal.Lattice(8.5 * period * turn.sum(0), period * turn, (300, 260), period / 2)
+    found = average_aperture(tone(light), lattice)
+    assert found.two_kinds > 0.15
+    assert aperture_doubt(tone(light), lattice) is not None
+
+
 def _doubt_of(truth, exposure=1.0):
     lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, truth.pitch / 2)
     return aperture_doubt(tone(truth.image(exposure)), lattice)
