@@ -191,7 +191,7 @@ def _measured(found: _Found) -> Calibration:
     # Half of the pixels beside the model leave no trust in where it puts the centres.
     confidence = min(
         found.start.repeatability,
-        1 - fit.halves_differ / (_SCATTERED * pitch),
+        1 - max(fit.halves_differ, fit.strays) / (_SCATTERED * pitch),
         1 - 2 * seen.unlike,
         _UNPROVEN if doubt else 1,
     )

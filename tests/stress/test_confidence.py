@@ -156,6 +156,19 @@ def test_a_model_that_half_of_the_pixels_contradict_is_not_trusted():
     assert plain.confidence > 0.9
 
 
+def test_a_fit_that_strays_from_what_is_seen_of_the_microimages_is_not_trusted():
+    truth = WhiteImage(
+        "square", 15.613814012737828, 194.58777515585797, 25.554712456635375, 8, strength=0.3,
+        k1=-0.0026953327668800932, hot=37, fill=0.9349096514326504, soft=0.98, gap=0.3607615730481386,
+        inner=0.1963693685757064, outer=0.7034284806355929, size=(159, 102), seed=15409953,
+    )  # fmt: skip
+    # Cut microimages took its pitch 4 % off, at a confidence of 0.95.
+    assert calibrate_white(truth, 0.14199920728691268).off == 0
+    whole = calibrate_white(replace(truth, size=(400, 300)), 0.5)
+    assert whole.error < 0.1
+    assert whole.note == ""
+
+
 def test_random_flats_get_no_confident_wrong_depth():
     outcomes = [one for _, one in of_random_cases("depth", range(30))]
     # Of 600 such cases it was 0.0003; the limit is that of `python -m benchmarks stress`.
