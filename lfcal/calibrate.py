@@ -14,6 +14,7 @@ from .calibration import Calibration
 from .errors import CalibrationError
 
 if TYPE_CHECKING:
+    from .lattice import Lattice
     from .lattice_fit import FinalLattice
     from .parts import Look, Parts
     from .search import FirstLattice
@@ -26,6 +27,8 @@ _REPEATS = 0.8
 _SCATTERED = 0.1
 # Below this confidence a person should look.
 _SURE = 0.7
+# Confidence where nothing on the flat proves that microimages are what repeats on it.
+_UNPROVEN = 0.4
 _RAW = "give a raw flat from the sensor, of a camera with a microlens array"
 # Relative spread of the tones of an image that shows nothing.
 _EVEN = 1e-4
@@ -110,7 +113,7 @@ def _calibrated(
 class _Found:
     """The lattice of a camera, and what it was found on: the `tone` of a flat, or parts of it and a look at all.
 
-    `single` is False where that is the mean of several scenes.
+    `single` is the tone of one of several scenes, where the picture is their mean.
     """
 
     picture: NDArray[np.float32] | Parts
@@ -118,7 +121,7 @@ class _Found:
     start: FirstLattice
     fit: FinalLattice
     look: Look | None = None
-    single: bool = True
+    single: NDArray[np.float32] | None = None
 
 
 def _found_in_parts(flat: NDArray[Any], kind: str, filtered: bool) -> _Found | None:
@@ -163,7 +166,8 @@ def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) 
         if filtered:
             lights = [without_mosaic(light) for light in lights]
         picture = tone(_mean_scene(lights)) if single is None or filtered else single
-        return _Found(picture, False, start, fit_on_scenes(lights, picture, start), single=len(lights) == 1)
+        one = None if len(lights) == 1 else tone(lights[0])
+        return _Found(picture, False, start, fit_on_scenes(lights, picture, start), single=one)
     except np.linalg.LinAlgError as error:
         # Equations without a solution: nothing on the flat holds the lattice in one of the directions.
         raise CalibrationError(f"what repeats on the image has no edges to place microimages by; {_RAW}") from error
@@ -172,7 +176,6 @@ def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) 
 def _measured(found: _Found) -> Calibration:
     """The camera with what else its flat shows."""
     from .illumination import measure_illumination
-    from .neighbours import check_neighbours
     from .type_search import find_lens_types
 
     fit, picture, white = found.fit, found.picture, found.white
@@ -184,22 +187,44 @@ def _measured(found: _Found) -> Calibration:
         )
     seen = measure_illumination(picture, fit.lattice, white, fit.cat_eye, found.look)
     lattice = fit.lattice.with_radius(seen.radius)
-    if isinstance(picture, np.ndarray):
-        check_neighbours(picture, lattice, white, found.single)
-    confidence = float(np.clip(min(found.start.repeatability, 1 - fit.halves_differ / (_SCATTERED * pitch)), 0, 1))
+    doubt = _doubt(found, lattice)
+    # Half of the pixels beside the model leave no trust in where it puts the centres.
+    confidence = min(
+        found.start.repeatability,
+        1 - max(fit.halves_differ, fit.strays) / (_SCATTERED * pitch),
+        1 - 2 * seen.unlike,
+        _UNPROVEN if doubt else 1,
+    )
     return Calibration(
         lattice=lattice,
         vignetting=seen.vignetting,
         source="white" if white else "scene",
         residual_rms=fit.residual_rms,
         lenses_used=fit.lenses_used,
-        confidence=confidence,
-        warnings=seen.warnings,
+        confidence=float(np.clip(confidence, 0, 1)),
+        warnings=seen.warnings if doubt is None else (*seen.warnings, doubt),
         lens_types=find_lens_types(picture, lattice, white),
         gain_map=seen.gain_map,
         defects=seen.defects,
         errors=fit.errors,
         residuals=fit.residuals,
+    )
+
+
+def _doubt(found: _Found, lattice: Lattice) -> str | None:
+    """Why what repeats on the flat may be no microimages, None where it proves to be; CalibrationError if it cannot."""
+    from .aperture import aperture_doubt
+    from .neighbours import check_neighbours
+
+    picture, several = found.picture, found.single is not None
+    if isinstance(picture, np.ndarray) and check_neighbours(picture, lattice, found.white, not several):
+        return None
+    doubt = aperture_doubt(picture, lattice)
+    if doubt is not None and found.single is not None and check_neighbours(found.single, lattice, False):
+        return None
+    return doubt and (
+        f"nothing on the flat proves that microimages are what repeats on it: {doubt}, and no neighbours are seen to "
+        "show the same, shifted; calibrate on a white image or on a scene with more detail"
     )
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from .errors import CalibrationError
 from .folding import TileFolds
 
-__all__ = ["check_cell", "check_waves"]
+__all__ = ["check_cell", "check_waves", "explained_by", "lengths_of"]
 
 _RAW = "give a raw flat from the sensor, of a camera with a microlens array"
 # Energy of the average cell that must lie beside the strongest line of harmonics: stripes have none there, touching
@@ -34,6 +34,7 @@ _SHARP_PITCH = 10.0
 _SHORTEST_HARMONIC = 2.2
 _HIGHEST = 6
 _LENGTHS = 16
+_AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
 def check_cell(
@@ -115,25 +116,38 @@ def _beyond_first(tone: TileFolds) -> float:
 def _lengths(
     basis: NDArray[np.float64], bins: int, centre: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(bins * bins,) distances [px] of the bins to the nearest microimage centre and to the border of its cell."""
+    """`lengths_of` the (bins * bins,) bins of a cell from the nearest microimage centre."""
     column, row = np.meshgrid((np.arange(bins) + 0.5) / bins, (np.arange(bins) + 0.5) / bins)
     offset = np.column_stack([column.ravel(), row.ravel()]) - centre
     offset -= np.rint(offset)
-    around = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
-    delta = (offset[:, None] - around) @ basis
+    delta = (offset[:, None] - _AROUND) @ basis
     nearest = np.hypot(delta[..., 0], delta[..., 1]).argmin(1)
-    own = delta[np.arange(len(delta)), nearest]
-    steps = around[np.abs(around).sum(1) > 0] @ basis
+    return lengths_of(basis, delta[np.arange(len(delta)), nearest])
+
+
+def lengths_of(
+    basis: NDArray[np.float64], offset: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) distances [px] of places, `offset` (n, 2) [px] from the centre, to it and to the border of the cell."""
+    steps = _AROUND[np.abs(_AROUND).sum(1) > 0] @ basis
     length = np.hypot(*steps.T)
-    return np.hypot(*own.T), (0.5 * length - own @ steps.T / length).min(1)
+    return np.hypot(*offset.T), (0.5 * length - offset @ steps.T / length).min(1)
 
 
 def _explained(cell: NDArray[np.float64], lengths: tuple[NDArray[np.float64], NDArray[np.float64]]) -> float:
     """Share of the variance of a cell that a sum of a function of each length explains, 0..1."""
     values = cell.ravel() - cell.mean()
-    design = np.hstack([_hats(length) for length in lengths])
-    left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+    left = values - explained_by(values, lengths)
     return 1 - float(left @ left) / max(float(values @ values), 1e-30)
+
+
+def explained_by(
+    values: NDArray[np.float64], lengths: tuple[NDArray[np.float64], NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """The sum of a function of each length (n,) that is next to `values` (n,), or to each column of (n, m)."""
+    design = np.hstack([_hats(length) for length in lengths])
+    fitted: NDArray[np.float64] = design @ np.linalg.lstsq(design, values, rcond=None)[0]
+    return fitted
 
 
 def _hats(length: NDArray[np.float64]) -> NDArray[np.float64]:

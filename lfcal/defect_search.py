@@ -14,7 +14,7 @@ from .gain_kernels import ASIDE, cut_table, describe, level_at, light_of_any, li
 from .gain_map import GainMap
 from .lattice import Lattice
 
-__all__ = ["find_defects"]
+__all__ = ["MOST", "find_defects"]
 
 # A pixel is a defect so many standard deviations from what it should be: beyond what Gaussian noise ever reaches.
 _SURE = 6.0
@@ -34,8 +34,8 @@ _BAND = 512
 _CHUNKS = 64
 # Pixels of a lens looked at together.
 _ROOM = 4096
-# More defects than this share of the pixels are no defects but a model that does not fit.
-_MOST = 0.02
+#: More defects than this share of the pixels are no defects but a model that does not fit.
+MOST = 0.02
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -175,8 +175,8 @@ def _marked(far: NDArray[np.uint8]) -> NDArray[np.bool_]:
 def find_defects(
     picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, brightest: float, fit: GainFit,
     dark: NDArray[np.int64],
-) -> tuple[Defects, str]:  # fmt: skip
-    """Defects of a white image.
+) -> tuple[Defects, float]:  # fmt: skip
+    """Defects of a white image, none where more pixels than `MOST` are further from the map than noise can take them.
 
     Parameters
     ----------
@@ -195,15 +195,15 @@ def find_defects(
     Returns
     -------
     defects : Defects
-    warning : str
-        Empty where there is nothing to warn about.
+    share : float
+        Of the pixels that differ from the map.
     """
     height, width = picture.shape
     level = gain.level.copy()
     level[0] += np.log(brightest)
     way = walk(lattice, gain.own)
     places = (way.middles, way.own, way.sides, level, *gain.shape(lattice))
-    found, number, warning = [], 0, ""
+    found, number = [], 0
     margin = _SQUARES[-1] // 2
     far = np.full((height, width), _ZERO, np.uint8)
     _departures(picture, far, 1 / fit.spread, fit.windows, _CHUNKS, *places)
@@ -215,13 +215,8 @@ def find_defects(
         row, column = np.nonzero(marked[rows])
         number += len(row)
         # More than can be defects are counted, but not kept.
-        if number <= _MOST * width * height:
+        if number <= MOST * width * height:
             found.append(np.column_stack([column, rows[row] + top]).astype(np.int32))
     pixels = np.concatenate(found) if found else np.zeros((0, 2), np.int32)
-    if number > _MOST * width * height:
-        warning = (
-            f"{number / (width * height):.1%} of the pixels differ from the gain map, too many for defects: none are "
-            "recorded; check the white image for structure or saturation"
-        )
-        pixels = pixels[:0]
-    return Defects(pixels, lattice.indices()[dark].astype(np.int32)), warning
+    share = number / (width * height)
+    return Defects(pixels[:0] if share > MOST else pixels, lattice.indices()[dark].astype(np.int32)), share

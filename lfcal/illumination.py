@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .defect_search import find_defects
+from .defect_search import MOST, find_defects
 from .defects import Defects
 from .disc_parameters import CatEye
 from .errors import CalibrationError
@@ -38,6 +38,8 @@ class Illumination:
         Where that falls below half, at most half the distance to the nearest microimage.
     defects : Defects
     warnings : tuple of str
+    unlike : float
+        Share of the pixels of a white image that differ from the gain map; 0 where that was not looked at.
     """
 
     gain_map: GainMap
@@ -45,6 +47,7 @@ class Illumination:
     radius: float
     defects: Defects
     warnings: tuple[str, ...]
+    unlike: float = 0.0
 
 
 def measure_illumination(
@@ -71,6 +74,7 @@ def measure_illumination(
     """
     fit = fit_gain(picture, lattice, not white, cat_eye)
     warnings: tuple[str, ...] = ()
+    unlike = 0.0
     if isinstance(picture, Parts):
         assert look is not None
         lights = lens_lights(look, lattice, fit)
@@ -79,13 +83,17 @@ def measure_illumination(
     elif white:
         lights = lens_lights(picture, lattice, fit)
         gain = lights.gain
-        defects, warning = find_defects(picture, lattice, gain, lights.brightest, fit, lights.dark)
-        warnings = (warning,) if warning else ()
+        defects, unlike = find_defects(picture, lattice, gain, lights.brightest, fit, lights.dark)
+        if unlike > MOST:
+            warnings = (
+                f"{unlike:.1%} of the pixels differ from the gain map, too many for defects: none are recorded; check "
+                "the white image for structure or saturation",
+            )
     else:
         gain = fit.gain
         defects = Defects(lenses=lattice.indices()[dark_in_scene(picture, lattice, gain)].astype(np.int32))
     vignetting, radius = _average(gain, lattice)
-    return Illumination(gain, vignetting, radius, defects, warnings)
+    return Illumination(gain, vignetting, radius, defects, warnings, unlike)
 
 
 def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import CalibrationError
 from .lattice import Lattice
 from .lattice_errors import LatticeErrors, errors_of_even_fit
 from .residuals import Residuals
 
 if TYPE_CHECKING:
+    from .disc_fit import DiscFit
     from .disc_parameters import CatEye
     from .parts import Parts
     from .search import FirstLattice
@@ -25,6 +27,8 @@ _RIM = 0.5
 _FOLLOWED = 0.2
 # Lenses that scatter by more than this share of the pitch have rims too faint to be placed by them one at a time.
 _FAINT = 0.02
+# Part of the cut by which the middle of two discs of one size lies off the centre of the first.
+_SEEN_OFF = 0.5
 # So many lenses tell whether it has.
 _TELLING = 4000
 
@@ -47,6 +51,8 @@ class FinalLattice:
         The disc that cuts microimages, where one was seen.
     residuals : Residuals or None
         Of single microimages; None where these are too unlike one another to be placed singly.
+    strays : float [px]
+        RMS distance over the flat from the first lattice, beyond what distortion and cut microimages make of it.
     """
 
     lattice: Lattice
@@ -56,6 +62,7 @@ class FinalLattice:
     errors: LatticeErrors | None = None
     cat_eye: CatEye | None = None
     residuals: Residuals | None = None
+    strays: float = 0.0
 
 
 def fit_on_white(picture: NDArray[np.float32] | Parts, start: FirstLattice) -> FinalLattice:
@@ -64,7 +71,15 @@ def fit_on_white(picture: NDArray[np.float32] | Parts, start: FirstLattice) -> F
     from .parts import Parts
 
     found = start.lattice
-    discs = fit_discs(picture, found)
+    try:
+        discs = fit_discs(picture, found)
+    except CalibrationError:
+        raise
+    except ValueError as error:
+        # A distortion that no lattice can have.
+        raise CalibrationError(
+            "the microimages do not keep to one lattice; give a white image with more of them or with less noise"
+        ) from error
     parts = Parts.of(picture)
     index = found.indices() if parts.size == found.image_size else parts.lenses(found, 0.0)[0]
     index = index[:: max(1, len(index) // _TELLING)]
@@ -81,7 +96,26 @@ def fit_on_white(picture: NDArray[np.float32] | Parts, start: FirstLattice) -> F
         discs.errors,
         discs.cat_eye,
         discs.residuals,
+        _strays(found, discs, found.points(index)),
     )
+
+
+def _strays(found: Lattice, discs: DiscFit, places: NDArray[np.float64]) -> float:
+    """`FinalLattice.strays` of a fit at `places` (n, 2) [px], centres on the first lattice.
+
+    That is the straight lattice through what is seen of the microimages: of cut ones the middle lies off the centre by
+    up to half of the cut.
+    """
+    from .disc_parameters import field_of
+
+    lattice = discs.lattice
+    centres = lattice.points(np.rint(lattice.to_index(places)))
+    cut = np.zeros(places.shape) if discs.cat_eye is None else discs.cat_eye.displacement(field_of(centres, lattice))
+    middle = places - places.mean(0)
+    base = np.linalg.qr(np.column_stack([np.ones(len(places)), middle / np.abs(middle).max()]))[0]
+    apart, cut = base.T @ (centres - places), base.T @ cut
+    part = np.clip(-(apart * cut).sum() / max(float((cut**2).sum()), 1e-300), 0, _SEEN_OFF)
+    return float(np.sqrt(((apart + part * cut) ** 2).sum() / len(places)))
 
 
 def fit_on_scenes(lights: list[NDArray[np.float32]], picture: NDArray[np.float32], start: FirstLattice) -> FinalLattice:

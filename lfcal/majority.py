@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["SUREST", "Steps", "agreed", "regular_ratio"]
+__all__ = ["SUREST", "Steps", "agreed", "held_back", "regular_ratio"]
 
 # The best third of the lenses says how well lenses agree; those further off than this have no say. Where most of
 # a flat is dragged the same way the half would follow it.
@@ -20,6 +20,8 @@ _FEWEST_IN_PART = 8
 # shows beside their rims: a codec moves a whole block along with its content where that outweighs the rims.
 SUREST = 0.02
 _DISTRUST = 3
+# Where lenses do not agree at all, next to nothing of their weight holds the fit in place.
+_LEAST_LEFT = 0.2
 # So many lenses, evenly spread, tell which of several answers is the best; all of them refine it.
 _SEARCHED = 1000
 _GOLDEN = 0.6180339887498949
@@ -191,6 +193,20 @@ def agreed(
         changes, weights, _ = _settled(steps, [before])
         return changes[0], weights[0]
     return _best(steps if chosen is None else _only(steps, chosen))[:2]
+
+
+def held_back(steps: Steps, weight: NDArray[np.float64]) -> float:
+    """By what factor a change is less sure than least squares of these weights (n,), were they fixed, would have it.
+
+    They follow from the change, and so yield to any error of it: Huber, Robust Statistics (1981), section 7.6.
+    """
+    near = np.sqrt(weight / steps.trust)
+    near /= max(float(near.max()), 1e-300)
+    far = 1 - near
+    # Of the weight of a lens, this much is left where the change moves, all directions alike.
+    left = float((steps.trust * near * (near - 2 * far)).sum())
+    fixed = float((steps.trust * near**2).sum())
+    return fixed / max(left, _LEAST_LEFT * fixed)
 
 
 def _best(steps: Steps) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:

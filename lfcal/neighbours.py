@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from .errors import CalibrationError
 from .lattice import Lattice
 from .parts import some_lenses
+from .sampling import at_places
 
 __all__ = ["Neighbours", "check_neighbours", "compare_neighbours"]
 
@@ -84,8 +85,10 @@ class Neighbours:
     across: float
 
 
-def check_neighbours(picture: NDArray[np.float32], lattice: Lattice, white: bool, single: bool = True) -> None:
-    """CalibrationError where what repeats on a flat cannot be microimages.
+def check_neighbours(picture: NDArray[np.float32], lattice: Lattice, white: bool, single: bool = True) -> bool:
+    """Whether neighbours are seen to show the same, shifted, as nothing but microimages does.
+
+    Where lenses show next to nothing, or noise hides it, that is not seen.
 
     Parameters
     ----------
@@ -97,11 +100,16 @@ def check_neighbours(picture: NDArray[np.float32], lattice: Lattice, white: bool
         Whether the flat is a white image.
     single : bool
         False for the mean of several scenes: what they show has more than one disparity in one place.
+
+    Raises
+    ------
+    CalibrationError
+        If what repeats on the flat cannot be microimages.
     """
     shown = _SHOWS_WHITE if white else _SHOWS_SCENE
     found = compare_neighbours(picture, lattice, shown)
     if found is None:
-        return
+        return False
     every = f"every {lattice.pitch:.1f} px"
     if found.border > (_BRIGHT_WHITE if white else _BRIGHT_SCENE):
         raise CalibrationError(f"a pattern with bright lines or dark dots repeats {every}, not microimages; {_RAW}")
@@ -109,14 +117,16 @@ def check_neighbours(picture: NDArray[np.float32], lattice: Lattice, white: bool
         raise CalibrationError(f"tiles of single tones repeat {every}, not microimages; {_RAW}")
     noise = found.rough if white else found.noise
     shows = found.inside > max(shown, _OVER_NOISE * noise / _MEAN_DISTANCE)
-    if shows and single:
-        # Noise is not alike in any microimages.
-        moved = max(found.moved**2 - found.noise**2, 0)
-        other = max(min(found.same, found.across) ** 2 - found.noise**2, 0)
-        if other < _ALIKE**2 * moved:
-            raise CalibrationError(
-                f"a pattern repeats {every}, but neighbours do not show the same, shifted, as microimages do; {_RAW}"
-            )
+    if not (shows and single):
+        return False
+    # Noise is not alike in any microimages.
+    moved = max(found.moved**2 - found.noise**2, 0)
+    other = max(min(found.same, found.across) ** 2 - found.noise**2, 0)
+    if other < _ALIKE**2 * moved:
+        raise CalibrationError(
+            f"a pattern repeats {every}, but neighbours do not show the same, shifted, as microimages do; {_RAW}"
+        )
+    return True
 
 
 def compare_neighbours(picture: NDArray[np.float32], lattice: Lattice, shown: float = 0.0) -> Neighbours | None:
@@ -133,7 +143,7 @@ def compare_neighbours(picture: NDArray[np.float32], lattice: Lattice, shown: fl
     grid = np.linspace(-1, 1, _ACROSS)
     core = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
     core = core[np.hypot(*core.T) < 1 + 1e-9] * min(_CORE * nearest / 2, _WELL_INSIDE * lattice.radius)
-    values = _at(picture, centres[:, None] + core)
+    values = at_places(picture, centres[:, None] + core)
     tones = values.mean(1)
     lit = tones > _DARK * np.quantile(tones, 0.95)
     indices, centres, values, tones = indices[lit], centres[lit], values[lit], tones[lit]
@@ -141,29 +151,18 @@ def compare_neighbours(picture: NDArray[np.float32], lattice: Lattice, shown: fl
         return None
     shape = values / tones[:, None]
     inside = float(np.sqrt(np.median(((shape - np.median(shape, axis=0)) ** 2).mean(1))))
-    border = float(np.median([np.median(_at(picture, centres + step / 2) / tones) for step in steps]))
+    border = float(np.median([np.median(at_places(picture, centres + step / 2) / tones) for step in steps]))
     forward = [k for k, (i, j) in enumerate(lattice.steps.tolist()) if (i, j) > (0, 0)]
     kinds = _kinds(indices)
     apart = []
     for k in forward:
-        both = (_at(picture, (centres + side * steps[k])[:, None] + core).mean(1) for side in (-1, 1))
+        both = (at_places(picture, (centres + side * steps[k])[:, None] + core).mean(1) for side in (-1, 1))
         apart.append(_spread(sum(np.log(np.maximum(tone, 1e-6) / tones) for tone in both), kinds))
     near = [steps[k] for k in forward if np.hypot(*steps[k]) < _NEAR * nearest]
     shifted = (float("nan"),) * 5
     if inside > shown:
         shifted = _shifted(picture, centres, near, _PART * min(lattice.radius, nearest / 2))
     return Neighbours(float(np.median(apart)), inside, border, *shifted)
-
-
-def _at(picture: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(...,) the picture at `places` (..., 2) [px], linear between its pixels."""
-    x, y = np.moveaxis(places, -1, 0)
-    column = np.clip(x.astype(np.int64), 0, picture.shape[1] - 2)
-    row = np.clip(y.astype(np.int64), 0, picture.shape[0] - 2)
-    right, low = x - column, y - row
-    above = picture[row, column] * (1 - right) + picture[row, column + 1] * right
-    below = picture[row + 1, column] * (1 - right) + picture[row + 1, column + 1] * right
-    return np.asarray(above * (1 - low) + below * low)
 
 
 def _kinds(indices: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -196,7 +195,7 @@ def _shifted(
         ahead = step / length
         aside = np.array([-ahead[1], ahead[0]])
         offset = along[:, None, None] * ahead + radius * np.array(_LINES)[:, None] * aside
-        own, other = (_at(picture, (centres + far)[:, None, None] + offset) for far in (0 * step, step))
+        own, other = (at_places(picture, (centres + far)[:, None, None] + offset) for far in (0 * step, step))
         common = np.median(own, axis=0)
         common /= common.mean()
         own, other = own / common, other / common

@@ -16,7 +16,7 @@ from .errors import CalibrationError
 from .fit import LatticeFit
 from .lattice import Lattice
 from .lens_cell import cell_faces
-from .majority import SUREST, Steps, agreed, regular_ratio
+from .majority import SUREST, Steps, agreed, held_back, regular_ratio
 from .parts import whole_lenses
 from .scene_bend import RadialPull, radial_pull, unbent
 from .template import lens_steps
@@ -41,6 +41,8 @@ _RUNAWAY = 0.05
 # Lenses of a tile in halves of the flat, and the tiles that are taken for independent of each other.
 _LENSES_PER_TILE = 16
 _FEWEST_TILES = 36
+# Tiles of fewer lenses could all be of one colour; halves of fewer have no lattice of their own.
+_FEWEST_IN_TILE, _FEWEST_IN_HALF = 3, 3
 # More lenses than this make no lattice of a scene any surer.
 _MOST_LENSES = 20000
 # Lenses that say less than this share of what good ones say about their place have no say.
@@ -80,24 +82,33 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
         fit = _settled(picture, fit.before, indices, stride, _PASSES, regular)
         fit = fit if fit.lattice.distortion is None else _bent(picture, fit, indices, stride, regular)
     lattice, steps, change, share = fit.lattice, fit.steps, fit.change, fit.share
-    error = _standard_error(steps, change, share)
+    error = _standard_error(steps, change, share) * held_back(steps, share)
     tile, colour = _tiles(steps, max(_FEWEST_TILES, len(share) // _LENSES_PER_TILE))
-    halves = [agreed(steps, colour[tile] == side)[0] for side in (0, 1)]
+    sides = [colour[tile] == side for side in (0, 1)]
+    if min(side.sum() for side in sides) < _FEWEST_IN_HALF:
+        raise CalibrationError("the microimages show too little; give a brighter flat or a white image")
+    halves = [agreed(steps, side)[0] for side in sides]
     miss = ((steps.step - steps.design @ change) ** 2).sum(1)
     scatter = float(np.sqrt(np.average(miss, weights=share)))
     differ = _field_rms(steps, halves[0] - halves[1])
+    # Halves are independent, each half as sure as the whole; a fit that has not settled is off by as much as it asks.
+    error = float(np.hypot(max(error, differ / 2), fit.unsettled))
     return LatticeFit(lattice.origin, lattice.basis, scatter, error, int((share > 0).sum()), differ, lattice.distortion)
 
 
 @dataclass(frozen=True)
 class _Settled:
-    """A lattice, the one before it, and the steps of the lenses from there: their common change and weights."""
+    """A lattice, the one before it, and the steps of the lenses from there: their common change and weights.
+
+    `unsettled` [px] is how far the lattice would still have gone, RMS over the field.
+    """
 
     lattice: Lattice
     before: Lattice
     steps: Steps
     change: NDArray[np.float64]
     share: NDArray[np.float64]
+    unsettled: float
 
 
 def _settled(
@@ -139,7 +150,7 @@ def _settled(
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
         if settled:
             break
-    return _Settled(lattice, before_lattice, steps, change, share)
+    return _Settled(lattice, before_lattice, steps, change, share, 0.0 if settled else _field_rms(steps, leap))
 
 
 def _bent(
@@ -266,8 +277,9 @@ def _standard_error(steps: Steps, change: NDArray[np.float64], share: NDArray[np
 
 
 def _tiles(steps: Steps, number: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Tile (n,) of each lens, about `number` squares of the flat, and the colour (t,) of each on a checkerboard."""
+    """Tile (n,) of each lens, at most about `number` squares of the flat, and the colour (t,) of each on a board."""
     places = steps.design[:, 1:] @ steps.basis
+    number = min(number, max(len(places) // _FEWEST_IN_TILE, 1))
     extent = np.ptp(places, axis=0) + 1e-6
     side = float(np.sqrt(extent.prod() / number))
     grid = np.maximum(1, np.rint(extent / side)).astype(int)

@@ -114,6 +114,61 @@ def test_models_of_microimages_that_run_away_are_given_up():
     assert calibrate_white(truth, 0.5).wrong == 0
 
 
+@pytest.mark.parametrize(
+    ("truth", "exposure"),
+    [
+        # Its general distortion runs away.
+        (
+            WhiteImage(
+                "square", 19.170215242962318, 252.478908970371, 31.977077438352868, 8, hot=12, dust=4,
+                fill=0.983218754712506, soft=2.0, gap=0.1129756501203463, inner=0.274083867828715,
+                outer=0.6072187802208167, size=(171, 77), seed=10760,
+            ),
+            0.04635016415891615,
+        ),
+        # So few lenses that one half of the tiles has none.
+        (
+            WhiteImage(
+                "square", 33.4415601033102, 223.86617360860788, 37.75696588183838, 8, strength=-0.24903192783673406,
+                k1=0.005511434929485238, hot=18, dust=4, fill=0.9521965910424837, soft=1.6476959329435494,
+                gap=0.4769430697218106, inner=0.03310337352222459, outer=0.5842873457118251, size=(211, 182),
+                seed=1687326927,
+            ),
+            0.03244504035963777,
+        ),
+    ],
+)  # fmt: skip
+def test_flats_of_few_lenses_are_calibrated_or_refused(truth, exposure):
+    assert calibrate_white(truth, exposure).wrong == 0
+
+
+def test_a_model_that_half_of_the_pixels_contradict_is_not_trusted():
+    truth = WhiteImage(
+        "hexagonal", 6.0, 189.6062788628874, 36.330153900974295, 16, strength=0.0392872742208088,
+        k1=-0.009869306855372587, hot=21, dust=5, fill=0.6, soft=2.8671049049688486, gap=0.15789990840610163,
+        outer=0.622791154589641, size=(127, 95), seed=678817,
+    )  # fmt: skip
+    camera = lfcal.calibrate(truth.image(1.0))
+    assert any("differ from the gain map" in warning for warning in camera.warnings)
+    # Centres were off by up to 0.8 px at a confidence of 0.99.
+    assert camera.confidence < 0.2
+    plain = lfcal.calibrate(replace(truth, k1=0.0, strength=0.0, soft=0.5, fill=0.9, hot=0, dust=0).image(1.0))
+    assert plain.confidence > 0.9
+
+
+def test_a_fit_that_strays_from_what_is_seen_of_the_microimages_is_not_trusted():
+    truth = WhiteImage(
+        "square", 15.613814012737828, 194.58777515585797, 25.554712456635375, 8, strength=0.3,
+        k1=-0.0026953327668800932, hot=37, fill=0.9349096514326504, soft=0.98, gap=0.3607615730481386,
+        inner=0.1963693685757064, outer=0.7034284806355929, size=(159, 102), seed=15409953,
+    )  # fmt: skip
+    # Cut microimages took its pitch 4 % off, at a confidence of 0.95.
+    assert calibrate_white(truth, 0.14199920728691268).off == 0
+    whole = calibrate_white(replace(truth, size=(400, 300)), 0.5)
+    assert whole.error < 0.1
+    assert whole.note == ""
+
+
 def test_random_flats_get_no_confident_wrong_depth():
     outcomes = [one for _, one in of_random_cases("depth", range(30))]
     # Of 600 such cases it was 0.0003; the limit is that of `python -m benchmarks stress`.
