@@ -127,6 +127,8 @@ def main(paths: list[str]) -> None:
     camera, large = (Camera.design(size, _PITCH, rotation=1.3) for size in (_SIZE, _LARGE))
     scenes = {name: (camera, scene) for name, scene in _scenes(camera).items()}
     scenes |= {f"large, {share} %": (large, partial(_mostly_blank, large, share / 100)) for share in (10, 5)}
+    square = Camera.design((1100, 1200), 28.0, lattice="square", rotation=5.0)
+    scenes |= {f"square, {share} %": (square, partial(_mostly_blank, square, share / 100)) for share in (10, 3)}
     for name, (taken_by, scene) in scenes.items():
         capture = simulate(scene(), taken_by, samples=48, seed=2, noise=_NOISE)
         _row(name, capture.flat, capture.truth.calibration, capture)
