@@ -67,8 +67,8 @@ _STRIP = 64
 _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 150, 1 / 16, 24
 # Where less than this share of the lenses are asked, the others are left out of all that is done with them.
 _FEW = 0.5
-# Fewer clear lenses than this do not tell it for the others.
-_FEWEST_CLEAR = 60
+# Fewer clear lenses than this do not tell it for the others, and fewer resolved ones than this do not prove a plane.
+_FEWEST_CLEAR, _FEWEST_LEVEL = 60, 24
 
 
 def analyze(
@@ -149,7 +149,7 @@ def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
     raw_noise = noise_of(plain.roughness)
     if shortcuts.plane:
         texture = untouched_texture(gray, plain, raw_noise)
-        found = find_plane(texture, lattice, *lens_halves(lattice), PRESETS[preset])
+        found = find_plane(texture, lattice.indices(), *lens_halves(lattice), PRESETS[preset])
         if found is not None:
             return _level(found, gray, lattice, preset)
     blank = skipped_lenses(gray, lattice, plain, PRESETS[preset], raw_noise) if shortcuts.blank else None
@@ -195,22 +195,24 @@ def on_one_plane(
 
 
 def regular_plane(
-    lattice: Lattice,
+    centres: NDArray[np.float64],
+    pitch: float,
     sizes: NDArray[np.float32],
     errors: NDArray[np.float32],
-    resolved: NDArray[np.bool_],
+    reason: NDArray[np.int8],
     astray: NDArray,
     neighbours: NDArray[np.int32],
 ) -> Plane | None:
-    """The plane that all lenses lie on as far as they can tell: their scatter about it is then nothing but noise.
+    """The plane that all lenses with texture lie on as far as they can tell: their scatter about it is then nothing
+    but noise.
 
-    `astray` (n,) [px] is the part of their errors that their pairs do not show.
+    `reason` (n,) is as in `DepthMap`; `astray` (n,) [px] is the part of their errors that their pairs do not show.
     """
-    known = resolved & np.isfinite(errors)
-    if known.mean() < TEXTURED:
+    known = (reason == 0) & np.isfinite(errors)
+    if known.sum() < max(TEXTURED * (reason != 1).sum(), _FEWEST_LEVEL):
         return None
-    centres, own = lattice.centres(), sizes.astype(np.float64)
-    plane = fit_plane(centres[known], own[known], lattice.pitch)
+    own = sizes.astype(np.float64)
+    plane = fit_plane(centres[known], own[known], pitch)
     if plane is None or strays(np.where(known, own - plane.at(centres), np.nan), errors.astype(float), neighbours):
         return None
     return replace(plane, misled=float(np.median(astray[known])))
@@ -249,15 +251,26 @@ def lens_by_lens(
     asked = active if kept is None else active | ~kept
     rows = np.flatnonzero(grown(asked, neighbours)) if 0 < asked.mean() < _FEW else None
     few = lenses if rows is None else lenses.of(rows)
+    if rows is not None and kept is None and overview is None and shortcuts.plane:
+        found = find_plane(few.texture, few.indices, few.forward, few.backward, setting)
+        if found is not None:
+            evidence = np.zeros(len(lattice), np.float32)
+            evidence[rows] = np.where(some[rows], found.evidence, 0)
+            level = _level(replace(found, evidence=evidence), texture.flat, lattice, preset)
+            return level, np.zeros(len(lattice))
     answers = ask(few, setting, earlier if rows is None or earlier is None else earlier.of(rows), sizes)
     skipped = np.zeros(len(lattice), bool) if blank is None else ~some
     saved = _saved(shortcuts, skipped, answers.found, sample, kept)
-    if rows is None and kept is None and overview is None:
+    if kept is None and overview is None:
         plane = regular_plane(
-            lattice, answers.patch_size, answers.standard_error, answers.resolved, answers.astray, neighbours
-        )
+            few.centres, few.pitch, answers.patch_size, answers.standard_error,
+            answers.reason, answers.astray, few.neighbours,
+        )  # fmt: skip
         if plane is not None:
-            return _confirmed(plane, answers, lattice, preset, saved), answers.astray
+            answers = _confirmed(plane, answers, few)
+            if rows is not None:
+                answers = answers.among(len(lattice), rows, None)
+            return on_one_plane(plane, lattice, preset, answers.reason, answers.confidence, saved), answers.astray
     gap = max(1.0, 0.05 * lattice.pitch)
     occurring = _occurring(answers, rows, earlier) if overview is None else overview.sizes
     drawn = fill(answers.drawn, answers.resolved, few.neighbours, gap)
@@ -295,16 +308,16 @@ def _telling(lattice: Lattice, clear: NDArray[np.bool_]) -> NDArray[np.bool_] | 
     count = clear.sum()
     if count < _FEWEST_CLEAR:
         return None
-    return sample_lenses(lattice, clear, int(np.clip(count * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)))
+    return sample_lenses(lattice.indices(), clear, int(np.clip(count * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)))
 
 
-def _confirmed(plane: Plane, answers: Answers, lattice: Lattice, preset: str, saved: dict[str, float]) -> DepthMap:
-    """The depth of lenses that all lie on a plane: it confirms what few pairs at the border of the flat could not."""
-    own, reason = plane.at(lattice.centres()), answers.reason
-    near_plane = np.abs(answers.patch_size - own) <= 2 * AGREED * lattice.pitch
-    near_plane &= np.abs(own) <= RESOLVABLE * lattice.pitch
-    reason = np.where((reason == 3) & near_plane & (answers.found.confidence >= SURE), 0, reason)
-    return on_one_plane(plane, lattice, preset, reason, answers.confidence, saved)
+def _confirmed(plane: Plane, answers: Answers, lenses: Lenses) -> Answers:
+    """What lenses that all lie on a plane answer: it confirms what few pairs at the border of the flat could not."""
+    own, reason = plane.at(lenses.centres), answers.reason
+    near_plane = np.abs(answers.patch_size - own) <= 2 * AGREED * lenses.pitch
+    near_plane &= np.abs(own) <= RESOLVABLE * lenses.pitch
+    sure = near_plane & (answers.found.confidence >= SURE)
+    return replace(answers, reason=np.where((reason == 3) & sure, 0, reason).astype(np.int8))
 
 
 def _occurring(answers: Answers, rows: NDArray[np.int64] | None, earlier: Earlier | None) -> NDArray[np.float32]:

@@ -7,11 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Lattice
-
 from .certainty import misled, signal_share
 from .modes import confidence, parabola_peak
-from .neighbours import beside
+from .neighbours import around, beside
 from .plane import TEXTURED, Plane, fit_plane, strays
 from .radiance import GrayFlat
 from .refinement import PairFits, fit_pairs
@@ -22,8 +20,8 @@ from .texture import Texture
 
 __all__ = ["PROBE", "PlaneScene", "explained_by_plane", "find_plane", "plane_evidence", "vertex", "with_misled"]
 
-# So many lenses tell a plane, or at least the second number of them.
-_SAMPLE, _LEAST_SAMPLE = 80, 40
+# So many lenses tell a plane; of few lenses this share of them, but not fewer than the last number.
+_SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 80, 1 / 12, 24
 # A slanted plane needs so many times as many: three numbers instead of one, of which two are carried to the border.
 _SLANTED = 3
 # Three shifts this far apart [px of the search] tell for each lens whether it, too, has its optimum there. Lenses that
@@ -57,7 +55,11 @@ class PlaneScene:
 
 
 def find_plane(
-    texture: Texture, lattice: Lattice, forward: NDArray[np.int32], backward: NDArray[np.int32], setting: Preset
+    texture: Texture,
+    indices: NDArray[np.int64],
+    forward: NDArray[np.int32],
+    backward: NDArray[np.int32],
+    setting: Preset,
 ) -> PlaneScene | None:
     """The one plane that the flat shows, None where there are several depths or it cannot be told.
 
@@ -65,14 +67,16 @@ def find_plane(
     ----------
     texture : Texture
         Shading may be left in.
-    lattice : Lattice
+    indices : (n, 2) int
+        Of the lenses on the lattice.
     forward, backward : (n, d) int32
         Neighbour rows in `d` directions and in their opposites, -1 where there is none.
     setting : Preset
     """
-    if texture.clear.mean() < TEXTURED:
+    if not len(indices) or texture.clear.mean() < TEXTURED:
         return None
-    sample = sample_lenses(lattice, texture.clear, _SAMPLE)
+    count = int(np.clip(texture.clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE))
+    sample = sample_lenses(indices, texture.clear, count)
     if sample.sum() < _LEAST_SAMPLE:
         return None
     matcher = Matcher(texture, forward, backward, setting)
@@ -80,20 +84,21 @@ def find_plane(
     best = cost.argmin(1)
     if matcher.repeats(cost):
         return None
-    start = np.full(len(lattice), np.nan, np.float32)
+    start = np.full(len(indices), np.nan, np.float32)
     start[sample] = (matcher.shifts[best] + parabola_peak(cost, best) * matcher.step) * matcher.factor
     points, sizes = _places(_pairs(texture, forward, start, setting), texture.flat, forward)
-    plane = fit_plane(points, sizes, lattice.pitch) if len(sizes) >= _LEAST_SAMPLE else None
+    pitch = texture.flat.pitch
+    plane = fit_plane(points, sizes, pitch) if len(sizes) >= _LEAST_SAMPLE else None
     if plane is None:
         return None
-    about = plane.at(lattice.centres()).astype(np.float32)
+    about = plane.at(texture.flat.centres.astype(float)).astype(np.float32)
     evidence = plane_evidence(matcher, texture, about, setting)
     if evidence is None:
         return None
     if plane.slanted:
-        more = sample_lenses(lattice, texture.clear, _SLANTED * _SAMPLE)
+        more = sample_lenses(indices, texture.clear, _SLANTED * count)
         start = np.where(more, about, np.nan).astype(np.float32)
-        plane = fit_plane(*_places(_pairs(texture, forward, start, setting), texture.flat, forward), lattice.pitch)
+        plane = fit_plane(*_places(_pairs(texture, forward, start, setting), texture.flat, forward), pitch)
         if plane is None:
             return None
     plane = with_misled(plane, explained_by_plane(matcher, texture, about, evidence)[texture.clear])
@@ -129,7 +134,10 @@ def plane_evidence(
     cost = matcher.probe(everyone, probes, (about / matcher.factor).astype(np.float32))
     limit = np.clip(_USUAL * np.median(cost[texture.clear, 1]), MISFIT, _WORST)
     misfits = texture.clear & (cost[:, 1] > limit)
-    if misfits.mean() > _MISFITS:
+    rows = np.hstack([matcher.forward, matcher.backward])
+    # A lens beside blank ones has fewer pairs that can match.
+    inner = around(texture.clear, rows) == (rows >= 0).sum(1)
+    if np.mean(misfits & inner) > _MISFITS:
         return None
     if misfits.any():
         full = matcher.costs(matcher.pairs(misfits))[misfits]
@@ -137,7 +145,6 @@ def plane_evidence(
         if ((least < cost[misfits, 1] - _BETTER) & (least < limit)).any():
             return None
     off = vertex(cost) * PROBE
-    rows = np.hstack([matcher.forward, matcher.backward])
     doubtful = np.zeros(len(off), bool)
     for side in (-1, 1):
         doubtful |= beside(texture.clear & ~misfits & (side * off > _OFF), rows) >= _TOGETHER

@@ -8,8 +8,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Lattice
-
 __all__ = ["Shortcuts", "sample_lenses"]
 
 
@@ -56,11 +54,14 @@ class Shortcuts:
         return cls(**{name: name in wanted for name in names})
 
 
-def sample_lenses(lattice: Lattice, candidates: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
-    """(n,) bool: about `count` of the candidates, evenly spread and of all lens types; all where they are few."""
+def sample_lenses(indices: NDArray[np.int64], candidates: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
+    """(n,) bool: about `count` of the candidates, evenly spread and of all lens types; all where they are few.
+
+    `indices` (n, 2) are those of all lenses on the lattice.
+    """
     every = int(np.sqrt(candidates.sum() / count))
     if every < 2:
         return candidates
     # Multi-focus types repeat with every third lens.
     every += every % 3 == 0
-    return candidates & (lattice.indices() % every == 0).all(1)
+    return candidates & (indices % every == 0).all(1)
