@@ -16,7 +16,7 @@ from .flatcheck import check_flat
 from .judgement import AGREED, LEAST_EVIDENCE, RESOLVABLE, SHADED_REACH, SURE, populated
 from .lens_answers import UNTOLD, Answers, Earlier, Lenses, ask
 from .modes import fill
-from .neighbours import grown, lens_halves, nearest_of
+from .neighbours import around, grown, lens_halves, nearest_of
 from .plane import TEXTURED, Plane, fit_plane, strays
 from .radiance import GrayFlat, gray_flat, shrunk
 from .recurrence import recurring
@@ -60,11 +60,11 @@ class Overview:
     raw_noise: float
 
 
-# Rows of a plane's surface that are found at once.
-_STRIP = 64
 # So many lenses, evenly spread, tell which depths occur; where few carry texture, this share of them, but not fewer
 # than the last number.
 _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 150, 1 / 16, 24
+# A lens shows a plane if it matches there so well, by the usual match, or if two beside it do.
+_TYPICAL = 0.5
 # Where less than this share of the lenses are asked, the others are left out of all that is done with them.
 _FEW = 0.5
 # Fewer clear lenses than this do not tell it for the others, and fewer resolved ones than this do not prove a plane.
@@ -151,19 +151,21 @@ def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
         texture = untouched_texture(gray, plain, raw_noise)
         found = find_plane(texture, lattice.indices(), *lens_halves(lattice), PRESETS[preset])
         if found is not None:
-            return _level(found, gray, lattice, preset)
+            return _level(found, gray, lattice, preset, {"plane": 1 - found.sampled})
     blank = skipped_lenses(gray, lattice, plain, PRESETS[preset], raw_noise) if shortcuts.blank else None
     return lens_by_lens(gray, lattice, preset, shortcuts, plain, blank)[0]
 
 
-def _level(found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str) -> DepthMap:
+def _level(found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str, saved: dict[str, float]) -> DepthMap:
     """One plane for all lenses that show it."""
     shown = found.evidence >= LEAST_EVIDENCE
+    usual = shown & (found.evidence >= _TYPICAL * np.median(found.evidence[shown]))
+    shown &= usual | (around(usual, np.hstack(lens_halves(lattice))) >= 2)
     sizes = found.plane.at(lattice.centres())
     again, perhaps = recurring(gray, lattice.indices(), sizes, shown)
     sure = found.confidence * (SURE if perhaps else 1.0)
     reason = np.where(shown, np.where(again, 2, 0), 1)
-    return on_one_plane(found.plane, lattice, preset, reason, sure * shown, {"plane": 1 - found.sampled})
+    return on_one_plane(found.plane, lattice, preset, reason, sure * shown, saved)
 
 
 def on_one_plane(
@@ -173,19 +175,12 @@ def on_one_plane(
     centres = lattice.centres()
     sizes = plane.at(centres)
     shape, first, spacing = grid_shape(lattice, PRESETS[preset].cells)
-    surface = np.empty(shape, np.float32)
-    for top in range(0, shape[0], _STRIP):
-        strip = surface[top : top + _STRIP]
-        v, u = np.mgrid[top : top + len(strip), : shape[1]]
-        strip[:] = plane.at(np.stack([first[0] + spacing * u, first[1] + spacing * v], -1).reshape(-1, 2)).reshape(
-            u.shape
-        )
     return DepthMap(
         patch_size=np.where(reason == 0, sizes, np.nan),
         standard_error=np.where(reason == 0, plane.standard_error(centres), np.inf),
         confidence=confidence,
         drawn=sizes.astype(np.float32),
-        surface=Surface(surface, first, spacing),
+        surface=Surface(plane.over_grid(shape, first, spacing), first, spacing),
         pitch=lattice.pitch,
         image_size=lattice.image_size,
         preset=preset,
@@ -196,6 +191,7 @@ def on_one_plane(
 
 def regular_plane(
     centres: NDArray[np.float64],
+    count: int,
     pitch: float,
     sizes: NDArray[np.float32],
     errors: NDArray[np.float32],
@@ -206,13 +202,16 @@ def regular_plane(
     """The plane that all lenses with texture lie on as far as they can tell: their scatter about it is then nothing
     but noise.
 
-    `reason` (n,) is as in `DepthMap`; `astray` (n,) [px] is the part of their errors that their pairs do not show.
+    `reason` (n,) is as in `DepthMap`; `astray` (n,) [px] is the part of their errors that their pairs do not show. If
+    they are few of the `count` lenses of the flat, the plane must face the camera: a slant would be carried too far.
     """
     known = (reason == 0) & np.isfinite(errors)
     if known.sum() < max(TEXTURED * (reason != 1).sum(), _FEWEST_LEVEL):
         return None
     own = sizes.astype(np.float64)
     plane = fit_plane(centres[known], own[known], pitch)
+    if plane is not None and plane.slanted and known.sum() < TEXTURED * count:
+        return None
     if plane is None or strays(np.where(known, own - plane.at(centres), np.nan), errors.astype(float), neighbours):
         return None
     return replace(plane, misled=float(np.median(astray[known])))
@@ -252,18 +251,15 @@ def lens_by_lens(
     rows = np.flatnonzero(grown(asked, neighbours)) if 0 < asked.mean() < _FEW else None
     few = lenses if rows is None else lenses.of(rows)
     if rows is not None and kept is None and overview is None and shortcuts.plane:
-        found = find_plane(few.texture, few.indices, few.forward, few.backward, setting)
-        if found is not None:
-            evidence = np.zeros(len(lattice), np.float32)
-            evidence[rows] = np.where(some[rows], found.evidence, 0)
-            level = _level(replace(found, evidence=evidence), texture.flat, lattice, preset)
+        level = _few_on_plane(few, rows, texture.flat, lattice, preset)
+        if level is not None:
             return level, np.zeros(len(lattice))
     answers = ask(few, setting, earlier if rows is None or earlier is None else earlier.of(rows), sizes)
     skipped = np.zeros(len(lattice), bool) if blank is None else ~some
     saved = _saved(shortcuts, skipped, answers.found, sample, kept)
     if kept is None and overview is None:
         plane = regular_plane(
-            few.centres, few.pitch, answers.patch_size, answers.standard_error,
+            few.centres, len(lattice), few.pitch, answers.patch_size, answers.standard_error,
             answers.reason, answers.astray, few.neighbours,
         )  # fmt: skip
         if plane is not None:
@@ -301,6 +297,20 @@ def lens_by_lens(
         saved=saved,
     )
     return depth, answers.astray
+
+
+def _few_on_plane(
+    few: Lenses, rows: NDArray[np.int64], gray: GrayFlat, lattice: Lattice, preset: str
+) -> DepthMap | None:
+    """The depth of all lenses where those at `rows`, beside which all are blank, show one plane; None if not."""
+    found = find_plane(few.texture, few.indices, few.forward, few.backward, PRESETS[preset])
+    if found is None or found.plane.slanted:
+        return None
+    evidence = np.zeros(len(lattice), np.float32)
+    evidence[rows] = np.where(few.active, found.evidence, 0)
+    asked, sampled = few.active.sum() / len(lattice), found.sampled * len(rows) / len(lattice)
+    saved = {"blank": float(1 - asked), "plane": float(asked - sampled)}
+    return _level(replace(found, evidence=evidence), gray, lattice, preset, saved)
 
 
 def _telling(lattice: Lattice, clear: NDArray[np.bool_]) -> NDArray[np.bool_] | None:

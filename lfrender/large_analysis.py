@@ -228,7 +228,7 @@ def _by_tiles(
     plane = None
     if whole.shortcuts.plane:
         plane = regular_plane(
-            lattice.centres(), lattice.pitch, patch_size, error, reason, astray, np.hstack(lens_halves(lattice))
+            lattice.centres(), n, lattice.pitch, patch_size, error, reason, astray, np.hstack(lens_halves(lattice))
         )
     if plane is not None:
         return on_one_plane(plane, lattice, preset, reason, confidence, saved)

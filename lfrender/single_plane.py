@@ -21,9 +21,9 @@ from .texture import Texture
 __all__ = ["PROBE", "PlaneScene", "explained_by_plane", "find_plane", "plane_evidence", "vertex", "with_misled"]
 
 # So many lenses tell a plane; of few lenses this share of them, but not fewer than the last number.
-_SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 80, 1 / 12, 24
+_SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 40, 1 / 12, 24
 # A slanted plane needs so many times as many: three numbers instead of one, of which two are carried to the border.
-_SLANTED = 3
+_SLANTED = 6
 # Three shifts this far apart [px of the search] tell for each lens whether it, too, has its optimum there. Lenses that
 # are off to one side by the second number together with others beside them are measured.
 PROBE, _OFF, _TOGETHER = 0.75, 0.25, 2
@@ -136,8 +136,8 @@ def plane_evidence(
     misfits = texture.clear & (cost[:, 1] > limit)
     rows = np.hstack([matcher.forward, matcher.backward])
     # A lens beside blank ones has fewer pairs that can match.
-    inner = around(texture.clear, rows) == (rows >= 0).sum(1)
-    if np.mean(misfits & inner) > _MISFITS:
+    inner = texture.clear & (around(texture.clear, rows) == (rows >= 0).sum(1))
+    if not inner.any() or misfits[inner].mean() > _MISFITS:
         return None
     if misfits.any():
         full = matcher.costs(matcher.pairs(misfits))[misfits]
