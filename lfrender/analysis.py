@@ -206,10 +206,14 @@ def regular_plane(
     they are few of the `count` lenses of the flat, the plane must face the camera: a slant would be carried too far.
     """
     known = (reason == 0) & np.isfinite(errors)
-    if known.sum() < max(TEXTURED * (reason != 1).sum(), _FEWEST_LEVEL):
+    if known.sum() < TEXTURED * (reason != 1).sum():
         return None
     own = sizes.astype(np.float64)
-    plane = fit_plane(centres[known], own[known], pitch)
+    # Lenses beside blank ones see little to measure.
+    inner = known & (around(reason != 1, neighbours) == (neighbours >= 0).sum(1))
+    if inner.sum() < _FEWEST_LEVEL:
+        return None
+    plane = fit_plane(centres[inner], own[inner], pitch)
     if plane is not None and plane.slanted and known.sum() < TEXTURED * count:
         return None
     if plane is None or strays(np.where(known, own - plane.at(centres), np.nan), errors.astype(float), neighbours):
@@ -303,8 +307,8 @@ def _few_on_plane(
     few: Lenses, rows: NDArray[np.int64], gray: GrayFlat, lattice: Lattice, preset: str
 ) -> DepthMap | None:
     """The depth of all lenses where those at `rows`, beside which all are blank, show one plane; None if not."""
-    found = find_plane(few.texture, few.indices, few.forward, few.backward, PRESETS[preset])
-    if found is None or found.plane.slanted:
+    found = find_plane(few.texture, few.indices, few.forward, few.backward, PRESETS[preset], facing=True)
+    if found is None:
         return None
     evidence = np.zeros(len(lattice), np.float32)
     evidence[rows] = np.where(few.active, found.evidence, 0)

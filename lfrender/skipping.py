@@ -59,9 +59,13 @@ def sample_lenses(indices: NDArray[np.int64], candidates: NDArray[np.bool_], cou
 
     `indices` (n, 2) are those of all lenses on the lattice.
     """
-    every = int(np.sqrt(candidates.sum() / count))
-    if every < 2:
+    share = candidates.sum() / count
+    if share < 2:
         return candidates
-    # Multi-focus types repeat with every third lens.
-    every += every % 3 == 0
-    return candidates & (indices % every == 0).all(1)
+    i = _no_third(int(np.sqrt(share)))
+    return candidates & (indices % (i, _no_third(int(share / i))) == 0).all(1)
+
+
+def _no_third(every: int) -> int:
+    """Multi-focus types repeat with every third lens."""
+    return every - (every % 3 == 0)
