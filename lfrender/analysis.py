@@ -16,7 +16,7 @@ from .flatcheck import check_flat
 from .judgement import AGREED, LEAST_EVIDENCE, RESOLVABLE, SHADED_REACH, SURE, populated
 from .lens_answers import UNTOLD, Answers, Earlier, Lenses, ask
 from .modes import fill
-from .neighbours import grown, lens_halves, nearest_of
+from .neighbours import around, grown, lens_halves, nearest_of
 from .plane import TEXTURED, Plane, fit_plane, strays
 from .radiance import GrayFlat, gray_flat, shrunk
 from .recurrence import recurring
@@ -60,15 +60,15 @@ class Overview:
     raw_noise: float
 
 
-# Rows of a plane's surface that are found at once.
-_STRIP = 64
 # So many lenses, evenly spread, tell which depths occur; where few carry texture, this share of them, but not fewer
 # than the last number.
 _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 150, 1 / 16, 24
+# A lens shows a plane if it matches there so well, by the usual match, or if two beside it do.
+_TYPICAL = 0.5
 # Where less than this share of the lenses are asked, the others are left out of all that is done with them.
 _FEW = 0.5
-# Fewer clear lenses than this do not tell it for the others.
-_FEWEST_CLEAR = 60
+# Fewer clear lenses than this do not tell it for the others, and fewer resolved ones than this do not prove a plane.
+_FEWEST_CLEAR, _FEWEST_LEVEL = 60, 24
 
 
 def analyze(
@@ -149,21 +149,23 @@ def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
     raw_noise = noise_of(plain.roughness)
     if shortcuts.plane:
         texture = untouched_texture(gray, plain, raw_noise)
-        found = find_plane(texture, lattice, *lens_halves(lattice), PRESETS[preset])
+        found = find_plane(texture, lattice.indices(), *lens_halves(lattice), PRESETS[preset])
         if found is not None:
-            return _level(found, gray, lattice, preset)
+            return _level(found, gray, lattice, preset, {"plane": 1 - found.sampled})
     blank = skipped_lenses(gray, lattice, plain, PRESETS[preset], raw_noise) if shortcuts.blank else None
     return lens_by_lens(gray, lattice, preset, shortcuts, plain, blank)[0]
 
 
-def _level(found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str) -> DepthMap:
+def _level(found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str, saved: dict[str, float]) -> DepthMap:
     """One plane for all lenses that show it."""
     shown = found.evidence >= LEAST_EVIDENCE
+    usual = shown & (found.evidence >= _TYPICAL * np.median(found.evidence[shown]))
+    shown &= usual | (around(usual, np.hstack(lens_halves(lattice))) >= 2)
     sizes = found.plane.at(lattice.centres())
     again, perhaps = recurring(gray, lattice.indices(), sizes, shown)
     sure = found.confidence * (SURE if perhaps else 1.0)
     reason = np.where(shown, np.where(again, 2, 0), 1)
-    return on_one_plane(found.plane, lattice, preset, reason, sure * shown, {"plane": 1 - found.sampled})
+    return on_one_plane(found.plane, lattice, preset, reason, sure * shown, saved)
 
 
 def on_one_plane(
@@ -173,19 +175,12 @@ def on_one_plane(
     centres = lattice.centres()
     sizes = plane.at(centres)
     shape, first, spacing = grid_shape(lattice, PRESETS[preset].cells)
-    surface = np.empty(shape, np.float32)
-    for top in range(0, shape[0], _STRIP):
-        strip = surface[top : top + _STRIP]
-        v, u = np.mgrid[top : top + len(strip), : shape[1]]
-        strip[:] = plane.at(np.stack([first[0] + spacing * u, first[1] + spacing * v], -1).reshape(-1, 2)).reshape(
-            u.shape
-        )
     return DepthMap(
         patch_size=np.where(reason == 0, sizes, np.nan),
         standard_error=np.where(reason == 0, plane.standard_error(centres), np.inf),
         confidence=confidence,
         drawn=sizes.astype(np.float32),
-        surface=Surface(surface, first, spacing),
+        surface=Surface(plane.over_grid(shape, first, spacing), first, spacing),
         pitch=lattice.pitch,
         image_size=lattice.image_size,
         preset=preset,
@@ -195,22 +190,32 @@ def on_one_plane(
 
 
 def regular_plane(
-    lattice: Lattice,
+    centres: NDArray[np.float64],
+    count: int,
+    pitch: float,
     sizes: NDArray[np.float32],
     errors: NDArray[np.float32],
-    resolved: NDArray[np.bool_],
+    reason: NDArray[np.int8],
     astray: NDArray,
     neighbours: NDArray[np.int32],
 ) -> Plane | None:
-    """The plane that all lenses lie on as far as they can tell: their scatter about it is then nothing but noise.
+    """The plane that all lenses with texture lie on as far as they can tell: their scatter about it is then nothing
+    but noise.
 
-    `astray` (n,) [px] is the part of their errors that their pairs do not show.
+    `reason` (n,) is as in `DepthMap`; `astray` (n,) [px] is the part of their errors that their pairs do not show. If
+    they are few of the `count` lenses of the flat, the plane must face the camera: a slant would be carried too far.
     """
-    known = resolved & np.isfinite(errors)
-    if known.mean() < TEXTURED:
+    known = (reason == 0) & np.isfinite(errors)
+    if known.sum() < TEXTURED * (reason != 1).sum():
         return None
-    centres, own = lattice.centres(), sizes.astype(np.float64)
-    plane = fit_plane(centres[known], own[known], lattice.pitch)
+    own = sizes.astype(np.float64)
+    # Lenses beside blank ones see little to measure.
+    inner = known & (around(reason != 1, neighbours) == (neighbours >= 0).sum(1))
+    if inner.sum() < _FEWEST_LEVEL:
+        return None
+    plane = fit_plane(centres[inner], own[inner], pitch)
+    if plane is not None and plane.slanted and known.sum() < TEXTURED * count:
+        return None
     if plane is None or strays(np.where(known, own - plane.at(centres), np.nan), errors.astype(float), neighbours):
         return None
     return replace(plane, misled=float(np.median(astray[known])))
@@ -249,15 +254,23 @@ def lens_by_lens(
     asked = active if kept is None else active | ~kept
     rows = np.flatnonzero(grown(asked, neighbours)) if 0 < asked.mean() < _FEW else None
     few = lenses if rows is None else lenses.of(rows)
+    if rows is not None and kept is None and overview is None and shortcuts.plane:
+        level = _few_on_plane(few, rows, texture.flat, lattice, preset)
+        if level is not None:
+            return level, np.zeros(len(lattice))
     answers = ask(few, setting, earlier if rows is None or earlier is None else earlier.of(rows), sizes)
     skipped = np.zeros(len(lattice), bool) if blank is None else ~some
     saved = _saved(shortcuts, skipped, answers.found, sample, kept)
-    if rows is None and kept is None and overview is None:
+    if kept is None and overview is None:
         plane = regular_plane(
-            lattice, answers.patch_size, answers.standard_error, answers.resolved, answers.astray, neighbours
-        )
+            few.centres, len(lattice), few.pitch, answers.patch_size, answers.standard_error,
+            answers.reason, answers.astray, few.neighbours,
+        )  # fmt: skip
         if plane is not None:
-            return _confirmed(plane, answers, lattice, preset, saved), answers.astray
+            answers = _confirmed(plane, answers, few)
+            if rows is not None:
+                answers = answers.among(len(lattice), rows, None)
+            return on_one_plane(plane, lattice, preset, answers.reason, answers.confidence, saved), answers.astray
     gap = max(1.0, 0.05 * lattice.pitch)
     occurring = _occurring(answers, rows, earlier) if overview is None else overview.sizes
     drawn = fill(answers.drawn, answers.resolved, few.neighbours, gap)
@@ -290,21 +303,35 @@ def lens_by_lens(
     return depth, answers.astray
 
 
+def _few_on_plane(
+    few: Lenses, rows: NDArray[np.int64], gray: GrayFlat, lattice: Lattice, preset: str
+) -> DepthMap | None:
+    """The depth of all lenses where those at `rows`, beside which all are blank, show one plane; None if not."""
+    found = find_plane(few.texture, few.indices, few.forward, few.backward, PRESETS[preset], facing=True)
+    if found is None:
+        return None
+    evidence = np.zeros(len(lattice), np.float32)
+    evidence[rows] = np.where(few.active, found.evidence, 0)
+    asked, sampled = few.active.sum() / len(lattice), found.sampled * len(rows) / len(lattice)
+    saved = {"blank": float(1 - asked), "plane": float(asked - sampled)}
+    return _level(replace(found, evidence=evidence), gray, lattice, preset, saved)
+
+
 def _telling(lattice: Lattice, clear: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
     """Those of the `clear` lenses that tell which depths occur; None where they say nothing about all faint ones."""
     count = clear.sum()
     if count < _FEWEST_CLEAR:
         return None
-    return sample_lenses(lattice, clear, int(np.clip(count * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)))
+    return sample_lenses(lattice.indices(), clear, int(np.clip(count * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)))
 
 
-def _confirmed(plane: Plane, answers: Answers, lattice: Lattice, preset: str, saved: dict[str, float]) -> DepthMap:
-    """The depth of lenses that all lie on a plane: it confirms what few pairs at the border of the flat could not."""
-    own, reason = plane.at(lattice.centres()), answers.reason
-    near_plane = np.abs(answers.patch_size - own) <= 2 * AGREED * lattice.pitch
-    near_plane &= np.abs(own) <= RESOLVABLE * lattice.pitch
-    reason = np.where((reason == 3) & near_plane & (answers.found.confidence >= SURE), 0, reason)
-    return on_one_plane(plane, lattice, preset, reason, answers.confidence, saved)
+def _confirmed(plane: Plane, answers: Answers, lenses: Lenses) -> Answers:
+    """What lenses that all lie on a plane answer: it confirms what few pairs at the border of the flat could not."""
+    own, reason = plane.at(lenses.centres), answers.reason
+    near_plane = np.abs(answers.patch_size - own) <= 2 * AGREED * lenses.pitch
+    near_plane &= np.abs(own) <= RESOLVABLE * lenses.pitch
+    sure = near_plane & (answers.found.confidence >= SURE)
+    return replace(answers, reason=np.where((reason == 3) & sure, 0, reason).astype(np.int8))
 
 
 def _occurring(answers: Answers, rows: NDArray[np.int64] | None, earlier: Earlier | None) -> NDArray[np.float32]:

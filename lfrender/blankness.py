@@ -34,7 +34,7 @@ def skipped_lenses(
     noise = noise_of(plain.roughness) if noise is None else noise
     blank = blank_lenses(plain, noise)
     texture = untouched_texture(gray, plain, noise)
-    sample = sample_lenses(lattice, texture.faint & blank, _SAMPLE)
+    sample = sample_lenses(lattice.indices(), texture.faint & blank, _SAMPLE)
     if sample.any():
         matcher = Matcher(texture, *lens_halves(lattice), setting)
         evidence = 1 - matcher.costs(matcher.pairs(sample))[sample]

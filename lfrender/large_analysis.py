@@ -227,7 +227,9 @@ def _by_tiles(
             progress(number + 1, len(tiles))
     plane = None
     if whole.shortcuts.plane:
-        plane = regular_plane(lattice, patch_size, error, reason == 0, astray, np.hstack(lens_halves(lattice)))
+        plane = regular_plane(
+            lattice.centres(), n, lattice.pitch, patch_size, error, reason, astray, np.hstack(lens_halves(lattice))
+        )
     if plane is not None:
         return on_one_plane(plane, lattice, preset, reason, confidence, saved)
     return DepthMap(

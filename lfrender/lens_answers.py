@@ -59,6 +59,11 @@ class Lenses:
         return self.texture.flat.pitch
 
     @property
+    def centres(self) -> NDArray[np.float64]:
+        """(n, 2) float64 [px]."""
+        return self.texture.flat.centres.astype(np.float64)
+
+    @property
     def neighbours(self) -> NDArray[np.int32]:
         """(n, 2 d) int32 neighbour rows in all directions."""
         return np.hstack([self.forward, self.backward])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from .neighbours import beside
@@ -72,6 +72,12 @@ class Plane:
         """(n,) patch size [px] at scene points (n, 2)."""
         return 1 / (self.inverse[0] + points[:, 0] * self.inverse[1] + points[:, 1] * self.inverse[2])
 
+    def over_grid(self, shape: tuple[int, int], first: tuple[float, float], spacing: float) -> NDArray[np.float32]:
+        """(h, w) float32 [px] at a regular grid of scene points from `first` on."""
+        out = np.empty(shape, np.float32)
+        _over_grid(np.asarray(self.inverse, np.float64), *first, spacing, out)
+        return out
+
     def standard_error(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) standard error [px] of `at`."""
         x, y = points.T
@@ -80,6 +86,15 @@ class Plane:
         size2 = self.at(points) ** 2
         shared = np.hypot(_UNSEEN, _UNSEEN_GROWTH * size2 * np.sqrt(size2) / self.pitch**2)
         return np.hypot(np.hypot(shared, _COMMON * self.misled), size2 * np.sqrt(np.maximum(variance, 0)))
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _over_grid(inverse, left, top, spacing, out):
+    for v in prange(out.shape[0]):
+        row = out[v]
+        start = inverse[0] + inverse[1] * left + inverse[2] * (top + spacing * v)
+        for u in range(len(row)):
+            row[u] = 1 / (start + inverse[1] * spacing * u)
 
 
 def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> Plane | None:
@@ -200,7 +215,7 @@ def _even(places: NDArray[np.float64], residual: NDArray[np.float64], deviations
     powers = [np.ones_like(x), x, x * x, x * x * x], [np.ones_like(y), y, y * y, y * y * y]
     rows = np.stack([powers[0][i] * powers[1][j] for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)])
     terms = rows.T
-    inverse = np.linalg.pinv(np.einsum("in,jn->ij", rows, rows))
+    inverse = np.linalg.pinv(np.einsum("in,jn->ij", rows, rows), hermitian=True)
     smooth = terms @ (inverse @ np.einsum("in,n->i", rows, residual[inside]))
     # What the scatter of single lenses leaves uncertain about that surface is not held against the plane.
     uncertain = deviations * scatter * np.sqrt(np.maximum(np.einsum("in,in->n", inverse @ rows, rows), 0))

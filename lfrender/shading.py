@@ -105,11 +105,12 @@ def _take_away(row, shade, share, out):
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _subtract_shading(
-    image, centres, wanted, near, weights, contrast, radius, strips, middle, whole, half, width, out
+    image, centres, wanted, near, weights, contrast, radius, strips, middle, whole, half, width, fresh, out
 ):  # fmt: skip
     height, across = image.shape
-    for y in prange(height):
-        out[y] = image[y]
+    if fresh:
+        for y in prange(height):
+            out[y] = image[y]
     # Strips, `width` pixels a row, have a border of one pixel about what is in `shade`.
     count = ((width - 2) * width + _BUNCH - 1) // _BUNCH * _BUNCH
     for part in prange((len(centres) + _TOGETHER - 1) // _TOGETHER):
@@ -155,6 +156,7 @@ def flatten_shading(
     means: NDArray[np.float32],
     contrast: NDArray[np.float32],
     wanted: NDArray[np.bool_],
+    others: GrayFlat | None = None,
 ) -> GrayFlat:
     """`gray` without the pattern that the lenses around each lens, of its own type, have in common.
 
@@ -170,6 +172,8 @@ def flatten_shading(
         Mean and standard deviation of every microimage.
     wanted : (n,) bool
         Lenses to take it from; the others stay as they are.
+    others : GrayFlat, optional
+        `gray` without the shading of some other lenses, which becomes the answer.
     """
     weights = _SMOOTH**2 / (_SMOOTH**2 + contrast**2)
     # What all lenses show is read many times: as strips, in long loops. Their centres differ by less than a pixel.
@@ -178,9 +182,12 @@ def flatten_shading(
     read = np.zeros(len(near) + 1, bool)
     read[near[wanted]] = True
     strips = cut_out(gray, means, 1, read[:-1])
-    out = np.empty_like(gray.image)
+    if not wanted.any() and others is not None:
+        return others
+    out = np.empty_like(gray.image) if others is None else others.image
     _subtract_shading(
         gray.image, gray.centres, wanted, near, weights.astype(np.float32), contrast,
-        np.float32(gray.radius), strips.values, strips.middle, strips.whole, strips.half, strips.width, out,
+        np.float32(gray.radius), strips.values, strips.middle, strips.whole, strips.half, strips.width,
+        others is None, out,
     )  # fmt: skip
     return dataclasses.replace(gray, image=out)

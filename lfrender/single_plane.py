@@ -7,13 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Lattice
-
 from .certainty import misled, signal_share
 from .modes import confidence, parabola_peak
-from .neighbours import beside
+from .neighbours import around, beside
 from .plane import TEXTURED, Plane, fit_plane, strays
-from .radiance import GrayFlat
 from .refinement import PairFits, fit_pairs
 from .search import MISFIT, Matcher, Preset
 from .skipping import sample_lenses
@@ -22,10 +19,13 @@ from .texture import Texture
 
 __all__ = ["PROBE", "PlaneScene", "explained_by_plane", "find_plane", "plane_evidence", "vertex", "with_misled"]
 
-# So many lenses tell a plane, or at least the second number of them.
-_SAMPLE, _LEAST_SAMPLE = 80, 40
+# About so many lenses tell a plane; of few lenses this share of them, but not fewer than the third number. Fewer than
+# the last number tell nothing.
+_SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE, _TOO_FEW = 60, 1 / 12, 30, 20
 # A slanted plane needs so many times as many: three numbers instead of one, of which two are carried to the border.
-_SLANTED = 3
+_SLANTED = 4
+# Of a plane that faces the camera this share of the lenses are searched to the same patch size, to that of the pitch.
+_ALIKE, _NEAR = 0.7, 0.05
 # Three shifts this far apart [px of the search] tell for each lens whether it, too, has its optimum there. Lenses that
 # are off to one side by the second number together with others beside them are measured.
 PROBE, _OFF, _TOGETHER = 0.75, 0.25, 2
@@ -57,7 +57,12 @@ class PlaneScene:
 
 
 def find_plane(
-    texture: Texture, lattice: Lattice, forward: NDArray[np.int32], backward: NDArray[np.int32], setting: Preset
+    texture: Texture,
+    indices: NDArray[np.int64],
+    forward: NDArray[np.int32],
+    backward: NDArray[np.int32],
+    setting: Preset,
+    facing: bool = False,
 ) -> PlaneScene | None:
     """The one plane that the flat shows, None where there are several depths or it cannot be told.
 
@@ -65,41 +70,53 @@ def find_plane(
     ----------
     texture : Texture
         Shading may be left in.
-    lattice : Lattice
+    indices : (n, 2) int
+        Of the lenses on the lattice.
     forward, backward : (n, d) int32
         Neighbour rows in `d` directions and in their opposites, -1 where there is none.
     setting : Preset
+    facing : bool
+        Only a plane that faces the camera will do.
     """
-    if texture.clear.mean() < TEXTURED:
+    if not len(indices) or texture.clear.mean() < TEXTURED:
         return None
-    sample = sample_lenses(lattice, texture.clear, _SAMPLE)
-    if sample.sum() < _LEAST_SAMPLE:
+    inner = _inner(texture, np.hstack([forward, backward]))
+    count = int(np.clip(texture.clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE))
+    sample = sample_lenses(indices, inner, count)
+    if sample.sum() < _TOO_FEW:
         return None
-    matcher = Matcher(texture, forward, backward, setting)
+    pitch, matcher = texture.flat.pitch, Matcher(texture, forward, backward, setting)
     cost = matcher.costs(matcher.pairs(sample))[sample]
     best = cost.argmin(1)
     if matcher.repeats(cost):
         return None
-    start = np.full(len(lattice), np.nan, np.float32)
+    start = np.full(len(indices), np.nan, np.float32)
     start[sample] = (matcher.shifts[best] + parabola_peak(cost, best) * matcher.step) * matcher.factor
-    points, sizes = _places(_pairs(texture, forward, start, setting), texture.flat, forward)
-    plane = fit_plane(points, sizes, lattice.pitch) if len(sizes) >= _LEAST_SAMPLE else None
-    if plane is None:
+    if facing and np.mean(np.abs(start[sample] - np.median(start[sample])) <= _NEAR * pitch) < _ALIKE:
         return None
-    about = plane.at(lattice.centres()).astype(np.float32)
+    points, sizes = _places(_pairs(texture, forward, start, setting), texture, forward)
+    plane = fit_plane(points, sizes, pitch) if len(sizes) >= _TOO_FEW else None
+    if plane is None or (facing and plane.slanted):
+        return None
+    about = plane.at(texture.flat.centres.astype(np.float64)).astype(np.float32)
     evidence = plane_evidence(matcher, texture, about, setting)
     if evidence is None:
         return None
     if plane.slanted:
-        more = sample_lenses(lattice, texture.clear, _SLANTED * _SAMPLE)
+        more = sample_lenses(indices, texture.clear, _SLANTED * _SAMPLE)
         start = np.where(more, about, np.nan).astype(np.float32)
-        plane = fit_plane(*_places(_pairs(texture, forward, start, setting), texture.flat, forward), lattice.pitch)
+        plane = fit_plane(*_places(_pairs(texture, forward, start, setting), texture, forward), pitch)
         if plane is None:
             return None
     plane = with_misled(plane, explained_by_plane(matcher, texture, about, evidence)[texture.clear])
     paths = 2 * forward.shape[1]
     sure = float(np.median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance())))
     return PlaneScene(plane, sure, evidence, float(sample.mean()))
+
+
+def _inner(texture: Texture, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """(n,) bool: lenses with texture none of whose neighbours (n, k) is blank: the others have few pairs that match."""
+    return texture.clear & (around(texture.clear | texture.faint, rows) == (rows >= 0).sum(1))
 
 
 def _pairs(texture: Texture, forward: NDArray[np.int32], start: NDArray[np.float32], setting: Preset) -> PairFits:
@@ -109,10 +126,11 @@ def _pairs(texture: Texture, forward: NDArray[np.int32], start: NDArray[np.float
 
 
 def _places(
-    pairs: PairFits, gray: GrayFlat, forward: NDArray[np.int32]
+    pairs: PairFits, texture: Texture, forward: NDArray[np.int32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Scene points (m, 2) [px] where pairs have measured a patch size, and these (m,) [px]."""
-    lens, d = np.nonzero(np.isfinite(pairs.patch_size[:, :, 0]))
+    """Scene points (m, 2) [px] where pairs of lenses with texture have measured a patch size, and these (m,) [px]."""
+    clear, gray = texture.clear, texture.flat
+    lens, d = np.nonzero(np.isfinite(pairs.patch_size[:, :, 0]) & clear[:, None] & clear[forward])
     sizes = pairs.patch_size[lens, d, 0].astype(np.float64)
     here, there = gray.centres[lens].astype(np.float64), gray.centres[forward[lens, d]].astype(np.float64)
     # The middle between both microimages shows the middle between their centres, less its share of the scene.
@@ -129,15 +147,18 @@ def plane_evidence(
     cost = matcher.probe(everyone, probes, (about / matcher.factor).astype(np.float32))
     limit = np.clip(_USUAL * np.median(cost[texture.clear, 1]), MISFIT, _WORST)
     misfits = texture.clear & (cost[:, 1] > limit)
-    if misfits.mean() > _MISFITS:
+    rows = np.hstack([matcher.forward, matcher.backward])
+    inner = _inner(texture, rows)
+    if not inner.any() or misfits[inner].mean() > _MISFITS:
         return None
     if misfits.any():
         full = matcher.costs(matcher.pairs(misfits))[misfits]
         least = full.min(1)
-        if ((least < cost[misfits, 1] - _BETTER) & (least < limit)).any():
+        elsewhere = np.zeros(len(misfits), bool)
+        elsewhere[misfits] = (least < cost[misfits, 1] - _BETTER) & (least < limit)
+        if (elsewhere & inner).any() or (beside(elsewhere, rows) >= _TOGETHER).any():
             return None
     off = vertex(cost) * PROBE
-    rows = np.hstack([matcher.forward, matcher.backward])
     doubtful = np.zeros(len(off), bool)
     for side in (-1, 1):
         doubtful |= beside(texture.clear & ~misfits & (side * off > _OFF), rows) >= _TOGETHER

@@ -8,8 +8,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Lattice
-
 __all__ = ["Shortcuts", "sample_lenses"]
 
 
@@ -56,11 +54,18 @@ class Shortcuts:
         return cls(**{name: name in wanted for name in names})
 
 
-def sample_lenses(lattice: Lattice, candidates: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
-    """(n,) bool: about `count` of the candidates, evenly spread and of all lens types; all where they are few."""
-    every = int(np.sqrt(candidates.sum() / count))
-    if every < 2:
+def sample_lenses(indices: NDArray[np.int64], candidates: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
+    """(n,) bool: about `count` of the candidates, evenly spread and of all lens types; all where they are few.
+
+    `indices` (n, 2) are those of all lenses on the lattice.
+    """
+    share = candidates.sum() / count
+    if share < 2:
         return candidates
-    # Multi-focus types repeat with every third lens.
-    every += every % 3 == 0
-    return candidates & (lattice.indices() % every == 0).all(1)
+    i = _no_third(int(np.sqrt(share)))
+    return candidates & (indices % (i, _no_third(int(share / i))) == 0).all(1)
+
+
+def _no_third(every: int) -> int:
+    """Multi-focus types repeat with every third lens."""
+    return every - (every % 3 == 0)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 
 from .microimages import copy_box
-from .neighbours import neighbour_rows
+from .neighbours import grown, neighbour_rows
 from .radiance import GrayFlat
 from .shading import flatten_shading
 
@@ -235,15 +235,16 @@ def find_texture(
     `plain` are the statistics of `gray`. Lenses that are `blank` are so without further ado. Lenses that are not
     `wanted` keep their shading. The noise may be known already.
     """
-    white = np.zeros(len(plain.mean), bool)
+    wanted = np.ones(len(plain.mean), bool) if wanted is None else wanted
+    first = wanted if blank is None else wanted & ~blank
+    flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, first)
+    found = lens_statistics(flattened, known=plain, wanted=first)
     if blank is not None:
         # Lenses with texture are compared with those beside them.
-        rows = neighbour_rows(lattice, lattice.steps)
-        white = blank & ((rows < 0) | blank[rows]).all(1)
-    if wanted is not None:
-        white = white | ~wanted
-    flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, ~white)
-    found = lens_statistics(flattened, known=plain, wanted=~white)
+        some = _some(found, noise_of(found.roughness) if known_noise is None else known_noise)
+        beside = wanted & ~first & grown(some & first, neighbour_rows(lattice, lattice.steps))
+        flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, beside, flattened)
+        found = lens_statistics(flattened, found, beside)
     noise = noise_of(found.roughness) if known_noise is None else known_noise
     clear = _clear(found, noise)
     faint = _some(found, noise) & ~clear

@@ -123,6 +123,21 @@ def test_blank_lenses_are_not_matched_and_the_rest_stays():
     assert set(np.unique(quick.reason)) >= {0, 1}
 
 
+def test_a_card_before_a_blank_wall_is_one_plane_and_two_depths_are_not():
+    wall = blank(camera(), ratio=0.2).surfaces
+    full, quick = both(shot_of(*wall, card(0.3, (150, 100), (450, 380)), noise=(4000, 5)))
+    assert quick.saved["plane"] > 0.1
+    assert agreement(full, quick) > 0.99
+    for depth in (full, quick):
+        known = depth.patch_size[depth.mode != 0]
+        assert np.ptp(known) == 0
+        assert abs(known[0] - 0.3 * 23.2) < 0.01
+    full, quick = both(shot_of(*wall, card(0.3, (150, 100), (300, 380)), card(0.34, (320, 100), (470, 380))))
+    assert "plane" not in quick.saved
+    assert agreement(full, quick) > 0.99
+    assert np.ptp(quick.patch_size[quick.mode != 0]) > 0.03 * 23.2
+
+
 def test_texture_in_two_corners_is_found_when_the_rest_is_cut_off_or_not():
     one, two = card(0.3, (40, 40), (200, 160)), card(-0.3, (440, 320), (600, 440))
     for cards in ((one,), (one, two)):
