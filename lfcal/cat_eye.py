@@ -25,6 +25,8 @@ _CUT_DEPTH = 0.3
 _SURE = 8.0
 # A disc smaller than this share of the other one is taken for the microimage where shading does not tell.
 _SMALLER = 0.9
+# Discs that are told apart here are fitted with more lenses afterwards: steps below so many standard errors will do.
+_NEARLY = 1.0
 # Cut microimages are narrower along the field by so many px at least, in the second harmonic of their edge (a cut of
 # a pixel has twenty times this), and by so many standard errors.
 _NARROW, _CERTAIN = 0.01, 6.0
@@ -81,7 +83,7 @@ def _of_either_role(
         return
     for start in starts:
         try:
-            trial, _ = converge(with_profile(start), orders)
+            trial, _ = converge(with_profile(start), orders, settled=_NEARLY)
         except (CalibrationError, ValueError):
             continue
         yield trial

@@ -187,9 +187,9 @@ def misfit(state: FitState, standard: FitState) -> float:
 
 
 def converge(
-    state: FitState, orders: tuple[str, ...], known: bool = False, passes: int = _PASSES
+    state: FitState, orders: tuple[str, ...], known: bool = False, passes: int = _PASSES, settled: float = _SETTLED
 ) -> tuple[FitState, FitSummary]:
-    """Gauss-Newton until nothing moves any more; `known` where the profile is that of a fit."""
+    """Gauss-Newton until steps are below so many standard errors; `known` where the profile is that of a fit."""
     start, before, bold, trust, last = state.model.lattice.basis, 0.0, True, 1.0, None
     for turn in range(passes):
         summary = _solved(state, orders, bold=bold)
@@ -205,7 +205,7 @@ def converge(
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
         shrinks = summary.moved / max(before, 1e-30)
         to_come = summary.moved * shrinks / (1 - shrinks) if shrinks < _STEADY else np.inf
-        if summary.moved < _SETTLED * summary.uncertainty or to_come < _TO_COME * summary.uncertainty:
+        if summary.moved < settled * summary.uncertainty or to_come < _TO_COME * summary.uncertainty:
             break
         if (known or turn > 0) and state.discs.plain and _near(summary):
             break
@@ -390,7 +390,7 @@ def promise(state: FitState, more: tuple[str, ...]) -> float:
 
     As its last step would have moved them: that was short.
     """
-    assert state.solved is not None
+    assert state.solved is not None and state.asked is not None
     columns, _ = design(state.model, state.indices, more)
     moves = columns[:, :2] @ _pooled(columns, state.solved, slice(None))[0]
     return float(np.sqrt(((moves - state.asked) ** 2).sum(1).mean())) / _HELD_BACK
