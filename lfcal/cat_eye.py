@@ -11,7 +11,7 @@ from numba import njit, prange
 
 from .cut_start import cut_starts, disc_radius
 from .disc_model import Discs, edge_of
-from .disc_newton import FitState, converge, misfit, placed, with_profile
+from .disc_newton import PASSES, FitState, converge, misfit, placed, with_profile
 from .disc_parameters import CatEye, DiscModel, field_of
 from .errors import CalibrationError
 from .lens_cell import rows_within
@@ -27,6 +27,8 @@ _SURE = 8.0
 _SMALLER = 0.9
 # Discs that are told apart here are fitted with more lenses afterwards: steps below so many standard errors will do.
 _NEARLY = 1.0
+# Steps after which shading tells that discs are in each other's place.
+_GLANCE = 2
 # Cut microimages are narrower along the field by so many px at least, in the second harmonic of their edge (a cut of
 # a pixel has twenty times this), and by so many standard errors.
 _NARROW, _CERTAIN = 0.01, 6.0
@@ -73,23 +75,37 @@ def _of_either_role(
     plain: FitState, models: tuple[DiscModel, DiscModel], orders: tuple[str, ...]
 ) -> Iterator[FitState]:
     """Fits with a cut from models of `cut_starts`: the likelier one, and the other where that does not settle it."""
+    first, second = (placed(replace(plain, model=model)) for model in models)
     try:
-        starts = [with_profile(placed(replace(plain, model=models[0])))]
-        if _shading_tells(starts[0].discs) > _SURE**2:
-            starts.insert(0, with_profile(placed(replace(plain, model=models[1]))))
-        else:
-            starts.append(placed(replace(plain, model=models[1])))
+        first = with_profile(first)
+        starts = (second, first) if _shading_tells(first.discs) > _SURE**2 else (first, second)
     except (CalibrationError, ValueError):
         return
+    doubtful = []
     for start in starts:
-        try:
-            trial, _ = converge(with_profile(start), orders, settled=_NEARLY)
-        except (CalibrationError, ValueError):
+        glance = _fitted(start, orders, start is not first, _GLANCE)
+        if glance is not None and _shading_tells(glance.discs) > _SURE**2:
+            doubtful.append(glance)
+            continue
+        trial = glance and _fitted(glance, orders, False, PASSES)
+        if trial is None:
             continue
         yield trial
         gain = _shading_tells(trial.discs)
         if gain < -(_SURE**2) or (gain < _SURE**2 and disc_radius(trial.discs) < _SMALLER * trial.discs.radius):
             return
+    for glance in doubtful:
+        trial = _fitted(glance, orders, False, PASSES)
+        if trial is not None:
+            yield trial
+
+
+def _fitted(state: FitState, orders: tuple[str, ...], learn: bool, passes: int) -> FitState | None:
+    """The state so far converged that discs can be told apart, None where it does not; `learn` a profile first."""
+    try:
+        return converge(with_profile(state) if learn else state, orders, passes=passes, settled=_NEARLY)[0]
+    except (CalibrationError, ValueError):
+        return None
 
 
 def _narrowing(state: FitState) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from .errors import CalibrationError
 from .shading_slope import shading_of_field, shading_slope
 
 __all__ = [
-    "FitState", "FitSummary", "by_brightness", "converge", "finished", "halves_differ", "misfit",
+    "PASSES", "FitState", "FitSummary", "by_brightness", "converge", "finished", "halves_differ", "misfit",
     "own_offsets", "placed", "promise", "weighted", "with_profile",
 ]  # fmt: skip
 
@@ -23,7 +23,7 @@ _OUTLIER = 4.685
 # Weights that fall with the residuals hold a step back: of normal residuals Tukey's biweight lets through their second
 # over their first derivative, 0.76 / 0.91, and a little more of pixels that are thinned out.
 _HELD_BACK = 0.86
-_PASSES = 15
+PASSES = 15
 # Weights that follow the residuals for longer would keep the fit from settling.
 _FREE_PASSES = 5
 _ROBUST_TURNS = 3
@@ -187,7 +187,7 @@ def misfit(state: FitState, standard: FitState) -> float:
 
 
 def converge(
-    state: FitState, orders: tuple[str, ...], known: bool = False, passes: int = _PASSES, settled: float = _SETTLED
+    state: FitState, orders: tuple[str, ...], known: bool = False, passes: int = PASSES, settled: float = _SETTLED
 ) -> tuple[FitState, FitSummary]:
     """Gauss-Newton until steps are below so many standard errors; `known` where the profile is that of a fit."""
     start, before, bold, trust, last = state.model.lattice.basis, 0.0, True, 1.0, None
