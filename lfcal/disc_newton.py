@@ -26,6 +26,8 @@ _HELD_BACK = 0.86
 PASSES = 15
 # Weights that follow the residuals for longer would keep the fit from settling.
 _FREE_PASSES = 5
+# Those of a fit with other lenses have followed them already.
+_KNOWN_PASSES = 2
 _ROBUST_TURNS = 3
 # Steps below this share of the standard error change nothing, nor does what is to come after steps that shrink as fast
 # as the last two where that is below the second share.
@@ -200,7 +202,7 @@ def converge(
                 trust = min(2 * trust, 1.0) if summary.change / limits @ last > 0 else 0.5 * trust
             summary = _held(summary, trust * limits)
             last = summary.change / limits
-        state = _stepped(state, summary, turn >= _FREE_PASSES)
+        state = _stepped(state, summary, turn >= (_KNOWN_PASSES if known else _FREE_PASSES))
         if not np.abs(state.model.lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
         shrinks = summary.moved / max(before, 1e-30)
