@@ -11,7 +11,7 @@ from numba import njit, prange
 
 from .cut_start import cut_starts, disc_radius
 from .disc_model import Discs, edge_of
-from .disc_newton import FitState, converge, misfit, placed, with_profile
+from .disc_newton import PASSES, FitState, converge, misfit, placed, with_profile
 from .disc_parameters import CatEye, DiscModel, field_of
 from .errors import CalibrationError
 from .lens_cell import rows_within
@@ -25,6 +25,10 @@ _CUT_DEPTH = 0.3
 _SURE = 8.0
 # A disc smaller than this share of the other one is taken for the microimage where shading does not tell.
 _SMALLER = 0.9
+# Discs that are told apart here are fitted with more lenses afterwards: steps below so many standard errors will do.
+_NEARLY = 1.0
+# Steps after which shading tells that discs are in each other's place.
+_GLANCE = 2
 # Cut microimages are narrower along the field by so many px at least, in the second harmonic of their edge (a cut of
 # a pixel has twenty times this), and by so many standard errors.
 _NARROW, _CERTAIN = 0.01, 6.0
@@ -33,6 +37,10 @@ _NARROW, _CERTAIN = 0.01, 6.0
 _DEPTH = 2.0
 _FEWEST_SHADED = 500
 _FAR = 6.0
+# Pixels of a lens whose products are summed together.
+_TOGETHER = 512
+# Sums may be put in another order, but what is not a number stays so.
+_FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
 def with_cut(plain: FitState, rival: FitState, orders: tuple[str, ...]) -> FitState:
@@ -67,23 +75,37 @@ def _of_either_role(
     plain: FitState, models: tuple[DiscModel, DiscModel], orders: tuple[str, ...]
 ) -> Iterator[FitState]:
     """Fits with a cut from models of `cut_starts`: the likelier one, and the other where that does not settle it."""
+    first, second = (placed(replace(plain, model=model)) for model in models)
     try:
-        starts = [with_profile(placed(replace(plain, model=models[0])))]
-        if _shading_tells(starts[0].discs) > _SURE**2:
-            starts.insert(0, with_profile(placed(replace(plain, model=models[1]))))
-        else:
-            starts.append(placed(replace(plain, model=models[1])))
+        first = with_profile(first)
+        starts = (second, first) if _shading_tells(first.discs) > _SURE**2 else (first, second)
     except (CalibrationError, ValueError):
         return
+    doubtful = []
     for start in starts:
-        try:
-            trial, _ = converge(with_profile(start), orders)
-        except (CalibrationError, ValueError):
+        glance = _fitted(start, orders, start is not first, _GLANCE)
+        if glance is not None and _shading_tells(glance.discs) > _SURE**2:
+            doubtful.append(glance)
+            continue
+        trial = glance and _fitted(glance, orders, False, PASSES)
+        if trial is None:
             continue
         yield trial
         gain = _shading_tells(trial.discs)
         if gain < -(_SURE**2) or (gain < _SURE**2 and disc_radius(trial.discs) < _SMALLER * trial.discs.radius):
             return
+    for glance in doubtful:
+        trial = _fitted(glance, orders, False, PASSES)
+        if trial is not None:
+            yield trial
+
+
+def _fitted(state: FitState, orders: tuple[str, ...], learn: bool, passes: int) -> FitState | None:
+    """The state so far converged that discs can be told apart, None where it does not; `learn` a profile first."""
+    try:
+        return converge(with_profile(state) if learn else state, orders, passes=passes, settled=_NEARLY)[0]
+    except (CalibrationError, ValueError):
+        return None
 
 
 def _narrowing(state: FitState) -> tuple[float, float]:
@@ -105,10 +127,10 @@ def _narrowing(state: FitState) -> tuple[float, float]:
     return force / information, information**-0.5
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _narrowings(light, corners, centres, field, gain, trust, tilt, inner, step, tables, edge, full, out):
     """Per lens (n, 2): force on the amplitude of `_narrowing`, and information about it."""
-    for lens in range(len(centres)):
+    for lens in prange(len(centres)):
         cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
         far = max(math.hypot(field[lens, 0], field[lens, 1]), 1e-6)
         top, bottom = rows_within(cy, inner, 0, light.shape[1])
@@ -188,6 +210,17 @@ def _shading_tells(discs: Discs) -> float:
     return (costs[0] - costs[1]) / max(min(costs), 1e-30) * float(number.sum())
 
 
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _add_products(values, count, products):
+    """Add to the upper half of `products` those of all pairs of rows, summed over the first columns."""
+    for a in range(len(values)):
+        for b in range(a, len(values)):
+            total = 0.0
+            for k in range(count):
+                total += values[a, k] * values[b, k]
+            products[a, b] += total
+
+
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _shading_moments(
     light, corners, centres, cut, gain, trust, tilt, inside, within, step, level, weight, full, moments, number
@@ -196,11 +229,14 @@ def _shading_moments(
 
     Of pixels within `inside` of the one and `within` of the other; not of those that are far off the profile.
     """
-    side = light.shape[1]
+    side, per_step = light.shape[1], 1 / step
+    per_inside, per_within = 1 / (inside * inside), 1 / (within * within)
     for lens in prange(len(centres)):
         cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
-        value, total, count = np.zeros(7), np.zeros(7), 0
-        products = np.zeros((7, 7))
+        bright, tilt_x, tilt_y = 1 / gain[lens], tilt[lens, 0], tilt[lens, 1]
+        limit = _FAR * _FAR / trust[lens]
+        # The last value is 1, so that sums are products too.
+        values, products, count = np.ones((8, _TOGETHER + side)), np.zeros((8, 8)), 0
         top, bottom = rows_within(cy, inside, 0, side)
         for y in range(top, bottom):
             dy = y - cy
@@ -208,30 +244,30 @@ def _shading_moments(
             for x in range(first, last):
                 dx = x - cx
                 ex, ey = dx - cut[lens, 0], dy - cut[lens, 1]
-                own = (dx * dx + dy * dy) / (inside * inside)
-                other = (ex * ex + ey * ey) / (within * within)
+                square = dx * dx + dy * dy
+                own, other = square * per_inside, (ex * ex + ey * ey) * per_within
                 if other >= 1 or own >= 1 or light[lens, y, x] >= full:
                     continue
-                place = math.sqrt(dx * dx + dy * dy) / step
+                place = math.sqrt(square) * per_step
                 ring = int(place)
                 model = level[ring] + (level[ring + 1] - level[ring]) * (place - ring)
                 # The gain of each lens is its own: only differences within a lens count.
-                more = light[lens, y, x] / (gain[lens] * (1 + tilt[lens, 0] * dx + tilt[lens, 1] * dy)) - model
-                if more * more * weight[ring] * trust[lens] >= _FAR * _FAR:
+                more = light[lens, y, x] * bright / (1 + tilt_x * dx + tilt_y * dy) - model
+                if more * more * weight[ring] >= limit:
                     continue
-                value[0] = more + model - level[0]
-                value[1], value[2], value[3] = own, own * own, own * own * own
-                value[4], value[5], value[6] = other, other * other, other * other * other
+                values[0, count] = more + model - level[0]
+                values[1, count], values[2, count], values[3, count] = own, own * own, own * own * own
+                values[4, count], values[5, count], values[6, count] = other, other * other, other * other * other
                 count += 1
-                for a in range(7):
-                    total[a] += value[a]
-                    for b in range(a, 7):
-                        products[a, b] += value[a] * value[b]
-        number[lens] = count
+            if count > _TOGETHER:
+                _add_products(values, count, products)
+                count = 0
+        _add_products(values, count, products)
+        number[lens] = products[7, 7]
         for a in range(7):
             for b in range(a, 7):
-                moments[lens, a, b] = (products[a, b] - total[a] * total[b] / max(count, 1)) * trust[lens]
-                moments[lens, b, a] = moments[lens, a, b]
+                total = products[a, 7] * products[b, 7] / max(products[7, 7], 1.0)
+                moments[lens, a, b] = moments[lens, b, a] = (products[a, b] - total) * trust[lens]
 
 
 def without_idle_cut(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, tuple[str, ...]]:

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from .disc_model import Discs
@@ -30,11 +30,11 @@ _LEAST = 0.04
 _SOFT = 0.5
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _left_over(light, corners, centres, part, gain, tilt, level, inner, step, out):
-    """Add what the light of lenses is more than their profile to `out` (parts, directions, 2), and pixels there."""
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+def _left_over(light, corners, centres, gain, tilt, level, inner, step, out):
+    """What the light of lenses is more than their profile, into `out` (n, directions, 2), and pixels there."""
     directions = out.shape[1]
-    for lens in range(len(centres)):
+    for lens in prange(len(centres)):
         cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
         top, bottom = rows_within(cy, inner, 0, light.shape[1])
         for y in range(top, bottom):
@@ -53,10 +53,10 @@ def _left_over(light, corners, centres, part, gain, tilt, level, inner, step, ou
                 share = turn - before
                 after = (before + 1) % directions
                 before %= directions
-                out[part[lens], before, 0] += (1 - share) * more
-                out[part[lens], before, 1] += 1 - share
-                out[part[lens], after, 0] += share * more
-                out[part[lens], after, 1] += share
+                out[lens, before, 0] += (1 - share) * more
+                out[lens, before, 1] += 1 - share
+                out[lens, after, 0] += share * more
+                out[lens, after, 1] += share
 
 
 def _rims(state: FitState) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -66,11 +66,11 @@ def _rims(state: FitState) -> tuple[NDArray[np.float64], NDArray[np.float64], ND
     share = (discs.centres + 0.5) / np.array(lattice.image_size) * _PARTS
     column, row = np.clip(share.astype(int), 0, np.array(_PARTS) - 1).T
     part, parts = row * _PARTS[0] + column, _PARTS[0] * _PARTS[1]
-    out = np.zeros((parts, _DIRECTIONS, 2))
+    single, out = np.zeros((len(field), _DIRECTIONS, 2)), np.zeros((parts, _DIRECTIONS, 2))
     _left_over(
-        discs.light, discs.corners, discs.centres, part, discs.gain, discs.tilt, discs.level, discs.inner, discs.step,
-        out,
-    )  # fmt: skip
+        discs.light, discs.corners, discs.centres, discs.gain, discs.tilt, discs.level, discs.inner, discs.step, single
+    )
+    np.add.at(out, part, single)
     number = np.maximum(np.bincount(part, minlength=parts), 1)
     middle = np.column_stack([np.bincount(part, field[:, axis], parts) / number for axis in (0, 1)])
     square = discs.inner**2

@@ -81,6 +81,30 @@ def _ends(y, faces, width):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _taken(picture, y, left, right, cx, cy, pixels, count):
+    """Put distance from the centre and tone of a row of pixels into `pixels` (3, k) from `count` on; the next place."""
+    # Indices without a sign need no look at it, so that several pixels are moved at once.
+    row, start, at, across, down, tone = (
+        np.uintp(y), np.uintp(left), np.uintp(count), np.uintp(0), np.uintp(1), np.uintp(2)
+    )  # fmt: skip
+    x, dy = left - cx, np.float32(y - cy)
+    for k in range(np.uintp(right - left)):
+        pixels[across, at + k] = x + np.float64(k)
+        pixels[down, at + k] = dy
+        pixels[tone, at + k] = picture[row, start + k]
+    return count + right - left
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _put_back(noted, count, y, left, right, out):
+    """Write what is noted from `count` on into a row of pixels; the next place."""
+    row, start, at = np.uintp(y), np.uintp(left), np.uintp(count)
+    for k in range(np.uintp(right - left)):
+        out[row, start + k] = noted[at + k]
+    return count + right - left
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _noted(tone, count, shape, ring, over, sharp, certain, out):
     """How far pixels are off as bytes, `_ZERO + _UNIT * standard deviations`; far off by themselves at the ends.
 
@@ -127,11 +151,7 @@ def _departures(
                         if left < right:
                             rows[kept, 0], rows[kept, 1], rows[kept, 2] = y, left, right
                             kept += 1
-                            for x in range(left, right):
-                                pixels[0, count] = x - cx
-                                pixels[1, count] = y - cy
-                                pixels[2, count] = picture[y, x]
-                                count += 1
+                            count = _taken(picture, y, left, right, cx, cy, pixels, count)
                         y += 1
                     if count == 0:
                         continue
@@ -153,9 +173,7 @@ def _departures(
                     _noted(pixels[2], count, shape, ring, over, np.float32(sharp), sure_32, noted)
                     count = 0
                     for k in range(kept):
-                        for x in range(rows[k, 1], rows[k, 2]):
-                            out[rows[k, 0], x] = noted[count]
-                            count += 1
+                        count = _put_back(noted, count, rows[k, 0], rows[k, 1], rows[k, 2], out)
 
 
 def _marked(far: NDArray[np.uint8]) -> NDArray[np.bool_]:

@@ -217,7 +217,7 @@ def _better(
     state: FitState, orders: tuple[str, ...], start: FitState, more: tuple[str, ...]
 ) -> tuple[FitState, tuple[str, ...]]:
     """`start` fitted with the parameters `more` where that is clearly better than `state` and matters, else `state`."""
-    if promise(start, orders, more) < _PROMISING * _BENT:
+    if promise(start, more) < _PROMISING * _BENT:
         return state, orders
     try:
         trial, _ = converge(start, more, known=True)

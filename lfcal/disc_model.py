@@ -6,6 +6,7 @@ is a disc too, and its place relative to the microimage changes with the place i
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -34,6 +35,8 @@ _SLOW = 0.01
 # The even inside of a microimage is thinned where its radius is at least this [px], up to so far [px] from its edge.
 _LARGE = 3.0
 _MARGIN = 0.5
+# Light that is nearer to none or all of it than a thousandth, which is here, says no more of how deep a place lies.
+_DEEPEST = 3.09
 
 
 @dataclass(frozen=True)
@@ -196,11 +199,14 @@ def _depths(discs: Discs) -> NDArray[np.float64]:
     """(r,) how deep inside the microimage each radius lies, in units of the blur of its edge."""
     inside = discs.level[max(int(np.flatnonzero(discs.edge).min(initial=len(discs.level))) - 1, 0)]
     share = (discs.level - discs.dark) / max(float(inside - discs.dark), 1e-12)
-    # Scenes, which need no depths, do not wait for this module.
-    from statistics import NormalDist
+    return np.asarray(np.interp(share, *_edge_table()))
 
-    normal = NormalDist()
-    return np.array([normal.inv_cdf(min(max(value, 1e-3), 1 - 1e-3)) for value in share.tolist()])
+
+@lru_cache(1)
+def _edge_table() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Light through a blurred edge, and how deep inside it each is, in units of the blur."""
+    deep = np.linspace(-_DEEPEST, _DEEPEST, 2001)
+    return np.array([0.5 * math.erfc(-value * math.sqrt(0.5)) for value in deep.tolist()]), deep
 
 
 def first_level(discs: Discs) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from .errors import CalibrationError
 from .shading_slope import shading_of_field, shading_slope
 
 __all__ = [
-    "FitState", "FitSummary", "by_brightness", "converge", "finished", "halves_differ", "misfit",
+    "PASSES", "FitState", "FitSummary", "by_brightness", "converge", "finished", "halves_differ", "misfit",
     "own_offsets", "placed", "promise", "weighted", "with_profile",
 ]  # fmt: skip
 
@@ -22,9 +23,11 @@ _OUTLIER = 4.685
 # Weights that fall with the residuals hold a step back: of normal residuals Tukey's biweight lets through their second
 # over their first derivative, 0.76 / 0.91, and a little more of pixels that are thinned out.
 _HELD_BACK = 0.86
-_PASSES = 15
+PASSES = 15
 # Weights that follow the residuals for longer would keep the fit from settling.
 _FREE_PASSES = 5
+# Those of a fit with other lenses have followed them already.
+_KNOWN_PASSES = 2
 _ROBUST_TURNS = 3
 # Steps below this share of the standard error change nothing, nor does what is to come after steps that shrink as fast
 # as the last two where that is below the second share.
@@ -54,7 +57,8 @@ _OF_LENSES = ("light", "corners", "centres", "cut", "gain", "trust", "tilt")
 class FitState:
     """The model and the lenses that take part; of a converged fit also what its last step says.
 
-    That are the standard error of a centre, RMS [px], and the least squares that the step solved.
+    That are the standard error of a centre, RMS [px], the least squares that the step solved, and by how much these
+    would have moved centres (n, 2) [px].
     """
 
     model: DiscModel
@@ -62,20 +66,44 @@ class FitState:
     discs: Discs
     uncertainty: float = np.inf
     solved: _Reduced | None = None
+    asked: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
 class _Reduced:
     """Least squares without the gains: local parameters (n, m), profile (r,) and between them; none where unneeded.
 
-    Of the seven local parameters only the place, `m = 2`, where nothing is cut.
+    Of the seven local parameters only the place, `m = 2`, where nothing is cut. `mixed` (n, 8, r) is with the gains:
+    what a local parameter shares with the profile is its row less its `share` (n, m) of the last one.
     """
 
     normal: NDArray[np.float64]
     right: NDArray[np.float64]
+    share: NDArray[np.float64]
     mixed: NDArray[np.float64]
     profile: NDArray[np.float64]
     force: NDArray[np.float64]
+
+    @cached_property
+    def _factors(self) -> NDArray[np.float64]:
+        """Cholesky factors of the profile, which all least squares of one step have in common."""
+        # Compiled code has loaded this module already.
+        from scipy.linalg.lapack import dpotrf
+
+        factors, failed = dpotrf(self.profile, lower=1)
+        if failed:
+            raise np.linalg.LinAlgError("the pixels do not tell the profile of the microimages")
+        return np.asarray(factors)
+
+    def profiles(self, forces: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(r, k) steps of the profile that forces (r, k) on it make, or (r,); LinAlgError where there are none."""
+        from scipy.linalg.lapack import dpotrs
+
+        return np.asarray(dpotrs(self._factors, forces, lower=1)[0])
+
+    def with_gains(self, columns: NDArray[np.float64], half: NDArray[np.bool_] | slice) -> NDArray[np.float64]:
+        """(n, m + 1, p) change of the local parameters of a part of the lenses and, which follow them, of the gains."""
+        return np.concatenate([columns, -(self.share[half][:, None] @ columns)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -83,7 +111,7 @@ class FitSummary:
     """What the last step says; see `DiscFit`.
 
     Parameters moved by `change` (p,), centres by `moved` (RMS) [px]; single microimages lie `miss` (n, 2) [px] off the
-    lattice.
+    lattice. Least squares alone would have moved centres by `asked` (n, 2) [px].
     """
 
     change: NDArray[np.float64]
@@ -96,6 +124,7 @@ class FitSummary:
     columns: NDArray[np.float64]
     reduced: _Reduced
     miss: NDArray[np.float64]
+    asked: NDArray[np.float64]
 
 
 def placed(state: FitState) -> FitState:
@@ -160,9 +189,9 @@ def misfit(state: FitState, standard: FitState) -> float:
 
 
 def converge(
-    state: FitState, orders: tuple[str, ...], known: bool = False, passes: int = _PASSES
+    state: FitState, orders: tuple[str, ...], known: bool = False, passes: int = PASSES, settled: float = _SETTLED
 ) -> tuple[FitState, FitSummary]:
-    """Gauss-Newton until nothing moves any more; `known` where the profile is that of a fit."""
+    """Gauss-Newton until steps are below so many standard errors; `known` where the profile is that of a fit."""
     start, before, bold, trust, last = state.model.lattice.basis, 0.0, True, 1.0, None
     for turn in range(passes):
         summary = _solved(state, orders, bold=bold)
@@ -173,19 +202,19 @@ def converge(
                 trust = min(2 * trust, 1.0) if summary.change / limits @ last > 0 else 0.5 * trust
             summary = _held(summary, trust * limits)
             last = summary.change / limits
-        state = _stepped(state, summary, turn >= _FREE_PASSES)
+        state = _stepped(state, summary, turn >= (_KNOWN_PASSES if known else _FREE_PASSES))
         if not np.abs(state.model.lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
         shrinks = summary.moved / max(before, 1e-30)
         to_come = summary.moved * shrinks / (1 - shrinks) if shrinks < _STEADY else np.inf
-        if summary.moved < _SETTLED * summary.uncertainty or to_come < _TO_COME * summary.uncertainty:
+        if summary.moved < settled * summary.uncertainty or to_come < _TO_COME * summary.uncertainty:
             break
         if (known or turn > 0) and state.discs.plain and _near(summary):
             break
         # Where all lenses lie alike to the pixels, place and profile wander together, and longer steps go astray.
         bold &= turn == 0 or shrinks < _STEADY
         before = summary.moved
-    return replace(state, uncertainty=summary.uncertainty, solved=summary.reduced), summary
+    return replace(state, uncertainty=summary.uncertainty, solved=summary.reduced, asked=summary.asked), summary
 
 
 def finished(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSummary]:
@@ -230,15 +259,17 @@ def _without_gain(steps: DiscSteps, level: NDArray[np.float64], say: NDArray[np.
     if say is not None:
         normal, right = normal * say[:, None, None], right * say[:, None]
     if len(steps.force) == 0:
-        return _Reduced(normal, right, steps.mixed[:, :-1], steps.profile, steps.force)
+        return _Reduced(normal, right, share, steps.mixed[:, :0], steps.profile, steps.force)
     gain = steps.mixed[:, -1]
+    even = gain / np.sqrt(own)[:, None]
     # Gains and profile share one scale, which the profile keeps.
     scale = np.trace(steps.profile) / (level @ level) * np.outer(level, level)
     return _Reduced(
         normal,
         right,
-        steps.mixed[:, :-1] - (share[:, :, None] * gain[:, None] if steps.mixed.shape[1] > 1 else 0),
-        steps.profile - gain.T @ (gain / own[:, None]) + scale,
+        share,
+        steps.mixed if steps.mixed.shape[1] > 1 else steps.mixed[:, :0],
+        steps.profile - even.T @ even + scale,
         steps.force - (steps.right[:, -1] / own) @ gain,
     )
 
@@ -258,6 +289,7 @@ def _solved(state: FitState, orders: tuple[str, ...], learn: bool = True, bold: 
     ridge = 1e-9 * np.trace(reduced.normal[:, :2, :2].sum(0)) / len(columns) * np.eye(2)
     left = reduced.right[:, :2] - np.einsum("nij,nj->ni", reduced.normal[:, :2], columns @ change)
     miss = np.einsum("nij,nj->ni", _inverse(reduced.normal[:, :2, :2] + ridge), left) / _HELD_BACK
+    asked = place @ change
     change, covariance = change / (_HELD_BACK if bold else 1.0), covariance / _HELD_BACK**2
     spread = (place.reshape(-1, place.shape[2]) @ covariance).reshape(place.shape)
     return FitSummary(
@@ -271,6 +303,7 @@ def _solved(state: FitState, orders: tuple[str, ...], learn: bool = True, bold: 
         columns=columns,
         reduced=reduced,
         miss=miss,
+        asked=asked,
     )
 
 
@@ -280,11 +313,12 @@ def _stepped(state: FitState, summary: FitSummary, frozen: bool = False) -> FitS
     `frozen` leaves weights, the range of the edge and the light between microimages as they are.
     """
     steps, reduced, local = state.discs.steps, summary.reduced, summary.columns @ summary.change
-    force = reduced.force
-    if reduced.mixed.shape[1]:
-        force = force - local.reshape(-1) @ reduced.mixed.reshape(local.size, -1)
     try:
-        level = np.linalg.solve(reduced.profile, force)
+        if reduced.mixed.shape[1]:
+            follow = reduced.with_gains(local[..., None], slice(None)).reshape(-1)
+            level = reduced.profiles(reduced.force - follow @ reduced.mixed.reshape(len(follow), -1))
+        else:
+            level = reduced.profiles(reduced.force)
     except np.linalg.LinAlgError as error:
         raise CalibrationError("the microimages show no edges; give a sharper flat or a white image") from error
     own = np.maximum(steps.normal[:, -1, -1], 1e-30)
@@ -309,22 +343,23 @@ def _pooled(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Robust least squares over a part of the lenses: change (p,), covariance (p, p) and weights (n,) of the lenses."""
     columns = np.ascontiguousarray(columns[half])
-    mixed = reduced.mixed[half] if reduced.mixed.shape[1] else reduced.mixed
     normal, right = reduced.normal[half], reduced.right[half]
     part = len(columns) / len(reduced.normal)
     lenses, local, globals_ = columns.shape
     places = normal[:, :2, :2] + 1e-9 * np.trace(normal[:, :2, :2].sum(0)) / lenses * np.eye(2)
     inverse = _inverse(places)
     force, matter = right.reshape(-1), (normal @ columns).reshape(-1, globals_)
-    profile = part * reduced.profile
+    if reduced.mixed.shape[1]:
+        all_local = reduced.with_gains(columns, half)
+        mixed = reduced.mixed[half].reshape(lenses * (local + 1), -1)
     weight = np.ones(lenses)
     for _ in range(_ROBUST_TURNS):
         weighted = (weight[:, None, None] * columns).reshape(-1, globals_).T
         information, pull = weighted @ matter, weighted @ force
-        if mixed.shape[1]:
+        if reduced.mixed.shape[1]:
             # The profile changes along with the parameters: what it can take over says nothing about them.
-            joint = weighted @ mixed.reshape(lenses * local, -1)
-            taken = np.linalg.solve(profile, joint.T).T
+            joint = (weight[:, None, None] * all_local).reshape(len(mixed), -1).T @ mixed
+            taken = reduced.profiles(joint.T).T / part
             information -= taken @ joint.T / weight.mean()
             pull -= part * taken @ reduced.force
         scale = np.sqrt(np.maximum(np.diag(information), 1e-30))
@@ -352,17 +387,15 @@ def halves_differ(summary: FitSummary) -> float:
     return float(np.sqrt(((summary.columns[:, :2] @ (one - two)) ** 2).sum(1).mean())) / _HELD_BACK
 
 
-def promise(state: FitState, orders: tuple[str, ...], more: tuple[str, ...]) -> float:
-    """RMS distance [px] by which centres would move if a converged state had the parameters `more` beside `orders`.
+def promise(state: FitState, more: tuple[str, ...]) -> float:
+    """RMS distance [px] by which centres would move if a converged state had the parameters `more` beside its own.
 
     As its last step would have moved them: that was short.
     """
-    assert state.solved is not None
-    moves = []
-    for names in (orders, more):
-        columns, _ = design(state.model, state.indices, names)
-        moves.append(columns[:, :2] @ _pooled(columns, state.solved, slice(None))[0])
-    return float(np.sqrt(((moves[1] - moves[0]) ** 2).sum(1).mean())) / _HELD_BACK
+    assert state.solved is not None and state.asked is not None
+    columns, _ = design(state.model, state.indices, more)
+    moves = columns[:, :2] @ _pooled(columns, state.solved, slice(None))[0]
+    return float(np.sqrt(((moves - state.asked) ** 2).sum(1).mean())) / _HELD_BACK
 
 
 def own_offsets(state: FitState, summary: FitSummary) -> NDArray[np.float64]:

@@ -76,8 +76,9 @@ def walk(lattice: Lattice, own: NDArray[np.float32]) -> Walk:
     indices = lattice.indices()
     if len(own) and len(own) != len(indices):
         raise ValueError(f"the gain map is of {len(own)} lenses, the lattice has {len(indices)}")
-    every = np.vstack([starts, ends, indices])
-    low, high = every.min(0) - _HALO, every.max(0) + _HALO
+    # Columns one by one: NumPy takes ten times as long over rows of two.
+    every = [np.concatenate([of[:, axis] for of in (starts, ends, indices)]) for axis in (0, 1)]
+    low, high = (np.array([end(of) for of in every]) + far for end, far in ((np.min, -_HALO), (np.max, _HALO)))
     i, j = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
     middles = np.ascontiguousarray(lattice.points(np.column_stack([i.ravel(), j.ravel()])).reshape(*i.shape, 2))
     light = np.ones(i.shape, np.float32)

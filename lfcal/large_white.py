@@ -24,8 +24,8 @@ from .search import FirstLattice, first_lattice
 __all__ = ["first_of_all", "first_of_white", "grid_parts", "look_at", "some_parts"]
 
 # Side of the piece in which the lattice is looked for [px]; at least so many pitches must be in it.
-_PIECE = 1024
-_PERIODS = 12
+_PIECE = 768
+_PERIODS = 10
 # Two halves of a piece must show average microimages that correlate at least so much.
 _REPEATS = 0.8
 # Side of the pieces in which it is followed, in pitches and px, and of those by which white images are told.
@@ -139,7 +139,7 @@ def first_of_white(look: Look, size: tuple[int, int], sure: bool, tries: int) ->
     side = max(int(_FOLLOW[0] * lattice.pitch), _FOLLOW[1])
     pieces = [piece]
     middle = np.array([piece.x, piece.y]) + piece.side / 2
-    distance = 0.75 * piece.side
+    distance = float(piece.side)
     for _ in range(64):
         known = len(pieces)
         for dy in (-1, 0, 1):

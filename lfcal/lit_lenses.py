@@ -9,7 +9,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .lattice import Lattice, reduce_basis
-from .parts import Parts
+from .parts import Parts, some_lenses
 
 __all__ = ["LitLenses", "lit_lenses"]
 
@@ -19,6 +19,8 @@ _GAPS = 0.3
 _BRIGHT = 0.95
 # So many lenses tell what is bright.
 _TELLING = 20_000
+# If so many, evenly spread, are all lit, then so are the others, but for single ones.
+_ASKED = 5000
 # Lenses that move by less than this share of the pitch stay lit, or dark.
 _SAME = 0.02
 # Places along each side of the flat at which such moves are looked for.
@@ -47,9 +49,17 @@ class LitLenses:
         """Lenses at least `margin` px inside a part; `before` where the lattice is still that one. See `lit_lenses`."""
         if before is not None and before._still_on(lattice):
             return before
+        if len(tones) == 1 and len(lattice) > 2 * _ASKED:
+            indices, centres = some_lenses(lattice, margin, _ASKED)
+            if lit_lenses(tones.picture, lattice, indices, centres - tones.offsets, dark).all():
+                # Those at the border are left out where some are chosen.
+                return cls(lattice, lattice.indices(), np.zeros(len(lattice), np.int64))
         indices, centres, part = tones.lenses(lattice, margin)
-        offset = tones.offsets[part] if len(tones) > 1 else tones.offsets
-        alight = lit_lenses(tones.picture, lattice, indices, centres - offset, dark)
+        places = centres - (tones.offsets[part] if len(tones) > 1 else tones.offsets)
+        few = slice(None, None, max(1, len(places) // _ASKED))
+        if len(tones) > 1 and lit_lenses(tones.picture, lattice, indices[few], places[few], dark).all():
+            return cls(lattice, indices, part)
+        alight = lit_lenses(tones.picture, lattice, indices, places, dark)
         return cls(lattice, indices, part) if alight.all() else cls(lattice, indices[alight], part[alight])
 
     def _still_on(self, lattice: Lattice) -> bool:

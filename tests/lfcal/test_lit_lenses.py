@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lfcal import Lattice
+from lfcal import Lattice, lit_lenses
 from lfcal.lit_lenses import LitLenses
 from lfcal.parts import Parts
 
@@ -38,3 +38,28 @@ def test_lenses_are_looked_for_again_only_where_the_lattice_has_moved_by_a_fifti
     # The step adds up over 40 lenses.
     stretched = replace(lattice, basis=lattice.basis * 1.001)
     assert LitLenses.on(tones, stretched, 7.0, 0.2, before) is not before
+
+
+def _many(dark: float) -> tuple[Parts, Lattice]:
+    """1200 x 1000 px of 12000 round microimages, those left of x = `dark` px without light."""
+    lattice = Lattice([5.0, 5.0], [[_PITCH, 0.0], [0.0, _PITCH]], (1200, 1000), 4.0)
+    y, x = np.mgrid[:1000, :1200]
+    far = np.hypot(x % _PITCH - 5, y % _PITCH - 5)
+    return Parts.whole(np.sqrt(np.where((far < 4) & (x > dark), 1.0, 0.02)).astype(np.float32)), lattice
+
+
+def test_light_is_looked_for_in_a_sample_of_many_lenses_and_in_all_where_it_shows_dark_ones(monkeypatch):
+    looked = []
+    original = lit_lenses.lit_lenses
+    monkeypatch.setattr(lit_lenses, "lit_lenses", lambda *of: (looked.append(len(of[2])), original(*of))[1])
+    tones, lattice = _many(dark=0)
+    lit = LitLenses.on(tones, lattice, 7.0, 0.2, None)
+    assert len(lit.indices) == 12_000
+    assert sum(looked) < 5500
+    # Those at the border are left out when some are chosen.
+    assert len(lit.some(tones, lattice, 7.0, np.ones(12_000, bool)).indices) == 118 * 98
+    tones, lattice = _many(dark=20)
+    lit = LitLenses.on(tones, lattice, 7.0, 0.2, None)
+    # Two columns of 120 are dark, and those beside them are left out.
+    assert lattice.points(lit.indices)[:, 0].min() == 35
+    assert len(lit.indices) == 116 * 98
