@@ -94,6 +94,42 @@ def _all_settled(settled, grid, low, ring, i, j, lens):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _carry(coarse, v, gap, values, torn):
+    """Row `v` of a grid from one of twice the spacing: means of the `coarse` values about each place, in `values`, and
+    whether those differ by more than a `gap`, in `torn`. Both have two places for each column of that."""
+    columns = coarse.shape[1]
+    above, below = coarse[v // 2], coarse[(v + 1) // 2]
+    first, last = coarse[max(v - 1, 0) // 2], coarse[min((v + 2) // 2, len(coarse) - 1)]
+    quarter, half = np.float32(0.25), np.float32(0.5)
+    low, high = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    for x in range(columns):
+        low[x] = min(min(first[x], last[x]), above[x])
+        high[x] = max(max(first[x], last[x]), above[x])
+    for x in range(columns):
+        values[2 * x] = half * (above[x] + below[x])
+        left, right = max(x - 1, 0), min(x + 1, columns - 1)
+        values[2 * x + 1] = quarter * ((above[x] + above[right]) + (below[x] + below[right]))
+        lowest, highest = min(low[x], low[right]), max(high[x], high[right])
+        torn[2 * x + 1] = highest - lowest > gap
+        torn[2 * x] = max(highest, high[left]) - min(lowest, low[left]) > gap
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _chosen(coarse, v, u, gap, depths, prices, count):
+    """Keep those of `count` candidates that a value of twice the spacing about place (v, u) has; all if none has."""
+    kept = 0
+    for k in range(count):
+        near = False
+        for y in range(max(v - 1, 0) // 2, min((v + 2) // 2, len(coarse) - 1) + 1):
+            for x in range(max(u - 1, 0) // 2, min((u + 2) // 2, coarse.shape[1] - 1) + 1):
+                near = near or abs(coarse[y, x] - depths[k]) <= gap
+        if near:
+            depths[kept], prices[kept] = depths[k], prices[k]
+            kept += 1
+    return kept if kept else count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _around(table, rows, grid, low, ring, i, j, lens, there):
     """Put the `table` of the lenses around lens (i, j) beside each other; returns how many there are."""
     count = 0
@@ -278,15 +314,16 @@ def _nudged(
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def propose(
     image, table, around, radius, pitch, calm, grid, low, origin, inverse, bend, bend_low, ring, gap, floor, first,
-    spacing, vote2, step, settled, old, depths, costs,
+    spacing, vote2, step, settled, old, coarse, depths, costs,
 ):  # fmt: skip
     """Candidate depths of each scene point, from the lenses around it, in `depths`, their mismatch in `costs`.
 
     Both are (most, rows, columns). `table` (n, 6) float32 holds the centre of each lens, its trust, and its patch size,
     next best one and that of the remainder; `around` (n, k) the rows of the lenses of `ring` about it. About lenses
-    that are `settled` the only candidate is that of the `old` surface, which may else be (0, 0). The place after the
-    last candidate is NaN; those beyond, and the costs of single candidates, are left as they are. A point on whose
-    depth all lenses around agree has one candidate.
+    that are `settled` the only candidate is that of the `old` surface, which may else be (0, 0). Where the values of a
+    `coarse` surface of twice the spacing agree about a point, their mean is the only one, elsewhere those that they
+    have are; (0, 0) where there is none. The place after the last candidate is NaN; those beyond, and the costs of
+    single candidates, are left as they are. A point on whose depth all lenses around agree has one candidate.
     """
     most, rows, columns = depths.shape
     pixels = image.reshape(-1)
@@ -303,16 +340,23 @@ def propose(
         work, views = np.zeros((most + 2) * WORK, np.float32), np.empty(most, np.int64)
         # The lenses around that by which the last scene points lay.
         there = np.empty((known, nearby), np.float32)
+        values, torn = np.empty(columns + 2, np.float32), np.ones(columns + 2, np.bool_)
+        if coarse.size > 0:
+            _carry(coarse, v, gap, values, torn)
         count = 0
         around_i, around_j = 2**62, 0
         for u in range(columns):
             x, y = np.float32(first + u * spacing), np.float32(first + v * spacing)
-            depths[1, v, u] = np.nan
+            depths[0, v, u], depths[1, v, u] = values[u], np.nan
+            if not (torn[u] or old.size > 0):
+                continue
             at_i, at_j = nearest_index(first + u * spacing, first + v * spacing, origin, inverse, bend, bend_low)
             i, j = int(at_i), int(at_j)
             lens = _lens_at(grid, low, i, j)
             if old.size > 0 and _all_settled(settled, grid, low, ring, i, j, lens):
                 depths[0, v, u] = old[v, u]
+                continue
+            if not torn[u]:
                 continue
             if lens >= 0 and calm[lens] == _ALONE:
                 depths[0, v, u] = table[lens, _SIZE]
@@ -330,6 +374,8 @@ def propose(
                 continue
             votes = _sorted_votes(there, voices, voters, shares, sizes, weights)
             found = _clusters(votes, sizes, weights, gap, own, prices)
+            if coarse.size > 0:
+                found = _chosen(coarse, v, u, gap, own, prices, found)
             if found > 1:
                 _compete(
                     image, pixels, near_x, near_y, _central(there, count, distance, near, near_x, near_y), x, y,

@@ -28,10 +28,11 @@ _JUMP, _SLANT = np.float32(0.35), np.float32(0.1)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
-def _walk(depths, costs, single, gap, total):
+def _walk(depths, costs, single, gap, part, total):
     """One path of semi-global matching over the candidates of a line of scene points.
 
-    Where there is a `single` one it is chosen in any case, and tells the next point no more than its depth.
+    Where there is a `single` one it is chosen in any case, and tells the next point no more than its depth. A step
+    costs `part` of the prices.
     """
     most = len(depths)
     message = np.zeros(most, np.float32)
@@ -49,13 +50,13 @@ def _walk(depths, costs, single, gap, total):
                 break
             best = np.float32(0.0)
             if p > 0:
-                best = _JUMP
+                best = part * _JUMP
                 for q in range(1 if single[p - 1] else most):
                     t = depths[q, p - 1]
                     if np.isnan(t):
                         break
                     apart = abs(s - t) / gap
-                    best = min(best, previous[q] - low + min(_JUMP, _SLANT * apart if apart < 1 else _JUMP))
+                    best = min(best, previous[q] - low + part * min(_JUMP, _SLANT * apart if apart < 1 else _JUMP))
             message[k] = costs[k, p] + best
             total[k, p] += message[k]
             lowest = min(lowest, message[k])
@@ -65,7 +66,7 @@ def _walk(depths, costs, single, gap, total):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _settle(depths, costs, gap, total, out):
+def _settle(depths, costs, gap, part, total, out):
     """Choose one candidate per scene point with the support of its row and column, both ways."""
     most, rows, columns = depths.shape
     single, turned = np.empty((rows, columns), np.bool_), np.empty((columns, rows), np.bool_)
@@ -80,12 +81,12 @@ def _settle(depths, costs, gap, total, out):
                     total[k, v, u] = 0.0
         # A line on which no point has two candidates has nothing to settle.
         if some:
-            _walk(depths[:, v], costs[:, v], single[v], gap, total[:, v])
-            _walk(depths[:, v, ::-1], costs[:, v, ::-1], single[v, ::-1], gap, total[:, v, ::-1])
+            _walk(depths[:, v], costs[:, v], single[v], gap, part, total[:, v])
+            _walk(depths[:, v, ::-1], costs[:, v, ::-1], single[v, ::-1], gap, part, total[:, v, ::-1])
     for u in prange(columns):
         if not turned[u].all():
-            _walk(depths[:, :, u], costs[:, :, u], turned[u], gap, total[:, :, u])
-            _walk(depths[:, ::-1, u], costs[:, ::-1, u], turned[u, ::-1], gap, total[:, ::-1, u])
+            _walk(depths[:, :, u], costs[:, :, u], turned[u], gap, part, total[:, :, u])
+            _walk(depths[:, ::-1, u], costs[:, ::-1, u], turned[u, ::-1], gap, part, total[:, ::-1, u])
     for v in prange(rows):
         for u in range(columns):
             best = 0
@@ -150,7 +151,8 @@ def spread(
 
     Where they agree the answer is their weighted mean. Where they do not, each candidate depth is
     tried on the pixels, where the better half of the views decides (an occluder hides the rest), and
-    the candidates of neighbouring points support each other (semi-global matching, Hirschmueller 2008).
+    the candidates of neighbouring points support each other (semi-global matching, Hirschmueller 2008):
+    first on a grid of twice the spacing, then between its values where these differ.
 
     Parameters
     ----------
@@ -173,9 +175,6 @@ def spread(
     """
     pitch = lattice.pitch
     shape, start, spacing = grid_shape(lattice, cells)
-    depths, costs, totals = (
-        scratch(name, (MOST_CANDIDATES, *shape), np.float32) for name in ("depths", "costs", "totals")
-    )
     grid, low = lens_grid(lattice)
     ring = remembered(lattice, "looking", lambda: _steps_nearby(lattice))
     gap = np.float32(max(0.75, 0.04 * pitch))
@@ -185,14 +184,36 @@ def spread(
         old = before.patch_size
     settled = np.zeros(len(values), bool) if settled is None else settled
     table = np.hstack([gray.centres, trust[:, None], values[:, None], seconds])
-    propose(
-        gray.image, table, neighbour_rows(lattice, ring), np.float32(gray.radius), np.float32(pitch), calm, grid, low,
-        lattice.origin, np.linalg.inv(lattice.basis), *lattice_bend(lattice), ring, gap, np.float32(4 * noise * noise),
-        start[0], spacing, np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), settled, old,
-        depths, costs,
-    )  # fmt: skip
-    chosen = scratch("chosen", shape, np.float32)
-    _settle(depths, costs, gap, totals, chosen)
+
+    def settle(
+        shape: tuple[int, int], part: float, old: NDArray[np.float32], coarse: NDArray[np.float32], purpose: str
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        depths, costs, totals = (
+            scratch(name, (MOST_CANDIDATES, *shape), np.float32) for name in ("depths", "costs", "totals")
+        )
+        propose(
+            gray.image, table, neighbour_rows(lattice, ring), np.float32(gray.radius), np.float32(pitch), calm, grid,
+            low, lattice.origin, np.linalg.inv(lattice.basis), *lattice_bend(lattice), ring, gap,
+            np.float32(4 * noise * noise), start[0], spacing / part, np.float32((_VOTING * pitch) ** 2),
+            np.float32(max(1.0, pitch / 48)), settled, old, coarse, depths, costs,
+        )  # fmt: skip
+        chosen = scratch(purpose, shape, np.float32)
+        # A step between grid values counts as part of those that it stands for, as what they mismatch does.
+        _settle(depths, costs, gap, np.float32(part), totals, chosen)
+        return depths, chosen
+
+    # Only where values of twice the spacing disagree those between them are asked: along depth edges.
+    half = shape[0] // 2 + 1, shape[1] // 2 + 1
+    _, coarse = settle(half, 0.5, _every_other(old, half), np.empty((0, 0), np.float32), "coarse")
+    depths, chosen = settle(shape, 1.0, old, coarse, "chosen")
     out = np.empty_like(chosen)
     _without_specks(chosen, depths, gap, out)
     return Surface(out, start, spacing)
+
+
+def _every_other(values: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Every other row and column, with the last ones repeated to fill the `shape`; (0, 0) stays so."""
+    if not values.size:
+        return values
+    missing = [(0, n - (m + 1) // 2) for n, m in zip(shape, values.shape, strict=True)]
+    return np.pad(values[::2, ::2], missing, "edge")

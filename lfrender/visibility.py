@@ -15,6 +15,8 @@ from .surface import Surface
 
 __all__ = ["lens_depths"]
 
+# Side of the squares of grid values whose range is known: where lenses see no edge in these, none looks at the values.
+_SQUARE = 4
 # Lenses that one thread works on, one after the other.
 _TOGETHER = 64
 
@@ -29,8 +31,31 @@ def nearness(s, pitch):
     return s if s > 0 else s + 2 * pitch
 
 
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _ranges(surface, lows, highs):
+    """Fill `lows` and `highs` with the least and largest value of each square of the surface."""
+    for v in prange(lows.shape[0]):
+        for u in range(lows.shape[1]):
+            square = surface[v * _SQUARE : (v + 1) * _SQUARE, u * _SQUARE : (u + 1) * _SQUARE]
+            low = high = square[0, 0]
+            for y in range(square.shape[0]):
+                for x in range(square.shape[1]):
+                    low, high = min(low, square[y, x]), max(high, square[y, x])
+            lows[v, u], highs[v, u] = low, high
+
+
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _enter(surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, edged, out):
+def _level(lows, highs, low_v, high_v, low_u, high_u, edge):
+    """Whether the values of all squares that hold these rows and columns differ by less than an `edge`."""
+    low, high = np.float32(np.inf), np.float32(-np.inf)
+    for v in range(low_v // _SQUARE, high_v // _SQUARE + 1):
+        for u in range(low_u // _SQUARE, high_u // _SQUARE + 1):
+            low, high = min(low, lows[v, u]), max(high, highs[v, u])
+    return high - low < edge
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _enter(surface, lows, highs, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, edged, out):
     """Set `out` to the depth of what is seen through some lenses, and `edged` where they have a depth edge in reach."""
     rows, columns = surface.shape
     left, top = corner
@@ -41,17 +66,25 @@ def _enter(surface, first_x, first_y, spacing, centres, radius, pitch, reach, ed
         high_u = min(columns - 1, int(np.floor((cx + reach - first_x) / spacing)))
         low_v = max(0, int(np.ceil((cy - reach - first_y) / spacing)))
         high_v = min(rows - 1, int(np.floor((cy + reach - first_y) / spacing)))
+        if _level(lows, highs, low_v, high_v, low_u, high_u, edge):
+            edged[lens] = False
+            continue
         lowest = highest = surface[min(low_v, rows - 1), min(low_u, columns - 1)]
+        farthest = nearness(lowest, pitch)
         for v in range(low_v, high_v + 1):
             for u in range(low_u, high_u + 1):
                 lowest = min(lowest, surface[v, u])
                 highest = max(highest, surface[v, u])
+                farthest = min(farthest, nearness(surface[v, u], pitch))
         edged[lens] = highest - lowest >= edge
         if not edged[lens]:
             continue
         for v in range(low_v, high_v + 1):
             for u in range(low_u, high_u + 1):
                 s = surface[v, u]
+                # The farthest surface hides nothing.
+                if nearness(s, pitch) <= farthest + edge:
+                    continue
                 dx = -(first_x + u * spacing - cx) * s / pitch
                 dy = -(first_y + v * spacing - cy) * s / pitch
                 # The grid value stands for a square of this size in the microimage.
@@ -74,14 +107,17 @@ def _enter(surface, first_x, first_y, spacing, centres, radius, pitch, reach, ed
 def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, edged, out):
     for y in prange(out.shape[0]):
         out[y] = np.nan
+    rows, columns = (surface.shape[0] + _SQUARE - 1) // _SQUARE, (surface.shape[1] + _SQUARE - 1) // _SQUARE
+    lows, highs = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
+    _ranges(surface, lows, highs)
     # Depth edges come in clusters; but lenses beside each other share what is in the caches.
     parts = (len(centres) + _TOGETHER - 1) // _TOGETHER
     stride = coprime_stride(max(parts, 1))
     for number in prange(parts):
         first = number * stride % parts * _TOGETHER
         _enter(
-            surface, first_x, first_y, spacing, centres[first : first + _TOGETHER], radius, pitch, reach, edge, corner,
-            edged[first : first + _TOGETHER], out,
+            surface, lows, highs, first_x, first_y, spacing, centres[first : first + _TOGETHER], radius, pitch, reach,
+            edge, corner, edged[first : first + _TOGETHER], out,
         )  # fmt: skip
 
 
@@ -96,7 +132,8 @@ def lens_depths(
 ) -> NDArray[np.float32]:
     """(H, W) float32 [px]: patch size of what each flat pixel sees through its lens.
 
-    NaN where that is unknown, or where nothing can hide anything: around lenses with no depth edge in reach.
+    NaN where that is unknown, or hides nothing: around lenses with no depth edge in reach, and on the farthest surface
+    that a lens shows.
 
     Parameters
     ----------
