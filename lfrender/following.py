@@ -19,6 +19,7 @@ from .region import scaled
 from .remembered import remembered
 from .search import PRESETS, Matcher
 from .sequence import changed_lenses
+from .several_depths import lens_by_lens
 from .single_plane import PROBE, vertex
 from .skipping import Shortcuts
 from .texture import LensStatistics, quick_statistics, untouched_texture
@@ -55,7 +56,7 @@ def following(
         If the earlier depth is of another camera or preset.
     """
     # That module calls this one.
-    from .analysis import analyzed, lens_by_lens, working
+    from .analysis import analyzed, working
 
     lattice = calibration.lattice
     earlier = check_flat(earlier, calibration)

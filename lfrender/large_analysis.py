@@ -18,25 +18,20 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatSource, Lattice
 
-from .analysis import (
-    PRESETS,
-    Overview,
-    lens_by_lens,
-    on_one_plane,
-    regular_plane,
-)  # fmt: skip
 from .blankness import skipped_lenses
 from .depthmap import DepthMap
 from .flat_parts import FlatParts
 from .judgement import LEAST_EVIDENCE
 from .lens_tiles import LensPart, lens_tiles, lens_windows
+from .level_depth import on_one_plane, regular_plane
 from .neighbours import lens_grid, lens_halves
 from .part_workers import ClusterWorkers, Here, PartWorkers
 from .plane import TEXTURED, Plane, fit_plane
 from .radiance import GrayFlat, gray_flat
 from .radiance import lens_by_lens as uneven_lenses
 from .region import scaled
-from .search import Matcher
+from .search import PRESETS, Matcher
+from .several_depths import Overview, lens_by_lens
 from .single_plane import explained_by_plane, plane_evidence, with_misled
 from .skipping import Shortcuts
 from .spreading import grid_shape

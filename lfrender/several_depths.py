@@ -1,0 +1,292 @@
+"""The depth of flats that show several depths, lens by lens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Lattice
+
+from .depthmap import DepthMap
+from .judgement import SHADED_REACH, SURE, populated
+from .lens_answers import UNTOLD, Answers, Earlier, Lenses, ask
+from .level_depth import confirmed, few_on_plane, on_one_plane, regular_plane
+from .modes import fill
+from .neighbours import grown, lens_halves, nearest_of
+from .radiance import GrayFlat
+from .remainder import remainder_depths
+from .search import PRESETS, Found, Preset
+from .skipping import Shortcuts, sample_lenses
+from .spreading import spread
+from .surface import Surface
+from .texture import LensStatistics, Texture, find_texture
+
+__all__ = ["Overview", "lens_by_lens"]
+
+# So many lenses, evenly spread, tell which depths occur; where few carry texture, this share of them, but not fewer
+# than the last number.
+_SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 150, 1 / 16, 24
+# Where less than this share of the lenses are asked, the others are left out of all that is done with them.
+_FEW = 0.5
+# Fewer clear lenses than this do not tell it for the others.
+_FEWEST_CLEAR = 60
+
+
+@dataclass(frozen=True)
+class Overview:
+    """What the lenses of a part of a flat must be told of the whole.
+
+    Parameters
+    ----------
+    noise : float
+        Standard deviation of a pixel, white = 1.
+    sizes : (m,) float32 [px]
+        Patch sizes of resolved lenses from all over the flat.
+    raw_noise : float
+        As `noise`, before shading is taken out.
+    """
+
+    noise: float
+    sizes: NDArray[np.float32]
+    raw_noise: float
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """Lenses that are asked for their depth, and what is known before.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    texture : Texture
+        Of all lenses.
+    lenses : Lenses
+        Those that are asked and those beside them, or all.
+    rows : (m,) int, optional
+        Where these stand among all; None for all.
+    skipped : (n,) bool
+        Blank lenses that nobody asks.
+    kept : (n,) bool, optional
+        Lenses that keep what was found `before`.
+    before : DepthMap, optional
+    overview : Overview, optional
+        Of the larger flat of which this is a part.
+    """
+
+    lattice: Lattice
+    texture: Texture
+    lenses: Lenses
+    rows: NDArray[np.int64] | None
+    skipped: NDArray[np.bool_]
+    kept: NDArray[np.bool_] | None
+    before: DepthMap | None
+    overview: Overview | None
+
+    @property
+    def alone(self) -> bool:
+        """Nothing else is known of the scene."""
+        return self.kept is None and self.overview is None
+
+    @property
+    def earlier(self) -> Earlier | None:
+        """What all lenses answered before."""
+        return None if self.kept is None or self.before is None else Earlier.by(self.before, self.kept)
+
+    def answers(self, setting: Preset, ranges: bool) -> Answers:
+        """What the lenses answer; with `ranges`, only depths that occur in the larger flat are looked for."""
+        earlier = self.earlier if self.rows is None or self.earlier is None else self.earlier.of(self.rows)
+        sizes = self.overview.sizes if self.overview is not None and ranges and len(self.overview.sizes) else None
+        return ask(self.lenses, setting, earlier, sizes)
+
+
+def lens_by_lens(
+    gray: GrayFlat,
+    lattice: Lattice,
+    preset: str,
+    shortcuts: Shortcuts,
+    plain: LensStatistics,
+    blank: NDArray[np.bool_] | None,
+    kept: NDArray[np.bool_] | None = None,
+    before: DepthMap | None = None,
+    overview: Overview | None = None,
+) -> tuple[DepthMap, NDArray]:
+    """The depth of every lens, but for the `blank` ones and those `kept` from what was found `before`.
+
+    `overview` is of the larger flat of which this is a part. Beside the depth stands the part (n,) [px] of each error
+    that all lenses of a surface may share.
+    """
+    asked = _asked(gray, lattice, shortcuts, plain, blank, kept, before, overview)
+    lenses, rows, setting = asked.lenses, asked.rows, PRESETS[preset]
+    if rows is not None and asked.alone and shortcuts.plane:
+        level = few_on_plane(lenses, rows, asked.texture.flat, lattice, preset)
+        if level is not None:
+            return level, np.zeros(len(lattice))
+    answers = asked.answers(setting, shortcuts.ranges)
+    saved = _saved(shortcuts, asked, answers.found)
+    plane = None
+    if asked.alone:
+        plane = regular_plane(
+            lenses.centres, len(lattice), lenses.pitch, answers.patch_size, answers.standard_error, answers.reason,
+            answers.astray, lenses.neighbours,
+        )  # fmt: skip
+    if plane is None:
+        return _spread_out(asked, answers, preset, shortcuts, saved)
+    answers = confirmed(plane, answers, lenses)
+    if rows is not None:
+        answers = answers.among(len(lattice), rows, None)
+    return on_one_plane(plane, lattice, preset, answers.reason, answers.confidence, saved), answers.astray
+
+
+def _asked(
+    gray: GrayFlat,
+    lattice: Lattice,
+    shortcuts: Shortcuts,
+    plain: LensStatistics,
+    blank: NDArray[np.bool_] | None,
+    kept: NDArray[np.bool_] | None,
+    before: DepthMap | None,
+    overview: Overview | None,
+) -> _Asked:
+    """The lenses to ask: those with texture and without an answer, and those beside them."""
+    forward, backward = lens_halves(lattice)
+    neighbours = np.hstack([forward, backward])
+    near = np.ones(len(lattice), bool)
+    if kept is not None:
+        # Lenses beside those with a new answer support them, and so do those beside these.
+        near = grown(grown(~kept, neighbours), neighbours)
+    noise = None if overview is None else overview.noise
+    texture = find_texture(gray, lattice, plain, blank, grown(near, neighbours), noise)
+    some = texture.clear | texture.faint
+    active = near if blank is None else near & some
+    sample = _telling(lattice, texture.clear & active) if shortcuts.ranges and overview is None else None
+    lenses = Lenses(texture, forward, backward, lattice.indices(), near, active, sample)
+    wanted = active if kept is None else active | ~kept
+    rows = np.flatnonzero(grown(wanted, neighbours)) if 0 < wanted.mean() < _FEW else None
+    skipped = np.zeros(len(lattice), bool) if blank is None else ~some
+    few = lenses if rows is None else lenses.of(rows)
+    return _Asked(lattice, texture, few, rows, skipped, kept, before, overview)
+
+
+def _spread_out(
+    asked: _Asked, answers: Answers, preset: str, shortcuts: Shortcuts, saved: dict[str, float]
+) -> tuple[DepthMap, NDArray]:
+    """The depth of all lenses from what those that were asked answer, spread over the scene; as `lens_by_lens`."""
+    lattice, lenses, rows, earlier, setting = asked.lattice, asked.lenses, asked.rows, asked.earlier, PRESETS[preset]
+    gap = max(1.0, 0.05 * lattice.pitch)
+    occurring = _occurring(answers, rows, earlier) if asked.overview is None else asked.overview.sizes
+    drawn = fill(answers.drawn, answers.resolved, lenses.neighbours, gap)
+    seconds = _seconds(lenses, answers, drawn, occurring, setting, shortcuts, gap)
+    if rows is not None:
+        answers, drawn, seconds = _among_all(lattice, rows, answers, drawn, seconds, earlier)
+    resolved, sure, kept = answers.resolved, answers.confidence, asked.kept
+    trust = np.where(resolved, sure, 0.05).astype(np.float32)
+    old = None if asked.before is None else asked.before.surface
+    settled = None if kept is None else ~grown(~kept, np.hstack(lens_halves(lattice)))
+    texture = asked.texture
+    surface = spread(texture.flat, lattice, drawn, seconds, trust, texture.noise, setting.cells, settled, old)
+    # A lens that sees two depths answers with the one in its middle.
+    middle = surface.at(lattice.centres())
+    crossed = resolved & (np.abs(middle - drawn) > gap) & (np.abs(middle[:, None] - seconds) <= gap).any(1)
+    crossed[crossed] = _level_about(surface, lattice.centres()[crossed], middle[crossed], gap)
+    if kept is not None:
+        crossed &= ~kept
+    error = answers.standard_error
+    depth = DepthMap(
+        patch_size=np.where(crossed, middle, np.where(resolved, answers.patch_size, np.nan)),
+        standard_error=np.where(crossed, np.maximum(error, answers.found.step), np.where(resolved, error, np.inf)),
+        confidence=np.where(crossed | ~resolved, SURE * sure, sure),
+        drawn=np.where(crossed, middle, drawn),
+        surface=surface,
+        pitch=lattice.pitch,
+        image_size=lattice.image_size,
+        preset=preset,
+        reason=answers.reason,
+        saved=saved,
+    )
+    return depth, answers.astray
+
+
+def _telling(lattice: Lattice, clear: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """Those of the `clear` lenses that tell which depths occur; None where they say nothing about all faint ones."""
+    count = clear.sum()
+    if count < _FEWEST_CLEAR:
+        return None
+    return sample_lenses(lattice.indices(), clear, int(np.clip(count * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)))
+
+
+def _occurring(answers: Answers, rows: NDArray[np.int64] | None, earlier: Earlier | None) -> NDArray[np.float32]:
+    """Patch sizes [px] of all resolved lenses: those that are asked, at `rows` if not all, and the others."""
+    sizes = answers.patch_size[answers.resolved]
+    if rows is None or earlier is None:
+        return sizes
+    others = earlier.reason == 0
+    others[rows] = False
+    return np.concatenate([sizes, earlier.drawn[others]]).astype(sizes.dtype)
+
+
+def _seconds(
+    lenses: Lenses,
+    answers: Answers,
+    drawn: NDArray[np.float32],
+    occurring: NDArray[np.float32],
+    setting: Preset,
+    shortcuts: Shortcuts,
+    gap: float,
+) -> NDArray[np.float32]:
+    """(n, 2) [px] other patch sizes that lenses may show beside `drawn`, of those that occur, as for `spread`."""
+    second = np.where(populated(answers.second, occurring, gap), answers.second, np.nan)
+    rest = np.full(len(drawn), np.nan, np.float32)
+    if setting.remainder:
+        evidence = np.where(lenses.near, answers.found.evidence, 1)
+        around = occurring if shortcuts.ranges else None
+        rest = remainder_depths(lenses.texture, lenses.forward, lenses.backward, drawn, evidence, setting, around)
+    # Shading matches itself near zero: a depth there must occur by itself.
+    rest[(np.abs(rest) < SHADED_REACH * lenses.pitch) & ~populated(rest, occurring, gap)] = np.nan
+    return np.stack([second, rest], 1).astype(np.float32)
+
+
+def _among_all(
+    lattice: Lattice,
+    rows: NDArray[np.int64],
+    answers: Answers,
+    drawn: NDArray[np.float32],
+    seconds: NDArray[np.float32],
+    earlier: Earlier | None,
+) -> tuple[Answers, NDArray[np.float32], NDArray[np.float32]]:
+    """What the lenses at `rows` answer among all; the others keep what they had, or are blank and drawn like the
+    nearest that are resolved."""
+    whole = answers.among(len(lattice), rows, earlier)
+    all_drawn, all_seconds = np.empty(len(lattice), np.float32), np.full((len(lattice), 2), np.nan, np.float32)
+    if earlier is not None:
+        all_drawn[:] = earlier.drawn
+    elif whole.resolved.any():
+        all_drawn[rows] = drawn
+        all_drawn = all_drawn[nearest_of(lattice, whole.resolved)]
+    else:
+        all_drawn[:] = UNTOLD * lattice.pitch
+    all_drawn[rows], all_seconds[rows] = drawn, seconds
+    return whole, all_drawn, all_seconds
+
+
+def _level_about(
+    surface: Surface, centres: NDArray[np.float64], middle: NDArray[np.float32], gap: float
+) -> NDArray[np.bool_]:
+    """Lenses about whose centre the surface stays at its value there, to all sides."""
+    level = np.ones(len(middle), bool)
+    for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+        beside = surface.at(centres + np.array([x, y]) * surface.spacing)
+        level &= np.abs(beside - middle) <= gap
+    return level
+
+
+def _saved(shortcuts: Shortcuts, asked: _Asked, found: Found) -> dict[str, float]:
+    saved = {}
+    if shortcuts.blank:
+        saved["blank"] = float(asked.skipped.mean())
+    if asked.lenses.sample is not None:
+        saved["ranges"] = found.untried
+    if asked.kept is not None:
+        saved["still"] = float(asked.kept.mean())
+    return saved
