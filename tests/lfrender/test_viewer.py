@@ -347,7 +347,7 @@ def test_view_serves_until_it_is_interrupted(house_files, captured, tmp_path):
             with urllib.request.urlopen(url, timeout=10) as page:
                 assert b"<title>flat.png" in page.read()
             process.send_signal(signal.SIGINT)
-            assert process.wait(timeout=20) == 0
+            assert process.wait(timeout=60) == 0
         finally:
             process.kill()
 
