@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import njit, prange
+from numba import get_num_threads, njit, prange
 from numpy.typing import NDArray
 
 from .defects import Defects
@@ -221,20 +222,25 @@ def find_defects(
     level[0] += np.log(brightest)
     way = walk(lattice, gain.own)
     places = (way.middles, way.own, way.sides, level, *gain.shape(lattice))
-    found, number = [], 0
+    # More than can be defects are counted, but not kept.
+    found, number, most = [], 0, MOST * width * height
     margin = _SQUARES[-1] // 2
     far = np.full((height, width), _ZERO, np.uint8)
     _departures(picture, far, 1 / fit.spread, fit.windows, _CHUNKS, *places)
-    for top in range(0, height, _BAND):
+
+    def marked_from(top: int) -> tuple[int, NDArray[np.int32]]:
         start, stop = max(0, top - margin), min(height, top + _BAND + margin)
         marked = _marked(far[start:stop])[top - start : top - start + _BAND]
         # Most rows have no defect.
         rows = np.flatnonzero(marked.any(1))
         row, column = np.nonzero(marked[rows])
-        number += len(row)
-        # More than can be defects are counted, but not kept.
-        if number <= MOST * width * height:
-            found.append(np.column_stack([column, rows[row] + top]).astype(np.int32))
+        kept = slice(None if len(row) <= most else 0)
+        return len(row), np.column_stack([column[kept], rows[row[kept]] + top]).astype(np.int32)
+
+    with ThreadPoolExecutor(get_num_threads()) as threads:
+        for count, pixels in threads.map(marked_from, range(0, height, _BAND)):
+            number += count
+            found.append(pixels)
     pixels = np.concatenate(found) if found else np.zeros((0, 2), np.int32)
     share = number / (width * height)
     return Defects(pixels[:0] if share > MOST else pixels, lattice.indices()[dark].astype(np.int32)), share

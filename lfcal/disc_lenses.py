@@ -16,14 +16,13 @@ from .errors import CalibrationError
 from .lattice import Lattice
 from .lens_cell import cell_faces, inner_radius
 from .lit_lenses import LitLenses
-from .parts import Parts
+from .parts import Parts, evenly_chosen
 from .shading_slope import field_slope, shading_slope
 from .windows import cut_windows
 
 __all__ = ["FEWEST_LENSES", "open_lenses"]
 
 FEWEST_LENSES = 12
-_GOLDEN = 0.6180339887498949
 # Distance between samples of the profile [px]: edges of discs are about one pixel wide.
 _STEP = 0.125
 # A microimage darker than this share of a bright one is none: the array does not fill the sensor.
@@ -45,7 +44,7 @@ def open_lenses(
     alight = LitLenses.on(tones, lattice, margin, np.sqrt(_DARK), before)
     every = max(1.0, len(alight.indices) * abs(np.linalg.det(lattice.basis)) / pixels)
     every = max(1.0, min(every, len(alight.indices) / fewest))
-    taken = alight.some(tones, lattice, margin, np.arange(len(alight.indices)) * _GOLDEN % 1 < 1 / every)
+    taken = alight.some(tones, lattice, margin, evenly_chosen(len(alight.indices), 1 / every))
     indices, offset = taken.indices, tones.offsets[taken.part]
     centres = lattice.points(indices)
     # Lenses of a known model hardly move any more.

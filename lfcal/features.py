@@ -18,6 +18,22 @@ __all__ = ["breaks", "level_locally", "luminance", "tone"]
 _NOISE_FLOOR = 0.02
 # Pixels further than this from their surroundings, in local standard deviations, tell no more than "far".
 _CLIP = 3.0
+# Types of raw values whose root is taken as they are, most flats; others are converted first.
+_ROOTED = (np.uint8, np.uint16)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _root(values, out):
+    for y in prange(values.shape[0]):
+        for x in range(values.shape[1]):
+            out[y, x] = np.sqrt(np.float32(values[y, x]))
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _scale(values, factor):
+    for y in prange(values.shape[0]):
+        for x in range(values.shape[1]):
+            values[y, x] *= factor
 
 
 def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
@@ -49,11 +65,15 @@ def tone(image: NDArray[Any]) -> NDArray[np.float32]:
     (h, w) float32
         All zero where the image is all zero.
     """
-    grey = luminance(image)
-    np.sqrt(grey, out=grey)
+    if image.ndim == 2 and image.dtype in _ROOTED:
+        grey = np.empty(image.shape, np.float32)
+        _root(image, grey)
+    else:
+        grey = luminance(image)
+        np.sqrt(grey, out=grey)
     mean = float(grey.mean())
     if mean > 0:
-        grey *= np.float32(1 / mean)
+        _scale(grey, np.float32(1 / mean))
     return grey
 
 

@@ -15,7 +15,7 @@ from .gain_kernels import describe, light
 from .gain_map import GainMap
 from .lattice import Lattice
 from .lens_cell import cell_faces, inner_radius, outside
-from .parts import Parts, some_lenses
+from .parts import Parts, evenly_chosen, some_lenses
 
 __all__ = ["DIRECTIONS", "OUTLIER", "Left", "Sample", "compare", "lens_sample"]
 
@@ -23,7 +23,6 @@ DIRECTIONS = 48
 # Residuals beyond so many standard deviations have no say.
 OUTLIER = 4.685
 _ROOT_TAU = math.sqrt(2 * math.pi)
-_GOLDEN = 0.6180339887498949
 # The field is parted into so many windows at most, of so many lenses at least.
 _WINDOWS = (8, 6)
 _FEWEST = 6
@@ -225,7 +224,7 @@ def lens_sample(lattice: Lattice, pixels: float, parts: Parts | None = None) -> 
     else:
         _, centres, part = parts.lenses(lattice, margin)
         places = centres - parts.offsets[part]
-        chosen = np.arange(len(centres)) * _GOLDEN % 1 < wanted / max(len(centres), 1)
+        chosen = evenly_chosen(len(centres), wanted / max(len(centres), 1))
         centres, places = centres[chosen], places[chosen]
     shrink = min(1.0, math.sqrt(len(centres) / (_FEWEST * _WINDOWS[0] * _WINDOWS[1])))
     shape = max(1, int(_WINDOWS[1] * shrink)), max(1, int(_WINDOWS[0] * shrink))

@@ -218,7 +218,13 @@ class Lattice:
 
     def points(self, index: ArrayLike) -> NDArray[np.float64]:
         """(n, 2) positions `x, y` [px] of lattice indices (n, 2), which need be neither whole nor on the flat."""
-        straight: NDArray[np.float64] = self.origin + np.asarray(index, dtype=np.float64) @ self.basis
+        index = np.asarray(index)
+        # Of very many lenses, columns take a third of the time of a product with a matrix of two.
+        straight = np.empty(index.shape)
+        for axis in range(2):
+            column = index[..., 0] * self.basis[0, axis]
+            column += index[..., 1] * self.basis[1, axis]
+            np.add(column, self.origin[axis], out=straight[..., axis])
         return straight if self.distortion is None else self.distortion.apply(straight)
 
     def to_index(self, points: ArrayLike) -> NDArray[np.float64]:

@@ -132,8 +132,8 @@ def _sums(pixels, count, shape, sums):
 def _look(picture, top, chosen, centres, sides, stride, noise, out, field, radius, profile, step, shade, rim, cut):
     """Per lens: light, pixels it rests on, correlation with the shape, contrast of it, mean, brightest, scatter.
 
-    Only of the `chosen` rows of `centres` and `out`. The first row of `picture` is the row `top` of the flat. Where
-    pixels of a lens scatter by no more than by `noise`, as a share of their light, their mean is its light.
+    Only of the `chosen` rows of `centres` and columns of `out`. The first row of `picture` is the row `top` of the
+    flat. Where pixels of a lens scatter by no more than by `noise`, as a share of their light, their mean is its light.
     """
     lenses = chosen.shape[0]
     plain = rim.shape[0] == 1 and not cut[4] > 0
@@ -154,12 +154,12 @@ def _look(picture, top, chosen, centres, sides, stride, noise, out, field, radiu
             _sums(pixels, count, shape, sums)
             bright = sums[7]
             if bright == 0:
-                out[n, :] = 0.0
+                out[:, n] = 0.0
                 continue
             mean = sums[5] / bright
             scatter = math.sqrt(max(sums[6] / bright - mean * mean, 0.0))
             if scatter <= noise[n] * mean:
-                out[n, 0], out[n, 1], out[n, 6] = mean, bright, scatter / _TO_SIGMA
+                out[0, n], out[1, n], out[6, n] = mean, bright, scatter / _TO_SIGMA
             else:
                 # Dust and hot pixels have no say in the median, which is worth two thirds of the pixels.
                 number = 0
@@ -167,14 +167,14 @@ def _look(picture, top, chosen, centres, sides, stride, noise, out, field, radiu
                     if shape[m] > np.float32(_RIM):
                         ratios[number] = pixels[2, m] / shape[m]
                         number += 1
-                out[n, 0], out[n, 6] = _middle(ratios, number)
-                out[n, 1] = number / 1.5
+                out[0, n], out[6, n] = _middle(ratios, number)
+                out[1, n] = number / 1.5
             ms, mv = sums[0] / count, sums[1] / count
             spread_s, spread_v = sums[2] / count - ms * ms, sums[4] / count - mv * mv
             even = spread_s < _EVEN * ms * ms or spread_v < _EVEN * mv * mv
-            out[n, 2] = 0.0 if even else (sums[3] / count - ms * mv) / math.sqrt(spread_s * spread_v)
-            out[n, 3] = math.sqrt(max(spread_s, 0.0)) / max(ms, 1e-9)
-            out[n, 4], out[n, 5] = mv, sums[8]
+            out[2, n] = 0.0 if even else (sums[3] / count - ms * mv) / math.sqrt(spread_s * spread_v)
+            out[3, n] = math.sqrt(max(spread_s, 0.0)) / max(ms, 1e-9)
+            out[4, n], out[5, n] = mv, sums[8]
 
 
 def _looked(
@@ -183,7 +183,7 @@ def _looked(
 ) -> NDArray[np.float32]:  # fmt: skip
     sides = cell_sides(cell_faces(lattice)[0])
     cell = abs(float(np.linalg.det(lattice.basis)))
-    out = np.zeros((len(centres), 7), np.float32)
+    out = np.zeros((7, len(centres)), np.float32)
     stride = max(1, round(math.sqrt(cell / (_SAMPLES if len(centres) < _MANY else _FEW_SAMPLES))))
     shape = gain.shape(lattice)
     if not callable(picture):
@@ -215,7 +215,7 @@ def lens_lights(picture: NDArray[np.float32] | Look, lattice: Lattice, fit: Gain
     single = _errors(fit, centres, lattice)
     noise = np.float32(_UNEVEN) * np.hypot(single, np.float32(_DIFFERS))
     found = _looked(picture, lattice, fit.gain, centres, noise)
-    lights, weight, alike, contrast = found[:, :4].T
+    lights, weight, alike, contrast = found[:4]
     seen = weight > 0
     top = float(np.percentile(lights[seen], 95)) if seen.any() else 1.0
     lit = seen & (lights > _DARK * top)
@@ -232,7 +232,7 @@ def lens_lights(picture: NDArray[np.float32] | Look, lattice: Lattice, fit: Gain
     np.maximum(smooth, np.float32(1e-30), out=smooth)
     error = single / np.sqrt(np.maximum(weight, 1e-9))
     # Dust makes a lens darker in parts, which is no light of the lens.
-    uneven = np.float32(_TO_SIGMA) * found[:, 6] > noise * lights
+    uneven = np.float32(_TO_SIGMA) * found[6] > noise * lights
     own = _own(np.where(uneven, np.float32(1), lights / smooth), error, lit)
     # 1 at the brightest part of the field, taken where lenses are.
     brightest = float(np.percentile((smooth * own)[lit], 99.5))
@@ -300,7 +300,7 @@ def dark_in_scene(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap)
     """(m,) rows of lenses without any light amid neighbours that have some, on a scene capture."""
     centres = lattice.centres()
     found = _looked(picture, lattice, gain, centres, np.full(len(centres), np.inf, np.float32))
-    mean, most = found[:, 4:6].T
+    mean, most = found[4:6]
     indices = lattice.indices()
     low = indices.min(0) - 1
     span = indices.max(0) - low + 2

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .lattice import Lattice
 
-__all__ = ["Look", "Parts", "some_lenses", "whole_lenses"]
+__all__ = ["Look", "Parts", "evenly_chosen", "some_lenses", "whole_lenses"]
 
 #: Picture of a rectangle of a flat, (height, width) float32, given its x, y, width and height [px].
 Look = Callable[[int, int, int, int], NDArray[np.float32]]
@@ -46,9 +46,17 @@ def some_lenses(lattice: Lattice, margin: float, wanted: float) -> tuple[NDArray
     return indices[keep], centres[keep]
 
 
+def evenly_chosen(number: int, share: float) -> NDArray[np.bool_]:
+    """(n,) which of so many lenses are this share of them, evenly spread."""
+    place = np.arange(number) * _GOLDEN
+    # A remainder takes NumPy twenty times as long.
+    place -= np.floor(place)
+    return place < share
+
+
 def _chosen(number: int, wanted: float) -> NDArray[np.int64]:
     """Rows of so many, evenly spread."""
-    return np.flatnonzero(np.arange(number) * _GOLDEN % 1 < wanted / max(number, 1))
+    return np.flatnonzero(evenly_chosen(number, wanted / max(number, 1)))
 
 
 @dataclass(frozen=True)

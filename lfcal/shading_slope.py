@@ -118,22 +118,39 @@ def shading_slope(discs: Discs, lattice: Lattice) -> NDArray[np.float64]:
     _slopes(
         discs.light, discs.corners, discs.centres, gain, tilt, discs.level, discs.step, _INSIDE * discs.inner, found
     )
-    far = discs.centres - (np.array(lattice.image_size) - 1) / 2
-    n, one, none = len(far), np.ones(len(far)), np.zeros(len(far))
     # A slope that grows with the distance from an axis that may lie beside the middle.
-    table = np.concatenate([np.stack([one, none, far[:, 0]], 1), np.stack([none, one, far[:, 1]], 1)])
-    slopes = np.concatenate([found[:, 0], found[:, 1]])
-    root = np.sqrt(np.tile(found[:, 2], 2))
-    keep = root > 0
+    far = np.ascontiguousarray((discs.centres - (np.array(lattice.image_size) - 1) / 2).T)
+    slopes, weight = np.ascontiguousarray(found[:, :2].T), np.ascontiguousarray(found[:, 2])
+    root, some = np.sqrt(weight), weight > 0
+    keep = np.stack([some, some])
     for _ in range(3):
-        if keep.sum() < 4 * table.shape[1]:
+        if keep.sum() < 12:
             return tilt
-        weighted = table[keep] * root[keep, None]
-        answer = _least_squares(weighted, slopes[keep] * root[keep])
-        miss = np.abs(slopes - table @ answer) * root
-        keep = (root > 0) & (miss < _OUTLIER * np.median(miss[root > 0]) + 1e-12)
+        normal, right = _growing_slope(far, slopes, weight * keep)
+        answer = np.linalg.lstsq(normal, right, rcond=None)[0]
+        growing = answer[:2, None] + answer[2] * far
+        miss = np.abs(slopes - growing) * root
+        keep = some & (miss < _OUTLIER * np.median(miss if some.all() else miss[:, some]) + 1e-12)
     variance = float((miss[keep] ** 2).mean())
-    information = (table[keep] * root[keep, None]).T @ (table[keep] * root[keep, None]) / max(variance, 1e-30)
+    information = _growing_slope(far, slopes, weight * keep)[0] / max(variance, 1e-30)
     if answer @ information @ answer < _SURE**2:
         return tilt
-    return tilt + (table @ answer).reshape(2, n).T
+    return tilt + growing.T
+
+
+def _growing_slope(
+    far: NDArray[np.float64], slopes: NDArray[np.float64], weight: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Normal equations (3, 3), (3,) of slopes (2, n), one in x and one in y, and their common growth with `far` (2, n).
+
+    They are summed up column by column: the table of all lenses would be mostly noughts.
+    """
+    normal, right = np.zeros((3, 3)), np.zeros(3)
+    for axis in range(2):
+        grown = weight[axis] * far[axis]
+        normal[axis, axis] = weight[axis].sum()
+        normal[axis, 2] = normal[2, axis] = grown.sum()
+        normal[2, 2] += grown @ far[axis]
+        right[axis] = weight[axis] @ slopes[axis]
+        right[2] += grown @ slopes[axis]
+    return normal, right
