@@ -110,8 +110,9 @@ def _carry(coarse, v, gap, values, torn):
         left, right = max(x - 1, 0), min(x + 1, columns - 1)
         values[2 * x + 1] = quarter * ((above[x] + above[right]) + (below[x] + below[right]))
         lowest, highest = min(low[x], low[right]), max(high[x], high[right])
-        torn[2 * x + 1] = highest - lowest > gap
-        torn[2 * x] = max(highest, high[left]) - min(lowest, low[left]) > gap
+        # Beyond the flat the coarse grid may reach where no lens looks.
+        torn[2 * x + 1] = highest - lowest > gap or np.isnan(values[2 * x + 1])
+        torn[2 * x] = max(highest, high[left]) - min(lowest, low[left]) > gap or np.isnan(values[2 * x])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

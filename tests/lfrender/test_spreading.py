@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+import lfrender
+from benchmarks.stress.plane_flats import PlaneFlat
 from lfrender.spreading import spread
 
 NEAR, FAR, EDGE, CELLS = 9.0, 5.0, 214.0, 7
@@ -58,3 +60,13 @@ def test_values_far_from_an_edge_are_those_of_the_lenses_about_them(edged_flat):
     inside = slice(2 * CELLS, -2 * CELLS)
     x = found.first[0] + found.spacing * np.arange(found.patch_size.shape[1])
     assert np.abs(found.patch_size - (6 + 0.004 * x))[inside, inside].max() < 0.02
+
+
+def test_a_coarse_grid_that_reaches_beyond_all_lenses_leaves_no_place_without_depth():
+    # In the corners of a small flat of long cells no lens lies near.
+    flat = PlaneFlat(
+        ratio=1.0, slant=(0.0095, 0.051), cell="oblong", pitch=6.0, degrees=137.14443558389954, size=(80, 40),
+        contrast=0.05, noise=0.0, grain=0.9, period=0.0, exposure=0.35651357544053813, fill=0.8, kind="f4", seed=60016,
+    )  # fmt: skip
+    depth = lfrender.analyze(flat.flat(), flat.calibration)
+    assert np.isfinite(depth.surface.patch_size).all()
