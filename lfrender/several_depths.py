@@ -30,8 +30,8 @@ __all__ = ["Overview", "lens_by_lens"]
 _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 150, 1 / 16, 24
 # Where less than this share of the lenses are asked, the others are left out of all that is done with them.
 _FEW = 0.5
-# Fewer clear lenses than this do not tell it for the others.
-_FEWEST_CLEAR = 60
+# Fewer clear lenses than this do not tell it for the others: what repeats shows at depths that nobody has tried.
+_FEWEST_CLEAR = 300
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,9 @@ from .texture import Texture
 __all__ = ["PROBE", "PlaneScene", "explained_by_plane", "find_plane", "plane_evidence", "vertex", "with_misled"]
 
 # About so many lenses tell a plane; of few lenses this share of them, but not fewer than the third number. Fewer than
-# the last number tell nothing.
+# the last number tell nothing, nor do so many lenses with texture: they hardly show whether what they see repeats.
 _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE, _TOO_FEW = 60, 1 / 12, 30, 20
+_FEWEST = 100
 # A slanted plane needs so many times as many: three numbers instead of one, of which two are carried to the border.
 _SLANTED = 4
 # Of a plane that faces the camera this share of the lenses are searched to the same patch size, to that of the pitch.
@@ -78,7 +79,7 @@ def find_plane(
     facing : bool
         Only a plane that faces the camera will do.
     """
-    if not len(indices) or texture.clear.mean() < TEXTURED:
+    if texture.clear.sum() < max(TEXTURED * len(indices), _FEWEST):
         return None
     inner = _inner(texture, np.hstack([forward, backward]))
     count = int(np.clip(texture.clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE))
