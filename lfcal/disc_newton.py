@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from .disc_model import Discs, DiscSteps, disc_steps, edge_of
 from .disc_parameters import DiscModel, design, field_of, moved, step_limits
+from .disc_squares import Reduced, inverse_2x2, pooled, without_gain
 from .errors import CalibrationError
 from .shading_slope import shading_of_field, shading_slope
 
@@ -19,7 +19,6 @@ __all__ = [
     "own_offsets", "placed", "promise", "weighted", "with_profile",
 ]  # fmt: skip
 
-_OUTLIER = 4.685
 # Weights that fall with the residuals hold a step back: of normal residuals Tukey's biweight lets through their second
 # over their first derivative, 0.76 / 0.91, and a little more of pixels that are thinned out.
 _HELD_BACK = 0.86
@@ -28,7 +27,6 @@ PASSES = 15
 _FREE_PASSES = 5
 # Those of a fit with other lenses have followed them already.
 _KNOWN_PASSES = 2
-_ROBUST_TURNS = 3
 # Steps below this share of the standard error change nothing, nor does what is to come after steps that shrink as fast
 # as the last two where that is below the second share.
 _SETTLED, _TO_COME = 0.3, 0.1
@@ -65,45 +63,8 @@ class FitState:
     indices: NDArray[np.int64]
     discs: Discs
     uncertainty: float = np.inf
-    solved: _Reduced | None = None
+    solved: Reduced | None = None
     asked: NDArray[np.float64] | None = None
-
-
-@dataclass(frozen=True)
-class _Reduced:
-    """Least squares without the gains: local parameters (n, m), profile (r,) and between them; none where unneeded.
-
-    Of the seven local parameters only the place, `m = 2`, where nothing is cut. `mixed` (n, 8, r) is with the gains:
-    what a local parameter shares with the profile is its row less its `share` (n, m) of the last one.
-    """
-
-    normal: NDArray[np.float64]
-    right: NDArray[np.float64]
-    share: NDArray[np.float64]
-    mixed: NDArray[np.float64]
-    profile: NDArray[np.float64]
-    force: NDArray[np.float64]
-
-    @cached_property
-    def _factors(self) -> NDArray[np.float64]:
-        """Cholesky factors of the profile, which all least squares of one step have in common."""
-        # Compiled code has loaded this module already.
-        from scipy.linalg.lapack import dpotrf
-
-        factors, failed = dpotrf(self.profile, lower=1)
-        if failed:
-            raise np.linalg.LinAlgError("the pixels do not tell the profile of the microimages")
-        return np.asarray(factors)
-
-    def profiles(self, forces: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(r, k) steps of the profile that forces (r, k) on it make, or (r,); LinAlgError where there are none."""
-        from scipy.linalg.lapack import dpotrs
-
-        return np.asarray(dpotrs(self._factors, forces, lower=1)[0])
-
-    def with_gains(self, columns: NDArray[np.float64], half: NDArray[np.bool_] | slice) -> NDArray[np.float64]:
-        """(n, m + 1, p) change of the local parameters of a part of the lenses and, which follow them, of the gains."""
-        return np.concatenate([columns, -(self.share[half][:, None] @ columns)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -122,7 +83,7 @@ class FitSummary:
     names: list[str]
     covariance: NDArray[np.float64]
     columns: NDArray[np.float64]
-    reduced: _Reduced
+    reduced: Reduced
     miss: NDArray[np.float64]
     asked: NDArray[np.float64]
 
@@ -250,30 +211,6 @@ def _near(summary: FitSummary) -> bool:
     return summary.moved < min(_NEAR * summary.uncertainty, _SHORT)
 
 
-def _without_gain(steps: DiscSteps, level: NDArray[np.float64], say: NDArray[np.float64] | None = None) -> _Reduced:
-    """`say` (n,) is by how much the weights of lenses have changed since these steps."""
-    own = np.maximum(steps.normal[:, -1, -1], 1e-30)
-    share = steps.normal[:, :-1, -1] / own[:, None]
-    normal = steps.normal[:, :-1, :-1] - share[:, :, None] * steps.normal[:, None, :-1, -1]
-    right = steps.right[:, :-1] - share * steps.right[:, [-1]]
-    if say is not None:
-        normal, right = normal * say[:, None, None], right * say[:, None]
-    if len(steps.force) == 0:
-        return _Reduced(normal, right, share, steps.mixed[:, :0], steps.profile, steps.force)
-    gain = steps.mixed[:, -1]
-    even = gain / np.sqrt(own)[:, None]
-    # Gains and profile share one scale, which the profile keeps.
-    scale = np.trace(steps.profile) / (level @ level) * np.outer(level, level)
-    return _Reduced(
-        normal,
-        right,
-        share,
-        steps.mixed if steps.mixed.shape[1] > 1 else steps.mixed[:, :0],
-        steps.profile - even.T @ even + scale,
-        steps.force - (steps.right[:, -1] / own) @ gain,
-    )
-
-
 def _solved(state: FitState, orders: tuple[str, ...], learn: bool = True, bold: bool = True) -> FitSummary:
     """The next robust Gauss-Newton step of all global parameters, in full length where `bold`."""
     columns, names = design(state.model, state.indices, orders)
@@ -281,14 +218,14 @@ def _solved(state: FitState, orders: tuple[str, ...], learn: bool = True, bold: 
     try:
         steps = discs.steps if learn else disc_steps(discs, learn=False)
         say = _trust(discs, steps) / discs.trust if discs.whole else None
-        reduced = _without_gain(steps, discs.level, say)
-        change, covariance, weight = _pooled(columns, reduced, slice(None))
+        reduced = without_gain(steps, discs.level, say)
+        change, covariance, weight = pooled(columns, reduced, slice(None))
     except np.linalg.LinAlgError as error:
         raise CalibrationError("the microimages show no edges; give a sharper flat or a white image") from error
     place = columns[:, :2]
     ridge = 1e-9 * np.trace(reduced.normal[:, :2, :2].sum(0)) / len(columns) * np.eye(2)
     left = reduced.right[:, :2] - np.einsum("nij,nj->ni", reduced.normal[:, :2], columns @ change)
-    miss = np.einsum("nij,nj->ni", _inverse(reduced.normal[:, :2, :2] + ridge), left) / _HELD_BACK
+    miss = np.einsum("nij,nj->ni", inverse_2x2(reduced.normal[:, :2, :2] + ridge), left) / _HELD_BACK
     asked = place @ change
     change, covariance = change / (_HELD_BACK if bold else 1.0), covariance / _HELD_BACK**2
     spread = (place.reshape(-1, place.shape[2]) @ covariance).reshape(place.shape)
@@ -338,52 +275,10 @@ def _stepped(state: FitState, summary: FitSummary, frozen: bool = False) -> FitS
     return placed(FitState(moved(state.model, summary.change, summary.names), state.indices, discs))
 
 
-def _pooled(
-    columns: NDArray[np.float64], reduced: _Reduced, half: NDArray[np.bool_] | slice
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Robust least squares over a part of the lenses: change (p,), covariance (p, p) and weights (n,) of the lenses."""
-    columns = np.ascontiguousarray(columns[half])
-    normal, right = reduced.normal[half], reduced.right[half]
-    part = len(columns) / len(reduced.normal)
-    lenses, local, globals_ = columns.shape
-    places = normal[:, :2, :2] + 1e-9 * np.trace(normal[:, :2, :2].sum(0)) / lenses * np.eye(2)
-    inverse = _inverse(places)
-    force, matter = right.reshape(-1), (normal @ columns).reshape(-1, globals_)
-    if reduced.mixed.shape[1]:
-        all_local = reduced.with_gains(columns, half)
-        mixed = reduced.mixed[half].reshape(lenses * (local + 1), -1)
-    weight = np.ones(lenses)
-    for _ in range(_ROBUST_TURNS):
-        weighted = (weight[:, None, None] * columns).reshape(-1, globals_).T
-        information, pull = weighted @ matter, weighted @ force
-        if reduced.mixed.shape[1]:
-            # The profile changes along with the parameters: what it can take over says nothing about them.
-            joint = (weight[:, None, None] * all_local).reshape(len(mixed), -1).T @ mixed
-            taken = reduced.profiles(joint.T).T / part
-            information -= taken @ joint.T / weight.mean()
-            pull -= part * taken @ reduced.force
-        scale = np.sqrt(np.maximum(np.diag(information), 1e-30))
-        covariance = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
-        change = covariance @ pull
-        left = right[:, :2] - (matter @ change).reshape(lenses, local)[:, :2]
-        far = left[:, 0] ** 2 * inverse[:, 0, 0] + left[:, 1] ** 2 * inverse[:, 1, 1]
-        far += 2 * left[:, 0] * left[:, 1] * inverse[:, 0, 1]
-        spread = float(np.median(far)) / 1.386 + 1e-30
-        weight = np.clip(1 - far / (spread * _OUTLIER**2), 0, None) ** 2
-    return change, covariance * spread, weight
-
-
-def _inverse(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 2, 2) inverses of symmetric positive matrices; LAPACK takes several times as long for such small ones."""
-    xx, xy, yy = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
-    over = 1 / np.maximum(xx * yy - xy * xy, np.finfo(float).tiny)
-    return np.stack([yy * over, -xy * over, -xy * over, xx * over], axis=1).reshape(-1, 2, 2)
-
-
 def halves_differ(summary: FitSummary) -> float:
     """RMS distance over the flat between the last steps of every other microimage and of the others [px]."""
     parity = np.arange(len(summary.columns)) % 2
-    one, two = (_pooled(summary.columns, summary.reduced, parity == half)[0] for half in (0, 1))
+    one, two = (pooled(summary.columns, summary.reduced, parity == half)[0] for half in (0, 1))
     return float(np.sqrt(((summary.columns[:, :2] @ (one - two)) ** 2).sum(1).mean())) / _HELD_BACK
 
 
@@ -394,7 +289,7 @@ def promise(state: FitState, more: tuple[str, ...]) -> float:
     """
     assert state.solved is not None and state.asked is not None
     columns, _ = design(state.model, state.indices, more)
-    moves = columns[:, :2] @ _pooled(columns, state.solved, slice(None))[0]
+    moves = columns[:, :2] @ pooled(columns, state.solved, slice(None))[0]
     return float(np.sqrt(((moves - state.asked) ** 2).sum(1).mean())) / _HELD_BACK
 
 
@@ -410,7 +305,7 @@ def own_offsets(state: FitState, summary: FitSummary) -> NDArray[np.float64]:
     start = discs.centres
     for _ in range(_OWN_PASSES):
         steps = discs.steps
-        reduced = _without_gain(steps, discs.level)
+        reduced = without_gain(steps, discs.level)
         normal = reduced.normal[:, :2, :2]
         ridge = 1e-9 * np.trace(normal.sum(0)) / len(far) * np.eye(2)
         step = np.linalg.solve(normal + ridge, reduced.right[:, :2, None])[..., 0]
