@@ -175,6 +175,8 @@ def flatten_shading(
     others : GrayFlat, optional
         `gray` without the shading of some other lenses, which becomes the answer.
     """
+    if others is not None and not wanted.any():
+        return others
     weights = _SMOOTH**2 / (_SMOOTH**2 + contrast**2)
     # What all lenses show is read many times: as strips, in long loops. Their centres differ by less than a pixel.
     near = neighbour_rows(lattice, remembered(lattice, "of its type", lambda: _steps_of_type(lattice)))
@@ -182,8 +184,6 @@ def flatten_shading(
     read = np.zeros(len(near) + 1, bool)
     read[near[wanted]] = True
     strips = cut_out(gray, means, 1, read[:-1])
-    if not wanted.any() and others is not None:
-        return others
     out = np.empty_like(gray.image) if others is None else others.image
     _subtract_shading(
         gray.image, gray.centres, wanted, near, weights.astype(np.float32), contrast,

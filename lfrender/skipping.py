@@ -67,5 +67,5 @@ def sample_lenses(indices: NDArray[np.int64], candidates: NDArray[np.bool_], cou
 
 
 def _no_third(every: int) -> int:
-    """Multi-focus types repeat with every third lens."""
+    """`every`, but no multiple of three: steps of it would hit only one lens type of multi-focus arrays."""
     return every - (every % 3 == 0)
