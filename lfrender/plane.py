@@ -112,9 +112,10 @@ def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: fl
     middle, reach = points.mean(0), float(np.abs(points - points.mean(0)).max()) + 1e-9
     places = (points - middle) / reach
     terms = np.stack([np.ones(len(sizes)), *places.T], 1)
-    some = slice(None, None, max(1, len(sizes) // _FEW))
+    every = len(sizes) // _FEW
+    some = slice(None, None, max(1, every))
     for count in (1, 3):
-        if _hopeless(places[some], terms[some, :count], sizes[some]):
+        if every > 1 and _hopeless(places[some], terms[some, :count], sizes[some]):
             continue
         inverse = _inverse(terms[:, :count], sizes)
         predicted = 1 / (terms[:, :count] @ inverse)
