@@ -76,7 +76,7 @@ def test_step_is_held_back_where_least_squares_are_least_sure():
     change = np.array([0.3, -0.2, 2.0, 1.9, 0.01, 0.02])
     columns = np.zeros((3, 7, 6))
     columns[:, :2, :2] = np.eye(2)
-    whole = FitSummary(change, 1.0, 0.0, 0.0, 3, names, covariance, columns, None, *np.zeros((2, 3, 2)))
+    whole = FitSummary(change, 1.0, 0.0, 0.0, 3, names, covariance, columns, None, *np.zeros((2, 3, 2)), np.ones(3))
     held = disc_newton._held(whole, limits)
     assert np.abs(held.change / limits).max() <= 1
     assert held.change[2] > 0.25
