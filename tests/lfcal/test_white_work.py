@@ -12,10 +12,11 @@ from lfcal import disc_model, disc_newton
 from lfcal.disc_newton import FitSummary
 from lfcal.disc_parameters import CatEye, step_limits
 from lfcal.features import tone
-from lfcal.gain_kernels import cut_table, light, light_of_any, light_of_round
+from lfcal.gain_kernels import light
 from lfcal.gain_terms import monomials
 from lfcal.lattice import Lattice
 from lfcal.lens_cell import cell_faces, cell_sides, outside, row_in_cell
+from lfcal.light_of_many import cut_table, light_of_any, light_of_round
 from lfcal.majority import Steps, agreed
 from lfcal.search import first_lattice, first_lattice_of_large
 
