@@ -61,8 +61,9 @@ def with_cut(plain: FitState, rival: FitState, orders: tuple[str, ...]) -> FitSt
     found, least = plain, np.inf
     for models in cut_starts(plain):
         for trial in _of_either_role(plain, models, orders):
-            if misfit(trial, plain) < least:
-                found, least = trial, misfit(trial, plain)
+            left = misfit(trial, plain)
+            if left < least:
+                found, least = trial, left
     if found.model.cat_eye is None:
         return plain
     # A disc that stays outside the microimages cuts nothing.
@@ -210,7 +211,7 @@ def _shading_tells(discs: Discs) -> float:
     return (costs[0] - costs[1]) / max(min(costs), 1e-30) * float(number.sum())
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST, forceinline=True)
 def _add_products(values, count, products):
     """Add to the upper half of `products` those of all pairs of rows, summed over the first columns."""
     for a in range(len(values)):

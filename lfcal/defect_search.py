@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from .defects import Defects
 from .gain_fit import GainFit
-from .gain_kernels import ASIDE, cut_table, describe, level_at, light_of_any, light_of_round, walk
+from .gain_kernels import describe, level_at
 from .gain_map import GainMap
+from .gain_rows import ASIDE, walk
 from .lattice import Lattice
+from .light_of_many import cut_table, light_of_any, light_of_round
 
 __all__ = ["MOST", "find_defects"]
 
@@ -240,7 +242,10 @@ def find_defects(
     with ThreadPoolExecutor(get_num_threads()) as threads:
         for count, pixels in threads.map(marked_from, range(0, height, _BAND)):
             number += count
-            found.append(pixels)
+            if number <= most:
+                found.append(pixels)
+            else:
+                found.clear()
     pixels = np.concatenate(found) if found else np.zeros((0, 2), np.int32)
     share = number / (width * height)
-    return Defects(pixels[:0] if share > MOST else pixels, lattice.indices()[dark].astype(np.int32)), share
+    return Defects(pixels, lattice.indices()[dark].astype(np.int32)), share

@@ -31,7 +31,7 @@ _ROOT_TAU = math.sqrt(_TAU)
 _FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST, forceinline=True)
 def _both(alpha, beta, first, second, shared):
     """Light through two edges at once, in units of their blur, and its change with each of them over that alone.
 

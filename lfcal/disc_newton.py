@@ -55,8 +55,8 @@ _OF_LENSES = ("light", "corners", "centres", "cut", "gain", "trust", "tilt")
 class FitState:
     """The model and the lenses that take part; of a converged fit also what its last step says.
 
-    That are the standard error of a centre, RMS [px], the least squares that the step solved, and by how much these
-    would have moved centres (n, 2) [px].
+    That are the standard error of a centre, RMS [px], the least squares that the step solved, by how much these would
+    have moved centres (n, 2) [px], and the weights (n,) of lenses in them.
     """
 
     model: DiscModel
@@ -65,6 +65,7 @@ class FitState:
     uncertainty: float = np.inf
     solved: Reduced | None = None
     asked: NDArray[np.float64] | None = None
+    weight: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class FitSummary:
     """What the last step says; see `DiscFit`.
 
     Parameters moved by `change` (p,), centres by `moved` (RMS) [px]; single microimages lie `miss` (n, 2) [px] off the
-    lattice. Least squares alone would have moved centres by `asked` (n, 2) [px].
+    lattice. Least squares alone, with lenses of a `weight` (n,), would have moved centres by `asked` (n, 2) [px].
     """
 
     change: NDArray[np.float64]
@@ -86,6 +87,7 @@ class FitSummary:
     reduced: Reduced
     miss: NDArray[np.float64]
     asked: NDArray[np.float64]
+    weight: NDArray[np.float64]
 
 
 def placed(state: FitState) -> FitState:
@@ -154,8 +156,10 @@ def converge(
 ) -> tuple[FitState, FitSummary]:
     """Gauss-Newton until steps are below so many standard errors; `known` where the profile is that of a fit."""
     start, before, bold, trust, last = state.model.lattice.basis, 0.0, True, 1.0, None
+    weight = None
     for turn in range(passes):
-        summary = _solved(state, orders, bold=bold)
+        summary = _solved(state, orders, bold=bold, before=weight)
+        weight = summary.weight if summary.moved < summary.uncertainty else None
         if state.model.cat_eye is not None:
             limits = step_limits(state.model.cat_eye, summary.names)
             if last is not None:
@@ -175,7 +179,8 @@ def converge(
         # Where all lenses lie alike to the pixels, place and profile wander together, and longer steps go astray.
         bold &= turn == 0 or shrinks < _STEADY
         before = summary.moved
-    return replace(state, uncertainty=summary.uncertainty, solved=summary.reduced, asked=summary.asked), summary
+    state = replace(state, uncertainty=summary.uncertainty, solved=summary.reduced)
+    return replace(state, asked=summary.asked, weight=summary.weight), summary
 
 
 def finished(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSummary]:
@@ -211,15 +216,24 @@ def _near(summary: FitSummary) -> bool:
     return summary.moved < min(_NEAR * summary.uncertainty, _SHORT)
 
 
-def _solved(state: FitState, orders: tuple[str, ...], learn: bool = True, bold: bool = True) -> FitSummary:
-    """The next robust Gauss-Newton step of all global parameters, in full length where `bold`."""
+def _solved(
+    state: FitState,
+    orders: tuple[str, ...],
+    learn: bool = True,
+    bold: bool = True,
+    before: NDArray[np.float64] | None = None,
+) -> FitSummary:
+    """The next robust Gauss-Newton step of all global parameters, in full length where `bold`.
+
+    `before` are the weights (n,) of lenses in the step before, if that was short.
+    """
     columns, names = design(state.model, state.indices, orders)
     discs = state.discs
     try:
         steps = discs.steps if learn else disc_steps(discs, learn=False)
         say = _trust(discs, steps) / discs.trust if discs.whole else None
         reduced = without_gain(steps, discs.level, say)
-        change, covariance, weight = pooled(columns, reduced, slice(None))
+        change, covariance, weight = pooled(columns, reduced, slice(None), before)
     except np.linalg.LinAlgError as error:
         raise CalibrationError("the microimages show no edges; give a sharper flat or a white image") from error
     place = columns[:, :2]
@@ -241,6 +255,7 @@ def _solved(state: FitState, orders: tuple[str, ...], learn: bool = True, bold: 
         reduced=reduced,
         miss=miss,
         asked=asked,
+        weight=weight,
     )
 
 
@@ -278,7 +293,7 @@ def _stepped(state: FitState, summary: FitSummary, frozen: bool = False) -> FitS
 def halves_differ(summary: FitSummary) -> float:
     """RMS distance over the flat between the last steps of every other microimage and of the others [px]."""
     parity = np.arange(len(summary.columns)) % 2
-    one, two = (pooled(summary.columns, summary.reduced, parity == half)[0] for half in (0, 1))
+    one, two = (pooled(summary.columns, summary.reduced, parity == half, summary.weight)[0] for half in (0, 1))
     return float(np.sqrt(((summary.columns[:, :2] @ (one - two)) ** 2).sum(1).mean())) / _HELD_BACK
 
 
@@ -289,7 +304,7 @@ def promise(state: FitState, more: tuple[str, ...]) -> float:
     """
     assert state.solved is not None and state.asked is not None
     columns, _ = design(state.model, state.indices, more)
-    moves = columns[:, :2] @ pooled(columns, state.solved, slice(None))[0]
+    moves = columns[:, :2] @ pooled(columns, state.solved, slice(None), state.weight)[0]
     return float(np.sqrt(((moves - state.asked) ** 2).sum(1).mean())) / _HELD_BACK
 
 

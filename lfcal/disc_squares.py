@@ -78,9 +78,15 @@ def without_gain(steps: DiscSteps, level: NDArray[np.float64], say: NDArray[np.f
 
 
 def pooled(
-    columns: NDArray[np.float64], reduced: Reduced, half: NDArray[np.bool_] | slice
+    columns: NDArray[np.float64],
+    reduced: Reduced,
+    half: NDArray[np.bool_] | slice,
+    before: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Robust least squares over a part of the lenses: change (p,), covariance (p, p) and weights (n,) of the lenses."""
+    """Robust least squares over a part of the lenses: change (p,), covariance (p, p) and weights (n,) of the lenses.
+
+    Weights (n,) of all lenses as they were `before`, in nearly the same state, need one turn to be right.
+    """
     columns = np.ascontiguousarray(columns[half])
     normal, right = reduced.normal[half], reduced.right[half]
     part = len(columns) / len(reduced.normal)
@@ -91,8 +97,8 @@ def pooled(
     if reduced.mixed.shape[1]:
         all_local = reduced.with_gains(columns, half)
         mixed = reduced.mixed[half].reshape(lenses * (local + 1), -1)
-    weight = np.ones(lenses)
-    for _ in range(_ROBUST_TURNS):
+    weight = np.ones(lenses) if before is None else before[half]
+    for _ in range(_ROBUST_TURNS if before is None else 1):
         weighted = (weight[:, None, None] * columns).reshape(-1, globals_).T
         information, pull = weighted @ matter, weighted @ force
         if reduced.mixed.shape[1]:

@@ -33,6 +33,8 @@ _STEP = 0.25
 _PIXELS, _SCENE_PIXELS = 2.5e5, 3e5
 # First passes measure the profile alone, the others also what changes over direction and field.
 _PASSES = (2, 2)
+# Every so many lenses of a white image tell its profile, and what the last pass begins with.
+_PROFILE, _FIRST = 4, 2
 # Inner part of a microimage, in half distances to the neighbour, in which the light of a lens is measured: of white
 # images, and of scenes.
 _CORE, _SCENE_CORE = 0.5, 0.6
@@ -83,17 +85,19 @@ def fit_gain(
     core = (_SCENE_CORE if scene else _CORE) * limit
     spread, windows = np.full(rings, np.inf), np.ones(len(sample.first) - 1)
 
-    def left_over(sectors: bool = False, terms: bool = True) -> Left:
+    def left_over(every: int, sectors: bool = False, terms: bool = True) -> Left:
         limit = OUTLIER * spread * windows[:, None]
-        return compare(picture, lattice, gain, sample, core, scene, limit, sectors, terms)
+        few = sample if scene or sectors else sample.some(every)
+        return compare(picture, lattice, gain, few, core, scene, limit, sectors, terms)
 
     for turn in range(_PASSES[0]):
-        left = left_over(sectors=cat_eye is None and turn == _PASSES[0] - 1, terms=False)
+        left = left_over(_PROFILE, sectors=cat_eye is None and turn == _PASSES[0] - 1, terms=False)
         gain = _scaled(gain, left)
     if cat_eye is None:
         gain = _with_cut(gain, left, sample, lattice)
-    for _ in range(_PASSES[1]):
-        left = left_over()
+    for turn in range(_PASSES[1]):
+        every = 1 if turn == _PASSES[1] - 1 else _FIRST
+        left = left_over(every)
         gain = replace(gain, rim=rim_terms(left, gain, sample.middle, lattice))
         if not scene:
             gain = replace(gain, shade=shade_terms(left, gain, sample.middle, lattice))
@@ -101,7 +105,7 @@ def fit_gain(
         spread, windows = _noise(left)
         if len(gain.cut):
             # Where the two rims lie upon each other, both at once would be moved twice as far as they have to.
-            gain = replace(gain, cut=cut_terms(left_over(), gain))
+            gain = replace(gain, cut=cut_terms(left_over(every), gain))
     if scene:
         gain = replace(gain, profile=scene_profile(picture, lattice, gain))
     return GainFit(gain, spread, windows.reshape(sample.shape))

@@ -109,21 +109,22 @@ class GainMap:
 
     def filler(self, lattice: Lattice) -> Callable[[NDArray[np.float32], int, int], None]:
         """What writes the gain of the rows and columns from given ones on into an array."""
-        kernels = _kernels()
-        way = kernels.walk(lattice, self.own)
+        from .gain_rows import fill, walk
+
+        way = walk(lattice, self.own)
         shape = self.shape(lattice)
         known = way.middles, way.own, way.starts, way.ahead, self.level, *shape
-        return lambda out, top, left: kernels.fill(out, top, left, *known)
+        return lambda out, top, left: fill(out, top, left, *known)
 
     def usable_radius(self, lattice: Lattice) -> NDArray[np.float64]:
         """(n,) largest distance [px] within which a lens has half its light in every direction; 0 without light."""
-        kernels = _kernels()
+        from .gain_kernels import usable
 
         centres = lattice.centres()
         limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
         out = np.zeros(len(centres))
         own = self.own if len(self.own) else np.ones(len(centres), np.float32)
-        kernels.usable(centres, own, limit, out, *self.shape(lattice))
+        usable(centres, own, limit, out, *self.shape(lattice))
         return out
 
     def shape(self, lattice: Lattice) -> tuple[Any, ...]:
@@ -154,13 +155,6 @@ class GainMap:
             unpack(data["profile"], "<f4"), data["step"], data["radius"], data["level"], unpack(data["own"], "<f2"),
             data["shade"], data["rim"], data["cut"], data["dark"],
         )  # fmt: skip
-
-
-def _kernels() -> Any:
-    """The compiled part, loaded only where there is a picture to work on."""
-    from . import gain_kernels
-
-    return gain_kernels
 
 
 def terms(degree: int) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -210,6 +210,16 @@ class Sample:
     def middle(self) -> NDArray[np.float64]:
         """(b * a, 2) mean place [px] of the lenses of each window."""
         return np.array([self.centres[a:b].mean(0) if b > a else (0, 0) for a, b in pairwise(self.first)])
+
+    def some(self, every: int) -> Sample:
+        """Every so many of the lenses."""
+        first = (self.first + every - 1) // every
+        return replace(
+            self,
+            centres=np.ascontiguousarray(self.centres[::every]),
+            places=np.ascontiguousarray(self.places[::every]),
+            first=first,
+        )
 
 
 def lens_sample(lattice: Lattice, pixels: float, parts: Parts | None = None) -> Sample:

@@ -25,15 +25,12 @@ def cell_faces(lattice: Lattice) -> tuple[NDArray[np.float64], float]:
 
 def cell_reach(faces: NDArray[np.float64]) -> float:
     """Radius of the circle around a cell with these faces [px]."""
-    corners = []
-    for a in range(len(faces)):
-        for b in range(a):
-            pair = faces[[a, b]]
-            if abs(np.linalg.det(pair)) > 1e-9:
-                corner = np.linalg.solve(pair, [0.5, 0.5])
-                if (faces @ corner <= 0.5 + 1e-9).all():
-                    corners.append(float(np.hypot(*corner)))
-    return max(corners)
+    one, two = (faces[rows].T for rows in np.triu_indices(len(faces), 1))
+    area = one[0] * two[1] - one[1] * two[0]
+    met = np.abs(area) > 1e-9
+    # Where two sides meet, by Cramer's rule.
+    corners = 0.5 * np.column_stack([two[1] - one[1], one[0] - two[0]])[met] / area[met, None]
+    return float(np.hypot(*corners[(corners @ faces.T <= 0.5 + 1e-9).all(1)].T).max())
 
 
 def inner_radius(faces: NDArray[np.float64]) -> float:

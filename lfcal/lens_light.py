@@ -10,11 +10,12 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .gain_fit import GainFit
-from .gain_kernels import cut_table, describe, field_level, light_of_any, light_of_round
+from .gain_kernels import describe, field_level
 from .gain_map import GainMap, frame, terms
 from .gain_terms import monomials
 from .lattice import Lattice
 from .lens_cell import cell_faces, cell_sides, row_in_cell
+from .light_of_many import cut_table, light_of_any, light_of_round
 from .parts import Look
 
 __all__ = ["LensLights", "dark_in_scene", "lens_lights"]
@@ -23,6 +24,10 @@ __all__ = ["LensLights", "dark_in_scene", "lens_lights"]
 _SAMPLES, _TOGETHER = 48, 256
 # Room for the pixels of a lens and for those of a row of them: cells are compact, four times as many are never needed.
 _MOST, _ACROSS = 6 * _SAMPLES, 2 * _SAMPLES
+# Where every pixel of a row is looked at, so many are read at once, and more than there are if need be.
+_AT_ONCE = 8
+# Rows are left out rather than pixels of them, which lie side by side: so many times as many.
+_ROWS_FIRST = 1.5
 # Share of the brightest light of a lens above which pixels tell its light.
 _RIM = 0.8
 # Standard deviation of normal values over half the range between their quartiles.
@@ -52,7 +57,8 @@ _DARK, _DIM, _ALIKE = 0.03, 0.25, 0.5
 _SHAPED = 0.25
 # A lens of a scene is missing where its brightest pixel is below this share of the least mean of its neighbours.
 _ABSENT = 0.05
-# Sums may be put in another order, but what is not a number stays so.
+# Sums may be put in another order, but what is not a number stays so. What is not inlined may be linked to another copy
+# of itself, with another order, just compiled than from Numba's cache.
 _FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
@@ -87,30 +93,52 @@ def _middle(values, count):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _pixels(picture, cx, cy, sides, stride, pixels):
+def _read(picture, y, x, dx, dy, pixels, count):
+    """Put distances from the centre and light of a few pixels beside each other into `pixels` (3, k)."""
+    # Indices without a sign need no look at it, so that several pixels are moved at once.
+    row, start, at, across, down, light = (
+        np.uintp(y), np.uintp(x), np.uintp(count), np.uintp(0), np.uintp(1), np.uintp(2)
+    )  # fmt: skip
+    first, beside = np.float32(dx), np.float32(dy)
+    for k in range(np.uintp(_AT_ONCE)):
+        pixels[across, at + k] = first + np.float32(np.int32(k))
+        pixels[down, at + k] = beside
+        pixels[light, at + k] = picture[row, start + k] * picture[row, start + k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pixels(picture, cx, cy, sides, across, down, pixels):
     """Put distances from the centre and light of every so many pixels of a cell into `pixels` (3, k); their number."""
     height, width = picture.shape
     count = 0
-    for y in range(max(0, math.ceil(cy + sides[6, 0])), min(height - 1, math.floor(cy + sides[6, 1])) + 1, stride):
+    for y in range(max(0, math.ceil(cy + sides[6, 0])), min(height - 1, math.floor(cy + sides[6, 1])) + 1, down):
         dy = y - cy
         low, high = row_in_cell(dy, sides)
-        stop = min(min(width - 1, math.floor(cx + high)) + 1, max(0, math.ceil(cx + low)) + stride * _ACROSS)
-        for x in range(max(0, math.ceil(cx + low)), stop, stride):
-            pixels[0, count], pixels[1, count], pixels[2, count] = x - cx, dy, picture[y, x] * picture[y, x]
-            count += 1
-        if count > pixels.shape[1] - _ACROSS:
+        start = max(0, math.ceil(cx + low))
+        stop = min(min(width - 1, math.floor(cx + high)) + 1, start + across * _ACROSS)
+        if across == 1 and stop + _AT_ONCE <= width:
+            for x in range(start, stop, _AT_ONCE):
+                _read(picture, y, x, x - cx, dy, pixels, count + x - start)
+            count += max(stop - start, 0)
+        else:
+            for x in range(start, stop, across):
+                pixels[0, count], pixels[1, count], pixels[2, count] = x - cx, dy, picture[y, x] * picture[y, x]
+                count += 1
+        if count > pixels.shape[1] - _ACROSS - _AT_ONCE:
             break
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST, forceinline=True)
 def _sums(pixels, count, shape, sums):
     """Sums of shape, light, their squares and product; of their ratios in the bright part, these squared, and number.
+
+    Then the brightest light, and how much more the variances of the ratios are than those of the light.
 
     The rim tells more of the place of the lens than of its light.
     """
     one, none, rim = np.float32(1), np.float32(0), np.float32(_RIM)
-    ms = mv = mss = msv = mvv = mr = mrr = bright = most = none
+    ms = mv = mss = msv = mvv = mr = mrr = bright = most = more = none
     for k in range(count):
         s, v = shape[k], pixels[2, k]
         ms += s
@@ -120,16 +148,20 @@ def _sums(pixels, count, shape, sums):
         mvv += v * v
         most = max(most, v)
         inside = one if s > rim else none
-        ratio = inside * v / max(s, rim)
+        over = inside / max(s, rim)
+        ratio = v * over
         mr += ratio
         mrr += ratio * ratio
         bright += inside
+        more += over * over
     sums[0], sums[1], sums[2], sums[3], sums[4] = ms, mv, mss, msv, mvv
-    sums[5], sums[6], sums[7], sums[8] = mr, mrr, bright, most
+    sums[5], sums[6], sums[7], sums[8], sums[9] = mr, mrr, bright, most, more
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _look(picture, top, chosen, centres, sides, stride, noise, out, field, radius, profile, step, shade, rim, cut):
+def _look(
+    picture, top, chosen, centres, sides, across, down, noise, out, field, radius, profile, step, shade, rim, cut
+):
     """Per lens: light, pixels it rests on, correlation with the shape, contrast of it, mean, brightest, scatter.
 
     Only of the `chosen` rows of `centres` and columns of `out`. The first row of `picture` is the row `top` of the
@@ -140,13 +172,13 @@ def _look(picture, top, chosen, centres, sides, stride, noise, out, field, radiu
     level, rise, table = profile[:-1].astype(np.float32), np.diff(profile).astype(np.float32), cut_table()
     for block in prange((lenses + _TOGETHER - 1) // _TOGETHER):
         powers, lens, ratios = np.empty(64), np.empty(7 + rim.shape[0]), np.empty(_MOST)
-        pixels, shape, sums = np.empty((3, _MOST), np.float32), np.empty(_MOST, np.float32), np.empty(9)
+        pixels, shape, sums = np.empty((3, _MOST), np.float32), np.empty(_MOST, np.float32), np.empty(10)
         ring, spare = np.empty(_MOST, np.int32), np.empty((5, _MOST), np.float32)
         for k in range(block * _TOGETHER, min((block + 1) * _TOGETHER, lenses)):
             n = chosen[k]
             cx, cy = centres[n, 0], centres[n, 1]
             describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
-            count = _pixels(picture, cx, cy - top, sides, stride, pixels)
+            count = _pixels(picture, cx, cy - top, sides, across, down, pixels)
             if plain:
                 light_of_round(pixels, count, lens, level, rise, np.float32((1 - lens[7]) / step), shape, ring)
             else:
@@ -158,8 +190,9 @@ def _look(picture, top, chosen, centres, sides, stride, noise, out, field, radiu
                 continue
             mean = sums[5] / bright
             scatter = math.sqrt(max(sums[6] / bright - mean * mean, 0.0))
+            steady = bright / sums[9]
             if scatter <= noise[n] * mean:
-                out[0, n], out[1, n], out[6, n] = mean, bright, scatter / _TO_SIGMA
+                out[0, n], out[1, n], out[6, n] = mean, bright * steady, scatter / _TO_SIGMA
             else:
                 # Dust and hot pixels have no say in the median, which is worth two thirds of the pixels.
                 number = 0
@@ -168,7 +201,7 @@ def _look(picture, top, chosen, centres, sides, stride, noise, out, field, radiu
                         ratios[number] = pixels[2, m] / shape[m]
                         number += 1
                 out[0, n], out[6, n] = _middle(ratios, number)
-                out[1, n] = number / 1.5
+                out[1, n] = number * steady / 1.5
             ms, mv = sums[0] / count, sums[1] / count
             spread_s, spread_v = sums[2] / count - ms * ms, sums[4] / count - mv * mv
             even = spread_s < _EVEN * ms * ms or spread_v < _EVEN * mv * mv
@@ -184,10 +217,12 @@ def _looked(
     sides = cell_sides(cell_faces(lattice)[0])
     cell = abs(float(np.linalg.det(lattice.basis)))
     out = np.zeros((7, len(centres)), np.float32)
-    stride = max(1, round(math.sqrt(cell / (_SAMPLES if len(centres) < _MANY else _FEW_SAMPLES))))
+    each = cell / (_SAMPLES if len(centres) < _MANY else _FEW_SAMPLES)
+    across = max(1, round(math.sqrt(each / _ROWS_FIRST)))
+    down = max(1, round(each / across))
     shape = gain.shape(lattice)
     if not callable(picture):
-        _look(picture, 0, np.arange(len(centres)), centres, sides, stride, noise, out, *shape)
+        _look(picture, 0, np.arange(len(centres)), centres, sides, across, down, noise, out, *shape)
         return out
     width, height = lattice.image_size
     band = np.clip(centres[:, 1] // _ROWS, 0, (height - 1) // _ROWS).astype(np.uint16)
@@ -197,7 +232,7 @@ def _looked(
         top = max(0, math.floor(number * _ROWS + sides[6, 0]) - 1)
         rows = min(height, math.ceil((number + 1) * _ROWS + sides[6, 1]) + 1) - top
         strip = picture(0, top, width, rows)
-        _look(strip, top, order[start:stop], centres, sides, stride, noise, out, *shape)
+        _look(strip, top, order[start:stop], centres, sides, across, down, noise, out, *shape)
     return out
 
 

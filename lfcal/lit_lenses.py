@@ -56,9 +56,10 @@ class LitLenses:
                 return cls(lattice, lattice.indices(), np.zeros(len(lattice), np.int64))
         indices, centres, part = tones.lenses(lattice, margin)
         places = centres - (tones.offsets[part] if len(tones) > 1 else tones.offsets)
-        few = slice(None, None, max(1, len(places) // _ASKED))
-        if len(tones) > 1 and lit_lenses(tones.picture, lattice, indices[few], places[few], dark).all():
-            return cls(lattice, indices, part)
+        if len(tones) > 1 and len(places) > 2 * _ASKED:
+            few = slice(None, None, len(places) // _ASKED)
+            if lit_lenses(tones.picture, lattice, indices[few], places[few], dark).all():
+                return cls(lattice, indices, part)
         alight = lit_lenses(tones.picture, lattice, indices, places, dark)
         return cls(lattice, indices, part) if alight.all() else cls(lattice, indices[alight], part[alight])
 

@@ -12,10 +12,11 @@ from lfcal import disc_model, disc_newton
 from lfcal.disc_newton import FitSummary
 from lfcal.disc_parameters import CatEye, step_limits
 from lfcal.features import tone
-from lfcal.gain_kernels import cut_table, light, light_of_any, light_of_round
+from lfcal.gain_kernels import light
 from lfcal.gain_terms import monomials
 from lfcal.lattice import Lattice
 from lfcal.lens_cell import cell_faces, cell_sides, outside, row_in_cell
+from lfcal.light_of_many import cut_table, light_of_any, light_of_round
 from lfcal.majority import Steps, agreed
 from lfcal.search import first_lattice, first_lattice_of_large
 
@@ -76,7 +77,7 @@ def test_step_is_held_back_where_least_squares_are_least_sure():
     change = np.array([0.3, -0.2, 2.0, 1.9, 0.01, 0.02])
     columns = np.zeros((3, 7, 6))
     columns[:, :2, :2] = np.eye(2)
-    whole = FitSummary(change, 1.0, 0.0, 0.0, 3, names, covariance, columns, None, *np.zeros((2, 3, 2)))
+    whole = FitSummary(change, 1.0, 0.0, 0.0, 3, names, covariance, columns, None, *np.zeros((2, 3, 2)), np.ones(3))
     held = disc_newton._held(whole, limits)
     assert np.abs(held.change / limits).max() <= 1
     assert held.change[2] > 0.25
