@@ -133,6 +133,8 @@ def _departures(
     plain = rim.shape[0] == 1 and not cut[4] > 0
     base, rise = profile[:-1].astype(np.float32), np.diff(profile).astype(np.float32)
     sure_32, table = sure[:-1].astype(np.float32), cut_table()
+    for y in prange(height):
+        out[y] = _ZERO
     for chunk in prange(chunks):
         powers, lens, faces = np.empty(64), np.empty(7 + rim.shape[0]), np.empty((6, 2))
         pixels, rows = np.empty((3, _ROOM + width), np.float32), np.empty((_ROOM, 3), np.int64)
@@ -227,7 +229,7 @@ def find_defects(
     # More than can be defects are counted, but not kept.
     found, number, most = [], 0, MOST * width * height
     margin = _SQUARES[-1] // 2
-    far = np.full((height, width), _ZERO, np.uint8)
+    far = np.empty((height, width), np.uint8)
     _departures(picture, far, 1 / fit.spread, fit.windows, _CHUNKS, *places)
 
     def marked_from(top: int) -> tuple[int, NDArray[np.int32]]:

@@ -63,10 +63,8 @@ def walk(lattice: Lattice, own: NDArray[np.float32]) -> Walk:
     # Columns one by one: NumPy takes ten times as long over rows of two.
     every = [np.concatenate([of[:, axis] for of in (starts, ends, indices)]) for axis in (0, 1)]
     low, high = (np.array([end(of) for of in every]) + far for end, far in ((np.min, -_HALO), (np.max, _HALO)))
-    index = np.empty((high[1] - low[1] + 1, high[0] - low[0] + 1, 2))
-    index[..., 0], index[..., 1] = np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1)[:, None]
-    middles = np.ascontiguousarray(lattice.points(index.reshape(-1, 2)).reshape(index.shape))
-    light = np.ones(index.shape[:2], np.float32)
+    middles = lattice.grid(*(np.arange(low[axis], high[axis] + 1) for axis in (0, 1)))
+    light = np.ones(middles.shape[:2], np.float32)
     if len(own):
         light[indices[:, 1] - low[1], indices[:, 0] - low[0]] = own
     # The shorter diagonal: cells have six sides at most.

@@ -227,6 +227,16 @@ class Lattice:
             np.add(column, self.origin[axis], out=straight[..., axis])
         return straight if self.distortion is None else self.distortion.apply(straight)
 
+    def grid(self, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(m, n, 2) positions `x, y` [px] of all lenses whose index `i` is in `columns` (n,) and `j` in `rows` (m,)."""
+        straight = np.empty((len(rows), len(columns), 2))
+        for axis in range(2):
+            along, down = columns * self.basis[0, axis], rows * self.basis[1, axis]
+            np.add(along + down[:, None], self.origin[axis], out=straight[..., axis])
+        if self.distortion is None:
+            return straight
+        return self.distortion.apply(straight.reshape(-1, 2)).reshape(straight.shape)
+
     def to_index(self, points: ArrayLike) -> NDArray[np.float64]:
         """(n, 2) real-valued lattice indices of flat positions `points` (n, 2) [px]."""
         straight = np.asarray(points, dtype=np.float64)

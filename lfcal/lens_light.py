@@ -43,6 +43,8 @@ _MANY, _FEW_SAMPLES = 1_000_000, 12
 _ROWS = 128
 # The polynomial is fitted to so many lenses at most.
 _LENSES = 4000
+# So many lenses tell what the typical one is like.
+_TELLING = 20_000
 _OUTLIER = 4.685
 # A lens differs where it is so many standard errors off, and by so much.
 _SURE, _DIFFERS = 5.0, 0.01
@@ -252,15 +254,18 @@ def lens_lights(picture: NDArray[np.float32] | Look, lattice: Lattice, fit: Gain
     found = _looked(picture, lattice, fit.gain, centres, noise)
     lights, weight, alike, contrast = found[:4]
     seen = weight > 0
-    top = float(np.percentile(lights[seen], 95)) if seen.any() else 1.0
+    few = slice(None, None, max(1, len(centres) // _TELLING))
+    top = float(np.percentile(lights[few][seen[few]], 95)) if seen[few].any() else 1.0
     lit = seen & (lights > _DARK * top)
     shaped = contrast > 0.1
-    typical = float(np.median(alike[lit & shaped])) if (lit & shaped).any() else 0.0
+    both = lit[few] & shaped[few]
+    typical = float(np.median(alike[few][both])) if both.any() else 0.0
     lit &= ~(shaped & (alike < min(_ALIKE, 0.6 * typical)) & (lights < _DIM * top))
     lit &= ~(shaped & (alike < min(_SHAPED, 0.4 * typical)))
-    if not lit.any():
+    if not lit[few].any():
         return LensLights(fit.gain, 1.0, np.zeros(0, np.int64))
-    level = _level(np.log(np.maximum(lights, 1e-12)), lit & (weight > 0.3 * np.median(weight[seen])), centres, lattice)
+    surely = lit & (weight > 0.3 * np.median(weight[few][seen[few]]))
+    level = _level(np.log(np.maximum(lights, 1e-12)), surely, centres, lattice)
     smooth = np.empty(len(centres), np.float32)
     field_level(centres, frame(lattice), level, smooth)
     # Far from all light a polynomial may fall to nothing.
@@ -268,9 +273,9 @@ def lens_lights(picture: NDArray[np.float32] | Look, lattice: Lattice, fit: Gain
     error = single / np.sqrt(np.maximum(weight, 1e-9))
     # Dust makes a lens darker in parts, which is no light of the lens.
     uneven = np.float32(_TO_SIGMA) * found[6] > noise * lights
-    own = _own(np.where(uneven, np.float32(1), lights / smooth), error, lit)
+    own = _own(np.where(uneven, np.float32(1), lights / smooth), error, lit, few)
     # 1 at the brightest part of the field, taken where lenses are.
-    brightest = float(np.percentile((smooth * own)[lit], 99.5))
+    brightest = float(np.percentile((smooth[few] * own[few])[lit[few]], 99.5))
     level = level.copy()
     level[0] -= math.log(brightest)
     dark = np.flatnonzero(seen & ~lit)
@@ -315,14 +320,17 @@ def _errors(fit: GainFit, centres: NDArray[np.float64], lattice: Lattice) -> NDA
     return (float(np.median(fit.spread[inner])) * fit.windows).astype(np.float32)[y, x]
 
 
-def _own(ratio: NDArray[np.float32], error: NDArray[np.float32], lit: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _own(
+    ratio: NDArray[np.float32], error: NDArray[np.float32], lit: NDArray[np.bool_], few: slice
+) -> NDArray[np.float32]:
     """Light of lenses over the polynomial: 1 where not significantly different, 0 where there is none.
 
-    If lenses scatter by more than their errors, each is taken as far as it can be told (James and Stein 1961).
+    If lenses scatter by more than their errors, which a `few` tell, each is taken as far as it can be told (James and
+    Stein 1961).
     """
     miss = ratio - 1
-    spread = 1.4826 * float(np.median(np.abs(miss[lit])))
-    noise = float(np.median(error[lit]))
+    spread = 1.4826 * float(np.median(np.abs(miss[few][lit[few]])))
+    noise = float(np.median(error[few][lit[few]]))
     true = max(spread**2 - noise**2, 0.0)
     scatters = true > max(_SCATTERS, 0.5 * noise) ** 2
     believed = np.float32(true) / (np.float32(true) + error**2) if scatters else np.zeros_like(miss)
