@@ -16,33 +16,38 @@ _LANES = 16
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _lens_costs(pair, forward, backward, out):
-    """Mean pair cost of each lens over all neighbours that it has."""
+def _lens_costs(pair, forward, backward, lenses, out):
+    """Mean pair cost of each of the `lenses` over all neighbours that it has."""
     half = forward.shape[1]
-    for lens in prange(len(out)):
-        count = 0
+    for n in prange(len(out)):
+        lens, count = lenses[n], 0
         for k in range(out.shape[1]):
-            out[lens, k] = 0.0
+            out[n, k] = 0.0
         for d in range(half):
             if forward[lens, d] >= 0:
                 count += 1
                 for k in range(out.shape[1]):
-                    out[lens, k] += pair[lens, d, k]
+                    out[n, k] += pair[lens, d, k]
             other = backward[lens, d]
             if other >= 0:
                 count += 1
                 for k in range(out.shape[1]):
-                    out[lens, k] += pair[other, d, k]
+                    out[n, k] += pair[other, d, k]
         for k in range(out.shape[1]):
-            out[lens, k] = out[lens, k] / count if count else 1.0
+            out[n, k] = out[n, k] / count if count else 1.0
 
 
 def lens_costs(
-    pair: NDArray[np.float32], forward: NDArray[np.int32], backward: NDArray[np.int32]
+    pair: NDArray[np.float32],
+    forward: NDArray[np.int32],
+    backward: NDArray[np.int32],
+    wanted: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
-    """(n, k) float32 cost of each lens and shift: the mean over its pairs with all neighbours."""
-    out = np.empty((len(pair), pair.shape[2]), np.float32)
-    _lens_costs(pair, forward, backward, out)
+    """(m, k) float32 cost of each of the `wanted` (n,) lenses, all by default, and shift: the mean over its pairs with
+    all neighbours."""
+    lenses = np.arange(len(pair)) if wanted is None else np.flatnonzero(wanted)
+    out = np.empty((len(lenses), pair.shape[2]), np.float32)
+    _lens_costs(pair, forward, backward, lenses, out)
     return out
 
 

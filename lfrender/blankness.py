@@ -37,7 +37,7 @@ def skipped_lenses(
     sample = sample_lenses(lattice.indices(), texture.faint & blank, _SAMPLE)
     if sample.any():
         matcher = Matcher(texture, *lens_halves(lattice), setting)
-        evidence = 1 - matcher.costs(matcher.pairs(sample))[sample]
+        evidence = 1 - matcher.costs(matcher.pairs(sample), sample)
         matching = (evidence.max(1) >= LEAST_EVIDENCE) & ~_like_shading(evidence, matcher)
         if matching.sum() >= _ENOUGH:
             return None

@@ -148,6 +148,11 @@ class Matcher:
         self._noise, self._row_step = texture.noise / self.factor, 1 if tiny else setting.row_step
 
     @cached_property
+    def rows(self) -> NDArray[np.int32]:
+        """(n, 2 d) neighbour rows in all directions, -1 where there is none."""
+        return np.hstack([self.forward, self.backward])
+
+    @cached_property
     def trust(self) -> NDArray[np.float32]:
         """(k,) float32: share of a correlation that is believed at each shift, for the pixels that are shared there."""
         return shared_trust(self.gray, self.forward, self.shifts, half_trust(self.gray))
@@ -156,7 +161,7 @@ class Matcher:
         """The microimages of the `active` lenses and of those beside them."""
         wanted = None
         if active.sum() < _FEW * len(active):
-            wanted = grown(active, np.hstack([self.forward, self.backward]))
+            wanted = grown(active, self.rows)
         return cut_out(self.gray, self.statistics.mean, self._row_step, wanted)
 
     @cached_property
@@ -191,9 +196,9 @@ class Matcher:
         )  # fmt: skip
         return lens_costs(pair, forward, backward)
 
-    def costs(self, pair: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(n, k) float32: mean over the pairs of each lens."""
-        return lens_costs(pair, self.forward, self.backward)
+    def costs(self, pair: NDArray[np.float32], wanted: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
+        """(m, k) float32: mean over the pairs of each lens, or of each of the `wanted` (n,)."""
+        return lens_costs(pair, self.forward, self.backward, wanted)
 
     def populated(self, sizes: NDArray[np.float32]) -> NDArray[np.bool_]:
         """(k,) bool: shifts near those that belong to patch sizes (m,) [px of the flat] of other lenses."""
@@ -280,9 +285,9 @@ def _all_pairs(
         sample = np.zeros_like(active)
     assert sample is not None
     pair = matcher.pairs(sample)
-    if sizes is None and matcher.repeats(matcher.costs(pair)[sample]):
+    if sizes is None and matcher.repeats(matcher.costs(pair, sample)):
         return matcher.pairs(active, done=sample, out=pair), 0.0
-    populated = _occurring(matcher.costs(pair)[sample], matcher) if sizes is None else matcher.populated(sizes)
+    populated = _occurring(matcher.costs(pair, sample), matcher) if sizes is None else matcher.populated(sizes)
     if populated.all():
         return matcher.pairs(active, done=sample, out=pair), 0.0
     matcher.pairs(active, which=np.flatnonzero(populated), done=sample, out=pair)

@@ -81,13 +81,14 @@ def find_plane(
     """
     if texture.clear.sum() < max(TEXTURED * len(indices), _FEWEST):
         return None
-    inner = _inner(texture, np.hstack([forward, backward]))
+    matcher = Matcher(texture, forward, backward, setting)
+    inner = _inner(texture, matcher.rows)
     count = int(np.clip(texture.clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE))
     sample = sample_lenses(indices, inner, count)
     if sample.sum() < _TOO_FEW:
         return None
-    pitch, matcher = texture.flat.pitch, Matcher(texture, forward, backward, setting)
-    cost = matcher.costs(matcher.pairs(sample))[sample]
+    pitch = texture.flat.pitch
+    cost = matcher.costs(matcher.pairs(sample), sample)
     best = cost.argmin(1)
     if matcher.repeats(cost):
         return None
@@ -148,12 +149,12 @@ def plane_evidence(
     cost = matcher.probe(everyone, probes, (about / matcher.factor).astype(np.float32))
     limit = np.clip(_USUAL * np.median(cost[texture.clear, 1]), MISFIT, _WORST)
     misfits = texture.clear & (cost[:, 1] > limit)
-    rows = np.hstack([matcher.forward, matcher.backward])
+    rows = matcher.rows
     inner = _inner(texture, rows)
     if not inner.any() or misfits[inner].mean() > _MISFITS:
         return None
     if misfits.any():
-        full = matcher.costs(matcher.pairs(misfits))[misfits]
+        full = matcher.costs(matcher.pairs(misfits), misfits)
         least = full.min(1)
         elsewhere = np.zeros(len(misfits), bool)
         elsewhere[misfits] = (least < cost[misfits, 1] - _BETTER) & (least < limit)
