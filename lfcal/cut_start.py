@@ -59,8 +59,11 @@ def _left_over(light, corners, centres, gain, tilt, level, inner, step, out):
                 out[lens, after, 1] += share
 
 
-def _rims(state: FitState) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Distances of rims (n, d) [px], pixels they rest on and places (n, 2) in the field, of a fit without a cut."""
+def _rims(state: FitState) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+    """Distances of rims (n, d) [px], pixels they rest on and places (n, 2) in the field, of a fit without a cut.
+
+    None where the profile has no fall that a rim could be told by, as where the gaps are clipped too.
+    """
     discs, lattice = state.discs, state.model.lattice
     field = field_of(discs.centres, lattice)
     share = (discs.centres + 0.5) / np.array(lattice.image_size) * _PARTS
@@ -79,6 +82,8 @@ def _rims(state: FitState) -> tuple[NDArray[np.float64], NDArray[np.float64], ND
     even = radii < _EVEN * disc_radius(discs)
     table = np.column_stack([np.ones(even.sum()), radii[even] ** 2 / square]) * np.sqrt(radii[even])[:, None]
     bright, falls = np.linalg.lstsq(table, profile[even] * np.sqrt(radii[even]), rcond=None)[0].tolist()
+    if not bright > 0:
+        return None
     falls = min(max(-falls / bright, 1e-6), _FALLS)
     # The light of a direction up to the side of the cell, as a share of an even one without a rim.
     full = 2 * float(np.trapezoid(profile * radii, radii)) / square
@@ -99,8 +104,10 @@ def cut_starts(plain: FitState) -> list[tuple[DiscModel, DiscModel]]:
 
     Of the two the first one has the larger disc as the cut.
     """
-    rims, weight, field = _rims(plain)
-    found = rim_cuts(rims, weight, field)
+    rims = _rims(plain)
+    if rims is None:
+        return []
+    found = rim_cuts(*rims)
     return [_models(plain.model, cut) for cut in found if cut.left <= _RIVAL * found[0].left]
 
 

@@ -81,3 +81,13 @@ def test_meshes_and_waves_end_in_a_camera_or_an_error_of_the_family(pitch):
             assert lfcal.calibrate(image).lattice.pitch == pytest.approx(pitch, rel=0.02)
         except lfcal.LightFieldError as error:
             assert "give" in str(error)
+
+
+def test_a_cut_that_overexposure_hides_is_not_looked_for(drawn):
+    truth = drawn(
+        "hexagonal", 19.493036445416724, 281.5759199195825, 11.996434898142741, 8, 0.2693987855563333, ratio=1.0,
+        hot=26, dust=5, fill=0.7745966692414834, soft=1.2, gap=0.1369774370440833, inner=0.21510253900454906,
+        outer=0.5232897673027422, size=(367, 188), seed=158278415,
+    )  # fmt: skip
+    # Most of the light is clipped: what is left has no fall from the middle to the rim.
+    assert _error(lfcal.calibrate(truth.image(2.0)), truth) < 0.1 * truth.pitch
