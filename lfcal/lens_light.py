@@ -250,7 +250,7 @@ def lens_lights(picture: NDArray[np.float32] | Look, lattice: Lattice, fit: Gain
     """
     centres = lattice.centres()
     single = _errors(fit, centres, lattice)
-    noise = np.float32(_UNEVEN) * np.hypot(single, np.float32(_DIFFERS))
+    noise = np.float32(_UNEVEN) * np.sqrt(single * single + np.float32(_DIFFERS**2))
     found = _looked(picture, lattice, fit.gain, centres, noise)
     lights, weight, alike, contrast = found[:4]
     seen = weight > 0
@@ -265,7 +265,7 @@ def lens_lights(picture: NDArray[np.float32] | Look, lattice: Lattice, fit: Gain
     if not lit[few].any():
         return LensLights(fit.gain, 1.0, np.zeros(0, np.int64))
     surely = lit & (weight > 0.3 * np.median(weight[few][seen[few]]))
-    level = _level(np.log(np.maximum(lights, 1e-12)), surely, centres, lattice)
+    level = _level(lights, surely, centres, lattice)
     smooth = np.empty(len(centres), np.float32)
     field_level(centres, frame(lattice), level, smooth)
     # Far from all light a polynomial may fall to nothing.
@@ -285,12 +285,13 @@ def lens_lights(picture: NDArray[np.float32] | Look, lattice: Lattice, fit: Gain
 
 
 def _level(
-    log: NDArray[np.float64], use: NDArray[np.bool_], centres: NDArray[np.float64], lattice: Lattice
+    lights: NDArray[np.float32], use: NDArray[np.bool_], centres: NDArray[np.float64], lattice: Lattice
 ) -> NDArray[np.float64]:
-    """Robust polynomial through the lights of lenses, of the lowest degree that does."""
+    """Robust polynomial through the logarithms of the lights of lenses, of the lowest degree that does."""
     rows = np.flatnonzero(use)
     rows = rows[:: max(1, len(rows) // _LENSES)]
-    best, least = np.array([float(np.median(log[rows]))]) if len(rows) else np.zeros(1), np.inf
+    log = np.log(np.maximum(lights[rows], 1e-12))
+    best, least = np.array([float(np.median(log))]) if len(rows) else np.zeros(1), np.inf
     for degree in _DEGREES:
         if len(rows) < 12 * terms(degree):
             break
@@ -298,10 +299,8 @@ def _level(
         weight = np.ones(len(rows))
         for _ in range(5):
             weighted = weight[:, None] * table
-            level = np.linalg.solve(
-                weighted.T @ table + 1e-9 * len(rows) * np.eye(table.shape[1]), weighted.T @ log[rows]
-            )
-            miss = np.abs(log[rows] - table @ level)
+            level = np.linalg.solve(weighted.T @ table + 1e-9 * len(rows) * np.eye(table.shape[1]), weighted.T @ log)
+            miss = np.abs(log - table @ level)
             spread = 1.4826 * float(np.median(miss)) + 1e-9
             weight = np.clip(1 - (miss / (_OUTLIER * spread)) ** 2, 0, None) ** 2
         if spread < (1 - _LOWERS) * least:
@@ -333,8 +332,9 @@ def _own(
     noise = float(np.median(error[few][lit[few]]))
     true = max(spread**2 - noise**2, 0.0)
     scatters = true > max(_SCATTERS, 0.5 * noise) ** 2
-    believed = np.float32(true) / (np.float32(true) + error**2) if scatters else np.zeros_like(miss)
-    differs = (np.abs(miss) > _SURE * np.hypot(error, np.float32(math.sqrt(true)))) & (np.abs(miss) > _DIFFERS)
+    variance, square = np.float32(true) + error * error, miss * miss
+    believed = np.float32(true) / variance if scatters else np.zeros_like(miss)
+    differs = (square > np.float32(_SURE**2) * variance) & (square > np.float32(_DIFFERS**2))
     believed[differs] = 1
     return np.where(lit, np.maximum(1 + believed * miss, np.float32(0.01)), np.float32(0))
 
