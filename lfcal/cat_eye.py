@@ -14,6 +14,7 @@ from .disc_model import Discs, edge_of
 from .disc_newton import PASSES, FitState, converge, misfit, placed, with_profile
 from .disc_parameters import CatEye, DiscModel, field_of
 from .errors import CalibrationError
+from .fastmath import FAST
 from .lens_cell import rows_within
 
 __all__ = ["settled_roles", "with_cut", "without_idle_cut"]
@@ -39,8 +40,6 @@ _FEWEST_SHADED = 500
 _FAR = 6.0
 # Pixels of a lens whose products are summed together.
 _TOGETHER = 512
-# Sums may be put in another order, but what is not a number stays so.
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
 def with_cut(plain: FitState, rival: FitState, orders: tuple[str, ...]) -> FitState:
@@ -211,7 +210,7 @@ def _shading_tells(discs: Discs) -> float:
     return (costs[0] - costs[1]) / max(min(costs), 1e-30) * float(number.sum())
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def _add_products(values, count, products):
     """Add to the upper half of `products` those of all pairs of rows, summed over the first columns."""
     for a in range(len(values)):

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit, prange
 
 from .disc_whole import OUTLIER
+from .fastmath import FAST
 from .lens_cell import outside, rows_within
 
 __all__ = ["accumulate_cut"]
@@ -27,11 +28,9 @@ _LOOSE = 0.8
 _ROOT_HALF = math.sqrt(0.5)
 _TAU = 2 * math.pi
 _ROOT_TAU = math.sqrt(_TAU)
-# Sums may be put in another order, but what is not a number stays so.
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def _both(alpha, beta, first, second, shared):
     """Light through two edges at once, in units of their blur, and its change with each of them over that alone.
 
@@ -60,7 +59,7 @@ def _both(alpha, beta, first, second, shared):
     return joint, with_first, with_second
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=FAST)
 def accumulate_cut(
     light, corners, centres, cut, gain, trust, tilt, radius, soft, faces, inner, reach, step, tables, edge, calm, thin,
     aside, shared, dark, full, chunks, normal, right, mixed, band, scatter,

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from .fastmath import FAST
 from .lens_cell import outside, rows_within
 
 __all__ = ["OUTLIER", "accumulate_whole", "by_ring", "thinned"]
@@ -19,16 +20,13 @@ OUTLIER = 4.685
 _THINNED = ((64, 14), (16, 6), (4, 2))
 _ENOUGH = 100
 
-# Sums may be put in another order, but what is not a number stays so.
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
-
 
 def thinned(radius: float) -> tuple[int, int]:
     """One pixel in how many is enough in an even disc of this radius [px], and by how many px to put rows aside."""
     return next((pair for pair in _THINNED if np.pi * radius**2 / pair[0] > _ENOUGH), _THINNED[-1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=FAST)
 def accumulate_whole(
     light, corners, centres, gain, trust, tilt, faces, inner, reach, step, tables, calm, thin, aside, full, chunks,
     learn, normal, right, mixed, band, scatter,

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from .fastmath import FAST
 from .gain_kernels import describe, light
 from .gain_map import GainMap
 from .lattice import Lattice
@@ -33,8 +34,6 @@ _LENSES = 200
 _SMOOTH = 0.06
 # Numbers of a pixel's own factors in shading, and parameters of the cutting disc.
 _SHADES, _CUTS = 6, 5
-# Sums may be put in another order, but what is not a number stays so.
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -117,7 +116,7 @@ def _direction(dx, dy):
     return math.floor(math.atan2(dy, dx) / (2 * math.pi) * DIRECTIONS + 0.5) % DIRECTIONS
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=FAST)
 def _compare(
     picture, centres, places, first, stride, faces, inner, reach, core, scene, brightest, limit, field, radius,
     profile, step, shade, rim, cut, slope, terms, rings, normal, right, rims, sector, dark, cut_normal, cut_right,

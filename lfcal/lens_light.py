@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from .fastmath import FAST
 from .gain_fit import GainFit
 from .gain_kernels import describe, field_level
 from .gain_map import GainMap, frame, terms
@@ -59,9 +60,6 @@ _DARK, _DIM, _ALIKE = 0.03, 0.25, 0.5
 _SHAPED = 0.25
 # A lens of a scene is missing where its brightest pixel is below this share of the least mean of its neighbours.
 _ABSENT = 0.05
-# Sums may be put in another order, but what is not a number stays so. What is not inlined may be linked to another copy
-# of itself, with another order, just compiled than from Numba's cache.
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
 @dataclass(frozen=True)
@@ -131,7 +129,7 @@ def _pixels(picture, cx, cy, sides, across, down, pixels):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def _sums(pixels, count, shape, sums):
     """Sums of shape, light, their squares and product; of their ratios in the bright part, these squared, and number.
 

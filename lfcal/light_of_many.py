@@ -7,18 +7,16 @@ import math
 import numpy as np
 from numba import njit
 
+from .fastmath import FAST
 from .gain_kernels import EDGE, FIXED, ROOT_HALF
 
 __all__ = ["cut_table", "light_of_any", "light_of_round"]
 
 # So many entries for each standard deviation in a table of the edge of the cut.
 _PER_SIGMA = 32
-# Sums may be put in another order, but what is not a number stays so. What is not inlined may be linked to another copy
-# of itself, with another order, just compiled than from Numba's cache.
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def light_of_round(pixels, count, lens, profile, rise, scale, shape, ring):
     """`light` of a described round uncut lens at `count` places (2, k) float32, and its `ring` of the profile there.
 
@@ -49,7 +47,7 @@ def cut_table():
     return table
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def light_of_any(pixels, count, lens, profile, rise, step, cut, table, spare, shape, ring):
     """`light_of_round` of a lens whose rim differs with the direction, or that is cut; `table` is the `cut_table`.
 

@@ -14,6 +14,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .disc_model import Discs
+from .fastmath import FAST
 from .lattice import Lattice
 from .lens_cell import rows_within
 
@@ -27,8 +28,6 @@ _INSIDE = 0.6
 _SURE = 6.0
 # Residuals beyond so many times the median have no say.
 _OUTLIER = 4.0
-# Sums may be put in another order, but what is not a number stays so.
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
 def field_slope(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
@@ -69,7 +68,7 @@ def _powers(values: NDArray[np.float64], highest: int) -> list[NDArray[np.float6
     return powers
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=FAST)
 def _slopes(light, corners, centres, gain, tilt, level, step, reach, out):
     """(n, 3): slope of the light of each lens beyond `tilt`, relative to its profile [1/px], and its weight [px^2]."""
     lenses, side = light.shape[0], light.shape[1]
