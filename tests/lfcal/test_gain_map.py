@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 import lfcal
 from lfcal.cli import main
 from lfcal.gain_map import GainMap
+from lfcal.gain_residuals import lens_sample
 from lfcal.lattice import Lattice
 from lfcal.scene_profile import scene_profile
 
@@ -229,3 +230,13 @@ def test_a_scene_puts_no_spot_into_the_middle_of_microimages(seed):
     profile = scene_profile(picture, lattice, GainMap.round(np.ones(100), 0.25, 20.0))
     # Pixel by pixel, the few in the middle of these 80 lenses are up to 40 % off.
     np.testing.assert_allclose(profile[:6] / np.median(profile[:60]), 1, atol=0.06)
+
+
+def test_some_lenses_of_a_sample_stay_in_their_windows():
+    sample = lens_sample(Lattice([3.0, 2.0], [[12.1, 0.2], [5.9, 10.4]], (900, 700), 5.0), 1e6)
+    some = sample.some(3)
+    assert some.shape == sample.shape and len(some.centres) == some.first[-1]
+    assert len(some.centres) == pytest.approx(len(sample.centres) / 3, abs=1)
+    for number in range(len(sample.first) - 1):
+        own, fewer = (of.centres[of.first[number] : of.first[number + 1]].tolist() for of in (sample, some))
+        assert len(fewer) == pytest.approx(len(own) / 3, abs=1) and all(centre in own for centre in fewer)
