@@ -90,7 +90,7 @@ def _row(name: str, flat: NDArray[Any], calibration: lfcal.Calibration, capture:
     saved = ", ".join(f"{what} {share:.2f}" for what, share in quick.saved.items())
     truth = _errors([full, quick], capture) if capture is not None else ""
     print(
-        f"{name:14} {slow:.3f} s -> {fast:.3f} s ({slow / fast:.1f} x)"
+        f"{name:18} {slow:.3f} s -> {fast:.3f} s ({slow / fast:.1f} x)"
         f"  differing {100 * _differing(full, quick):5.2f} %  saved {saved}{truth}",
         flush=True,
     )
@@ -109,7 +109,7 @@ def _still_row(capture: Capture) -> None:
                                                                                previous=(first, before))]
     )  # fmt: skip
     print(
-        f"{'still':14} {fast:.3f} s -> {still:.3f} s ({fast / still:.1f} x)"
+        f"{'still':18} {fast:.3f} s -> {still:.3f} s ({fast / still:.1f} x)"
         f"  differing from the first frame {100 * _differing(before, after):.2f} %,"
         f" from the second alone {100 * _differing(quick, after):.2f} %  saved still {after.saved['still']:.2f}",
         flush=True,
@@ -126,9 +126,16 @@ def main(paths: list[str]) -> None:
         return
     camera, large = (Camera.design(size, _PITCH, rotation=1.3) for size in (_SIZE, _LARGE))
     scenes = {name: (camera, scene) for name, scene in _scenes(camera).items()}
+    square, large_square, short = (
+        Camera.design((1100, 1200), 28.0, lattice="square", rotation=5.0),
+        Camera.design((2200, 2400), 28.0, lattice="square", rotation=5.0),
+        Camera.design(_LARGE, 17.3, rotation=2.0),
+    )
     scenes |= {f"large, {share} %": (large, partial(_mostly_blank, large, share / 100)) for share in (10, 5)}
-    square = Camera.design((1100, 1200), 28.0, lattice="square", rotation=5.0)
     scenes |= {f"square, {share} %": (square, partial(_mostly_blank, square, share / 100)) for share in (10, 3)}
+    scenes |= {"large short, 10 %": (short, partial(_mostly_blank, short, 0.1))}
+    scenes |= {"large square, 10 %": (large_square, partial(_mostly_blank, large_square, 0.1))}
+    scenes |= {"large plane": (large, partial(plane, large, ratio=0.3))}
     for name, (taken_by, scene) in scenes.items():
         capture = simulate(scene(), taken_by, samples=48, seed=2, noise=_NOISE)
         _row(name, capture.flat, capture.truth.calibration, capture)

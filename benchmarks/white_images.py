@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["WhiteImage", "standard_cases"]
+__all__ = ["WhiteImage", "random_cases", "standard_cases"]
 
 _SUBPIXELS = 4
 _SHAPES = {"hexagonal": ((1.0, 0.0), (0.5, np.sqrt(0.75))), "square": ((1.0, 0.0), (0.0, 1.0))}
@@ -224,4 +224,26 @@ def standard_cases() -> dict[str, WhiteImage]:
         cases[f"{name} cat-eye 18 dB 8 bit"] = replace(plain, decibels=18, bits=8, strength=-0.3, ratio=1.05)
         cases[f"{name} distorted 26 dB"] = replace(plain, decibels=26, k1=(-1) ** number * 0.005)
         cases[f"{name} dirty 26 dB"] = replace(plain, decibels=26, hot=300, dust=40)
+    return cases
+
+
+def random_cases(count: int, seed: int) -> dict[str, WhiteImage]:
+    """White images drawn over the range of the standard ones, edges, gaps and shading of discs included, by name."""
+    rng = np.random.default_rng(seed)
+    cases: dict[str, WhiteImage] = {}
+    for number in range(count):
+        shape, kind = str(rng.choice(["hexagonal", "square"])), str(rng.choice(["", "cat-eye", "distorted", "dirty"]))
+        pitch, degrees = float(np.exp(rng.uniform(np.log(9.97), np.log(70.4)))), float(rng.uniform(0, 11))
+        degrees += 90 * float(rng.integers(2)) * (shape == "hexagonal")
+        decibels, bits = float(rng.choice([40, 26, 18])), int(rng.choice([8, 16]))
+        sign = float(rng.choice([-1, 1]))
+        cases[f"{number} {shape[:3]} {pitch:.2f} {degrees:.1f} {kind} {decibels:g} dB {bits} bit"] = WhiteImage(
+            shape, pitch, degrees, decibels, bits,
+            strength=sign * float(rng.uniform(0.15, 0.35)) if kind == "cat-eye" else 0.0,
+            ratio=float(rng.uniform(1, 1.1)),
+            k1=sign * float(rng.uniform(0.002, 0.01)) if kind == "distorted" else 0.0,
+            hot=300 if kind == "dirty" else 0, dust=40 if kind == "dirty" else 0,
+            fill=float(rng.uniform(0.8, 0.98)), soft=float(rng.uniform(0.3, 1.2)), gap=float(rng.uniform(0, 0.1)),
+            inner=float(rng.uniform(0.05, 0.3)), outer=float(rng.uniform(0.1, 0.5)), seed=1000 * seed + number,
+        )  # fmt: skip
     return cases
