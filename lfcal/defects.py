@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .frozen import Frozen
 from .packing import pack, unpack
 
 __all__ = ["Defects"]
 
 
 @dataclass(frozen=True)
-class Defects:
+class Defects(Frozen):
     """What of a flat is not to be trusted.
 
     Parameters

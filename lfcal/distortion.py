@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .frozen import Frozen
+
 __all__ = ["Distortion"]
 
 # Inverting is done by iteration; each turn gains two digits at the distortions lenses have.
@@ -21,7 +23,7 @@ _FURTHEST = 0.1
 
 
 @dataclass(frozen=True)
-class Distortion:
+class Distortion(Frozen):
     """Displacement of straight lattice points `s`: a radial part about a centre, and a general one about the middle.
 
     Radial: `(s - centre) * (k1 * (rho**2 - 1/2) + k2 * (rho**4 - 1/4))`, with `rho` the distance to the centre over

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .frozen import Frozen
 from .lattice import Lattice
 from .packing import pack, unpack
 from .part_gain import PartGain
@@ -30,7 +31,7 @@ def _readonly(values: Any, kind: type, dimensions: int, name: str) -> NDArray[An
 
 
 @dataclass(frozen=True)
-class GainMap:
+class GainMap(Frozen):
     """Relative illumination of a camera, 1 at the brightest place of the brightest part of the field.
 
     Polynomials of the field have the terms `1, X, Y, X^2, X*Y, Y^2, ...` of the place `(X, Y)` of a lens, counted from

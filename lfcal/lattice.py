@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .distortion import Distortion
+from .frozen import Frozen
 
 __all__ = ["Lattice", "reduce_basis"]
 
@@ -67,7 +68,7 @@ def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class Lattice:
+class Lattice(Frozen):
     """Centres `c(i, j) = origin + i*a1 + j*a2`, plus an optional distortion, of all microimages on one flat.
 
     Parameters

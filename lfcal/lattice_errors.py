@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .frozen import Frozen
 from .lattice import Lattice
 
 __all__ = ["LatticeErrors", "errors_of_even_fit"]
@@ -17,7 +18,7 @@ _BENDS = ("k1", "k2", "centre", "general")
 
 
 @dataclass(frozen=True)
-class LatticeErrors:
+class LatticeErrors(Frozen):
     """Covariance of the fitted parameters of a lattice.
 
     Parameters

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .frozen import Frozen
+
 __all__ = ["LensTypes"]
 
 # Beyond this an array is no repeating mosaic of lens types any more, but a list of lenses.
@@ -15,7 +17,7 @@ _LARGEST_CELL = 16
 
 
 @dataclass(frozen=True)
-class LensTypes:
+class LensTypes(Frozen):
     """Which type each microlens is of, as a mosaic that repeats over the lattice.
 
     Where `ordered`, type 0 is focused at the largest `|s|`, that is at the smallest virtual depth (what lies nearest

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .frozen import Frozen
 from .lattice import Lattice
 from .packing import pack, unpack
 
@@ -20,7 +21,7 @@ _OUTLIER = 4.0
 
 
 @dataclass(frozen=True)
-class Residuals:
+class Residuals(Frozen):
     """Where the pixels of single microimages put them, against the fitted lattice.
 
     Parameters

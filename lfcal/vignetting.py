@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .frozen import Frozen
+
 __all__ = ["Vignetting"]
 
 
 @dataclass(frozen=True)
-class Vignetting:
+class Vignetting(Frozen):
     """Relative illumination over the microimage radius, 1 at its brightest.
 
     Parameters

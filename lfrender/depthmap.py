@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import LightFieldError, whole_file
+from lfcal.frozen import Frozen
 
 from .optics import Optics
 from .surface import Surface
@@ -29,7 +30,7 @@ class DepthFileError(LightFieldError, ValueError):
 
 
 @dataclass(frozen=True)
-class DepthMap:
+class DepthMap(Frozen):
     """Depth of every lens, in the order of `lattice.centres()`, and of every place of the picture.
 
     Parameters

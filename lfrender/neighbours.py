@@ -72,7 +72,7 @@ def lens_halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]
 def _halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     neighbours = neighbour_rows(lattice, lattice.steps)
     half = neighbours.shape[1] // 2
-    return neighbours[:, :half], neighbours[:, half:]
+    return np.ascontiguousarray(neighbours[:, :half]), np.ascontiguousarray(neighbours[:, half:])
 
 
 @njit(cache=True, nogil=True, parallel=True)

@@ -203,7 +203,7 @@ def _solve(left, right, out):
 
 def _inverse(terms: NDArray[np.float64], sizes: NDArray[np.float64], rounds: int = _ROUNDS) -> NDArray[np.float64]:
     """(k,) robust linear fit to 1 / s, every lens with the same error of s (weights after Geman and McClure)."""
-    return _fitted(np.ascontiguousarray(terms.T), sizes, rounds)
+    return _fitted(np.ascontiguousarray(terms.T), np.ascontiguousarray(sizes), rounds)
 
 
 def _even(places: NDArray[np.float64], residual: NDArray[np.float64], deviations: float = _UNCERTAIN) -> float | None:
