@@ -62,18 +62,19 @@ def _both(alpha, beta, first, second, shared):
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=FAST)
 def accumulate_cut(
     light, corners, centres, cut, gain, trust, tilt, radius, soft, faces, inner, reach, step, tables, edge, calm, thin,
-    aside, shared, dark, full, chunks, normal, right, mixed, band, scatter,
+    aside, shared, steep, dark, full, chunks, normal, right, mixed, band, scatter,
 ):  # fmt: skip
     """Add up all lenses; `tables` (r, 5) are level, slope, weight, four and depths, `band` (chunks, r, 8) as `by_ring`.
 
-    Of each lens there are the eight local parameters, of which upper halves are filled.
+    Of each lens there are the seven local parameters, of which upper halves are filled. `steep` is the shape of the
+    blur of an edge (`edge_blur`).
     """
     lenses, side = light.shape[0], light.shape[1]
     per_step, per_soft, even, within = 1 / step, 1 / soft, calm * calm, inner * inner
     most = OUTLIER * OUTLIER
     clear, shut = max(radius - _EDGE * soft, 0.0) ** 2, (radius + _EDGE * soft) ** 2
     for chunk in prange(chunks):
-        g, pull, products = np.zeros(8), np.zeros(8), np.zeros((8, 8))
+        g, pull, products = np.zeros(7), np.zeros(7), np.zeros((7, 7))
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
             bright, belief, tilt_x, tilt_y = 1 / gain[lens], trust[lens], tilt[lens, 0], tilt[lens, 1]
@@ -108,12 +109,14 @@ def accumulate_cut(
                     angle = 1 - 8 * turn * turn
                     disc = tables[ring, 0] * here + tables[up, 0] * after - dark
                     disc += (tables[ring, 3] * here + tables[up, 3] * after) * angle
-                    through, change, depth, per_far = 1.0, 0.0, 0.0, 0.0
+                    through, change, depth, inward, per_far = 1.0, 0.0, 0.0, 0.0, 0.0
                     if on_edge:
                         per_far = 1 / math.sqrt(max(away, 1e-12))
-                        depth = (radius - away * per_far) * per_soft
+                        inward = (radius - away * per_far) * per_soft
+                        depth = inward + steep * (inward * inward - 3) * inward
                         through = 0.5 * (1 + math.erf(depth * _ROOT_HALF))
                         change = math.exp(-0.5 * depth * depth) * per_soft / _ROOT_TAU
+                        change *= 1 + 3 * steep * (inward * inward - 1)
                     elif away >= shut:
                         through = 0.0
                     falling, cutting, turning = through, 1.0, 0.0
@@ -160,14 +163,14 @@ def accumulate_cut(
                     if on_edge:
                         push = disc * change * cutting
                         g[2], g[3] = push * ex * per_far, push * ey * per_far
-                        g[0], g[1], g[7] = gx + g[2], gy + g[3], model
-                        g[4], g[5], g[6] = push, -push * depth, disc * turning
-                        for a in range(8):
+                        g[0], g[1], g[6] = gx + g[2], gy + g[3], model
+                        g[4], g[5] = push, disc * turning
+                        for a in range(7):
                             wa = w * g[a]
                             pull[a] += g[a] * wr
                             mixed[lens, a, ring] += wa * before
                             mixed[lens, a, up] += wa * beyond
-                            for b in range(8):
+                            for b in range(7):
                                 products[a, b] += wa * g[b]
                         continue
                     wx, wy, wm = w * gx, w * gy, w * model
@@ -176,8 +179,8 @@ def accumulate_cut(
                         mixed[lens, 0, up] += wx * beyond
                         mixed[lens, 1, ring] += wy * before
                         mixed[lens, 1, up] += wy * beyond
-                        mixed[lens, 7, ring] += wm * before
-                        mixed[lens, 7, up] += wm * beyond
+                        mixed[lens, 6, ring] += wm * before
+                        mixed[lens, 6, up] += wm * beyond
                     xx += wx * gx
                     xy += wx * gy
                     yy += wy * gy
@@ -187,17 +190,17 @@ def accumulate_cut(
                     bx += gx * wr
                     by += gy * wr
                     bm += model * wr
-            for a in range(8):
+            for a in range(7):
                 right[lens, a] = pull[a]
-                for b in range(a, 8):
+                for b in range(a, 7):
                     normal[lens, a, b] = products[a, b]
             normal[lens, 0, 0] += xx
             normal[lens, 0, 1] += xy
             normal[lens, 1, 1] += yy
-            normal[lens, 0, 7] += xm
-            normal[lens, 1, 7] += ym
-            normal[lens, 7, 7] += mm
+            normal[lens, 0, 6] += xm
+            normal[lens, 1, 6] += ym
+            normal[lens, 6, 6] += mm
             right[lens, 0] += bx
             right[lens, 1] += by
-            right[lens, 7] += bm
+            right[lens, 6] += bm
             scatter[lens, 0], scatter[lens, 1] = total, number

@@ -50,8 +50,11 @@ _GAIN = 0.003
 _RADIAL = ("k1", "centre", "k2")
 # Steps after which a model without a cut has settled as far as it ever will.
 _FIRST_PASSES = 5
+# The blur that both edges of cut microimages share is known to so much, whatever the pixels say: no model of it is
+# exact, and places hang on it where the two discs are alike.
+_UNSURE_SHARED = 0.02
 # Parameters of the cutting disc.
-_NOT_OF_LATTICE = ("shift", "growth", "growth2", "growth3", "radius", "soft", "shared")
+_NOT_OF_LATTICE = ("shift", "growth", "growth2", "growth3", "radius", "shared")
 
 
 @dataclass(frozen=True)
@@ -127,7 +130,8 @@ def fit_discs(tones: NDArray[np.float32] | Parts, lattice: Lattice, pixels: floa
     elif state is not first:
         state, summary = converge(state, orders, known=True)
     own = [k for k, name in enumerate(summary.names) if name not in _NOT_OF_LATTICE]
-    errors = LatticeErrors(tuple(summary.names[k] for k in own), summary.covariance[np.ix_(own, own)])
+    covariance = summary.covariance + np.outer(summary.by_shared, summary.by_shared) * _UNSURE_SHARED**2
+    errors = LatticeErrors(tuple(summary.names[k] for k in own), covariance[np.ix_(own, own)])
     return DiscFit(
         state.model.lattice, state.model.cat_eye, summary.residual, errors, summary.used,
         halves_differ(summary),

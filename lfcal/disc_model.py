@@ -6,7 +6,6 @@ is a disc too, and its place relative to the microimage changes with the place i
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -16,13 +15,14 @@ from numpy.typing import NDArray
 
 from .disc_cut import accumulate_cut
 from .disc_whole import accumulate_whole, by_ring, thinned
+from .edge_blur import edge_blur, edge_depths
 from .lens_cell import outside, rows_within
 
 __all__ = ["LOCAL", "DiscSteps", "Discs", "disc_steps", "edge_of", "first_level"]
 
-# Parameters of a single lens: place (2), displacement of the cutting disc (2), its radius, its softness, the blur both
-# edges share, the gain.
-LOCAL = 8
+# Parameters of a single lens: place (2), displacement of the cutting disc (2), its radius, the blur both edges share,
+# the gain.
+LOCAL = 7
 # Those of a lens that nothing cuts: place and gain.
 _WHOLE = 3
 _CHUNKS = 64
@@ -35,8 +35,6 @@ _SLOW = 0.01
 # The even inside of a microimage is thinned where its radius is at least this [px], up to so far [px] from its edge.
 _LARGE = 3.0
 _MARGIN = 0.5
-# Light that is nearer to none or all of it than a thousandth, which is here, says no more of how deep a place lies.
-_DEEPEST = 3.09
 
 
 @dataclass(frozen=True)
@@ -121,9 +119,9 @@ class DiscSteps:
 
     Parameters
     ----------
-    normal, right : (n, 8, 8), (n, 8) float64
+    normal, right : (n, 7, 7), (n, 7) float64
         Normal matrix and right side of the local parameters, the gain last; where nothing is cut these are but three.
-    mixed : (n, 8 or 1, r) float64
+    mixed : (n, 7 or 1, r) float64
         Part of the normal matrix between local parameters and the profile; only of the gains where nothing is cut,
         since whole microimages move without their profile.
     profile, force : (r, r), (r,) float64
@@ -195,20 +193,6 @@ def _calm(discs: Discs) -> float:
     return radius if radius > _LARGE else 0.0
 
 
-def _depths(discs: Discs) -> NDArray[np.float64]:
-    """(r,) how deep inside the microimage each radius lies, in units of the blur of its edge."""
-    inside = discs.level[max(int(np.flatnonzero(discs.edge).min(initial=len(discs.level))) - 1, 0)]
-    share = (discs.level - discs.dark) / max(float(inside - discs.dark), 1e-12)
-    return np.asarray(np.interp(share, *_edge_table()))
-
-
-@lru_cache(1)
-def _edge_table() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Light through a blurred edge, and how deep inside it each is, in units of the blur."""
-    deep = np.linspace(-_DEEPEST, _DEEPEST, 2001)
-    return np.array([0.5 * math.erfc(-value * math.sqrt(0.5)) for value in deep.tolist()]), deep
-
-
 def first_level(discs: Discs) -> NDArray[np.float64]:
     """(r,) mean profile of the lenses, whatever cuts them."""
     total, count = np.zeros((_CHUNKS, len(discs.level))), np.zeros((_CHUNKS, len(discs.level)))
@@ -244,11 +228,13 @@ def disc_steps(discs: Discs, learn: bool = True) -> DiscSteps:
     calm = _calm(discs)
     tables = np.column_stack([discs.level, slope, discs.weight, discs.four])
     if not discs.whole:
+        deep = edge_depths(discs.level, discs.edge, discs.dark, discs.step)
+        _, steep = edge_blur(deep, discs.edge, discs.step) or (0.0, 0.0)
         accumulate_cut(
             discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
-            discs.soft, discs.faces, discs.inner, discs.reach, discs.step, np.column_stack([tables, _depths(discs)]),
-            discs.edge, calm, *thinned(calm), discs.shared, discs.dark, discs.full, _CHUNKS, normal, right, mixed, band,
-            scatter,
+            discs.soft, discs.faces, discs.inner, discs.reach, discs.step, np.column_stack([tables, deep]),
+            discs.edge, calm, *thinned(calm), discs.shared, steep, discs.dark, discs.full, _CHUNKS, normal, right,
+            mixed, band, scatter,
         )  # fmt: skip
     else:
         accumulate_whole(

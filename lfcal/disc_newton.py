@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .disc_model import Discs, DiscSteps, disc_steps, edge_of
 from .disc_parameters import DiscModel, design, field_of, moved, step_limits
 from .disc_squares import Reduced, inverse_2x2, pooled, without_gain
+from .edge_blur import edge_blur, edge_depths
 from .errors import CalibrationError
 from .shading_slope import shading_of_field, shading_slope
 
@@ -74,9 +75,11 @@ class FitSummary:
 
     Parameters moved by `change` (p,), centres by `moved` (RMS) [px]; single microimages lie `miss` (n, 2) [px] off the
     lattice. Least squares alone, with lenses of a `weight` (n,), would have moved centres by `asked` (n, 2) [px].
+    Parameters would follow each unit of `CatEye.shared` by `by_shared` (p,).
     """
 
     change: NDArray[np.float64]
+    by_shared: NDArray[np.float64]
     moved: float
     residual: float
     uncertainty: float
@@ -234,6 +237,15 @@ def _solved(
         say = _trust(discs, steps) / discs.trust if discs.whole else None
         reduced = without_gain(steps, discs.level, say)
         change, covariance, weight = pooled(columns, reduced, slice(None), before)
+        eye = state.model.cat_eye
+        by_shared = np.zeros(len(names))
+        if eye is not None:
+            k, room = names.index("shared"), eye.least_shared - eye.shared
+            by_shared = covariance[:, k] / max(float(covariance[k, k]), 1e-30)
+            if change[k] < room:
+                columns[:, :, k] = 0
+                change, covariance, weight = pooled(columns, reduced, slice(None), weight)
+                change[k] = room
     except np.linalg.LinAlgError as error:
         raise CalibrationError("the microimages show no edges; give a sharper flat or a white image") from error
     place = columns[:, :2]
@@ -245,6 +257,7 @@ def _solved(
     spread = (place.reshape(-1, place.shape[2]) @ covariance).reshape(place.shape)
     return FitSummary(
         change=change,
+        by_shared=by_shared,
         moved=float(np.sqrt(((place @ change) ** 2).sum(1).mean())),
         residual=float(np.sqrt(np.average((miss**2).sum(1), weights=weight))),
         uncertainty=float(np.sqrt(max((place * spread).sum((1, 2)).mean(), 0.0))),
@@ -287,7 +300,12 @@ def _stepped(state: FitState, summary: FitSummary, frozen: bool = False) -> FitS
         # Of two discs that cut each other, shading tells which one is the microimage: about its middle light is even.
         slope = shading_slope if state.model.cat_eye is None else shading_of_field
         discs = replace(discs, tilt=slope(discs, state.model.lattice))
-    return placed(FitState(moved(state.model, summary.change, summary.names), state.indices, discs))
+    model = moved(state.model, summary.change, summary.names)
+    if model.cat_eye is not None:
+        # The same lens and the same pixels blur both edges.
+        blur = edge_blur(edge_depths(discs.level, discs.edge, discs.dark, discs.step), discs.edge, discs.step)
+        model = replace(model, cat_eye=model.cat_eye.blurred(blur[0])) if blur else model
+    return placed(FitState(model, state.indices, discs))
 
 
 def halves_differ(summary: FitSummary) -> float:

@@ -19,6 +19,8 @@ _SOFTENS, _SHARES = 0.3, 0.2
 # Softest edge of a cutting disc over its radius, and the sharpest edge that pixels of finite size show [px].
 _SOFTEST = 0.1
 _SHARPEST = 0.2
+# Variance of the place in a pixel along one of its sides [px^2].
+_PIXEL = 1 / 12
 # Edges that run alike are never blurred quite alike.
 _MOST_SHARED = 0.98
 
@@ -47,6 +49,18 @@ class CatEye:
     radius: float
     soft: float
     shared: float = 0.7
+
+    @property
+    def least_shared(self) -> float:
+        """Correlation of the blur that pixels alone give both edges: their area is the last that light meets."""
+        return min(_PIXEL / self.soft**2, _MOST_SHARED)
+
+    def blurred(self, soft: float) -> CatEye:
+        """With the softness of its edge on the way to another [px], as far as one step goes and pixels can show."""
+        least, most = (1 - _SOFTENS) * self.soft, (1 + _SOFTENS) * self.soft
+        soft = float(np.clip(np.clip(soft, least, most), _SHARPEST, _SOFTEST * self.radius + _SHARPEST))
+        eye = replace(self, soft=soft)
+        return replace(eye, shared=max(eye.shared, eye.least_shared))
 
     def displacement(self, field: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 2) displacement [px] of the cutting disc at places (n, 2) of the field."""
@@ -83,7 +97,7 @@ def design(
 
     Returns
     -------
-    (n, 7, p) float64, list of p names
+    (n, 6, p) float64, list of p names
         Only the two of the place, (n, 2, p), where the model has no cat-eye.
     """
     n, own = len(indices), 2 if model.cat_eye is None else LOCAL - 1
@@ -116,15 +130,14 @@ def design(
             if f"growth{power}" in orders:
                 add(f"growth{power}", 2, field * far ** (power - 1))
         add("radius", 4, np.ones((n, 1)))
-        add("soft", 5, np.ones((n, 1)))
-        add("shared", 6, np.ones((n, 1)))
+        add("shared", 5, np.ones((n, 1)))
     return np.stack(columns, axis=2), names
 
 
 def step_limits(eye: CatEye, names: list[str]) -> NDArray[np.float64]:
     """(p,) how far the parameters `names` of `design` can go in one step; infinite for those of the lattice."""
     most = _LONGEST * eye.radius
-    limits = {"radius": most, "shift": most, "soft": _SOFTENS * eye.soft, "shared": _SHARES}
+    limits = {"radius": most, "shift": most, "shared": _SHARES}
     return np.array([most if name.startswith("growth") else limits.get(name, np.inf) for name in names])
 
 
@@ -141,14 +154,13 @@ def moved(model: DiscModel, change: NDArray[np.float64], names: list[str]) -> Di
         return DiscModel(lattice, None)
     most = _LONGEST * eye.radius
     growth = np.array([float(by.get(name, [0.0])[0]) for name in ("growth", "growth2", "growth3")])
-    soft = eye.soft + float(np.clip(by["soft"][0], -_SOFTENS * eye.soft, _SOFTENS * eye.soft))
     return DiscModel(
         lattice,
         CatEye(
             eye.shift + np.clip(by["shift"], -most, most),
             eye.growth + np.clip(growth, -most, most),
             eye.radius + float(np.clip(by["radius"][0], -most, most)),
-            float(np.clip(soft, _SHARPEST, _SOFTEST * eye.radius + _SHARPEST)),
-            float(np.clip(eye.shared + np.clip(by["shared"][0], -_SHARES, _SHARES), 0.0, _MOST_SHARED)),
+            eye.soft,
+            float(np.clip(eye.shared + np.clip(by["shared"][0], -_SHARES, _SHARES), eye.least_shared, _MOST_SHARED)),
         ),
     )

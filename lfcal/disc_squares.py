@@ -20,7 +20,7 @@ _OUTLIER, _ROBUST_TURNS = 4.685, 3
 class Reduced:
     """Least squares without the gains: local parameters (n, m), profile (r,) and between them; none where unneeded.
 
-    Of the seven local parameters only the place, `m = 2`, where nothing is cut. `mixed` (n, 8, r) is with the gains:
+    Of the six local parameters only the place, `m = 2`, where nothing is cut. `mixed` (n, 7, r) is with the gains:
     what a local parameter shares with the profile is its row less its `share` (n, m) of the last one.
     """
 

@@ -66,7 +66,7 @@ def test_some_lenses_are_enough_where_they_are_cut(drawn, monkeypatch):
 
 
 def test_step_is_held_back_where_least_squares_are_least_sure():
-    names = ["origin", "origin", "growth", "radius", "soft", "shared"]
+    names = ["origin", "origin", "growth", "radius", "growth2", "shared"]
     eye = CatEye(np.zeros(2), np.array([1.0, 0.0, 0.0]), 5.0, 0.5)
     limits = step_limits(eye, names)
     assert np.isinf(limits[:2]).all()
@@ -75,9 +75,11 @@ def test_step_is_held_back_where_least_squares_are_least_sure():
     mixing[2:4, 2:4] = np.array([[1, 1], [1, -1]]) / np.sqrt(2)
     covariance = mixing @ np.diag([1e-6, 1e-6, 1e-2, 1e-4, 1e-4, 1e-2]) @ mixing.T
     change = np.array([0.3, -0.2, 2.0, 1.9, 0.01, 0.02])
-    columns = np.zeros((3, 7, 6))
+    columns = np.zeros((3, 6, 6))
     columns[:, :2, :2] = np.eye(2)
-    whole = FitSummary(change, 1.0, 0.0, 0.0, 3, names, covariance, columns, None, *np.zeros((2, 3, 2)), np.ones(3))
+    whole = FitSummary(
+        change, np.zeros(6), 1.0, 0.0, 0.0, 3, names, covariance, columns, None, *np.zeros((2, 3, 2)), np.ones(3)
+    )
     held = disc_newton._held(whole, limits)
     assert np.abs(held.change / limits).max() <= 1
     assert held.change[2] > 0.25
