@@ -9,6 +9,7 @@ import sys
 import threading
 import urllib.request
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -339,8 +340,10 @@ def test_view_serves_until_it_is_interrupted(house_files, captured, tmp_path):
     command = [sys.executable, "-m", "lfrender.cli", "view", str(house_files / "flat.png"), "--no-browser", "--json"]
     command += ["-c", str(house_files / "camera.json"), "--depth", str(tmp_path / "depth.npz")]
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, cwd=Path(lfrender.__file__).parents[1]
-    ) as process:
+        command, stdout=subprocess.PIPE, text=True, cwd=Path(lfrender.__file__).parents[1],
+        # Where the tests run in the background, interruptions are ignored, by their children too.
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
+    ) as process:  # fmt: skip
         try:
             url = json.loads(process.stdout.readline())["page"]
             assert url.startswith("http://127.0.0.1:")
