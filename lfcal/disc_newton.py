@@ -204,10 +204,12 @@ def _held(summary: FitSummary, limits: NDArray[np.float64]) -> FitSummary:
     change: NDArray[Any] = summary.change
     if not np.abs(change / limits).max() > 1:
         return summary
+    # What is known has no variance that damping could hold back.
+    wished = np.where(np.diag(summary.covariance) > 0, change, np.clip(change, -limits, limits))
     ease = summary.covariance / limits**2
-    damping = 0.01 / max(float(np.diag(ease).max()), 1e-300)
+    damping = 0.01 / max(float(np.diag(ease).max()), 1e-200)
     for _ in range(_DAMPINGS):
-        change = np.linalg.solve(np.eye(len(limits)) + damping * ease, summary.change)
+        change = np.linalg.solve(np.eye(len(limits)) + damping * ease, wished)
         if np.abs(change / limits).max() <= 1:
             break
         damping *= 2
@@ -243,8 +245,11 @@ def _solved(
             k, room = names.index("shared"), eye.least_shared - eye.shared
             by_shared = covariance[:, k] / max(float(covariance[k, k]), 1e-30)
             if change[k] < room:
-                columns[:, :, k] = 0
-                change, covariance, weight = pooled(columns, reduced, slice(None), weight)
+                # The others follow as if it were known.
+                free = np.delete(np.arange(len(names)), k)
+                change[free], known, weight = pooled(columns[:, :, free], reduced, slice(None), weight)
+                covariance = np.zeros_like(covariance)
+                covariance[np.ix_(free, free)] = known
                 change[k] = room
     except np.linalg.LinAlgError as error:
         raise CalibrationError("the microimages show no edges; give a sharper flat or a white image") from error

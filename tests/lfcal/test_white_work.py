@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -87,6 +89,12 @@ def test_step_is_held_back_where_least_squares_are_least_sure():
     np.testing.assert_allclose(held.change[:2], change[:2])
     assert held.moved == pytest.approx(np.hypot(0.3, 0.2))
     assert disc_newton._held(held, limits) is held
+    # What is known for certain is held back too, and nothing else with it.
+    certain = np.diag([1e-6, 1e-6, 1e-2, 1e-2, 1e-2, 0.0])
+    change = np.array([0.3, -0.2, 0.1, 0.1, 0.01, -0.7])
+    held = disc_newton._held(replace(whole, change=change, covariance=certain), limits)
+    np.testing.assert_allclose(held.change[:5], change[:5], rtol=0.05)
+    assert held.change[5] == -limits[5]
 
 
 def test_step_of_a_known_profile_leaves_a_tenth_of_itself_at_most(white, monkeypatch):
