@@ -138,7 +138,17 @@ def with_profile(state: FitState) -> FitState:
     """The state with the profile that fits it."""
     steps = state.discs.steps
     level = state.discs.level + np.linalg.solve(steps.profile, steps.force)
-    return replace(state, discs=replace(state.discs, level=level, edge=edge_of(level)))
+    discs = replace(state.discs, level=level, edge=edge_of(level))
+    if state.model.cat_eye is None:
+        return replace(state, discs=discs)
+    return placed(replace(state, model=_blurred(state.model, discs), discs=discs))
+
+
+def _blurred(model: DiscModel, discs: Discs) -> DiscModel:
+    """The model with the edge of the cut as soft as that of the microimages: the same lens and pixels blur both."""
+    assert model.cat_eye is not None
+    blur = edge_blur(edge_depths(discs.level, discs.edge, discs.dark, discs.step), discs.edge, discs.step)
+    return replace(model, cat_eye=model.cat_eye.blurred(blur[0])) if blur else model
 
 
 def _dark(level: NDArray[np.float64], edge: NDArray[np.bool_]) -> float:
@@ -307,9 +317,7 @@ def _stepped(state: FitState, summary: FitSummary, frozen: bool = False) -> FitS
         discs = replace(discs, tilt=slope(discs, state.model.lattice))
     model = moved(state.model, summary.change, summary.names)
     if model.cat_eye is not None:
-        # The same lens and the same pixels blur both edges.
-        blur = edge_blur(edge_depths(discs.level, discs.edge, discs.dark, discs.step), discs.edge, discs.step)
-        model = replace(model, cat_eye=model.cat_eye.blurred(blur[0])) if blur else model
+        model = _blurred(model, discs)
     return placed(FitState(model, state.indices, discs))
 
 
