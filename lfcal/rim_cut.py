@@ -68,7 +68,9 @@ def _rim(
 
 
 def find_rim_cut(rim: NDArray[np.float64], weight: NDArray[np.float64], field: NDArray[np.float64]) -> RimCut | None:
-    """The first of `rim_cuts`, or None where rims are as good as round."""
+    """The first of `rim_cuts`, or None where rims are as good as round, or no pixel shows any."""
+    if not weight.any():
+        return None
     mean = float(np.average(rim, weights=weight))
     plain = float(np.average((rim - mean) ** 2, weights=weight))
     if plain < _MATTERS**2:

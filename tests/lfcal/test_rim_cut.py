@@ -43,3 +43,9 @@ def test_discs_of_one_size_are_found_once():
 def test_round_rims_are_cut_by_nothing():
     rims = 10 + np.random.default_rng(0).normal(0, 0.02, (48, 24))
     assert find_rim_cut(rims, np.ones_like(rims), _rims(0.0, 10.0, 0.0, 20.0, np.zeros(2))[1]) is None
+
+
+def test_rims_that_no_pixel_shows_are_not_cut():
+    # As of white images so overexposed that all is clipped.
+    rims, field = _rims(0.0, 10.0, 0.0, 20.0, np.zeros(2))
+    assert find_rim_cut(rims, np.zeros_like(rims), field) is None
