@@ -102,6 +102,16 @@ class Discs:
         """Least squares about this model."""
         return disc_steps(self)
 
+    @cached_property
+    def depths(self) -> NDArray[np.float64]:
+        """(r,) normal score of the profile, see `edge_depths`."""
+        return edge_depths(self.level, self.edge, self.dark, self.step)
+
+    @cached_property
+    def blur(self) -> tuple[float, float] | None:
+        """Blur of the edge of the microimages and its shape, None where they show none; see `edge_blur`."""
+        return edge_blur(self.depths, self.edge, self.step)
+
     @property
     def whole(self) -> bool:
         """Whether no disc cuts the microimages."""
@@ -228,11 +238,10 @@ def disc_steps(discs: Discs, learn: bool = True) -> DiscSteps:
     calm = _calm(discs)
     tables = np.column_stack([discs.level, slope, discs.weight, discs.four])
     if not discs.whole:
-        deep = edge_depths(discs.level, discs.edge, discs.dark, discs.step)
-        _, steep = edge_blur(deep, discs.edge, discs.step) or (0.0, 0.0)
+        steep = discs.blur[1] if discs.blur else 0.0
         accumulate_cut(
             discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
-            discs.soft, discs.faces, discs.inner, discs.reach, discs.step, np.column_stack([tables, deep]),
+            discs.soft, discs.faces, discs.inner, discs.reach, discs.step, np.column_stack([tables, discs.depths]),
             discs.edge, calm, *thinned(calm), discs.shared, steep, discs.dark, discs.full, _CHUNKS, normal, right,
             mixed, band, scatter,
         )  # fmt: skip

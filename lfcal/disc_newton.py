@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from .disc_model import Discs, DiscSteps, disc_steps, edge_of
 from .disc_parameters import DiscModel, design, field_of, moved, step_limits
 from .disc_squares import Reduced, inverse_2x2, pooled, without_gain
-from .edge_blur import edge_blur, edge_depths
 from .errors import CalibrationError
 from .shading_slope import shading_of_field, shading_slope
 
@@ -147,8 +146,7 @@ def with_profile(state: FitState) -> FitState:
 def _blurred(model: DiscModel, discs: Discs) -> DiscModel:
     """The model with the edge of the cut as soft as that of the microimages: the same lens and pixels blur both."""
     assert model.cat_eye is not None
-    blur = edge_blur(edge_depths(discs.level, discs.edge, discs.dark, discs.step), discs.edge, discs.step)
-    return replace(model, cat_eye=model.cat_eye.blurred(blur[0])) if blur else model
+    return replace(model, cat_eye=model.cat_eye.blurred(discs.blur[0])) if discs.blur else model
 
 
 def _dark(level: NDArray[np.float64], edge: NDArray[np.bool_]) -> float:
@@ -231,6 +229,16 @@ def _near(summary: FitSummary) -> bool:
     return summary.moved < min(_NEAR * summary.uncertainty, _SHORT)
 
 
+def _with_known(
+    known: int, step: float, columns: NDArray[np.float64], reduced: Reduced, weight: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """`pooled` where the step of the parameter `known` is given: the others follow as if it were right already."""
+    free = np.delete(np.arange(columns.shape[2]), known)
+    change, covariance = np.full(columns.shape[2], step), np.zeros((columns.shape[2],) * 2)
+    change[free], covariance[np.ix_(free, free)], weight = pooled(columns[:, :, free], reduced, slice(None), weight)
+    return change, covariance, weight
+
+
 def _solved(
     state: FitState,
     orders: tuple[str, ...],
@@ -249,18 +257,13 @@ def _solved(
         say = _trust(discs, steps) / discs.trust if discs.whole else None
         reduced = without_gain(steps, discs.level, say)
         change, covariance, weight = pooled(columns, reduced, slice(None), before)
-        eye = state.model.cat_eye
         by_shared = np.zeros(len(names))
-        if eye is not None:
-            k, room = names.index("shared"), eye.least_shared - eye.shared
-            by_shared = covariance[:, k] / max(float(covariance[k, k]), 1e-30)
-            if change[k] < room:
-                # The others follow as if it were known.
-                free = np.delete(np.arange(len(names)), k)
-                change[free], known, weight = pooled(columns[:, :, free], reduced, slice(None), weight)
-                covariance = np.zeros_like(covariance)
-                covariance[np.ix_(free, free)] = known
-                change[k] = room
+        if state.model.cat_eye is not None:
+            shared = names.index("shared")
+            by_shared = covariance[:, shared] / max(float(covariance[shared, shared]), 1e-30)
+            room = state.model.cat_eye.least_shared - state.model.cat_eye.shared
+            if change[shared] < room:
+                change, covariance, weight = _with_known(shared, room, columns, reduced, weight)
     except np.linalg.LinAlgError as error:
         raise CalibrationError("the microimages show no edges; give a sharper flat or a white image") from error
     place = columns[:, :2]
