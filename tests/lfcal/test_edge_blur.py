@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import lfcal
+from benchmarks.calibration_bound import centre_error
+from benchmarks.white_images import WhiteImage
 from lfcal.disc_model import edge_of
 from lfcal.disc_parameters import CatEye
 from lfcal.edge_blur import edge_blur, edge_depths
@@ -65,3 +68,19 @@ def test_edges_share_at_least_the_blur_of_the_pixels():
     assert sharper.shared == pytest.approx(1 / 12 / 0.42**2)
     assert eye.blurred(0.62).shared == 0.3
     assert eye.blurred(0.1).blurred(0.1).blurred(0.1).blurred(0.1).soft == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("shape", "pitch", "strength", "soft", "most"),
+    [
+        ("hexagonal", 22.4, -0.25, 0.97, 0.0025),
+        ("hexagonal", 18.9, 0.3, 1.1, 0.004),
+        ("square", 14.9, 0.26, 0.88, 0.006),
+    ],
+)
+def test_soft_cuts_are_told_from_soft_microimages(shape, pitch, strength, soft, most):
+    # A blur of the cut's own puts these 0.004 to 0.008 px off, and states a tenth of it.
+    truth = WhiteImage(shape, pitch, 5.0, strength=strength, ratio=1.04, soft=soft, gap=0.03, size=(1200, 900))
+    camera = lfcal.calibrate(truth.image())
+    assert centre_error(camera, truth) < most
+    assert centre_error(camera, truth) < 5 * np.sqrt((camera.errors.of_centres(camera.lattice) ** 2).mean())

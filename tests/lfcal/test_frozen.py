@@ -11,7 +11,6 @@ import pytest
 
 import lfcal
 from lfcal.lens_types import LensTypes
-from lfrender.neighbours import lens_halves
 
 
 def arrays(frozen):
@@ -33,12 +32,3 @@ def test_arrays_stay_read_only_in_copies_and_out_of_pickles(frozen, again):
         np.testing.assert_array_equal(values, getattr(frozen, name))
         assert not values.flags.writeable
         assert values.flags.c_contiguous
-
-
-def test_neighbours_lie_in_memory_alike_here_and_in_other_processes():
-    # Kernels are compiled anew for another layout, and may then round otherwise.
-    lattice = lfcal.Lattice((20.0, 30.0), [(12.0, 0.5), (6.0, 10.4)], (640, 480), 5.5)
-    halves = lens_halves(lattice)
-    for half, there in zip(halves, pickle.loads(pickle.dumps(halves)), strict=True):
-        assert half.flags.c_contiguous and there.flags.c_contiguous
-        assert half.dtype == there.dtype
