@@ -36,7 +36,7 @@ def skipped_lenses(
     texture = untouched_texture(gray, plain, noise)
     sample = sample_lenses(lattice.indices(), texture.faint & blank, _SAMPLE)
     if sample.any():
-        matcher = Matcher(texture, *lens_halves(lattice), setting)
+        matcher = Matcher(texture, *lens_halves(lattice), setting, sample)
         evidence = 1 - matcher.costs(matcher.pairs(sample), sample)
         matching = (evidence.max(1) >= LEAST_EVIDENCE) & ~_like_shading(evidence, matcher)
         if matching.sum() >= _ENOUGH:

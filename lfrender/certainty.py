@@ -6,9 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .neighbours import alike, around
+from .recurrence import hardly_seen
 from .texture import Texture
 
-__all__ = ["certainty", "confirmed", "echoing", "misled", "repeated", "signal_share", "unexplained", "widened"]
+__all__ = [
+    "certainty", "confirmed", "echoing", "misled", "repeated", "showing_the_same", "signal_share",
+    "unexplained", "widened",
+]  # fmt: skip
 
 # The part of the texture that a match leaves unexplained misleads all pairs of a lens together, which their scatter
 # cannot show: factor of a standard error where all is explained, and what is added in squares for the share that is
@@ -26,6 +30,9 @@ _TWICE = 1 / 3
 # Correlation at another shift over that of the answer: below this on nearly nine lenses of ten with texture that does
 # not repeat, above it on most others.
 _ECHO = 0.3
+# Where all lenses show the same, chance that is met in one of them is met in all: the same limit then, for patch sizes
+# below the second share of the pitch. Farther from zero waves beyond reach answer, with echoes of half and more.
+_ECHO_ALIKE, _NEAR_ZERO = 0.6, 0.05
 # Correlations at two shifts together over that of a perfect match: a tenth more than two depths can have.
 _MORE_THAN_ALL = 1.1
 # Of texture that is mostly noise, correlation tells no more about how much of it is explained.
@@ -116,7 +123,7 @@ def confirmed(
     return np.asarray(alike(good, sizes, rows, 2 * _ALIKE * pitch) >= _CONFIRMING)
 
 
-def echoing(matched: NDArray, echo: NDArray, signal: NDArray) -> NDArray[np.bool_]:
+def echoing(matched: NDArray, echo: NDArray, signal: NDArray, same: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(n,) bool: lenses whose texture repeats, as far as they can tell.
 
     What a lens sees of two depths shares its contrast between them, so that the correlations add up to one at most.
@@ -127,8 +134,26 @@ def echoing(matched: NDArray, echo: NDArray, signal: NDArray) -> NDArray[np.bool
         Correlation at the chosen shift and at the best of the others.
     signal : (n,)
         What a right match may correlate at best.
+    same : (n,) bool
+        Lenses as `showing_the_same`.
     """
-    return np.asarray((echo > _ECHO * matched) & (matched + echo > _MORE_THAN_ALL * signal))
+    return np.asarray((echo > np.where(same, _ECHO_ALIKE, _ECHO) * matched) & (matched + echo > _MORE_THAN_ALL * signal))
+
+
+def showing_the_same(
+    centres: NDArray, sizes: NDArray, resolved: NDArray[np.bool_], pitch: float
+) -> NDArray[np.bool_]:
+    """(n,) bool: lenses with a patch size near zero, where all together see little more of the scene than one.
+
+    Parameters
+    ----------
+    centres, sizes : (n, 2), (n,) [px]
+        Centres and patch sizes of lenses.
+    resolved : (n,) bool
+    pitch : float [px]
+    """
+    near_zero = np.abs(sizes) <= _NEAR_ZERO * pitch
+    return near_zero & hardly_seen(centres, sizes, resolved, pitch)
 
 
 def repeated(

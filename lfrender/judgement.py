@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .certainty import certainty, confirmed, echoing, repeated, widened
+from .certainty import certainty, confirmed, echoing, repeated, showing_the_same, widened
 from .neighbours import alike
 from .search import Found
 from .shading import SHADING
@@ -46,6 +46,7 @@ def judged(
     refined: NDArray,
     error: NDArray,
     signal: NDArray[np.float32],
+    centres: NDArray[np.float32],
     neighbours: NDArray[np.int32],
     pitch: float,
 ) -> tuple[NDArray[np.int8], NDArray, NDArray]:
@@ -59,7 +60,8 @@ def judged(
     explained = found.explained / signal
     beside = confirmed(reason == 0, refined, explained, neighbours, pitch)
     reason[(reason > 1) & beside & (np.abs(refined) <= RESOLVABLE * pitch)] = 0
-    echoes = echoing(found.matched, found.echo, signal)
+    same = showing_the_same(centres, refined, reason == 0, pitch)
+    echoes = echoing(found.matched, found.echo, signal, same)
     single = (reason == 0) & (found.rivals >= SURE) & ~echoes
     occurring = populated(refined, refined[single], 0.5 * _ALIKE * pitch)
     reason[repeated(reason == 0, found.rivals, echoes, occurring, neighbours)] = 2

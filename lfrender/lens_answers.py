@@ -176,9 +176,9 @@ def ask(
     signal = signal_share(texture)
     explained = found.explained / signal
     astray = misled(error, explained)
-    reason, error, sure = judged(textured, found, refined, error, signal, neighbours, pitch)
+    reason, error, sure = judged(textured, found, refined, error, signal, texture.flat.centres, neighbours, pitch)
     again, perhaps = recurring(texture.flat, lenses.indices, refined, reason == 0)
-    little = hardly_seen(texture.flat, refined, reason == 0)
+    little = hardly_seen(texture.flat.centres, refined, reason == 0, pitch)
     perhaps = perhaps or unexplained(explained, signal, reason == 0, little)
     reason[again] = 2
     sure = SURE * sure if perhaps else sure

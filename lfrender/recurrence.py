@@ -6,6 +6,8 @@ matched do not tell of all. The scene itself does: drawn from its lenses, a part
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -24,7 +26,7 @@ _FINE = 18.0
 _REACH, _LONGEST = 2.0, 1.2
 # Share of the radius within which microimages are free of rims that nobody corrects.
 _INNER = 0.9
-# Lenses this far apart on the scene, in pitches of a microimage, overlap two or three times.
+# Lenses this far apart on the scene, in pitches of a microimage, overlap some three times.
 _APART = 0.5
 # Patch sizes within this factor are one surface, if a slanted one.
 _SURFACE = 3.0
@@ -40,7 +42,7 @@ _ENDED = 0.3
 # worth of the scene is seen: the more there is of it, the less of it repeats by chance. Where neighbours see a wave at
 # depths that are not quite its own, it comes again less clearly: as from the second numbers on, it may repeat.
 _AGAIN = ((20.0, 0.5, 0.45), (8.0, 0.65, 0.6), (3.0, 0.75, 0.7))
-_PERHAPS = ((20.0, 0.5, 0.4), (8.0, 0.5, 0.45), (3.0, 0.5, 0.3))
+_PERHAPS = ((20.0, 0.5, 0.4), (8.0, 0.5, 0.45), (3.0, 0.6, 0.3))
 # Lags with a larger cosine between them are one direction.
 _ALONG = 0.87
 # Lenses that see less than so many microimages' worth of it together all see nearly the same.
@@ -122,8 +124,7 @@ def repeats(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool]:
     """
     middle = len(correlation) // 2
     parts, _ = label(correlation > _ENDED)
-    y, x = np.mgrid[: len(correlation), : len(correlation)] - middle
-    away = np.hypot(x, y)
+    x, y, away = _lags(middle)
     again = np.where((parts != parts[middle, middle]) & (away <= middle), correlation, -1)
     best = again.argmax()
     along = np.abs(x * x.flat[best] + y * y.flat[best]) > _ALONG * away * away.flat[best]
@@ -133,6 +134,13 @@ def repeats(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool]:
         for limits in (_AGAIN, _PERHAPS)
     )
     return certain, perhaps
+
+
+@lru_cache(maxsize=8)
+def _lags(reach: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Lags `x, y` up to `reach` px, and how long they are. Shared by all who ask."""
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    return x, y, np.hypot(x, y)
 
 
 def recurring(
@@ -176,12 +184,15 @@ def recurring(
     return certain | (resolved & most[0]), bool(most[1])
 
 
-def hardly_seen(gray: GrayFlat, sizes: NDArray, resolved: NDArray[np.bool_]) -> bool:
-    """Whether all lenses together see so little more of the scene than one that it hardly shows if it repeats."""
+def hardly_seen(centres: NDArray, sizes: NDArray, resolved: NDArray[np.bool_], pitch: float) -> bool:
+    """Whether all lenses together see so little more of the scene than one that it hardly shows if it repeats.
+
+    Of lenses at `centres` (n, 2) [px] those that are `resolved` (n,) count, with their patch `sizes` (n,) [px].
+    """
     if not resolved.any():
         return False
     size = float(np.median(np.abs(sizes[resolved])))
-    across = [float(np.ptp(gray.centres[resolved, k])) * size / gray.pitch**2 + 1 for k in (0, 1)]
+    across = [float(np.ptp(centres[resolved, k])) * size / pitch**2 + 1 for k in (0, 1)]
     return across[0] * across[1] < _ALIKE
 
 
@@ -196,8 +207,9 @@ def _part_repeats(
 ) -> tuple[bool, bool]:
     """Whether what `lenses` see of the scene about the one in the `middle` repeats, and whether it may."""
     pitch, own = gray.pitch, float(sizes[middle])
-    apart = max(1, int(_APART * pitch / abs(own)))
-    chosen = lenses[((indices[lenses] - indices[middle]) % apart == 0).all(1)]
+    share = max(1.0, (_APART * pitch / own) ** 2)
+    apart = int(np.sqrt(share))
+    chosen = lenses[((indices[lenses] - indices[middle]) % (apart, int(share / apart)) == 0).all(1)]
     zoom = min(1.0, _FINE / pitch)
     side = 2 * int(np.ceil(_REACH * pitch * zoom)) + 1
     light, weight = np.zeros((side, side)), np.zeros((side, side))

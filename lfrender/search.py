@@ -130,14 +130,24 @@ class Matcher:
     forward, backward : (n, d) int32
         Neighbour rows in `d` directions and in their opposites, -1 where there is none.
     setting : Preset
+    asked : (n,) bool, optional
+        Lenses that will be matched; all may be by default.
     """
 
     def __init__(
-        self, texture: Texture, forward: NDArray[np.int32], backward: NDArray[np.int32], setting: Preset
+        self,
+        texture: Texture,
+        forward: NDArray[np.int32],
+        backward: NDArray[np.int32],
+        setting: Preset,
+        asked: NDArray[np.bool_] | None = None,
     ) -> None:
         self.factor = max(1, round(texture.flat.pitch / setting.search_pitch))
         self.gray: GrayFlat = shrink(texture.flat, self.factor)
-        self.statistics: LensStatistics = texture.statistics if self.factor == 1 else lens_statistics(self.gray)
+        self.statistics: LensStatistics = texture.statistics
+        if self.factor > 1:
+            wanted = None if asked is None else grown(asked, np.hstack([forward, backward]))
+            self.statistics = lens_statistics(self.gray, wanted=wanted)
         # Of tiny microimages every row is needed, and every half pixel: the depth that few pixels share is biased.
         tiny = self.gray.radius < _LEAST_RADIUS
         self.step = setting.step if self.factor > 1 else max(setting.step, setting.full_step)

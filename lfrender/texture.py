@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
+from .fastmath import FAST
 from .microimages import copy_box
 from .neighbours import grown, neighbour_rows
 from .radiance import GrayFlat
@@ -95,51 +96,39 @@ class Texture:
         return Texture(flat, self.statistics.of(rows), self.noise, self.clear[rows], self.faint[rows])
 
 
-# Without fast math: that part of the loop of lenses which it is drawn into is optimised once where Numba compiles and
-# twice where it loads, and sums would be ordered differently. Places are unsigned: signed ones are looked at for being
-# counted from the end.
-@njit(cache=True, nogil=True, error_model="numpy")
-def _sums(box, columns, lines, start, above, below, count, ex, ey, low, high, last, r2, middle2, near, sums):
+# Places are unsigned: signed ones are looked at for being counted from the end.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _sums(box, columns, lines, start, above, below, count, ex, ey, low, high, last, r2, middle2, near):
     """Number, sum and sum of squares of the pixels in a circle, less `near`, the same in a smaller one, and the sum of
-    squares of their answers to a checkerboard mask; each of `sums` (7, 32) takes every 32nd pixel.
+    squares of their answers to a checkerboard mask.
 
     The mask is blind to planes and straight slopes (Immerkaer 1996). `box` holds the row above and that below each row
     of pixels `above` and `below` values farther; circles are about (ex, ey) in `columns` and `lines`.
     """
     zero, unit, two, four = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(4.0)
     a, b, c, one = np.uint64(start), np.uint64(start + above), np.uint64(start + below), np.uint64(1)
-    sums[:] = zero
-    for bunch in range(0, count, _BUNCH):
-        first = np.uint64(bunch)
-        for lane in range(np.uint64(_BUNCH)):
-            k = first + lane
-            x, y = columns[k] - ex, lines[k] - ey
-            away = x * x + y * y
-            inside = (away <= r2) & (columns[k] >= low) & (columns[k] <= high) & (lines[k] <= last)
-            value = box[a + k] - near if inside else zero
-            bend = (
-                box[b + k - one] + box[b + k + one] + box[c + k - one] + box[c + k + one]
-                - two * (box[b + k] + box[c + k] + box[a + k - one] + box[a + k + one]) + four * box[a + k]
-            )  # fmt: skip
-            bend = bend if inside else zero
-            counts = unit if inside else zero
-            sums[0, lane] += counts
-            sums[1, lane] += value
-            sums[2, lane] += value * value
-            sums[3, lane] += bend * bend
-            within = away <= middle2
-            value, counts = value if within else zero, counts if within else zero
-            sums[4, lane] += counts
-            sums[5, lane] += value
-            sums[6, lane] += value * value
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _total(lanes):
-    total = np.float32(0.0)
-    for lane in range(_BUNCH):
-        total += lanes[lane]
-    return total
+    number = total = squares = rough = inner_number = inner_total = inner_squares = zero
+    for k in range(np.uint64(count)):
+        x, y = columns[k] - ex, lines[k] - ey
+        away = x * x + y * y
+        inside = (away <= r2) & (columns[k] >= low) & (columns[k] <= high) & (lines[k] <= last)
+        value = box[a + k] - near if inside else zero
+        bend = (
+            box[b + k - one] + box[b + k + one] + box[c + k - one] + box[c + k + one]
+            - two * (box[b + k] + box[c + k] + box[a + k - one] + box[a + k + one]) + four * box[a + k]
+        )  # fmt: skip
+        bend = bend if inside else zero
+        counts = unit if inside else zero
+        number += counts
+        total += value
+        squares += value * value
+        rough += bend * bend
+        within = away <= middle2
+        value, counts = value if within else zero, counts if within else zero
+        inner_number += counts
+        inner_total += value
+        inner_squares += value * value
+    return number, total, squares, rough, inner_number, inner_total, inner_squares
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -164,7 +153,6 @@ def _lens_statistics(image, centres, wanted, radius, middle, row_step, out):
         columns[k], lines[k] = k % wide, k // wide * row_step
     for part in prange((len(centres) + _TOGETHER - 1) // _TOGETHER):
         box = np.zeros(row_step * tall * wide + 3 * wide + 2 * _BUNCH, np.float32)
-        sums = np.empty((7, _BUNCH), np.float32)
         for lens in range(part * _TOGETHER, min((part + 1) * _TOGETHER, len(centres))):
             if not wanted[lens]:
                 continue
@@ -179,16 +167,15 @@ def _lens_statistics(image, centres, wanted, radius, middle, row_step, out):
                 copy_box(pixels, width, left - 1, top - 1, count + 1, wide, box, tall * wide, row_step)
             count = max((count * wide + _BUNCH - 1) // _BUNCH * _BUNCH, 0)
             near = pixels[min(max(int(cy), 0), height - 1) * width + min(max(int(cx), 0), width - 1)]
-            _sums(
+            number, total, squares, rough, inner, inner_total, inner_squares = _sums(
                 box, columns, lines, start, above, below, count, cx - np.float32(left), cy - np.float32(top),
                 np.float32(1 - left), np.float32(width - 2 - left), np.float32(bottom - top), radius * radius,
-                middle * middle, near, sums,
+                middle * middle, near,
             )  # fmt: skip
-            number = _total(sums[0])
-            mean, out[1, lens] = _spread(number, _total(sums[1]), _total(sums[2]))
+            mean, out[1, lens] = _spread(number, total, squares)
             out[0, lens] = near + mean
-            out[2, lens] = _spread(_total(sums[4]), _total(sums[5]), _total(sums[6]))[1]
-            out[3, lens] = np.sqrt(_total(sums[3]) / (np.float32(36) * max(number, np.float32(1.0))))
+            out[2, lens] = _spread(inner, inner_total, inner_squares)[1]
+            out[3, lens] = np.sqrt(rough / (np.float32(36) * max(number, np.float32(1.0))))
 
 
 def lens_statistics(

@@ -61,7 +61,10 @@ def test_texture_that_explains_itself_at_two_shifts_repeats_and_two_depths_in_on
     matched, echo = np.array([0.95, 0.6, 0.5, 0.9]), np.array([0.5, 0.35, 0.35, 0.22])
     # Of the third half is noise: what is left matches twice over.
     signal = np.array([1.0, 1.0, 0.5, 1.0])
-    assert echoing(matched, echo, signal).tolist() == [True, False, True, False]
+    apart = np.zeros(4, bool)
+    assert echoing(matched, echo, signal, apart).tolist() == [True, False, True, False]
+    # What all lenses show alike they match by chance alike, but not as well as what repeats.
+    assert echoing(matched, echo, signal, ~apart).tolist() == [False, False, True, False]
     # Where most lenses repeat, those between them do too, whatever they match by chance.
     most = np.array([False, True, True, True, True, False, False])
     sure = np.ones(7)

@@ -20,7 +20,7 @@ _SWEEPS = {f"{stage} {sweep.name}": sweep for stage, several in sweeps().items()
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        ("depth s / D", (-3.0, -1.0, -0.7, -0.02, 0.3, 0.7, 0.9)),
+        ("depth s / D", (-3.0, -1.0, -0.7, -0.02, -0.005, 0.01, 0.3, 0.7, 0.9)),
         ("depth contrast", (0, 0.002, 0.01, 0.05)),
         ("depth noise", (0, 0.1, 0.4)),
         ("depth rotation", tuple(range(7, 360, 89))),
@@ -46,7 +46,7 @@ _SWEEPS = {f"{stage} {sweep.name}": sweep for stage, several in sweeps().items()
         ("depth missing lenses", (0.05, 0.4)),
         ("depth bits", (8, 32)),
         ("depth period", (0.2, 0.6)),
-        ("rendering s / D", (-0.7, 0.005, 0.45, 0.909)),
+        ("rendering s / D", (-0.7, -0.1, 0.005, 0.45, 0.909)),
         ("rendering noise", (0.03,)),
         ("rendering contrast", (0, 0.05)),
         ("rendering pitch", (6, 9)),
