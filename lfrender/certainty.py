@@ -137,12 +137,11 @@ def echoing(matched: NDArray, echo: NDArray, signal: NDArray, same: NDArray[np.b
     same : (n,) bool
         Lenses as `showing_the_same`.
     """
-    return np.asarray((echo > np.where(same, _ECHO_ALIKE, _ECHO) * matched) & (matched + echo > _MORE_THAN_ALL * signal))
+    loud = echo > np.where(same, _ECHO_ALIKE, _ECHO) * matched
+    return np.asarray(loud & (matched + echo > _MORE_THAN_ALL * signal))
 
 
-def showing_the_same(
-    centres: NDArray, sizes: NDArray, resolved: NDArray[np.bool_], pitch: float
-) -> NDArray[np.bool_]:
+def showing_the_same(centres: NDArray, sizes: NDArray, resolved: NDArray[np.bool_], pitch: float) -> NDArray[np.bool_]:
     """(n,) bool: lenses with a patch size near zero, where all together see little more of the scene than one.
 
     Parameters
