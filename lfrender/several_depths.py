@@ -21,7 +21,7 @@ from .search import PRESETS, Found, Preset
 from .skipping import Shortcuts, sample_lenses
 from .spreading import spread
 from .surface import Surface
-from .texture import LensStatistics, Texture, find_texture
+from .texture import LensStatistics, Texture, find_texture, nearly_untouched_texture, noise_of
 
 __all__ = ["Overview", "lens_by_lens"]
 
@@ -30,6 +30,9 @@ __all__ = ["Overview", "lens_by_lens"]
 _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 150, 1 / 16, 24
 # Where less than this share of the lenses are asked, the others are left out of all that is done with them.
 _FEW = 0.5
+# A plane that is not found with shading left in is sought again where shading has faked more than a tenth of the
+# texture.
+_FEWER = 0.9
 # Fewer clear lenses than this do not tell it for the others: what repeats shows at depths that nobody has tried.
 _FEWEST_CLEAR = 300
 
@@ -117,9 +120,14 @@ def lens_by_lens(
     `overview` is of the larger flat of which this is a part. Beside the depth stands the part (n,) [px] of each error
     that all lenses of a surface may share.
     """
+    level, tried = None, np.inf
+    if blank is not None and kept is None and overview is None and shortcuts.plane:
+        level, tried = _plane_among_blank(gray, lattice, preset, plain, blank)
+        if level is not None:
+            return level, np.zeros(len(lattice))
     asked = _asked(gray, lattice, shortcuts, plain, blank, kept, before, overview)
     lenses, rows, setting = asked.lenses, asked.rows, PRESETS[preset]
-    if rows is not None and asked.alone and shortcuts.plane:
+    if rows is not None and asked.alone and shortcuts.plane and lenses.active.sum() < _FEWER * tried:
         level = few_on_plane(lenses, rows, asked.texture.flat, lattice, preset)
         if level is not None:
             return level, np.zeros(len(lattice))
@@ -137,6 +145,24 @@ def lens_by_lens(
     if rows is not None:
         answers = answers.among(len(lattice), rows, None)
     return on_one_plane(plane, lattice, preset, answers.reason, answers.confidence, saved), answers.astray
+
+
+def _plane_among_blank(
+    gray: GrayFlat, lattice: Lattice, preset: str, plain: LensStatistics, blank: NDArray[np.bool_]
+) -> tuple[DepthMap | None, float]:
+    """The depth where few lenses carry texture, the others are `blank`, and those few show one plane; None if not.
+
+    Shading is left in where it hardly matters. Beside the depth stands how many lenses were tried, inf where all.
+    """
+    texture = nearly_untouched_texture(gray, lattice, plain, blank, noise_of(plain.roughness))
+    active = texture.clear | texture.faint
+    if not 0 < active.mean() < _FEW:
+        return None, np.inf
+    forward, backward = lens_halves(lattice)
+    rows = np.flatnonzero(grown(active, np.hstack([forward, backward])))
+    every = np.ones(len(lattice), bool)
+    few = Lenses(texture, forward, backward, lattice.indices(), every, active, None).of(rows)
+    return few_on_plane(few, rows, texture.flat, lattice, preset), float(active.sum())
 
 
 def _asked(

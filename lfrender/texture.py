@@ -23,6 +23,7 @@ __all__ = [
     "blank_lenses",
     "find_texture",
     "lens_statistics",
+    "nearly_untouched_texture",
     "noise_of",
     "quick_statistics",
     "untouched_texture",
@@ -36,6 +37,8 @@ _CLEAR, _FAINT = 2.5, 0.5
 # be some, at least this much of the brightness: less is lost in the rounding of 8 bits.
 _MIDDLE, _LEAST_CONTRAST = 0.36, 0.01
 
+# Shading hardly adds as much contrast as this factor, or takes it away.
+_BESIDE = 1.5
 # So many microimages are no rougher than the noise makes them.
 _LEAST_ROUGH = 0.02
 # Vector loops take so many values at a time, and so many lenses share the memory that they are cut out to.
@@ -245,6 +248,19 @@ def untouched_texture(gray: GrayFlat, plain: LensStatistics, noise: float | None
     return Texture(gray, plain, noise, clear, _some(plain, noise) & ~clear)
 
 
+def nearly_untouched_texture(
+    gray: GrayFlat, lattice: Lattice, plain: LensStatistics, blank: NDArray[np.bool_], noise: float
+) -> Texture:
+    """As `find_texture`, but shading is taken only from lenses of which it may decide whether they carry texture."""
+    unsure = _unsure(plain, noise)
+    flattened, found = gray, plain
+    if unsure.any():
+        flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, unsure)
+        found = lens_statistics(flattened, plain, unsure)
+    clear = _clear(found, noise)
+    return Texture(flattened, found, noise, clear, _some(found, noise) & ~clear & ~blank)
+
+
 def noise_of(roughness: NDArray[np.float32]) -> float:
     """The least rough microimages show the noise alone; rounding and coding leave a grey level in any case."""
     at = _LEAST_ROUGH * (len(roughness) - 1)
@@ -259,6 +275,14 @@ def _some(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
 
 def _clear(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
     return _some(found, noise) & (found.contrast > np.hypot(_CLEAR * noise, FIXED_SHADING * found.mean))
+
+
+def _unsure(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
+    """Lenses with about as much contrast as tells texture, or with more of it, but hardly any in the middle."""
+    limit = np.hypot(_CLEAR * noise, FIXED_SHADING * found.mean)
+    middle = _BESIDE * np.maximum(_LEAST_CONTRAST * found.mean, np.float32(_FAINT * noise))
+    little = (found.contrast < _BESIDE * limit) | (found.middle < middle)
+    return np.asarray(little & (found.contrast * _BESIDE > limit))
 
 
 def _beyond_noise(found: LensStatistics) -> NDArray[np.bool_]:
