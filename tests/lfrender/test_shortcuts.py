@@ -173,6 +173,17 @@ def test_shading_that_all_lenses_share_does_not_pass_for_fine_texture_of_blank_o
     assert np.mean((quick.mode == 0) == (plain.mode == 0)) > 0.97
 
 
+@pytest.mark.parametrize("strength", [0.01, 0.03])
+def test_a_card_is_one_plane_whether_shading_hardly_matters_or_fakes_texture(strength):
+    shot = shot_of(*blank(camera(), ratio=0.2).surfaces, card(0.3, (150, 100), (450, 380)), noise=(4000, 5))
+    full, quick = both(replace(shot, flat=with_slopes(shot, strength)))
+    assert quick.saved["plane"] > 0.1
+    assert agreement(full, quick) > 0.99
+    known = quick.patch_size[quick.mode != 0]
+    assert np.ptp(known) == 0
+    assert abs(known[0] - 0.3 * 23.2) < 0.01
+
+
 def test_lenses_without_texture_are_drawn_like_the_nearest_that_have_some():
     cards = card(0.3, (40, 40), (200, 160)), card(-0.3, (440, 320), (600, 440))
     shot = shot_of(*blank(camera(), ratio=0.2).surfaces, *cards, noise=(4000, 5))
