@@ -21,10 +21,10 @@ __all__ = ["PROBE", "PlaneScene", "explained_by_plane", "find_plane", "plane_evi
 
 # About so many lenses tell a plane; of few lenses this share of them, but not fewer than the third number. Fewer than
 # the last number tell nothing, nor do so many lenses with texture: they hardly show whether what they see repeats.
-_SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE, _TOO_FEW = 40, 1 / 12, 30, 20
+_SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE, _TOO_FEW = 60, 1 / 12, 30, 20
 _FEWEST = 100
 # A slanted plane needs so many times as many: three numbers instead of one, of which two are carried to the border.
-_SLANTED = 6
+_SLANTED = 4
 # Of a plane that faces the camera this share of the lenses are searched to the same patch size, to that of the pitch.
 _ALIKE, _NEAR = 0.7, 0.05
 # Three shifts this far apart [px of the search] tell for each lens whether it, too, has its optimum there. Lenses that
