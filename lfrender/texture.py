@@ -99,7 +99,9 @@ class Texture:
         return Texture(flat, self.statistics.of(rows), self.noise, self.clear[rows], self.faint[rows])
 
 
-# Places are unsigned: signed ones are looked at for being counted from the end.
+# Drawn into its caller before anything is optimised: later, that is done once where Numba compiles and twice where it
+# loads, and sums would be ordered differently. Places are unsigned: signed ones are looked at for being counted from
+# the end.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _sums(box, columns, lines, start, above, below, count, ex, ey, low, high, last, r2, middle2, near):
     """Number, sum and sum of squares of the pixels in a circle, less `near`, the same in a smaller one, and the sum of
