@@ -1,12 +1,14 @@
 """What the shortcuts of the depth analysis save, and what they cost: `python -m benchmarks.shortcuts [FLAT ...]`.
 
-Ray-traced scenes, or the flats named on the command line, are analysed exhaustively and with all shortcuts. Printed are
+Ray-traced scenes, or the flats named on the command line, or with `--random N` so many mostly blank scenes of random
+cameras, are analysed exhaustively and with all shortcuts. Printed are
 the CPU time on one thread, the share of the lenses whose answers differ by more than 0.05 px or that only one of the
 two resolves, and what was left out; of ray-traced scenes also the errors of both against the truth.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from collections.abc import Callable
@@ -116,13 +118,33 @@ def _still_row(capture: Capture) -> None:
     )
 
 
-def main(paths: list[str]) -> None:
-    """Print one line for each scene, or for each flat in `paths`."""
+def _random_row(number: int) -> None:
+    """A card over a random share of a blank scene, taken by a random camera with random noise."""
+    rng = np.random.default_rng(number)
+    pitch, across = float(np.exp(rng.uniform(np.log(12), np.log(60)))), rng.uniform(25, 45)
+    camera = Camera.design(
+        (int(pitch * across), int(0.8 * pitch * across)), pitch,
+        lattice="hex" if rng.integers(2) else "square", rotation=float(rng.uniform(-15, 15)),
+    )  # fmt: skip
+    share = rng.uniform(0.03, 0.3)
+    noise = float(np.exp(rng.uniform(np.log(800), np.log(20000)))), float(rng.uniform(2, 10))
+    capture = simulate(_mostly_blank(camera, share), camera, samples=24, seed=number, noise=noise)
+    _row(f"random {number}, {share:.0%}", capture.flat, capture.truth.calibration, capture)
+
+
+def main(arguments: list[str]) -> None:
+    """Print one line for each scene, or for each flat that is named."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.shortcuts", description=__doc__)
+    parser.add_argument("flats", nargs="*")
+    parser.add_argument("--random", type=int, default=0, metavar="N")
+    options = parser.parse_args(arguments)
     numba.set_num_threads(1)
-    for path in paths:
+    for path in options.flats:
         flat = lfcal.read_flat(path)
         _row(path.split("/")[-1], flat, lfcal.calibrate(flat))
-    if paths:
+    for number in range(options.random):
+        _random_row(number)
+    if options.flats or options.random:
         return
     camera, large = (Camera.design(size, _PITCH, rotation=1.3) for size in (_SIZE, _LARGE))
     scenes = {name: (camera, scene) for name, scene in _scenes(camera).items()}

@@ -30,8 +30,8 @@ _TWICE = 1 / 3
 # Correlation at another shift over that of the answer: below this on nearly nine lenses of ten with texture that does
 # not repeat, above it on most others.
 _ECHO = 0.3
-# Where all lenses show the same, chance that is met in one of them is met in all: the same limit then, for patch sizes
-# below the second share of the pitch. Farther from zero waves beyond reach answer, with echoes of half and more.
+# What one lens matches by chance all do where they show the same: there an echo must be as loud as this, for patch
+# sizes below the second share of the pitch. Farther from zero waves beyond reach answer, with echoes of half and more.
 _ECHO_ALIKE, _NEAR_ZERO = 0.6, 0.05
 # Correlations at two shifts together over that of a perfect match: a tenth more than two depths can have.
 _MORE_THAN_ALL = 1.1
@@ -152,7 +152,7 @@ def showing_the_same(centres: NDArray, sizes: NDArray, resolved: NDArray[np.bool
     pitch : float [px]
     """
     near_zero = np.abs(sizes) <= _NEAR_ZERO * pitch
-    return near_zero & hardly_seen(centres, sizes, resolved, pitch)
+    return near_zero & (near_zero.any() and hardly_seen(centres, sizes, resolved, pitch))
 
 
 def repeated(

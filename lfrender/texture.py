@@ -271,19 +271,28 @@ def noise_of(roughness: NDArray[np.float32]) -> float:
     return max(low + (at - int(at)) * (high - low), 1 / 255)
 
 
+def _least_middle(found: LensStatistics, noise: float) -> NDArray[np.float32]:
+    """(n,) contrast in the middle from which on a lens carries texture."""
+    return np.maximum(_LEAST_CONTRAST * found.mean, np.float32(_FAINT * noise))
+
+
+def _least_clear(found: LensStatistics, noise: float) -> NDArray:
+    """(n,) contrast from which on that is clear."""
+    return np.hypot(_CLEAR * noise, FIXED_SHADING * found.mean)
+
+
 def _some(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
-    return found.middle > np.maximum(_LEAST_CONTRAST * found.mean, np.float32(_FAINT * noise))
+    return found.middle > _least_middle(found, noise)
 
 
 def _clear(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
-    return _some(found, noise) & (found.contrast > np.hypot(_CLEAR * noise, FIXED_SHADING * found.mean))
+    return _some(found, noise) & (found.contrast > _least_clear(found, noise))
 
 
 def _unsure(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
     """Lenses with about as much contrast as tells texture, or with more of it, but hardly any in the middle."""
-    limit = np.hypot(_CLEAR * noise, FIXED_SHADING * found.mean)
-    middle = _BESIDE * np.maximum(_LEAST_CONTRAST * found.mean, np.float32(_FAINT * noise))
-    little = (found.contrast < _BESIDE * limit) | (found.middle < middle)
+    limit = _least_clear(found, noise)
+    little = (found.contrast < _BESIDE * limit) | (found.middle < _BESIDE * _least_middle(found, noise))
     return np.asarray(little & (found.contrast * _BESIDE > limit))
 
 

@@ -13,6 +13,7 @@ from data_synth import SCENES, Camera, Scene, simulate
 from data_synth.scenes import blank, plane
 from data_synth.surfaces import Patch
 from lfcal import FlatError
+from lfrender import texture
 from lfrender.sequence import changed_lenses
 
 SIZE = (640, 480)
@@ -182,6 +183,22 @@ def test_a_card_is_one_plane_whether_shading_hardly_matters_or_fakes_texture(str
     known = quick.patch_size[quick.mode != 0]
     assert np.ptp(known) == 0
     assert abs(known[0] - 0.3 * 23.2) < 0.01
+
+
+def test_a_card_among_blank_lenses_is_found_without_taking_shading_from_all_of_them(monkeypatch):
+    shot = shot_of(*blank(camera(), ratio=0.2).surfaces, card(0.3, (150, 100), (450, 380)), noise=(4000, 5))
+    freed = []
+    flatten = texture.flatten_shading
+
+    def counted(gray, lattice, means, contrast, wanted, others=None):
+        freed.append(wanted.mean())
+        return flatten(gray, lattice, means, contrast, wanted, others)
+
+    monkeypatch.setattr(texture, "flatten_shading", counted)
+    quick = lfrender.analyze(shot.flat, shot.truth.calibration)
+    assert quick.saved["plane"] > 0.1
+    # All lenses with texture are two fifths of them.
+    assert sum(freed) < 0.1
 
 
 def test_lenses_without_texture_are_drawn_like_the_nearest_that_have_some():

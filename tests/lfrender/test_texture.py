@@ -1,3 +1,7 @@
+import os
+import subprocess
+import sys
+
 import numpy as np
 
 from lfcal import Lattice
@@ -38,3 +42,29 @@ def test_texture_at_the_rim_alone_says_nothing_about_the_middle():
     whole = find_texture(everywhere, LATTICE, lens_statistics(everywhere))
     assert whole.flat.image.shape == (170, 210)
     assert (whole.clear | whole.faint)[inner].all()
+
+
+_STATISTICS_BITS = """
+import numpy as np
+from lfrender.radiance import GrayFlat
+from lfrender.texture import lens_statistics
+rng = np.random.default_rng(0)
+image, centres = rng.random((300, 400), np.float32), (rng.random((200, 2)) * (400, 300)).astype(np.float32)
+for radius in (3.2, 11.4, 17.5):
+    for step in (1, 2):
+        found = lens_statistics(GrayFlat(image, centres, radius, 2 * radius), row_step=step)
+        print(*(getattr(found, name).tobytes().hex() for name in ("mean", "contrast", "middle", "roughness")))
+"""
+
+
+def test_sums_have_the_same_bits_where_the_kernel_is_compiled_and_where_it_is_loaded(tmp_path):
+    # Without forceinline they have not.
+    cold, warm = (
+        subprocess.run(
+            [sys.executable, "-c", _STATISTICS_BITS], env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True, check=True, timeout=300,
+        ).stdout
+        for _ in "ab"
+    )  # fmt: skip
+    assert len(cold) > 10_000
+    assert cold == warm
