@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
+from .byte_reading import GAIN_BITS, LEFT_BITS, TOGETHER, TURNED, read_turned, read_turned_with_gain, read_with_gain
 from .fastmath import FAST
 from .prefetching import prefetch
 
@@ -25,6 +26,30 @@ _PHASES = 8
 # Values are read in bunches of so many, as vector instructions want it: those beyond the end of a run are overwritten
 # by the next.
 _BUNCH = 32
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _weights_of_bytes(fx, fy):
+    """Weights of the four pixels about a place in whole 256ths, rounded so that their sum is 256 whatever they are."""
+    right, low = np.rint(256 * fx), np.rint(256 * fy)
+    corner = np.rint(right * low / 256)
+    return (
+        np.uint16(256 - right - low + corner), np.uint16(right - corner), np.uint16(low - corner), np.uint16(corner),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _read_turned_run(flat, at, across, down, fx, fy, gain, gain_at, out, start, size):
+    """Pixels of three bytes as `_read_run_of_bytes`, the last first: those before the places `at` and `gain_at`."""
+    weights = _weights_of_bytes(fx, fy)
+    bunch = np.uint64(3 * TURNED)
+    for k in range(np.uint64(0), size, bunch):
+        at, gain_at = at - bunch, gain_at - bunch
+        places = (at, at + across, at + down, at + down + across)
+        if len(gain) == 0:
+            read_turned(flat, places, weights, out, start + k)
+        else:
+            read_turned_with_gain(flat, places, weights, gain, gain_at, out, start + k)
 
 
 # Python's error model checks every division, which no vector loop can.
@@ -49,19 +74,22 @@ def _read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, out, sta
 def _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, half, top, out, start, size):
     """The same of bytes, with weights of whole 256ths: twice as many at a time."""
     at_b, at_c, at_d = at + across, at + down, at + down + across
-    # Rounded so that their sum is 256 whatever they are.
-    right, low = np.rint(256 * fx), np.rint(256 * fy)
-    corner = np.rint(right * low / 256)
-    wb, wc, wd = np.uint16(right - corner), np.uint16(low - corner), np.uint16(corner)
-    wa = np.uint16(256 - right - low + corner)
+    wa, wb, wc, wd = _weights_of_bytes(fx, fy)
     if len(gain) == 0:
         for k in range(size):
             value = np.uint16(wa * flat[at + k] + wb * flat[at_b + k] + wc * flat[at_c + k] + wd * flat[at_d + k])
             out[start + k] = np.uint16(value + np.uint16(128)) >> np.uint16(8)
     else:
-        for k in range(size):
+        whole = size // np.uint64(TOGETHER) * np.uint64(TOGETHER)
+        for k in range(np.uint64(0), whole, np.uint64(TOGETHER)):
+            read_with_gain(
+                flat, (at + k, at_b + k, at_c + k, at_d + k), (wa, wb, wc, wd), gain, gain_at + k, out, start + k
+            )
+        for k in range(whole, size):
             value = np.uint16(wa * flat[at + k] + wb * flat[at_b + k] + wc * flat[at_c + k] + wd * flat[at_d + k])
-            out[start + k] = min(np.float32(value) * (gain[gain_at + k] * np.float32(1 / 256)) + half, top)
+            value = np.uint16((np.uint32(value) * np.uint32(gain[gain_at + k])) >> np.uint32(16))
+            value = np.uint16(value + np.uint16(1 << (LEFT_BITS - 1))) >> np.uint16(LEFT_BITS)
+            out[start + k] = min(value, np.uint16(255))
 
 
 @njit(cache=True, nogil=True)
@@ -138,7 +166,9 @@ def _lay(
             count += 1
     turned = patch_slope > 0
     slope = -1 if turned else 1
-    bunch, one, phases = np.uint64(_BUNCH), np.uint64(1), np.uint64(_PHASES)
+    bunch, turned_bunch = np.uint64(_BUNCH), np.uint64(3 * TURNED)
+    one, phases = np.uint64(1), np.uint64(_PHASES)
+    at_once = turned and flat.itemsize == 1 and channels == 3
     across, down = np.uint64(channels), np.uint64(width * channels)
     gain = tabled.reshape(-1)
     gain_line = np.uint64(tabled.shape[2])
@@ -146,6 +176,7 @@ def _lay(
     last_place = np.uint64(len(flat) - (width + 1) * channels)
     for v in prange(part[1], part[3]):
         row, seen = out[v - part[1]], valid[v - part[1]]
+        seen[:] = True
         room_in_row = np.uint64(len(row))
         line = np.empty(len(row) + _BUNCH, out.dtype)
         lenses = np.empty(beside.shape)
@@ -200,22 +231,32 @@ def _lay(
                     ahead = at - down if turned else at + down + down
                     prefetch(flat, ahead)
                     prefetch(flat, ahead + length)
-                    bunched = (length + bunch - one) // bunch * bunch
-                    if at + bunched <= last_place:
-                        length = bunched
-                    # What is written beyond the end of a run must not leave the row.
-                    direct = not turned and into + length <= room_in_row
-                    to = row if direct else line
                     gain_at = np.uint64(0)
                     if len(gain) > 0:
                         step = np.uint64(int((dx + reach) * _PHASES + 0.5) + from_middle * _PHASES)
                         gain_row = np.uint64((dy + reach) * _PHASES + 0.5) * phases + step % phases
-                        gain_at = gain_row * gain_line + step // phases * across
+                        gain_at = gain_row * gain_line + step // phases * across + bunch
+                    # What is written beyond the end of a run must neither leave the row nor cover what is written, nor
+                    # may what is read leave the flat.
+                    turned_length = (length + turned_bunch - one) // turned_bunch * turned_bunch
+                    if at_once and high == end and turned_length < min(at + length, room_in_row - into) and (
+                        at + length < last_place
+                    ):  # fmt: skip
+                        _read_turned_run(
+                            flat, at + length, across, down, fx, fy, gain, gain_at + length, row, into, turned_length
+                        )
+                        u = end
+                        cx, cy = cx + around[following, 0], cy + around[following, 1]
+                        continue
+                    bunched = (length + bunch - one) // bunch * bunch
+                    if at + bunched <= last_place:
+                        length = bunched
+                    direct = not turned and high == end and into + length <= room_in_row
+                    to = row if direct else line
                     if flat.itemsize == 1:
                         _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, half, top, to, into, length)
                     else:
                         _read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, to, into, length)
-                    seen[low - part[0] : high - part[0]] = True
                     first_k, last_k = low - part[0], high - part[0]
                     if turned and channels == 3:
                         # The compiler has better instructions for steps that it knows.
@@ -297,14 +338,16 @@ def lay_patches(
     steps = np.concatenate([steps, -steps])
     channels = pixels.shape[2]
     reach = int(np.ceil(np.abs(_cell(lattice)).max() / spacing)) + 2
-    table = np.empty((0, 0, 0), np.float32)
+    table = np.empty((0, 0, 0), np.uint16 if pixels.dtype == np.uint8 else np.float32)
     if not (gains == gains[0]).all() or gains[0] != 1:
         along = np.arange(-reach * _PHASES, (reach + 1) * _PHASES) / _PHASES
         squared = along[:, None] ** 2 + along**2
         table = gains[np.minimum((squared / gain_step).astype(int), len(gains) - 1)]
         # One line for each phase, and each value once for every channel.
         table = np.repeat(table.reshape(len(along), -1, _PHASES).transpose(0, 2, 1), channels, 2)
-        table = np.pad(table, ((0, 0), (0, 0), (0, _BUNCH)))
+        table = np.pad(table, ((0, 0), (0, 0), (_BUNCH, _BUNCH)))
+        if pixels.dtype == np.uint8:
+            table = np.minimum(np.rint(table * (1 << GAIN_BITS)), np.iinfo(np.uint16).max).astype(np.uint16)
     whole = pixels.dtype.kind in "ui"
     rows, columns = part[3] - part[1], part[2] - part[0]
     image, valid = np.empty((rows, columns, channels), pixels.dtype), np.empty((rows, columns), bool)

@@ -135,9 +135,10 @@ def test_wrong_arguments_are_refused_with_the_reason():
 
 @pytest.mark.parametrize("lattice", ["hex", "square"])
 @pytest.mark.parametrize("ratio", [-0.41, 0.28])
-def test_patches_laid_side_by_side_are_the_picture_of_the_nearest_lenses(ratio, lattice):
+@pytest.mark.parametrize("profile", [None, Vignetting(np.linspace(1.0, 0.7, 14), 1.0)], ids=["even", "vignetting"])
+def test_patches_laid_side_by_side_are_the_picture_of_the_nearest_lenses(ratio, lattice, profile):
     shot = capture("plane", lattice, ratio=ratio)
-    calibration = replace(shot.truth.calibration, vignetting=Vignetting(np.linspace(1.0, 0.7, 14), 1.0))
+    calibration = replace(shot.truth.calibration, vignetting=profile)
     s = ratio * calibration.lattice.pitch
     quick = lfrender.render(shot.flat, calibration, patch_size=s)
     # A scale beside the full one takes the general way.

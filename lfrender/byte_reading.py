@@ -1,0 +1,104 @@
+"""Bytes between four places, sixteen at a time, where the compiler does not find the instructions by itself.
+
+It moves pixels of three bytes in the opposite order one by one, and does not multiply to the upper half of a product.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba.core import types
+from numba.extending import intrinsic
+
+__all__ = ["GAIN_BITS", "LEFT_BITS", "TOGETHER", "TURNED", "read_turned", "read_turned_with_gain", "read_with_gain"]
+
+#: So many bytes are read together, and of pixels of three so many turned; the last byte is then of no use.
+TOGETHER, TURNED = 16, 5
+_ORDER = [3 * (TURNED - 1 - k // 3) + k % 3 for k in range(3 * TURNED)] + [TOGETHER - 1]
+#: A gain of less than 4 fits into 16 bits with so many below one. Of its product with a byte weighted by 256ths the
+#: upper 16 bits are kept, which leaves the second number of them below one.
+GAIN_BITS, LEFT_BITS = 14, 6
+_WEIGHT_BITS, _UPPER_HALF, _TOP = 8, 16, 255
+
+
+def _vector(bits: int) -> Any:
+    return ir.VectorType(ir.IntType(bits), TOGETHER)
+
+
+def _all(bits: int, value: int) -> Any:
+    return ir.Constant(_vector(bits), [value] * TOGETHER)
+
+
+def _addresses(context: Any, builder: Any, signature: Any, arguments: Any) -> Callable[[int, Any, int], Any]:
+    """What tells where a vector of numbers of so many bits begins at some place of an argument."""
+
+    def address(which: int, place: Any, bits: int) -> Any:
+        array = context.make_array(signature.args[which])(context, builder, arguments[which])
+        return builder.bitcast(builder.gep(array.data, [place]), _vector(bits).as_pointer())
+
+    return address
+
+
+def _weighted(builder: Any, address: Any, places: Any, weights: Any) -> Any:
+    """Sum of the bytes at four places times as many weights."""
+    total = _all(16, 0)
+    for k in range(4):
+        read = builder.load(address(0, builder.extract_value(places, k), 8), align=1)
+        first = builder.insert_element(
+            ir.Constant(_vector(16), ir.Undefined), builder.extract_value(weights, k), ir.IntType(32)(0)
+        )
+        weight = builder.shuffle_vector(first, first, _all(32, 0))
+        total = builder.add(total, builder.mul(builder.zext(read, _vector(16)), weight))
+    return total
+
+
+def _rounded(builder: Any, values: Any, bits: int) -> Any:
+    return builder.lshr(builder.add(values, _all(16, 1 << (bits - 1))), _all(16, bits))
+
+
+def _store(builder: Any, values: Any, where: Any, turned: bool) -> None:
+    narrow = builder.trunc(values, _vector(8))
+    if turned:
+        narrow = builder.shuffle_vector(narrow, narrow, ir.Constant(_vector(32), _ORDER))
+    builder.store(narrow, where, align=1)
+
+
+def _read_turned(_typing: Any, values: Any, places: Any, weights: Any, out: Any, _into: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        address = _addresses(context, builder, signature, arguments)
+        mean = _rounded(builder, _weighted(builder, address, arguments[1], arguments[2]), _WEIGHT_BITS)
+        _store(builder, mean, address(3, arguments[4], 8), turned=True)
+        return context.get_dummy_value()
+
+    return types.void(values, places, weights, out, types.uintp), generate
+
+
+def _with_gain(turned: bool) -> Callable[..., Any]:
+    def read(
+        _typing: Any, values: Any, places: Any, weights: Any, gain: Any, _gain_at: Any, out: Any, _into: Any
+    ) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            address = _addresses(context, builder, signature, arguments)
+            total = builder.zext(_weighted(builder, address, arguments[1], arguments[2]), _vector(32))
+            factor = builder.zext(builder.load(address(3, arguments[4], 16), align=1), _vector(32))
+            product = builder.lshr(builder.mul(total, factor), _all(32, _UPPER_HALF))
+            value = _rounded(builder, builder.trunc(product, _vector(16)), LEFT_BITS)
+            top = _all(16, _TOP)
+            value = builder.select(builder.icmp_unsigned("<", value, top), value, top)
+            _store(builder, value, address(5, arguments[6], 8), turned)
+            return context.get_dummy_value()
+
+        return types.void(values, places, weights, gain, types.uintp, out, types.uintp), generate
+
+    return read
+
+
+# `read_turned(values, places, weights, out, into)` puts the means of the bytes from four `places` on, weighted by
+# 256ths, into `out`, the last pixel first.
+read_turned: Any = intrinsic(_read_turned)
+# `read_with_gain(values, places, weights, gain, gain_at, out, into)` multiplies them by as many 2^-14 as the numbers of
+# two bytes say that follow each other from `gain[gain_at]` on.
+read_with_gain: Any = intrinsic(_with_gain(turned=False))
+read_turned_with_gain: Any = intrinsic(_with_gain(turned=True))
