@@ -10,6 +10,7 @@ from .fastmath import FAST
 from .microimages import BUNCH, Masks, Strips, cut_out, joint_masks
 from .radiance import GrayFlat
 from .remembered import remembered
+from .scratch import recycled
 
 __all__ = ["half_trust", "mean_steps", "pair_costs", "shared_pixels"]
 
@@ -332,7 +333,7 @@ def pair_costs(
     """
     fresh = out is None
     if out is None:
-        out = np.empty((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
+        out = recycled((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
     which = np.arange(len(shifts)) if which is None else which
     done = np.zeros(len(active), bool) if done is None else done
     about = np.empty(0, np.float32) if about is None else about.astype(np.float32)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from .fastmath import FAST
 from .radiance import GrayFlat
 from .remembered import remembered
+from .scratch import recycled
 
 __all__ = ["BUNCH", "Masks", "Strips", "copy_box", "cut_out", "joint_masks"]
 
@@ -148,7 +149,7 @@ def _empty_strips(gray: GrayFlat, step: int) -> Strips:
     rows = -(-width // step)
     middle = np.rint(gray.centres).astype(np.int32)
     inside = (middle >= half) & (middle + half < np.array(gray.image.shape[::-1]))
-    values = np.empty(len(middle) * rows * step * width + _SPARE, np.float32)
+    values = recycled((len(middle) * rows * step * width + _SPARE,), np.float32)
     values[-_SPARE:] = 0.0
     return Strips(values, middle, inside[:, 0] & inside[:, 1], np.zeros(len(middle), bool), half, width, rows, step)
 

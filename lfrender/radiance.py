@@ -13,6 +13,7 @@ from lfcal import Calibration, Lattice
 
 from .fastmath import FAST
 from .remembered import remembered
+from .scratch import recycled
 
 __all__ = ["GrayFlat", "gain_table", "gray_flat", "lens_by_lens", "shrink", "shrunk", "white_level"]
 
@@ -227,7 +228,7 @@ def gray_flat(
     of a larger one, to which the gain map of the camera belongs.
     """
     lattice = shrunk(calibration.lattice, factor)
-    image = np.empty(lattice.image_size[::-1], np.float32)
+    image = recycled(lattice.image_size[::-1], np.float32)
     rows = np.ascontiguousarray(flat).reshape(len(flat), -1)
     radius = trusted_radius(calibration)
     uneven = lens_by_lens(calibration)
@@ -305,10 +306,12 @@ def trusted_radius(calibration: Calibration) -> float:
 
 def shrink(gray: GrayFlat, factor: int) -> GrayFlat:
     """`gray` at a whole fraction of its resolution: each pixel is the mean of `factor` x `factor`."""
+    return gray if factor == 1 else remembered(gray, ("shrunk", factor), lambda: _shrunk_flat(gray, factor))
+
+
+def _shrunk_flat(gray: GrayFlat, factor: int) -> GrayFlat:
     import cv2
 
-    if factor == 1:
-        return gray
     height, width = (n // factor for n in gray.image.shape)
     image = cv2.resize(gray.image[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
     centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)

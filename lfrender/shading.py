@@ -20,6 +20,7 @@ from .microimages import cut_out
 from .neighbours import neighbour_rows
 from .radiance import GrayFlat
 from .remembered import remembered
+from .scratch import recycled
 
 __all__ = ["SHADING", "flatten_shading"]
 
@@ -33,6 +34,8 @@ _NEARBY = 4.2
 _SIGNIFICANT = np.float32(2.0)
 # Vector loops take so many values at a time: what lies beyond the end of a strip is not looked at.
 _BUNCH = 32
+# What is said of a microimage is read from it and so many pixels beyond.
+_BESIDE = 2
 # So many lenses share the memory that their sums are in.
 _TOGETHER = 32
 
@@ -105,12 +108,22 @@ def _take_away(row, shade, share, out):
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _subtract_shading(
-    image, centres, wanted, near, weights, contrast, radius, strips, middle, whole, half, width, fresh, out
+    image, centres, wanted, near, weights, contrast, radius, strips, middle, whole, half, width, fresh,
+    everywhere, out,
 ):  # fmt: skip
     height, across = image.shape
-    if fresh:
+    if fresh and everywhere:
         for y in prange(height):
             out[y] = image[y]
+    elif fresh:
+        reach = radius + np.float32(_BESIDE)
+        for lens in prange(len(centres)):
+            if wanted[lens]:
+                left, right = int(centres[lens, 0] - reach), int(centres[lens, 0] + reach) + 2
+                top, bottom = int(centres[lens, 1] - reach), int(centres[lens, 1] + reach) + 2
+                for y in range(max(top, 0), min(bottom, height)):
+                    for x in range(max(left, 0), min(right, across)):
+                        out[y, x] = image[y, x]
     # Strips, `width` pixels a row, have a border of one pixel about what is in `shade`.
     count = ((width - 2) * width + _BUNCH - 1) // _BUNCH * _BUNCH
     for part in prange((len(centres) + _TOGETHER - 1) // _TOGETHER):
@@ -157,6 +170,7 @@ def flatten_shading(
     contrast: NDArray[np.float32],
     wanted: NDArray[np.bool_],
     others: GrayFlat | None = None,
+    everywhere: bool = True,
 ) -> GrayFlat:
     """`gray` without the pattern that the lenses around each lens, of its own type, have in common.
 
@@ -174,6 +188,8 @@ def flatten_shading(
         Lenses to take it from; the others stay as they are.
     others : GrayFlat, optional
         `gray` without the shading of some other lenses, which becomes the answer.
+    everywhere : bool
+        Pixels beyond the wanted lenses are those of `gray`; they may else be anything.
     """
     if others is not None and not wanted.any():
         return others
@@ -184,10 +200,10 @@ def flatten_shading(
     read = np.zeros(len(near) + 1, bool)
     read[near[wanted]] = True
     strips = cut_out(gray, means, 1, read[:-1])
-    out = np.empty_like(gray.image) if others is None else others.image
+    out = recycled(gray.image.shape, np.float32) if others is None else others.image
     _subtract_shading(
         gray.image, gray.centres, wanted, near, weights.astype(np.float32), contrast,
         np.float32(gray.radius), strips.values, strips.middle, strips.whole, strips.half, strips.width,
-        others is None, out,
+        others is None, everywhere, out,
     )  # fmt: skip
     return dataclasses.replace(gray, image=out)

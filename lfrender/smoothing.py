@@ -7,6 +7,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .radiance import GrayFlat
+from .scratch import recycled
 
 __all__ = ["smoothed"]
 
@@ -69,7 +70,7 @@ def smoothed(gray: GrayFlat, wanted: NDArray[np.bool_]) -> NDArray[np.float32]:
 
     Only pixels that those microimages need are set, two pixels beyond their radius included.
     """
-    out = np.empty_like(gray.image)
+    out = recycled(gray.image.shape, np.float32)
     # Microimages with what lies about them overlap: all pixels are fewer than those of most lenses.
     if wanted.sum() * gray.pitch**2 > _MOST * gray.image.size:
         _smooth_rows(gray.image, out)

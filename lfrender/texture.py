@@ -253,14 +253,14 @@ def untouched_texture(gray: GrayFlat, plain: LensStatistics, noise: float | None
 def nearly_untouched_texture(
     gray: GrayFlat, lattice: Lattice, plain: LensStatistics, blank: NDArray[np.bool_], noise: float
 ) -> Texture:
-    """As `find_texture`, but shading is taken only from lenses of which it may decide whether they carry texture."""
-    unsure = _unsure(plain, noise)
-    flattened, found = gray, plain
+    """As `find_texture`, but of shading is told only what lenses of which it may decide show without it."""
+    unsure = _unsure(plain, noise) | (_some(plain, noise) & ~_clear(plain, noise) & ~blank)
+    found = plain
     if unsure.any():
-        flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, unsure)
+        flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, unsure, everywhere=False)
         found = lens_statistics(flattened, plain, unsure)
     clear = _clear(found, noise)
-    return Texture(flattened, found, noise, clear, _some(found, noise) & ~clear & ~blank)
+    return Texture(gray, found, noise, clear, _some(found, noise) & ~clear & ~blank)
 
 
 def noise_of(roughness: NDArray[np.float32]) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.scratch import scratch
+from lfrender.scratch import recycled, scratch
 
 
 def test_memory_is_handed_out_again_to_the_same_thread_only():
@@ -45,3 +45,23 @@ def test_the_next_frame_leaves_depth_and_picture_of_the_last_one_as_they_are():
     np.testing.assert_array_equal(depth.surface.patch_size, kept[0])
     np.testing.assert_array_equal(depth.patch_size, kept[1])
     np.testing.assert_array_equal(picture.image, kept[2])
+
+
+def test_memory_is_recycled_only_when_no_array_refers_to_it():
+    first = recycled((300, 200), np.int16)
+    part, place = first[10:20].T, first.ctypes.data
+    del first
+    others = [recycled((300, 200), np.int16) for _ in range(5)]
+    assert place not in [other.ctypes.data for other in others]
+    del part
+    # A little less is as good.
+    assert recycled((200, 290), np.int16).ctypes.data == place
+
+
+def test_much_larger_memory_and_what_exceeds_the_limit_is_left_alone():
+    large = recycled((1 << 20,), np.int64)
+    place = large.ctypes.data
+    del large
+    assert recycled((1 << 18,), np.int64).ctypes.data != place
+    # It would be a view of what is kept.
+    assert recycled((1 << 23, 2), np.int64).base is None

@@ -190,9 +190,9 @@ def test_a_card_among_blank_lenses_is_found_without_taking_shading_from_all_of_t
     freed = []
     flatten = texture.flatten_shading
 
-    def counted(gray, lattice, means, contrast, wanted, others=None):
+    def counted(gray, lattice, means, contrast, wanted, *others, **how):
         freed.append(wanted.mean())
-        return flatten(gray, lattice, means, contrast, wanted, others)
+        return flatten(gray, lattice, means, contrast, wanted, *others, **how)
 
     monkeypatch.setattr(texture, "flatten_shading", counted)
     quick = lfrender.analyze(shot.flat, shot.truth.calibration)
