@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .certainty import misled, signal_share
 from .modes import confidence, parabola_peak
 from .neighbours import around, beside
-from .plane import TEXTURED, Plane, fit_plane, strays
+from .plane import TEXTURED, Plane, alike, fit_plane, strays
 from .refinement import PairFits, fit_pairs
 from .search import MISFIT, Matcher, Preset
 from .skipping import sample_lenses
@@ -30,8 +30,10 @@ _ALIKE, _NEAR = 0.7, 0.05
 # Three shifts this far apart [px of the search] tell for each lens whether it, too, has its optimum there. Lenses that
 # are off to one side by the second number together with others beside them are measured.
 PROBE, _OFF, _TOGETHER = 0.75, 0.25, 2
-# A better match elsewhere, by this much, is another surface; so is a share of the lenses without any match.
-_BETTER, _MISFITS = 0.15, 0.05
+# A better match elsewhere, by this much, is another surface, if by so many pixels of the search or with others beside
+# it; so is a share of the lenses without any match. Where more than the last number seem to have none, they are not
+# searched for it.
+_BETTER, _FAR, _MISFITS, _DOUBTFUL = 0.15, 2.0, 0.05, 0.15
 # Noise and little overlap make all matches worse: a misfit is so many times as bad as the usual lens, but at most this.
 _USUAL, _WORST = 2.0, 0.6
 
@@ -94,6 +96,8 @@ def find_plane(
         return None
     start = np.full(len(indices), np.nan, np.float32)
     start[sample] = (matcher.shifts[best] + parabola_peak(cost, best) * matcher.step) * matcher.factor
+    if not alike(texture.flat.centres[sample].astype(np.float64), start[sample].astype(np.float64), pitch):
+        return None
     if facing and np.mean(np.abs(start[sample] - np.median(start[sample])) <= _NEAR * pitch) < _ALIKE:
         return None
     points, sizes = _places(_pairs(texture, forward, start, setting), texture, forward)
@@ -151,14 +155,23 @@ def plane_evidence(
     misfits = texture.clear & (cost[:, 1] > limit)
     rows = matcher.rows
     inner = _inner(texture, rows)
-    if not inner.any() or misfits[inner].mean() > _MISFITS:
+    if not inner.any() or misfits[inner].mean() > _DOUBTFUL:
         return None
     if misfits.any():
         full = matcher.costs(matcher.pairs(misfits), misfits)
-        least = full.min(1)
-        elsewhere = np.zeros(len(misfits), bool)
-        elsewhere[misfits] = (least < cost[misfits, 1] - _BETTER) & (least < limit)
-        if (elsewhere & inner).any() or (beside(elsewhere, rows) >= _TOGETHER).any():
+        # The search tries other pairs than the probe, so that only what it finds itself can be compared.
+        away = np.abs(matcher.shifts - about[misfits, None] / matcher.factor)
+        near = away <= matcher.step
+        own = (full * (matcher.step - away)).sum(1, where=near) / (matcher.step - away).sum(1, where=near)
+        there = np.where(near, np.inf, full)
+        elsewhere, far = np.zeros((2, len(misfits)), bool)
+        elsewhere[misfits] = (there.min(1) < own - _BETTER) & (there.min(1) < limit)
+        far[elsewhere] = away[np.arange(len(own)), there.argmin(1)][elsewhere[misfits]] > _FAR
+        misfits[misfits] = np.where(near, full, np.inf).min(1) > limit
+        if misfits[inner].mean() > _MISFITS:
+            return None
+        together = beside(elsewhere, rows)
+        if (far & inner).any() or (elsewhere & inner & (together > 0)).any() or (together >= _TOGETHER).any():
             return None
     off = vertex(cost) * PROBE
     doubtful = np.zeros(len(off), bool)

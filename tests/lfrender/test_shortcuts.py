@@ -14,6 +14,7 @@ from data_synth.scenes import blank, plane
 from data_synth.surfaces import Patch
 from lfcal import FlatError
 from lfrender import texture
+from lfrender.plane import alike, fit_plane
 from lfrender.sequence import changed_lenses
 
 SIZE = (640, 480)
@@ -82,9 +83,28 @@ def test_slanted_and_noisy_planes_are_recognised_and_agree_with_the_exhaustive_s
     assert np.quantile(error, 0.95) < 0.03
 
 
-def test_a_bend_of_a_tenth_of_a_pixel_is_no_plane():
-    from lfrender.plane import fit_plane
+@pytest.mark.parametrize("lattice", ["hex", "square"])
+@pytest.mark.parametrize("ratio", [-0.4, 0.3])
+def test_planes_of_thousands_of_small_lenses_are_recognised(lattice, ratio):
+    small = Camera.design((1000, 800), 14.0, lattice=lattice, rotation=2.0)
+    shot = simulate(plane(small, ratio=ratio), small, samples=16, seed=3, noise=(12000, 5))
+    # Of so many some match better elsewhere by chance.
+    full, quick = both(shot)
+    assert quick.saved["plane"] > 0.9
+    assert agreement(full, quick) > 0.99
 
+
+def test_several_depths_are_told_from_what_few_lenses_find_in_whole_pixels():
+    rng = np.random.default_rng(4)
+    places = rng.uniform(0, 2000, (60, 2))
+    slanted = 1 / (1 / 7 + 2e-5 * places[:, 0]) + rng.normal(0, 0.3, 60)
+    assert alike(places, slanted, 23.2)
+    assert alike(places, np.where(rng.random(60) < 0.1, rng.uniform(-15, 15, 60), slanted), 23.2)
+    assert not alike(places, np.where(places[:, 0] > 1200, -6.0, slanted), 23.2)
+    assert not alike(places, np.zeros(60), 23.2)
+
+
+def test_a_bend_of_a_tenth_of_a_pixel_is_no_plane():
     rng = np.random.default_rng(3)
     points = rng.uniform(0, 600, (400, 2))
     flat = 1 / (1 / 7 + 2e-5 * points[:, 0]) + rng.normal(0, 0.03, 400)
