@@ -13,7 +13,7 @@ from lfcal import Calibration, FlatError, Lattice
 from .blankness import skipped_lenses
 from .depthmap import DepthMap
 from .flatcheck import check_flat
-from .neighbours import beside, grown, lens_halves
+from .neighbours import beside, grown, lens_halves, neighbour_rows
 from .radiance import GrayFlat
 from .region import scaled
 from .remembered import remembered
@@ -65,7 +65,7 @@ def following(
         raise FlatError(f"both frames must have the same channels and type, they have {kinds}")
     if len(before) != len(lattice) or before.preset != preset:
         raise ValueError("the earlier depth map was made with another camera or preset; analyze without previous")
-    neighbours = np.hstack(lens_halves(lattice))
+    neighbours = neighbour_rows(lattice, lattice.steps)
     changed = changed_lenses(earlier, flat, calibration)
     kept = ~grown(changed, neighbours)
     saved = {"still": float(kept.mean())}

@@ -24,7 +24,7 @@ from .flat_parts import FlatParts
 from .judgement import LEAST_EVIDENCE
 from .lens_tiles import LensPart, lens_tiles, lens_windows
 from .level_depth import on_one_plane, regular_plane
-from .neighbours import lens_grid, lens_halves
+from .neighbours import lens_grid, lens_halves, neighbour_rows
 from .part_workers import ClusterWorkers, Here, PartWorkers
 from .plane import TEXTURED, Plane, fit_plane
 from .radiance import GrayFlat, gray_flat
@@ -223,7 +223,14 @@ def _by_tiles(
     plane = None
     if whole.shortcuts.plane:
         plane = regular_plane(
-            lattice.centres(), n, lattice.pitch, patch_size, error, reason, astray, np.hstack(lens_halves(lattice))
+            lattice.centres(),
+            n,
+            lattice.pitch,
+            patch_size,
+            error,
+            reason,
+            astray,
+            neighbour_rows(lattice, lattice.steps),
         )
     if plane is not None:
         return on_one_plane(plane, lattice, preset, reason, confidence, saved)

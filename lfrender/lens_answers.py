@@ -11,7 +11,7 @@ from .certainty import misled, signal_share, unexplained
 from .consensus import measure
 from .depthmap import DepthMap
 from .judgement import RESOLVABLE, SURE, credible, judged, moving, possible, shaded
-from .neighbours import rows_among
+from .neighbours import both_ways, rows_among
 from .recurrence import hardly_seen, recurring
 from .search import Found, Matcher, Preset, search
 from .texture import Texture
@@ -66,7 +66,7 @@ class Lenses:
     @property
     def neighbours(self) -> NDArray[np.int32]:
         """(n, 2 d) int32 neighbour rows in all directions."""
-        return np.hstack([self.forward, self.backward])
+        return both_ways(self.forward, self.backward)
 
     def of(self, rows: NDArray[np.int64]) -> Lenses:
         """Some of them, as if there were no others."""

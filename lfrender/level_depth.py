@@ -12,7 +12,7 @@ from lfcal import Lattice
 from .depthmap import DepthMap
 from .judgement import AGREED, LEAST_EVIDENCE, RESOLVABLE, SURE
 from .lens_answers import Answers, Lenses
-from .neighbours import around, lens_halves
+from .neighbours import around, neighbour_rows
 from .plane import TEXTURED, Plane, fit_plane, strays
 from .radiance import GrayFlat
 from .recurrence import recurring
@@ -33,7 +33,7 @@ def plane_scene(found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str
     """One plane for all lenses that show it."""
     shown = found.evidence >= LEAST_EVIDENCE
     usual = shown & (found.evidence >= _TYPICAL * np.median(found.evidence[shown]))
-    shown &= usual | (around(usual, np.hstack(lens_halves(lattice))) >= 2)
+    shown &= usual | (around(usual, neighbour_rows(lattice, lattice.steps)) >= 2)
     sizes = found.plane.at(lattice.centres())
     again, perhaps = recurring(gray, lattice.indices(), sizes, shown)
     sure = found.confidence * (SURE if perhaps else 1.0)

@@ -27,7 +27,7 @@ _SHADED = np.float32(0.03)
 # Where two microimages share less than a third, that is so many squares of their radius, every pixel at the rim counts.
 _ENOUGH = np.float32(1.0)
 # Centres and shifts are rounded to pixels each on its own, which moves a shift by so many pixels.
-_ROUNDING = np.arange(-2, 3)
+_ROUNDING = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), -1).reshape(-1, 2)
 # So many pairs of a direction tell its mean step far better than that.
 _PROBES = 500
 
@@ -244,13 +244,11 @@ def _shifts_met(
     tried = shifts
     if about is not None and len(about):
         tried = np.arange(about.min() + shifts.min(), about.max() + shifts.max() + 1)
-    found = []
-    for step in mean_steps(gray, rows):
-        found.append(np.floor(tried[:, None] / gray.pitch * step).astype(int))
-    if not found:
+    steps = mean_steps(gray, rows)
+    if not steps:
         return np.zeros((0, 2), np.int64)
-    near = np.stack(np.meshgrid(_ROUNDING, _ROUNDING), -1).reshape(-1, 2)
-    return (np.concatenate(found)[:, None] + near).reshape(-1, 2)
+    whole = np.floor((tried / np.float32(gray.pitch))[:, None] * np.concatenate(steps)).astype(int)
+    return (whole.reshape(-1, 1, 2) + _ROUNDING).reshape(-1, 2)
 
 
 def mean_steps(gray: GrayFlat, rows: NDArray[np.int32]) -> list[NDArray[np.float32]]:

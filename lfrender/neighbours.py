@@ -11,7 +11,8 @@ from lfcal import Lattice
 from .remembered import remembered
 
 __all__ = [
-    "alike", "around", "beside", "grown", "lens_grid", "lens_halves", "nearest_of", "neighbour_rows", "rows_among",
+    "alike", "around", "beside", "both_ways", "grown", "lens_grid", "lens_halves", "nearest_of", "neighbour_rows",
+    "rows_among",
 ]  # fmt: skip
 
 # Lattices with no more lenses than this keep what tells who is beside whom.
@@ -73,6 +74,12 @@ def _halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     neighbours = neighbour_rows(lattice, lattice.steps)
     half = neighbours.shape[1] // 2
     return np.ascontiguousarray(neighbours[:, :half]), np.ascontiguousarray(neighbours[:, half:])
+
+
+def both_ways(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(n, 2 d) neighbour rows in all directions, of those in `d` of them and in the opposite ones; shared."""
+    first, both = remembered(forward, "both ways", lambda: (backward, np.hstack([forward, backward])))
+    return both if first is backward else np.hstack([forward, backward])
 
 
 @njit(cache=True, nogil=True, parallel=True)

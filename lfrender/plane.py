@@ -230,15 +230,51 @@ def _even(places: NDArray[np.float64], residual: NDArray[np.float64], deviations
     inside = np.abs(residual) < _OUTLYING * max(scatter, _FLOOR)
     if not inside.mean() > _ON_PLANE:
         return None
-    x, y = places[inside].T
-    powers = [np.ones_like(x), x, x * x, x * x * x], [np.ones_like(y), y, y * y, y * y * y]
-    rows = np.stack([powers[0][i] * powers[1][j] for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)])
-    terms = rows.T
-    inverse = np.linalg.pinv(np.einsum("in,jn->ij", rows, rows), hermitian=True)
-    smooth = terms @ (inverse @ np.einsum("in,n->i", rows, residual[inside]))
-    # What the scatter of single lenses leaves uncertain about that surface is not held against the plane.
-    uncertain = deviations * scatter * np.sqrt(np.maximum(np.einsum("in,in->n", inverse @ rows, rows), 0))
-    return None if (np.abs(smooth) > _EVEN + uncertain).any() else scatter
+    rows, gram, right = _cubic(places[inside], residual[inside])
+    leaves = _leaves(rows, np.linalg.pinv(gram, hermitian=True), right, deviations * scatter)
+    return None if leaves else scatter
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cubic(places, residual):
+    """Terms (k, n) of a surface of degree `_DEGREE`, and the normal equations of its fit to the residuals (n,)."""
+    count = (_DEGREE + 1) * (_DEGREE + 2) // 2
+    rows, gram, right = np.empty((count, len(places))), np.zeros((count, count)), np.zeros(count)
+    k = 0
+    for i in range(_DEGREE + 1):
+        for j in range(_DEGREE + 1 - i):
+            for n in range(len(places)):
+                rows[k, n] = places[n, 0] ** i * places[n, 1] ** j
+            k += 1
+    for i in range(count):
+        for n in range(len(places)):
+            right[i] += rows[i, n] * residual[n]
+        for j in range(i + 1):
+            for n in range(len(places)):
+                gram[i, j] += rows[i, n] * rows[j, n]
+            gram[j, i] = gram[i, j]
+    return rows, gram, right
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _leaves(rows, inverse, right, deviation):
+    """Whether the surface is anywhere farther from zero than `_EVEN`, and than the scatter leaves uncertain."""
+    factors = np.zeros(len(right))
+    for i in range(len(right)):
+        for j in range(len(right)):
+            factors[i] += inverse[i, j] * right[j]
+    for n in range(rows.shape[1]):
+        value = uncertain = 0.0
+        for i in range(len(rows)):
+            value += factors[i] * rows[i, n]
+            told = 0.0
+            for j in range(len(rows)):
+                told += inverse[i, j] * rows[j, n]
+            uncertain += told * rows[i, n]
+        # What the scatter of single lenses leaves uncertain about that surface is not held against the plane.
+        if abs(value) > _EVEN + deviation * np.sqrt(max(uncertain, 0.0)):
+            return True
+    return False
 
 
 def strays(residual: NDArray[np.float64], errors: NDArray[np.float64], rows: NDArray[np.int32]) -> bool:

@@ -16,6 +16,7 @@ from .agreement import aggregate
 from .fastmath import FAST
 from .microimages import copy_box
 from .modes import confidence, parabola_peak
+from .neighbours import both_ways
 from .search import Matcher, Preset
 from .texture import Texture
 
@@ -328,7 +329,7 @@ def remainder_depths(
         shifts = shifts[(shifts >= low - margin) & (shifts <= high + margin)]
         if len(shifts) < _LEAST_SHIFTS:
             return second
-    rows = np.hstack([forward, backward])
+    rows = both_ways(forward, backward)
     mask, shares = np.zeros(gray.image.shape, np.float32), np.empty(len(first), np.float32)
     radius, pitch = np.float32(gray.radius), np.float32(gray.pitch)
     _unexplained(

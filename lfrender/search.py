@@ -12,7 +12,7 @@ from .agreement import aggregate, lens_costs
 from .matching import half_trust, pair_costs, shared_pixels
 from .microimages import Masks, Strips, cut_out
 from .modes import confidence, least, parabola_peak, second_best
-from .neighbours import grown
+from .neighbours import both_ways, grown
 from .radiance import GrayFlat, shrink
 from .rivals import shared_trust, without_rivals
 from .texture import FIXED_SHADING, LensStatistics, Texture, lens_statistics
@@ -146,7 +146,7 @@ class Matcher:
         self.gray: GrayFlat = shrink(texture.flat, self.factor)
         self.statistics: LensStatistics = texture.statistics
         if self.factor > 1:
-            wanted = None if asked is None else grown(asked, np.hstack([forward, backward]))
+            wanted = None if asked is None else grown(asked, both_ways(forward, backward))
             self.statistics = lens_statistics(self.gray, wanted=wanted)
         # Of tiny microimages every row is needed, and every half pixel: the depth that few pixels share is biased.
         tiny = self.gray.radius < _LEAST_RADIUS
@@ -160,7 +160,7 @@ class Matcher:
     @cached_property
     def rows(self) -> NDArray[np.int32]:
         """(n, 2 d) neighbour rows in all directions, -1 where there is none."""
-        return np.hstack([self.forward, self.backward])
+        return both_ways(self.forward, self.backward)
 
     @cached_property
     def trust(self) -> NDArray[np.float32]:
@@ -264,9 +264,7 @@ def search(
     other, other_cost = second_best(cost, best, max(2, round(2 / step)))
     rival = (own > _UNEXPLAINED) & (other_cost < own + _SECOND)
     factor, shifts = matcher.factor, matcher.shifts
-    rivals, matched, echo = without_rivals(
-        cost, matcher.trust, np.hstack([matcher.forward, matcher.backward]), best, active, matcher.tolerance()
-    )
+    rivals, matched, echo = without_rivals(cost, matcher.trust, matcher.rows, best, active, matcher.tolerance())
     return Found(
         patch_size=((shifts[best] + parabola_peak(total, best) * step) * factor).astype(np.float32),
         confidence=confidence(total, best, 2 * matcher.forward.shape[1], matcher.tolerance()),

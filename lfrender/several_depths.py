@@ -14,7 +14,7 @@ from .judgement import SHADED_REACH, SURE, populated
 from .lens_answers import UNTOLD, Answers, Earlier, Lenses, ask
 from .level_depth import confirmed, few_on_plane, on_one_plane, regular_plane
 from .modes import fill
-from .neighbours import grown, lens_halves, nearest_of
+from .neighbours import grown, lens_halves, nearest_of, neighbour_rows
 from .radiance import GrayFlat
 from .remainder import remainder_depths
 from .search import PRESETS, Found, Preset
@@ -159,7 +159,7 @@ def _plane_among_blank(
     if not 0 < active.mean() < _FEW:
         return None, np.inf
     forward, backward = lens_halves(lattice)
-    rows = np.flatnonzero(grown(active, np.hstack([forward, backward])))
+    rows = np.flatnonzero(grown(active, neighbour_rows(lattice, lattice.steps)))
     every = np.ones(len(lattice), bool)
     few = Lenses(texture, forward, backward, lattice.indices(), every, active, None).of(rows)
     return few_on_plane(few, rows, texture.flat, lattice, preset), float(active.sum())
@@ -177,7 +177,7 @@ def _asked(
 ) -> _Asked:
     """The lenses to ask: those with texture and without an answer, and those beside them."""
     forward, backward = lens_halves(lattice)
-    neighbours = np.hstack([forward, backward])
+    neighbours = neighbour_rows(lattice, lattice.steps)
     near = np.ones(len(lattice), bool)
     if kept is not None:
         # Lenses beside those with a new answer support them, and so do those beside these.
@@ -209,7 +209,7 @@ def _spread_out(
     resolved, sure, kept = answers.resolved, answers.confidence, asked.kept
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
     old = None if asked.before is None else asked.before.surface
-    settled = None if kept is None else ~grown(~kept, np.hstack(lens_halves(lattice)))
+    settled = None if kept is None else ~grown(~kept, neighbour_rows(lattice, lattice.steps))
     texture = asked.texture
     surface = spread(texture.flat, lattice, drawn, seconds, trust, texture.noise, setting.cells, settled, old)
     # A lens that sees two depths answers with the one in its middle.
