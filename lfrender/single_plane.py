@@ -113,7 +113,7 @@ def find_plane(
         start = np.where(more, about, np.nan).astype(np.float32)
         others = _places(_pairs(texture, forward, start, setting), texture, forward)
         points, sizes = (np.concatenate(both) for both in zip(first, others, strict=True))
-        plane = fit_plane(points, sizes, pitch)
+        plane = fit_plane(points, sizes, pitch, slanted=True)
         if plane is None:
             return None
     plane = with_misled(plane, explained_by_plane(matcher, texture, about, evidence)[texture.clear])
