@@ -100,8 +100,8 @@ def find_plane(
         return None
     if facing and np.mean(np.abs(start[sample] - np.median(start[sample])) <= _NEAR * pitch) < _ALIKE:
         return None
-    first = _places(_pairs(texture, forward, start, setting), texture, forward)
-    plane = fit_plane(*first, pitch) if len(first[1]) >= _TOO_FEW else None
+    points, sizes = _places(_pairs(texture, forward, start, setting), texture, forward)
+    plane = fit_plane(points, sizes, pitch) if len(sizes) >= _TOO_FEW else None
     if plane is None or (facing and plane.slanted):
         return None
     about = plane.at(texture.flat.centres.astype(np.float64)).astype(np.float32)
@@ -109,10 +109,9 @@ def find_plane(
     if evidence is None:
         return None
     if plane.slanted:
-        more = sample_lenses(indices, texture.clear & ~sample, _SLANTED * _SAMPLE - count)
+        more = sample_lenses(indices, texture.clear, _SLANTED * _SAMPLE)
         start = np.where(more, about, np.nan).astype(np.float32)
-        others = _places(_pairs(texture, forward, start, setting), texture, forward)
-        points, sizes = (np.concatenate(both) for both in zip(first, others, strict=True))
+        points, sizes = _places(_pairs(texture, forward, start, setting), texture, forward)
         plane = fit_plane(points, sizes, pitch, slanted=True)
         if plane is None:
             return None
