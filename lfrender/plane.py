@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .neighbours import beside
 
-__all__ = ["TEXTURED", "Plane", "alike", "fit_plane", "strays"]
+__all__ = ["TEXTURED", "Plane", "fit_plane", "nearly_planar", "strays"]
 
 # Share of the lenses that must clearly carry texture, and of those that must lie on the plane.
 TEXTURED, _ON_PLANE = 0.5, 0.9
@@ -143,7 +143,7 @@ def fit_plane(
     return None
 
 
-def alike(places: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> bool:
+def nearly_planar(places: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> bool:
     """Whether lenses at `places` (m, 2) that were searched to whole pixels may lie on one plane, most of them.
 
     Of planes at 14 to 35 px pitch 93 % and more do, of scenes with several depths at most 75 %.

@@ -20,9 +20,6 @@ _MOST_RECYCLED, _MOST_KEPT = 1 << 26, 1 << 28
 # Memory this many times as large as is asked for is left to others.
 _ROOMY = 2
 _LARGEST_FREED = 31 << 20
-# The pool, a name and an argument refer to memory that nobody uses.
-_FREE = 3
-
 # Frames may be worked on in several threads at once.
 _kept = local()
 
@@ -42,6 +39,14 @@ def scratch(purpose: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[A
     return memory[:count].reshape(shape)
 
 
+def _references(pool: list[NDArray[Any]], place: int) -> int:
+    return sys.getrefcount(pool[place])
+
+
+# How many references versions of Python count to memory that only the pool refers to.
+_UNUSED = _references([np.empty(0)], 0)
+
+
 def recycled(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     """An array of any content, in memory that was asked for earlier in this thread and that no array refers to now."""
     count, kind = prod(shape), np.dtype(dtype)
@@ -54,9 +59,9 @@ def recycled(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
         # got back: let that be the largest it looks at, or all small arrays take fresh pages again and again.
         np.empty(_LARGEST_FREED, np.uint8)
     for place in range(len(pool)):
-        memory = pool[place]
-        if memory.dtype == kind and count <= len(memory) <= _ROOMY * count and sys.getrefcount(memory) <= _FREE:
-            pool.pop(place)
+        fits = pool[place].dtype == kind and count <= len(pool[place]) <= _ROOMY * count
+        if fits and _references(pool, place) <= _UNUSED:
+            memory = pool.pop(place)
             break
     else:
         memory = np.empty(count, kind)

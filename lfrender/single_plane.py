@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .certainty import misled, signal_share
 from .modes import confidence, parabola_peak
 from .neighbours import around, beside
-from .plane import TEXTURED, Plane, alike, fit_plane, strays
+from .plane import TEXTURED, Plane, fit_plane, nearly_planar, strays
 from .refinement import PairFits, fit_pairs
 from .search import MISFIT, Matcher, Preset
 from .skipping import sample_lenses
@@ -96,7 +96,7 @@ def find_plane(
         return None
     start = np.full(len(indices), np.nan, np.float32)
     start[sample] = (matcher.shifts[best] + parabola_peak(cost, best) * matcher.step) * matcher.factor
-    if not alike(texture.flat.centres[sample].astype(np.float64), start[sample].astype(np.float64), pitch):
+    if not nearly_planar(texture.flat.centres[sample].astype(np.float64), start[sample].astype(np.float64), pitch):
         return None
     if facing and np.mean(np.abs(start[sample] - np.median(start[sample])) <= _NEAR * pitch) < _ALIKE:
         return None

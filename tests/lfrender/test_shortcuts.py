@@ -14,7 +14,7 @@ from data_synth.scenes import blank, plane
 from data_synth.surfaces import Patch
 from lfcal import FlatError
 from lfrender import texture
-from lfrender.plane import alike, fit_plane
+from lfrender.plane import fit_plane, nearly_planar
 from lfrender.sequence import changed_lenses
 
 SIZE = (640, 480)
@@ -98,10 +98,10 @@ def test_several_depths_are_told_from_what_few_lenses_find_in_whole_pixels():
     rng = np.random.default_rng(4)
     places = rng.uniform(0, 2000, (60, 2))
     slanted = 1 / (1 / 7 + 2e-5 * places[:, 0]) + rng.normal(0, 0.3, 60)
-    assert alike(places, slanted, 23.2)
-    assert alike(places, np.where(rng.random(60) < 0.1, rng.uniform(-15, 15, 60), slanted), 23.2)
-    assert not alike(places, np.where(places[:, 0] > 1200, -6.0, slanted), 23.2)
-    assert not alike(places, np.zeros(60), 23.2)
+    assert nearly_planar(places, slanted, 23.2)
+    assert nearly_planar(places, np.where(rng.random(60) < 0.1, rng.uniform(-15, 15, 60), slanted), 23.2)
+    assert not nearly_planar(places, np.where(places[:, 0] > 1200, -6.0, slanted), 23.2)
+    assert not nearly_planar(places, np.zeros(60), 23.2)
 
 
 def test_a_bend_of_a_tenth_of_a_pixel_is_no_plane():
