@@ -99,9 +99,7 @@ def _over_grid(inverse, left, top, spacing, out):
             row[u] = 1 / (start + inverse[1] * spacing * u)
 
 
-def fit_plane(
-    points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float, slanted: bool = False
-) -> Plane | None:
+def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> Plane | None:
     """The plane that lenses lie on: one facing the camera, else a slanted one; None where they do not.
 
     Parameters
@@ -111,8 +109,6 @@ def fit_plane(
     sizes : (m,) float64 [px]
         Patch sizes that they have measured.
     pitch : float [px]
-    slanted : bool
-        It is known not to face the camera.
     """
     # Without a common middle and scale the sums of large coordinates would lose digits.
     middle, reach = points.mean(0), float(np.abs(points - points.mean(0)).max()) + 1e-9
@@ -120,8 +116,8 @@ def fit_plane(
     terms = np.stack([np.ones(len(sizes)), *places.T], 1)
     every = len(sizes) // _FEW
     some = slice(None, None, max(1, every))
-    for count in (3,) if slanted else (1, 3):
-        if every > 1 and not slanted and _hopeless(places[some], terms[some, :count], sizes[some]):
+    for count in (1, 3):
+        if every > 1 and _hopeless(places[some], terms[some, :count], sizes[some]):
             continue
         inverse = _inverse(terms[:, :count], sizes)
         predicted = 1 / (terms[:, :count] @ inverse)

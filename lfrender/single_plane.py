@@ -111,8 +111,9 @@ def find_plane(
     if plane.slanted:
         more = sample_lenses(indices, texture.clear, _SLANTED * _SAMPLE)
         start = np.where(more, about, np.nan).astype(np.float32)
+        # Of so few as the sample a plane that faces the camera may have looked slanted.
         points, sizes = _places(_pairs(texture, forward, start, setting), texture, forward)
-        plane = fit_plane(points, sizes, pitch, slanted=True)
+        plane = fit_plane(points, sizes, pitch)
         if plane is None:
             return None
     plane = with_misled(plane, explained_by_plane(matcher, texture, about, evidence)[texture.clear])
