@@ -71,7 +71,7 @@ def _read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, out, sta
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, half, top, out, start, size):
+def _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, out, start, size):
     """The same of bytes, with weights of whole 256ths: twice as many at a time."""
     at_b, at_c, at_d = at + across, at + down, at + down + across
     wa, wb, wc, wd = _weights_of_bytes(fx, fy)
@@ -90,6 +90,31 @@ def _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, half, top,
             value = np.uint16((np.uint32(value) * np.uint32(gain[gain_at + k])) >> np.uint32(16))
             value = np.uint16(value + np.uint16(1 << (LEFT_BITS - 1))) >> np.uint16(LEFT_BITS)
             out[start + k] = min(value, np.uint16(255))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _up_to(length, bunch):
+    """The next whole number of bunches."""
+    return (length + bunch - np.uint64(1)) // bunch * bunch
+
+
+@njit(cache=True, nogil=True)
+def _put(line, row, first, last, channels, turned):
+    """Put the pixels of `line` from `first` to `last` into `row`, the last first where they are `turned`."""
+    if not turned:
+        for k in range(first * channels, last * channels):
+            row[k] = line[k]
+    elif channels == 3:
+        one = np.uint64(1)
+        # The compiler has better instructions for steps that it knows.
+        for k in range(last - first):
+            target, source = np.uint64(3 * (last - 1 - k)), np.uint64(3 * (first + k))
+            row[target], row[target + one] = line[source], line[source + one]
+            row[target + one + one] = line[source + one + one]
+    else:
+        for k in range(last - first):
+            for c in range(channels):
+                row[(last - 1 - k) * channels + c] = line[(first + k) * channels + c]
 
 
 @njit(cache=True, nogil=True)
@@ -167,7 +192,7 @@ def _lay(
     turned = patch_slope > 0
     slope = -1 if turned else 1
     bunch, turned_bunch = np.uint64(_BUNCH), np.uint64(3 * TURNED)
-    one, phases = np.uint64(1), np.uint64(_PHASES)
+    phases = np.uint64(_PHASES)
     at_once = turned and flat.itemsize == 1 and channels == 3
     across, down = np.uint64(channels), np.uint64(width * channels)
     gain = tabled.reshape(-1)
@@ -238,40 +263,23 @@ def _lay(
                         gain_at = gain_row * gain_line + step // phases * across + bunch
                     # What is written beyond the end of a run must neither leave the row nor cover what is written, nor
                     # may what is read leave the flat.
-                    turned_length = (length + turned_bunch - one) // turned_bunch * turned_bunch
-                    if at_once and high == end and turned_length < min(at + length, room_in_row - into) and (
-                        at + length < last_place
-                    ):  # fmt: skip
+                    bunched, turned_length = _up_to(length, bunch), _up_to(length, turned_bunch)
+                    spare = high == end and turned_length < min(at + length, room_in_row - into)
+                    if at_once and spare and at + length < last_place:
                         _read_turned_run(
                             flat, at + length, across, down, fx, fy, gain, gain_at + length, row, into, turned_length
                         )
-                        u = end
-                        cx, cy = cx + around[following, 0], cy + around[following, 1]
-                        continue
-                    bunched = (length + bunch - one) // bunch * bunch
-                    if at + bunched <= last_place:
-                        length = bunched
-                    direct = not turned and high == end and into + length <= room_in_row
-                    to = row if direct else line
-                    if flat.itemsize == 1:
-                        _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, half, top, to, into, length)
                     else:
-                        _read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, to, into, length)
-                    first_k, last_k = low - part[0], high - part[0]
-                    if turned and channels == 3:
-                        # The compiler has better instructions for steps that it knows.
-                        for k in range(last_k - first_k):
-                            target, source = np.uint64(3 * (last_k - 1 - k)), np.uint64(3 * (first_k + k))
-                            row[target] = line[source]
-                            row[target + np.uint64(1)] = line[source + np.uint64(1)]
-                            row[target + np.uint64(2)] = line[source + np.uint64(2)]
-                    elif turned:
-                        for k in range(last_k - first_k):
-                            for c in range(channels):
-                                row[(last_k - 1 - k) * channels + c] = line[(first_k + k) * channels + c]
-                    elif not direct:
-                        for k in range(first_k * channels, last_k * channels):
-                            row[k] = line[k]
+                        if at + bunched <= last_place:
+                            length = bunched
+                        direct = not turned and high == end and into + length <= room_in_row
+                        to = row if direct else line
+                        if flat.itemsize == 1:
+                            _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, to, into, length)
+                        else:
+                            _read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, to, into, length)
+                        if not direct:
+                            _put(line, row, low - part[0], high - part[0], channels, turned)
                 u = end
             cx, cy = cx + around[following, 0], cy + around[following, 1]
 

@@ -160,20 +160,11 @@ def plane_evidence(
     if not inner.any() or misfits[inner].mean() > _DOUBTFUL:
         return None
     if misfits.any():
-        full = matcher.costs(matcher.pairs(misfits), misfits)
-        # The search tries other pairs than the probe, so that only what it finds itself can be compared.
-        away = np.abs(matcher.shifts - about[misfits, None] / matcher.factor)
-        near = away <= matcher.step
-        own = (full * (matcher.step - away)).sum(1, where=near) / (matcher.step - away).sum(1, where=near)
-        there = np.where(near, np.inf, full)
-        elsewhere, far = np.zeros((2, len(misfits)), bool)
-        elsewhere[misfits] = (there.min(1) < own - _BETTER) & (there.min(1) < limit)
-        far[elsewhere] = away[np.arange(len(own)), there.argmin(1)][elsewhere[misfits]] > _FAR
-        misfits[misfits] = np.where(near, full, np.inf).min(1) > limit
-        if misfits[inner].mean() > _MISFITS:
-            return None
+        elsewhere, far, misfits = _searched(matcher, misfits, about, float(limit))
         together = beside(elsewhere, rows)
         if (far & inner).any() or (elsewhere & inner & (together > 0)).any() or (together >= _TOGETHER).any():
+            return None
+        if misfits[inner].mean() > _MISFITS:
             return None
     off = vertex(cost) * PROBE
     doubtful = np.zeros(len(off), bool)
@@ -187,6 +178,30 @@ def plane_evidence(
         if strays((lenses.patch_size - about).astype(float), lenses.standard_error.astype(float), rows):
             return None
     return (1 - cost[:, 1]).astype(np.float32)
+
+
+def _searched(
+    matcher: Matcher, misfits: NDArray[np.bool_], about: NDArray[np.float32], limit: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which of the lenses (n,) that seem to misfit a plane match better elsewhere, which of them far from it, and which
+    do not match at the plane either, when they are searched at all shifts.
+
+    The search tries other pairs than the probe, so that only what it finds itself can be compared.
+    """
+    full = matcher.costs(matcher.pairs(misfits), misfits)
+    away = np.abs(matcher.shifts - about[misfits, None] / matcher.factor)
+    near = away <= matcher.step
+    # Between the two shifts beside the plane; none is where the plane lies beyond those that are searched.
+    share = np.where(near, matcher.step - away, 0)
+    own = (full * share).sum(1) / np.maximum(share.sum(1), np.float32(1e-6))
+    there = np.where(near, np.inf, full)
+    best, least = there.argmin(1), there.min(1)
+    better = (least < own - _BETTER) & (least < limit)
+    elsewhere, far, unmatched = np.zeros((3, len(misfits)), bool)
+    elsewhere[misfits] = better
+    far[misfits] = better & (away[np.arange(len(best)), best] > _FAR)
+    unmatched[misfits] = np.where(near, full, np.inf).min(1) > limit
+    return elsewhere, far, unmatched
 
 
 def explained_by_plane(

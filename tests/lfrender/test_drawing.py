@@ -153,6 +153,29 @@ def test_patches_laid_side_by_side_are_the_picture_of_the_nearest_lenses(ratio, 
     assert difference.max() <= 6
 
 
+@pytest.mark.parametrize("channels", [1, 3, 4])
+@pytest.mark.parametrize("number", range(12))
+def test_bytes_are_laid_like_wider_numbers_on_any_flat(number, channels):
+    rng = np.random.default_rng(number)
+    pitch, turn = rng.uniform(6, 60), rng.uniform(-0.3, 0.3)
+    width, height = (int(n) for n in rng.integers(60, 400, 2))
+    second = [(0, 1), (0.5, 0.75**0.5)][number % 2]
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    lattice = Lattice(
+        rng.uniform(0, pitch, 2), pitch * np.array([(1, 0), second]) @ rotation, (width, height), pitch / 2 - 1
+    )
+    profile = Vignetting(np.linspace(1, 0.25, 30), pitch / 58) if number % 3 else None
+    flat = rng.integers(0, 256, (height, width, channels), dtype=np.uint8)
+    s = rng.choice([-1, 1]) * rng.uniform(1.1, 0.75 * pitch)
+    narrow, wide = (
+        lfrender.render(pixels, Calibration(lattice, profile), patch_size=s)
+        for pixels in (flat, flat.astype(np.uint16) * 257)
+    )
+    np.testing.assert_array_equal(narrow.valid, wide.valid)
+    # Weights are 256ths of up to 255 grey levels, and a gain of up to 4 lifts what they are off.
+    assert np.abs(narrow.image - wide.image / 257).max() < 4
+
+
 def test_a_part_of_the_picture_is_that_of_the_whole_one():
     shot = capture("house")
     calibration = shot.truth.calibration
