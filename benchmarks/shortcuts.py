@@ -1,8 +1,8 @@
 """What the shortcuts of the depth analysis save, and what they cost: `python -m benchmarks.shortcuts [FLAT ...]`.
 
-Ray-traced scenes, or the flats named on the command line, or with `--random N` so many mostly blank scenes of random
-cameras, are analysed exhaustively and with all shortcuts. Printed are
-the CPU time on one thread, the share of the lenses whose answers differ by more than 0.05 px or that only one of the
+Ray-traced scenes, or the flats named on the command line, or with `--random N` so many cards before a wall,
+planes or slopes (`--scene`) taken by random cameras, are analysed exhaustively and with all shortcuts. Printed are the
+CPU time on one thread, the share of the lenses whose answers differ by more than 0.05 px or that only one of the
 two resolves, and what was left out; of ray-traced scenes also the errors of both against the truth.
 """
 
@@ -118,8 +118,8 @@ def _still_row(capture: Capture) -> None:
     )
 
 
-def _random_row(number: int) -> None:
-    """A card over a random share of a blank scene, taken by a random camera with random noise."""
+def _random_row(number: int, scene: str) -> None:
+    """A scene taken by a random camera with random noise: a card over a random share of a blank one, or one plane."""
     rng = np.random.default_rng(number)
     pitch, across = float(np.exp(rng.uniform(np.log(12), np.log(60)))), rng.uniform(25, 45)
     camera = Camera.design(
@@ -128,8 +128,14 @@ def _random_row(number: int) -> None:
     )  # fmt: skip
     share = rng.uniform(0.03, 0.3)
     noise = float(np.exp(rng.uniform(np.log(800), np.log(20000)))), float(rng.uniform(2, 10))
-    capture = simulate(_mostly_blank(camera, share), camera, samples=24, seed=number, noise=noise)
-    _row(f"random {number}, {share:.0%}", capture.flat, capture.truth.calibration, capture)
+    ratio = float(rng.choice([-1, 1]) * rng.uniform(0.12, 0.5))
+    drawn, name = {
+        "card": (_mostly_blank(camera, share), f"card of {share:.0%}"),
+        "plane": (plane(camera, ratio=ratio), f"plane at {ratio:.2f} D"),
+        "slope": (SCENES["slope"](camera), "slope"),
+    }[scene]
+    capture = simulate(drawn, camera, samples=24, seed=number, noise=noise)
+    _row(f"{number}: {pitch:.0f} px, {name}", capture.flat, capture.truth.calibration, capture)
 
 
 def main(arguments: list[str]) -> None:
@@ -137,13 +143,14 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.shortcuts", description=__doc__)
     parser.add_argument("flats", nargs="*")
     parser.add_argument("--random", type=int, default=0, metavar="N")
+    parser.add_argument("--scene", choices=("card", "plane", "slope"), default="card", help="what --random takes")
     options = parser.parse_args(arguments)
     numba.set_num_threads(1)
     for path in options.flats:
         flat = lfcal.read_flat(path)
         _row(path.split("/")[-1], flat, lfcal.calibrate(flat))
     for number in range(options.random):
-        _random_row(number)
+        _random_row(number, options.scene)
     if options.flats or options.random:
         return
     camera, large = (Camera.design(size, _PITCH, rotation=1.3) for size in (_SIZE, _LARGE))
