@@ -20,7 +20,6 @@ from .remembered import remembered
 from .search import PRESETS, Matcher
 from .sequence import changed_lenses
 from .several_depths import lens_by_lens
-from .single_plane import PROBE, vertex
 from .skipping import Shortcuts
 from .texture import LensStatistics, quick_statistics, untouched_texture
 
@@ -133,18 +132,16 @@ def _probe(
     factor: int,
     known: NDArray[np.bool_] | None = None,
 ) -> _Probe:
-    """Match every lens at three shifts about what is drawn of it in `depth`, in pixels `factor` times as small.
+    """Match every lens at what is drawn of it in `depth`, in pixels `factor` times as small.
 
     Lenses that are `known` are matched for the others only.
     """
     texture = untouched_texture(gray, plain)
     matcher = Matcher(texture, *lens_halves(lattice), PRESETS[depth.preset])
-    shifts = (PROBE * np.array([-1, 0, 1])).astype(np.float32)
     textured = texture.clear | texture.faint
     about = (depth.drawn / np.float32(factor * matcher.factor)).astype(np.float32)
     active = textured if known is None else textured & ~known
-    cost = matcher.probe(active, shifts, about)
-    return _Probe(cost[:, 1].copy(), np.float32(PROBE) * vertex(cost), texture.clear, textured)
+    return _Probe(*matcher.probe(active, about), texture.clear, textured)
 
 
 def _unsteady(

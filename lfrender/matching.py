@@ -12,7 +12,9 @@ from .radiance import GrayFlat
 from .remembered import remembered
 from .scratch import recycled
 
-__all__ = ["half_trust", "mean_steps", "pair_costs", "shared_pixels"]
+__all__ = [
+    "ENOUGH", "cost_of", "doubted", "half_trust", "mean_steps", "moments", "pair_costs", "shared_pixels", "unshaded",
+]  # fmt: skip
 
 # Part of a difference in mean brightness that counts as mismatch: neighbouring lenses may differ a
 # little in gain, but on a smooth slope their means are all that tells the depth.
@@ -24,8 +26,8 @@ _HALF_TRUST = 0.06
 # zero (in pitches) is doubted by half where the contrast (white = 1) is only this.
 _SHADED_REACH = np.float32(0.08)
 _SHADED = np.float32(0.03)
-# Where two microimages share less than a third, that is so many squares of their radius, every pixel at the rim counts.
-_ENOUGH = np.float32(1.0)
+#: Where two microimages share less than a third, so many squares of their radius, every pixel at the rim counts.
+ENOUGH = np.float32(1.0)
 # Centres and shifts are rounded to pixels each on its own, which moves a shift by so many pixels.
 _ROUNDING = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), -1).reshape(-1, 2)
 # So many pairs of a direction tell its mean step far better than that.
@@ -48,7 +50,7 @@ def _row_moments(row, upper, lower, w00, w01, w10, w11, mean):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
+def moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
     """Sums over all pixels of lens a whose partner, `(tx, ty)` away, lies in lens b."""
     height, width = image.shape
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
@@ -133,10 +135,25 @@ def _rim_moments(strips, columns, lines, own, other, upper, lower, start, count,
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _unshaded(shift, pitch):
+def unshaded(shift, pitch):
     """How much less a match at this shift is doubted than one at zero: shading that is left stays with its lens."""
     away = shift / (_SHADED_REACH * pitch)
     return np.exp(-away * away)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def doubted(contrast):
+    """How much a match at zero of lenses of this contrast is doubted."""
+    return _SHADED**2 / (_SHADED**2 + contrast * contrast)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def cost_of(pixels, variance, residual, apart, floor, half, doubt):
+    """Cost of a pair by the sum of the variances of what both show, the variance of the difference, and its mean."""
+    offset = _OFFSET_WEIGHT * apart * apart
+    quality = (residual + offset + floor) / (variance + offset + floor)
+    trust = np.float32(pixels) / (np.float32(pixels) + half) * (np.float32(1.0) - doubt)
+    return np.float32(1.0) - trust * (np.float32(1.0) - quality)
 
 
 # Without fast math of its own: Numba optimises such a body once where it compiles and twice where it loads it, which
@@ -144,14 +161,14 @@ def _unshaded(shift, pitch):
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _pair_costs(
     image, centres, radius, pitch, rows, means, contrast, active, done, shifts, which, noise, shading, row_step, half,
-    about, strips, middle, whole, side, width, size, columns, lines, bunch, slots, masks, ends, counts, fresh, out,
+    strips, middle, whole, side, width, size, columns, lines, bunch, slots, masks, ends, counts, fresh, out,
 ):  # fmt: skip
     reach, length = len(slots) // 2, masks.shape[1]
-    enough, one = _ENOUGH * radius * radius, np.float32(1.0)
+    enough, one = ENOUGH * radius * radius, np.float32(1.0)
     pixels, line = strips.reshape(-1), masks.reshape(-1)
     near_zero = np.empty(len(shifts), np.float32)
     for k in range(len(shifts)):
-        near_zero[k] = _unshaded(shifts[k], pitch)
+        near_zero[k] = unshaded(shifts[k], pitch)
     for lens in prange(len(centres)):
         if fresh:
             out[lens] = 1.0
@@ -163,16 +180,11 @@ def _pair_costs(
             bx, by = centres[other, 0], centres[other, 1]
             mean = np.float32(0.5) * (means[lens] + means[other])
             floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
-            texture = min(contrast[lens], contrast[other])
-            doubt = _SHADED**2 / (_SHADED**2 + texture * texture)
-            about_both = np.float32(0.0)
-            if len(about) > 0:
-                about_both = np.float32(0.5) * (about[lens] + about[other])
+            doubt = doubted(min(contrast[lens], contrast[other]))
             stripped = whole[lens] and whole[other]
             gap_x, gap_y = middle[other, 0] - middle[lens, 0], middle[other, 1] - middle[lens, 1]
             for k in which:
-                shift = about_both + shifts[k]
-                grow = one + shift / pitch
+                grow = one + shifts[k] / pitch
                 tx, ty = (bx - ax) * grow, (by - ay) * grow
                 floor_x, floor_y = np.floor(tx), np.floor(ty)
                 fx, fy = tx - floor_x, ty - floor_y
@@ -206,20 +218,17 @@ def _pair_costs(
                     if count < 4:
                         continue
                 else:
-                    count, sa, sb, saa, sbb, sab = _moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step)
+                    count, sa, sb, saa, sbb, sab = moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step)
                     apart = np.float32(0.0)
                     if count < 4:
                         continue
                 inverse = one / np.float32(count)
                 ma, mb = sa * inverse, sb * inverse
                 variance = (saa + sbb) * inverse - ma * ma - mb * mb
-                offset = _OFFSET_WEIGHT * (ma - mb + apart) * (ma - mb + apart)
-                residual = variance - np.float32(2.0) * (sab * inverse - ma * mb) + offset
-                quality = (residual + floor) / (variance + offset + floor)
-                pixels_read = np.float32(count * row_step)
-                trust = pixels_read / (pixels_read + half)
-                trust *= one - doubt * (near_zero[k] if len(about) == 0 else _unshaded(shift, pitch))
-                out[lens, d, k] = one - trust * (one - quality)
+                residual = variance - np.float32(2.0) * (sab * inverse - ma * mb)
+                out[lens, d, k] = cost_of(
+                    count * row_step, variance, residual, ma - mb + apart, floor, half, doubt * near_zero[k]
+                )
 
 
 def shared_pixels(
@@ -229,7 +238,8 @@ def shared_pixels(
     shifts: NDArray[np.float32],
     about: NDArray[np.float32] | None = None,
 ) -> Masks:
-    """`joint_masks` for the `shifts` that `pair_costs` is to try with the same arguments."""
+    """`joint_masks` for the `shifts` that all pairs are to be tried at, from what is expected `about` each lens, if
+    anything is."""
     return joint_masks(strips, gray.radius, _shifts_met(gray, rows, shifts, about))
 
 
@@ -245,26 +255,39 @@ def _shifts_met(
     if about is not None and len(about):
         tried = np.arange(about.min() + shifts.min(), about.max() + shifts.max() + 1)
     steps = mean_steps(gray, rows)
-    if not steps:
-        return np.zeros((0, 2), np.int64)
-    whole = np.floor((tried / np.float32(gray.pitch))[:, None] * np.concatenate(steps)).astype(int)
+    whole = np.floor((tried / np.float32(gray.pitch))[:, None] * steps[:, None]).astype(int)
     return (whole.reshape(-1, 1, 2) + _ROUNDING).reshape(-1, 2)
 
 
-def mean_steps(gray: GrayFlat, rows: NDArray[np.int32]) -> list[NDArray[np.float32]]:
-    """Steps `x, y` [px of `gray`] to the neighbours (n, d) in all directions in which there are any."""
+def mean_steps(gray: GrayFlat, rows: NDArray[np.int32]) -> NDArray[np.float32]:
+    """(k, 2) steps `x, y` [px of `gray`] to the neighbours (n, d) in all directions in which there are any."""
     # Rows belong to a lattice, of which there may be pictures of several sizes.
-    return remembered(rows, ("mean steps", gray.pitch), lambda: _mean_steps(gray, rows))
+    return remembered(rows, ("mean steps", gray.pitch), lambda: _mean_steps(gray.centres, rows))
 
 
-def _mean_steps(gray: GrayFlat, rows: NDArray[np.int32]) -> list[NDArray[np.float32]]:
-    found = []
+@njit(cache=True, nogil=True)
+def _mean_steps(centres, rows):
+    found = np.zeros((rows.shape[1], 2), np.float32)
+    directions = 0
     for d in range(rows.shape[1]):
-        pairs = np.flatnonzero(rows[:, d] >= 0)
-        pairs = pairs[:: max(1, len(pairs) // _PROBES)]
-        if len(pairs):
-            found.append((gray.centres[rows[pairs, d]] - gray.centres[pairs]).mean(0))
-    return found
+        number = 0
+        for lens in range(len(rows)):
+            number += rows[lens, d] >= 0
+        if number == 0:
+            continue
+        every, seen, count, x, y = max(1, number // _PROBES), 0, 0, 0.0, 0.0
+        for lens in range(len(rows)):
+            other = rows[lens, d]
+            if other < 0:
+                continue
+            if seen % every == 0:
+                x += centres[other, 0] - centres[lens, 0]
+                y += centres[other, 1] - centres[lens, 1]
+                count += 1
+            seen += 1
+        found[directions, 0], found[directions, 1] = x / count, y / count
+        directions += 1
+    return found[:directions]
 
 
 def half_trust(gray: GrayFlat) -> float:
@@ -285,7 +308,6 @@ def pair_costs(
     which: NDArray[np.int64] | None = None,
     done: NDArray[np.bool_] | None = None,
     out: NDArray[np.float32] | None = None,
-    about: NDArray[np.float32] | None = None,
     strips: Strips | None = None,
     masks: Masks | None = None,
 ) -> NDArray[np.float32]:
@@ -318,8 +340,6 @@ def pair_costs(
         Lenses all of whose pairs are in `out` already.
     out : (n, d, k) float32, optional
         Costs to be added to; by default all are 1 before.
-    about : (n,) float32, optional [px of `gray`]
-        Patch size of each lens that `shifts` are relative to; by default 0.
     strips : Strips, optional
         The microimages of `gray` cut out for this `row_step`; they are by default.
     masks : optional
@@ -334,15 +354,14 @@ def pair_costs(
         out = recycled((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
     which = np.arange(len(shifts)) if which is None else which
     done = np.zeros(len(active), bool) if done is None else done
-    about = np.empty(0, np.float32) if about is None else about.astype(np.float32)
     half = np.float32(half_trust(gray))
     if strips is None:
         strips = cut_out(gray, means, row_step)
     if masks is None:
-        masks = shared_pixels(strips, gray, rows, shifts[which], about)
+        masks = shared_pixels(strips, gray, rows, shifts[which])
     _pair_costs(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, contrast, active,
-        done, shifts.astype(np.float32), which, np.float32(noise), np.float32(shading), row_step, half, about,
+        done, shifts.astype(np.float32), which, np.float32(noise), np.float32(shading), row_step, half,
         strips.values, strips.middle, strips.whole, strips.half, strips.width, strips.size, *strips.places, BUNCH,
         *masks, fresh, out,
     )  # fmt: skip

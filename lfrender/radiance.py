@@ -15,7 +15,9 @@ from .fastmath import FAST
 from .remembered import remembered
 from .scratch import recycled
 
-__all__ = ["GrayFlat", "gain_table", "gray_flat", "lens_by_lens", "shrink", "shrunk", "white_level"]
+__all__ = [
+    "GrayFlat", "gain_table", "gray_flat", "lens_by_lens", "shrink", "shrunk", "white_level",
+]  # fmt: skip
 
 # A gain above this would lift more noise than picture at the rim of a microimage.
 _MAX_GAIN = 4.0
@@ -36,6 +38,8 @@ _MOST_TOGETHER = 64
 _MOST_KEPT = 1 << 25
 # A pixel made of several at the rim mixes light from beyond it [px].
 _MIXED = 0.5
+# Lenses that cover less than this share of a flat are made smaller one by one.
+_MOST_BOXES = 0.5
 
 
 @dataclass(frozen=True)
@@ -304,9 +308,50 @@ def trusted_radius(calibration: Calibration) -> float:
     return radius
 
 
-def shrink(gray: GrayFlat, factor: int) -> GrayFlat:
-    """`gray` at a whole fraction of its resolution: each pixel is the mean of `factor` x `factor`."""
-    return gray if factor == 1 else remembered(gray, ("shrunk", factor), lambda: _shrunk_flat(gray, factor))
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
+def _shrink_boxes(image, centres, half, factor, out):
+    """Fill the pixels of `out` no farther than `half` from a centre, each way: means of `factor` x `factor` others."""
+    height, width = out.shape
+    weight = np.float32(1 / factor**2)
+    for lens in prange(len(centres)):
+        x, y = int(np.rint(centres[lens, 0])), int(np.rint(centres[lens, 1]))
+        left, right = max(0, x - half), min(width - 1, x + half)
+        columns = max(right + 1 - left, 0)
+        line = np.empty(columns * factor, np.float32)
+        for v in range(max(0, y - half), min(height - 1, y + half) + 1):
+            line[:] = 0
+            for r in range(v * factor, (v + 1) * factor):
+                row = image[r, left * factor : (right + 1) * factor]
+                for k in range(len(line)):
+                    line[k] += row[k]
+            into = out[v, left : right + 1]
+            # The compiler has vector instructions for steps that it knows.
+            if factor == 2:
+                for u in range(np.uint64(columns)):
+                    into[u] = weight * (line[2 * u] + line[2 * u + 1])
+                continue
+            for u in range(columns):
+                total = np.float32(0.0)
+                for k in range(u * factor, (u + 1) * factor):
+                    total += line[np.uint64(k)]
+                into[u] = weight * total
+
+
+def shrink(gray: GrayFlat, factor: int, wanted: NDArray[np.bool_] | None = None) -> GrayFlat:
+    """`gray` at a whole fraction of its resolution: each pixel is the mean of `factor` x `factor`.
+
+    Only pixels about the lenses `wanted` (n,), all by default, need be set.
+    """
+    if factor == 1:
+        return gray
+    centres = gray.centres if wanted is None else gray.centres[wanted]
+    if len(centres) * gray.pitch**2 > _MOST_BOXES * gray.image.size:
+        return remembered(gray, ("shrunk", factor), lambda: _shrunk_flat(gray, factor))
+    height, width = (n // factor for n in gray.image.shape)
+    small = _of_blocks(gray, factor, recycled((height, width), np.float32))
+    middle = small.centres if wanted is None else small.centres[wanted]
+    _shrink_boxes(gray.image, middle, int(np.ceil(small.radius + _BEYOND)), factor, small.image)
+    return small
 
 
 def _shrunk_flat(gray: GrayFlat, factor: int) -> GrayFlat:
@@ -314,5 +359,9 @@ def _shrunk_flat(gray: GrayFlat, factor: int) -> GrayFlat:
 
     height, width = (n // factor for n in gray.image.shape)
     image = cv2.resize(gray.image[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
+    return _of_blocks(gray, factor, image.astype(np.float32, copy=False))
+
+
+def _of_blocks(gray: GrayFlat, factor: int, image: NDArray[np.float32]) -> GrayFlat:
     centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)
-    return GrayFlat(image.astype(np.float32, copy=False), centres, gray.radius / factor - _MIXED, gray.pitch / factor)
+    return GrayFlat(image, centres, gray.radius / factor - _MIXED, gray.pitch / factor)

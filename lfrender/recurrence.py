@@ -6,13 +6,10 @@ matched do not tell of all. The scene itself does: drawn from its lenses, a part
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import fft
-from scipy.ndimage import label
 
 from .fastmath import FAST
 from .radiance import GrayFlat
@@ -51,35 +48,95 @@ _ALIKE = 8.0
 _PARTS, _FEWEST = 2, 8
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+# Python's error model checks every division, which no vector loop can. Places are unsigned: signed ones are looked at
+# for being counted from the end.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _lay_out(image, centres, sizes, lenses, middle, own, pitch, radius, stride, zoom, light, weight):
+    """Draw what `lenses` see into `light`, and how much each place counts into `weight`, both (side, side)."""
     side = light.shape[0]
-    half = (side - 1) / 2
+    half, one = np.float32((side - 1) / 2), np.float32(1.0)
     height, width = image.shape
+    # Rows of the flat lie on rows of the drawing: only along these each pixel has a place of its own. Pixels go to two
+    # buffers by turns, or each would wait for the one before it.
+    bright, count = np.empty(2 * side, np.float32), np.empty(2 * side, np.float32)
+    second = np.uint64(side)
     for lens in lenses:
         cx, cy = centres[lens, 0], centres[lens, 1]
-        ratio = own / sizes[lens]
-        px, py = (cx - middle[0]) * own / pitch, (cy - middle[1]) * own / pitch
+        across = np.float32(-zoom * own / sizes[lens])
+        first_u = half + np.float32(zoom * (cx - middle[0]) * own / pitch)
+        first_v = half + np.float32(zoom * (cy - middle[1]) * own / pitch)
         for y in range(max(0, int(np.ceil(cy - radius))), min(height, int(cy + radius) + 1), stride):
-            for x in range(max(0, int(np.ceil(cx - radius))), min(width, int(cx + radius) + 1), stride):
-                dx, dy = x - cx, y - cy
-                if dx * dx + dy * dy > radius * radius:
+            dy = np.float32(y) - cy
+            v = first_v + across * dy
+            wide2 = np.float32(radius * radius) - dy * dy
+            if v < 0 or v >= side - 1 or wide2 < 0:
+                continue
+            wide, start = np.sqrt(wide2), max(0, int(np.ceil(cx - radius)))
+            left, right = max(start, int(np.ceil(cx - wide))), min(width - 1, int(np.floor(cx + wide)))
+            left += -(left - start) % stride
+            ends = first_u + across * (np.float32(left) - cx), first_u + across * (np.float32(right) - cx)
+            low, high = max(int(min(ends[0], ends[1])), 0), min(int(max(ends[0], ends[1])) + 1, side - 1)
+            for k in range(low, high + 1):
+                u = np.uint64(k)
+                bright[u] = bright[second + u] = count[u] = count[second + u] = np.float32(0.0)
+            row, into = image[y], np.uint64(0)
+            for x in range(left, right + 1, stride):
+                u = first_u + across * (np.float32(x) - cx)
+                if u < 0 or u >= side - 1:
                     continue
-                u, v = half + zoom * (px - dx * ratio), half + zoom * (py - dy * ratio)
-                if u < 0 or v < 0 or u >= side - 1 or v >= side - 1:
-                    continue
-                i, j, value = int(u), int(v), image[y, x]
-                fu, fv = u - i, v - j
-                w01, w11 = fu * (1 - fv), fu * fv
-                w00, w10 = 1 - fv - w01, fv - w11
-                light[j, i] += w00 * value
-                light[j, i + 1] += w01 * value
-                light[j + 1, i] += w10 * value
-                light[j + 1, i + 1] += w11 * value
-                weight[j, i] += w00
-                weight[j, i + 1] += w01
-                weight[j + 1, i] += w10
-                weight[j + 1, i + 1] += w11
+                i, value = into + np.uint64(np.int32(u)), row[np.uint64(x)]
+                into = second - into
+                f = u - np.float32(np.int32(u))
+                bright[i] += (one - f) * value
+                bright[i + np.uint64(1)] += f * value
+                count[i] += one - f
+                count[i + np.uint64(1)] += f
+            j = int(v)
+            f = v - np.float32(j)
+            for k in range(low, high + 1):
+                u = np.uint64(k)
+                value, number = bright[u] + bright[second + u], count[u] + count[second + u]
+                light[j, u] += (one - f) * value
+                light[j + 1, u] += f * value
+                weight[j, u] += (one - f) * number
+                weight[j + 1, u] += f * number
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _overlaps(light, reach):
+    """(3, 2 * reach + 1, 2 * reach + 1): of all places that lie over others at each lag, how many they are, and the
+    sums of `light` (n, n) and of its square there."""
+    side = len(light)
+    sums, squares = np.zeros((side + 1, side + 1)), np.zeros((side + 1, side + 1))
+    for y in range(side):
+        total = square = 0.0
+        for x in range(side):
+            total += light[y, x]
+            square += light[y, x] * light[y, x]
+            sums[y + 1, x + 1] = sums[y, x + 1] + total
+            squares[y + 1, x + 1] = squares[y, x + 1] + square
+    out = np.empty((3, 2 * reach + 1, 2 * reach + 1), np.float32)
+    for v in range(2 * reach + 1):
+        top, bottom = max(v - reach, 0), side + min(v - reach, 0)
+        for u in range(2 * reach + 1):
+            left, right = max(u - reach, 0), side + min(u - reach, 0)
+            out[0, v, u] = max(bottom - top, 0) * max(right - left, 0)
+            out[1, v, u] = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
+            out[2, v, u] = squares[bottom, right] - squares[top, right] - squares[bottom, left] + squares[top, left]
+    return out
+
+
+def _laid_over(light: NDArray[np.float32], seen: NDArray[np.bool_], reach: int) -> NDArray[np.float32]:
+    """(4, 2 * reach + 1, 2 * reach + 1): as `_overlaps` of what is seen, and the sums of products."""
+    # What is carried round the border lies beyond the longest lag.
+    size = fft.next_fast_len(len(light) + reach, real=True)
+    lags = np.arange(-reach, reach + 1)
+    if seen.all() and reach < len(light):
+        power = np.abs(fft.rfft2(light, (size, size))) ** 2
+        return np.stack([*_overlaps(light, reach), fft.irfft2(power, (size, size))[lags[:, None], lags]])
+    of_light, of_seen, of_square = fft.rfft2(np.stack([light, seen, light * light]), (size, size))
+    both = np.stack([of_seen, of_light, of_square, of_light]) * np.conj([of_seen, of_seen, of_seen, of_light])
+    return np.asarray(fft.irfft2(both, (size, size))[:, lags[:, None], lags])
 
 
 def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int, least: float) -> NDArray[np.float32]:
@@ -95,13 +152,8 @@ def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int, least
     least : float
         Lags at which fewer pixels lie over each other get -1, and so do those at which these are flat.
     """
-    # What is carried round the border lies beyond the longest lag.
-    size = fft.next_fast_len(len(picture) + reach, real=True)
     light = np.where(seen, picture - picture[seen].mean(), 0).astype(np.float32)
-    of_light, of_seen, of_square = fft.rfft2(np.stack([light, seen, light * light]), (size, size))
-    both = np.stack([of_seen, of_light, of_square, of_light]) * np.conj([of_seen, of_seen, of_seen, of_light])
-    lags = np.arange(-reach, reach + 1)
-    common, here, square, like = fft.irfft2(both, (size, size))[:, lags[:, None], lags]
+    common, here, square, like = _laid_over(light, seen, reach)
     count = np.maximum(np.rint(common), 1)
     spread = square - here**2 / count
     # At the opposite lag the other of both is moved.
@@ -110,6 +162,40 @@ def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int, least
     known = (count >= least) & (spread > limit) & (spread > limit)[::-1, ::-1]
     covariance = like - here * here[::-1, ::-1] / count
     return np.where(known, covariance / np.sqrt(np.where(known, product, 1)), -1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _comes_again(correlation):
+    """Largest correlation beyond that with which the texture has ended about no lag, and the largest of those in
+    another direction; -1 where there is none."""
+    side = len(correlation)
+    middle = side // 2
+    same, stack = np.zeros((side, side), np.bool_), np.empty((side * side, 2), np.int64)
+    waiting = 0
+    if correlation[middle, middle] > _ENDED:
+        same[middle, middle], stack[0, 0], stack[0, 1], waiting = True, middle, middle, 1
+    while waiting:
+        waiting -= 1
+        v, u = stack[waiting]
+        for y, x in ((v - 1, u), (v + 1, u), (v, u - 1), (v, u + 1)):
+            if 0 <= y < side and 0 <= x < side and not same[y, x] and correlation[y, x] > _ENDED:
+                same[y, x], stack[waiting, 0], stack[waiting, 1] = True, y, x
+                waiting += 1
+    # Directions are compared by their cosine, over the lengths of both lags.
+    first = second = np.float32(-1.0)
+    best_y = best_x = 0
+    for turn in range(2):
+        for y in range(-middle, side - middle):
+            for x in range(-middle, side - middle):
+                value, away2 = correlation[middle + y, middle + x], x * x + y * y
+                if same[middle + y, middle + x] or away2 > middle * middle:
+                    continue
+                if turn == 0 and value > first:
+                    first, best_y, best_x = value, y, x
+                along = abs(x * best_x + y * best_y) > _ALONG * np.sqrt(away2 * (best_x * best_x + best_y * best_y))
+                if turn == 1 and not along:
+                    second = max(second, value)
+    return first, second
 
 
 def repeats(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool]:
@@ -122,25 +208,12 @@ def repeats(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool]:
     seen : float
         So many microimages' worth of the scene.
     """
-    middle = len(correlation) // 2
-    parts, _ = label(correlation > _ENDED)
-    x, y, away = _lags(middle)
-    again = np.where((parts != parts[middle, middle]) & (away <= middle), correlation, -1)
-    best = again.argmax()
-    along = np.abs(x * x.flat[best] + y * y.flat[best]) > _ALONG * away * away.flat[best]
-    first, second = again.flat[best], np.where(along, -1, again).max()
+    first, second = _comes_again(correlation)
     certain, perhaps = (
         any(seen >= least and first > one and second > other for least, one, other in limits)
         for limits in (_AGAIN, _PERHAPS)
     )
     return certain, perhaps
-
-
-@lru_cache(maxsize=8)
-def _lags(reach: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Lags `x, y` up to `reach` px, and how long they are. Shared by all who ask."""
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    return x, y, np.hypot(x, y)
 
 
 def recurring(
@@ -212,7 +285,7 @@ def _part_repeats(
     chosen = lenses[((indices[lenses] - indices[middle]) % (apart, int(share / apart)) == 0).all(1)]
     zoom = min(1.0, _FINE / pitch)
     side = 2 * int(np.ceil(_REACH * pitch * zoom)) + 1
-    light, weight = np.zeros((side, side)), np.zeros((side, side))
+    light, weight = np.zeros((side, side), np.float32), np.zeros((side, side), np.float32)
     stride, radius = max(1, int(0.7 / zoom)), _INNER * gray.radius
     place = gray.centres[middle].astype(float)
     _lay_out(

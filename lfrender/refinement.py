@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from .fastmath import FAST
 from .microimages import copy_box
-from .neighbours import grown
 from .radiance import GrayFlat
-from .smoothing import smoothed
 
 __all__ = ["PairFits", "fit_pairs"]
 
@@ -39,6 +37,8 @@ _COMMON_START = np.float32(0.04)
 _WHOLE = 64
 # Between columns, three more pixels are read than there are places.
 _MORE = 3
+# Slopes are taken between the pixels on both sides, and smoothing reads one further [px].
+_BEYOND = 2
 # So many lenses share the memory that they are cut out to: to get it takes as long as some steps of a fit.
 _TOGETHER = 32
 # No whole step between two microimages.
@@ -72,7 +72,7 @@ class PairFits:
 def _spline(f):
     """Weights of the four pixels at -1, 0, 1, 2 in the cubic B-spline at `f`.
 
-    It smooths as much at any fraction as at 0, where its weights are those of `smoothed`; compared with a picture so
+    It smooths as much at any fraction as at 0, where its weights are those of `_cut`; compared with a picture so
     smoothed it shifts a detail of w radians per pixel by less than w^5 / 1000 px. Linear interpolation shifts it
     by up to w^2 / 60 px, and so does Keys's cubic: by the same amount over the whole flat.
     """
@@ -99,16 +99,33 @@ def _corner(centre, radius, side, size):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _cut(pixels, stride, left, top, side, wide, own, slope_x, slope_y):
-    """A microimage and its slopes, row after row."""
-    half, one = np.float32(0.5), np.uint64(1)
+def _cut(pixels, height, width, left, top, side, wide, box, smooth, own, slope_x, slope_y):
+    """A microimage smoothed by 1, 4, 1 over 6 in both directions, and its slopes, row after row.
+
+    `box` and `smooth` are memory to work in.
+    """
+    across, half, one, two = side + 2 * _BEYOND, np.float32(0.5), np.uint64(1), np.uint64(2)
+    first = left - _BEYOND
+    for row in range(across):
+        at, into = min(max(top - _BEYOND + row, 0), height - 1) * width, np.uint64(row * across)
+        if first < 0 or first + across > width:
+            for k in range(across):
+                box[into + np.uint64(k)] = pixels[np.uint64(at + min(max(first + k, 0), width - 1))]
+        else:
+            for k in range(np.uint64(across)):
+                box[into + k] = pixels[np.uint64(at + first) + k]
+    line, four, weight = np.uint64(across), np.float32(4.0), np.float32(1 / 36)
+    for k in range(np.uint64(across * (across - 2))):
+        smooth[k] = box[k] + four * box[k + line] + box[k + line + line]
+    # What lies between the end of one row and the beginning of the next is of no use.
+    for k in range(np.uint64(across * (across - 2) - 2)):
+        box[k] = weight * (smooth[k] + four * smooth[k + one] + smooth[k + two])
     for row in range(side):
-        at = np.uint64(top + row) * stride + np.uint64(left)
-        into = np.uint64(row * wide)
+        middle, into = np.uint64((row + 1) * across + 1), np.uint64(row * wide)
         for k in range(np.uint64(side)):
-            own[into + k] = pixels[at + k]
-            slope_x[into + k] = half * (pixels[at + one + k] - pixels[at - one + k])
-            slope_y[into + k] = half * (pixels[at + stride + k] - pixels[at - stride + k])
+            own[into + k] = box[middle + k]
+            slope_x[into + k] = half * (box[middle + one + k] - box[middle - one + k])
+            slope_y[into + k] = half * (box[middle + line + k] - box[middle - line + k])
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
@@ -244,16 +261,16 @@ def _starts(first, second, near):
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _fit_pairs(
-    image, smooth, centres, radius, pitch, rows, start, scale2, noise2, iterations, sizes, variances, places
+    image, centres, radius, pitch, rows, start, scale2, noise2, iterations, sizes, variances, places
 ):  # fmt: skip
     side = int(2 * radius) + 1
     wide = side + _MORE
-    size = (side + _MORE) * (wide + _MORE) + 2 * _WHOLE
+    size = max((side + _MORE) * (wide + _MORE), (side + 2 * _BEYOND) ** 2) + 2 * _WHOLE
     column, line = np.empty(size, np.float32), np.empty(size, np.float32)
     for k in range(size):
         column[k], line[k] = k % wide, k // wide
     height, width = image.shape
-    pixels, smoothed_pixels, stride = image.reshape(-1), smooth.reshape(-1), np.uint64(smooth.shape[1])
+    pixels = image.reshape(-1)
     for part in prange((len(centres) + _TOGETHER - 1) // _TOGETHER):
         own, slope_x, slope_y = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
         there, lines, between = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
@@ -271,7 +288,7 @@ def _fit_pairs(
                 if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
                     continue
                 if not ready:
-                    _cut(smoothed_pixels, stride, left, top, side, wide, own, slope_x, slope_y)
+                    _cut(pixels, height, width, left, top, side, wide, there, lines, own, slope_x, slope_y)
                     ready = True
                 first, second, together = _starts(start[lens], start[other], _COMMON_START * pitch)
                 for k in range(2):
@@ -314,8 +331,6 @@ def fit_pairs(
         Standard deviation of a pixel, at most: where pairs agree better, it is less.
     iterations : int
     """
-    known = np.isfinite(start)
-    smooth = smoothed(gray, grown(known, rows))
     radius = gray.radius - min(_RIM, _RIM_SHARE * gray.pitch)
     shape = (*rows.shape, 2)
     fits = PairFits(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32))
@@ -323,9 +338,9 @@ def fit_pairs(
     # Microimages are cut out with what lies about them.
     missing = [max(0, int(2 * radius) + 2 * _MORE - n) for n in image.shape]
     if any(missing):
-        image, smooth = (np.pad(a, [(0, n) for n in missing]) for a in (image, smooth))
+        image = np.pad(image, [(0, n) for n in missing], "edge")
     _fit_pairs(
-        np.ascontiguousarray(image), smooth, gray.centres, np.float32(radius), np.float32(gray.pitch), rows,
+        np.ascontiguousarray(image), gray.centres, np.float32(radius), np.float32(gray.pitch), rows,
         start.astype(np.float32), (scale * scale).astype(np.float32), np.float32(noise * noise), iterations,
         fits.patch_size, fits.variance, fits.place,
     )  # fmt: skip

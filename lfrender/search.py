@@ -13,6 +13,7 @@ from .matching import half_trust, pair_costs, shared_pixels
 from .microimages import Masks, Strips, cut_out
 from .modes import confidence, least, parabola_peak, second_best
 from .neighbours import both_ways, grown
+from .probing import probe
 from .radiance import GrayFlat, shrink
 from .rivals import shared_trust, without_rivals
 from .texture import FIXED_SHADING, LensStatistics, Texture, lens_statistics
@@ -143,10 +144,10 @@ class Matcher:
         asked: NDArray[np.bool_] | None = None,
     ) -> None:
         self.factor = max(1, round(texture.flat.pitch / setting.search_pitch))
-        self.gray: GrayFlat = shrink(texture.flat, self.factor)
+        wanted = None if asked is None else grown(asked, both_ways(forward, backward))
+        self.gray: GrayFlat = shrink(texture.flat, self.factor, wanted)
         self.statistics: LensStatistics = texture.statistics
         if self.factor > 1:
-            wanted = None if asked is None else grown(asked, both_ways(forward, backward))
             self.statistics = lens_statistics(self.gray, wanted=wanted)
         # Of tiny microimages every row is needed, and every half pixel: the depth that few pixels share is biased.
         tiny = self.gray.radius < _LEAST_RADIUS
@@ -189,22 +190,19 @@ class Matcher:
         """(n, d, k) float32 costs of the pairs of all `active` lenses, as `pair_costs`."""
         return pair_costs(
             self.gray, self.forward, self.statistics.mean, self.statistics.contrast, active, self.shifts, self._noise,
-            FIXED_SHADING, self._row_step, which, done, out, None, self._strips(active), self._masks,
+            FIXED_SHADING, self._row_step, which, done, out, self._strips(active), self._masks,
         )  # fmt: skip
 
     def probe(
-        self, active: NDArray[np.bool_], shifts: NDArray[np.float32], about: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """(n, k) float32 costs of the `active` lenses at a few `shifts` from what is expected `about` each.
+        self, active: NDArray[np.bool_], about: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(n,) float32 costs of the `active` lenses at what is expected `about` each, and [px] how far beside it the
+        least costs lie.
 
         Pairs in two directions tell whether a lens shows what is expected; the third adds little.
         """
         forward, backward = (np.ascontiguousarray(rows[:, :_PROBED]) for rows in (self.forward, self.backward))
-        pair = pair_costs(
-            self.gray, forward, self.statistics.mean, self.statistics.contrast, active, shifts, self._noise,
-            FIXED_SHADING, self._row_step, about=about, strips=self._strips(active),
-        )  # fmt: skip
-        return lens_costs(pair, forward, backward)
+        return probe(self.gray, forward, backward, self.statistics, active, about, self._noise, self._strips(active))
 
     def costs(self, pair: NDArray[np.float32], wanted: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
         """(m, k) float32: mean over the pairs of each lens, or of each of the `wanted` (n,)."""

@@ -9,27 +9,29 @@ from numpy.typing import NDArray
 
 from .certainty import misled, signal_share
 from .modes import confidence, parabola_peak
-from .neighbours import around, beside
+from .neighbours import around, beside, both_ways, grown, rows_among
 from .plane import TEXTURED, Plane, fit_plane, nearly_planar, strays
+from .radiance import shrink
 from .refinement import PairFits, fit_pairs
 from .search import MISFIT, Matcher, Preset
 from .skipping import sample_lenses
 from .slant import fit_lenses
-from .texture import Texture
+from .texture import Texture, lens_statistics
 
-__all__ = ["PROBE", "PlaneScene", "explained_by_plane", "find_plane", "plane_evidence", "vertex", "with_misled"]
+__all__ = ["PlaneScene", "explained_by_plane", "find_plane", "plane_evidence", "with_misled"]
 
 # About so many lenses tell a plane; of few lenses this share of them, but not fewer than the third number. Fewer than
 # the last number tell nothing, nor do so many lenses with texture: they hardly show whether what they see repeats.
 _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE, _TOO_FEW = 60, 1 / 12, 30, 20
 _FEWEST = 100
+# They are searched on a flat made smaller by a whole factor that leaves this pitch [px].
+_COARSE = 11.0
 # A slanted plane needs so many times as many: three numbers instead of one, of which two are carried to the border.
 _SLANTED = 4
 # Of a plane that faces the camera this share of the lenses are searched to the same patch size, to that of the pitch.
 _ALIKE, _NEAR = 0.7, 0.05
-# Three shifts this far apart [px of the search] tell for each lens whether it, too, has its optimum there. Lenses that
-# are off to one side by the second number together with others beside them are measured.
-PROBE, _OFF, _TOGETHER = 0.75, 0.25, 2
+# Lenses that seem off the plane to one side by this much [px of the search], so many others beside them, are measured.
+_OFF, _TOGETHER = 0.15, 2
 # A better match elsewhere, by this much, is another surface, if by so many pixels of the search or with others beside
 # it; so is a share of the lenses without any match. Where more than the last number seem to have none, they are not
 # searched for it.
@@ -83,43 +85,88 @@ def find_plane(
     """
     if texture.clear.sum() < max(TEXTURED * len(indices), _FEWEST):
         return None
-    matcher = Matcher(texture, forward, backward, setting)
-    inner = _inner(texture, matcher.rows)
+    pitch, rows = texture.flat.pitch, both_ways(forward, backward)
     count = int(np.clip(texture.clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE))
-    sample = sample_lenses(indices, inner, count)
+    sample = sample_lenses(indices, _inner(texture, rows), count)
     if sample.sum() < _TOO_FEW:
         return None
-    pitch = texture.flat.pitch
-    cost = matcher.costs(matcher.pairs(sample), sample)
+    few = _Few.of(texture, forward, backward, sample)
+    matcher = few.matcher(setting)
+    cost = matcher.costs(matcher.pairs(few.asked), few.asked)
     best = cost.argmin(1)
     if matcher.repeats(cost):
         return None
-    start = np.full(len(indices), np.nan, np.float32)
-    start[sample] = (matcher.shifts[best] + parabola_peak(cost, best) * matcher.step) * matcher.factor
-    if not nearly_planar(texture.flat.centres[sample].astype(np.float64), start[sample].astype(np.float64), pitch):
+    found = (matcher.shifts[best] + parabola_peak(cost, best) * matcher.step) * few.coarse
+    if not nearly_planar(texture.flat.centres[sample].astype(np.float64), found.astype(np.float64), pitch):
         return None
-    if facing and np.mean(np.abs(start[sample] - np.median(start[sample])) <= _NEAR * pitch) < _ALIKE:
+    if facing and np.mean(np.abs(found - np.median(found)) <= _NEAR * pitch) < _ALIKE:
         return None
-    points, sizes = _places(_pairs(texture, forward, start, setting), texture, forward)
+    points, sizes = few.measured(found, setting)
     plane = fit_plane(points, sizes, pitch) if len(sizes) >= _TOO_FEW else None
     if plane is None or (facing and plane.slanted):
         return None
+    paths = 2 * forward.shape[1]
+    sure = float(np.median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance())))
+    matcher = Matcher(texture, forward, backward, setting)
     about = plane.at(texture.flat.centres.astype(np.float64)).astype(np.float32)
     evidence = plane_evidence(matcher, texture, about, setting)
     if evidence is None:
         return None
     if plane.slanted:
         more = sample_lenses(indices, texture.clear, _SLANTED * _SAMPLE)
-        start = np.where(more, about, np.nan).astype(np.float32)
         # Of so few as the sample a plane that faces the camera may have looked slanted.
-        points, sizes = _places(_pairs(texture, forward, start, setting), texture, forward)
-        plane = fit_plane(points, sizes, pitch)
+        plane = fit_plane(*_Few.of(texture, forward, backward, more).measured(about[more], setting), pitch)
         if plane is None:
             return None
     plane = with_misled(plane, explained_by_plane(matcher, texture, about, evidence)[texture.clear])
-    paths = 2 * forward.shape[1]
-    sure = float(np.median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance())))
     return PlaneScene(plane, sure, evidence, float(sample.mean()))
+
+
+@dataclass(frozen=True)
+class _Few:
+    """Some lenses and those beside them, as if there were no others.
+
+    Parameters
+    ----------
+    texture : Texture
+    forward, backward : (m, d) int32
+        As for `find_plane`.
+    asked : (m,) bool
+        Those that are not there for the others alone.
+    """
+
+    texture: Texture
+    forward: NDArray[np.int32]
+    backward: NDArray[np.int32]
+    asked: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, texture: Texture, forward: NDArray[np.int32], backward: NDArray[np.int32], asked: NDArray[np.bool_]
+    ) -> _Few:
+        """The lenses `asked` (n,) of all."""
+        rows = np.flatnonzero(grown(asked, both_ways(forward, backward)))
+        return cls(texture.of(rows), rows_among(rows, forward), rows_among(rows, backward), asked[rows])
+
+    @property
+    def coarse(self) -> int:
+        """How many pixels of the flat, each way, become one where they are matched."""
+        return max(1, int(self.texture.flat.pitch / _COARSE))
+
+    def matcher(self, setting: Preset) -> Matcher:
+        """What tells their shifts to a fraction of a pixel of the flat."""
+        texture, factor = self.texture, self.coarse
+        if factor > 1:
+            flat = shrink(texture.flat, factor)
+            texture = replace(texture, flat=flat, statistics=lens_statistics(flat), noise=texture.noise / factor)
+            setting = replace(setting, row_step=1)
+        return Matcher(texture, self.forward, self.backward, replace(setting, search_pitch=np.inf))
+
+    def measured(self, sizes: NDArray[np.float32], setting: Preset) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Scene points and patch sizes, as `_places`, of the lenses asked, of which the `sizes` are nearly known."""
+        start = np.full(len(self.asked), np.nan, np.float32)
+        start[self.asked] = sizes
+        return _places(_pairs(self.texture, self.forward, start, setting), self.texture, self.forward)
 
 
 def _inner(texture: Texture, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -151,10 +198,9 @@ def plane_evidence(
 ) -> NDArray[np.float32] | None:
     """(n,) correlation of every lens at the plane's shift; None where a lens shows something else."""
     everyone = texture.clear | texture.faint
-    probes = (PROBE * np.array([-1, 0, 1])).astype(np.float32)
-    cost = matcher.probe(everyone, probes, (about / matcher.factor).astype(np.float32))
-    limit = np.clip(_USUAL * np.median(cost[texture.clear, 1]), MISFIT, _WORST)
-    misfits = texture.clear & (cost[:, 1] > limit)
+    cost, off = matcher.probe(everyone, (about / matcher.factor).astype(np.float32))
+    limit = np.clip(_USUAL * np.median(cost[texture.clear]), MISFIT, _WORST)
+    misfits = texture.clear & (cost > limit)
     rows = matcher.rows
     inner = _inner(texture, rows)
     if not inner.any() or misfits[inner].mean() > _DOUBTFUL:
@@ -166,7 +212,6 @@ def plane_evidence(
             return None
         if misfits[inner].mean() > _MISFITS:
             return None
-    off = vertex(cost) * PROBE
     doubtful = np.zeros(len(off), bool)
     for side in (-1, 1):
         doubtful |= beside(texture.clear & ~misfits & (side * off > _OFF), rows) >= _TOGETHER
@@ -177,7 +222,7 @@ def plane_evidence(
         lenses = fit_lenses(texture.flat, matcher.forward, matcher.backward, pairs, start)
         if strays((lenses.patch_size - about).astype(float), lenses.standard_error.astype(float), rows):
             return None
-    return (1 - cost[:, 1]).astype(np.float32)
+    return 1 - cost
 
 
 def _searched(
@@ -215,11 +260,3 @@ def explained_by_plane(
 def with_misled(plane: Plane, explained: NDArray) -> Plane:
     """The plane with what the texture that its matches leave unexplained may have done to the lenses (m,) of it."""
     return replace(plane, misled=float(misled(plane.scatter, np.median(explained)))) if explained.size else plane
-
-
-def vertex(cost: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(n,) where the parabola through three costs has its least value, in steps from the middle, at most 1 away."""
-    bend = cost[:, 0] - 2 * cost[:, 1] + cost[:, 2]
-    tilt = 0.5 * (cost[:, 0] - cost[:, 2])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(bend > 1e-6, np.clip(tilt / bend, -1, 1), np.sign(tilt)).astype(np.float32)

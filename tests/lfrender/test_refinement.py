@@ -1,9 +1,11 @@
 import numpy as np
+import pytest
+from scipy.ndimage import correlate1d
 
+from lfrender import refinement
 from lfrender.neighbours import neighbour_rows
 from lfrender.refinement import PairFits, fit_pairs
 from lfrender.slant import fit_lenses
-from lfrender.smoothing import smoothed
 
 
 def measure(gray, lattice, start, noise=0.005, iterations=8, scale=0.1):
@@ -89,11 +91,15 @@ def test_pairs_that_scatter_by_more_than_their_noise_widen_the_error_beyond_thei
     assert median[1] / median[0] > 3
 
 
-def test_the_flat_smoothed_in_long_rows_has_the_bits_of_its_microimages_smoothed_alone(drawn_flat):
-    gray, lattice, *_ = drawn_flat(6.0)
-    every = smoothed(gray, np.ones(len(lattice), bool))
-    for lens in (0, len(lattice) // 2, len(lattice) - 1):
-        alone = smoothed(gray, np.arange(len(lattice)) == lens)
-        x, y = np.rint(gray.centres[lens]).astype(int)
-        part = slice(max(y - 8, 0), y + 9), slice(max(x - 8, 0), x + 9)
-        np.testing.assert_array_equal(every[part], alone[part])
+@pytest.mark.parametrize(("left", "top"), [(1, 1), (7, 4), (11, 8)])
+def test_microimages_are_cut_out_smoothed_with_their_slopes(left, top):
+    height, width, side, wide = 18, 21, 9, 12
+    image = np.random.default_rng(2).random((height, width)).astype(np.float32)
+    box, smooth, own, slope_x, slope_y = np.full((5, 400), np.nan, np.float32)
+    refinement._cut(image.ravel(), height, width, left, top, side, wide, box, smooth, own, slope_x, slope_y)
+    kernel = np.array([1, 4, 1]) / 6
+    expected = correlate1d(correlate1d(image.astype(float), kernel, 0, mode="nearest"), kernel, 1, mode="nearest")
+    slopes = [correlate1d(expected, [-0.5, 0, 0.5], axis, mode="nearest") for axis in (1, 0)]
+    part = slice(top, top + side), slice(left, left + side)
+    for found, whole in zip((own, slope_x, slope_y), (expected, *slopes), strict=True):
+        np.testing.assert_allclose(found[: side * wide].reshape(side, wide)[:, :side], whole[part], atol=1e-6)
