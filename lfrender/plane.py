@@ -19,6 +19,8 @@ _NEAREST_ZERO, _LARGEST = 0.1, 0.7
 # A smooth surface of this degree through the lenses may leave the plane by this much [px]: half of what regularity may
 # cost.
 _DEGREE, _EVEN = 3, 0.025
+# A term of it that is so little beside those before it, as of lenses in one line, is left out.
+_NOTHING_NEW = 1e-6
 # Least scatter [px] of lenses about a plane: what interpolation does to each of them.
 _FLOOR = 0.006
 # Systematic error of a patch size [px] that no number of lenses averages out, and what it grows by [pitches] with the
@@ -230,49 +232,42 @@ def _even(places: NDArray[np.float64], residual: NDArray[np.float64], deviations
     inside = np.abs(residual) < _OUTLYING * max(scatter, _FLOOR)
     if not inside.mean() > _ON_PLANE:
         return None
-    rows, gram, right = _cubic(places[inside], residual[inside])
-    leaves = _leaves(rows, np.linalg.pinv(gram, hermitian=True), right, deviations * scatter)
+    leaves = _leaves(places[inside], residual[inside], deviations * scatter)
     return None if leaves else scatter
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cubic(places, residual):
-    """Terms (k, n) of a surface of degree `_DEGREE`, and the normal equations of its fit to the residuals (n,)."""
+def _leaves(places, residual, deviation):
+    """Whether a smooth surface of degree `_DEGREE` through the residuals is anywhere farther from zero than `_EVEN`,
+    and than the scatter leaves uncertain."""
     count = (_DEGREE + 1) * (_DEGREE + 2) // 2
-    rows, gram, right = np.empty((count, len(places))), np.zeros((count, count)), np.zeros(count)
-    k = 0
+    terms = np.empty((count, len(places)))
+    value, uncertain = np.zeros(len(places)), np.zeros(len(places))
+    found = 0
     for i in range(_DEGREE + 1):
         for j in range(_DEGREE + 1 - i):
+            term = terms[found]
             for n in range(len(places)):
-                rows[k, n] = places[n, 0] ** i * places[n, 1] ** j
-            k += 1
-    for i in range(count):
-        for n in range(len(places)):
-            right[i] += rows[i, n] * residual[n]
-        for j in range(i + 1):
+                term[n] = places[n, 0] ** i * places[n, 1] ** j
+            whole = np.sqrt((term * term).sum())
+            # Each term is freed of those before it, twice: once leaves what rounding does.
+            for _ in range(2):
+                for k in range(found):
+                    shared = (term * terms[k]).sum()
+                    for n in range(len(places)):
+                        term[n] -= shared * terms[k, n]
+            own = np.sqrt((term * term).sum())
+            if own <= _NOTHING_NEW * whole:
+                continue
+            term /= own
+            factor = (term * residual).sum()
             for n in range(len(places)):
-                gram[i, j] += rows[i, n] * rows[j, n]
-            gram[j, i] = gram[i, j]
-    return rows, gram, right
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _leaves(rows, inverse, right, deviation):
-    """Whether the surface is anywhere farther from zero than `_EVEN`, and than the scatter leaves uncertain."""
-    factors = np.zeros(len(right))
-    for i in range(len(right)):
-        for j in range(len(right)):
-            factors[i] += inverse[i, j] * right[j]
-    for n in range(rows.shape[1]):
-        value = uncertain = 0.0
-        for i in range(len(rows)):
-            value += factors[i] * rows[i, n]
-            told = 0.0
-            for j in range(len(rows)):
-                told += inverse[i, j] * rows[j, n]
-            uncertain += told * rows[i, n]
+                value[n] += factor * term[n]
+                uncertain[n] += term[n] * term[n]
+            found += 1
+    for n in range(len(places)):
         # What the scatter of single lenses leaves uncertain about that surface is not held against the plane.
-        if abs(value) > _EVEN + deviation * np.sqrt(max(uncertain, 0.0)):
+        if abs(value[n]) > _EVEN + deviation * np.sqrt(uncertain[n]):
             return True
     return False
 

@@ -22,9 +22,9 @@ def test_a_wave_laid_over_itself_comes_again_after_its_period():
     assert found[20, 20] == pytest.approx(1)
     assert found[20, 32] > 0.99 and found[32, 20] > 0.99
     assert found[26, 26] < -0.95
-    assert repeats(found, 10.0) == (True, True)
+    assert repeats(found, 10.0) == (True, True, True)
     # Of less than three microimages nobody can tell.
-    assert repeats(found, 2.0) == (False, False)
+    assert repeats(found, 2.0) == (False, False, True)
 
 
 def test_lags_at_which_too_little_is_seen_or_all_is_even_do_not_count():
@@ -38,7 +38,7 @@ def test_lags_at_which_too_little_is_seen_or_all_is_even_do_not_count():
 
 def test_random_texture_does_not_repeat():
     picture = np.random.default_rng(1).standard_normal((61, 61))
-    assert repeats(autocorrelation(picture, np.ones((61, 61), bool), 20, 100.0), 10.0) == (False, False)
+    assert repeats(autocorrelation(picture, np.ones((61, 61), bool), 20, 100.0), 10.0) == (False, False, False)
 
 
 # The wrong depths within reach matched as well as any right one: all lenses were sure of them.
