@@ -265,11 +265,8 @@ def _leaves(places, residual, deviation):
                 value[n] += factor * term[n]
                 uncertain[n] += term[n] * term[n]
             found += 1
-    for n in range(len(places)):
-        # What the scatter of single lenses leaves uncertain about that surface is not held against the plane.
-        if abs(value[n]) > _EVEN + deviation * np.sqrt(uncertain[n]):
-            return True
-    return False
+    # What the scatter of single lenses leaves uncertain about that surface is not held against the plane.
+    return bool((np.abs(value) > _EVEN + deviation * np.sqrt(uncertain)).any())
 
 
 def strays(residual: NDArray[np.float64], errors: NDArray[np.float64], rows: NDArray[np.int32]) -> bool:

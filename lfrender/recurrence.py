@@ -290,7 +290,7 @@ def _part_repeats(
     zoom = min(1.0, _FINE / pitch)
     side = 2 * int(np.ceil(_REACH * pitch * zoom)) + 1
     light, weight = np.zeros((side, side), np.float32), np.zeros((side, side), np.float32)
-    stride, radius = max(1, int(0.7 / zoom)), _INNER * gray.radius
+    stride, radius = max(1, round(0.7 / zoom)), _INNER * gray.radius
     place = gray.centres[middle].astype(float)
     _lay_out(
         gray.image, gray.centres, np.asarray(sizes, np.float64), chosen, place, own, pitch, radius, stride, zoom,

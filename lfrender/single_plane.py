@@ -32,9 +32,9 @@ _SLANTED = 4
 _ALIKE, _NEAR = 0.7, 0.05
 # Lenses that seem off the plane to one side by this much [px of the search], so many others beside them, are measured.
 _OFF, _TOGETHER = 0.15, 2
-# A better match elsewhere, by this much, is another surface, if by so many pixels of the search or with others beside
-# it; so is a share of the lenses without any match. Where more than the last number seem to have none, they are not
-# searched for it.
+# A better match elsewhere, by this much, is another surface, if so many pixels away or with others beside it; so is a
+# share of the lenses without any match. Where more than the last number seem to have none, they are not searched for
+# it.
 _BETTER, _FAR, _MISFITS, _DOUBTFUL = 0.15, 2.0, 0.05, 0.15
 # Noise and little overlap make all matches worse: a misfit is so many times as bad as the usual lens, but at most this.
 _USUAL, _WORST = 2.0, 0.6
@@ -206,7 +206,8 @@ def plane_evidence(
     if not inner.any() or misfits[inner].mean() > _DOUBTFUL:
         return None
     if misfits.any():
-        elsewhere, far, misfits = _searched(matcher, misfits, about, float(limit))
+        few = _Few.of(texture, matcher.forward, matcher.backward, misfits)
+        elsewhere, far, misfits = _searched(few, setting, misfits, about, float(limit))
         together = beside(elsewhere, rows)
         if (far & inner).any() or (elsewhere & inner & (together > 0)).any() or (together >= _TOGETHER).any():
             return None
@@ -226,15 +227,16 @@ def plane_evidence(
 
 
 def _searched(
-    matcher: Matcher, misfits: NDArray[np.bool_], about: NDArray[np.float32], limit: float
+    few: _Few, setting: Preset, misfits: NDArray[np.bool_], about: NDArray[np.float32], limit: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Which of the lenses (n,) that seem to misfit a plane match better elsewhere, which of them far from it, and which
     do not match at the plane either, when they are searched at all shifts.
 
     The search tries other pairs than the probe, so that only what it finds itself can be compared.
     """
-    full = matcher.costs(matcher.pairs(misfits), misfits)
-    away = np.abs(matcher.shifts - about[misfits, None] / matcher.factor)
+    matcher = few.matcher(setting)
+    full = matcher.costs(matcher.pairs(few.asked), few.asked)
+    away = np.abs(matcher.shifts - about[misfits, None] / few.coarse)
     near = away <= matcher.step
     # Between the two shifts beside the plane; none is where the plane lies beyond those that are searched.
     share = np.where(near, matcher.step - away, 0)
@@ -244,7 +246,7 @@ def _searched(
     better = (least < own - _BETTER) & (least < limit)
     elsewhere, far, unmatched = np.zeros((3, len(misfits)), bool)
     elsewhere[misfits] = better
-    far[misfits] = better & (away[np.arange(len(best)), best] > _FAR)
+    far[misfits] = better & (away[np.arange(len(best)), best] * few.coarse > _FAR)
     unmatched[misfits] = np.where(near, full, np.inf).min(1) > limit
     return elsewhere, far, unmatched
 

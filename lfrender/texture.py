@@ -43,8 +43,8 @@ _BESIDE = 1.5
 _LEAST_ROUGH = 0.02
 # Vector loops take so many values at a time, and so many lenses share the memory that they are cut out to.
 _BUNCH, _TOGETHER = 32, 32
-# Microimages of this radius [px] have rows to spare.
-_LEAST_ROWS = 6.0
+# Microimages of this radius [px] have rows to spare; so many pixels tell whether there is texture.
+_LEAST_ROWS, _TELLING = 6.0, 260
 
 
 @dataclass(frozen=True)
@@ -148,16 +148,19 @@ def _spread(number, total, squares):
 def _lens_statistics(image, centres, wanted, radius, middle, row_step, out):
     height, width = image.shape
     pixels = image.reshape(-1)
-    # Rows that are read follow each other, and then those between them: so one long loop takes them all.
+    # Rows that are read follow each other, and then those above, and below, if they are others: so one long loop takes
+    # them all.
     wide, tall = 2 * int(np.ceil(radius)) + 3, (2 * int(np.ceil(radius)) + 1 + row_step) // row_step
     size = (tall * wide + _BUNCH - 1) // _BUNCH * _BUNCH
     start = wide + 1 if row_step == 1 else 1
     above, below = (-wide, wide) if row_step == 1 else (tall * wide, (tall + 1) * wide)
+    if row_step > 2:
+        below = 2 * tall * wide
     columns, lines = np.full(size, np.inf, np.float32), np.full(size, np.inf, np.float32)
     for k in range(tall * wide):
         columns[k], lines[k] = k % wide, k // wide * row_step
     for part in prange((len(centres) + _TOGETHER - 1) // _TOGETHER):
-        box = np.zeros(row_step * tall * wide + 3 * wide + 2 * _BUNCH, np.float32)
+        box = np.zeros(min(row_step, 3) * (tall + 1) * wide + 3 * wide + 2 * _BUNCH, np.float32)
         for lens in range(part * _TOGETHER, min((part + 1) * _TOGETHER, len(centres))):
             if not wanted[lens]:
                 continue
@@ -170,6 +173,8 @@ def _lens_statistics(image, centres, wanted, radius, middle, row_step, out):
             else:
                 copy_box(pixels, width, left - 1, top, count, wide, box, 0, row_step)
                 copy_box(pixels, width, left - 1, top - 1, count + 1, wide, box, tall * wide, row_step)
+                if row_step > 2:
+                    copy_box(pixels, width, left - 1, top + 1, count, wide, box, 2 * tall * wide, row_step)
             count = max((count * wide + _BUNCH - 1) // _BUNCH * _BUNCH, 0)
             near = pixels[min(max(int(cy), 0), height - 1) * width + min(max(int(cx), 0), width - 1)]
             number, total, squares, rough, inner, inner_total, inner_squares = _sums(
@@ -205,8 +210,9 @@ def lens_statistics(
 
 
 def quick_statistics(gray: GrayFlat) -> LensStatistics:
-    """`lens_statistics` from every other row of large enough microimages: who carries texture at all."""
-    return lens_statistics(gray, row_step=2 if gray.radius >= _LEAST_ROWS else 1)
+    """`lens_statistics` from every other row of large enough microimages, or fewer: who carries texture at all."""
+    step = max(2, int(np.pi * gray.radius**2 / _TELLING))
+    return lens_statistics(gray, row_step=step if gray.radius >= _LEAST_ROWS else 1)
 
 
 def blank_lenses(plain: LensStatistics, noise: float) -> NDArray[np.bool_]:

@@ -3,6 +3,8 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
+from scipy.ndimage import correlate
 
 from lfcal import Lattice
 from lfrender.radiance import GrayFlat
@@ -44,8 +46,26 @@ def test_texture_at_the_rim_alone_says_nothing_about_the_middle():
     assert (whole.clear | whole.faint)[inner].all()
 
 
+@pytest.mark.parametrize("step", [1, 2, 3, 5])
+def test_statistics_of_some_rows_are_those_of_their_pixels(step):
+    image, radius, (cx, cy) = np.random.default_rng(3).random((60, 70)).astype(np.float32), 17.5, (33.3, 29.8)
+    found = lens_statistics(GrayFlat(image, np.array([[cx, cy]], np.float32), radius, 2 * radius), row_step=step)
+    y, x = np.mgrid[:60, :70]
+    away = (x - cx) ** 2 + (y - cy) ** 2
+    rows = (y - int(np.ceil(cy - radius))) % step == 0
+    inside, middle = rows & (away <= radius**2), rows & (away <= (0.36 * 2 * radius) ** 2)
+    mask = np.outer([1, -2, 1], [1, -2, 1])
+    bends = correlate(image.astype(float), mask)[inside]
+    assert found.mean[0] == pytest.approx(image[inside].mean(), rel=1e-5)
+    assert found.contrast[0] == pytest.approx(image[inside].std(), rel=1e-4)
+    assert found.middle[0] == pytest.approx(image[middle].std(), rel=1e-4)
+    assert found.roughness[0] == pytest.approx(np.sqrt((bends**2).mean() / 36), rel=1e-4)
+
+
 _STATISTICS_BITS = """
 import numpy as np
+import pytest
+from scipy.ndimage import correlate
 from lfrender.radiance import GrayFlat
 from lfrender.texture import lens_statistics
 rng = np.random.default_rng(0)
