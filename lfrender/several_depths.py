@@ -18,6 +18,7 @@ from .neighbours import grown, lens_halves, nearest_of, neighbour_rows
 from .radiance import GrayFlat
 from .remainder import remainder_depths
 from .search import PRESETS, Found, Preset
+from .single_plane import FEWEST
 from .skipping import Shortcuts, sample_lenses
 from .spreading import spread
 from .surface import Surface
@@ -154,6 +155,8 @@ def _plane_among_blank(
 
     Shading is left in where it hardly matters. Beside the depth stands how many lenses were tried, inf where all.
     """
+    if (~blank).sum() < FEWEST:
+        return None, np.inf
     texture = nearly_untouched_texture(gray, lattice, plain, blank, noise_of(plain.roughness))
     active = texture.clear | texture.faint
     if not 0 < active.mean() < _FEW:

@@ -18,16 +18,17 @@ from .skipping import sample_lenses
 from .slant import fit_lenses
 from .texture import Texture, lens_statistics
 
-__all__ = ["PlaneScene", "explained_by_plane", "find_plane", "plane_evidence", "with_misled"]
+__all__ = ["FEWEST", "PlaneScene", "explained_by_plane", "find_plane", "plane_evidence", "with_misled"]
 
+#: Fewer lenses with texture hardly show whether what they see repeats.
+FEWEST = 100
 # About so many lenses tell a plane; of few lenses this share of them, but not fewer than the third number. Fewer than
-# the last number tell nothing, nor do so many lenses with texture: they hardly show whether what they see repeats.
+# the last number tell nothing.
 _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE, _TOO_FEW = 60, 1 / 12, 30, 20
-_FEWEST = 100
 # They are searched on a flat made smaller by a whole factor that leaves this pitch [px].
 _COARSE = 11.0
 # A slanted plane needs so many times as many: three numbers instead of one, of which two are carried to the border.
-_SLANTED = 4
+_SLANTED = 6
 # Of a plane that faces the camera this share of the lenses are searched to the same patch size, to that of the pitch.
 _ALIKE, _NEAR = 0.7, 0.05
 # Lenses that seem off the plane to one side by this much [px of the search], so many others beside them, are measured.
@@ -83,7 +84,7 @@ def find_plane(
     facing : bool
         Only a plane that faces the camera will do.
     """
-    if texture.clear.sum() < max(TEXTURED * len(indices), _FEWEST):
+    if texture.clear.sum() < max(TEXTURED * len(indices), FEWEST):
         return None
     pitch, rows = texture.flat.pitch, both_ways(forward, backward)
     count = int(np.clip(texture.clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE))
@@ -115,7 +116,9 @@ def find_plane(
     if plane.slanted:
         more = sample_lenses(indices, texture.clear, _SLANTED * _SAMPLE)
         # Of so few as the sample a plane that faces the camera may have looked slanted.
-        plane = fit_plane(*_Few.of(texture, forward, backward, more).measured(about[more], setting), pitch)
+        # Each pair of them is measured once: the opposite one sees nearly the same.
+        once = np.where(more[:, None], forward, -1)
+        plane = fit_plane(*_Few.of(texture, once, backward, more).measured(about[more], setting), pitch)
         if plane is None:
             return None
     plane = with_misled(plane, explained_by_plane(matcher, texture, about, evidence)[texture.clear])
