@@ -29,6 +29,8 @@ _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE, _TOO_FEW = 60, 1 / 12, 30, 20
 _COARSE = 11.0
 # A slanted plane needs so many times as many: three numbers instead of one, of which two are carried to the border.
 _SLANTED = 6
+# Microimages of a larger pitch than this [px] tell more each, so that fewer of them do.
+_LARGE = 45.0
 # Of a plane that faces the camera this share of the lenses are searched to the same patch size, to that of the pitch.
 _ALIKE, _NEAR = 0.7, 0.05
 # Lenses that seem off the plane to one side by this much [px of the search], so many others beside them, are measured.
@@ -114,11 +116,11 @@ def find_plane(
     if evidence is None:
         return None
     if plane.slanted:
-        more = sample_lenses(indices, texture.clear, _SLANTED * _SAMPLE)
+        more = sample_lenses(indices, texture.clear, int(_SLANTED * _SAMPLE * min(1.0, _LARGE / pitch)))
+        few = _Few.of(texture, forward, backward, more)
         # Of so few as the sample a plane that faces the camera may have looked slanted.
-        # Each pair of them is measured once: the opposite one sees nearly the same.
-        once = np.where(more[:, None], forward, -1)
-        plane = fit_plane(*_Few.of(texture, once, backward, more).measured(about[more], setting), pitch)
+        about_few = plane.at(few.texture.flat.centres.astype(np.float64))
+        plane = fit_plane(*few.measured(about_few, setting, once=True), pitch)
         if plane is None:
             return None
     plane = with_misled(plane, explained_by_plane(matcher, texture, about, evidence)[texture.clear])
@@ -165,11 +167,19 @@ class _Few:
             setting = replace(setting, row_step=1)
         return Matcher(texture, self.forward, self.backward, replace(setting, search_pitch=np.inf))
 
-    def measured(self, sizes: NDArray[np.float32], setting: Preset) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Scene points and patch sizes, as `_places`, of the lenses asked, of which the `sizes` are nearly known."""
-        start = np.full(len(self.asked), np.nan, np.float32)
-        start[self.asked] = sizes
-        return _places(_pairs(self.texture, self.forward, start, setting), self.texture, self.forward)
+    def measured(
+        self, sizes: NDArray, setting: Preset, once: bool = False
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Scene points and patch sizes, as `_places`, from the pairs of the lenses asked.
+
+        Their `sizes` (m,), or those of all, are nearly known. With `once` they are measured with the neighbours in
+        `forward` alone: those behind see nearly the same.
+        """
+        start, forward = np.full(len(self.asked), np.nan, np.float32), self.forward
+        start[self.asked if len(sizes) < len(start) else slice(None)] = sizes
+        if once:
+            forward = np.where(self.asked[:, None], forward, -1)
+        return _places(_pairs(self.texture, forward, start, setting), self.texture, forward)
 
 
 def _inner(texture: Texture, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
