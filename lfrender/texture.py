@@ -43,8 +43,9 @@ _BESIDE = 1.5
 _LEAST_ROUGH = 0.02
 # Vector loops take so many values at a time, and so many lenses share the memory that they are cut out to.
 _BUNCH, _TOGETHER = 32, 32
-# Microimages of this radius [px] have rows to spare; so many pixels tell whether there is texture.
-_LEAST_ROWS, _TELLING = 6.0, 260
+# Microimages of this radius [px] have rows to spare; so many pixels tell whether there is texture, in rows that lie no
+# farther apart than the last number.
+_LEAST_ROWS, _TELLING, _FARTHEST_ROWS = 6.0, 260, 4
 
 
 @dataclass(frozen=True)
@@ -211,7 +212,7 @@ def lens_statistics(
 
 def quick_statistics(gray: GrayFlat) -> LensStatistics:
     """`lens_statistics` from every other row of large enough microimages, or fewer: who carries texture at all."""
-    step = max(2, int(np.pi * gray.radius**2 / _TELLING))
+    step = int(np.clip(np.pi * gray.radius**2 / _TELLING, 2, _FARTHEST_ROWS))
     return lens_statistics(gray, row_step=step if gray.radius >= _LEAST_ROWS else 1)
 
 
