@@ -22,7 +22,7 @@ __all__ = ["LensPart", "lens_tiles", "lens_windows"]
 
 # Lenses so many pitches around a tile are analysed with it: shading is averaged over 4.2, support fades over the rest.
 _HALO = 8.0
-# Bytes that a tile may take, and what it takes for each pixel as it is analysed: in grey, without shading, smoothed,
+# Bytes that a tile may take, and what it takes for each pixel as it is analysed: in grey, without shading, cut out,
 # and masks.
 _BUDGET, _PER_PIXEL = 6e8, 20
 # The pixels of the flat itself are there as read for this tile and the next one.

@@ -98,7 +98,9 @@ def _corner(centre, radius, side, size):
     return min(max(int(np.ceil(centre - radius)), 1), size - side - 1)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+# Without fast math: sums whose order it is free to choose would have other bits where the kernel is compiled than where
+# it is loaded.
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _cut(pixels, height, width, left, top, side, wide, box, smooth, own, slope_x, slope_y):
     """A microimage smoothed by 1, 4, 1 over 6 in both directions, and its slopes, row after row.
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lfcal import Calibration, Lattice, Vignetting
-from lfrender.radiance import gain_table, gray_flat
+from lfrender.radiance import GrayFlat, gain_table, gray_flat, shrink
 
 BASES = [((20, 0), (0, 20)), ((20, 0), (10, 17.32)), ((0, 20), (17.32, 10)), ((19.5, 4.5), (5.85, 19.1))]
 
@@ -32,3 +32,21 @@ def test_brightness_is_the_mean_of_the_channels(channels):
     flat = np.random.default_rng(channels).integers(0, 256, (40, 50, channels), np.uint8)
     gray = gray_flat(flat, Calibration(lattice))
     np.testing.assert_allclose(gray.image, flat.mean(2) / 255, atol=1e-6)
+
+
+@pytest.mark.parametrize("factor", [2, 3, 4])
+def test_a_few_lenses_are_made_smaller_as_in_the_whole_flat(factor):
+    rng = np.random.default_rng(4)
+    lattice = Lattice((31.3, 28.7), ((40, 0), (0, 40)), (401, 319), 19.0)
+    centres = lattice.centres().astype(np.float32)
+    flat = GrayFlat(rng.random((319, 401)).astype(np.float32), centres, 18.0, 40.0)
+    few = np.zeros(len(centres), bool)
+    few[[0, 13, len(centres) - 1]] = True
+    whole, part = shrink(flat, factor), shrink(flat, factor, few)
+    np.testing.assert_array_equal(part.centres, whole.centres)
+    assert (part.radius, part.pitch) == (whole.radius, whole.pitch)
+    y, x = np.mgrid[: whole.image.shape[0], : whole.image.shape[1]]
+    for cx, cy in whole.centres[few]:
+        # Interpolation and slopes read a pixel beyond the microimage.
+        about = np.maximum(np.abs(x - cx), np.abs(y - cy)) <= whole.radius + 1.5
+        np.testing.assert_allclose(part.image[about], whole.image[about], rtol=1e-5)
