@@ -35,7 +35,7 @@ def plane_scene(found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str
     usual = shown & (found.evidence >= _TYPICAL * np.median(found.evidence[shown]))
     shown &= usual | (around(usual, neighbour_rows(lattice, lattice.steps)) >= 2)
     sizes = found.plane.at(lattice.centres())
-    again, perhaps = recurring(gray, lattice.indices(), sizes, shown, together=True)
+    again, perhaps = recurring(gray, lattice.indices(), sizes, shown)
     sure = found.confidence * (SURE if perhaps else 1.0)
     reason = np.where(shown, np.where(again, 2, 0), 1)
     return on_one_plane(found.plane, lattice, preset, reason, sure * shown, saved)

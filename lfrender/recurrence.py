@@ -198,8 +198,8 @@ def _comes_again(correlation):
     return first, second
 
 
-def repeats(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool, bool]:
-    """Whether a texture comes again along two directions, whether it may, and whether anything like it comes again.
+def repeats(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool]:
+    """Whether a texture comes again along two directions, and whether it may.
 
     Parameters
     ----------
@@ -213,16 +213,15 @@ def repeats(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool, 
         any(seen >= least and first > one and second > other for least, one, other in limits)
         for limits in (_AGAIN, _PERHAPS)
     )
-    return certain, perhaps, bool(first > _ENDED)
+    return certain, perhaps
 
 
 def recurring(
-    gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, resolved: NDArray[np.bool_], together: bool = False
+    gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, resolved: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], bool]:
     """Lenses (n,) that see a part of the scene whose texture repeats, and whether that of most parts may.
 
-    Where most of the parts do for certain, all lenses do; where all lie `together` on one surface, a part of which
-    nothing comes again tells the depth of the others.
+    Where most of the parts do for certain, all lenses do.
 
     Parameters
     ----------
@@ -242,20 +241,18 @@ def recurring(
     left, top, right, bottom = x.min(), y.min(), x.max(), y.max()
     reach = _REACH * gray.pitch**2 / float(np.median(np.abs(own)))
     verdicts: list[tuple[bool, bool]] = []
-    like = True
     places = [(u, v) for v in _evenly(top, bottom, reach) for u in _evenly(left, right, reach)]
     # Opposite corners first: where neither is in doubt, most parts are not.
     for u, v in places[::3] + places[1:3]:
-        if (len(verdicts) == 2 and not np.any(verdicts)) or (together and not like):
+        if len(verdicts) == 2 and not np.any(verdicts):
             break
         middle = int(((x - np.float32(u)) ** 2 + (y - np.float32(v)) ** 2).argmin())
         extent = np.float32((_REACH + 0.5) * gray.pitch**2 / abs(float(own[middle])))
         near = np.flatnonzero((np.abs(x - x[middle]) < extent) & (np.abs(y - y[middle]) < extent))
         factor = own[near] / own[middle]
         lenses = known[near[(factor > 1 / _SURFACE) & (factor < _SURFACE)]]
-        again, perhaps, like = _part_repeats(gray, indices, sizes, lenses, int(known[middle]))
-        verdicts.append((again, perhaps))
-        certain[lenses] |= again
+        verdicts.append(_part_repeats(gray, indices, sizes, lenses, int(known[middle])))
+        certain[lenses] |= verdicts[-1][0]
     most = np.mean(verdicts, axis=0) > 0.5
     return certain | (resolved & most[0]), bool(most[1])
 
@@ -280,9 +277,8 @@ def _evenly(first: float, last: float, reach: float) -> NDArray[np.float64]:
 
 def _part_repeats(
     gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, lenses: NDArray[np.int64], middle: int
-) -> tuple[bool, bool, bool]:
-    """Whether what `lenses` see of the scene about the one in the `middle` repeats, whether it may, and whether
-    anything like it comes again, or too little is seen to tell."""
+) -> tuple[bool, bool]:
+    """Whether what `lenses` see of the scene about the one in the `middle` repeats, and whether it may."""
     pitch, own = gray.pitch, float(sizes[middle])
     share = max(1.0, (_APART * pitch / own) ** 2)
     apart = int(np.sqrt(share))
@@ -299,7 +295,7 @@ def _part_repeats(
     seen = weight > _SEEN / (zoom * stride) ** 2
     area = np.pi * (radius * zoom) ** 2
     if seen.sum() < max(1.0, _AGAIN[-1][0] * area):
-        return False, False, True
+        return False, False
     least = max(_SHARE * float(seen.sum()), _LAID * area)
     picture = light / np.where(seen, weight, 1)
     lags = autocorrelation(picture, seen, int(np.ceil(_LONGEST * pitch * zoom)), least)
