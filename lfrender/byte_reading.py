@@ -1,6 +1,7 @@
 """Bytes between four places, sixteen at a time, where the compiler does not find the instructions by itself.
 
 It moves pixels of three bytes in the opposite order one by one, and does not multiply to the upper half of a product.
+Neither does it read two pixels of four bytes that lie beside each other at once.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-__all__ = ["GAIN_BITS", "LEFT_BITS", "TOGETHER", "TURNED", "read_turned", "read_turned_with_gain", "read_with_gain"]
+__all__ = [
+    "GAIN_BITS", "LEFT_BITS", "TOGETHER", "TURNED", "read_turned", "read_turned_with_gain", "read_with_gain", "two_at",
+]  # fmt: skip
 
 #: So many bytes are read together, and of pixels of three so many turned; the last byte is then of no use.
 TOGETHER, TURNED = 16, 5
@@ -95,6 +98,15 @@ def _with_gain(turned: bool) -> Callable[..., Any]:
     return read
 
 
+def _two_at(_typing: Any, line: Any, place: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        address = builder.gep(array.data, [arguments[1]])
+        return builder.load(builder.bitcast(address, ir.IntType(64).as_pointer()), align=4)
+
+    return types.uint64(line, place), generate
+
+
 # `read_turned(values, places, weights, out, into)` puts the means of the bytes from four `places` on, weighted by
 # 256ths, into `out`, the last pixel first.
 read_turned: Any = intrinsic(_read_turned)
@@ -102,3 +114,5 @@ read_turned: Any = intrinsic(_read_turned)
 # two bytes say that follow each other from `gain[gain_at]` on.
 read_with_gain: Any = intrinsic(_with_gain(turned=False))
 read_turned_with_gain: Any = intrinsic(_with_gain(turned=True))
+# `two_at(line, place)` are the two numbers of four bytes from a place on, the first in the lower half.
+two_at: Any = intrinsic(_two_at)

@@ -1,4 +1,4 @@
-"""Blended pictures row by row: what one lens adds to a row of output pixels is found for sixteen pixels at a time.
+"""Blended pictures row by row: what one lens adds to a row of output pixels is found for all of them together.
 
 The same mean as that of `mosaic.draw_rows`, in another order of work: there every pixel asks which lenses show it,
 here every lens is laid over the pixels that it shows. Neighbours in a row then take the same steps, as vector
@@ -10,14 +10,16 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from .byte_reading import two_at
 from .fastmath import FAST
-from .mosaic import HIDDEN, patch_size_at
+from .mosaic import HIDDEN
 
 __all__ = ["SECTION", "blend_rows"]
 
-# So many pixels are worked on together: one vector register of single precision. Counts and places are unsigned: signed
-# ones are looked at for being counted from the end.
-_LANES, _L = 16, np.uint64(16)
+# So many pixels are worked on together at most, in whole groups of the second number, one vector register of single
+# precision, and not fewer groups than the third, or no compiler takes them together. Counts and places are unsigned:
+# signed ones are looked at for being counted from the end.
+_LANES, _GROUP, _FEWEST = 32, 8, 2
 #: Columns of a picture that are blended at once, so that places of a row's buffer lie a known way apart.
 SECTION = 1024
 _LINE = SECTION + 4 * _LANES
@@ -31,55 +33,65 @@ _RIM = np.float32(1.02)
 # An output pixel that is larger in the flat by no more than this is read at one place [px].
 _OVER = np.float32(1.05)
 _BYTE = np.uint32(255)
-_F, _W, _GAIN, _LIGHT = np.uint64(16), np.uint64(32), np.uint64(48), np.uint64(64)
-_PER_RUN = 5 * _LANES
+# Where the second, third and fourth value of all pixels of a run begin, and what belongs to the next run.
+_ONE, _F, _W, _THREE = np.uint64(1), np.uint64(_LANES), np.uint64(2 * _LANES), np.uint64(3 * _LANES)
+_BOTH, _WORK, _PER_RUN = np.uint64(2 * _LANES), np.uint64(3 * _LANES), np.uint64(4 * _LANES)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _whole(groups):
+    """Pixels of so many groups."""
+    return np.uint64(groups) * np.uint64(_GROUP)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
 def _place(
     n, e_x, e_y, spacing, inner_x, inner_y, at_x, at_y, slope, limits, share, u, kind, width, height, stride, corner_x,
-    corner_y, per_light_step, last_ring, work, at, whole, whole_at,
+    corner_y, per_light_step, last_ring, lanes, work, whole, at,
 ):  # fmt: skip
-    """Where sixteen pixels read a lens, and how much that counts.
+    """Where some pixels read a lens, and how much that counts.
 
-    Leaves the parts of a pixel and the weight in `work`, the pixel of the flat and the place in the light table in
-    `whole`.
+    Leaves the parts of a pixel and the weight in `work`, and in `whole` the pixel of the flat, the place in the light
+    table and the nearest pixel. All numbers are of 32 bits: sums of whole ones would be of 64, half as many at a time.
     """
-    for k in range(_L):
-        ex = np.float32(n + np.int32(k)) * spacing + e_x
+    last_x, last_y = np.int32(width - 2), np.int32(height - 2)
+    end_x, end_y = np.float32(width - 1), np.float32(height - 1)
+    for k in range(lanes):
+        ex = np.float32(np.int32(n + np.int32(k))) * spacing + e_x
         d2 = ex * ex + e_y * e_y
         tilt = slope[u + k]
         rx, ry = inner_x - ex * tilt, inner_y - e_y * tilt
         step_x, step_y = np.floor(rx), np.floor(ry)
         fx, fy = rx - step_x, ry - step_y
-        ix, iy = at_x + np.int32(step_x), at_y + np.int32(step_y)
+        ix, iy = np.int32(at_x + np.int32(step_x)), np.int32(at_y + np.int32(step_y))
         limit = limits[u + k]
         ok = (d2 <= limit) & (ix >= 0) & (iy >= 0)
-        ok &= (np.float32(ix) + fx <= np.float32(width - 1)) & (np.float32(iy) + fy <= np.float32(height - 1))
-        fx = np.float32(1.0) if ix > width - 2 else fx
-        fy = np.float32(1.0) if iy > height - 2 else fy
-        ix, iy = min(max(ix, np.int32(0)), width - np.int32(2)), min(max(iy, np.int32(0)), height - np.int32(2))
+        ok &= (np.float32(ix) + fx <= end_x) & (np.float32(iy) + fy <= end_y)
+        fx = np.float32(1.0) if ix > last_x else fx
+        fy = np.float32(1.0) if iy > last_y else fy
+        ix, iy = min(max(ix, np.int32(0)), last_x), min(max(iy, np.int32(0)), last_y)
         weight = (_RIM - d2 / limit) * share[kind + u + k]
         work[at + k] = fx
         work[at + _F + k] = fy
         work[at + _W + k] = weight if ok else np.float32(0.0)
-        whole[whole_at + k] = (iy - corner_y) * stride + (ix - corner_x) if ok else np.int32(0)
+        place = np.int32(np.int32(np.int32(iy - corner_y) * stride) + np.int32(ix - corner_x))
+        whole[at + k] = place if ok else np.int32(0)
         ring = min(d2 * tilt * tilt * per_light_step, last_ring)
-        whole[whole_at + _F + k] = np.int32(ring)
+        whole[at + _F + k] = np.int32(ring)
+        right = np.int32(1) if fx >= np.float32(0.5) else np.int32(0)
+        below = stride if fy >= np.float32(0.5) else np.int32(0)
+        whole[at + _W + k] = np.int32(np.int32(place + right) + below) if ok else np.int32(0)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _fetch(line, down, whole, whole_at, work, at, gains, squares, quads, quads_at):
-    """The four pixels about each place, and the light there."""
-    for k in range(_L):
-        pixel = np.uint64(np.uint32(whole[whole_at + k]))
-        ring = np.uint64(np.uint32(whole[whole_at + _F + k]))
-        quads[quads_at + k] = line[pixel]
-        quads[quads_at + _F + k] = line[pixel + np.uint64(1)]
-        quads[quads_at + _W + k] = line[pixel + down]
-        quads[quads_at + _GAIN + k] = line[pixel + down + np.uint64(1)]
-        work[at + _GAIN + k] = gains[ring]
-        work[at + _LIGHT + k] = squares[ring]
+def _fetch(line, down, whole, at, lanes, glow, pairs, pair_at, lamps, lamp_at):
+    """The four pixels about each place, two by two, and what multiplies them there."""
+    for k in range(lanes):
+        pixel = np.uint64(np.uint32(whole[at + k]))
+        ring = np.uint64(np.uint32(whole[at + _F + k]))
+        pairs[pair_at + k] = two_at(line, pixel)
+        pairs[pair_at + _F + k] = two_at(line, pixel + down)
+        lamps[lamp_at + k] = glow[ring]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
@@ -90,17 +102,17 @@ def _between(a, b, c, d, w00, w01, w10, w11):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _add(quads, quads_at, work, at, values, base, sums, u):
-    """Values of sixteen readings, kept in `values`, and added to the `sums` of their pixels."""
+def _add(quads, quads_at, lamps, lamp_at, work, at, values, base, sums, u, lanes):
+    """Values of some readings, kept in `values`, and added to the `sums` of their pixels."""
     eight = np.uint32(8)
-    for k in range(_L):
-        fx, fy, gain = work[at + k], work[at + _F + k], work[at + _GAIN + k]
-        weight = work[at + _W + k] * work[at + _LIGHT + k]
+    for k in range(lanes):
+        fx, fy, gain = work[at + k], work[at + _F + k], lamps[lamp_at + k + k]
+        weight = work[at + _W + k] * lamps[lamp_at + _ONE + k + k]
         gx, gy = gain * fx, np.float32(1.0) - fy
         w01, w11 = gx * gy, gx * fy
         w00, w10 = gain * gy - w01, gain * fy - w11
-        a, b = quads[quads_at + k], quads[quads_at + _F + k]
-        c, d = quads[quads_at + _W + k], quads[quads_at + _GAIN + k]
+        a, b = quads[quads_at + k + k], quads[quads_at + _ONE + k + k]
+        c, d = quads[quads_at + _BOTH + k + k], quads[quads_at + _BOTH + _ONE + k + k]
         v0 = _between(a, b, c, d, w00, w01, w10, w11)
         a, b, c, d = a >> eight, b >> eight, c >> eight, d >> eight
         v1 = _between(a, b, c, d, w00, w01, w10, w11)
@@ -109,7 +121,7 @@ def _add(quads, quads_at, work, at, values, base, sums, u):
         values[base + k] = weight
         values[base + _F + k] = v0
         values[base + _W + k] = v1
-        values[base + _GAIN + k] = v2
+        values[base + _THREE + k] = v2
         sums[u + k] += weight
         sums[_SECOND + u + k] += weight * v0
         sums[_THIRD + u + k] += weight * v1
@@ -117,10 +129,10 @@ def _add(quads, quads_at, work, at, values, base, sums, u):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _agree(values, base, sums, u, t2, per_channel, totals):
+def _agree(values, base, sums, u, lanes, t2, per_channel, totals):
     """Add readings to the `totals` of their pixels as far as they agree with the means in `sums`."""
-    for k in range(_L):
-        v0, v1, v2 = values[base + _F + k], values[base + _W + k], values[base + _GAIN + k]
+    for k in range(lanes):
+        v0, v1, v2 = values[base + _F + k], values[base + _W + k], values[base + _THREE + k]
         e0, e1, e2 = v0 - sums[_SECOND + u + k], v1 - sums[_THIRD + u + k], v2 - sums[_FOURTH + u + k]
         agree = t2 / (t2 + (e0 * e0 + e1 * e1 + e2 * e2) * per_channel)
         weight = values[base + k] * agree * agree
@@ -132,11 +144,37 @@ def _agree(values, base, sums, u, t2, per_channel, totals):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _depths_along(
-    surface, x, y, spacing, grid_x, grid_y, cell, edge, pitch, radius, reach, count, slope, limits, sizes
-):
-    """Patch sizes along a row, their share of the pitch, and the squared distance at which lenses are read."""
+    surface, x, y, spacing, grid_x, grid_y, cell, edge, pitch, radius, reach, count, slope, limits, sizes, places,
+    level, near, torn,
+):  # fmt: skip
+    """Patch sizes along a row, as `patch_size_at`, their share of the pitch, and the squared distance at which lenses
+    are read. The last four arguments are memory to work in."""
+    rows, columns = surface.shape
+    last_x, last_y, last = np.float32(columns - 1), np.float32(rows - 1), np.int32(max(columns - 2, 0))
     for k in range(count):
-        sizes[k] = patch_size_at(surface, np.float32(x + k * spacing), np.float32(y), grid_x, grid_y, cell, edge)
+        gx = min(max((np.float32(x + k * spacing) - grid_x) / cell, np.float32(0.0)), last_x)
+        places[k] = min(np.int32(gx), last)
+        sizes[k] = gx - np.float32(places[k])
+    gy = min(max((np.float32(y) - grid_y) / cell, np.float32(0.0)), last_y)
+    j = min(int(gy), max(rows - 2, 0))
+    above, below, fy = surface[j], surface[min(j + 1, rows - 1)], gy - np.float32(j)
+    start, number = places[0], min(places[count - 1] + 2, columns) - places[0]
+    for k in range(number):
+        a, b = above[start + k], below[start + k]
+        level[k] = (np.float32(1.0) - fy) * a + fy * b
+        near[k] = b if fy > np.float32(0.5) else a
+    level[number], near[number] = level[number - 1], near[number - 1]
+    for k in range(number):
+        right = min(start + k + 1, columns - 1)
+        a, b, c, d = above[start + k], above[right], below[start + k], below[right]
+        torn[k] = max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) >= edge
+    for k in range(count):
+        at, fx = np.uint64(np.uint32(places[k] - start)), sizes[k]
+        one = np.uint64(1)
+        if torn[at]:
+            sizes[k] = near[at + one] if fx > np.float32(0.5) else near[at]
+        else:
+            sizes[k] = (np.float32(1.0) - fx) * level[at] + fx * level[at + one]
     per_pitch = np.float32(1.0) / pitch
     for k in range(count):
         tilt = sizes[k] * per_pitch
@@ -148,46 +186,49 @@ def _depths_along(
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _hide(seen, edge, stride, sizes, u, whole, whole_at, work, at):
+def _hide(seen, edge, sizes, u, whole, at, lanes, work):
     """Take the weight from readings that see another depth."""
-    for k in range(_L):
-        right, below = np.uint64(work[at + k] + np.float32(0.5)), np.uint64(work[at + _F + k] + np.float32(0.5))
-        depth = seen[np.uint64(np.uint32(whole[whole_at + k])) + right + below * stride]
+    for k in range(lanes):
+        depth = seen[np.uint64(np.uint32(whole[at + _W + k]))]
         # A branch that cannot be foretold would cost more.
         work[at + _W + k] *= HIDDEN if abs(depth - sizes[u + k]) > 2 * edge else np.float32(1.0)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _read_queue(line, seen, gains, squares, edge, stride, sizes, runs, begin, end, work, whole, quads, values, sums):
+def _read_queue(
+    line, seen, glow, edge, stride, sizes, runs, begin, end, work, whole, quads, pairs, lamps, lamp_pairs, values, sums
+):  # fmt: skip
     """Read the runs from `begin` to `end`, whose places are found.
 
     Loops over several of them: what is written by single values cannot be read as vectors at once.
     """
     for n in range(begin, end):
-        q = np.uint64(n % _QUEUE)
-        _fetch(line, stride, whole, q * _W, work, q * np.uint64(_PER_RUN), gains, squares, quads, q * _LIGHT)
+        q, lanes = np.uint64(n % _QUEUE), _whole(runs[n, 2])
+        _fetch(line, stride, whole, q * _WORK, lanes, glow, pairs, q * _BOTH, lamp_pairs, q * _F)
     for n in range(begin, end):
         q = np.uint64(n % _QUEUE)
         if runs[n, 1]:
-            _hide(seen, edge, stride, sizes, np.uint64(runs[n, 0]), whole, q * _W, work, q * np.uint64(_PER_RUN))
+            lanes = _whole(runs[n, 2])
+            _hide(seen, edge, sizes, np.uint64(runs[n, 0]), whole, q * _WORK, lanes, work)
     for n in range(begin, end):
-        q = np.uint64(n % _QUEUE)
+        q, lanes = np.uint64(n % _QUEUE), _whole(runs[n, 2])
         _add(
-            quads, q * _LIGHT, work, q * np.uint64(_PER_RUN), values, np.uint64(n) * _LIGHT, sums,
-            np.uint64(runs[n, 0]),
+            quads, q * _PER_RUN, lamps, q * _BOTH, work, q * _WORK, values, np.uint64(n) * _PER_RUN, sums,
+            np.uint64(runs[n, 0]), lanes,
         )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _lay_lenses(
-    line, seen, edged, gains, squares, light_step, centres, kinds, lowest, highest, x, y, spacing, column, reach, edge,
-    count, before, slope, limits, sizes, share, size, stride, corner, work, whole, quads, values, runs, sums,
+    line, seen, edged, glow, light_step, centres, kinds, lowest, highest, x, y, spacing, column, reach, edge, count,
+    before, slope, limits, sizes, share, size, stride, corner, work, whole, quads, lamps, values, runs, sums,
 ):  # fmt: skip
     """Read all lenses that show a part of a row, and add them up; returns how many runs of pixels that are."""
     width, height = np.int32(size[0]), np.int32(size[1])
     corner_x, corner_y = np.int32(corner[0]), np.int32(corner[1])
     down, step, per_spacing = np.uint64(stride), np.float32(spacing), 1 / spacing
-    last_ring, per_light_step = np.float32(len(gains) - 1), np.float32(1 / light_step)
+    last_ring, per_light_step = np.float32(len(glow) - 1), np.float32(1 / light_step)
+    pairs, lamp_pairs = quads.view(np.uint64), lamps.view(np.uint64)
     found = done = 0
     for lens in range(lowest, highest):
         cx, cy = centres[lens, 0], centres[lens, 1]
@@ -200,23 +241,29 @@ def _lay_lenses(
         e_x = np.float32(x + anchor * spacing - cx)
         at_x, at_y = np.floor(cx), np.floor(cy)
         for u in range(begin, end, _LANES):
-            if before[min(u + _LANES, count)] == before[u]:
+            stop = min(u + _LANES, end)
+            if before[stop] == before[u]:
                 continue
             if found == done + _QUEUE:
                 _read_queue(
-                    line, seen, gains, squares, edge, down, sizes, runs, done, found, work, whole, quads, values, sums
-                )
+                    line, seen, glow, edge, down, sizes, runs, done, found, work, whole, quads, pairs, lamps,
+                    lamp_pairs, values, sums,
+                )  # fmt: skip
                 done = found
             runs[found, 0], runs[found, 1] = u, edged[lens]
+            runs[found, 2] = max((stop - u + _GROUP - 1) // _GROUP, _FEWEST)
             q = np.uint64(found % _QUEUE)
             _place(
                 np.int32(u + column - anchor), e_x, np.float32(ey), step, np.float32(cx - at_x), np.float32(cy - at_y),
                 np.int32(at_x), np.int32(at_y), slope, limits, share, np.uint64(u),
                 np.uint64(kinds[lens]) * np.uint64(_LINE), width, height, np.int32(stride), corner_x, corner_y,
-                per_light_step, last_ring, work, q * np.uint64(_PER_RUN), whole, q * _W,
+                per_light_step, last_ring, _whole(runs[found, 2]), work, whole, q * _WORK,
             )  # fmt: skip
             found += 1
-    _read_queue(line, seen, gains, squares, edge, down, sizes, runs, done, found, work, whole, quads, values, sums)
+    _read_queue(
+        line, seen, glow, edge, down, sizes, runs, done, found, work, whole, quads, pairs, lamps, lamp_pairs, values,
+        sums,
+    )  # fmt: skip
     return found
 
 
@@ -257,6 +304,18 @@ def _wanted_before(wanted, v, section, count, before):
         before[k + 1] = before[k] + (wanted.size == 0 or wanted[v, section + k])
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _shares_along(shares, slope, count, places, share):
+    """How much each type of lenses counts along a row; `places` is memory to work in."""
+    last = np.float32(shares.shape[1] - 1)
+    for k in range(count):
+        ratio = (slope[k] + np.float32(1.0)) * (np.float32(0.5) * last) + np.float32(0.5)
+        places[k] = np.int32(min(max(ratio, np.float32(0.0)), last))
+    for t in range(len(shares)):
+        for k in range(count):
+            share[t * _LINE + k] = shares[t, np.uint64(np.uint32(places[k]))]
+
+
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def blend_rows(
     flat, marks, seen, edged, gains, lights, light_step, centres, kinds, shares, radius, pitch, surface, grid_x, grid_y,
@@ -270,7 +329,10 @@ def blend_rows(
     one.
     """
     rows, columns, _ = out.shape
-    squares = lights * lights
+    glow = np.empty(2 * len(gains), np.float32)
+    for k in range(len(gains)):
+        glow[2 * k], glow[2 * k + 1] = gains[k], lights[k] * lights[k]
+    glow_pairs = glow.view(np.uint64)
     line, seen_line = flat.reshape(-1), seen.reshape(-1)
     t2, per_channel = tolerance * tolerance, np.float32(1 / len(marks))
     last_ratio, types = shares.shape[1] - 1, len(shares)
@@ -279,13 +341,17 @@ def blend_rows(
         y = first[1] + (start[1] + v) * spacing
         tall = max(tall, np.searchsorted(centres[:, 1], y + reach) - np.searchsorted(centres[:, 1], y - reach))
     most = tall * ((int(2 * reach / spacing) + 2) // _LANES + 2)
+    # Values of the surface beneath a row.
+    beneath = int(min(SECTION, columns) * spacing / cell) + 4
     for group in prange((rows + _TOGETHER - 1) // _TOGETHER):
         slope, limits, sizes = np.empty(_LINE, np.float32), np.empty(_LINE, np.float32), np.empty(_LINE, np.float32)
+        places, level = np.empty(_LINE, np.int32), np.empty(beneath, np.float32)
+        near, torn = np.empty(beneath, np.float32), np.empty(beneath, np.bool_)
         share, before = np.ones(types * _LINE, np.float32), np.empty(SECTION + 1, np.int64)
         sums, totals = np.empty(4 * _LINE, np.float32), np.empty(4 * _LINE, np.float32)
-        work, whole = np.empty(_QUEUE * _PER_RUN, np.float32), np.empty(_QUEUE * 2 * _LANES, np.int32)
-        quads = np.empty(_QUEUE * 4 * _LANES, np.uint32)
-        values, runs = np.empty(most * 4 * _LANES, np.float32), np.empty((most, 2), np.int64)
+        work, whole = np.empty(_QUEUE * 3 * _LANES, np.float32), np.empty(_QUEUE * 3 * _LANES, np.int32)
+        quads, lamps = np.empty(_QUEUE * 4 * _LANES, np.uint32), np.empty(_QUEUE * 2 * _LANES, np.float32)
+        values, runs = np.empty(most * 4 * _LANES, np.float32), np.empty((most, 3), np.int64)
         for v in range(group * _TOGETHER, min((group + 1) * _TOGETHER, rows)):
             y = first[1] + (start[1] + v) * spacing
             lowest = np.searchsorted(centres[:, 1], y - reach)
@@ -298,22 +364,20 @@ def blend_rows(
                     continue
                 _depths_along(
                     surface, first[0] + column * spacing, y, spacing, grid_x, grid_y, cell, edge, pitch, radius,
-                    np.float32(reach), count, slope, limits, sizes,
+                    np.float32(reach), count, slope, limits, sizes, places, level, near, torn,
                 )  # fmt: skip
-                for t in range(types if last_ratio > 0 else 0):
-                    for k in range(count):
-                        ratio = min(max(int((slope[k] + 1) * np.float32(0.5 * last_ratio) + 0.5), 0), last_ratio)
-                        share[t * _LINE + k] = shares[t, ratio]
+                if last_ratio > 0:
+                    _shares_along(shares, slope, count, places, share)
                 sums[:] = 0
                 totals[:] = 0
                 found = _lay_lenses(
-                    line, seen_line, edged, gains, squares, light_step, centres, kinds, lowest, highest, first[0], y,
+                    line, seen_line, edged, glow_pairs, light_step, centres, kinds, lowest, highest, first[0], y,
                     spacing, column, reach, edge, count, before, slope, limits, sizes, share, size, flat.shape[1],
-                    corner, work, whole, quads, values, runs, sums,
+                    corner, work, whole, quads, lamps, values, runs, sums,
                 )  # fmt: skip
                 _normalise(sums, np.uint64(count))
                 for n in range(found):
-                    at, u = np.uint64(n) * _LIGHT, np.uint64(runs[n, 0])
-                    _agree(values, at, sums, u, t2, per_channel, totals)
+                    at, u = np.uint64(n) * _PER_RUN, np.uint64(runs[n, 0])
+                    _agree(values, at, sums, u, _whole(runs[n, 2]), t2, per_channel, totals)
                 _normalise(totals, np.uint64(count))
                 _store(totals, sizes, before, _OVER * scale, half, top, marks, out[v], valid[v], left[v], section)

@@ -22,13 +22,14 @@ def without_shortcut(monkeypatch):
     monkeypatch.setattr(Drawing, "_read_once", lambda *_: False)
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-def test_blended_rows_are_those_of_the_kernel_that_asks_every_pixel_within_one_grey_level(channels, monkeypatch):
+# At the larger scale a lens shows more pixels of a row than are worked on together.
+@pytest.mark.parametrize(("channels", "scale"), [(1, None), (3, None), (3, 30.0)])
+def test_blended_rows_are_those_of_the_kernel_that_asks_every_pixel_within_one_grey_level(channels, scale, monkeypatch):
     flat, camera, depth = capture()
     flat = flat.reshape(*flat.shape[:2], -1)[:, :, :1].repeat(channels, 2)
-    rows = lfrender.render(flat, camera, depth)
+    rows = lfrender.render(flat, camera, depth, scale=scale)
     without_shortcut(monkeypatch)
-    pixels = lfrender.render(flat, camera, depth)
+    pixels = lfrender.render(flat, camera, depth, scale=scale)
     apart = np.abs(rows.image.astype(int) - pixels.image)
     assert (rows.valid == pixels.valid).all()
     # Sums in another order may round another way, and rims of reach end a hair aside.
