@@ -31,69 +31,80 @@ _ROUNDING = 1 / 6
 # pixel of motion makes more.
 _UNSEEN_PIXEL, _UNSEEN_BLOCK = 2 / 255, 0.5 / 255
 _UNSEEN_SHARE = 0.007
+# Energy of the answer to a checkerboard mask, of four times the noise, over the three rows of which it is told.
+_ROUGH = np.float32(1 / 36)
 
 
-# Python's error model checks every division, which no vector loop can.
+# Python's error model checks every division, which no vector loop can. Sums of short whole numbers are of 64 bits until
+# they are stored, and no vector instruction makes single precision of those: it is made of what has been stored.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _over_channels(row, channels, out):
+    """Sum over the channels of each pixel of a row."""
+    # The compiler has vector instructions for steps that it knows.
+    if channels == 3:
+        for x in range(len(out)):
+            out[x] = row[3 * x] + row[3 * x + 1] + row[3 * x + 2]
+    else:
+        for x in range(len(out)):
+            out[x] = row[channels * x]
+            for k in range(channels * x + 1, channels * (x + 1)):
+                out[x] += row[k]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _over_blocks(row, side, out):
+    """Sum over each `side` pixels of a row."""
+    if side == 4:
+        for u in range(len(out)):
+            out[u] = (row[4 * u] + row[4 * u + 1]) + (row[4 * u + 2] + row[4 * u + 3])
+    else:
+        for u in range(len(out)):
+            out[u] = row[2 * u] + row[2 * u + 1]
+
+
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _compare_blocks(first, second, channels, side, like, out):
-    """Fill `out` (4, h, w): per block of `side` x `side` pixels, the sum of the differences, that of their squares, the
-    brightness, and how rough the first is, squared; all of sums over the channels.
+    """Fill `out` (4, h, w): per block of `side` x `side` pixels, 2 or 4, the sum of the differences, that of their
+    squares, the brightness, and how rough the first is, squared; all of sums over the channels.
 
     Rows are held as numbers of the type of `like`: short ones, of which vectors hold many.
     """
     _, rows, columns = out.shape
     width = columns * side
-    zero, four = np.float32(0.0), np.float32(1 / 4)
     for v in prange(rows):
-        apart = np.empty(width * channels, like.dtype)
-        gray = np.empty((3, width), like.dtype)
-        sums, squares = np.zeros(width, like.dtype), np.zeros(width, np.float32)
-        rough = np.zeros(width, np.float32)
+        channel_by_channel = np.empty(width * channels, like.dtype)
+        gray, apart = np.empty((3, width), like.dtype), np.empty(width, like.dtype)
+        sums, squares = np.zeros(width, np.float32), np.zeros(width, np.float32)
+        bright, rough = np.empty(width, np.float32), np.zeros(width, np.float32)
         for r in range(side):
             a, b = first[v * side + r], second[v * side + r]
             for k in range(width * channels):
-                apart[k] = b[k] - a[k]
-            # The compiler has vector instructions for steps that it knows.
-            if channels == 3:
-                for x in range(width):
-                    d = apart[3 * x] + apart[3 * x + 1] + apart[3 * x + 2]
-                    sums[x] += d
-                    squares[x] += np.float32(d) * np.float32(d)
-            else:
-                for x in range(width):
-                    d = apart[channels * x]
-                    for k in range(channels * x + 1, channels * (x + 1)):
-                        d += apart[k]
-                    sums[x] += d
-                    squares[x] += np.float32(d) * np.float32(d)
+                channel_by_channel[k] = b[k] - a[k]
+            _over_channels(channel_by_channel, channels, apart)
+            for x in range(width):
+                d = np.float32(apart[x])
+                sums[x] += d
+                squares[x] += d * d
         for r in range(3):
-            a, into = first[min(v * side + r, len(first) - 1)], gray[r]
-            if channels == 3:
-                for k in range(width * channels):
-                    apart[k] = a[k]
-                for x in range(width):
-                    into[x] = apart[3 * x] + apart[3 * x + 1] + apart[3 * x + 2]
-            else:
-                for x in range(width):
-                    d = a[channels * x]
-                    for k in range(channels * x + 1, channels * (x + 1)):
-                        d += a[k]
-                    into[x] = d
-        above, here, below, bent = gray[0], gray[1], gray[2], rough[1:]
+            a = first[min(v * side + r, len(first) - 1)]
+            for k in range(width * channels):
+                channel_by_channel[k] = a[k]
+            _over_channels(channel_by_channel, channels, gray[r])
+        above, here, below = gray[0], gray[1], gray[2]
         for x in range(width - 2):
-            bend = (
+            apart[x] = (
                 above[x] + above[x + 2] + below[x] + below[x + 2]
                 - 2 * (above[x + 1] + below[x + 1] + here[x] + here[x + 2]) + 4 * here[x + 1]
             )  # fmt: skip
-            bent[x] = np.float32(bend) * np.float32(bend)
-        for u in range(columns):
-            total = energy = bright = bends = zero
-            for x in range(u * side, (u + 1) * side):
-                total += np.float32(sums[np.uint64(x)])
-                energy += squares[np.uint64(x)]
-                bright += np.float32(here[np.uint64(x)])
-                bends += rough[np.uint64(x)]
-            out[0, v, u], out[1, v, u], out[2, v, u], out[3, v, u] = total, energy, bright, bends * four / 9
+        for x in range(width - 2):
+            bend = np.float32(apart[x])
+            rough[x + 1] = _ROUGH * bend * bend
+        for x in range(width):
+            bright[x] = np.float32(here[x])
+        _over_blocks(sums, side, out[0, v])
+        _over_blocks(squares, side, out[1, v])
+        _over_blocks(bright, side, out[2, v])
+        _over_blocks(rough, side, out[3, v])
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
