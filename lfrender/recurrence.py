@@ -6,8 +6,10 @@ matched do not tell of all. The scene itself does: drawn from its lenses, a part
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 from scipy import fft
 
@@ -100,6 +102,17 @@ def _lay_out(image, centres, sizes, lenses, middle, own, pitch, radius, stride, 
                 light[j + 1, u] += f * value
                 weight[j, u] += (one - f) * number
                 weight[j + 1, u] += f * number
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _lay_out_parts(image, centres, sizes, lenses, ends, middles, owns, pitch, radius, stride, zoom, lights, weights):
+    """`_lay_out` each part of the scene into its own drawing; its `lenses` end before the place that `ends` tells."""
+    for part in prange(len(ends)):
+        start = ends[part - 1] if part > 0 else 0
+        _lay_out(
+            image, centres, sizes, lenses[start : ends[part]], middles[part], owns[part], pitch, radius, stride, zoom,
+            lights[part], weights[part],
+        )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -216,6 +229,14 @@ def repeats(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool]:
     return certain, perhaps
 
 
+@dataclass(frozen=True)
+class _Part:
+    """The `lenses` (m,) that see a part of the scene, and the one in its middle."""
+
+    lenses: NDArray[np.int64]
+    middle: int
+
+
 def recurring(
     gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, resolved: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], bool]:
@@ -243,16 +264,19 @@ def recurring(
     verdicts: list[tuple[bool, bool]] = []
     places = [(u, v) for v in _evenly(top, bottom, reach) for u in _evenly(left, right, reach)]
     # Opposite corners first: where neither is in doubt, most parts are not.
-    for u, v in places[::3] + places[1:3]:
-        if len(verdicts) == 2 and not np.any(verdicts):
+    for some in (places[::3], places[1:3]):
+        if not some or (len(verdicts) == 2 and not np.any(verdicts)):
             break
-        middle = int(((x - np.float32(u)) ** 2 + (y - np.float32(v)) ** 2).argmin())
-        extent = np.float32((_REACH + 0.5) * gray.pitch**2 / abs(float(own[middle])))
-        near = np.flatnonzero((np.abs(x - x[middle]) < extent) & (np.abs(y - y[middle]) < extent))
-        factor = own[near] / own[middle]
-        lenses = known[near[(factor > 1 / _SURFACE) & (factor < _SURFACE)]]
-        verdicts.append(_part_repeats(gray, indices, sizes, lenses, int(known[middle])))
-        certain[lenses] |= verdicts[-1][0]
+        parts = []
+        for u, v in some:
+            middle = int(((x - np.float32(u)) ** 2 + (y - np.float32(v)) ** 2).argmin())
+            extent = np.float32((_REACH + 0.5) * gray.pitch**2 / abs(float(own[middle])))
+            near = np.flatnonzero((np.abs(x - x[middle]) < extent) & (np.abs(y - y[middle]) < extent))
+            factor = own[near] / own[middle]
+            parts.append(_Part(known[near[(factor > 1 / _SURFACE) & (factor < _SURFACE)]], int(known[middle])))
+        for part, verdict in zip(parts, _parts_repeat(gray, indices, sizes, parts), strict=True):
+            verdicts.append(verdict)
+            certain[part.lenses] |= verdict[0]
     most = np.mean(verdicts, axis=0) > 0.5
     return certain | (resolved & most[0]), bool(most[1])
 
@@ -275,28 +299,45 @@ def _evenly(first: float, last: float, reach: float) -> NDArray[np.float64]:
     return first + (np.arange(count) + 0.5) * (last - first) / count
 
 
-def _part_repeats(
-    gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, lenses: NDArray[np.int64], middle: int
-) -> tuple[bool, bool]:
-    """Whether what `lenses` see of the scene about the one in the `middle` repeats, and whether it may."""
-    pitch, own = gray.pitch, float(sizes[middle])
+def _spread_evenly(
+    lenses: NDArray[np.int64], middle: int, indices: NDArray[np.int64], pitch: float, own: float
+) -> NDArray[np.int64]:
+    """Those of some lenses that overlap on the scene no more than they need."""
     share = max(1.0, (_APART * pitch / own) ** 2)
     apart = int(np.sqrt(share))
-    chosen = lenses[((indices[lenses] - indices[middle]) % (apart, int(share / apart)) == 0).all(1)]
+    return lenses[((indices[lenses] - indices[middle]) % (apart, int(share / apart)) == 0).all(1)]
+
+
+def _parts_repeat(
+    gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, parts: list[_Part]
+) -> list[tuple[bool, bool]]:
+    """Whether parts of the scene repeat, and whether they may."""
+    pitch, middles = gray.pitch, [part.middle for part in parts]
+    owns = np.asarray(sizes, np.float64)[middles]
+    chosen = [
+        _spread_evenly(part.lenses, part.middle, indices, pitch, own) for part, own in zip(parts, owns, strict=True)
+    ]
     zoom = min(1.0, _FINE / pitch)
     side = 2 * int(np.ceil(_REACH * pitch * zoom)) + 1
-    light, weight = np.zeros((side, side), np.float32), np.zeros((side, side), np.float32)
+    lights, weights = np.zeros((2, len(parts), side, side), np.float32)
     stride, radius = max(1, round(0.7 / zoom)), _INNER * gray.radius
-    place = gray.centres[middle].astype(float)
-    _lay_out(
-        gray.image, gray.centres, np.asarray(sizes, np.float64), chosen, place, own, pitch, radius, stride, zoom,
-        light, weight,
+    _lay_out_parts(
+        gray.image, gray.centres, np.asarray(sizes, np.float64), np.concatenate(chosen),
+        np.cumsum([len(lenses) for lenses in chosen]), gray.centres[middles].astype(float), owns, pitch, radius, stride,
+        zoom, lights, weights,
     )  # fmt: skip
-    seen = weight > _SEEN / (zoom * stride) ** 2
-    area = np.pi * (radius * zoom) ** 2
+    area, limit = np.pi * (radius * zoom) ** 2, _SEEN / (zoom * stride) ** 2
+    reach = int(np.ceil(_LONGEST * pitch * zoom))
+    return [_drawing_repeats(light, weight, limit, area, reach) for light, weight in zip(lights, weights, strict=True)]
+
+
+def _drawing_repeats(
+    light: NDArray[np.float32], weight: NDArray[np.float32], limit: float, area: float, reach: int
+) -> tuple[bool, bool]:
+    """`repeats` for a drawing, of which is seen what has more than this weight; a microimage is so large on it."""
+    seen = weight > limit
     if seen.sum() < max(1.0, _AGAIN[-1][0] * area):
         return False, False
     least = max(_SHARE * float(seen.sum()), _LAID * area)
     picture = light / np.where(seen, weight, 1)
-    lags = autocorrelation(picture, seen, int(np.ceil(_LONGEST * pitch * zoom)), least)
-    return repeats(lags, float(seen.sum()) / area)
+    return repeats(autocorrelation(picture, seen, reach, least), float(seen.sum()) / area)
