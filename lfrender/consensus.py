@@ -135,10 +135,11 @@ def measure(
     expected, _ = _expected(gray, forward, backward, first, start, _OFFSET * gray.pitch)
     tolerated = np.maximum(_APART, first.standard_error)
     settled = (first.standard_error < _DOUBTFUL) | (np.abs(expected - first.patch_size) < tolerated)
-    own = _surer(first, fit(np.where(settled, np.nan, expected).astype(np.float32)))
+    own = first if settled.all() else _surer(first, fit(np.where(settled, np.nan, expected).astype(np.float32)))
     leaning = (own.standard_error >= _DOUBTFUL) & (np.abs(start) > _LEANING * gray.pitch)
-    farther = np.where(leaning, start + np.sign(start) * _LEAN * gray.pitch, np.nan).astype(np.float32)
-    own = _surer(own, fit(farther), _CLEARLY)
+    if leaning.any():
+        farther = np.where(leaning, start + np.sign(start) * _LEAN * gray.pitch, np.nan).astype(np.float32)
+        own = _surer(own, fit(farther), _CLEARLY)
     return _supported(own, *_expected(gray, forward, backward, own, own.patch_size, np.inf))
 
 

@@ -11,6 +11,7 @@ from .microimages import BUNCH, Masks, Strips, cut_out, joint_masks
 from .radiance import GrayFlat
 from .remembered import remembered
 from .scratch import recycled
+from .striding import stretches
 
 __all__ = [
     "ENOUGH", "cost_of", "doubted", "half_trust", "mean_steps", "moments", "pair_costs", "shared_pixels", "unshaded",
@@ -169,66 +170,69 @@ def _pair_costs(
     near_zero = np.empty(len(shifts), np.float32)
     for k in range(len(shifts)):
         near_zero[k] = unshaded(shifts[k], pitch)
-    for lens in prange(len(centres)):
-        if fresh:
-            out[lens] = 1.0
-        ax, ay = centres[lens, 0], centres[lens, 1]
-        for d in range(rows.shape[1]):
-            other = rows[lens, d]
-            if other < 0 or not (active[lens] or active[other]) or done[lens] or done[other]:
-                continue
-            bx, by = centres[other, 0], centres[other, 1]
-            mean = np.float32(0.5) * (means[lens] + means[other])
-            floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
-            doubt = doubted(min(contrast[lens], contrast[other]))
-            stripped = whole[lens] and whole[other]
-            gap_x, gap_y = middle[other, 0] - middle[lens, 0], middle[other, 1] - middle[lens, 1]
-            for k in which:
-                grow = one + shifts[k] / pitch
-                tx, ty = (bx - ax) * grow, (by - ay) * grow
-                floor_x, floor_y = np.floor(tx), np.floor(ty)
-                fx, fy = tx - floor_x, ty - floor_y
-                dx, dy = int(floor_x) - gap_x, int(floor_y) - gap_y
-                slot = -1
-                if stripped and abs(dx) <= reach and abs(dy) <= reach:
-                    slot = slots[dy + reach, dx + reach]
-                if slot >= 0 and counts[slot] * row_step > enough:
-                    count = np.float32(counts[slot])
-                    start = ends[slot, 0]
-                    sa, sb, saa, sbb, sab = _strip_moments(
-                        pixels, lens * size + start, other * size + start, ends[slot, 2], ends[slot, 3], line,
-                        slot * length + start, ends[slot, 1], (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy,
-                        fx * fy,
-                    )  # fmt: skip
-                    apart = means[lens] - means[other]
-                elif slot >= 0:
-                    first = -(min(0, dy) // row_step) * width + max(0, -dx)
-                    number = ((2 * side - 1 - max(0, dy)) // row_step + 1) * width - first
-                    if number <= 0:
-                        continue
-                    number = (number + bunch - 1) // bunch * bunch
-                    mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
-                    count, sa, sb, saa, sbb, sab = _rim_moments(
-                        pixels, columns, lines, lens * size + first, other * size + first, ends[slot, 2], ends[slot, 3],
-                        first, number, ax - mx, ay - my, bx - tx - mx, by - ty - my, np.float32(-side - dx),
-                        np.float32(-side - dy), radius * radius,
-                        (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy,
-                    )  # fmt: skip
-                    apart = means[lens] - means[other]
-                    if count < 4:
-                        continue
-                else:
-                    count, sa, sb, saa, sbb, sab = moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step)
-                    apart = np.float32(0.0)
-                    if count < 4:
-                        continue
-                inverse = one / np.float32(count)
-                ma, mb = sa * inverse, sb * inverse
-                variance = (saa + sbb) * inverse - ma * ma - mb * mb
-                residual = variance - np.float32(2.0) * (sab * inverse - ma * mb)
-                out[lens, d, k] = cost_of(
-                    count * row_step, variance, residual, ma - mb + apart, floor, half, doubt * near_zero[k]
-                )
+    parts, each, stride = stretches(len(centres))
+    for part in prange(parts):
+        begin = part * stride % parts * each
+        for lens in range(begin, min(begin + each, len(centres))):
+            if fresh:
+                out[lens] = 1.0
+            ax, ay = centres[lens, 0], centres[lens, 1]
+            for d in range(rows.shape[1]):
+                other = rows[lens, d]
+                if other < 0 or not (active[lens] or active[other]) or done[lens] or done[other]:
+                    continue
+                bx, by = centres[other, 0], centres[other, 1]
+                mean = np.float32(0.5) * (means[lens] + means[other])
+                floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
+                doubt = doubted(min(contrast[lens], contrast[other]))
+                stripped = whole[lens] and whole[other]
+                gap_x, gap_y = middle[other, 0] - middle[lens, 0], middle[other, 1] - middle[lens, 1]
+                for k in which:
+                    grow = one + shifts[k] / pitch
+                    tx, ty = (bx - ax) * grow, (by - ay) * grow
+                    floor_x, floor_y = np.floor(tx), np.floor(ty)
+                    fx, fy = tx - floor_x, ty - floor_y
+                    dx, dy = int(floor_x) - gap_x, int(floor_y) - gap_y
+                    slot = -1
+                    if stripped and abs(dx) <= reach and abs(dy) <= reach:
+                        slot = slots[dy + reach, dx + reach]
+                    if slot >= 0 and counts[slot] * row_step > enough:
+                        count = np.float32(counts[slot])
+                        start = ends[slot, 0]
+                        sa, sb, saa, sbb, sab = _strip_moments(
+                            pixels, lens * size + start, other * size + start, ends[slot, 2], ends[slot, 3], line,
+                            slot * length + start, ends[slot, 1], (one - fx) * (one - fy), fx * (one - fy),
+                            (one - fx) * fy, fx * fy,
+                        )  # fmt: skip
+                        apart = means[lens] - means[other]
+                    elif slot >= 0:
+                        first = -(min(0, dy) // row_step) * width + max(0, -dx)
+                        number = ((2 * side - 1 - max(0, dy)) // row_step + 1) * width - first
+                        if number <= 0:
+                            continue
+                        number = (number + bunch - 1) // bunch * bunch
+                        mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
+                        count, sa, sb, saa, sbb, sab = _rim_moments(
+                            pixels, columns, lines, lens * size + first, other * size + first, ends[slot, 2],
+                            ends[slot, 3], first, number, ax - mx, ay - my, bx - tx - mx, by - ty - my,
+                            np.float32(-side - dx), np.float32(-side - dy), radius * radius,
+                            (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy,
+                        )  # fmt: skip
+                        apart = means[lens] - means[other]
+                        if count < 4:
+                            continue
+                    else:
+                        count, sa, sb, saa, sbb, sab = moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step)
+                        apart = np.float32(0.0)
+                        if count < 4:
+                            continue
+                    inverse = one / np.float32(count)
+                    ma, mb = sa * inverse, sb * inverse
+                    variance = (saa + sbb) * inverse - ma * ma - mb * mb
+                    residual = variance - np.float32(2.0) * (sab * inverse - ma * mb)
+                    out[lens, d, k] = cost_of(
+                        count * row_step, variance, residual, ma - mb + apart, floor, half, doubt * near_zero[k]
+                    )
 
 
 def shared_pixels(

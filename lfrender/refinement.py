@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .fastmath import FAST
 from .microimages import copy_box
 from .radiance import GrayFlat
+from .striding import stretches
 
 __all__ = ["PairFits", "fit_pairs"]
 
@@ -39,8 +40,6 @@ _WHOLE = 64
 _MORE = 3
 # Slopes are taken between the pixels on both sides, and smoothing reads one further [px].
 _BEYOND = 2
-# So many lenses share the memory that they are cut out to: to get it takes as long as some steps of a fit.
-_TOGETHER = 32
 # No whole step between two microimages.
 _NOWHERE = 2**40
 
@@ -273,11 +272,13 @@ def _fit_pairs(
         column[k], line[k] = k % wide, k // wide
     height, width = image.shape
     pixels = image.reshape(-1)
-    for part in prange((len(centres) + _TOGETHER - 1) // _TOGETHER):
+    parts, each, stride = stretches(len(centres))
+    for part in prange(parts):
         own, slope_x, slope_y = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
         there, lines, between = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
         at = np.empty(2, np.int64)
-        for lens in range(part * _TOGETHER, min((part + 1) * _TOGETHER, len(centres))):
+        begin = part * stride % parts * each
+        for lens in range(begin, min(begin + each, len(centres))):
             ax, ay = centres[lens, 0], centres[lens, 1]
             left, top = _corner(ax, radius, side, width), _corner(ay, radius, side, height)
             ready = False

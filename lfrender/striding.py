@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from numba import njit
 
-__all__ = ["coprime_stride"]
+__all__ = ["coprime_stride", "stretches"]
+
+# Work that comes in clusters is dealt out in so many stretches: what lies beside each other stays in the caches.
+_STRETCHES = 32
 
 
 @njit(cache=True, nogil=True)
@@ -18,3 +21,12 @@ def coprime_stride(n):
         if a == 1:
             return stride
         stride -= 1
+
+
+@njit(cache=True, nogil=True)
+def stretches(n):
+    """How many stretches of 0..n-1 are worked on one after the other, their length, and the step from one to the
+    next, so that each thread has its share of what lies together."""
+    length = max(1, -(-n // _STRETCHES))
+    count = -(-n // length)
+    return count, length, coprime_stride(max(count, 1))
