@@ -19,15 +19,14 @@ from .radiance import GrayFlat
 from .remembered import remembered
 from .scratch import recycled
 
-__all__ = ["BUNCH", "SPARE", "Masks", "Strips", "copy_box", "cut_out", "cut_strip", "joint_masks"]
+__all__ = ["BUNCH", "Masks", "Strips", "copy_box", "cut_out", "joint_masks"]
 
 # What `joint_masks` returns.
 Masks = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
 
-#: Vector loops take so many values at a time, masked to those that count. Interpolation reads one beyond: after a strip
-#: follow so many finite numbers.
+#: Vector loops take so many values at a time, masked to those that count. Interpolation reads one beyond.
 BUNCH = 64
-SPARE = BUNCH + 16
+_SPARE = BUNCH + 16
 # Centres rounded to pixels lie so much off, on the average of both directions [px].
 _SLACK = 0.25
 
@@ -75,7 +74,7 @@ class Strips:
 @lru_cache(maxsize=8)
 def _places(half: int, width: int, rows: int, step: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     at = np.arange(rows * width)
-    off = np.full(SPARE, np.inf)
+    off = np.full(_SPARE, np.inf)
     columns, lines = (np.append(place - half, off).astype(np.float32) for place in (at % width, at // width * step))
     return columns, lines
 
@@ -99,15 +98,6 @@ def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
                 out[into + k] = pixels[np.uint64(at) + k]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def cut_strip(pixels, stride, left, top, rows, width, step, mean, strip):
-    """Cut out one microimage less its `mean`, from the pixel (left, top) on, as in `Strips`."""
-    for part in range(step):
-        copy_box(pixels, stride, left, top + part, rows, width, strip, part * rows * width, step)
-    for k in range(np.uint64(rows * step * width)):
-        strip[k] -= mean
-
-
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _cut_out(image, middle, whole, means, half, width, rows, step, wanted, done, values):
     pixels, across = image.reshape(-1), image.shape[1]
@@ -121,11 +111,15 @@ def _cut_out(image, middle, whole, means, half, width, rows, step, wanted, done,
             strip[:] = 0.0
             continue
         left, top = middle[lens, 0] - half, middle[lens, 1] - half
-        cut_strip(pixels, across, left, top, rows, width, step, means[lens], strip)
+        for part in range(step):
+            copy_box(pixels, across, left, top + part, rows, width, strip, part * rows * width, step)
+        mean = means[lens]
+        for k in range(np.uint64(size)):
+            strip[k] -= mean
     # Vector loops go on into what lies after a strip: that must be some number.
     for lens in prange(len(middle) if wanted.size > 0 else 0):
         if wanted[lens]:
-            for k in range((lens + 1) * size, min((lens + 1) * size + SPARE, len(middle) * size)):
+            for k in range((lens + 1) * size, min((lens + 1) * size + _SPARE, len(middle) * size)):
                 if not done[k // size]:
                     values[k] = 0.0
 
@@ -155,8 +149,8 @@ def _empty_strips(gray: GrayFlat, step: int) -> Strips:
     rows = -(-width // step)
     middle = np.rint(gray.centres).astype(np.int32)
     inside = (middle >= half) & (middle + half < np.array(gray.image.shape[::-1]))
-    values = recycled((len(middle) * rows * step * width + SPARE,), np.float32)
-    values[-SPARE:] = 0.0
+    values = recycled((len(middle) * rows * step * width + _SPARE,), np.float32)
+    values[-_SPARE:] = 0.0
     return Strips(values, middle, inside[:, 0] & inside[:, 1], np.zeros(len(middle), bool), half, width, rows, step)
 
 
@@ -221,7 +215,7 @@ def _masks_of(half: int, width: int, rows: int, step: int, radius: float, shifts
     used[wanted[:, 1] + reach, wanted[:, 0] + reach] = True
     slots = np.where(used, np.cumsum(used.ravel()).reshape(side, side) - 1, -1).astype(np.int32)
     count = int(used.sum())
-    masks = np.zeros((count, rows * width + SPARE), np.float32)
+    masks = np.zeros((count, rows * width + _SPARE), np.float32)
     ends, counts = np.empty((count, 4), np.int32), np.empty(count, np.int32)
     _fill_masks(slots, reach, half, width, rows, step, max(radius - _SLACK, 1.0) ** 2, masks, ends, counts)
     return slots, masks, ends, counts

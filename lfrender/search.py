@@ -202,7 +202,7 @@ class Matcher:
         Pairs in two directions tell whether a lens shows what is expected; the third adds little.
         """
         forward, backward = (np.ascontiguousarray(rows[:, :_PROBED]) for rows in (self.forward, self.backward))
-        return probe(self.gray, forward, backward, self.statistics, active, about, self._noise, self._row_step)
+        return probe(self.gray, forward, backward, self.statistics, active, about, self._noise, self._strips(active))
 
     def costs(self, pair: NDArray[np.float32], wanted: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
         """(m, k) float32: mean over the pairs of each lens, or of each of the `wanted` (n,)."""

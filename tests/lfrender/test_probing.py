@@ -3,6 +3,7 @@ import pytest
 
 from lfrender.agreement import lens_costs
 from lfrender.matching import pair_costs
+from lfrender.microimages import cut_out
 from lfrender.neighbours import lens_halves
 from lfrender.probing import FARTHEST, probe
 from lfrender.texture import FIXED_SHADING, lens_statistics
@@ -15,7 +16,8 @@ def probed(drawn_flat, patch_size, expected, row_step):
     statistics, active = lens_statistics(gray), np.ones(len(lattice), bool)
     halves = lens_halves(lattice)
     about = np.full(len(lattice), expected, np.float32)
-    return gray, lattice, inner, probe(gray, *halves, statistics, active, about, NOISE, row_step)
+    strips = cut_out(gray, statistics.mean, row_step)
+    return gray, lattice, inner, probe(gray, *halves, statistics, active, about, NOISE, strips)
 
 
 # At -14 px of 23 neighbours share little more than their rims.
