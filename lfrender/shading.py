@@ -196,10 +196,13 @@ def flatten_shading(
     weights = _SMOOTH**2 / (_SMOOTH**2 + contrast**2)
     # What all lenses show is read many times: as strips, in long loops. Their centres differ by less than a pixel.
     near = neighbour_rows(lattice, remembered(lattice, "of its type", lambda: _steps_of_type(lattice)))
-    # The last place is that of no lens.
-    read = np.zeros(len(near) + 1, bool)
-    read[near[wanted]] = True
-    strips = cut_out(gray, means, 1, read[:-1])
+    read = None
+    if not wanted.all():
+        # The last place is that of no lens.
+        read = np.zeros(len(near) + 1, bool)
+        read[near[wanted]] = True
+        read = read[:-1]
+    strips = cut_out(gray, means, 1, read)
     out = recycled(gray.image.shape, np.float32) if others is None else others.image
     _subtract_shading(
         gray.image, gray.centres, wanted, near, weights.astype(np.float32), contrast,
