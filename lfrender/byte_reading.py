@@ -14,7 +14,8 @@ from numba.core import types
 from numba.extending import intrinsic
 
 __all__ = [
-    "GAIN_BITS", "LEFT_BITS", "TOGETHER", "TURNED", "read_turned", "read_turned_with_gain", "read_with_gain", "two_at",
+    "GAIN_BITS", "LEFT_BITS", "TOGETHER", "TURNED", "read", "read_turned", "read_turned_with_gain", "read_with_gain",
+    "two_at",
 ]  # fmt: skip
 
 #: So many bytes are read together, and of pixels of three so many turned; the last byte is then of no use.
@@ -68,14 +69,17 @@ def _store(builder: Any, values: Any, where: Any, turned: bool) -> None:
     builder.store(narrow, where, align=1)
 
 
-def _read_turned(_typing: Any, values: Any, places: Any, weights: Any, out: Any, _into: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        address = _addresses(context, builder, signature, arguments)
-        mean = _rounded(builder, _weighted(builder, address, arguments[1], arguments[2]), _WEIGHT_BITS)
-        _store(builder, mean, address(3, arguments[4], 8), turned=True)
-        return context.get_dummy_value()
+def _plain(turned: bool) -> Callable[..., Any]:
+    def read(_typing: Any, values: Any, places: Any, weights: Any, out: Any, _into: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            address = _addresses(context, builder, signature, arguments)
+            mean = _rounded(builder, _weighted(builder, address, arguments[1], arguments[2]), _WEIGHT_BITS)
+            _store(builder, mean, address(3, arguments[4], 8), turned)
+            return context.get_dummy_value()
 
-    return types.void(values, places, weights, out, types.uintp), generate
+        return types.void(values, places, weights, out, types.uintp), generate
+
+    return read
 
 
 def _with_gain(turned: bool) -> Callable[..., Any]:
@@ -107,9 +111,10 @@ def _two_at(_typing: Any, line: Any, place: Any) -> Any:
     return types.uint64(line, place), generate
 
 
-# `read_turned(values, places, weights, out, into)` puts the means of the bytes from four `places` on, weighted by
-# 256ths, into `out`, the last pixel first.
-read_turned: Any = intrinsic(_read_turned)
+# `read(values, places, weights, out, into)` puts the means of the bytes from four `places` on, weighted by 256ths, into
+# `out`, `read_turned` the last pixel first.
+read: Any = intrinsic(_plain(turned=False))
+read_turned: Any = intrinsic(_plain(turned=True))
 # `read_with_gain(values, places, weights, gain, gain_at, out, into)` multiplies them by as many 2^-14 as the numbers of
 # two bytes say that follow each other from `gain[gain_at]` on.
 read_with_gain: Any = intrinsic(_with_gain(turned=False))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 
 from .byte_reading import GAIN_BITS, LEFT_BITS, TOGETHER, TURNED, read_turned, read_turned_with_gain, read_with_gain
+from .byte_reading import read as read_bytes
 from .fastmath import FAST
 from .prefetching import prefetch
 
@@ -23,9 +24,11 @@ __all__ = ["lay_patches", "shows_all_patches"]
 
 # Steps per pixel at which the gain is tabled: between them it changes by a fraction of a grey level.
 _PHASES = 8
-# Values are read in bunches of so many, as vector instructions want it: those beyond the end of a run are overwritten
-# by the next.
+# Values are read in bunches of so many, bytes in such as intrinsics take, as vector instructions want it: those beyond
+# the end of a run are overwritten by the next.
 _BUNCH = 32
+# Memory takes as long to come as so many lenses take to read.
+_LATER = 4
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -75,12 +78,14 @@ def _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, out, start
     """The same of bytes, with weights of whole 256ths: twice as many at a time."""
     at_b, at_c, at_d = at + across, at + down, at + down + across
     wa, wb, wc, wd = _weights_of_bytes(fx, fy)
+    whole = size // np.uint64(TOGETHER) * np.uint64(TOGETHER)
     if len(gain) == 0:
-        for k in range(size):
+        for k in range(np.uint64(0), whole, np.uint64(TOGETHER)):
+            read_bytes(flat, (at + k, at_b + k, at_c + k, at_d + k), (wa, wb, wc, wd), out, start + k)
+        for k in range(whole, size):
             value = np.uint16(wa * flat[at + k] + wb * flat[at_b + k] + wc * flat[at_c + k] + wd * flat[at_d + k])
             out[start + k] = np.uint16(value + np.uint16(128)) >> np.uint16(8)
     else:
-        whole = size // np.uint64(TOGETHER) * np.uint64(TOGETHER)
         for k in range(np.uint64(0), whole, np.uint64(TOGETHER)):
             read_with_gain(
                 flat, (at + k, at_b + k, at_c + k, at_d + k), (wa, wb, wc, wd), gain, gain_at + k, out, start + k
@@ -191,7 +196,7 @@ def _lay(
             count += 1
     turned = patch_slope > 0
     slope = -1 if turned else 1
-    bunch, turned_bunch = np.uint64(_BUNCH), np.uint64(3 * TURNED)
+    bunch, turned_bunch = np.uint64(TOGETHER if flat.itemsize == 1 else _BUNCH), np.uint64(3 * TURNED)
     phases = np.uint64(_PHASES)
     at_once = turned and flat.itemsize == 1 and channels == 3
     across, down = np.uint64(channels), np.uint64(width * channels)
@@ -199,6 +204,11 @@ def _lay(
     gain_line = np.uint64(tabled.shape[2])
     # Two rows from a place on, with what is read beyond the end of a run.
     last_place = np.uint64(len(flat) - (width + 1) * channels)
+    # The first row of a patch lies farther above the centre than this.
+    nearest = np.inf
+    for n in range(len(steps)):
+        nearest = min(nearest, np.sqrt(beside[n, 0] ** 2 + beside[n, 1] ** 2))
+    above = 0.5 * nearest * per_spacing - 1
     for v in prange(part[1], part[3]):
         row, seen = out[v - part[1]], valid[v - part[1]]
         seen[:] = True
@@ -226,16 +236,21 @@ def _lay(
                 lens_x, lens_y = cx * spacing + first, cy * spacing + first
                 px, py = lens_x + dx, lens_y + dy
                 column, line_at = int(np.floor(px)), int(np.floor(py))
-                # The lens shows those from `low` to `high` with all four pixels that they are read from.
-                low, high = middle - column, middle - column + size[0] - 1
-                if turned:
-                    low, high = middle + column - size[0] + 2, middle + column + 1
-                if not (-0.5 <= lens_x < size[0] - 0.5 and -0.5 <= lens_y < size[1] - 0.5):
-                    high = low
-                if not 0 <= line_at < size[1] - 1:
-                    high = low
-                low = min(max(low, u), end)
-                high = min(max(high, low), end)
+                # The lens shows those from `low` to `high` with all four pixels that they are read from: mostly all.
+                low, high = u, end
+                leftmost = column + (middle - end + 1 if turned else u - middle)
+                inside = (leftmost >= 0) & (leftmost + end - u < size[0]) & (line_at >= 0) & (line_at < size[1] - 1)
+                inside &= (lens_x >= 0) & (lens_x < size[0] - 1) & (lens_y >= 0) & (lens_y < size[1] - 1)
+                if not inside:
+                    low, high = middle - column, middle - column + size[0] - 1
+                    if turned:
+                        low, high = middle + column - size[0] + 2, middle + column + 1
+                    if not (-0.5 <= lens_x < size[0] - 0.5 and -0.5 <= lens_y < size[1] - 0.5):
+                        high = low
+                    if not 0 <= line_at < size[1] - 1:
+                        high = low
+                    low = min(max(low, u), end)
+                    high = min(max(high, low), end)
                 if low > u or high < end:
                     for n in range(len(beside)):
                         lenses[n, 0], lenses[n, 1] = lens_x + beside[n, 0], lens_y + beside[n, 1]
@@ -256,11 +271,19 @@ def _lay(
                     ahead = at - down if turned else at + down + down
                     prefetch(flat, ahead)
                     prefetch(flat, ahead + length)
+                    # Before the first row of a patch there is none to have it fetched; lenses are looked up ahead.
+                    if cy - v > above:
+                        later_x, later_y = cx + _LATER * around[following, 0], cy + _LATER * around[following, 1]
+                        y_there = int(later_y * spacing + first + (v - later_y) * slope) - corner[1]
+                        x_there = int(later_x * spacing + first) + from_middle - corner[0]
+                        later = np.uint64(y_there) * down + np.uint64(x_there) * across
+                        prefetch(flat, later)
+                        prefetch(flat, later + down)
                     gain_at = np.uint64(0)
                     if len(gain) > 0:
                         step = np.uint64(int((dx + reach) * _PHASES + 0.5) + from_middle * _PHASES)
                         gain_row = np.uint64((dy + reach) * _PHASES + 0.5) * phases + step % phases
-                        gain_at = gain_row * gain_line + step // phases * across + bunch
+                        gain_at = gain_row * gain_line + step // phases * across + np.uint64(_BUNCH)
                     # What is written beyond the end of a run must neither leave the row nor cover what is written, nor
                     # may what is read leave the flat.
                     bunched, turned_length = _up_to(length, bunch), _up_to(length, turned_bunch)
