@@ -35,6 +35,8 @@ def _mark_pixels(centres, changed, first, spacing, reach, strip, out):
     side = reach / spacing
     for s in prange((rows + strip - 1) // strip):
         top, bottom = s * strip, min(rows, (s + 1) * strip)
+        # How many more lenses reach a pixel than the one to its left.
+        more = np.zeros((bottom - top, columns + 1), np.int32)
         for lens in range(len(centres)):
             y = (centres[lens, 1] - first) / spacing
             if not changed[lens] or y + side < top or y - side > bottom:
@@ -42,8 +44,15 @@ def _mark_pixels(centres, changed, first, spacing, reach, strip, out):
             x = (centres[lens, 0] - first) / spacing
             for v in range(max(top, int(np.ceil(y - side))), min(bottom - 1, int(np.floor(y + side))) + 1):
                 half = np.sqrt(max(side * side - (v - y) * (v - y), 0.0))
-                for u in range(max(0, int(np.ceil(x - half))), min(columns - 1, int(np.floor(x + half))) + 1):
-                    out[v, u] = True
+                left, right = max(0, int(np.ceil(x - half))), min(columns, int(np.floor(x + half)) + 1)
+                if left < right:
+                    more[v - top, left] += 1
+                    more[v - top, right] -= 1
+        for v in range(top, bottom):
+            reached = 0
+            for u in range(columns):
+                reached += more[v - top, u]
+                out[v, u] = reached > 0
 
 
 def pixels_to_redraw(drawing: Drawing, before: Surface, changed: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -72,7 +81,7 @@ def pixels_to_redraw(drawing: Drawing, before: Surface, changed: NDArray[np.bool
     _mark_beside_changes(
         before.patch_size, now.patch_size, *now.first, now.spacing, centres, reach + 1.5 * now.spacing, stale
     )
-    wanted = np.zeros((rows, columns), bool)
+    wanted = np.empty((rows, columns), bool)
     # Pixels are read at several places where patches are larger, all of them within the pixel.
     farthest = reach + drawing.spacing
     _mark_pixels(centres, stale, 0.5 * drawing.spacing - 0.5, drawing.spacing, farthest, 16, wanted)

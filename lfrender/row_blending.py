@@ -236,6 +236,11 @@ def _lay_lenses(
         wide = np.sqrt(max(reach * reach - ey * ey, 0.0))
         begin = max(int(np.ceil((cx - wide - x) * per_spacing)) - column, 0)
         end = min(int(np.floor((cx + wide - x) * per_spacing)) + 1 - column, count)
+        # What nobody wants at both ends.
+        while begin < end and before[min(begin + _GROUP, end)] == before[begin]:
+            begin += _GROUP
+        while begin < end and before[max(end - _GROUP, begin)] == before[end]:
+            end -= _GROUP
         # As seen from the first column of the picture, whatever part of it is drawn.
         anchor = int(np.rint((cx - x) * per_spacing))
         e_x = np.float32(x + anchor * spacing - cx)
