@@ -18,6 +18,7 @@ from .microimages import copy_box
 from .modes import confidence, parabola_peak
 from .neighbours import both_ways
 from .search import Matcher, Preset
+from .striding import stretches
 from .texture import Texture
 
 __all__ = ["remainder_depths"]
@@ -156,39 +157,42 @@ def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, f
     side = int(np.ceil(radius)) + 1
     most, wide = rows.shape[1], 2 * side + 2
     size = wide * wide
-    for lens in prange(len(centres)):
-        shares[lens] = 0.0
-        if not wanted[lens]:
-            continue
-        ax, ay = centres[lens, 0], centres[lens, 1]
-        left, top = int(ax) - side, int(ay) - side
+    parts, each, stride = stretches(len(centres))
+    for part in prange(parts):
         own, there = np.empty(size, np.float32), np.zeros(size + 2 * wide, np.float32)
         squares, lines = np.empty(size, np.float32), np.zeros(size, np.float32)
         views, values = np.empty(most * size, np.float32), np.empty(most, np.float32)
-        least = floor + _OF_LENS * contrast[lens] * contrast[lens]
-        copy_box(pixels, width, left, top, wide, wide, own)
-        seen = total = unexplained = 0
-        for k in range(most):
-            other = rows[lens, k]
-            if other >= 0:
-                _differences(
-                    pixels, height, width, ax, ay, centres[other, 0], centres[other, 1], radius, sizes[lens], pitch,
-                    left, top, wide, row_step, own, there, squares, lines, views, seen * size,
-                )  # fmt: skip
-                seen += 1
-        start = max(1, top)
-        for y in range(start + -start % row_step, min(height - 1, top + wide), row_step):
-            for x in range(max(1, left), min(width - 1, left + wide)):
-                if (x - ax) ** 2 + (y - ay) ** 2 > radius * radius:
-                    continue
-                total += 1
-                mask[y, x] = 0
-                difference = _better_half(views, size, seen, (y - top) * wide + x - left, values)
-                # What is below the least need not be compared with the variance about it.
-                if difference > least and difference > _SHARE * _variance(image, x, y) + least:
-                    mask[y, x] = 1
-                    unexplained += 1
-        shares[lens] = unexplained / max(total, 1)
+        begin = part * stride % parts * each
+        for lens in range(begin, min(begin + each, len(centres))):
+            shares[lens] = 0.0
+            if not wanted[lens]:
+                continue
+            ax, ay = centres[lens, 0], centres[lens, 1]
+            left, top = int(ax) - side, int(ay) - side
+            least = floor + _OF_LENS * contrast[lens] * contrast[lens]
+            copy_box(pixels, width, left, top, wide, wide, own)
+            seen = total = unexplained = 0
+            for k in range(most):
+                other = rows[lens, k]
+                if other >= 0:
+                    _differences(
+                        pixels, height, width, ax, ay, centres[other, 0], centres[other, 1], radius, sizes[lens],
+                        pitch, left, top, wide, row_step, own, there, squares, lines, views, seen * size,
+                    )  # fmt: skip
+                    seen += 1
+            start = max(1, top)
+            for y in range(start + -start % row_step, min(height - 1, top + wide), row_step):
+                for x in range(max(1, left), min(width - 1, left + wide)):
+                    if (x - ax) ** 2 + (y - ay) ** 2 > radius * radius:
+                        continue
+                    total += 1
+                    mask[y, x] = 0
+                    difference = _better_half(views, size, seen, (y - top) * wide + x - left, values)
+                    # What is below the least need not be compared with the variance about it.
+                    if difference > least and difference > _SHARE * _variance(image, x, y) + least:
+                        mask[y, x] = 1
+                        unexplained += 1
+            shares[lens] = unexplained / max(total, 1)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
@@ -248,42 +252,45 @@ def _costs(image, mask, centres, radius, pitch, rows, means, wanted, shifts, flo
     height, width = image.shape
     pixels = image.reshape(-1)
     most = (2 * int(radius) + 3) ** 2
-    for lens in prange(len(centres)):
-        out[lens] = _NEUTRAL
-        if not wanted[lens]:
-            continue
+    parts, each, stride = stretches(len(centres))
+    for part in prange(parts):
         values = np.empty(rows.shape[1], np.float32)
         xs, ys, own = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
         places = np.empty(most, np.int64)
-        ax, ay = centres[lens, 0], centres[lens, 1]
-        number = _masked(image, mask, ax, ay, radius, row_step, xs, ys, places, own)
-        for k in range(len(shifts)):
-            grow = 1 + shifts[k] / pitch
-            shown = 0
-            for d in range(rows.shape[1]):
-                other = rows[lens, d]
-                if other < 0:
-                    continue
-                bx, by = centres[other, 0], centres[other, 1]
-                count, sa, sb, saa, sbb, sab = _moments(
-                    pixels, height, width, xs, ys, places, own, number, bx, by, radius, (bx - ax) * grow,
-                    (by - ay) * grow, means[lens],
-                )  # fmt: skip
-                if count < 4:
-                    continue
-                inverse = np.float32(1.0) / count
-                ma, mb = sa * inverse, sb * inverse
-                variance = (saa + sbb) * inverse - ma * ma - mb * mb
-                offset = _OFFSET_WEIGHT * (ma - mb) * (ma - mb)
-                residual = variance - 2 * (sab * inverse - ma * mb) + offset
-                quality = (residual + floor) / (variance + offset + floor)
-                trust = count * row_step / (count * row_step + half)
-                _insert(values, shown, 1 - trust * (1 - quality))
-                shown += 1
-            out[lens, k] = 1.0
-            if shown >= 2:
-                better = (shown + 1) // 2
-                out[lens, k] = values[:better].sum() / better
+        begin = part * stride % parts * each
+        for lens in range(begin, min(begin + each, len(centres))):
+            out[lens] = _NEUTRAL
+            if not wanted[lens]:
+                continue
+            ax, ay = centres[lens, 0], centres[lens, 1]
+            number = _masked(image, mask, ax, ay, radius, row_step, xs, ys, places, own)
+            for k in range(len(shifts)):
+                grow = 1 + shifts[k] / pitch
+                shown = 0
+                for d in range(rows.shape[1]):
+                    other = rows[lens, d]
+                    if other < 0:
+                        continue
+                    bx, by = centres[other, 0], centres[other, 1]
+                    count, sa, sb, saa, sbb, sab = _moments(
+                        pixels, height, width, xs, ys, places, own, number, bx, by, radius, (bx - ax) * grow,
+                        (by - ay) * grow, means[lens],
+                    )  # fmt: skip
+                    if count < 4:
+                        continue
+                    inverse = np.float32(1.0) / count
+                    ma, mb = sa * inverse, sb * inverse
+                    variance = (saa + sbb) * inverse - ma * ma - mb * mb
+                    offset = _OFFSET_WEIGHT * (ma - mb) * (ma - mb)
+                    residual = variance - 2 * (sab * inverse - ma * mb) + offset
+                    quality = (residual + floor) / (variance + offset + floor)
+                    trust = count * row_step / (count * row_step + half)
+                    _insert(values, shown, 1 - trust * (1 - quality))
+                    shown += 1
+                out[lens, k] = 1.0
+                if shown >= 2:
+                    better = (shown + 1) // 2
+                    out[lens, k] = values[:better].sum() / better
 
 
 def remainder_depths(
