@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from .fastmath import FAST
 from .radiance import GrayFlat
-from .refinement import fit_pairs
+from .refinement import LAST_STEP, fit_pairs
 from .slant import LensFits, fit_lenses
 
 __all__ = ["measure"]
@@ -107,6 +107,7 @@ def measure(
     scale: NDArray[np.float32],
     noise: float,
     iterations: int,
+    last_step: float = LAST_STEP,
 ) -> LensFits:
     """Sub-pixel patch size of each lens from its own pixels first, then with the lenses around it.
 
@@ -125,11 +126,14 @@ def measure(
     noise : float
         Standard deviation of a pixel.
     iterations : int
-        Of each fit of a pair.
+        Of each fit of a pair, at most.
+    last_step : float [px of `gray`]
+        As `fit_pairs`.
     """
 
     def fit(start: NDArray[np.float32]) -> LensFits:
-        return fit_lenses(gray, forward, backward, fit_pairs(gray, forward, start, scale, noise, iterations), start)
+        pairs = fit_pairs(gray, forward, start, scale, noise, iterations, last_step)
+        return fit_lenses(gray, forward, backward, pairs, start)
 
     first = fit(start)
     expected, _ = _expected(gray, forward, backward, first, start, _OFFSET * gray.pitch)

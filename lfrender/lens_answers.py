@@ -198,7 +198,16 @@ def _refined(lenses: Lenses, setting: Preset, found: Found, wanted: NDArray[np.b
     texture = lenses.texture
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
     first = np.where(wanted, found.patch_size, np.nan).astype(np.float32)
-    by_pixels = measure(texture.flat, lenses.forward, lenses.backward, first, scale, texture.noise, setting.iterations)
+    by_pixels = measure(
+        texture.flat,
+        lenses.forward,
+        lenses.backward,
+        first,
+        scale,
+        texture.noise,
+        setting.iterations,
+        setting.last_step,
+    )
     measured = np.isfinite(by_pixels.patch_size)
     refined = np.where(measured, by_pixels.patch_size, found.patch_size)
     return refined, np.where(measured, by_pixels.standard_error, np.inf)

@@ -13,7 +13,7 @@ from .microimages import copy_box
 from .radiance import GrayFlat
 from .striding import stretches
 
-__all__ = ["PairFits", "fit_pairs"]
+__all__ = ["LAST_STEP", "PairFits", "fit_pairs"]
 
 # Of white noise, the smoothed picture has this much of the energy in slopes of one direction; the difference between
 # two pictures has the second.
@@ -22,8 +22,8 @@ _SLOPE_NOISE, _LEFT_NOISE = np.float32(17 / 144), np.float32(0.5)
 _LEAST_TEXTURE = np.float32(0.25)
 # Each step may move this far [px]: the starting value is the best of a finer grid.
 _MAX_STEP = np.float32(1.0)
-# Steps shrink with their square: after this one [px] the next would not show.
-_SETTLED = 0.02
+#: Steps shrink, the faster the less of the texture is doubted: after this one [px] the next hardly shows.
+LAST_STEP = 0.02
 # A fit that has left its start by more than this [px] has gone over to another optimum.
 _LEFT = np.float32(2.5)
 # The cubic B-spline leaves a quarter of the energy of white noise, and all of it at low frequencies, where texture is.
@@ -215,8 +215,8 @@ def _normal_equation(
 
 @njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def _fit(
-    pixels, height, width, ax, ay, bx, by, radius, start, pitch, scale2, noise2, iterations, left, top, side, wide,
-    columns, rows, own, slope_x, slope_y, at, there, lines, between,
+    pixels, height, width, ax, ay, bx, by, radius, start, pitch, scale2, noise2, iterations, last_step, left, top, side,
+    wide, columns, rows, own, slope_x, slope_y, at, there, lines, between,
 ):  # fmt: skip
     """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be told."""
     s = start
@@ -244,7 +244,7 @@ def _fit(
         variance = rest * (_CORRELATED * texture + _CORRELATED_NOISE * (hessian - texture)) / (texture * texture)
         x, y = sx / spp, sy / spp
         s += min(max(step, -_MAX_STEP), _MAX_STEP)
-        if abs(step) < _SETTLED:
+        if abs(step) < last_step:
             break
     if abs(s - start) > _LEFT:
         return np.float32(np.nan), variance, x, y
@@ -262,7 +262,7 @@ def _starts(first, second, near):
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _fit_pairs(
-    image, centres, radius, pitch, rows, start, scale2, noise2, iterations, sizes, variances, places
+    image, centres, radius, pitch, rows, start, scale2, noise2, iterations, last_step, sizes, variances, places
 ):  # fmt: skip
     side = int(2 * radius) + 1
     wide = side + _MORE
@@ -303,8 +303,9 @@ def _fit_pairs(
                     at[0] = at[1] = _NOWHERE
                     s, variance, x, y = _fit(
                         pixels, height, width, ax, ay, centres[other, 0], centres[other, 1], radius,
-                        first if k == 0 else second, pitch, max(scale2[lens], scale2[other]), noise2, iterations, left,
-                        top, side, wide, column, line, own, slope_x, slope_y, at, there, lines, between,
+                        first if k == 0 else second, pitch, max(scale2[lens], scale2[other]), noise2, iterations,
+                        last_step, left, top, side, wide, column, line, own, slope_x, slope_y, at, there, lines,
+                        between,
                     )  # fmt: skip
                     sizes[lens, d, k] = s
                     variances[lens, d, k] = variance
@@ -318,6 +319,7 @@ def fit_pairs(
     scale: NDArray[np.float32],
     noise: float,
     iterations: int,
+    last_step: float = LAST_STEP,
 ) -> PairFits:
     """Patch size of each pair of neighbours by Gauss-Newton steps.
 
@@ -333,6 +335,9 @@ def fit_pairs(
     noise : float
         Standard deviation of a pixel, at most: where pairs agree better, it is less.
     iterations : int
+        At most.
+    last_step : float [px of `gray`]
+        A step shorter than this is the last.
     """
     radius = gray.radius - min(_RIM, _RIM_SHARE * gray.pitch)
     shape = (*rows.shape, 2)
@@ -345,6 +350,6 @@ def fit_pairs(
     _fit_pairs(
         np.ascontiguousarray(image), gray.centres, np.float32(radius), np.float32(gray.pitch), rows,
         start.astype(np.float32), (scale * scale).astype(np.float32), np.float32(noise * noise), iterations,
-        fits.patch_size, fits.variance, fits.place,
+        np.float32(last_step),        fits.patch_size, fits.variance, fits.place,
     )  # fmt: skip
     return fits

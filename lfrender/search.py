@@ -15,6 +15,7 @@ from .modes import confidence, least, parabola_peak, second_best
 from .neighbours import both_ways, grown
 from .probing import probe
 from .radiance import GrayFlat, shrink
+from .refinement import LAST_STEP
 from .rivals import shared_trust, without_rivals
 from .texture import FIXED_SHADING, LensStatistics, Texture, lens_statistics
 
@@ -23,7 +24,8 @@ __all__ = ["PRESETS", "Found", "Matcher", "Preset", "search"]
 
 @dataclass(frozen=True)
 class Preset:
-    """What an analysis spends: pitch it searches at [px], shift step [px], every n-th row, refinement steps.
+    """What an analysis spends: pitch it searches at [px], shift step [px], every n-th row, refinement steps, and the
+    length [px] of the last of them.
 
     With a `least_pitch` [px] the flat is made smaller for all of the analysis, by a whole factor that leaves as much.
     `cells` are the grid values of the surface per pitch, `remainder` tells whether what the first depth of a lens
@@ -38,6 +40,7 @@ class Preset:
     full_step: float
     row_step: int
     iterations: int
+    last_step: float = LAST_STEP
     least_pitch: float = np.inf
     cells: int = 7
     remainder: bool = True
@@ -49,7 +52,15 @@ class Preset:
 
 PRESETS = {
     "fast": Preset(
-        search_pitch=16, step=1.0, full_step=1.0, row_step=1, iterations=3, least_pitch=11, cells=5, remainder=False
+        search_pitch=16,
+        step=1.0,
+        full_step=1.0,
+        row_step=1,
+        iterations=3,
+        last_step=0.04,
+        least_pitch=11,
+        cells=5,
+        remainder=False,
     ),
     "balanced": Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=5),
     "accurate": Preset(search_pitch=40, step=0.5, full_step=0.5, row_step=1, iterations=8),

@@ -190,7 +190,7 @@ def _inner(texture: Texture, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
 def _pairs(texture: Texture, forward: NDArray[np.int32], start: NDArray[np.float32], setting: Preset) -> PairFits:
     """Sub-pixel patch size of all pairs of the lenses with a first value."""
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
-    return fit_pairs(texture.flat, forward, start, scale, texture.noise, setting.iterations)
+    return fit_pairs(texture.flat, forward, start, scale, texture.noise, setting.iterations, setting.last_step)
 
 
 def _places(
