@@ -9,6 +9,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .neighbours import beside
+from .quantiles import median
 
 __all__ = ["TEXTURED", "Plane", "fit_plane", "nearly_planar", "strays"]
 
@@ -228,7 +229,7 @@ def _inverse(
 
 def _even(places: NDArray[np.float64], residual: NDArray[np.float64], deviations: float = _UNCERTAIN) -> float | None:
     """Scatter [px] of lenses about a plane; None where too few lie on it, or a smooth surface leaves it."""
-    scatter = 1.48 * float(np.median(np.abs(residual)))
+    scatter = 1.48 * median(np.abs(residual))
     inside = np.abs(residual) < _OUTLYING * max(scatter, _FLOOR)
     if not inside.mean() > _ON_PLANE:
         return None

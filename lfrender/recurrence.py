@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from .fastmath import FAST
+from .quantiles import median
 from .radiance import GrayFlat
 
 __all__ = ["autocorrelation", "hardly_seen", "recurring", "repeats"]
@@ -260,7 +261,7 @@ def recurring(
     x, y = gray.centres[known, 0], gray.centres[known, 1]
     own = sizes[known]
     left, top, right, bottom = x.min(), y.min(), x.max(), y.max()
-    reach = _REACH * gray.pitch**2 / float(np.median(np.abs(own)))
+    reach = _REACH * gray.pitch**2 / median(np.abs(own))
     verdicts: list[tuple[bool, bool]] = []
     places = [(u, v) for v in _evenly(top, bottom, reach) for u in _evenly(left, right, reach)]
     # Opposite corners first: where neither is in doubt, most parts are not.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 
 from .fastmath import FAST
+from .quantiles import quantile
 from .radiance import trusted_radius, white_level
 
 __all__ = ["changed_lenses"]
@@ -20,7 +21,7 @@ _BLOCK, _SMALL_BLOCK, _ROOMY = 4, 2, 6.0
 _LEVELS = 8
 # The quietest lenses of a group show its noise: in one frame the smoothest tenth, between two frames a larger part,
 # since most of a scene stands still.
-_SMOOTH, _STILL = 10, 25
+_SMOOTH, _STILL = 0.1, 0.25
 # Energy beyond which a difference is no noise: single pixels, of which there are hundreds in a lens, and blocks, of
 # which there are some dozens; so many standard deviations of a sum of that many squares.
 _DEVIATIONS = 6.0
@@ -175,7 +176,7 @@ def changed_lenses(before: NDArray, now: NDArray, calibration: Calibration) -> N
         group = level == k
         noise[k] = rounding / channels
         if group.any():
-            quiet = min(np.percentile(2 * rough[group], _SMOOTH), np.percentile(pixel[group], _STILL))
+            quiet = min(quantile(2 * rough[group], _SMOOTH), quantile(pixel[group], _STILL))
             noise[k] = max(noise[k], quiet)
     # Noise may change much within a group, as where pixels are cut off at black.
     padded = np.pad(noise, 1, mode="edge")

@@ -11,6 +11,7 @@ from .certainty import misled, signal_share
 from .modes import confidence, parabola_peak
 from .neighbours import around, beside, both_ways, grown, rows_among
 from .plane import TEXTURED, Plane, fit_plane, nearly_planar, strays
+from .quantiles import median
 from .radiance import shrink
 from .refinement import PairFits, fit_pairs
 from .search import MISFIT, Matcher, Preset
@@ -109,7 +110,7 @@ def find_plane(
     if plane is None or (facing and plane.slanted):
         return None
     paths = 2 * forward.shape[1]
-    sure = float(np.median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance())))
+    sure = median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance()))
     matcher = Matcher(texture, forward, backward, setting)
     about = plane.at(texture.flat.centres.astype(np.float64)).astype(np.float32)
     evidence = plane_evidence(matcher, texture, about, setting)
@@ -212,7 +213,7 @@ def plane_evidence(
     """(n,) correlation of every lens at the plane's shift; None where a lens shows something else."""
     everyone = texture.clear | texture.faint
     cost, off = matcher.probe(everyone, (about / matcher.factor).astype(np.float32))
-    limit = np.clip(_USUAL * np.median(cost[texture.clear]), MISFIT, _WORST)
+    limit = min(max(_USUAL * median(cost[texture.clear]), MISFIT), _WORST)
     misfits = texture.clear & (cost > limit)
     rows = matcher.rows
     inner = _inner(texture, rows)
@@ -220,7 +221,7 @@ def plane_evidence(
         return None
     if misfits.any():
         few = _Few.of(texture, matcher.forward, matcher.backward, misfits)
-        elsewhere, far, misfits = _searched(few, setting, misfits, about, float(limit))
+        elsewhere, far, misfits = _searched(few, setting, misfits, about, limit)
         together = beside(elsewhere, rows)
         if (far & inner).any() or (elsewhere & inner & (together > 0)).any() or (together >= _TOGETHER).any():
             return None
