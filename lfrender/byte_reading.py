@@ -14,8 +14,8 @@ from numba.core import types
 from numba.extending import intrinsic
 
 __all__ = [
-    "GAIN_BITS", "LEFT_BITS", "TOGETHER", "TURNED", "read", "read_turned", "read_turned_with_gain", "read_with_gain",
-    "two_at",
+    "GAIN_BITS", "LEFT_BITS", "TOGETHER", "TURNED", "read_bytes", "read_turned", "read_turned_with_gain",
+    "read_with_gain", "two_at",
 ]  # fmt: skip
 
 #: So many bytes are read together, and of pixels of three so many turned; the last byte is then of no use.
@@ -111,9 +111,9 @@ def _two_at(_typing: Any, line: Any, place: Any) -> Any:
     return types.uint64(line, place), generate
 
 
-# `read(values, places, weights, out, into)` puts the means of the bytes from four `places` on, weighted by 256ths, into
-# `out`, `read_turned` the last pixel first.
-read: Any = intrinsic(_plain(turned=False))
+# `read_bytes(values, places, weights, out, into)` puts the means of the bytes from four `places` on, weighted by
+# 256ths, into `out`, `read_turned` the last pixel first.
+read_bytes: Any = intrinsic(_plain(turned=False))
 read_turned: Any = intrinsic(_plain(turned=True))
 # `read_with_gain(values, places, weights, gain, gain_at, out, into)` multiplies them by as many 2^-14 as the numbers of
 # two bytes say that follow each other from `gain[gain_at]` on.

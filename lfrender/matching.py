@@ -7,7 +7,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .fastmath import FAST
-from .microimages import BUNCH, Masks, Strips, cut_out, joint_masks
+from .microimages import BUNCH, Masks, Strips, cut_out, joint_masks, shared_run
 from .radiance import GrayFlat
 from .remembered import remembered
 from .scratch import recycled
@@ -206,11 +206,9 @@ def _pair_costs(
                         )  # fmt: skip
                         apart = means[lens] - means[other]
                     elif slot >= 0:
-                        first = -(min(0, dy) // row_step) * width + max(0, -dx)
-                        number = ((2 * side - 1 - max(0, dy)) // row_step + 1) * width - first
+                        first, number = shared_run(dx, dy, side, width, row_step, bunch)
                         if number <= 0:
                             continue
-                        number = (number + bunch - 1) // bunch * bunch
                         mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
                         count, sa, sb, saa, sbb, sab = _rim_moments(
                             pixels, columns, lines, lens * size + first, other * size + first, ends[slot, 2],

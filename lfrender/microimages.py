@@ -19,7 +19,7 @@ from .radiance import GrayFlat
 from .remembered import remembered
 from .scratch import recycled
 
-__all__ = ["BUNCH", "Masks", "Strips", "copy_box", "cut_out", "joint_masks"]
+__all__ = ["BUNCH", "Masks", "Strips", "copy_box", "cut_out", "joint_masks", "shared_run"]
 
 # What `joint_masks` returns.
 Masks = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
@@ -152,6 +152,15 @@ def _empty_strips(gray: GrayFlat, step: int) -> Strips:
     values = recycled((len(middle) * rows * step * width + _SPARE,), np.float32)
     values[-_SPARE:] = 0.0
     return Strips(values, middle, inside[:, 0] & inside[:, 1], np.zeros(len(middle), bool), half, width, rows, step)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def shared_run(dx, dy, half, width, step, bunch):
+    """First of the places of a strip that another may show, which lies `dx, dy` pixels aside, and in whole bunches how
+    many there are, not above 0 if none."""
+    first = -(min(0, dy) // step) * width + max(0, -dx)
+    number = ((2 * half - 1 - max(0, dy)) // step + 1) * width - first
+    return first, (number + bunch - 1) // bunch * bunch
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)

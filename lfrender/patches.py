@@ -15,8 +15,16 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
-from .byte_reading import GAIN_BITS, LEFT_BITS, TOGETHER, TURNED, read_turned, read_turned_with_gain, read_with_gain
-from .byte_reading import read as read_bytes
+from .byte_reading import (
+    GAIN_BITS,
+    LEFT_BITS,
+    TOGETHER,
+    TURNED,
+    read_bytes,
+    read_turned,
+    read_turned_with_gain,
+    read_with_gain,
+)
 from .fastmath import FAST
 from .prefetching import prefetch
 

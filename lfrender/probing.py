@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .agreement import lens_costs
 from .fastmath import FAST
 from .matching import ENOUGH, cost_of, doubted, half_trust, moments, shared_pixels, unshaded
-from .microimages import BUNCH, Strips
+from .microimages import BUNCH, Strips, shared_run
 from .radiance import GrayFlat
 from .texture import FIXED_SHADING, LensStatistics
 
@@ -105,11 +105,9 @@ def _probe_pairs(
                 count, start, number = np.float32(counts[slot]), ends[slot, 0], ends[slot, 1]
                 mask_of, mask_at = line, slot * length + start
             else:
-                start = -(min(0, dy) // row_step) * width + max(0, -dx)
-                number = ((2 * side - 1 - max(0, dy)) // row_step + 1) * width - start
+                start, number = shared_run(dx, dy, side, width, row_step, bunch)
                 if number <= 0:
                     continue
-                number = (number + bunch - 1) // bunch * bunch
                 mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
                 count = _mask(
                     columns, lines, start, number, ax - mx, ay - my, bx - tx - mx, by - ty - my, np.float32(-side - dx),
