@@ -63,7 +63,7 @@ class Camera:
     principal_point : (float, float) [px]
         Where the optical axis meets the flat.
     natural_vignetting : bool
-        Weigh light by cos^4 of its angle on the sensor.
+        Weigh the light of a microlens by cos^4 of the angle of its chief ray on the sensor.
     stop : (float, float) or None [mm]
         Distance in front of the main lens and diameter of a fixed stop: mechanical vignetting, which cuts
         microimages to cat's eyes away from the principal point.

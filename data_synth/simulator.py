@@ -84,10 +84,12 @@ def simulate(
         return develop(picture, noise=light, bits=bits, gamma=gamma, rng=rng)
 
     recipe = {"scene": scene.name, "samples": samples, "seed": seed, "noise": noise and list(noise)}
+    # Vignetting is that of stored numbers, and 16 bits hardly round it.
+    shading = develop(white, noise=None, bits=16, gamma=gamma, rng=streams[1])
     return Capture(
         flat=store(flat, noise, streams[0]),
         white=store(white, noise, streams[1]),
-        truth=_truth(scene, camera, table, texels, flat, white, seed, lambda picture: store(picture, None, streams[0])),
+        truth=_truth(scene, camera, table, texels, flat, shading, seed, lambda picture: store(picture, None, streams[0])),
         camera=camera,
         recipe=recipe | {"bits": bits, "gamma": gamma, "exposure": EXPOSURE},
     )
@@ -99,11 +101,11 @@ def _truth(
     table: NDArray[np.float64],
     texels: NDArray[np.float32],
     flat: NDArray[np.float32],
-    white: NDArray[np.float32],
+    shading: NDArray[np.uint16],
     seed: int,
     store: Callable[[NDArray[np.float32]], NDArray[Any]],
 ) -> Truth:
-    """Everything known about the capture, from chief rays and the noise-free flat."""
+    """Everything known about the capture, from chief rays, the noise-free flat and the noise-free white image as stored."""
     from . import tracing
 
     lattice = camera.lattice
@@ -129,7 +131,7 @@ def _truth(
     points = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ affine.T
     depths = tracing.nearest(table, texels, *_chief_rays(camera, points, points))
     return Truth(
-        calibration=camera.calibration(_vignetting(camera, pixels - own, white.ravel())),
+        calibration=camera.calibration(_vignetting(camera, pixels - own, shading.ravel())),
         patch_size=patch_size,
         mode=mode,
         magnification=np.where(mode != 0, camera.pitch / np.abs(patch_size), np.nan),
@@ -189,8 +191,8 @@ def _look_into_discs(
     return contrast, mixed
 
 
-def _vignetting(camera: Camera, delta: NDArray[np.float64], white: NDArray[np.float32]) -> Vignetting:
-    """Mean illumination of all microimages over the distance from their centres, out to the half pitch."""
+def _vignetting(camera: Camera, delta: NDArray[np.float64], white: NDArray[np.uint16]) -> Vignetting:
+    """Mean stored light of all microimages over the distance from their centres, out to the half pitch."""
     step = 0.5
     bins = np.rint(np.hypot(*delta.T) / step).astype(int)
     last = max(int(np.ceil(camera.pitch / 2 / step)), 2)

@@ -274,13 +274,15 @@ def _through_lens(total, x, y, cam, cx, cy, power, table, texels, background, po
     count = _choose(chosen, table, ax, ay, slope_x - ax / focal, slope_y - ay / focal, start_spread, slope_spread)
     cosine, sine = lens * math.cos(2 * math.pi * shift[2]), lens * math.sin(2 * math.pi * shift[2])
     per_b, per_focal, share = 1 / b, 1 / focal, 1.0 / len(points)
+    # One weight for all rays: of weights of their own the middle would lie beside the chief ray, and so would features.
+    if cam[19] > 0:
+        share /= (1 + slope_x * slope_x + slope_y * slope_y) ** 2
     for k in range(len(points)):
         ux = px + (_wrapped(points[k, 0] + shift[0]) - 0.5) * pixel
         uy = py + (_wrapped(points[k, 1] + shift[1]) - 0.5) * pixel
         rx = cosine * points[k, 2] - sine * points[k, 3]
         ry = sine * points[k, 2] + cosine * points[k, 3]
         sx, sy = (cx + rx - ux) * per_b, (cy + ry - uy) * per_b
-        weight = 1.0 / (1 + sx * sx + sy * sy) ** 2 if cam[19] > 0 else 1.0
         sx, sy = sx - rx * power, sy - ry * power
         ax, ay = cx + rx + sx * dl, cy + ry + sy * dl
         if ax * ax + ay * ay > cam[6] * cam[6]:
@@ -290,7 +292,7 @@ def _through_lens(total, x, y, cam, cx, cy, power, table, texels, background, po
         if cam[21] > 0 and qx * qx + qy * qy > cam[21] * cam[21]:
             continue
         found, _, u, v = _hit(table, texels, chosen, count, ax, ay, sx, sy)
-        _add(total, table, texels, background, found, u, v, weight * share)
+        _add(total, table, texels, background, found, u, v, share)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
