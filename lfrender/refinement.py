@@ -20,6 +20,8 @@ __all__ = ["LAST_STEP", "PairFits", "fit_pairs"]
 _SLOPE_NOISE, _LEFT_NOISE = np.float32(17 / 144), np.float32(0.5)
 # So much of the energy in slopes counts as texture in any case: noise itself is not known better.
 _LEAST_TEXTURE = np.float32(0.25)
+# Shading that correction leaves at the rim, as a share of the light: a calibration from one scene is off by so much.
+_SHADED = np.float32(0.02)
 # Each step may move this far [px]: the starting value is the best of a finer grid.
 _MAX_STEP = np.float32(1.0)
 #: Steps shrink, the faster the less of the texture is doubted: after this one [px] the next hardly shows.
@@ -148,7 +150,7 @@ def _sums(
 ):  # fmt: skip
     """Sums over the pixels of a microimage that the other shows too, weighted after Geman and McClure."""
     zero = np.float32(0.0)
-    sw = sr = srr = sp = spp = spr = sx = sy = zero
+    sw = sr = srr = sp = spp = spr = sx = sy = sq = sqq = spq = sqr = zero
     first = np.uint64(start)
     for k in range(np.uint64(count)):
         at = first + k
@@ -158,11 +160,12 @@ def _sums(
         both = (max(own_2, other_2) <= r2) & (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
         p = ux * slope_x[at] + uy * slope_y[at]
         r = own[at] - other[at] - offset
+        q = (ux * (x - mx) + uy * (y - my)) * own[at]
         # What has not been set may be anything.
-        p, r = p if both else zero, r if both else zero
+        p, q, r = p if both else zero, q if both else zero, r if both else zero
         w = scale2 / (scale2 + r * r)
         w = w * w if both else zero
-        wp, wr = w * p, w * r
+        wp, wq, wr = w * p, w * q, w * r
         wpp = wp * p
         sw += w
         sr += wr
@@ -172,7 +175,11 @@ def _sums(
         spp += wpp
         sx += wpp * (x - mx)
         sy += wpp * (y - my)
-    return sw, sr, srr, sp, spp, spr, sx, sy
+        sq += wq
+        sqq += wq * q
+        spq += wq * p
+        sqr += wq * r
+    return sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
@@ -182,8 +189,9 @@ def _normal_equation(
 ):  # fmt: skip
     """Sums for a change of s and of the offset between two microimages.
 
-    Returns the sums of weights, residuals, slopes, their products, and the moments of place. The first microimage is
-    cut out from the pixel (left, top) on.
+    Returns the sums of weights, residuals, slopes, their products, the moments of place, and the sums and products of
+    brightness that grows along the step from lens to lens. The first microimage is cut out from the pixel (left, top)
+    on.
     """
     ux, uy = (bx - ax) / pitch, (by - ay) / pitch
     tx, ty = bx - ax + s * ux, by - ay + s * uy
@@ -195,7 +203,7 @@ def _normal_equation(
     end = min(int(np.floor(min(ay, qy) + radius)), min(height - 2, height - 3 - y0), top + side - 1)
     if end < begin:
         zero = np.float32(0.0)
-        return zero, zero, zero, zero, zero, zero, zero, zero
+        return zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
     # Most steps stay between the same pixels.
     if at[0] != x0 or at[1] != y0:
         copy_box(pixels, width, left + x0 - 1, top + y0 - 1, side + _MORE, wide, there)
@@ -224,20 +232,26 @@ def _fit(
     offset = np.float32(0.0)
     variance = np.float32(np.inf)
     x = y = np.float32(0.0)
+    two, tiny = np.float32(2.0), np.float32(1e-12)
     for _ in range(iterations):
-        sw, sr, srr, sp, spp, spr, sx, sy = _normal_equation(
+        sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr = _normal_equation(
             pixels, height, width, ax, ay, bx, by, radius, s, pitch, scale2, offset, left, top, side, wide, columns,
             rows, own, slope_x, slope_y, at, there, lines, between,
         )  # fmt: skip
         if sw < 4:
             return np.float32(np.nan), variance, x, y
         inverse = np.float32(1.0) / sw
-        hessian = spp - sp * sp * inverse
+        # Shading of r^2 changes by a ramp of this steepness from one lens to the other: as likely as the noise beside it.
+        ramp = two * _SHADED * s / (radius * radius)
+        ridge = max(sqq - sq * sq * inverse + noise2 / max(ramp * ramp, tiny), tiny)
+        shared, shade = spq - sp * sq * inverse, sqr - sq * sr * inverse
+        hessian = spp - sp * sp * inverse - shared * shared / ridge
         if hessian <= 1e-9:
             return np.float32(np.nan), variance, x, y
-        gradient = spr - sp * sr * inverse
+        gradient = spr - sp * sr * inverse - shared * shade / ridge
         offset += sr * inverse
-        rest = max(srr - sr * sr * inverse - gradient * gradient / hessian, np.float32(0.0)) * inverse
+        rest = srr - sr * sr * inverse - shade * shade / ridge
+        rest = max(rest - gradient * gradient / hessian, np.float32(0.0)) * inverse
         # Slopes of noise steepen the sum of squares, but do not move with the scene.
         texture = max(hessian - slope_noise * min(noise2, rest / _LEFT_NOISE) * sw, _LEAST_TEXTURE * hessian)
         step = gradient / texture

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lfcal
-from data_synth import Capture, load_capture
+from data_synth import SCENES, Camera, Capture, load_capture, simulate
 
 
 def test_save_and_load_keep_everything(house: Capture, tmp_path: Path) -> None:
@@ -41,6 +41,24 @@ def test_camera_file_is_one_that_lfcal_reads(house: Capture, tmp_path: Path) -> 
     assert calibration.vignetting is not None
     assert calibration.vignetting.at(0.0) > 0.97
     assert calibration.vignetting.at(house.camera.pitch / 2 + 1) < 0.3
+
+
+def test_true_vignetting_is_that_of_the_stored_flat() -> None:
+    camera = Camera.design((300, 300), 24.0)
+    for gamma in (False, True):
+        capture = simulate(SCENES["blank"](camera), camera, samples=64, bits=16, gamma=gamma)
+        vignetting = capture.truth.calibration.vignetting
+        assert vignetting is not None
+        centres = capture.truth.calibration.lattice.centres()
+        inner = centres[(np.abs(centres - 150) < 100).all(1)]
+        light = [
+            np.mean(
+                [capture.flat[round(y), round(x + away), 1] for x, y in inner]
+                + [capture.flat[round(y), round(x - away), 1] for x, y in inner]
+            )
+            for away in (0, 10)
+        ]
+        assert vignetting.at(10.0) / vignetting.at(0.0) == pytest.approx(light[1] / light[0], abs=0.002)
 
 
 @pytest.mark.parametrize("damage", ["missing", "not json", "other json", "no arrays", "no picture"])

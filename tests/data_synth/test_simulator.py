@@ -51,6 +51,29 @@ def test_microimages_of_a_plane_shift_by_the_true_patch_size(lattice: str, ratio
     assert truth.magnification[inner] == pytest.approx(1 / abs(ratio))
 
 
+def test_light_that_falls_off_within_microlenses_moves_no_feature() -> None:
+    shown = {}
+    for falling in (True, False):
+        camera = Camera.design((300, 300), 30.0, natural_vignetting=falling)
+        capture = simulate(SCENES["plane"](camera, ratio=-0.55), camera, samples=32, bits=16, gamma=False)
+        shown[falling] = capture.flat[..., 1].astype(float), capture.truth.calibration.lattice.centres()
+    (dim, centres), (even, _) = shown[True], shown[False]
+    moved = steep = 0.0
+    for x, y in centres[(np.abs(centres - 150) < 120).all(1)]:
+        # How far outward one picture lies from the other, by least squares.
+        box = np.s_[round(y) - 10 : round(y) + 11, round(x) - 10 : round(x) + 11]
+        v, u = np.gradient(even[box])
+        rows, columns = np.mgrid[-10:11, -10:11]
+        out = np.hypot(rows, columns)
+        rim = (out > 6) & (out < 12)
+        slope = ((u * columns + v * rows) / np.maximum(out, 1))[rim]
+        ratio = (dim[box] / np.maximum(even[box], 1))[rim]
+        change = dim[box][rim] - even[box][rim] * np.median(ratio)
+        moved += slope @ change
+        steep += slope @ slope
+    assert abs(moved / steep) < 0.002, f"features move by {-moved / steep:.4f} px outward"
+
+
 def test_white_microimages_are_centred_on_the_true_lattice() -> None:
     camera = Camera.design((300, 300), 24.0, "hex-vertical", 7.0)
     capture = simulate(SCENES["blank"](camera), camera, samples=64, bits=16, gamma=False)

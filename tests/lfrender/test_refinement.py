@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.ndimage import correlate1d
@@ -72,6 +74,17 @@ def test_slopes_of_noise_do_not_hold_a_fit_back_at_its_start(drawn_flat):
         within = (np.abs(lenses.patch_size - truth) < lenses.standard_error)[inner].mean()
         assert known == 0 or 0.58 < within < 0.8
     assert abs(error[0.06]) < 0.025 < 0.04 < error[0.0], f"off by {error} px"
+
+
+def test_shading_left_in_microimages_hardly_moves_their_pairs(drawn_flat):
+    gray, lattice, truth, inner = drawn_flat(-12.0, detail=0.5)
+    y, x = np.mgrid[: gray.image.shape[0], : gray.image.shape[1]]
+    points = np.column_stack([x.ravel(), y.ravel()])
+    delta = points - lattice.origin - np.rint(lattice.to_index(points)) @ lattice.basis
+    rim = 1 - 0.02 * (delta**2).sum(1).reshape(x.shape) / gray.radius**2
+    shaded = dataclasses.replace(gray, image=(gray.image * rim).astype(np.float32))
+    error = [np.median(np.abs(measure(flat, lattice, truth)[1].patch_size - truth)[inner]) for flat in (gray, shaded)]
+    assert error[1] < 1.3 * error[0] + 0.004, f"{error} px without and with shading"
 
 
 def test_pairs_that_scatter_by_more_than_their_noise_widen_the_error_beyond_their_scatter(drawn_flat):
