@@ -89,7 +89,9 @@ def simulate(
     return Capture(
         flat=store(flat, noise, streams[0]),
         white=store(white, noise, streams[1]),
-        truth=_truth(scene, camera, table, texels, flat, shading, seed, lambda picture: store(picture, None, streams[0])),
+        truth=_truth(
+            scene, camera, table, texels, flat, shading, seed, lambda picture: store(picture, None, streams[0])
+        ),
         camera=camera,
         recipe=recipe | {"bits": bits, "gamma": gamma, "exposure": EXPOSURE},
     )
@@ -105,7 +107,7 @@ def _truth(
     seed: int,
     store: Callable[[NDArray[np.float32]], NDArray[Any]],
 ) -> Truth:
-    """Everything known about the capture, from chief rays, the noise-free flat and the noise-free white image as stored."""
+    """Everything known about the capture, from chief rays, the noise-free flat, and the white image as stored."""
     from . import tracing
 
     lattice = camera.lattice

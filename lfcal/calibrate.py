@@ -104,6 +104,8 @@ def _calibrated(
         found = _found_on_large(flats[0], kind)
     if found is None:
         found = _found_on_all([equalise(flat) if filtered else luminance(flat) for flat in flats], kind, filtered)
+    if found.white and kind == "auto" and len(flats) == 1 and _is_scene(found):
+        found = _found_on_all([equalise(flats[0]) if filtered else luminance(flats[0])], "scene", filtered)
     camera = _measured(found)
     warnings = (*camera.warnings, *_warnings(camera, found.fit.halves_differ, filtered and mosaic is None))
     return replace(camera, mosaic=mosaic, warnings=warnings)
@@ -135,6 +137,13 @@ def _found_in_parts(flat: NDArray[Any], kind: str, filtered: bool) -> _Found | N
         return None
     parts, look = some_parts(look, start.lattice)
     return _Found(parts, True, start, fit_on_white(parts, start), look)
+
+
+def _is_scene(found: _Found) -> bool:
+    """Whether what was taken for a white image shows a scene: one that is nearly even within the microimages."""
+    from .neighbours import shows_scene
+
+    return isinstance(found.picture, np.ndarray) and shows_scene(found.picture, found.fit.lattice)
 
 
 def _found_on_large(flat: NDArray[Any], kind: str) -> _Found | None:

@@ -18,7 +18,7 @@ from .lattice import Lattice
 from .parts import some_lenses
 from .sampling import at_places
 
-__all__ = ["Neighbours", "check_neighbours", "compare_neighbours"]
+__all__ = ["Neighbours", "check_neighbours", "compare_neighbours", "shows_scene"]
 
 # So many lenses, evenly spread, tell; fewer than the least do not.
 _LENSES, _FEWEST = 450, 24
@@ -115,18 +115,36 @@ def check_neighbours(picture: NDArray[np.float32], lattice: Lattice, white: bool
         raise CalibrationError(f"a pattern with bright lines or dark dots repeats {every}, not microimages; {_RAW}")
     if found.apart > max(_UNLIKE, _MORE * found.inside):
         raise CalibrationError(f"tiles of single tones repeat {every}, not microimages; {_RAW}")
-    noise = found.rough if white else found.noise
-    shows = found.inside > max(shown, _OVER_NOISE * noise / _MEAN_DISTANCE)
-    if not (shows and single):
+    if not (_shows(found, white) and single):
         return False
-    # Noise is not alike in any microimages.
-    moved = max(found.moved**2 - found.noise**2, 0)
-    other = max(min(found.same, found.across) ** 2 - found.noise**2, 0)
-    if other < _ALIKE**2 * moved:
+    if not _alike(found):
         raise CalibrationError(
             f"a pattern repeats {every}, but neighbours do not show the same, shifted, as microimages do; {_RAW}"
         )
     return True
+
+
+def shows_scene(picture: NDArray[np.float32], lattice: Lattice) -> bool:
+    """Whether a flat taken for a white image is one of a scene: neighbours are seen to show the same, shifted.
+
+    `picture` and `lattice` are those of `check_neighbours`.
+    """
+    found = compare_neighbours(picture, lattice, _SHOWS_WHITE)
+    return found is not None and _shows(found, True) and _alike(found)
+
+
+def _shows(found: Neighbours, white: bool) -> bool:
+    """Whether microimages show more than noise."""
+    shown, noise = (_SHOWS_WHITE, found.rough) if white else (_SHOWS_SCENE, found.noise)
+    return found.inside > max(shown, _OVER_NOISE * noise / _MEAN_DISTANCE)
+
+
+def _alike(found: Neighbours) -> bool:
+    """Whether neighbours moved by the disparity are better alike than any others."""
+    # Noise is not alike in any microimages.
+    moved = max(found.moved**2 - found.noise**2, 0)
+    other = max(min(found.same, found.across) ** 2 - found.noise**2, 0)
+    return other >= _ALIKE**2 * moved
 
 
 def compare_neighbours(picture: NDArray[np.float32], lattice: Lattice, shown: float = 0.0) -> Neighbours | None:

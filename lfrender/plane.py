@@ -26,7 +26,7 @@ _NOTHING_NEW = 1e-6
 _FLOOR = 0.006
 # Systematic error of a patch size [px] that no number of lenses averages out, and what it grows by [pitches] with the
 # cube of |s| / D, as neighbours come to share no more than their rims: as measured on planes of two ray tracers.
-_UNSEEN, _UNSEEN_GROWTH = 0.001, 0.0027
+_UNSEEN, _UNSEEN_GROWTH = 0.0016, 0.002
 # Pairs in opposite directions see the same texture, and each belongs to two lenses: so many measurements make one.
 _SHARED = 4
 # Share of what misleads the pairs of each lens that all lenses of a plane have in common.

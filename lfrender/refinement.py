@@ -241,7 +241,7 @@ def _fit(
         if sw < 4:
             return np.float32(np.nan), variance, x, y
         inverse = np.float32(1.0) / sw
-        # Shading of r^2 changes by a ramp of this steepness from one lens to the other: as likely as the noise beside it.
+        # Shading of r^2 changes by a ramp of this steepness from one lens to the other, as likely as noise beside it.
         ramp = two * _SHADED * s / (radius * radius)
         ridge = max(sqq - sq * sq * inverse + noise2 / max(ramp * ramp, tiny), tiny)
         shared, shade = spq - sp * sq * inverse, sqr - sq * sr * inverse

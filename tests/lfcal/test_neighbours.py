@@ -8,6 +8,7 @@ import pytest
 from skimage import data
 
 import lfcal
+from data_synth import SCENES, Camera, simulate
 from lfcal.features import tone
 from lfcal.neighbours import check_neighbours, compare_neighbours
 
@@ -96,3 +97,14 @@ def test_lens_types_and_a_lamp_at_one_side_do_not_make_a_white_image_a_pattern(w
     lattice = lfcal.Lattice(origin, basis, (600, 450), 8.0)
     assert compare_neighbours(tone(np.maximum(light, 0)), lattice).apart < 0.03
     check_neighbours(tone(np.maximum(light, 0)), lattice, white=True)
+
+
+@pytest.mark.parametrize(("pitch", "ratio", "contrast"), [(42.8, -0.6, 1.0), (28.8, -0.2, 0.5), (20.0, 0.35, 0.4)])
+def test_a_scene_that_is_nearly_even_within_its_microimages_is_no_white_image(pitch, ratio, contrast):
+    camera = Camera.design((int(pitch * 31), int(pitch * 23)), pitch, "square", -13.0)
+    shot = simulate(SCENES["plane"](camera, ratio=ratio, seed=21), camera, samples=24, noise=(10000, 4))
+    faint = contrast * shot.flat + (1 - contrast) * 0.6 * shot.white[..., None].astype(float)
+    found = lfcal.calibrate(faint.round().astype(np.uint8))
+    assert found.source == "scene"
+    assert found.confidence > 0.9
+    assert lfcal.calibrate(shot.white).source == "white"
