@@ -13,7 +13,7 @@ from .shading import SHADING
 
 __all__ = [
     "AGREED", "LEAST_EVIDENCE", "RESOLVABLE", "SHADED_REACH", "SURE", "credible", "judged", "moving", "populated",
-    "possible", "reasons", "shaded",
+    "possible", "reasons", "shaded", "still",
 ]  # fmt: skip
 
 # Beyond this share of the pitch neighbouring microimages share too little to tell (GEOMETRY.md).
@@ -145,19 +145,23 @@ def populated(values: NDArray[np.float32], known: NDArray[np.float32], gap: floa
 def moving(refined: NDArray, error: NDArray, pitch: float) -> NDArray[np.bool_]:
     """Lenses whose pairs agree on a shift that shading, which stays with its lens, cannot have."""
     size = np.abs(refined)
-    agreed = (error <= _FIRM * pitch) & (size >= _BEYOND_ERRORS * error)
+    agreed = (error <= _FIRM * pitch) & ~still(refined, error)
     return np.asarray(agreed & (size >= _STILL * pitch))
 
 
+def still(refined: NDArray, error: NDArray) -> NDArray[np.bool_]:
+    """Lenses whose shift may be none, for all that their pairs tell."""
+    return np.asarray(np.abs(refined) < _BEYOND_ERRORS * error)
+
+
 def shaded(clear: NDArray[np.bool_], found: Found, contrast: NDArray[np.float32], pitch: float) -> NDArray[np.bool_]:
-    """Those of the `clear` lenses that show no more than shading may: little contrast (white = 1), alike near zero.
+    """Those of the `clear` lenses that show no more than shading may: little contrast (white = 1), near zero.
 
     Toward the border of a flat the main lens cuts microimages, each a little differently, so that no average of others
     removes it. A depth near zero that occurs among the other lenses is the scene's.
     """
     size = found.patch_size
     little = clear & (contrast <= SHADING) & (np.abs(size) < SHADED_REACH * pitch)
-    little &= found.evidence < _EVIDENCE_NEAR_ZERO
     return np.asarray(little & ~populated(size, size[clear & ~little], 0.5 * _ALIKE * pitch))
 
 

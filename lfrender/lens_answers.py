@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .certainty import misled, signal_share, unexplained
 from .consensus import measure
 from .depthmap import DepthMap
-from .judgement import RESOLVABLE, SURE, credible, judged, moving, possible, shaded
+from .judgement import RESOLVABLE, SURE, credible, judged, moving, possible, shaded, still
 from .neighbours import both_ways, rows_among
 from .recurrence import hardly_seen, recurring
 from .search import Found, Matcher, Preset, search
@@ -168,11 +168,13 @@ def ask(
     known = None if earlier is None else np.where(near, np.nan, earlier.drawn).astype(np.float32)
     matcher = Matcher(texture, lenses.forward, lenses.backward, setting)
     found = search(matcher, lenses.active, texture.clear, lenses.sample, known, sizes)
-    doubtful = texture.faint | shaded(texture.clear & near, found, texture.statistics.contrast, pitch)
+    like_shading = shaded(texture.clear & near, found, texture.statistics.contrast, pitch)
+    doubtful = texture.faint | like_shading
     textured = near & ((texture.clear & ~doubtful) | (doubtful & credible(found, pitch)))
     maybe = near & doubtful & ~textured & possible(found)
     refined, error = _refined(lenses, setting, found, textured | maybe)
     textured |= maybe & moving(refined, error, pitch)
+    textured &= ~(like_shading & still(refined, error))
     signal = signal_share(texture)
     explained = found.explained / signal
     astray = misled(error, explained)

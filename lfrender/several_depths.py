@@ -36,6 +36,9 @@ _FEW = 0.5
 _FEWER = 0.9
 # Fewer clear lenses than this do not tell it for the others: what repeats shows at depths that nobody has tried.
 _FEWEST_CLEAR = 300
+# Faint lenses are not looked after where they fit no depth that is known to occur: where less than the first share of
+# the lenses are clear, so many times as many are needed, and asked.
+_MOSTLY_CLEAR, _MORE_CLEAR = 0.8, 4
 
 
 @dataclass(frozen=True)
@@ -189,7 +192,7 @@ def _asked(
     texture = find_texture(gray, lattice, plain, blank, grown(near, neighbours), noise)
     some = texture.clear | texture.faint
     active = near if blank is None else near & some
-    sample = _telling(lattice, texture.clear & active) if shortcuts.ranges and overview is None else None
+    sample = _telling(lattice, texture.clear, active) if shortcuts.ranges and overview is None else None
     lenses = Lenses(texture, forward, backward, lattice.indices(), near, active, sample)
     wanted = active if kept is None else active | ~kept
     rows = np.flatnonzero(grown(wanted, neighbours)) if 0 < wanted.mean() < _FEW else None
@@ -237,12 +240,15 @@ def _spread_out(
     return depth, answers.astray
 
 
-def _telling(lattice: Lattice, clear: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
-    """Those of the `clear` lenses that tell which depths occur; None where they say nothing about all faint ones."""
-    count = clear.sum()
-    if count < _FEWEST_CLEAR:
+def _telling(lattice: Lattice, clear: NDArray[np.bool_], active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """Those `clear` of the `active` lenses that tell which depths occur; None where they say little of the others."""
+    among = clear & active
+    count = among.sum()
+    more = 1 if count >= _MOSTLY_CLEAR * active.sum() else _MORE_CLEAR
+    if count < more * _FEWEST_CLEAR:
         return None
-    return sample_lenses(lattice.indices(), clear, int(np.clip(count * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)))
+    wanted = np.clip(more * count * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)
+    return sample_lenses(lattice.indices(), among, int(wanted))
 
 
 def _occurring(answers: Answers, rows: NDArray[np.int64] | None, earlier: Earlier | None) -> NDArray[np.float32]:
