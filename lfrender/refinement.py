@@ -161,8 +161,6 @@ def _sums(
         p = ux * slope_x[at] + uy * slope_y[at]
         r = own[at] - other[at] - offset
         q = (ux * (x - mx) + uy * (y - my)) * own[at]
-        # What has not been set may be anything.
-        p, q, r = p if both else zero, q if both else zero, r if both else zero
         w = scale2 / (scale2 + r * r)
         w = w * w if both else zero
         wp, wq, wr = w * p, w * q, w * r
@@ -288,8 +286,9 @@ def _fit_pairs(
     pixels = image.reshape(-1)
     parts, each, stride = stretches(len(centres))
     for part in prange(parts):
-        own, slope_x, slope_y = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
-        there, lines, between = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
+        # All that sums run over is some number, also where it has not been set.
+        own, slope_x, slope_y = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
+        there, lines, between = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
         at = np.empty(2, np.int64)
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
