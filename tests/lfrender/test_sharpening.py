@@ -55,8 +55,8 @@ def test_little_noise_lets_pictures_gain(scene, gain):
 
 
 def test_little_noise_lets_pictures_of_clutter_gain():
-    # From scene to scene it is 0.04 to 0.24 dB: depth edges weigh more than sharpness.
-    gains = [psnr(scene, LOW, "auto") - psnr(scene, LOW, None) for scene in (("clutter", k) for k in (3, 4, 5))]
+    # From scene to scene it is 0.06 to 0.3 dB: depth edges weigh more than sharpness.
+    gains = [psnr(scene, LOW, "auto") - psnr(scene, LOW, None) for scene in (("clutter", k) for k in range(3, 9))]
     assert np.mean(gains) > 0.1
     assert min(gains) > 0
 
