@@ -102,10 +102,14 @@ def _calibrated(
         return replace(enlarged(camera, block, size), mosaic=mosaic)
     if found is None and alone and not filtered and sought_in_a_piece(size):
         found = _found_on_large(flats[0], kind)
+
+    def lights() -> list[NDArray[np.float32]]:
+        return [equalise(flat) if filtered else luminance(flat) for flat in flats]
+
     if found is None:
-        found = _found_on_all([equalise(flat) if filtered else luminance(flat) for flat in flats], kind, filtered)
+        found = _found_on_all(lights(), kind, filtered)
     if found.white and kind == "auto" and len(flats) == 1 and _is_scene(found):
-        found = _found_on_all([equalise(flats[0]) if filtered else luminance(flats[0])], "scene", filtered)
+        found = _found_on_all(lights(), "scene", filtered)
     camera = _measured(found)
     warnings = (*camera.warnings, *_warnings(camera, found.fit.halves_differ, filtered and mosaic is None))
     return replace(camera, mosaic=mosaic, warnings=warnings)
