@@ -1,0 +1,118 @@
+"""Depth of random scenes of random cameras against their truth: `python -m benchmarks.random_scenes [FIRST LAST]`.
+
+Each seed draws a camera (lattice, pitch, rotation, lens types, noise, bits) and a scene of `data_synth`. Only the flat
+is given; the lattice is calibrated from it. Modes and patch sizes are judged as in `benchmarks.truth_flats`.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+import lfcal
+import lfrender
+from data_synth import SCENES, Camera, Capture, simulate
+from data_synth.camera import LATTICES
+
+__all__ = ["DepthErrors", "draw", "judge", "main"]
+
+_SEEDS = (0, 20)
+# Pitches [px], and how many of them the flat is wide.
+_PITCHES, _ACROSS = (11.0, 60.0), (28.0, 46.0)
+_LARGEST_ROTATION = 25.0
+# Share of the hexagonal cameras with three lens types, and where these are focused [s / D].
+_THREE_TYPES, _FOCUS = 0.3, (0.08, 0.2, 0.32)
+_FULL_WELLS, _READ = (800.0, 20000.0), (2.0, 6.0)
+_SAMPLES = 32
+# Lenses that show less contrast are not judged; a lens is the one of the truth that is nearer than this [pitches].
+_CONTRAST, _SAME = 0.03, 0.25
+
+
+@dataclass(frozen=True)
+class DepthErrors:
+    """How an analysis compares with the truth, over textured lenses that see one resolvable depth.
+
+    Parameters
+    ----------
+    centres : float [px]
+        RMS error of the calibrated centres.
+    right, wrong : float
+        Share of the lenses in the right mode, and in the opposite one.
+    median, most : float [px]
+        Median and 95th percentile of the error of the patch size.
+    within : float
+        Share of the lenses within their standard error.
+    """
+
+    centres: float
+    right: float
+    wrong: float
+    median: float
+    most: float
+    within: float
+
+
+def draw(seed: int) -> tuple[str, Capture]:
+    """Description and capture of a random scene."""
+    rng = np.random.default_rng(seed)
+    pitch = float(np.exp(rng.uniform(*np.log(_PITCHES))))
+    width = int(pitch * rng.uniform(*_ACROSS))
+    lattice = str(rng.choice(list(LATTICES)))
+    three = lattice.startswith("hex") and rng.random() < _THREE_TYPES
+    turned = float(rng.uniform(-_LARGEST_ROTATION, _LARGEST_ROTATION))
+    camera = Camera.design((width, int(0.75 * width)), pitch, lattice, turned, focus=_FOCUS if three else 0.04)
+    name = str(rng.choice(["house", "plane", "slope", "clutter"]))
+    options: dict[str, float] = {}
+    if name == "plane":
+        options["ratio"] = float(rng.choice([rng.uniform(-0.6, -0.12), rng.uniform(0.12, 0.4)]))
+    elif name == "slope":
+        options["left"], options["right"] = (float(v) for v in np.sort(rng.uniform(-0.55, -0.12, 2)))
+    noise = float(np.exp(rng.uniform(*np.log(_FULL_WELLS)))), float(rng.uniform(*_READ))
+    gamma = bool(rng.random() < 0.7)
+    bits = 8 if gamma else int(rng.choice([8, 16]))
+    scene = SCENES[name](camera, seed=seed, **options)
+    capture = simulate(scene, camera, samples=_SAMPLES, seed=seed, noise=noise, gamma=gamma, bits=bits)
+    types = ", 3 types" if three else ""
+    return f"{name}, {lattice}{types}, {pitch:.1f} px, {turned:+.0f} degrees, {noise[0]:.0f} e, {bits} bits", capture
+
+
+def judge(capture: Capture) -> DepthErrors:
+    """Calibrate the flat, analyse it with `balanced`, and compare with the truth."""
+    truth = capture.truth
+    camera = lfcal.calibrate(capture.flat)
+    depth = lfrender.analyze(capture.flat, camera)
+    apart, near = cKDTree(truth.calibration.lattice.centres()).query(camera.lattice.centres())
+    known = apart < _SAME * truth.calibration.lattice.pitch
+    judged = ((truth.mode != 0) & ~truth.mixed & (truth.contrast > _CONTRAST))[near] & known
+    mode, wanted = depth.mode[judged], truth.mode[near][judged]
+    error = np.abs(depth.patch_size - truth.patch_size[near])[judged]
+    # Lenses left unresolved count among the modes alone.
+    measured = np.isfinite(error)
+    within = error <= depth.standard_error[judged]
+    return DepthErrors(
+        centres=float(np.sqrt((apart[known] ** 2).mean())),
+        right=float((mode == wanted).mean()),
+        wrong=float((mode == -wanted).mean()),
+        median=float(np.nanmedian(error)),
+        most=float(np.nanquantile(error, 0.95)),
+        within=float(within[measured].mean()),
+    )
+
+
+def main(arguments: list[str]) -> None:
+    first, last = (int(v) for v in arguments) if arguments else _SEEDS
+    for seed in range(first, last):
+        described, capture = draw(seed)
+        found = judge(capture)
+        print(
+            f"{seed:3d} {described:62s} centres {found.centres:.4f} px  modes {found.right:.4f} wrong {found.wrong:.4f}"
+            f"  s median {found.median:.4f} 95 % {found.most:.3f} px  within its error {found.within:.2f}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
