@@ -13,7 +13,7 @@ from .shading import SHADING
 
 __all__ = [
     "AGREED", "LEAST_EVIDENCE", "RESOLVABLE", "SHADED_REACH", "SURE", "credible", "judged", "moving", "populated",
-    "possible", "reasons", "shaded", "still",
+    "possible", "reasons", "shaded", "staying",
 ]  # fmt: skip
 
 # Beyond this share of the pitch neighbouring microimages share too little to tell (GEOMETRY.md).
@@ -145,11 +145,11 @@ def populated(values: NDArray[np.float32], known: NDArray[np.float32], gap: floa
 def moving(refined: NDArray, error: NDArray, pitch: float) -> NDArray[np.bool_]:
     """Lenses whose pairs agree on a shift that shading, which stays with its lens, cannot have."""
     size = np.abs(refined)
-    agreed = (error <= _FIRM * pitch) & ~still(refined, error)
+    agreed = (error <= _FIRM * pitch) & ~staying(refined, error)
     return np.asarray(agreed & (size >= _STILL * pitch))
 
 
-def still(refined: NDArray, error: NDArray) -> NDArray[np.bool_]:
+def staying(refined: NDArray, error: NDArray) -> NDArray[np.bool_]:
     """Lenses whose shift may be none, for all that their pairs tell."""
     return np.asarray(np.abs(refined) < _BEYOND_ERRORS * error)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .certainty import misled, signal_share, unexplained
 from .consensus import measure
 from .depthmap import DepthMap
-from .judgement import RESOLVABLE, SURE, credible, judged, moving, possible, shaded, still
+from .judgement import RESOLVABLE, SURE, credible, judged, moving, possible, shaded, staying
 from .neighbours import both_ways, rows_among
 from .recurrence import hardly_seen, recurring
 from .search import Found, Matcher, Preset, search
@@ -174,7 +174,7 @@ def ask(
     maybe = near & doubtful & ~textured & possible(found)
     refined, error = _refined(lenses, setting, found, textured | maybe)
     textured |= maybe & moving(refined, error, pitch)
-    textured &= ~(like_shading & still(refined, error))
+    textured &= ~(like_shading & staying(refined, error))
     signal = signal_share(texture)
     explained = found.explained / signal
     astray = misled(error, explained)
