@@ -108,8 +108,8 @@ def measure(
     noise: float,
     iterations: int,
     last_step: float = LAST_STEP,
-) -> LensFits:
-    """Sub-pixel patch size of each lens from its own pixels first, then with the lenses around it.
+) -> tuple[LensFits, LensFits]:
+    """Sub-pixel patch size of each lens from its own pixels, and then with the lenses around it.
 
     Where a fit is doubtful and the neighbours expect something else nearby, a second fit starts from
     there and the more certain one is kept. At last each lens is weighed with what its neighbours expect of it.
@@ -144,7 +144,7 @@ def measure(
     if leaning.any():
         farther = np.where(leaning, start + np.sign(start) * _LEAN * gray.pitch, np.nan).astype(np.float32)
         own = _surer(own, fit(farther), _CLEARLY)
-    return _supported(own, *_expected(gray, forward, backward, own, own.patch_size, np.inf))
+    return own, _supported(own, *_expected(gray, forward, backward, own, own.patch_size, np.inf))
 
 
 def _surer(one: LensFits, other: LensFits, share: float = 1.0) -> LensFits:
@@ -154,6 +154,7 @@ def _surer(one: LensFits, other: LensFits, share: float = 1.0) -> LensFits:
         np.where(better, other.patch_size, one.patch_size),
         np.where(better, other.standard_error, one.standard_error),
         np.where(better[:, None], other.slant, one.slant),
+        np.where(better, other.slant_error, one.slant_error),
     )
 
 
@@ -167,5 +168,8 @@ def _supported(own: LensFits, expected: NDArray[np.float32], spread: NDArray[np.
         joint += 2 * _SHARED * weight * (1 - weight) * error * spread
         patch_size = np.where(weight > 0, own.patch_size + weight * (expected - own.patch_size), own.patch_size)
         return LensFits(
-            patch_size.astype(np.float32), np.where(weight > 0, np.sqrt(joint), error).astype(np.float32), own.slant
+            patch_size.astype(np.float32),
+            np.where(weight > 0, np.sqrt(joint), error).astype(np.float32),
+            own.slant,
+            own.slant_error,
         )

@@ -31,7 +31,7 @@ from .radiance import GrayFlat, gray_flat
 from .radiance import lens_by_lens as uneven_lenses
 from .region import scaled
 from .search import PRESETS, Matcher
-from .several_depths import Overview, lens_by_lens
+from .several_depths import Overview, Single, lens_by_lens
 from .single_plane import explained_by_plane, plane_evidence, with_misled
 from .skipping import Shortcuts
 from .spreading import grid_shape
@@ -144,13 +144,14 @@ def _depths(
     whole: _Whole, part: LensPart, pixels: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
     """Place, patch size and confidence of the lenses of a window that are resolved."""
-    depth, _ = _part_depth(whole, part, pixels)
+    depth, single = _part_depth(whole, part, pixels)
     found = part.inside & (depth.reason == 0)
-    return part.lattice.centres()[found] + part.corner, depth.patch_size[found], depth.confidence[found]
+    sizes = single.patch_size[found].astype(np.float32)
+    return part.lattice.centres()[found] + part.corner, sizes, depth.confidence[found]
 
 
-def _part_depth(whole: _Whole, part: LensPart, pixels: NDArray[Any]) -> tuple[DepthMap, NDArray[Any]]:
-    """The depth of the lenses of a part, and of those around them; what they may share of their errors."""
+def _part_depth(whole: _Whole, part: LensPart, pixels: NDArray[Any]) -> tuple[DepthMap, Single]:
+    """The depth of the lenses of a part, and of those around them; what single ones say."""
     gray = whole.gray(part, pixels)
     plain = quick_statistics(gray)
     blank = None
@@ -203,16 +204,17 @@ def _by_tiles(
     n = len(lattice)
     patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
     confidence, reason, drawn = np.zeros(n, np.float32), np.ones(n, np.int8), np.zeros(n, np.float32)
-    astray = np.full(n, np.inf)
+    single = Single(np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32), np.full(n, np.inf))
     surface = np.empty(shape, np.float32)
     saved: dict[str, float] = {}
     found = workers.each(_part_depth, whole, tiles, [part.rectangle for part in tiles])
-    for number, (part, (depth, shared)) in enumerate(zip(tiles, found, strict=True)):
+    for number, (part, (depth, own)) in enumerate(zip(tiles, found, strict=True)):
         i, j = (part.lattice.indices()[part.inside] - least).T
         rows = grid[j, i]
         for into, some in (
             (patch_size, depth.patch_size), (error, depth.standard_error), (confidence, depth.confidence),
-            (reason, depth.reason), (drawn, depth.drawn), (astray, shared),
+            (reason, depth.reason), (drawn, depth.drawn), (single.patch_size, own.patch_size),
+            (single.standard_error, own.standard_error), (single.astray, own.astray),
         ):  # fmt: skip
             into[rows] = some[part.inside]
         _paste(surface, depth.surface, part, spacing)
@@ -226,10 +228,10 @@ def _by_tiles(
             lattice.centres(),
             n,
             lattice.pitch,
-            patch_size,
-            error,
+            single.patch_size,
+            single.standard_error,
             reason,
-            astray,
+            single.astray,
             neighbour_rows(lattice, lattice.steps),
         )
     if plane is not None:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .certainty import misled, signal_share, unexplained
+from .certainty import misled, signal_share, unexplained, widened
 from .consensus import measure
 from .depthmap import DepthMap
 from .judgement import RESOLVABLE, SURE, credible, judged, moving, possible, shaded, staying
 from .neighbours import both_ways, rows_among
+from .pooling import pooled
 from .recurrence import hardly_seen, recurring
 from .search import Found, Matcher, Preset, search
+from .slant import LensFits
 from .texture import Texture
 
 __all__ = ["UNTOLD", "Answers", "Earlier", "Lenses", "ask"]
@@ -121,6 +123,8 @@ class Answers:
     second : (n,) float32 [px]
         Next best patch size of lenses with texture; NaN where there is none.
     found : Found
+    alone : LensFits
+        What each lens says for itself: what it measures, or kept; its error is infinite where it is unresolved.
     """
 
     patch_size: NDArray
@@ -131,6 +135,7 @@ class Answers:
     guess: NDArray
     second: NDArray[np.float32]
     found: Found
+    alone: LensFits
 
     @property
     def resolved(self) -> NDArray[np.bool_]:
@@ -140,6 +145,17 @@ class Answers:
     def drawn(self) -> NDArray[np.float32]:
         """(n,) float32 [px]: the answers of resolved lenses, and guesses of the others."""
         return np.where(self.resolved, self.patch_size, self.guess).astype(np.float32)
+
+    def pooled(self, lenses: Lenses, kept: NDArray[np.bool_] | None) -> Answers:
+        """These with what the lenses on the same surface say as well; those that are `kept` stay."""
+        wanted = self.resolved if kept is None else self.resolved & ~kept
+        sizes, errors = pooled(lenses.texture.flat.centres, lenses.pitch, lenses.neighbours, self.alone, wanted)
+        known = wanted & np.isfinite(errors)
+        return replace(
+            self,
+            patch_size=np.where(known, sizes, self.patch_size),
+            standard_error=np.where(known, errors, self.standard_error),
+        )
 
     def among(self, count: int, rows: NDArray[np.int64], earlier: Earlier | None) -> Answers:
         """These as those of the lenses at `rows` of `count`; the others are blank, or as they were."""
@@ -154,7 +170,7 @@ class Answers:
             if earlier is not None and name in _KEPT:
                 whole[name][:] = getattr(earlier, _KEPT[name])
             whole[name][rows] = some
-        return Answers(**whole, found=self.found)
+        return Answers(**whole, found=self.found, alone=self.alone)
 
 
 def ask(
@@ -172,7 +188,7 @@ def ask(
     doubtful = texture.faint | like_shading
     textured = near & ((texture.clear & ~doubtful) | (doubtful & credible(found, pitch)))
     maybe = near & doubtful & ~textured & possible(found)
-    refined, error = _refined(lenses, setting, found, textured | maybe)
+    alone, refined, error = _refined(lenses, setting, found, textured | maybe)
     textured |= maybe & moving(refined, error, pitch)
     textured &= ~(like_shading & staying(refined, error))
     signal = signal_share(texture)
@@ -184,6 +200,7 @@ def ask(
     perhaps = perhaps or unexplained(explained, signal, reason == 0, little)
     reason[again] = 2
     sure = SURE * sure if perhaps else sure
+    alone = replace(alone, standard_error=np.where(reason == 0, widened(alone.standard_error, explained), np.inf))
     guess = found.patch_size
     if earlier is not None and known is not None:
         refined = np.where(earlier.kept, earlier.drawn, refined)
@@ -191,16 +208,29 @@ def ask(
         sure = np.where(earlier.kept, earlier.confidence, sure)
         reason = np.where(earlier.kept, earlier.reason, reason)
         guess = np.where(np.isfinite(known), known, guess)
+        alone = replace(
+            alone,
+            patch_size=np.where(earlier.kept, earlier.drawn, alone.patch_size),
+            standard_error=np.where(
+                earlier.kept, np.where(earlier.reason == 0, earlier.standard_error, np.inf), alone.standard_error
+            ),
+        )
+    guess = _within_reach(guess, refined, reason, pitch)
     second = np.where(textured, found.second, np.nan).astype(np.float32)
-    return Answers(refined, error, sure, reason, astray, _within_reach(guess, refined, reason, pitch), second, found)
+    return Answers(refined, error, sure, reason, astray, guess, second, found, alone)
 
 
-def _refined(lenses: Lenses, setting: Preset, found: Found, wanted: NDArray[np.bool_]) -> tuple[NDArray, NDArray]:
-    """Patch sizes and their errors (n,) [px], measured on the pixels of the lenses `wanted`; else found, and inf."""
+def _refined(
+    lenses: Lenses, setting: Preset, found: Found, wanted: NDArray[np.bool_]
+) -> tuple[LensFits, NDArray, NDArray]:
+    """What lenses measure alone, and their patch sizes and errors (n,) [px] with those around them.
+
+    Of the lenses `wanted`; for the others what was found, and inf.
+    """
     texture = lenses.texture
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
     first = np.where(wanted, found.patch_size, np.nan).astype(np.float32)
-    by_pixels = measure(
+    alone, by_pixels = measure(
         texture.flat,
         lenses.forward,
         lenses.backward,
@@ -212,7 +242,7 @@ def _refined(lenses: Lenses, setting: Preset, found: Found, wanted: NDArray[np.b
     )
     measured = np.isfinite(by_pixels.patch_size)
     refined = np.where(measured, by_pixels.patch_size, found.patch_size)
-    return refined, np.where(measured, by_pixels.standard_error, np.inf)
+    return alone, refined, np.where(measured, by_pixels.standard_error, np.inf)
 
 
 def _within_reach(guess: NDArray, refined: NDArray, reason: NDArray[np.int8], pitch: float) -> NDArray:

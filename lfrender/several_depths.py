@@ -24,7 +24,7 @@ from .spreading import spread
 from .surface import Surface
 from .texture import LensStatistics, Texture, find_texture, nearly_untouched_texture, noise_of
 
-__all__ = ["Overview", "lens_by_lens"]
+__all__ = ["Overview", "Single", "lens_by_lens"]
 
 # So many lenses, evenly spread, tell which depths occur; where few carry texture, this share of them, but not fewer
 # than the last number.
@@ -58,6 +58,22 @@ class Overview:
     noise: float
     sizes: NDArray[np.float32]
     raw_noise: float
+
+
+@dataclass(frozen=True)
+class Single:
+    """What each lens answers without what others on its surface say: errors of lenses beside each other share little.
+
+    Parameters
+    ----------
+    patch_size, standard_error : (n,) [px]
+    astray : (n,) [px]
+        Part of each error that all lenses of a surface may share.
+    """
+
+    patch_size: NDArray
+    standard_error: NDArray
+    astray: NDArray
 
 
 @dataclass(frozen=True)
@@ -118,23 +134,22 @@ def lens_by_lens(
     kept: NDArray[np.bool_] | None = None,
     before: DepthMap | None = None,
     overview: Overview | None = None,
-) -> tuple[DepthMap, NDArray]:
+) -> tuple[DepthMap, Single]:
     """The depth of every lens, but for the `blank` ones and those `kept` from what was found `before`.
 
-    `overview` is of the larger flat of which this is a part. Beside the depth stands the part (n,) [px] of each error
-    that all lenses of a surface may share.
+    `overview` is of the larger flat of which this is a part. Beside the depth stands what single lenses say.
     """
     level, tried = None, np.inf
     if blank is not None and kept is None and overview is None and shortcuts.plane:
         level, tried = _plane_among_blank(gray, lattice, preset, plain, blank)
         if level is not None:
-            return level, np.zeros(len(lattice))
+            return level, _level(level)
     asked = _asked(gray, lattice, shortcuts, plain, blank, kept, before, overview)
     lenses, rows, setting = asked.lenses, asked.rows, PRESETS[preset]
     if rows is not None and asked.alone and shortcuts.plane and lenses.active.sum() < _FEWER * tried:
         level = few_on_plane(lenses, rows, asked.texture.flat, lattice, preset)
         if level is not None:
-            return level, np.zeros(len(lattice))
+            return level, _level(level)
     answers = asked.answers(setting, shortcuts.ranges)
     saved = _saved(shortcuts, asked, answers.found)
     plane = None
@@ -148,7 +163,13 @@ def lens_by_lens(
     answers = confirmed(plane, answers, lenses)
     if rows is not None:
         answers = answers.among(len(lattice), rows, None)
-    return on_one_plane(plane, lattice, preset, answers.reason, answers.confidence, saved), answers.astray
+    depth = on_one_plane(plane, lattice, preset, answers.reason, answers.confidence, saved)
+    return depth, Single(depth.patch_size, depth.standard_error, answers.astray)
+
+
+def _level(depth: DepthMap) -> Single:
+    """What single lenses say where a few have told the plane of all."""
+    return Single(depth.patch_size, depth.standard_error, np.zeros(len(depth.reason)))
 
 
 def _plane_among_blank(
@@ -203,16 +224,19 @@ def _asked(
 
 def _spread_out(
     asked: _Asked, answers: Answers, preset: str, shortcuts: Shortcuts, saved: dict[str, float]
-) -> tuple[DepthMap, NDArray]:
+) -> tuple[DepthMap, Single]:
     """The depth of all lenses from what those that were asked answer, spread over the scene; as `lens_by_lens`."""
     lattice, lenses, rows, earlier, setting = asked.lattice, asked.lenses, asked.rows, asked.earlier, PRESETS[preset]
     gap = max(1.0, 0.05 * lattice.pitch)
+    kept, alone = asked.kept, answers
+    answers = answers.pooled(lenses, kept if kept is None or rows is None else kept[rows])
     occurring = _occurring(answers, rows, earlier) if asked.overview is None else asked.overview.sizes
     drawn = fill(answers.drawn, answers.resolved, lenses.neighbours, gap)
     seconds = _seconds(lenses, answers, drawn, occurring, setting, shortcuts, gap)
     if rows is not None:
         answers, drawn, seconds = _among_all(lattice, rows, answers, drawn, seconds, earlier)
-    resolved, sure, kept = answers.resolved, answers.confidence, asked.kept
+        alone = alone.among(len(lattice), rows, earlier)
+    resolved, sure = answers.resolved, answers.confidence
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
     old = None if asked.before is None else asked.before.surface
     settled = None if kept is None else ~grown(~kept, neighbour_rows(lattice, lattice.steps))
@@ -237,7 +261,7 @@ def _spread_out(
         reason=answers.reason,
         saved=saved,
     )
-    return depth, answers.astray
+    return depth, Single(alone.patch_size, alone.standard_error, alone.astray)
 
 
 def _telling(lattice: Lattice, clear: NDArray[np.bool_], active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:

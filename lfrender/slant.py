@@ -47,11 +47,14 @@ class LensFits:
         Of `patch_size`; inf where unknown.
     slant : (n, 2) float32
         Change of the patch size per px in the microimage, order `x, y`: constant over a plane.
+    slant_error : (n,) float32
+        Standard error of either component of `slant`; inf where unknown.
     """
 
     patch_size: NDArray[np.float32]
     standard_error: NDArray[np.float32]
     slant: NDArray[np.float32]
+    slant_error: NDArray[np.float32]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
@@ -184,11 +187,11 @@ def _expect_slants(forward, backward, sizes, gap, slants, spreads, prior):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _standard_errors(forward, backward, sizes, pitch, gap, spreads, out):
+def _standard_errors(forward, backward, sizes, pitch, gap, spreads, out, slant_errors):
     """Scale the error of each lens by the scatter of its pairs and of its neighbours' on the same surface."""
     half = forward.shape[1]
     for lens in prange(len(sizes)):
-        out[lens] = np.inf
+        out[lens] = slant_errors[lens] = np.inf
         if not np.isfinite(spreads[lens, 0]):
             continue
         chi2, freedom = spreads[lens, 2], spreads[lens, 3]
@@ -202,6 +205,7 @@ def _standard_errors(forward, backward, sizes, pitch, gap, spreads, out):
         if scatter > 1:
             scatter += (_ALIKE - 1) * (scatter - 1)
         out[lens] = unseen * np.sqrt(spreads[lens, 0] * scatter)
+        slant_errors[lens] = unseen * np.sqrt(spreads[lens, 1] * scatter)
 
 
 def fit_lenses(
@@ -230,7 +234,7 @@ def fit_lenses(
     """
     n = len(start)
     sizes, errors, slants = np.empty(n, np.float32), np.empty(n, np.float32), np.empty((n, 2), np.float32)
-    spreads = np.empty((n, 4), np.float32)
+    spreads, slant_errors = np.empty((n, 4), np.float32), np.empty(n, np.float32)
     prior = np.zeros((n, 3), np.float32)
     prior[:, 2] = 1 / _SLANT**2
     gap = np.float32(_ONE_SURFACE * gray.pitch)
@@ -244,5 +248,5 @@ def fit_lenses(
     _fit_lenses(
         gray.centres, pitch, forward, backward, *measured, sizes.copy(), prior, _ROUNDS // 2, 0, sizes, slants, spreads
     )
-    _standard_errors(forward, backward, sizes, pitch, gap, spreads, errors)
-    return LensFits(sizes, errors, slants)
+    _standard_errors(forward, backward, sizes, pitch, gap, spreads, errors, slant_errors)
+    return LensFits(sizes, errors, slants, slant_errors)

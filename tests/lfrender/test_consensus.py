@@ -8,7 +8,7 @@ def measured(gray, lattice, start):
     rows = neighbour_rows(lattice, lattice.steps)
     half = rows.shape[1] // 2
     scale = np.full(len(start), 0.1, np.float32)
-    return measure(gray, rows[:, :half], rows[:, half:], start.astype(np.float32), scale, 0.005, 6)
+    return measure(gray, rows[:, :half], rows[:, half:], start.astype(np.float32), scale, 0.005, 6)[1]
 
 
 def test_a_lens_that_starts_far_off_is_brought_back_by_its_neighbours(drawn_flat):

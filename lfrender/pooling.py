@@ -1,0 +1,183 @@
+"""Lenses on one surface measure it together: each patch size weighed with those of the lenses around it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from .remembered import remembered
+from .slant import LensFits
+from .striding import stretches
+
+__all__ = ["pooled"]
+
+# Lenses farther apart than this many standard deviations hardly count as one surface.
+_APART = 3.0
+# No surface is even, and no slant better known than to this.
+_LEAST_SLANT = 0.002
+# How far the lenses about one scatter beyond their errors is found in so many rounds.
+_ROUNDS = 3
+# Lenses that together weigh less than one half say nothing.
+_LEAST_WEIGHT = 0.5
+# Neighbours share pixels, pairs, and what misleads them: correlation of their errors. Some error [px] all lenses of a
+# surface share; it grows [pitches] with the cube of |s| / D, as neighbours come to share no more than their rims.
+# Measured on ray-traced scenes.
+_SHARED = 0.03
+_UNSEEN, _UNSEEN_GROWTH = 0.0016, 0.001
+# Of `k` neighbours, lattices have twice as many beside these.
+_RINGS = 3
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _find_around(neighbours, out):
+    """The neighbours of each lens and their neighbours, each once, then -1."""
+    for lens in prange(len(out)):
+        count = 0
+        for k in range(neighbours.shape[1]):
+            near = neighbours[lens, k]
+            if near >= 0:
+                out[lens, count] = near
+                count += 1
+        for k in range(neighbours.shape[1]):
+            near = neighbours[lens, k]
+            if near < 0:
+                continue
+            for m in range(neighbours.shape[1]):
+                other = neighbours[near, m]
+                new = other >= 0 and other != lens
+                for seen in range(count):
+                    new &= out[lens, seen] != other
+                if new and count < out.shape[1]:
+                    out[lens, count] = other
+                    count += 1
+        out[lens, count:] = -1
+
+
+def _around(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(n, 3 k) int32 rows of the lenses in two rings about each, -1 where there is none."""
+
+    def find() -> NDArray[np.int32]:
+        out = np.empty((len(neighbours), _RINGS * neighbours.shape[1]), np.int32)
+        _find_around(neighbours, out)
+        return out
+
+    return remembered(neighbours, "two rings", find)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _expect(count, away, along_x, along_y, variance, share, slant_known):
+    """What `count` lenses expect of another: difference from what it says itself, variance, and shared variance.
+
+    A weighted plane through their differences `away`. What they scatter about it beyond their variances is as likely
+    the surface's own unevenness (DerSimonian and Laird, Meta-analysis in clinical trials, 1986), which the other lens
+    has as well.
+    """
+    uneven = height = inverse = total = 0.0
+    for turn in range(_ROUNDS):
+        a = b = c = d = e = f = p = q = r = squares = 0.0
+        for k in range(count):
+            w = share[k] / (variance[k] + uneven)
+            x, y = along_x[k], along_y[k]
+            a += w
+            squares += w * w
+            b += w * x
+            c += w * y
+            d += w * x * x
+            e += w * x * y
+            f += w * y * y
+            p += w * away[k]
+            q += w * x * away[k]
+            r += w * y * away[k]
+        total = a
+        d += slant_known
+        f += slant_known
+        i00, i01, i02 = d * f - e * e, c * e - b * f, b * e - c * d
+        i11, i12, i22 = a * f - c * c, b * c - a * e, a * d - b * b
+        over = 1 / (a * i00 + b * i01 + c * i02)
+        height, inverse = (i00 * p + i01 * q + i02 * r) * over, i00 * over
+        if turn == _ROUNDS - 1:
+            break
+        x_slant, y_slant = (i01 * p + i11 * q + i12 * r) * over, (i02 * p + i12 * q + i22 * r) * over
+        scatter, freedom = 0.0, -1.0
+        for k in range(count):
+            rest = away[k] - height - x_slant * along_x[k] - y_slant * along_y[k]
+            scatter += share[k] * rest * rest / (variance[k] + uneven)
+            freedom += share[k]
+        freedom -= (1 - i11 * over * slant_known) + (1 - i22 * over * slant_known)
+        uneven += max(scatter - freedom + 1, 0.0) / max(a - squares / a, 1e-9)
+    return height, inverse + uneven, count / total
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _pool(centres, pitch, around, sizes, errors, slants, slant_errors, wanted, out, out_errors):
+    most = around.shape[1]
+    parts, each, stride = stretches(len(centres))
+    for part in prange(parts):
+        away, variance, share = np.empty(most), np.empty(most), np.empty(most)
+        along_x, along_y = np.empty(most), np.empty(most)
+        begin = part * stride % parts * each
+        for lens in range(begin, min(begin + each, len(centres))):
+            own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
+            out[lens], out_errors[lens] = sizes[lens], errors[lens]
+            if not (wanted[lens] and np.isfinite(own_variance)):
+                continue
+            slant_variance = np.float64(slant_errors[lens]) ** 2 + _LEAST_SLANT**2
+            count, weight = 0, 0.0
+            for k in range(most):
+                other = around[lens, k]
+                if other < 0:
+                    break
+                size, noise = np.float64(sizes[other]), np.float64(errors[other]) ** 2
+                if not np.isfinite(noise):
+                    continue
+                ex = (np.float64(centres[other, 0]) - centres[lens, 0]) / pitch
+                ey = (np.float64(centres[other, 1]) - centres[lens, 1]) / pitch
+                # Over a plane 1 / s is linear in X, with the slant -D * grad(s) / s.
+                rest = size * (1 + slants[lens, 0] * ex + slants[lens, 1] * ey) - own
+                limit = own_variance + noise + slant_variance * size * size * (ex * ex + ey * ey)
+                doubt = 1 / (1 + rest * rest / (_APART * _APART * limit))
+                away[count], variance[count], share[count] = rest, noise, doubt * doubt
+                along_x[count], along_y[count] = size * ex, size * ey
+                weight += share[count]
+                count += 1
+            if weight < _LEAST_WEIGHT:
+                continue
+            expected, uncertain, shared = _expect(count, away, along_x, along_y, variance, share, 1 / slant_variance)
+            if expected * expected > _APART * _APART * (uncertain + own_variance):
+                continue
+            out[lens] = own + own_variance / (own_variance + uncertain) * expected
+            joint = own_variance * uncertain / (own_variance + uncertain)
+            unseen = _UNSEEN_GROWTH * pitch * abs(own / pitch) ** 3
+            out_errors[lens] = np.sqrt(joint + _SHARED * min(shared, own_variance) + _UNSEEN**2 + unseen**2)
+
+
+def pooled(
+    centres: NDArray[np.float32],
+    pitch: float,
+    neighbours: NDArray[np.int32],
+    fits: LensFits,
+    wanted: NDArray[np.bool_],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Patch sizes and standard errors (n,) [px] of lenses together with those in two rings around them.
+
+    A lens is weighed with what a plane through the others expects of it. Others count as far as they agree with it,
+    and the less the more they scatter: what is bent, or belongs to several surfaces, stays as it is.
+
+    Parameters
+    ----------
+    centres : (n, 2) float32 [px]
+    pitch : float [px]
+    neighbours : (n, k) int32
+        Neighbour rows in all directions, -1 where there is none.
+    fits : LensFits
+        What each lens measures alone; those of infinite error say nothing to others.
+    wanted : (n,) bool
+        The others stay as they are.
+    """
+    sizes, errors = np.empty(len(centres), np.float32), np.empty(len(centres), np.float32)
+    _pool(
+        centres, pitch, _around(neighbours), fits.patch_size, fits.standard_error, fits.slant, fits.slant_error, wanted,
+        sizes, errors,
+    )  # fmt: skip
+    return sizes, errors

@@ -1,0 +1,98 @@
+import numpy as np
+import pytest
+
+from data_synth import Camera
+from lfrender.neighbours import neighbour_rows
+from lfrender.pooling import _around, pooled
+from lfrender.slant import LensFits
+
+NOISE = 0.05
+
+
+def cameras(kind="hex"):
+    lattice = Camera.design((600, 450), 20.0, kind).lattice
+    return lattice, lattice.centres().astype(np.float32), neighbour_rows(lattice, lattice.steps)
+
+
+def fits(sizes, noise=NOISE, seed=0):
+    """Lenses that measure their sizes with some noise, and slants of which they know little."""
+    rng = np.random.default_rng(seed)
+    errors = np.broadcast_to(np.float32(noise), len(sizes)).copy()
+    measured = (sizes + errors * rng.standard_normal(len(sizes))).astype(np.float32)
+    slants = np.zeros((len(sizes), 2), np.float32)
+    return LensFits(measured, errors, slants, np.full(len(sizes), 0.02, np.float32))
+
+
+@pytest.mark.parametrize("kind", ["hex", "square"])
+@pytest.mark.parametrize("slant", [0.0, 0.0004])
+def test_lenses_of_a_plane_halve_their_error_and_know_it(kind, slant):
+    _, centres, neighbours = cameras(kind)
+    truth = 1 / (-1 / 9.0 + (centres[:, 0] - 300) * slant / 9)
+    own = fits(truth)
+    sizes, errors = pooled(centres, 20.0, neighbours, own, np.ones(len(truth), bool))
+    away = np.abs(sizes - truth)
+    assert np.median(away) < 0.5 * np.median(np.abs(own.patch_size - truth))
+    assert 0.6 < np.mean(away <= errors) < 0.85
+    assert np.median(errors) < 0.5 * NOISE
+
+
+def test_depth_edges_stay_sharp():
+    _, centres, neighbours = cameras()
+    left = centres[:, 0] < 300
+    truth = np.where(left, -9.0, -8.0)
+    sizes, _ = pooled(centres, 20.0, neighbours, fits(truth), np.ones(len(truth), bool))
+    assert np.abs(sizes - truth).max() < 4 * NOISE
+    at_edge = np.abs(centres[:, 0] - 300) < 20
+    assert np.abs((sizes - truth)[at_edge & left].mean()) < 0.02
+
+
+def test_a_doubtful_lens_between_two_depths_keeps_its_doubt():
+    """What disagrees by far more than its errors tells little, however sure each of it is."""
+    _, centres, neighbours = cameras()
+    truth = np.where(centres[:, 0] < 300, -9.0, -8.0)
+    own = fits(truth, 0.01)
+    doubtful = np.abs(centres[:, 0] - 300) < 10
+    own.standard_error[doubtful] = 0.6
+    own.patch_size[doubtful] = -8.5
+    _, errors = pooled(centres, 20.0, neighbours, own, np.ones(len(truth), bool))
+    assert np.median(errors[doubtful]) > 0.15
+    assert np.median(errors[~doubtful]) < 0.01
+
+
+def test_bent_surfaces_are_not_flattened():
+    _, centres, neighbours = cameras()
+    away = (centres - centres.mean(0)) / 20.0
+    truth = -9.0 + 0.06 * (away**2).sum(1)
+    own = fits(truth, 0.005)
+    sizes, _ = pooled(centres, 20.0, neighbours, own, np.ones(len(truth), bool))
+    assert np.median(np.abs(sizes - truth)) < 1.2 * np.median(np.abs(own.patch_size - truth))
+
+
+def test_lenses_that_know_nothing_say_nothing():
+    _, centres, neighbours = cameras()
+    truth = np.full(len(centres), -9.0)
+    own, wanted = fits(truth), np.ones(len(centres), bool)
+    own.standard_error[::3] = np.inf
+    own.patch_size[::3] = np.nan
+    wanted[1::3] = False
+    sizes, errors = pooled(centres, 20.0, neighbours, own, wanted)
+    assert np.isnan(sizes[::3]).all() and np.isinf(errors[::3]).all()
+    np.testing.assert_array_equal(sizes[1::3], own.patch_size[1::3])
+    assert np.isfinite(sizes[2::3]).all()
+    assert np.median(np.abs(sizes - truth)[2::3]) < 0.6 * np.median(np.abs(own.patch_size - truth)[2::3])
+
+
+@pytest.mark.parametrize("kind, count", [("hex", 18), ("square", 12)])
+def test_two_rings_hold_every_lens_once(kind, count):
+    lattice, centres, neighbours = cameras(kind)
+    around = _around(neighbours)
+    assert around.shape[1] == neighbours.shape[1] * 3
+    apart = np.hypot(*(centres[:, None] - centres[None]).transpose(2, 0, 1)) / lattice.pitch
+    for lens, rows in enumerate(around):
+        found = rows[rows >= 0]
+        assert len(np.unique(found)) == len(found) <= count and lens not in found
+        # All lenses that near, but for those at corners of the flat that are reached over none.
+        near = np.flatnonzero((apart[lens] < 2.1) & (apart[lens] > 0))
+        assert set(found) <= set(near)
+    inner = (neighbours >= 0).all(1) & (neighbours >= 0).all(1)[neighbours].all(1)
+    assert ((around[inner] >= 0).sum(1) == count).all()
