@@ -124,7 +124,8 @@ class Answers:
         Next best patch size of lenses with texture; NaN where there is none.
     found : Found
     alone : LensFits
-        What each lens says for itself: what it measures, or kept; its error is infinite where it is unresolved.
+        What each lens that was asked says for itself: what it measures, or kept; its error is infinite where it is
+        unresolved.
     """
 
     patch_size: NDArray

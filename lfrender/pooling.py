@@ -177,7 +177,7 @@ def pooled(
     """
     sizes, errors = np.empty(len(centres), np.float32), np.empty(len(centres), np.float32)
     _pool(
-        centres, pitch, _around(neighbours), fits.patch_size, fits.standard_error, fits.slant, fits.slant_error, wanted,
-        sizes, errors,
+        centres, pitch, _around(neighbours), fits.patch_size.astype(np.float32), fits.standard_error.astype(np.float32),
+        fits.slant, fits.slant_error, wanted, sizes, errors,
     )  # fmt: skip
     return sizes, errors

@@ -228,14 +228,14 @@ def _spread_out(
     """The depth of all lenses from what those that were asked answer, spread over the scene; as `lens_by_lens`."""
     lattice, lenses, rows, earlier, setting = asked.lattice, asked.lenses, asked.rows, asked.earlier, PRESETS[preset]
     gap = max(1.0, 0.05 * lattice.pitch)
-    kept, alone = asked.kept, answers
+    kept, single = asked.kept, answers
     answers = answers.pooled(lenses, kept if kept is None or rows is None else kept[rows])
     occurring = _occurring(answers, rows, earlier) if asked.overview is None else asked.overview.sizes
     drawn = fill(answers.drawn, answers.resolved, lenses.neighbours, gap)
     seconds = _seconds(lenses, answers, drawn, occurring, setting, shortcuts, gap)
     if rows is not None:
         answers, drawn, seconds = _among_all(lattice, rows, answers, drawn, seconds, earlier)
-        alone = alone.among(len(lattice), rows, earlier)
+        single = single.among(len(lattice), rows, earlier)
     resolved, sure = answers.resolved, answers.confidence
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
     old = None if asked.before is None else asked.before.surface
@@ -261,7 +261,7 @@ def _spread_out(
         reason=answers.reason,
         saved=saved,
     )
-    return depth, Single(alone.patch_size, alone.standard_error, alone.astray)
+    return depth, Single(single.patch_size, single.standard_error, single.astray)
 
 
 def _telling(lattice: Lattice, clear: NDArray[np.bool_], active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
