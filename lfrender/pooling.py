@@ -25,8 +25,8 @@ _LEAST_WEIGHT = 0.5
 # Measured on ray-traced scenes.
 _SHARED = 0.03
 _UNSEEN, _UNSEEN_GROWTH = 0.0016, 0.001
-# Of `k` neighbours, lattices have twice as many beside these.
-_RINGS = 3
+# Two rings hold so many times the lenses of the first: of a lattice, the second has twice as many.
+_BOTH_RINGS = 3
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -58,7 +58,7 @@ def _around(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
     """(n, 3 k) int32 rows of the lenses in two rings about each, -1 where there is none."""
 
     def find() -> NDArray[np.int32]:
-        out = np.empty((len(neighbours), _RINGS * neighbours.shape[1]), np.int32)
+        out = np.empty((len(neighbours), _BOTH_RINGS * neighbours.shape[1]), np.int32)
         _find_around(neighbours, out)
         return out
 

@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
-from data_synth import Camera
+import lfrender
+from data_synth import SCENES, Camera, simulate
+from lfrender.lens_answers import Answers
 from lfrender.neighbours import neighbour_rows
 from lfrender.pooling import _around, pooled
 from lfrender.slant import LensFits
@@ -96,3 +98,23 @@ def test_two_rings_hold_every_lens_once(kind, count):
         assert set(found) <= set(near)
     inner = (neighbours >= 0).all(1) & (neighbours >= 0).all(1)[neighbours].all(1)
     assert ((around[inner] >= 0).sum(1) == count).all()
+
+
+def test_an_analysis_pools_what_its_lenses_measure(monkeypatch):
+    """Behind branches, where no plane is recognised for all."""
+    camera = Camera.design((420, 320), 16.0, "hex")
+    shot = simulate(SCENES["house"](camera, seed=21), camera, samples=32, seed=21, noise=(4000, 3))
+    truth = shot.truth
+    judged = (truth.mode != 0) & ~truth.mixed & (truth.contrast > 0.03)
+
+    def errors():
+        depth = lfrender.analyze(shot.flat, truth.calibration)
+        return np.abs(depth.patch_size - truth.patch_size)[judged], depth.standard_error[judged]
+
+    away, stated = errors()
+    monkeypatch.setattr(Answers, "pooled", lambda answers, *_: answers)
+    single, single_stated = errors()
+    assert judged.sum() > 100
+    assert np.nanmedian(away) < 0.7 * np.nanmedian(single)
+    assert np.median(stated) < 0.7 * np.median(single_stated)
+    assert np.mean(away <= stated) > 0.55
