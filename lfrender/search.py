@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -178,6 +178,10 @@ class Matcher:
     def trust(self) -> NDArray[np.float32]:
         """(k,) float32: share of a correlation that is believed at each shift, for the pixels that are shared there."""
         return shared_trust(self.gray, self.forward, self.shifts, half_trust(self.gray))
+
+    def shrunk(self, texture: Texture) -> Texture:
+        """The texture it was made of, on the smaller flat that it matches."""
+        return replace(texture, flat=self.gray, statistics=self.statistics, noise=self._noise)
 
     def _strips(self, active: NDArray[np.bool_]) -> Strips:
         """The microimages of the `active` lenses and of those beside them."""

@@ -31,7 +31,7 @@ _COARSE = 11.0
 # A slanted plane needs so many times as many: three numbers instead of one, of which two are carried to the border.
 _SLANTED = 6
 # Microimages of a larger pitch than this [px] tell more each, so that fewer of them do.
-_LARGE = 45.0
+_LARGE = 35.0
 # Of a plane that faces the camera this share of the lenses are searched to the same patch size, to that of the pitch.
 _ALIKE, _NEAR = 0.7, 0.05
 # Lenses that seem off the plane to one side by this much [px of the search], so many others beside them, are measured.
@@ -94,37 +94,41 @@ def find_plane(
     sample = sample_lenses(indices, _inner(texture, rows), count)
     if sample.sum() < _TOO_FEW:
         return None
-    few = _Few.of(texture, forward, backward, sample)
+    whole = Matcher(texture, forward, backward, setting)
+    few = _Few.of(whole.shrunk(texture), forward, backward, sample)
     matcher = few.matcher(setting)
     cost = matcher.costs(matcher.pairs(few.asked), few.asked)
     best = cost.argmin(1)
     if matcher.repeats(cost):
         return None
     found = (matcher.shifts[best] + parabola_peak(cost, best) * matcher.step) * few.coarse
-    if not nearly_planar(texture.flat.centres[sample].astype(np.float64), found.astype(np.float64), pitch):
+    searched = found.astype(np.float64) * whole.factor
+    if not nearly_planar(texture.flat.centres[sample].astype(np.float64), searched, pitch):
         return None
-    if facing and np.mean(np.abs(found - np.median(found)) <= _NEAR * pitch) < _ALIKE:
+    if facing and np.mean(np.abs(searched - np.median(searched)) <= _NEAR * pitch) < _ALIKE:
         return None
     points, sizes = few.measured(found, setting)
+    points, sizes = (points + 0.5) * whole.factor - 0.5, sizes * whole.factor
     plane = fit_plane(points, sizes, pitch) if len(sizes) >= _TOO_FEW else None
     if plane is None or (facing and plane.slanted):
         return None
     paths = 2 * forward.shape[1]
     sure = median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance()))
-    matcher = Matcher(texture, forward, backward, setting)
     about = plane.at(texture.flat.centres.astype(np.float64)).astype(np.float32)
-    evidence = plane_evidence(matcher, texture, about, setting)
+    evidence = plane_evidence(whole, texture, about, setting)
     if evidence is None:
         return None
-    if plane.slanted:
-        more = sample_lenses(indices, texture.clear, int(_SLANTED * _SAMPLE * min(1.0, _LARGE / pitch)))
+    if plane.slanted or whole.factor > 1:
+        more = sample
+        if plane.slanted:
+            more = sample_lenses(indices, texture.clear, int(_SLANTED * _SAMPLE * min(1.0, _LARGE / pitch) ** 2))
         few = _Few.of(texture, forward, backward, more)
         # Of so few as the sample a plane that faces the camera may have looked slanted.
         about_few = plane.at(few.texture.flat.centres.astype(np.float64))
         plane = fit_plane(*few.measured(about_few, setting, once=True), pitch)
         if plane is None:
             return None
-    plane = with_misled(plane, explained_by_plane(matcher, texture, about, evidence)[texture.clear])
+    plane = with_misled(plane, explained_by_plane(whole, texture, about, evidence)[texture.clear])
     return PlaneScene(plane, sure, evidence, float(sample.mean()))
 
 
