@@ -207,8 +207,8 @@ def _asked(
     neighbours = neighbour_rows(lattice, lattice.steps)
     near = np.ones(len(lattice), bool)
     if kept is not None:
-        # Lenses beside those with a new answer support them, and so do those beside these.
-        near = grown(grown(~kept, neighbours), neighbours)
+        # Lenses beside those with a new answer support them.
+        near = grown(~kept, neighbours)
     noise = None if overview is None else overview.noise
     texture = find_texture(gray, lattice, plain, blank, grown(near, neighbours), noise)
     some = texture.clear | texture.faint
