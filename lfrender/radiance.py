@@ -308,33 +308,48 @@ def trusted_radius(calibration: Calibration) -> float:
     return radius
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shrink_row(image, top, first, factor, line, into):
+    """Means of `factor` x `factor` pixels each, from row `top` and column `first` on; `line` is memory to work in."""
+    for k in range(len(line)):
+        line[k] = image[top, first + k]
+    for r in range(top + 1, top + factor):
+        row = image[r, first : first + len(line)]
+        for k in range(len(line)):
+            line[k] += row[k]
+    weight = np.float32(1 / factor**2)
+    # The compiler has vector instructions for steps that it knows.
+    if factor == 2:
+        for u in range(np.uint64(len(into))):
+            into[u] = weight * (line[2 * u] + line[2 * u + 1])
+    elif factor == 3:
+        for u in range(np.uint64(len(into))):
+            into[u] = weight * (line[3 * u] + line[3 * u + 1] + line[3 * u + 2])
+    else:
+        for u in range(len(into)):
+            total = np.float32(0.0)
+            for k in range(u * factor, (u + 1) * factor):
+                total += line[np.uint64(k)]
+            into[u] = weight * total
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _shrink_boxes(image, centres, half, factor, out):
     """Fill the pixels of `out` no farther than `half` from a centre, each way: means of `factor` x `factor` others."""
     height, width = out.shape
-    weight = np.float32(1 / factor**2)
     for lens in prange(len(centres)):
         x, y = int(np.rint(centres[lens, 0])), int(np.rint(centres[lens, 1]))
         left, right = max(0, x - half), min(width - 1, x + half)
         columns = max(right + 1 - left, 0)
         line = np.empty(columns * factor, np.float32)
         for v in range(max(0, y - half), min(height - 1, y + half) + 1):
-            line[:] = 0
-            for r in range(v * factor, (v + 1) * factor):
-                row = image[r, left * factor : (right + 1) * factor]
-                for k in range(len(line)):
-                    line[k] += row[k]
-            into = out[v, left : right + 1]
-            # The compiler has vector instructions for steps that it knows.
-            if factor == 2:
-                for u in range(np.uint64(columns)):
-                    into[u] = weight * (line[2 * u] + line[2 * u + 1])
-                continue
-            for u in range(columns):
-                total = np.float32(0.0)
-                for k in range(u * factor, (u + 1) * factor):
-                    total += line[np.uint64(k)]
-                into[u] = weight * total
+            _shrink_row(image, v * factor, left * factor, factor, line, out[v, left : left + columns])
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _shrink_all(image, factor, out):
+    for v in prange(len(out)):
+        _shrink_row(image, v * factor, 0, factor, np.empty(out.shape[1] * factor, np.float32), out[v])
 
 
 def shrink(gray: GrayFlat, factor: int, wanted: NDArray[np.bool_] | None = None) -> GrayFlat:
@@ -355,11 +370,10 @@ def shrink(gray: GrayFlat, factor: int, wanted: NDArray[np.bool_] | None = None)
 
 
 def _shrunk_flat(gray: GrayFlat, factor: int) -> GrayFlat:
-    import cv2
-
     height, width = (n // factor for n in gray.image.shape)
-    image = cv2.resize(gray.image[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
-    return _of_blocks(gray, factor, image.astype(np.float32, copy=False))
+    image = np.empty((height, width), np.float32)
+    _shrink_all(gray.image, factor, image)
+    return _of_blocks(gray, factor, image)
 
 
 def _of_blocks(gray: GrayFlat, factor: int, image: NDArray[np.float32]) -> GrayFlat:

@@ -28,7 +28,8 @@ def test_cameras_out_of_pickles_need_no_other_kernels(house):
     depth = lfrender.analyze(house.flat, camera, "fast")
     lfrender.render(house.flat, camera, depth)
     before = compiled()
-    assert sum(map(len, before.values())) > 50
+    # Kernels that others call are listed where they have been compiled, not where they come from the disk: then 43.
+    assert sum(map(len, before.values())) > 40
     camera, depth = pickle.loads(pickle.dumps((camera, depth)))
     lfrender.render(house.flat, camera, lfrender.analyze(house.flat, camera, "fast"))
     lfrender.render(house.flat, camera, depth)
