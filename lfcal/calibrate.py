@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["calibrate"]
 
-# Two halves of a flat must show average microimages that correlate at least so much.
-_REPEATS = 0.8
 # Halves that put the lattice further apart than this share of the pitch have not found one.
 _SCATTERED = 0.1
 # Below this confidence a person should look.
@@ -110,7 +108,17 @@ def _calibrated(
         found = _found_on_all(lights(), kind, filtered)
     if found.white and kind == "auto" and len(flats) == 1 and _is_scene(found):
         found = _found_on_all(lights(), "scene", filtered)
-    camera = _measured(found)
+    try:
+        camera = _measured(found)
+    except CalibrationError as error:
+        if found.white:
+            raise
+        # What has been found may be places of the scene that all lenses show, or several types of lenses as one.
+        try:
+            found = _found_on_all(lights(), "scene", filtered, found.start.lattice.basis)
+            camera = _measured(found)
+        except CalibrationError:
+            raise error from None
     warnings = (*camera.warnings, *_warnings(camera, found.fit.halves_differ, filtered and mosaic is None))
     return replace(camera, mosaic=mosaic, warnings=warnings)
 
@@ -161,8 +169,10 @@ def _found_on_large(flat: NDArray[Any], kind: str) -> _Found | None:
     return None if start is None else _Found(picture, True, start, fit_on_white(picture, start))
 
 
-def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) -> _Found:
-    """The lattice from whole flats."""
+def _found_on_all(
+    lights: list[NDArray[np.float32]], kind: str, filtered: bool, other_than: NDArray[np.float64] | None = None
+) -> _Found:
+    """The lattice from whole flats, `other_than` that of a basis (2, 2) [px]."""
     from .captures import white_or_scene
     from .features import tone
     from .lattice_fit import fit_on_scenes, fit_on_white
@@ -171,7 +181,7 @@ def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) 
     if len(lights) > 1:
         lights = _telling(lights)
     try:
-        start = _first(lights, filtered, single)
+        start = _first(lights, filtered, single, other_than)
         white, lights = white_or_scene(lights, start, kind)
         if white:
             picture = tone(_white_sum(lights)) if single is None else single
@@ -232,6 +242,8 @@ def _doubt(found: _Found, lattice: Lattice) -> str | None:
     picture, several = found.picture, found.single is not None
     if isinstance(picture, np.ndarray) and check_neighbours(picture, lattice, found.white, not several):
         return None
+    if found.start.instead_of is not None:
+        raise found.start.instead_of
     doubt = aperture_doubt(picture, lattice)
     if doubt is not None and found.single is not None and check_neighbours(found.single, lattice, False):
         return None
@@ -282,14 +294,19 @@ def _mean_scene(lights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
     return mean_scene(lights) if len(lights) > 1 else lights[0]
 
 
-def _first(lights: list[NDArray[np.float32]], filtered: bool, single: NDArray[np.float32] | None) -> FirstLattice:
+def _first(
+    lights: list[NDArray[np.float32]],
+    filtered: bool,
+    single: NDArray[np.float32] | None,
+    other_than: NDArray[np.float64] | None,
+) -> FirstLattice:
     """First lattice on the mean of the lights, or on the first of them that shows one by itself.
 
-    `single` is the tone of the only one.
+    `single` is the tone of the only one; `other_than` is as for `first_lattice`.
     """
     from .features import tone
     from .reduction import sought_in_a_piece
-    from .search import NO_MICROIMAGES, first_lattice, first_lattice_of_large
+    from .search import NO_MICROIMAGES, REPEATS, first_lattice, first_lattice_of_large
 
     error: CalibrationError | None = None
     tries = [lambda: _mean_scene(lights)] + [lambda light=light: light for light in lights] * (len(lights) > 1)
@@ -301,9 +318,9 @@ def _first(lights: list[NDArray[np.float32]], filtered: bool, single: NDArray[np
                     "the image is one even grey; give a flat with light on it and without saturation"
                 )
             large = sought_in_a_piece((picture.shape[1], picture.shape[0]))
-            start = first_lattice_of_large(picture) if large else first_lattice(picture)
+            start = (first_lattice_of_large if large else first_lattice)(picture, other_than)
             # Two halves of a flat with microimages show the same average one.
-            if start.repeatability < _REPEATS:
+            if start.repeatability < REPEATS:
                 raise CalibrationError(NO_MICROIMAGES)
             return start
         except CalibrationError as failure:

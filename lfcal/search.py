@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -18,12 +20,16 @@ from .lattice import Lattice, reduce_basis
 from .origin import is_board, lens_centre, round_centres, true_cell
 from .spectrum import candidate_bases, spectrum_of
 
-__all__ = ["FirstLattice", "first_lattice", "first_lattice_of_large"]
+__all__ = ["REPEATS", "FirstLattice", "first_lattice", "first_lattice_of_large"]
 
 _BINS = 36
 # Support of a candidate by the spectrum above which longer periods are not looked for, and below which it is none.
 _CLEAR = 0.3
 _VAGUE = 0.1
+# Sizes of the picture, as divisors, at which periods are looked for; of each so many candidates are kept, and so many
+# of all are tried, none that is nearly the same as another by this share of its steps.
+_REDUCTIONS = (1, 2, 4)
+_CANDIDATES, _TRIES, _SAME = 6, 8, 0.04
 # A refinement moves a basis by a thousandth; one that moves it by more than this share follows something else.
 _RUNAWAY = 0.05
 
@@ -51,6 +57,11 @@ _DARK, _IDLE = 0.4, 0.1
 _TONE_SAMPLES = 32
 # Where one feature is alike in two halves to this correlation, the other may be too faint to be.
 _CERTAIN = 0.97
+#: Two halves of a flat must show average microimages that correlate at least so much.
+REPEATS = 0.8
+# Halves whose lattices are no farther apart than this share of the pitch leave no doubt: of scenes a hundredth, of
+# detail that comes back at other periods than those of the lenses a twentieth.
+_SURE = 0.03
 # Features are levelled in windows of so many pitches, anew where that was wrong by the other factor.
 _LEVEL = 2.0
 _LEVEL_AGAIN = 2.0
@@ -77,6 +88,8 @@ class FirstLattice:
     repeatability : float
         Correlation of the average microimages of two independent halves of the tiles, the weaker feature, or the mean
         of both where the better one leaves no doubt.
+    instead_of : CalibrationError, optional
+        Why the best supported periods are none of microimages, where others have been taken.
     """
 
     lattice: Lattice
@@ -88,16 +101,22 @@ class FirstLattice:
     tile_rms: float
     support: float
     repeatability: float
+    instead_of: CalibrationError | None = None
 
 
-def _first_basis(picture: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Best supported basis over short and long periods; CalibrationError where there is none."""
-    best = None
-    for reduction in (1, 2, 4):
+def _bases(picture: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
+    """Bases to try: the best supported over short and long periods, then others; CalibrationError where there is none.
+
+    Detail of a flat scene comes back at another period than that of the lenses, and may stand out more.
+    """
+    found, best = [], None
+    reductions = iter(_REDUCTIONS)
+    for reduction in reductions:
         spectrum = spectrum_of(picture, reduction)
         if spectrum is None:
             break
-        for candidate in candidate_bases(spectrum, 1):
+        found.append(candidate_bases(spectrum, _CANDIDATES))
+        for candidate in found[-1][:1]:
             if best is None or candidate.support > best.support:
                 best = candidate
         if best is not None and best.support > _CLEAR:
@@ -107,25 +126,70 @@ def _first_basis(picture: NDArray[np.float32]) -> NDArray[np.float64]:
             "no pattern repeats in two directions all over the image; "
             "give a raw flat from the sensor, not a rendered or scaled picture"
         )
-    return best.basis
+    tried = [best.basis]
+    yield best.basis
+    spectra = (spectrum_of(picture, reduction) for reduction in reductions)
+    found += [candidate_bases(spectrum, _CANDIDATES) for spectrum in spectra if spectrum is not None]
+    for candidate in (one for rank in zip_longest(*found) for one in rank if one is not None):
+        if len(tried) < _TRIES and not any(_same_lattice(candidate.basis, basis) for basis in tried):
+            tried.append(candidate.basis)
+            yield candidate.basis
 
 
-def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
+def _same_lattice(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    """Whether two bases span nearly the same points."""
+    steps = one @ np.linalg.inv(other)
+    whole = np.rint(steps)
+    return bool(abs(abs(np.linalg.det(whole)) - 1) < 0.5 and np.abs(steps - whole).max() < _SAME)
+
+
+def first_lattice(picture: NDArray[np.float32], other_than: NDArray[np.float64] | None = None) -> FirstLattice:
     """Lattice from the spectrum, its periods made coherent, its origin on the round centres, fitted to all tiles.
+
+    Where the best supported periods leave doubt, the roundest of those that leave none.
 
     Parameters
     ----------
     picture : (h, w) float32
         As made by `features.tone`.
+    other_than : (2, 2) float64 [px], optional
+        Basis of a lattice that has proved to be wrong.
 
     Raises
     ------
     CalibrationError
         If nothing repeats in two directions.
     """
-    height, width = picture.shape
-    basis = _first_basis(picture)
     edges = breaks(picture)
+    error: CalibrationError | None = None
+    first: FirstLattice | None = None
+    sure: list[FirstLattice] = []
+    for number, basis in enumerate(_bases(picture)):
+        try:
+            found = _lattice_from(basis, picture, edges)
+        except CalibrationError as failure:
+            error = error or failure
+            continue
+        if other_than is not None and _same_lattice(found.lattice.basis, other_than):
+            continue
+        if number == 0:
+            first = found
+        if found.repeatability >= REPEATS and found.halves_differ <= _SURE * found.lattice.pitch:
+            sure.append(found)
+            if found is first:
+                break
+    if sure:
+        # Lenses of several types, taken together, are less round than single ones.
+        best = max(sure, key=lambda one: one.roundness)
+        return best if best is first else replace(best, instead_of=error or CalibrationError(NO_MICROIMAGES))
+    if first is not None:
+        return first
+    raise error or CalibrationError(NO_MICROIMAGES)
+
+
+def _lattice_from(basis: NDArray[np.float64], picture: NDArray[np.float32], edges: NDArray[np.float32]) -> FirstLattice:
+    """`first_lattice` from a basis of the spectrum; CalibrationError where that is none of microimages."""
+    height, width = picture.shape
     coherence, window = 0.0, 0.0
     for _ in range(3):
         pitch = float(np.sqrt(abs(np.linalg.det(basis))))
@@ -174,7 +238,7 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
     )
 
 
-def first_lattice_of_large(picture: NDArray[np.float32]) -> FirstLattice:
+def first_lattice_of_large(picture: NDArray[np.float32], other_than: NDArray[np.float64] | None = None) -> FirstLattice:
     """`first_lattice` of a picture (h, w) of many pixels, at half its size where that leaves enough of microimages.
 
     The features are then of half the size; the lattice is in px of the picture.
@@ -184,12 +248,12 @@ def first_lattice_of_large(picture: NDArray[np.float32]) -> FirstLattice:
     height, width = (length // 2 for length in picture.shape)
     half: Any = cv2.resize(picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
     try:
-        start = first_lattice(half)
+        start = first_lattice(half, None if other_than is None else other_than / 2)
     except CalibrationError:
-        return first_lattice(picture)
+        return first_lattice(picture, other_than)
     small = start.lattice
     if small.pitch < _HALVED_PITCH:
-        return first_lattice(picture)
+        return first_lattice(picture, other_than)
     lattice = Lattice(2 * small.origin + 0.5, 2 * small.basis, picture.shape[::-1], 2 * small.radius)
     return replace(start, lattice=lattice, halves_differ=2 * start.halves_differ, tile_rms=2 * start.tile_rms)
 
