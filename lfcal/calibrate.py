@@ -111,14 +111,16 @@ def _calibrated(
     try:
         camera = _measured(found)
     except CalibrationError as error:
+        if found.start.doubt is not None:
+            raise found.start.doubt from None
         if found.white:
             raise
         # What has been found may be places of the scene that all lenses show, or several types of lenses as one.
         try:
             found = _found_on_all(lights(), "scene", filtered, found.start.lattice.basis)
-            camera = _measured(found)
         except CalibrationError:
             raise error from None
+        camera = _measured(found)
     warnings = (*camera.warnings, *_warnings(camera, found.fit.halves_differ, filtered and mosaic is None))
     return replace(camera, mosaic=mosaic, warnings=warnings)
 
@@ -242,8 +244,8 @@ def _doubt(found: _Found, lattice: Lattice) -> str | None:
     picture, several = found.picture, found.single is not None
     if isinstance(picture, np.ndarray) and check_neighbours(picture, lattice, found.white, not several):
         return None
-    if found.start.instead_of is not None:
-        raise found.start.instead_of
+    if found.start.doubt is not None:
+        raise found.start.doubt
     doubt = aperture_doubt(picture, lattice)
     if doubt is not None and found.single is not None and check_neighbours(found.single, lattice, False):
         return None

@@ -23,6 +23,8 @@ _TWO_WAYS = 0.04
 # Least share of the average cell, apart from noise, that the two lengths explain, and light variation (standard
 # deviation over mean) from which on it shows them: of flattened scene captures only the breaks are left.
 _EXPLAINED = 0.8
+# A scene of one kind all over the flat leaves some of itself in the average of a thousand lenses.
+_EXPLAINED_SCENE = 0.65
 # Where less energy than this lies beside one line, rows stand out, as they do in print: nearly all must be explained.
 _LOPSIDED, _EXPLAINED_ROWS = 0.1, 0.93
 _VISIBLE = 0.05
@@ -43,8 +45,8 @@ def check_cell(
     tone: TileFolds,
     centre: NDArray[np.float64],
     repeatability: float,
-) -> None:
-    """CalibrationError where the average cell cannot be that of microimages.
+) -> CalibrationError | None:
+    """CalibrationError where the average cell cannot be that of microimages; returned where a scene may be the cause.
 
     Parameters
     ----------
@@ -70,7 +72,11 @@ def check_cell(
         lengths = _lengths(basis, len(light), centre)
         explained = float(np.mean([_explained(cell, lengths) for cell in cells]))
         if explained < (_EXPLAINED if beside > _LOPSIDED else _EXPLAINED_ROWS) * possible:
-            raise CalibrationError(f"a pattern repeats every {pitch:.1f} px that has no microimages; {_RAW}")
+            error = CalibrationError(f"a pattern repeats every {pitch:.1f} px that has no microimages; {_RAW}")
+            if explained < _EXPLAINED_SCENE * possible:
+                raise error
+            return error
+    return None
 
 
 def check_waves(tone: TileFolds) -> None:

@@ -18,7 +18,7 @@ from .folding import TileFolds, fold_tiles
 from .harmonics import fit_harmonics
 from .lattice import Lattice, reduce_basis
 from .origin import is_board, lens_centre, round_centres, true_cell
-from .spectrum import candidate_bases, spectrum_of
+from .spectrum import NARROW, candidate_bases, spectra_of, spectrum_of
 
 __all__ = ["REPEATS", "FirstLattice", "first_lattice", "first_lattice_of_large"]
 
@@ -29,7 +29,7 @@ _VAGUE = 0.1
 # Sizes of the picture, as divisors, at which periods are looked for; of each so many candidates are kept, and so many
 # of all are tried, none that is nearly the same as another by this share of its steps.
 _REDUCTIONS = (1, 2, 4)
-_CANDIDATES, _TRIES, _SAME = 6, 8, 0.04
+_CANDIDATES, _TRIES, _SAME = 6, 10, 0.04
 # A refinement moves a basis by a thousandth; one that moves it by more than this share follows something else.
 _RUNAWAY = 0.05
 
@@ -62,6 +62,9 @@ REPEATS = 0.8
 # Halves whose lattices are no farther apart than this share of the pitch leave no doubt: of scenes a hundredth, of
 # detail that comes back at other periods than those of the lenses a twentieth.
 _SURE = 0.03
+# An average microimage that leaves doubt must be this round at least, and may not be more alike than this in both
+# halves: what a scene has left in it is round to 0.62 and alike to 0.98, bricks often to less than a half, and wholly.
+_ROUND, _EXACT = 0.6, 0.99
 # Features are levelled in windows of so many pitches, anew where that was wrong by the other factor.
 _LEVEL = 2.0
 _LEVEL_AGAIN = 2.0
@@ -88,8 +91,8 @@ class FirstLattice:
     repeatability : float
         Correlation of the average microimages of two independent halves of the tiles, the weaker feature, or the mean
         of both where the better one leaves no doubt.
-    instead_of : CalibrationError, optional
-        Why the best supported periods are none of microimages, where others have been taken.
+    doubt : CalibrationError, optional
+        Why this may be no lattice of microimages, unless neighbours are seen to show the same.
     """
 
     lattice: Lattice
@@ -101,7 +104,7 @@ class FirstLattice:
     tile_rms: float
     support: float
     repeatability: float
-    instead_of: CalibrationError | None = None
+    doubt: CalibrationError | None = None
 
 
 def _bases(picture: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
@@ -109,14 +112,13 @@ def _bases(picture: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
 
     Detail of a flat scene comes back at another period than that of the lenses, and may stand out more.
     """
-    found, best = [], None
-    reductions = iter(_REDUCTIONS)
-    for reduction in reductions:
+    best, known = None, []
+    for reduction in _REDUCTIONS:
         spectrum = spectrum_of(picture, reduction)
         if spectrum is None:
             break
-        found.append(candidate_bases(spectrum, _CANDIDATES))
-        for candidate in found[-1][:1]:
+        known.append(candidate_bases(spectrum, _CANDIDATES))
+        for candidate in known[-1][:1]:
             if best is None or candidate.support > best.support:
                 best = candidate
         if best is not None and best.support > _CLEAR:
@@ -128,9 +130,11 @@ def _bases(picture: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
         )
     tried = [best.basis]
     yield best.basis
-    spectra = (spectrum_of(picture, reduction) for reduction in reductions)
-    found += [candidate_bases(spectrum, _CANDIDATES) for spectrum in spectra if spectrum is not None]
-    for candidate in (one for rank in zip_longest(*found) for one in rank if one is not None):
+    spectra = [spectrum for reduction in _REDUCTIONS for spectrum in spectra_of(picture, reduction, NARROW)]
+    narrow = [candidate for spectrum in spectra for candidate in candidate_bases(spectrum, _CANDIDATES)]
+    narrow.sort(key=lambda one: -one.support)
+    wide = [one for rank in zip_longest(*known) for one in rank if one is not None]
+    for candidate in narrow + wide:
         if len(tried) < _TRIES and not any(_same_lattice(candidate.basis, basis) for basis in tried):
             tried.append(candidate.basis)
             yield candidate.basis
@@ -181,7 +185,7 @@ def first_lattice(picture: NDArray[np.float32], other_than: NDArray[np.float64] 
     if sure:
         # Lenses of several types, taken together, are less round than single ones.
         best = max(sure, key=lambda one: one.roundness)
-        return best if best is first else replace(best, instead_of=error or CalibrationError(NO_MICROIMAGES))
+        return best if best is first else replace(best, doubt=best.doubt or error or CalibrationError(NO_MICROIMAGES))
     if first is not None:
         return first
     raise error or CalibrationError(NO_MICROIMAGES)
@@ -218,7 +222,9 @@ def _lattice_from(basis: NDArray[np.float64], picture: NDArray[np.float32], edge
     light = tone.mean().reshape(_BINS, 4, _BINS, 4).mean((1, 3)) ** 2
     centre = lens_centre(round_centres(cells, [1.0, 1.0], basis), light, basis)
     repeatability = _repeatability(folds)
-    check_cell(cells, light, tone, centre.position, repeatability)
+    doubt = check_cell(cells, light, tone, centre.position, repeatability)
+    if doubt is not None and (centre.roundness < _ROUND or repeatability > _EXACT):
+        raise doubt
     middle = (np.array([width, height]) - 1) / 2
     origin = _nearest_to(middle, centre.position @ basis, basis)
     fit = fit_harmonics(folds[1:], origin)
@@ -235,6 +241,7 @@ def _lattice_from(basis: NDArray[np.float64], picture: NDArray[np.float32], edge
         fit.tile_rms,
         fit.support,
         repeatability,
+        doubt,
     )
 
 

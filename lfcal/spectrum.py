@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .features import breaks, level_locally
 from .lattice import reduce_basis
 
-__all__ = ["Candidate", "Spectrum", "candidate_bases", "spectrum_of"]
+__all__ = ["NARROW", "Candidate", "Spectrum", "candidate_bases", "spectra_of", "spectrum_of"]
 
 _WINDOW = 1024
 # Shortest period that leaves a microimage anything to see, and fewest periods across a window.
@@ -27,6 +27,8 @@ _SHORTEST_HARMONIC = 2.2
 _FEWEST_PERIODS = 4.0
 # Side of the box over which the background of the spectrum is averaged [bins].
 _BACKGROUND = 21
+#: Sides [bins] of boxes that leave little but the lattice itself.
+NARROW = (7, 9)
 # A node of the reciprocal lattice is occupied above this many standard deviations of the whitened log power.
 _OCCUPIED = 4.0
 _PEAKS = 40
@@ -86,7 +88,13 @@ def _windows(height: int, width: int, size: int) -> list[tuple[int, int]]:
 
 
 def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | None:
-    """Average log power spectrum of brightness and breaks over a few windows, whitened.
+    """The wide one of `spectra_of`, None where the reduced flat is too small."""
+    spectra = spectra_of(picture, reduction, (_BACKGROUND,))
+    return spectra[0] if spectra else None
+
+
+def spectra_of(picture: NDArray[np.float32], reduction: int, backgrounds: tuple[int, ...]) -> list[Spectrum]:
+    """Average log power spectrum of brightness and breaks over a few windows, whitened in one way or another.
 
     Parameters
     ----------
@@ -94,11 +102,14 @@ def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | 
         As made by `features.tone`.
     reduction : int
         Look at the flat made smaller by this factor, which brings long periods into the window.
+    backgrounds : tuple of int [bins]
+        Sides of the boxes over which the background is averaged, one for each answer. What comes back in a few lenses
+        only is wider than a bin: in a narrow box it is part of the background.
 
     Returns
     -------
-    Spectrum or None
-        None where the reduced flat is too small for four of the shortest periods.
+    list of Spectrum
+        Empty where the reduced flat is too small for four of the shortest periods.
     """
     import cv2
 
@@ -108,7 +119,7 @@ def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | 
     height, width = picture.shape
     size = min(_WINDOW, min(height, width)) // 2 * 2
     if size < _FEWEST_PERIODS * _SHORTEST_PERIOD:
-        return None
+        return []
     taper = np.hanning(size).astype(np.float32)
     log_power = np.zeros((size, size // 2 + 1), dtype=np.float32)
     windows = _windows(height, width, size)
@@ -125,8 +136,16 @@ def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | 
             log_power += one.result()
     log_power /= 2 * len(windows)
     log_power = np.fft.fftshift(log_power, axes=0)
+    return [_whitened(log_power, background, reduction) for background in backgrounds]
+
+
+def _whitened(log_power: NDArray[np.float32], side: int, reduction: int) -> Spectrum:
+    """Log power (n, n // 2 + 1) over its mean in a box."""
+    import cv2
+
+    size = len(log_power)
     # Mirror the half plane across zero frequency before averaging: there is no edge at fx = 0.
-    margin = min(_BACKGROUND, size // 4)
+    margin = min(side, size // 4)
     mirrored = np.roll(log_power[::-1, margin:0:-1], 1 - size % 2, axis=0)
     background = cv2.blur(np.hstack([mirrored, log_power]), (margin | 1, margin | 1))[:, margin:]
     prominence = log_power - background
