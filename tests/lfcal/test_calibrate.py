@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from skimage import data
 
 import lfcal
@@ -202,3 +204,42 @@ def test_flattened_capture_shows_its_lattice_by_breaks_alone(shared, whites):
     middle = np.abs(camera.lattice.centres() - [3232, 2426]).max(1) < 300
     assert np.abs(offset[middle]).max() < 1.0
     assert camera.vignetting.profile[: int(0.95 * camera.lattice.radius / camera.vignetting.step)].min() > 0.9
+
+
+def test_plane_seen_through_lenses_without_gaps_does_not_pass_for_their_lattice():
+    """Its detail comes back every (1 + s / D) pitches, and stands out more than rims that are only half as bright."""
+    size, pitch, patch_size = (900, 700), 30.0, 4.5
+    angles = np.radians(2.5) + np.array([0, np.pi / 3])
+    lattice = lfcal.Lattice((450.3, 349.8), pitch * np.stack([np.cos(angles), np.sin(angles)], 1), size, 11.0)
+    y, x = np.mgrid[: size[1], : size[0]]
+    places, centres = np.column_stack([x.ravel(), y.ravel()]), lattice.centres()
+    distance, lens = cKDTree(centres).query(places)
+    scene = centres[lens] - (places - centres[lens]) * pitch / patch_size
+    rng = np.random.default_rng(5)
+    picture = np.zeros(len(places))
+    for _ in range(120):
+        angle, detail = rng.uniform(0, 2 * np.pi), 0.6 * patch_size / pitch * np.sqrt(rng.random())
+        picture += np.cos(scene @ [detail * np.cos(angle), detail * np.sin(angle)] + rng.uniform(0, 2 * np.pi))
+    rims = 1 - 0.33 * np.minimum(2 * distance / pitch, 1.2) ** 6
+    light = np.maximum(0.45 + 0.15 * picture / picture.std(), 0.02) * rims
+    light = cv2.GaussianBlur(light.reshape(size[::-1]), (0, 0), 1.0)
+    camera = lfcal.calibrate(np.clip(255 * light + rng.normal(0, 2, light.shape), 0, 255).astype(np.uint8))
+    assert camera.lattice.pitch == pytest.approx(pitch, rel=2e-3)
+    assert cKDTree(centres).query(camera.lattice.centres())[0].max() < 0.05 * pitch
+
+
+@pytest.mark.parametrize(
+    ("name", "corner", "size"),
+    [
+        ("Boys2.webp", (994, 739), (1988, 1478)),
+        ("Boys2.webp", (1889, 1116), (1988, 1478)),
+        ("TempleBoatGiantR32.webp", (2675, 662), (3232, 2426)),
+        ("Fujita2.png", (973, 773), (1024, 1024)),
+    ],
+)
+def test_quarter_of_a_capture_has_the_lattice_of_all_of_it(shared, name, corner, size):
+    flat = lfcal.read_flat(shared("captures", name))
+    whole = lfcal.calibrate(flat).lattice
+    part = flat[corner[1] : corner[1] + size[1], corner[0] : corner[0] + size[0]].copy()
+    found = lfcal.calibrate(part).lattice
+    assert cKDTree(whole.centres()).query(found.centres() + corner)[0].max() < 0.1 * whole.pitch
