@@ -72,14 +72,14 @@ def calibrate(
     # Compiled code is loaded only when a flat is there to be calibrated.
     from threadpoolctl import threadpool_limits
 
-    from .captures import checked_flats
+    from .captures import checked_flats, white_level_of
 
     flats = checked_flats(image)
     for flat in flats:
         check_mosaic(mosaic, flat)
     # The equations are too small for more threads, which would only wait busily for each other.
     with threadpool_limits(1, "blas"):
-        return _calibrated(flats, kind, mosaic)
+        return replace(_calibrated(flats, kind, mosaic), white_level=white_level_of(flats))
 
 
 def _calibrated(

@@ -62,6 +62,9 @@ class Calibration:
         Standard errors of the lattice's parameters and centres; None where not measured.
     residuals : Residuals or None
         How far single microimages lie from the lattice; None where only many together show it, as in scenes.
+    white_level : float or None
+        Largest value of its flats where their type holds more, as 4095 for 12 bits in files of 16; None where it does
+        not, for floats, or where nobody has looked.
     """
 
     lattice: Lattice
@@ -77,10 +80,13 @@ class Calibration:
     defects: Defects = field(default_factory=Defects)
     errors: LatticeErrors | None = None
     residuals: Residuals | None = None
+    white_level: float | None = None
 
     def __post_init__(self) -> None:
         if self.mosaic not in (None, "RGGB", "BGGR", "GRBG", "GBRG"):
             raise ValueError(f"mosaic must be RGGB, BGGR, GRBG, GBRG or None, got {self.mosaic!r}")
+        if self.white_level is not None and not 0 < self.white_level < np.inf:
+            raise ValueError(f"white_level must be positive or None, got {self.white_level!r}")
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -115,6 +121,7 @@ class Calibration:
             "defects": self.defects.to_dict(),
             "errors": self.errors and self.errors.to_dict(),
             "residuals": self.residuals and self.residuals.to_dict(),
+            "white_level": self.white_level,
         }
 
     @classmethod
@@ -151,6 +158,7 @@ class Calibration:
                 defects=Defects.from_dict(data["defects"]) if data.get("defects") else Defects(),
                 errors=data.get("errors") and LatticeErrors.from_dict(data["errors"]),
                 residuals=data.get("residuals") and Residuals.from_dict(data["residuals"]),
+                white_level=None if data.get("white_level") is None else float(data["white_level"]),
             )
         except KeyError as error:
             raise CameraFileError(f"{where}: field {error} is missing; calibrate again") from error

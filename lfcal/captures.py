@@ -14,10 +14,12 @@ from .lattice import Lattice
 from .parts import Parts
 from .search import FirstLattice
 
-__all__ = ["checked_flats", "evenly_lit", "white_or_scene"]
+__all__ = ["checked_flats", "evenly_lit", "white_level_of", "white_or_scene"]
 
 # Squares of sums of larger values leave the range of single precision.
 _LARGEST = 1e30
+# Bits that sensors have, and files of 16 do not tell.
+_BITS = (8, 10, 12, 14)
 # Window, in pitches, in which brightness is levelled to see whether microimages are evenly lit.
 _LEVEL = 2.0
 # Scatter inside the microimages of a white image, as a share of the depth of the gaps.
@@ -42,6 +44,17 @@ def checked_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
                 "give flats of one camera"
             )
     return flats
+
+
+def white_level_of(flats: Sequence[NDArray[Any]]) -> float | None:
+    """Largest value of so many bits as the flats use, where their type has more; None otherwise.
+
+    Cameras of 10, 12 and 14 bits store them in files of 16.
+    """
+    if any(flat.dtype.kind not in "ui" or flat.dtype.itemsize == 1 for flat in flats):
+        return None
+    largest = max(int(flat.max()) for flat in flats)
+    return next((float(2**bits - 1) for bits in _BITS if largest < 2**bits), None)
 
 
 def _checked(image: ArrayLike, name: str) -> NDArray[Any]:

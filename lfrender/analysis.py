@@ -42,7 +42,8 @@ def analyze(
     Parameters
     ----------
     flat : (H, W) or (H, W, C) array
-        Raw capture; integers are taken relative to the range of their type, floats to 1.
+        Raw capture; integers are taken relative to the `white_level` of the camera or the range of their type, floats
+        to 1.
     calibration : Calibration
         Of the same image size.
     preset : {"fast", "balanced", "accurate"}

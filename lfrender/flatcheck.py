@@ -9,6 +9,9 @@ from lfcal import Calibration, CalibrationError, FlatError
 
 __all__ = ["check_flat"]
 
+# Noise and gain put floats above 1 at white, but not beyond this.
+_BRIGHTEST = 16.0
+
 
 def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
     """The flat as an (H, W, C) array that the kernels can read, in colour behind a mosaic, or a clear error.
@@ -16,7 +19,7 @@ def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
     Raises
     ------
     FlatError
-        If it is not a gray or colour picture of finite numbers.
+        If it is not a gray or colour picture of finite numbers, or of floats that are far beyond 1 at white.
     CalibrationError
         If the calibration was made for another image size.
     """
@@ -36,13 +39,20 @@ def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
     if calibration.mosaic is not None and array.shape[2] == 1:
         from .demosaicing import demosaic
 
-        _check_finite(array)
+        _check_floats(array)
         return demosaic(array[:, :, 0], calibration)
-    _check_finite(array)
+    _check_floats(array)
     return np.ascontiguousarray(array)
 
 
-def _check_finite(array: NDArray) -> None:
-    if array.dtype.kind == "f" and not np.isfinite(array).all():
+def _check_floats(array: NDArray) -> None:
+    if array.dtype.kind != "f":
+        return
+    if not np.isfinite(array).all():
         bad = np.argwhere(~np.isfinite(array))[0]
         raise FlatError(f"flat has a NaN or infinite pixel at x={bad[1]}, y={bad[0]}; replace such pixels first")
+    if array.size and float(array.max()) > _BRIGHTEST:
+        raise FlatError(
+            f"flat holds floats up to {array.max():.4g}, but floats are 1 at white; divide it by the largest value of "
+            "its sensor, such as 255 or 4095"
+        )

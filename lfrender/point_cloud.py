@@ -75,7 +75,7 @@ def point_cloud(flat: NDArray, calibration: Calibration, depth: DepthMap, optics
         points["x"], points["y"], points["z"] = places.T
     image = picture.image[..., None] if picture.image.ndim == 2 else picture.image
     colours = image[v, u][:, [0, 1, 2] if image.shape[2] > 2 else [0, 0, 0]]
-    colours = np.clip(np.rint(colours * (255 / white_level(picture.image))), 0, 255)
+    colours = np.clip(np.rint(colours * (255 / white_level(picture.image, calibration))), 0, 255)
     points["red"], points["green"], points["blue"] = colours.T
     return points[np.isfinite(points["z"])]
 

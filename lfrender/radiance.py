@@ -89,9 +89,12 @@ def lens_by_lens(calibration: Calibration) -> bool:
     return bool(known.own.size or known.cut.size or uneven > _EVEN)
 
 
-def white_level(flat: NDArray) -> float:
-    """Value of the flat's brightest representable (integers) or customary (floats) pixel."""
-    return float(np.iinfo(flat.dtype).max) if flat.dtype.kind in "ui" else 1.0
+def white_level(flat: NDArray, calibration: Calibration) -> float:
+    """Value of the brightest pixel that flats of the camera can have, or pictures drawn from them: 1 for floats."""
+    if flat.dtype.kind not in "ui":
+        return 1.0
+    highest = float(np.iinfo(flat.dtype).max)
+    return highest if calibration.white_level is None else min(highest, calibration.white_level)
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
@@ -240,12 +243,12 @@ def gray_flat(
     if calibration.vignetting is not None and not uneven:
         gain = _remembered_if_small(calibration, ("gain", factor), lambda: _gain_image(calibration, lattice, factor))
     if factor == 1:
-        _mean_channels(rows, flat.shape[2], 1.0 / white_level(flat), gain, image)
+        _mean_channels(rows, flat.shape[2], 1.0 / white_level(flat, calibration), gain, image)
     else:
         # Sums of so few bytes fit into two.
         short = rows.dtype == np.uint8 and factor <= _MOST_TOGETHER
         like = np.empty(0, np.uint16 if short else np.float32)
-        _mean_blocks(rows, flat.shape[2], factor, 1.0 / white_level(flat), gain, like, image)
+        _mean_blocks(rows, flat.shape[2], factor, 1.0 / white_level(flat, calibration), gain, like, image)
         radius = radius / factor - _MIXED
     centres = lattice.centres().astype(np.float32)
     if uneven:

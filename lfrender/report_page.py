@@ -91,7 +91,7 @@ def write_report(
         "calibration": show(calibration, flat),
     }
     room = _MOST - sum(map(len, charts.values())) - len(further)
-    urls, size = data_urls(shown, room)
+    urls, size = data_urls(shown, room, calibration.white_level)
     web = files(__package__) / "web"
     limits = magnification_limits(depth)
     names = {"all_in_focus": "all in focus", "traditional": "traditional"}

@@ -15,7 +15,6 @@ from lfcal import Calibration
 from .depthmap import BINOCULAR, TELESCOPIC, DepthMap
 from .drawing import render
 from .lens_means import traditional
-from .radiance import white_level
 from .rendering import Rendering
 
 __all__ = ["ReportPictures", "data_urls", "draw_pictures", "png_url"]
@@ -67,7 +66,7 @@ def draw_pictures(flat: NDArray, calibration: Calibration, depth: DepthMap) -> R
     return ReportPictures(sharp, traditional(flat, calibration), fixed, sizes)
 
 
-def data_urls(pictures: Mapping[str, ArrayLike], most: int) -> tuple[dict[str, str], float]:
+def data_urls(pictures: Mapping[str, ArrayLike], most: int, white: float | None = None) -> tuple[dict[str, str], float]:
     """Pictures as WebP in data URLs, all of one quality, the best that fits.
 
     Parameters
@@ -75,6 +74,8 @@ def data_urls(pictures: Mapping[str, ArrayLike], most: int) -> tuple[dict[str, s
     pictures : mapping of str to (h, w) or (h, w, 3) array
     most : int
         Characters for all together.
+    white : float, optional
+        What is white in pictures of whole numbers of more than 8 bits; else the largest that their type holds.
 
     Returns
     -------
@@ -84,7 +85,7 @@ def data_urls(pictures: Mapping[str, ArrayLike], most: int) -> tuple[dict[str, s
     """
     import cv2
 
-    shown = {name: _eight_bits(np.asarray(picture)) for name, picture in pictures.items()}
+    shown = {name: _eight_bits(np.asarray(picture), white) for name, picture in pictures.items()}
     urls: dict[str, str] = {}
     for size, quality in _STEPS:
         if size * max(max(picture.shape[:2]) for picture in shown.values()) > _LONGEST:
@@ -117,11 +118,15 @@ def _reduced(picture: NDArray[np.uint8], size: float) -> NDArray[Any]:
     return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA))
 
 
-def _eight_bits(picture: NDArray) -> NDArray[np.uint8]:
+def _eight_bits(picture: NDArray, white: float | None) -> NDArray[np.uint8]:
     if picture.ndim == 2 or picture.shape[2] < 3:
         picture = np.repeat(picture.reshape(*picture.shape[:2], -1)[..., :1], 3, axis=2)
     picture = picture[..., :3]
     if picture.dtype == np.uint8:
         return picture
-    scaled: NDArray[np.uint8] = np.rint(np.clip(picture / white_level(picture), 0, 1) * 255).astype(np.uint8)
+    if picture.dtype.kind not in "ui":
+        white = 1.0
+    elif white is None:
+        white = float(np.iinfo(picture.dtype).max)
+    scaled: NDArray[np.uint8] = np.rint(np.clip(picture / white, 0, 1) * 255).astype(np.uint8)
     return scaled

@@ -167,7 +167,7 @@ def changed_lenses(before: NDArray, now: NDArray, calibration: Calibration) -> N
     within = max(radius - 0.5 * side, 0.75 * side)
     _pool(blocks, centres, side, np.float32(within), np.float32(1 / channels), out)
     mean, contrast, rough, pixel, block, count = out
-    white = white_level(before)
+    white = white_level(before, calibration)
     rounding = _ROUNDING if before.dtype.kind in "ui" else (white / 2**16) ** 2
     edges = np.quantile(mean, np.arange(1, _LEVELS) / _LEVELS)
     level = np.searchsorted(edges, mean)

@@ -178,7 +178,7 @@ class Drawing:
         valid = np.empty(image.shape[:2], bool) if valid is None else valid
         wanted = np.empty((0, 0), bool) if wanted is None else wanted
         whole = image.dtype.kind in "ui"
-        white = white_level(pixels)
+        white = white_level(pixels, self.calibration)
         edged = np.zeros(len(lattice), bool)
         seen_depth = self._seen_depth(corner, pixels.shape, edged)
         gains, step = self._gains

@@ -87,14 +87,14 @@ def viewer_scene(
     described = _tables(calibration, depth, edge, pixels)
     described |= {"title": title, "size": [width, height]}
     described["rings"] = {"step": step, "values": _base64(np.column_stack([gains, lights]), np.float32)}
-    with_seen = []
+    with_seen, white = [], white_level(pixels, calibration)
     for name, (x, y, side) in tiles.items():
         part = _cut(seen, x, y, side)
         if part.any():
             with_seen.append(name)
             coded = np.dstack([part >> 8, part & 255, _cut(from_middle, x, y, side)]).astype(np.uint8)
             yield f"seen-{name}.png", _png(coded, compression)
-        yield f"flat-{name}.png", _png(_eight_bits(_cut(even, x, y, side)), compression)
+        yield f"flat-{name}.png", _png(_eight_bits(_cut(even, x, y, side), white), compression)
     last = list(tiles)[-1].split("-")
     described["tiles"] = {
         "side": next(iter(tiles.values()))[2], "columns": int(last[0]) + 1, "rows": int(last[1]) + 1, "seen": with_seen,
@@ -230,12 +230,12 @@ def _overlay(depth: DepthMap) -> dict[str, Any]:
     return {"limits": [float(low), float(max(high, 1.2 * low))], "ramp": _base64(ramp, np.uint8)}
 
 
-def _eight_bits(pixels: NDArray) -> NDArray[np.uint8]:
+def _eight_bits(pixels: NDArray, white: float) -> NDArray[np.uint8]:
     """The first three channels, or the first alone, as 8 bits."""
     shown = pixels[:, :, :3] if pixels.shape[2] >= 3 else pixels[:, :, :1]
     if shown.dtype == np.uint8:
         return shown
-    scaled: NDArray[np.uint8] = np.rint(np.clip(shown / white_level(shown), 0, 1) * 255).astype(np.uint8)
+    scaled: NDArray[np.uint8] = np.rint(np.clip(shown / white, 0, 1) * 255).astype(np.uint8)
     return scaled
 
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
+import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfcal import CalibrationError, FlatError
@@ -176,6 +177,27 @@ def test_wrong_input_is_refused_with_the_reason():
         lfrender.analyze(broken, calibration)
     with pytest.raises(FlatError, match="shape"):
         lfrender.analyze(shot.flat[None], calibration)
+
+
+@pytest.mark.parametrize("bits", [10, 12])
+def test_bits_that_files_of_16_do_not_tell_change_nothing(house, bits):
+    wide = house.flat.astype(np.uint16) << (bits - 8)
+    camera, camera_of_bytes = lfcal.calibrate(wide), lfcal.calibrate(house.flat)
+    assert (camera.white_level, camera_of_bytes.white_level) == (2.0**bits - 1, None)
+    depth, depth_of_bytes = lfrender.analyze(wide, camera), lfrender.analyze(house.flat, camera_of_bytes)
+    assert (depth.mode == depth_of_bytes.mode).mean() > 0.99
+    known = (depth.mode != 0) & (depth_of_bytes.mode != 0)
+    assert np.abs(depth.patch_size - depth_of_bytes.patch_size)[known].max() < 0.05
+    scale = depth_of_bytes.pitch / 3
+    picture = lfrender.render(wide, camera, depth_of_bytes, scale=scale).image / 2.0 ** (bits - 8)
+    picture_of_bytes = lfrender.render(house.flat, camera_of_bytes, depth_of_bytes, scale=scale).image
+    assert np.abs(picture - picture_of_bytes).mean() < 1.0
+
+
+def test_floats_beyond_white_are_refused(house):
+    camera = house.truth.calibration
+    with pytest.raises(FlatError, match="divide it"):
+        lfrender.analyze(house.flat.astype(np.float32), camera)
 
 
 def test_truth_flats_of_another_simulator_are_analysed_right(shared):

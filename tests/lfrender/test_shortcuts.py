@@ -330,7 +330,7 @@ def test_an_earlier_frame_of_another_kind_is_refused(house):
     calibration = house.truth.calibration
     before = lfrender.analyze(house.flat, calibration, "fast")
     with pytest.raises(FlatError, match="float32"):
-        lfrender.analyze(house.flat, calibration, "fast", previous=(house.flat.astype(np.float32), before))
+        lfrender.analyze(house.flat, calibration, "fast", previous=(house.flat / np.float32(255), before))
     with pytest.raises(ValueError, match="preset"):
         lfrender.analyze(house.flat, calibration, previous=(house.flat, before))
 
