@@ -14,7 +14,7 @@ import lfcal
 def camera():
     lattice = lfcal.Lattice((10.25, 7.5), [[20.0, 0.5], [9.5, 17.0]], (200, 100), 9.5)
     vignetting = lfcal.Vignetting([1.0, 0.9, 0.5], 4.0)
-    return lfcal.Calibration(lattice, vignetting, "white", 0.01, 40, 0.97, ("look",))
+    return lfcal.Calibration(lattice, vignetting, "white", 0.01, 40, 0.97, ("look",), white_level=4095.0)
 
 
 def test_saved_camera_comes_back_exactly(camera, tmp_path):
