@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -27,6 +28,8 @@ _SCATTERED = 0.1
 _SURE = 0.7
 # Confidence where nothing on the flat proves that microimages are what repeats on it.
 _UNPROVEN = 0.4
+# Lattices that are measured after the first before a flat is refused.
+_TRIES = 2
 _RAW = "give a raw flat from the sensor, of a camera with a microlens array"
 # Relative spread of the tones of an image that shows nothing.
 _EVEN = 1e-4
@@ -104,25 +107,33 @@ def _calibrated(
     def lights() -> list[NDArray[np.float32]]:
         return [equalise(flat) if filtered else luminance(flat) for flat in flats]
 
+    others: Iterator[_Found] = iter(())
     if found is None:
-        found = _found_on_all(lights(), kind, filtered)
+        others = _found_on_all(lights(), kind, filtered)
+        found = next(others)
     if found.white and kind == "auto" and len(flats) == 1 and _is_scene(found):
-        found = _found_on_all(lights(), "scene", filtered)
-    try:
-        camera = _measured(found)
-    except CalibrationError as error:
-        if found.start.doubt is not None:
-            raise found.start.doubt from None
-        if found.white:
-            raise
-        # What has been found may be places of the scene that all lenses show, or several types of lenses as one.
-        try:
-            found = _found_on_all(lights(), "scene", filtered, found.start.lattice.basis)
-        except CalibrationError:
-            raise error from None
-        camera = _measured(found)
+        others = _found_on_all(lights(), "scene", filtered)
+        found = next(others)
+    camera, found = _first_measured(found, others)
     warnings = (*camera.warnings, *_warnings(camera, found.fit.halves_differ, filtered and mosaic is None))
     return replace(camera, mosaic=mosaic, warnings=warnings)
+
+
+def _first_measured(found: _Found, others: Iterator[_Found]) -> tuple[Calibration, _Found]:
+    """The camera of what has been found, or of the first of the others that is one; CalibrationError if none is.
+
+    What has been found may be places of the scene that all lenses show, or several types of lenses taken as one.
+    """
+    error: CalibrationError | None = None
+    for one in chain([found], islice(others, _TRIES)):
+        try:
+            return _measured(one), one
+        except CalibrationError as failure:
+            error = error or one.start.doubt or failure
+            if one.white:
+                break
+    assert error is not None
+    raise error
 
 
 @dataclass(frozen=True)
@@ -171,10 +182,8 @@ def _found_on_large(flat: NDArray[Any], kind: str) -> _Found | None:
     return None if start is None else _Found(picture, True, start, fit_on_white(picture, start))
 
 
-def _found_on_all(
-    lights: list[NDArray[np.float32]], kind: str, filtered: bool, other_than: NDArray[np.float64] | None = None
-) -> _Found:
-    """The lattice from whole flats, `other_than` that of a basis (2, 2) [px]."""
+def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) -> Iterator[_Found]:
+    """The lattice from whole flats, the likeliest first; CalibrationError where there is none."""
     from .captures import white_or_scene
     from .features import tone
     from .lattice_fit import fit_on_scenes, fit_on_white
@@ -182,20 +191,30 @@ def _found_on_all(
     single = tone(lights[0]) if len(lights) == 1 else None
     if len(lights) > 1:
         lights = _telling(lights)
-    try:
-        start = _first(lights, filtered, single, other_than)
-        white, lights = white_or_scene(lights, start, kind)
-        if white:
-            picture = tone(_white_sum(lights)) if single is None else single
-            return _Found(picture, True, start, fit_on_white(picture, start))
-        if filtered:
-            lights = [without_mosaic(light) for light in lights]
-        picture = tone(_mean_scene(lights)) if single is None or filtered else single
-        one = None if len(lights) == 1 else tone(lights[0])
-        return _Found(picture, False, start, fit_on_scenes(lights, picture, start), single=one)
-    except np.linalg.LinAlgError as error:
-        # Equations without a solution: nothing on the flat holds the lattice in one of the directions.
-        raise CalibrationError(f"what repeats on the image has no edges to place microimages by; {_RAW}") from error
+    error: CalibrationError | None = None
+    none = True
+    for start in _starts(lights, filtered, single):
+        try:
+            white, some = white_or_scene(lights, start, kind)
+            if white:
+                picture = tone(_white_sum(some)) if single is None else single
+                found = _Found(picture, True, start, fit_on_white(picture, start))
+            else:
+                some = [without_mosaic(light) for light in some] if filtered else some
+                picture = tone(_mean_scene(some)) if single is None or filtered else single
+                one = None if len(some) == 1 else tone(some[0])
+                found = _Found(picture, False, start, fit_on_scenes(some, picture, start), single=one)
+        except CalibrationError as failure:
+            error = error or start.doubt or failure
+            continue
+        except np.linalg.LinAlgError as failure:
+            # Equations without a solution: nothing on the flat holds the lattice in one of the directions.
+            text = f"what repeats on the image has no edges to place microimages by; {_RAW}"
+            raise (error or CalibrationError(text)) from failure
+        none = False
+        yield found
+    if none and error is not None:
+        raise error
 
 
 def _measured(found: _Found) -> Calibration:
@@ -296,21 +315,19 @@ def _mean_scene(lights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
     return mean_scene(lights) if len(lights) > 1 else lights[0]
 
 
-def _first(
-    lights: list[NDArray[np.float32]],
-    filtered: bool,
-    single: NDArray[np.float32] | None,
-    other_than: NDArray[np.float64] | None,
-) -> FirstLattice:
-    """First lattice on the mean of the lights, or on the first of them that shows one by itself.
+def _starts(
+    lights: list[NDArray[np.float32]], filtered: bool, single: NDArray[np.float32] | None
+) -> Iterator[FirstLattice]:
+    """First lattices on the mean of the lights, or on the first of them that shows one by itself.
 
-    `single` is the tone of the only one; `other_than` is as for `first_lattice`.
+    `single` is the tone of the only one.
     """
     from .features import tone
     from .reduction import sought_in_a_piece
-    from .search import NO_MICROIMAGES, REPEATS, first_lattice, first_lattice_of_large
+    from .search import NO_MICROIMAGES, REPEATS, first_lattices, first_lattices_of_large
 
     error: CalibrationError | None = None
+    found = False
     tries = [lambda: _mean_scene(lights)] + [lambda light=light: light for light in lights] * (len(lights) > 1)
     for light in tries:
         picture = tone(without_mosaic(light()) if filtered else light()) if single is None or filtered else single
@@ -320,12 +337,15 @@ def _first(
                     "the image is one even grey; give a flat with light on it and without saturation"
                 )
             large = sought_in_a_piece((picture.shape[1], picture.shape[0]))
-            start = (first_lattice_of_large if large else first_lattice)(picture, other_than)
-            # Two halves of a flat with microimages show the same average one.
-            if start.repeatability < REPEATS:
-                raise CalibrationError(NO_MICROIMAGES)
-            return start
+            for start in (first_lattices_of_large if large else first_lattices)(picture):
+                # Two halves of a flat with microimages show the same average one.
+                if start.repeatability < REPEATS:
+                    raise CalibrationError(NO_MICROIMAGES)
+                found = True
+                yield start
         except CalibrationError as failure:
             error = error or failure
+        if found:
+            return
     assert error is not None
     raise error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from .lattice import Lattice, reduce_basis
 from .origin import is_board, lens_centre, round_centres, true_cell
 from .spectrum import NARROW, candidate_bases, spectra_of, spectrum_of
 
-__all__ = ["REPEATS", "FirstLattice", "first_lattice", "first_lattice_of_large"]
+__all__ = ["REPEATS", "FirstLattice", "first_lattice", "first_lattices", "first_lattices_of_large"]
 
 _BINS = 36
 # Support of a candidate by the spectrum above which longer periods are not looked for, and below which it is none.
@@ -147,48 +147,66 @@ def _same_lattice(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
     return bool(abs(abs(np.linalg.det(whole)) - 1) < 0.5 and np.abs(steps - whole).max() < _SAME)
 
 
-def first_lattice(picture: NDArray[np.float32], other_than: NDArray[np.float64] | None = None) -> FirstLattice:
-    """Lattice from the spectrum, its periods made coherent, its origin on the round centres, fitted to all tiles.
-
-    Where the best supported periods leave doubt, the roundest of those that leave none.
+def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
+    """Lattice from the best supported periods of the spectrum, made coherent, its origin on the round centres, fitted
+    to all tiles.
 
     Parameters
     ----------
     picture : (h, w) float32
         As made by `features.tone`.
-    other_than : (2, 2) float64 [px], optional
-        Basis of a lattice that has proved to be wrong.
 
     Raises
     ------
     CalibrationError
-        If nothing repeats in two directions.
+        If nothing repeats in two directions, or no microimages do.
     """
-    edges = breaks(picture)
+    return _lattice_from(next(_bases(picture)), picture, breaks(picture))
+
+
+def first_lattices(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
+    """`first_lattice`, and where that leaves doubt or proves to be wrong, others that leave none, the roundest first.
+
+    Raises
+    ------
+    CalibrationError
+        As `first_lattice`, if there is none at all.
+    """
+    edges, bases = breaks(picture), _bases(picture)
     error: CalibrationError | None = None
-    first: FirstLattice | None = None
-    sure: list[FirstLattice] = []
-    for number, basis in enumerate(_bases(picture)):
+    unsure: FirstLattice | None = None
+    given: list[FirstLattice] = []
+    try:
+        first = _lattice_from(next(bases), picture, edges)
+        if _is_sure(first):
+            given.append(first)
+            yield first
+        else:
+            unsure = first
+    except CalibrationError as failure:
+        error = failure
+    sure = []
+    for basis in bases:
         try:
             found = _lattice_from(basis, picture, edges)
-        except CalibrationError as failure:
-            error = error or failure
+        except CalibrationError:
             continue
-        if other_than is not None and _same_lattice(found.lattice.basis, other_than):
-            continue
-        if number == 0:
-            first = found
-        if found.repeatability >= REPEATS and found.halves_differ <= _SURE * found.lattice.pitch:
-            sure.append(found)
-            if found is first:
-                break
-    if sure:
-        # Lenses of several types, taken together, are less round than single ones.
-        best = max(sure, key=lambda one: one.roundness)
-        return best if best is first else replace(best, doubt=best.doubt or error or CalibrationError(NO_MICROIMAGES))
-    if first is not None:
-        return first
-    raise error or CalibrationError(NO_MICROIMAGES)
+        if _is_sure(found):
+            sure.append(replace(found, doubt=found.doubt or error or CalibrationError(NO_MICROIMAGES)))
+    # Lenses of several types, taken together, are less round than single ones.
+    for found in sorted(sure, key=lambda one: -one.roundness):
+        if not any(_same_lattice(found.lattice.basis, one.lattice.basis) for one in given):
+            given.append(found)
+            yield found
+    if not given:
+        if unsure is None:
+            raise error or CalibrationError(NO_MICROIMAGES)
+        yield unsure
+
+
+def _is_sure(found: FirstLattice) -> bool:
+    """Whether two halves of the flat agree about a lattice and about what its microimages look like."""
+    return found.repeatability >= REPEATS and found.halves_differ <= _SURE * found.lattice.pitch
 
 
 def _lattice_from(basis: NDArray[np.float64], picture: NDArray[np.float32], edges: NDArray[np.float32]) -> FirstLattice:
@@ -245,8 +263,8 @@ def _lattice_from(basis: NDArray[np.float64], picture: NDArray[np.float32], edge
     )
 
 
-def first_lattice_of_large(picture: NDArray[np.float32], other_than: NDArray[np.float64] | None = None) -> FirstLattice:
-    """`first_lattice` of a picture (h, w) of many pixels, at half its size where that leaves enough of microimages.
+def first_lattices_of_large(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
+    """`first_lattices` of a picture (h, w) of many pixels, at half its size where that leaves enough of microimages.
 
     The features are then of half the size; the lattice is in px of the picture.
     """
@@ -254,15 +272,18 @@ def first_lattice_of_large(picture: NDArray[np.float32], other_than: NDArray[np.
 
     height, width = (length // 2 for length in picture.shape)
     half: Any = cv2.resize(picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+    starts = first_lattices(half)
     try:
-        start = first_lattice(half, None if other_than is None else other_than / 2)
+        start = next(starts)
     except CalibrationError:
-        return first_lattice(picture, other_than)
-    small = start.lattice
-    if small.pitch < _HALVED_PITCH:
-        return first_lattice(picture, other_than)
-    lattice = Lattice(2 * small.origin + 0.5, 2 * small.basis, picture.shape[::-1], 2 * small.radius)
-    return replace(start, lattice=lattice, halves_differ=2 * start.halves_differ, tile_rms=2 * start.tile_rms)
+        start = None
+    if start is None or start.lattice.pitch < _HALVED_PITCH:
+        yield from first_lattices(picture)
+        return
+    for found in chain([start], starts):
+        small = found.lattice
+        lattice = Lattice(2 * small.origin + 0.5, 2 * small.basis, picture.shape[::-1], 2 * small.radius)
+        yield replace(found, lattice=lattice, halves_differ=2 * found.halves_differ, tile_rms=2 * found.tile_rms)
 
 
 def _kept(refined: NDArray[np.float64], basis: NDArray[np.float64]) -> NDArray[np.float64]:

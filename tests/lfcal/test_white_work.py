@@ -20,7 +20,7 @@ from lfcal.lattice import Lattice
 from lfcal.lens_cell import cell_faces, cell_sides, outside, row_in_cell
 from lfcal.light_of_many import cut_table, light_of_any, light_of_round
 from lfcal.majority import Steps, agreed
-from lfcal.search import first_lattice, first_lattice_of_large
+from lfcal.search import first_lattice, first_lattices_of_large
 
 
 @pytest.fixture(scope="module")
@@ -175,10 +175,10 @@ def test_terms_of_the_field_are_its_powers():
 
 
 @pytest.mark.parametrize(("pitch", "half"), [(44.2, 2), (14.1, 1)])
-def test_first_lattice_of_large_microimages_is_found_at_half_size(pitch, half):
+def test_first_lattices_of_large_microimages_is_found_at_half_size(pitch, half):
     truth = WhiteImage("hexagonal", pitch, 7.0, 26.0, size=(701, 520))
     picture = tone(drawn(truth, 1))
-    start = first_lattice_of_large(picture)
+    start = next(first_lattices_of_large(picture))
     assert start.brightness.shape == (520 // half, 701 // half)
     found = start.lattice.centres()
     assert start.lattice.image_size == truth.size
