@@ -104,6 +104,18 @@ def test_several_depths_are_told_from_what_few_lenses_find_in_whole_pixels():
     assert not nearly_planar(places, np.zeros(60), 23.2)
 
 
+@pytest.mark.parametrize(("scene", "options"), [("slope", {}), ("plane", {"ratio": -0.4}), ("plane", {"ratio": 0.2})])
+def test_planes_of_large_microimages_are_found_on_a_smaller_flat_and_measured_on_the_flat_itself(scene, options):
+    large = Camera.design(size=(1000, 760), pitch=52.0, lattice="hex", rotation=2.0)
+    shot = simulate(SCENES[scene](large, **options), large, samples=24, seed=4, noise=(8000, 4))
+    _, quick = both(shot)
+    assert quick.saved["plane"] > 0.7
+    known = (quick.mode != 0) & (shot.truth.mode != 0)
+    error = np.abs(quick.patch_size - shot.truth.patch_size)[known]
+    assert np.median(error) < 0.01
+    assert np.median(error / quick.standard_error[known]) < 2
+
+
 def test_a_bend_of_a_tenth_of_a_pixel_is_no_plane():
     rng = np.random.default_rng(3)
     points = rng.uniform(0, 600, (400, 2))
