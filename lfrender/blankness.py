@@ -24,15 +24,23 @@ _FINE, _FALLEN = 3.0, 0.5
 
 
 def skipped_lenses(
-    gray: GrayFlat, lattice: Lattice, plain: LensStatistics, setting: Preset, noise: float | None = None
+    gray: GrayFlat,
+    lattice: Lattice,
+    plain: LensStatistics,
+    setting: Preset,
+    noise: float | None = None,
+    asked: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.bool_] | None:
     """(n,) bool: lenses whose pixels are explained by noise; None where some of them do match, so that all must be.
 
     Where every lens shows fine texture, the least rough of them do not tell the noise, and faint texture passes for it.
-    Shading matches as well, but near zero, and over a wide range of shifts.
+    Shading matches as well, but near zero, and over a wide range of shifts. Where none of those that are `asked` (n,)
+    is blank, the others are not looked at.
     """
     noise = noise_of(plain.roughness) if noise is None else noise
     blank = blank_lenses(plain, noise)
+    if asked is not None and not (blank & asked).any():
+        return blank
     texture = untouched_texture(gray, plain, noise)
     sample = sample_lenses(lattice.indices(), texture.faint & blank, _SAMPLE)
     if sample.any():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ from .texture import LensStatistics, quick_statistics, untouched_texture
 
 __all__ = ["changed_since", "following"]
 
+# Brightness of flats of no more bytes than this is kept until the next frame.
+_MOST_KEPT = 1 << 25
 # A lens still shows its depth where it matches there no worse than it did, by this much, and the best match about it
 # has not moved to one side by the second number [px of the search], neither there nor in so many lenses beside it.
 _WORSE, _MOVED, _TOGETHER = 0.15, 0.1, 2
@@ -75,9 +78,10 @@ def following(
     then = None
     if shortcuts.steady:
         then = remembered(
-            before, "probe", lambda: _first_probe(working(earlier, calibration, preset)[0], small, before, factor)
+            before, "probe", lambda: _first_probe(*_frame_of(before, earlier, calibration), small, before, factor)
         )
-        probe = _probe(gray, small, plain, before, factor)
+        # What shows the same matches as it did.
+        probe = _probe(gray, small, plain, before, factor, kept).but(then, kept)
         told = (before.reason == 0) & probe.textured
         kept |= ~grown(~kept & _unsteady(then, probe, told, before.reason, neighbours), neighbours)
         saved["steady"] = float(kept.mean()) - saved["still"]
@@ -85,10 +89,32 @@ def following(
             return _noted(replace(before, saved=saved), before, changed, then)
     if not kept.any():
         return _noted(scaled(analyzed(gray, small, preset, shortcuts), lattice, factor), before, changed)
-    blank = skipped_lenses(gray, small, plain, PRESETS[preset]) if shortcuts.blank else None
+    asked = grown(grown(~kept, neighbours), neighbours)
+    blank = skipped_lenses(gray, small, plain, PRESETS[preset], asked=asked) if shortcuts.blank else None
     depth, _ = lens_by_lens(gray, small, preset, shortcuts, plain, blank, kept, scaled(before, small, 1 / factor))
     after = scaled(replace(depth, saved={**depth.saved, **saved}), lattice, factor)
+    if gray.image.nbytes <= _MOST_KEPT:
+        # The strips that were cut out of it stay as well.
+        _latest_frame(calibration)[:] = [weakref.ref(after), gray, plain]
     return _noted(after, before, changed, then, kept)
+
+
+def _latest_frame(calibration: Calibration) -> list[Any]:
+    """The depth map of the frame that was analysed last after another (a weak reference), its brightness and the
+    statistics of that; empty before the first one."""
+    return remembered(calibration, "latest frame", list)
+
+
+def _frame_of(depth: DepthMap, flat: NDArray, calibration: Calibration) -> tuple[GrayFlat, LensStatistics]:
+    """Brightness of the frame that a depth map belongs to, and the statistics of that."""
+    from .analysis import working
+
+    # Frames mostly follow each other; other threads may follow others.
+    match list(_latest_frame(calibration)):
+        case [reference, gray, plain] if reference() is depth:
+            return gray, plain
+    gray = working(flat, calibration, depth.preset)[0]
+    return gray, quick_statistics(gray)
 
 
 @dataclass(frozen=True)
@@ -110,18 +136,20 @@ class _Probe:
     clear: NDArray[np.bool_]
     textured: NDArray[np.bool_]
 
+    def but(self, other: _Probe, where: NDArray[np.bool_]) -> _Probe:
+        """This one, but for some lenses, which are as in another."""
+        return _Probe(*(np.where(where, getattr(other, f.name), getattr(self, f.name)) for f in fields(_Probe)))
 
-def _first_probe(gray: GrayFlat, lattice: Lattice, depth: DepthMap, factor: int) -> _Probe:
+
+def _first_probe(gray: GrayFlat, plain: LensStatistics, lattice: Lattice, depth: DepthMap, factor: int) -> _Probe:
     """The probe of the frame that a depth belongs to.
 
     Lenses that have kept their depth from a frame before are compared with that one for good, or many small changes
     would pass.
     """
     then, kept = remembered(depth, "kept probe", lambda: (None, None))
-    probe = _probe(gray, lattice, quick_statistics(gray), depth, factor, kept)
-    if then is None or kept is None:
-        return probe
-    return _Probe(*(np.where(kept, getattr(then, f.name), getattr(probe, f.name)) for f in fields(_Probe)))
+    probe = _probe(gray, lattice, plain, depth, factor, kept)
+    return probe if then is None or kept is None else probe.but(then, kept)
 
 
 def _probe(

@@ -27,6 +27,7 @@ from .byte_reading import (
 )
 from .fastmath import FAST
 from .prefetching import prefetch
+from .remembered import remembered
 
 __all__ = ["lay_patches", "shows_all_patches"]
 
@@ -35,6 +36,8 @@ _PHASES = 8
 # Values are read in bunches of so many, bytes in such as intrinsics take, as vector instructions want it: those beyond
 # the end of a run are overwritten by the next.
 _BUNCH = 32
+# Processors fetch so many bytes at once.
+_LINE_OF_MEMORY = 64
 # Memory takes as long to come as so many lenses take to read.
 _LATER = 4
 
@@ -205,7 +208,7 @@ def _lay(
     turned = patch_slope > 0
     slope = -1 if turned else 1
     bunch, turned_bunch = np.uint64(TOGETHER if flat.itemsize == 1 else _BUNCH), np.uint64(3 * TURNED)
-    phases = np.uint64(_PHASES)
+    phases, line_of_memory = np.uint64(_PHASES), np.uint64(_LINE_OF_MEMORY // flat.itemsize)
     at_once = turned and flat.itemsize == 1 and channels == 3
     across, down = np.uint64(channels), np.uint64(width * channels)
     gain = tabled.reshape(-1)
@@ -279,14 +282,17 @@ def _lay(
                     ahead = at - down if turned else at + down + down
                     prefetch(flat, ahead)
                     prefetch(flat, ahead + length)
+                    for k in range(line_of_memory, length, line_of_memory):
+                        prefetch(flat, ahead + k)
                     # Before the first row of a patch there is none to have it fetched; lenses are looked up ahead.
                     if cy - v > above:
                         later_x, later_y = cx + _LATER * around[following, 0], cy + _LATER * around[following, 1]
                         y_there = int(later_y * spacing + first + (v - later_y) * slope) - corner[1]
                         x_there = int(later_x * spacing + first) + from_middle - corner[0]
                         later = np.uint64(y_there) * down + np.uint64(x_there) * across
-                        prefetch(flat, later)
-                        prefetch(flat, later + down)
+                        for k in range(np.uint64(0), length + line_of_memory, line_of_memory):
+                            prefetch(flat, later + k)
+                            prefetch(flat, later + down + k)
                     gain_at = np.uint64(0)
                     if len(gain) > 0:
                         step = np.uint64(int((dx + reach) * _PHASES + 0.5) + from_middle * _PHASES)
@@ -317,7 +323,10 @@ def _lay(
 
 def _cell(lattice: Lattice) -> NDArray[np.float64]:
     """(6, 2) corners of the places to which a centre is the nearest, from there [px]; a square's may coincide."""
-    a, b = lattice.basis
+    return remembered(lattice, "cell", lambda: _corners(*lattice.basis))
+
+
+def _corners(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     if a @ b < 0:
         b = -b
     # Each is as far from the centre as from two of its neighbours.

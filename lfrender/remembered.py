@@ -33,8 +33,9 @@ def remembered(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
 
 def latest(owner: Any, name: str, key: Hashable, make: Callable[[], _Value]) -> _Value:
     """As `remembered`, but of each `name` only what was asked for last is kept."""
-    last: dict[Hashable, _Value] = remembered(owner, name, dict)
-    if key not in last:
-        last.clear()
-        last[key] = make()
-    return last[key]
+    last: dict[str, tuple[Hashable, _Value]] = remembered(owner, name, dict)
+    found = last.get(name)
+    if found is None or found[0] != key:
+        # Other threads may ask for something else meanwhile.
+        found = last[name] = key, make()
+    return found[1]

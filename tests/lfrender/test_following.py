@@ -96,6 +96,23 @@ def test_a_following_frame_is_the_same_on_one_thread(house, first, second):
     np.testing.assert_array_equal(drawn.image, picture.image)
 
 
+def test_a_chain_of_frames_is_the_same_whether_the_last_one_is_at_hand_or_not(house, first, second):
+    calibration = house.truth.calibration
+    third = second[::-1, ::-1].copy()
+    third[100:] = second[100:]
+
+    def chain(forget):
+        after, _ = following(house, first, second)
+        if forget:
+            remembered(calibration, "latest frame", list).clear()
+        return lfrender.analyze(third, calibration, "fast", previous=(second, after))
+
+    quick, slow = chain(forget=False), chain(forget=True)
+    assert 0 < quick.saved["steady"] < 1
+    np.testing.assert_array_equal(quick.patch_size, slow.patch_size)
+    np.testing.assert_array_equal(quick.surface.patch_size, slow.surface.patch_size)
+
+
 def test_other_texture_at_the_same_depth_keeps_it_and_at_another_depth_does_not(drawn_flat):
     one, lattice, _, inner = drawn_flat(7.0, noise=0.004)
     calibration = Calibration(lattice)
