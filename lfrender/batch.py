@@ -90,13 +90,27 @@ def render_frames(
 def _read_ahead(
     frames: Iterable[Frame], wanted: Callable[[Frame], bool] | None
 ) -> Iterator[tuple[Frame, Future[NDArray[Any]] | None]]:
-    """Each frame with its pixels, which are read while the frame before is being worked on; None where not wanted."""
+    """Each frame with its pixels, None where not wanted; the next one is decoded while one is being worked on."""
+    source = iter(frames)
+
+    def following() -> tuple[Frame, Future[NDArray[Any]] | None] | None:
+        frame = next(source, None)
+        if frame is None:
+            return None
+        return frame, _done(frame.read) if wanted is None or wanted(frame) else None
+
     with ThreadPoolExecutor(1) as reader:
-        waiting: tuple[Frame, Future[NDArray[Any]] | None] | None = None
-        for frame in frames:
-            following = frame, reader.submit(frame.read) if wanted is None or wanted(frame) else None
-            if waiting is not None:
-                yield waiting
-            waiting = following
-        if waiting is not None:
-            yield waiting
+        waiting = reader.submit(following)
+        while (found := waiting.result()) is not None:
+            waiting = reader.submit(following)
+            yield found
+
+
+def _done(read: Callable[[], NDArray[Any]]) -> Future[NDArray[Any]]:
+    """What `read` gives or raises, when it is asked for."""
+    outcome: Future[NDArray[Any]] = Future()
+    try:
+        outcome.set_result(read())
+    except Exception as error:
+        outcome.set_exception(error)
+    return outcome

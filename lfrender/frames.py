@@ -259,10 +259,17 @@ def _video_pixels(path: Path, number: int, picture: Any) -> Callable[[], NDArray
         return partial(_refuse, f"{path}: frame {number} is damaged")
     deep = _DEEP.search(picture.format.name) is not None
     try:
-        pixels = picture.to_ndarray(format="rgb48le") if deep else exact(picture, "rgb24").to_ndarray()
+        pixels = _deep_pixels(picture) if deep else exact(picture, "rgb24").to_ndarray()
     except Exception as error:
         return partial(_refuse, f"{path}: frame {number}: {_said(error)}")
     return partial(np.ascontiguousarray, pixels)
+
+
+def _deep_pixels(picture: Any) -> NDArray[np.uint16]:
+    """(h, w, 3) of a frame of PyAV, without the copies that it makes of so many bytes."""
+    plane = picture.reformat(format="rgb48le").planes[0]
+    rows = np.frombuffer(plane, "<u2").reshape(plane.height, plane.line_size // 2)
+    return rows[:, : 3 * plane.width].reshape(plane.height, plane.width, 3)
 
 
 def exact(picture: Any, name: str, **options: Any) -> Any:

@@ -32,7 +32,6 @@ _QUEUE = 8
 _RIM = np.float32(1.02)
 # An output pixel that is larger in the flat by no more than this is read at one place [px].
 _OVER = np.float32(1.05)
-_BYTE = np.uint32(255)
 # Where the second, third and fourth value of all pixels of a run begin, and what belongs to the next run.
 _ONE, _F, _W, _THREE = np.uint64(1), np.uint64(_LANES), np.uint64(2 * _LANES), np.uint64(3 * _LANES)
 _BOTH, _WORK, _PER_RUN = np.uint64(2 * _LANES), np.uint64(3 * _LANES), np.uint64(4 * _LANES)
@@ -84,27 +83,33 @@ def _place(
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _fetch(line, down, whole, at, lanes, glow, pairs, pair_at, lamps, lamp_at):
-    """The four pixels about each place, two by two, and what multiplies them there."""
+def _fetch(line, down, whole, at, lanes, glow, quads, quads_at, pairs, pair_at, lamps, lamp_at):
+    """The four pixels about each place, two by two where `pairs` are two of the `quads`, and what multiplies them."""
     for k in range(lanes):
         pixel = np.uint64(np.uint32(whole[at + k]))
         ring = np.uint64(np.uint32(whole[at + _F + k]))
-        pairs[pair_at + k] = two_at(line, pixel)
-        pairs[pair_at + _F + k] = two_at(line, pixel + down)
+        if len(pairs) < len(quads):
+            pairs[pair_at + k] = two_at(line, pixel)
+            pairs[pair_at + _F + k] = two_at(line, pixel + down)
+        else:
+            quads[quads_at + k + k], quads[quads_at + _ONE + k + k] = line[pixel], line[pixel + _ONE]
+            pixel += down
+            quads[quads_at + _BOTH + k + k], quads[quads_at + _BOTH + _ONE + k + k] = line[pixel], line[pixel + _ONE]
         lamps[lamp_at + k] = glow[ring]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _between(a, b, c, d, w00, w01, w10, w11):
-    """Weighted sum of the lowest bytes of four pixels."""
-    upper = w00 * np.float32(np.int32(a & _BYTE)) + w01 * np.float32(np.int32(b & _BYTE))
-    return upper + (w10 * np.float32(np.int32(c & _BYTE)) + w11 * np.float32(np.int32(d & _BYTE)))
+def _between(a, b, c, d, lowest, w00, w01, w10, w11):
+    """Weighted sum of the `lowest` bits of four pixels."""
+    upper = w00 * np.float32(np.int32(a & lowest)) + w01 * np.float32(np.int32(b & lowest))
+    return upper + (w10 * np.float32(np.int32(c & lowest)) + w11 * np.float32(np.int32(d & lowest)))
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
 def _add(quads, quads_at, lamps, lamp_at, work, at, values, base, sums, u, lanes):
     """Values of some readings, kept in `values`, and added to the `sums` of their pixels."""
-    eight = np.uint32(8)
+    bits = quads.dtype.type(2 * quads.itemsize)
+    lowest = (quads.dtype.type(1) << bits) - quads.dtype.type(1)
     for k in range(lanes):
         fx, fy, gain = work[at + k], work[at + _F + k], lamps[lamp_at + k + k]
         weight = work[at + _W + k] * lamps[lamp_at + _ONE + k + k]
@@ -113,11 +118,11 @@ def _add(quads, quads_at, lamps, lamp_at, work, at, values, base, sums, u, lanes
         w00, w10 = gain * gy - w01, gain * fy - w11
         a, b = quads[quads_at + k + k], quads[quads_at + _ONE + k + k]
         c, d = quads[quads_at + _BOTH + k + k], quads[quads_at + _BOTH + _ONE + k + k]
-        v0 = _between(a, b, c, d, w00, w01, w10, w11)
-        a, b, c, d = a >> eight, b >> eight, c >> eight, d >> eight
-        v1 = _between(a, b, c, d, w00, w01, w10, w11)
-        a, b, c, d = a >> eight, b >> eight, c >> eight, d >> eight
-        v2 = _between(a, b, c, d, w00, w01, w10, w11)
+        v0 = _between(a, b, c, d, lowest, w00, w01, w10, w11)
+        a, b, c, d = a >> bits, b >> bits, c >> bits, d >> bits
+        v1 = _between(a, b, c, d, lowest, w00, w01, w10, w11)
+        a, b, c, d = a >> bits, b >> bits, c >> bits, d >> bits
+        v2 = _between(a, b, c, d, lowest, w00, w01, w10, w11)
         values[base + k] = weight
         values[base + _F + k] = v0
         values[base + _W + k] = v1
@@ -204,7 +209,9 @@ def _read_queue(
     """
     for n in range(begin, end):
         q, lanes = np.uint64(n % _QUEUE), _whole(runs[n, 2])
-        _fetch(line, stride, whole, q * _WORK, lanes, glow, pairs, q * _BOTH, lamp_pairs, q * _F)
+        _fetch(
+            line, stride, whole, q * _WORK, lanes, glow, quads, q * _PER_RUN, pairs, q * _BOTH, lamp_pairs, q * _F
+        )  # fmt: skip
     for n in range(begin, end):
         q = np.uint64(n % _QUEUE)
         if runs[n, 1]:
@@ -326,12 +333,12 @@ def blend_rows(
     flat, marks, seen, edged, gains, lights, light_step, centres, kinds, shares, radius, pitch, surface, grid_x, grid_y,
     cell, edge, scale, first, spacing, reach, tolerance, corner, size, start, wanted, half, top, out, valid, left,
 ):  # fmt: skip
-    """Fill `out` (h, w, C) as `mosaic.draw_rows` does, for whole bytes in the middle view.
+    """Fill `out` (h, w, C) as `mosaic.draw_rows` does, for whole numbers in the middle view.
 
-    `flat` (H, W) uint32 are pixels as `packed_to_read`. Lenses have their `centres` (n, 2) on the flat, sorted by y,
-    are of the type `kinds` (n,) and `edged` (n,) where `seen` tells anything of them. Pixels that need more than one
-    reading are marked in `left` (h, w), and are to be drawn by the other kernel. The other arguments are those of that
-    one.
+    `flat` (H, W) uint32 or uint64 are pixels as `packed_to_read`. Lenses have their `centres` (n, 2) on the flat,
+    sorted by y, are of the type `kinds` (n,) and `edged` (n,) where `seen` tells anything of them. Pixels that need
+    more than one reading are marked in `left` (h, w), and are to be drawn by the other kernel. The other arguments are
+    those of that one.
     """
     rows, columns, _ = out.shape
     glow = np.empty(2 * len(gains), np.float32)
@@ -355,7 +362,7 @@ def blend_rows(
         share, before = np.ones(types * _LINE, np.float32), np.empty(SECTION + 1, np.int64)
         sums, totals = np.empty(4 * _LINE, np.float32), np.empty(4 * _LINE, np.float32)
         work, whole = np.empty(_QUEUE * 3 * _LANES, np.float32), np.empty(_QUEUE * 3 * _LANES, np.int32)
-        quads, lamps = np.empty(_QUEUE * 4 * _LANES, np.uint32), np.empty(_QUEUE * 2 * _LANES, np.float32)
+        quads, lamps = np.empty(_QUEUE * 4 * _LANES, flat.dtype), np.empty(_QUEUE * 2 * _LANES, np.float32)
         values, runs = np.empty(most * 4 * _LANES, np.float32), np.empty((most, 3), np.int64)
         for v in range(group * _TOGETHER, min((group + 1) * _TOGETHER, rows)):
             y = first[1] + (start[1] + v) * spacing

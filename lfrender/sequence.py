@@ -142,6 +142,24 @@ def _pool(blocks, centres, side, radius, per_pixel, out):
         out[5, lens] = max(count, 1)
 
 
+@njit(cache=True, nogil=True)
+def _group(edges, mean, rough, pixel, level, ends, groups):
+    """Group lenses by the `level` of their mean between the `edges`; fill `groups` (2, n) with `rough` and `pixel` of
+    one group after the other, each of which `ends` before the place that it tells."""
+    ends[:] = 0
+    for lens in range(len(mean)):
+        level[lens] = 0
+        for k in range(len(edges)):
+            level[lens] += edges[k] < mean[lens]
+        ends[level[lens]] += 1
+    for k in range(1, len(ends)):
+        ends[k] += ends[k - 1]
+    for lens in range(len(mean) - 1, -1, -1):
+        ends[level[lens]] -= 1
+        groups[0, ends[level[lens]]], groups[1, ends[level[lens]]] = rough[lens], pixel[lens]
+    ends[:-1], ends[-1] = ends[1:], len(mean)
+
+
 def changed_lenses(before: NDArray, now: NDArray, calibration: Calibration) -> NDArray[np.bool_]:
     """(n,) bool: lenses whose pixels differ from those of an earlier frame by more than noise, and so that it shows.
 
@@ -169,15 +187,16 @@ def changed_lenses(before: NDArray, now: NDArray, calibration: Calibration) -> N
     mean, contrast, rough, pixel, block, count = out
     white = white_level(before, calibration)
     rounding = _ROUNDING if before.dtype.kind in "ui" else (white / 2**16) ** 2
-    edges = np.quantile(mean, np.arange(1, _LEVELS) / _LEVELS)
-    level = np.searchsorted(edges, mean)
-    noise = np.empty(_LEVELS)
-    for k in range(_LEVELS):
-        group = level == k
-        noise[k] = rounding / channels
-        if group.any():
-            quiet = min(quantile(2 * rough[group], _SMOOTH), quantile(pixel[group], _STILL))
-            noise[k] = max(noise[k], quiet)
+    level, ends, groups = (
+        np.empty(len(mean), np.int64),
+        np.empty(_LEVELS, np.int64),
+        np.empty((2, len(mean)), np.float32),
+    )
+    _group(np.quantile(np.sort(mean), np.arange(1, _LEVELS) / _LEVELS), mean, 2 * rough, pixel, level, ends, groups)
+    noise = np.full(_LEVELS, rounding / channels)
+    for k, (smooth, still) in enumerate(zip(*(np.split(values, ends[:-1]) for values in groups), strict=True)):
+        if len(smooth):
+            noise[k] = max(noise[k], min(quantile(smooth, _SMOOTH), quantile(still, _STILL)))
     # Noise may change much within a group, as where pixels are cut off at black.
     padded = np.pad(noise, 1, mode="edge")
     allowed = np.maximum(np.maximum(padded[:-2], padded[2:]), noise)[level]

@@ -74,34 +74,38 @@ def _give_back(flat, channels, out):
             into[k] = middle * here[k] - side * ((left + right) + (above[k] + below[k]))
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _give_back_whole(flat, channels, highest, out):
-    """As `_give_back`, rounded: sixteen twelfths of a pixel less one twelfth of each beside it, plus a half.
+@njit(cache=True, nogil=True)
+def _whole_given_back(flat, y, channels, highest, into):
+    """A row as of `_give_back`, rounded: sixteen twelfths of a pixel less one twelfth of each beside it, plus a half.
 
     Twelve times the answer is a whole number that single precision holds exactly, and a twelfth is rounded up there, so
     that cutting off after the product is the division of whole numbers; vectors hold more of these than of integers.
     """
     height, width = flat.shape
     sixteen, six, zero, twelfth = np.float32(16), np.float32(6), np.float32(0), np.float32(1 / 12)
-    for y in prange(height):
-        above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
-        into = out[y]
-        n = width - 2 * channels
-        before, own, after = here[: max(n, 0)], here[channels:], here[2 * channels :]
-        up, down, target = above[channels:], below[channels:], into[channels:]
-        for k in range(n):
-            sides = (np.float32(before[k]) + np.float32(after[k])) + (np.float32(up[k]) + np.float32(down[k]))
-            target[k] = min(max(np.float32(own[k]) * sixteen - sides + six, zero) * twelfth, highest)
-        for end in range(min(2 * channels, width)):
-            k = end if end < channels else width - 2 * channels + end
-            left, right = here[k - channels if k >= channels else k], here[k + channels if k < width - channels else k]
-            sides = (np.float32(left) + np.float32(right)) + (np.float32(above[k]) + np.float32(below[k]))
-            into[k] = min(max(np.float32(here[k]) * sixteen - sides + six, zero) * twelfth, highest)
+    above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
+    n = width - 2 * channels
+    before, own, after = here[: max(n, 0)], here[channels:], here[2 * channels :]
+    up, down, target = above[channels:], below[channels:], into[channels:]
+    for k in range(n):
+        sides = (np.float32(before[k]) + np.float32(after[k])) + (np.float32(up[k]) + np.float32(down[k]))
+        target[k] = min(max(np.float32(own[k]) * sixteen - sides + six, zero) * twelfth, highest)
+    for end in range(min(2 * channels, width)):
+        k = end if end < channels else width - 2 * channels + end
+        left, right = here[k - channels if k >= channels else k], here[k + channels if k < width - channels else k]
+        sides = (np.float32(left) + np.float32(right)) + (np.float32(above[k]) + np.float32(below[k]))
+        into[k] = min(max(np.float32(here[k]) * sixteen - sides + six, zero) * twelfth, highest)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _give_back_whole(flat, channels, highest, out):
+    for y in prange(len(flat)):
+        _whole_given_back(flat, y, channels, highest, out[y])
 
 
 @njit(cache=True, nogil=True)
 def _bytes_given_back(flat, y, channels, line, into):
-    """A row as of `_give_back_whole`, for bytes: a line between two loops keeps them to 16 bits: vectors hold more."""
+    """A row as of `_whole_given_back`, for bytes: a line between two loops keeps them to 16 bits: vectors hold more."""
     height, width = flat.shape
     above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
     n = max(width - 2 * channels, 0)
@@ -126,29 +130,49 @@ def _give_back_bytes(flat, channels, out):
         _bytes_given_back(flat, y, channels, np.empty(flat.shape[1], np.int16), out[y])
 
 
+@njit(cache=True, nogil=True)
+def _packed(row, channels, into):
+    """Put the channels of each pixel of a row into one number, the first lowest."""
+    kind = into.dtype.type
+    if channels == 3:
+        for x in range(len(into)):
+            at = np.uint64(3) * np.uint64(x)
+            pixel = kind(row[at]) | (kind(row[at + np.uint64(1)]) << kind(8 * row.itemsize))
+            into[x] = pixel | (kind(row[at + np.uint64(2)]) << kind(16 * row.itemsize))
+    else:
+        for x in range(len(into)):
+            pixel = kind(0)
+            for c in range(channels):
+                pixel |= kind(row[x * channels + c]) << kind(8 * row.itemsize * c)
+            into[x] = pixel
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def _give_back_packed(flat, channels, out):
     for y in prange(len(flat)):
-        row, into = np.empty(flat.shape[1], np.uint8), out[y]
+        row = np.empty(flat.shape[1], np.uint8)
         _bytes_given_back(flat, y, channels, np.empty(flat.shape[1], np.int16), row)
-        if channels == 3:
-            for x in range(len(into)):
-                at = np.uint64(3) * np.uint64(x)
-                pixel = np.uint32(row[at]) | (np.uint32(row[at + np.uint64(1)]) << np.uint32(8))
-                into[x] = pixel | (np.uint32(row[at + np.uint64(2)]) << np.uint32(16))
-        else:
-            for x in range(len(into)):
-                pixel = np.uint32(0)
-                for c in range(channels):
-                    pixel |= np.uint32(row[x * channels + c]) << np.uint32(8 * c)
-                into[x] = pixel
+        _packed(row, channels, out[y])
 
 
-def packed_to_read(pixels: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    """(H, W) uint32: `ready_to_read` with the bytes of each pixel (H, W, C) in one number, the first lowest; C is 4 at
-    most. In `scratch` memory."""
-    out = scratch("packed", pixels.shape[:2], np.uint32)
-    _give_back_packed(np.ascontiguousarray(pixels).reshape(len(pixels), -1), pixels.shape[2], out)
+@njit(cache=True, nogil=True, parallel=True)
+def _give_back_packed_shorts(flat, channels, highest, out):
+    for y in prange(len(flat)):
+        row = np.empty(flat.shape[1], np.uint16)
+        _whole_given_back(flat, y, channels, highest, row)
+        _packed(row, channels, out[y])
+
+
+def packed_to_read(pixels: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint32 | np.uint64]:
+    """(H, W) uint32, or uint64 of shorts: `ready_to_read` with the channels of each pixel (H, W, C) in one number, the
+    first lowest; C is 4 at most. In `scratch` memory."""
+    rows, channels = np.ascontiguousarray(pixels).reshape(len(pixels), -1), pixels.shape[2]
+    if pixels.dtype == np.uint8:
+        out = scratch("packed", pixels.shape[:2], np.uint32)
+        _give_back_packed(rows, channels, out)
+    else:
+        out = scratch("packed shorts", pixels.shape[:2], np.uint64)
+        _give_back_packed_shorts(rows, channels, np.float32(np.iinfo(pixels.dtype).max), out)
     return out
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 
 from .bending import lattice_bend
-from .candidates import MOST_CANDIDATES, calm_lenses, propose
+from .candidates import MOST_CANDIDATES, calm_lenses, mark_unsettled, propose
 from .fastmath import FAST
 from .neighbours import lens_grid, neighbour_rows
 from .radiance import GrayFlat
@@ -178,11 +178,13 @@ def spread(
     grid, low = lens_grid(lattice)
     ring = remembered(lattice, "looking", lambda: _steps_nearby(lattice))
     gap = np.float32(max(0.75, 0.04 * pitch))
-    calm = calm_lenses(values, seconds, trust, lattice.indices(), grid, low, ring, gap)
+    inverse, bend, indices = np.linalg.inv(lattice.basis), lattice_bend(lattice), lattice.indices()
+    calm = calm_lenses(values, seconds, trust, indices, grid, low, ring, gap)
     old = np.empty((0, 0), np.float32)
     if before is not None and before.patch_size.shape == shape and before.first == start:
         old = before.patch_size
-    settled = np.zeros(len(values), bool) if settled is None else settled
+    if settled is None:
+        old = old[:0, :0]
     table = np.hstack([gray.centres, trust[:, None], values[:, None], seconds])
 
     def settle(
@@ -191,11 +193,16 @@ def spread(
         depths, costs, totals = (
             scratch(name, (MOST_CANDIDATES, *shape), np.float32) for name in ("depths", "costs", "totals")
         )
+        around, unsettled = neighbour_rows(lattice, ring), scratch("unsettled", old.shape, np.bool_)
+        if old.size:
+            mark_unsettled(
+                settled, gray.centres, indices, around, ring, lattice.origin, lattice.basis, inverse, *bend, start[0],
+                spacing / part, unsettled,
+            )  # fmt: skip
         propose(
-            gray.image, table, neighbour_rows(lattice, ring), np.float32(gray.radius), np.float32(pitch), calm, grid,
-            low, lattice.origin, np.linalg.inv(lattice.basis), *lattice_bend(lattice), ring, gap,
-            np.float32(4 * noise * noise), start[0], spacing / part, np.float32((_VOTING * pitch) ** 2),
-            np.float32(max(1.0, pitch / 48)), settled, old, coarse, depths, costs,
+            gray.image, table, around, np.float32(gray.radius), np.float32(pitch), calm, grid, low, lattice.origin,
+            inverse, *bend, ring, gap, np.float32(4 * noise * noise), start[0], spacing / part,
+            np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), unsettled, old, coarse, depths, costs,
         )  # fmt: skip
         chosen = scratch(purpose, shape, np.float32)
         # A step between grid values counts as part of those that it stands for, as what they mismatch does.
@@ -215,5 +222,5 @@ def _every_other(values: NDArray[np.float32], shape: tuple[int, int]) -> NDArray
     """Every other row and column, with the last ones repeated to fill the `shape`; (0, 0) stays so."""
     if not values.size:
         return values
-    missing = [(0, n - (m + 1) // 2) for n, m in zip(shape, values.shape, strict=True)]
-    return np.pad(values[::2, ::2], missing, "edge")
+    v, u = (np.minimum(2 * np.arange(n), (m - 1) // 2 * 2) for n, m in zip(shape, values.shape, strict=True))
+    return values[v[:, None], u]

@@ -212,7 +212,7 @@ class Drawing:
             )  # fmt: skip
             if not left.any():
                 return image, valid
-            ready, wanted = packed.view(np.uint8).reshape(*packed.shape, 4), left
+            ready, wanted = packed.view(pixels.dtype).reshape(*packed.shape, 4), left
         else:
             ready = ready_to_read(pixels) if self.blend else pixels
         draw_rows(
@@ -223,10 +223,10 @@ class Drawing:
         return image, valid
 
     def _read_once(self, pixels: NDArray[Any]) -> bool:
-        """Whether most output pixels are the mean over single readings of bytes, as `blend_rows` wants it."""
+        """Whether most output pixels are the mean over single readings of whole numbers, as `blend_rows` wants it."""
         # Its places in the flat are whole numbers of 31 bits.
         small = pixels.shape[0] * pixels.shape[1] < 2**31
-        return self.blend and self.blur == 0 and pixels.dtype == np.uint8 and pixels.shape[2] <= 3 and small
+        return self.blend and self.blur == 0 and pixels.dtype.kind == "u" and pixels.shape[2] <= 3 and small
 
     @cached_property
     def _shares(self) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
