@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +20,12 @@ from .frame_job import STRETCH, FrameResult, Job, Key
 from .frames import Frame
 
 __all__ = ["render_frames"]
+
+# Frames that are worked on at once, if a flat has no more bytes than this: larger ones keep all cores busy by
+# themselves, and take memory.
+_AT_ONCE, _MOST_SHARED = 2, 1 << 26
+# What Numba runs kernels on that may be called from several threads.
+_SAFE_LAYERS = ("omp", "tbb")
 
 
 def render_frames(
@@ -63,6 +71,22 @@ def render_frames(
         If the folder or a picture cannot be written, or it holds pictures made with other settings.
     """
     job = Job.opened(Path(folder), calibration, preset, scale, suffix, overwrite)
+    waiting: deque[FrameResult | Future[FrameResult]] = deque()
+    with ThreadPoolExecutor(
+        _AT_ONCE, initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),)
+    ) as workers:
+        for given in _given(job, frames, workers, overwrite):
+            waiting.append(given)
+            while waiting and (len(waiting) > _AT_ONCE or isinstance(waiting[0], FrameResult)):
+                yield _outcome(waiting.popleft())
+        while waiting:
+            yield _outcome(waiting.popleft())
+
+
+def _given(
+    job: Job, frames: Iterable[Frame], workers: ThreadPoolExecutor, overwrite: bool
+) -> Iterator[FrameResult | Future[FrameResult]]:
+    """What becomes of each frame, or will: those to be rendered are given to the workers."""
     earlier: Key | None = None
     key: Key | None = None
     wanted = None if overwrite else job.is_missing
@@ -84,7 +108,19 @@ def render_frames(
         except LightFieldError as error:
             yield job.failure(frame, error)
             continue
-        yield job.result(number, frame, partial(np.asarray, flat), key)
+        if _can_share(flat):
+            yield workers.submit(job.result, number, frame, partial(np.asarray, flat), key)
+        else:
+            yield job.result(number, frame, partial(np.asarray, flat), key)
+
+
+def _can_share(flat: NDArray[Any]) -> bool:
+    """Whether frames may be worked on at once: one core need not wait while the other does what has no parts."""
+    return flat.nbytes <= _MOST_SHARED and numba.threading_layer() in _SAFE_LAYERS
+
+
+def _outcome(given: FrameResult | Future[FrameResult]) -> FrameResult:
+    return given if isinstance(given, FrameResult) else given.result()
 
 
 def _read_ahead(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import weakref
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,13 +95,12 @@ def following(
     after = scaled(replace(depth, saved={**depth.saved, **saved}), lattice, factor)
     if gray.image.nbytes <= _MOST_KEPT:
         # The strips that were cut out of it stay as well.
-        _latest_frame(calibration)[:] = [weakref.ref(after), gray, plain]
+        _latest_frame(calibration)[:] = [(weakref.ref(after), gray, plain)]
     return _noted(after, before, changed, then, kept)
 
 
-def _latest_frame(calibration: Calibration) -> list[Any]:
-    """The depth map of the frame that was analysed last after another (a weak reference), its brightness and the
-    statistics of that; empty before the first one."""
+def _latest_frame(calibration: Calibration) -> list[tuple[weakref.ref[DepthMap], GrayFlat, LensStatistics]]:
+    """Of the frame that was analysed last after another: its depth map, brightness and the statistics of that."""
     return remembered(calibration, "latest frame", list)
 
 
@@ -109,9 +108,10 @@ def _frame_of(depth: DepthMap, flat: NDArray, calibration: Calibration) -> tuple
     """Brightness of the frame that a depth map belongs to, and the statistics of that."""
     from .analysis import working
 
-    # Frames mostly follow each other; other threads may follow others.
-    match list(_latest_frame(calibration)):
-        case [reference, gray, plain] if reference() is depth:
+    with suppress(IndexError):
+        # Frames mostly follow each other. No two threads may cut strips out of the same brightness.
+        of, gray, plain = _latest_frame(calibration).pop()
+        if of() is depth:
             return gray, plain
     gray = working(flat, calibration, depth.preset)[0]
     return gray, quick_statistics(gray)

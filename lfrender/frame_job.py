@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from threading import Lock
 from time import perf_counter
 from typing import Any, Literal
 
@@ -81,7 +82,8 @@ class Job:
     preset: str
     scale: float | None
     suffix: str
-    _drawn: tuple[int, Rendering] | None = None
+    _pictures: dict[int, Rendering] = field(default_factory=dict)
+    _drawing: Lock = field(default_factory=Lock, compare=False)
 
     @classmethod
     def opened(
@@ -201,10 +203,13 @@ class Job:
 
     def key_picture(self, key: Key) -> Rendering:
         """The picture of a key frame, whose pixels are kept where nothing has changed since."""
-        if self._drawn is None or self._drawn[0] != key.number:
-            assert key.flat is not None
-            self._drawn = key.number, render(key.flat, self.camera(key.flat), key.depth, scale=self.scale)
-        return self._drawn[1]
+        # The last frames of one stretch and the first of the next may be worked on at once.
+        with self._drawing:
+            if key.number not in self._pictures:
+                assert key.flat is not None
+                picture = render(key.flat, self.camera(key.flat), key.depth, scale=self.scale)
+                self._pictures = {**dict(list(self._pictures.items())[-1:]), key.number: picture}
+            return self._pictures[key.number]
 
     def write(self, path: Path, picture: Rendering, embedded: Embedded) -> None:
         """Write the picture of a frame, with what its file says of its colours and of how it was taken."""

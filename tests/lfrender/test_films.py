@@ -63,7 +63,8 @@ def test_film_shows_every_picture_and_in_place_of_bad_frames_the_one_before(fram
 def test_stopped_run_leaves_no_film_and_goes_on_with_the_pictures_it_has(frames, house, tmp_path):
     path, camera = tmp_path / "film.mkv", house.truth.calibration
     started = lfrender.render_film(frames, path, camera, preset="fast")
-    list(islice(started, 3))
+    # The next one is on its way by then.
+    list(islice(started, 2))
     started.close()
     assert not path.exists()
     results = list(lfrender.render_film(frames, path, camera, preset="fast"))
@@ -76,7 +77,8 @@ def test_stopped_run_leaves_no_film_and_goes_on_with_the_pictures_it_has(frames,
 def test_pictures_made_with_other_settings_are_not_taken_for_a_film(frames, house, tmp_path):
     path, camera = tmp_path / "film.mkv", house.truth.calibration
     started = lfrender.render_film(frames, path, camera, preset="fast")
-    list(islice(started, 3))
+    # The next one is on its way by then.
+    list(islice(started, 2))
     started.close()
     results = list(lfrender.render_film(frames, path, camera, preset="fast", scale=5.0))
     assert "kept" not in [r.outcome for r in results]
