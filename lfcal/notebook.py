@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .display import eight_bits
 from .lattice import Lattice
 from .lens_types import LensTypes
 from .orientation import orientation
@@ -56,7 +57,7 @@ def card(title: str, figures: Mapping[str, str], picture: str, warnings: Sequenc
     )
 
 
-def thumbnail(image: NDArray, name: str) -> str:
+def thumbnail(image: NDArray, name: str, white: float | None = None) -> str:
     """HTML of a picture, made smaller to fit a card.
 
     Parameters
@@ -65,15 +66,13 @@ def thumbnail(image: NDArray, name: str) -> str:
         uint8, uint16, or float between 0 and 1.
     name : str
         What it shows, for readers who cannot see it.
+    white : float, optional
+        As for `eight_bits`.
     """
     from PIL import Image
 
     pixels = image[:, :, 0] if image.ndim == 3 and image.shape[2] == 1 else image
-    if pixels.dtype.kind == "f":
-        pixels = np.rint(np.clip(np.nan_to_num(pixels), 0, 1) * 255).astype(np.uint8)
-    elif pixels.dtype != np.uint8:
-        pixels = (pixels >> 8).astype(np.uint8)
-    picture = Image.fromarray(np.ascontiguousarray(pixels))
+    picture = Image.fromarray(np.ascontiguousarray(eight_bits(pixels, white)))
     # Twice the size on the page, for dense screens.
     picture.thumbnail((4 * _HEIGHT, 2 * _HEIGHT))
     stream = BytesIO()

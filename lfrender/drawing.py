@@ -135,7 +135,7 @@ def render(
         image = image[:, :, 0]
     affine = drawing.affine
     affine[:, 2] += affine[:, :2] @ part[:2]
-    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, valid, drawing.scale)
+    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, valid, drawing.scale, calibration.white_level)
 
 
 def _check_previous(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import OutputError, check_output
+from lfcal.display import eight_bits
 
 from .frames import exact
 from .picture import PictureError
@@ -53,8 +54,10 @@ def check_film(path: Path, inputs: Iterable[Path | None] = ()) -> None:
         raise PictureError(f"{path}: the package 'av' was built without the encoder {encoder}; use another ending")
 
 
-def film_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
-    """A picture as films hold it: floats, in which 1 is white, with 16 bits."""
+def film_pixels(pixels: NDArray[Any], only_eight_bits: bool = False, white: float | None = None) -> NDArray[Any]:
+    """A picture as films hold it: with 8 bits as `eight_bits`, or as it is, but for floats: with 16 bits."""
+    if only_eight_bits:
+        return eight_bits(pixels, white)
     if pixels.dtype.kind != "f":
         return pixels
     return np.rint(np.clip(pixels, 0, 1) * 65535).astype(np.uint16)
@@ -87,6 +90,11 @@ class FilmFile:
         with self._told():
             self._file = av.open(str(path), "w", options=options)
             self._file.metadata["comment"] = comment
+
+    @property
+    def eight_bits(self) -> bool:
+        """Whether the film holds no more than 8 bits."""
+        return self._kind == ".mp4"
 
     def add(self, pixels: NDArray[Any]) -> None:
         """Add a picture (h, w) or (h, w, 3), uint8 or uint16; the first one tells the kind of all others.

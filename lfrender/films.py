@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from lfcal import Calibration, FlatError, OutputError, read_flat
 
 from .film_file import FilmFile, check_film, film_pixels
-from .frame_job import FrameResult
+from .frame_job import FrameResult, camera_of
 from .frames import Frames
 from .picture_file import move_into_place
 from .unfinished import Unfinished, fingerprint, stamp
@@ -52,7 +52,8 @@ def render_film(
     frames : Frames
         From `open_frames`.
     path : path-like
-        `.mp4`: H.264 with 8 bits, nearly lossless; `.mkv`: FFV1, lossless, also with 16 bits. Needs the package `av`.
+        `.mp4`: H.264 with 8 bits up to the white of the camera, nearly lossless; `.mkv`: FFV1, lossless, also with 16
+        bits. Needs the package `av`.
     calibration, preset, scale
         As in `render_frames`.
     rate : float, Fraction or None
@@ -93,6 +94,7 @@ def render_film(
     with FilmFile(half, speed, comment) as film, ThreadPoolExecutor(1) as encoder:
         waiting: Future[None] | None = None
         shown: Path | None = None
+        white: float | None = None
         times = 0
         for result in pictures:
             shown = shown if result.outcome == "failed" else result.path
@@ -100,7 +102,9 @@ def render_film(
             if shown is not None:
                 if waiting is not None:
                     waiting.result()
-                waiting = encoder.submit(_add, film, shown, times)
+                if waiting is None:
+                    white = camera_of(unfinished.folder).white_level
+                waiting = encoder.submit(_add, film, shown, times, white)
                 times = 0
             yield replace(result, path=output)
         if waiting is None:
@@ -128,7 +132,7 @@ def _pictures(
     return render_frames_on(client, frames, folder, calibration, preset=preset, scale=scale, threads=threads)
 
 
-def _add(film: FilmFile, picture: Path, times: int) -> None:
-    pixels = film_pixels(read_flat(picture))
+def _add(film: FilmFile, picture: Path, times: int, white: float | None) -> None:
+    pixels = film_pixels(read_flat(picture), film.eight_bits, white)
     for _ in range(times):
         film.add(pixels)

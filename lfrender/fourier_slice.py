@@ -76,7 +76,13 @@ def refocus_fourier(
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
     affine = np.array([[spacing, 0.0, first], [0.0, spacing, first]])
-    return Rendering(as_stored(image.astype(np.float32), np.asarray(flat).dtype), affine, valid, float(scale))
+    return Rendering(
+        as_stored(image.astype(np.float32), np.asarray(flat).dtype),
+        affine,
+        valid,
+        float(scale),
+        calibration.white_level,
+    )
 
 
 def _slice(

@@ -29,7 +29,7 @@ from .frames import Frame
 from .picture import check_picture, write_picture
 from .rendering import Rendering
 
-__all__ = ["STRETCH", "FrameResult", "Job", "Key"]
+__all__ = ["STRETCH", "FrameResult", "Job", "Key", "camera_of"]
 
 # Frames from one key to the next.
 STRETCH = 30
@@ -73,6 +73,11 @@ class Key:
     depth: DepthMap | None = None
 
 
+def camera_of(folder: Path) -> Calibration:
+    """The camera of the pictures in a folder, once there are some."""
+    return load(folder / _STATE / "camera.json")
+
+
 @dataclass
 class Job:
     """Settings of a run, and what it keeps in the hidden folder."""
@@ -111,7 +116,7 @@ class Job:
 
     def _resume(self, state: Path) -> None:
         """Take over the camera and the scale of an earlier run."""
-        camera = load(state / "camera.json")
+        camera = camera_of(self.folder)
         try:
             settings = json.loads((state / "settings.json").read_text(encoding="utf-8"))
             same = settings["preset"] == self.preset and self.scale in (None, settings["scale"])

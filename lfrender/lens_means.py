@@ -79,7 +79,9 @@ def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
     affine = np.array([[pitch, 0.0, first], [0.0, pitch, first]])
-    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, known.reshape(rows, columns), 1.0)
+    return Rendering(
+        as_stored(image, np.asarray(flat).dtype), affine, known.reshape(rows, columns), 1.0, calibration.white_level
+    )
 
 
 def _between_lenses(

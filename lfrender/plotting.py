@@ -46,7 +46,7 @@ def rendering_card(rendering: Rendering) -> str:
         "scale": f"{rendering.scale:.2f} px per pitch",
         "seen by lenses": f"{float(np.mean(rendering.valid)):.1%}",
     }
-    return notebook.card("Rendering", figures, notebook.thumbnail(rendering.image, "rendered picture"))
+    return notebook.card("Rendering", figures, notebook.thumbnail(rendering.image, "rendered picture", rendering.white))
 
 
 def plot_depth(depth: DepthMap, ax: Any = None) -> Any:
@@ -69,7 +69,7 @@ def plot_rendering(rendering: Rendering, ax: Any = None) -> Any:
     ax = notebook.axes(ax)
     image = rendering.image
     if image.dtype.kind == "u":
-        image = image / np.float32(np.iinfo(image.dtype).max)
+        image = image / np.float32(rendering.white or np.iinfo(image.dtype).max)
     height, width = image.shape[:2]
     corners = rendering.affine @ [[-0.5, width - 0.5], [-0.5, height - 0.5], [1.0, 1.0]]
     extent = (corners[0, 0], corners[0, 1], corners[1, 1], corners[1, 0])

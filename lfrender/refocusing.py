@@ -92,7 +92,7 @@ def refocus(
     )  # fmt: skip
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
-    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, valid, float(scale))
+    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, valid, float(scale), calibration.white_level)
 
 
 def focal_stack(

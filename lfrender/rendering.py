@@ -25,12 +25,15 @@ class Rendering:
         Pixels that at least one lens has seen.
     scale : float
         Output pixels per microlens pitch, `P`.
+    white : float, optional
+        What is white in whole numbers, where that is less than the largest that their type holds.
     """
 
     image: NDArray
     affine: NDArray[np.float64]
     valid: NDArray[np.bool_]
     scale: float
+    white: float | None = None
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the picture over scene coordinates.

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration
+from lfcal.display import eight_bits
 
 from .depthmap import BINOCULAR, TELESCOPIC, DepthMap
 from .drawing import render
@@ -85,7 +86,7 @@ def data_urls(pictures: Mapping[str, ArrayLike], most: int, white: float | None 
     """
     import cv2
 
-    shown = {name: _eight_bits(np.asarray(picture), white) for name, picture in pictures.items()}
+    shown = {name: eight_bits(_in_colour(np.asarray(picture)), white) for name, picture in pictures.items()}
     urls: dict[str, str] = {}
     for size, quality in _STEPS:
         if size * max(max(picture.shape[:2]) for picture in shown.values()) > _LONGEST:
@@ -118,15 +119,7 @@ def _reduced(picture: NDArray[np.uint8], size: float) -> NDArray[Any]:
     return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA))
 
 
-def _eight_bits(picture: NDArray, white: float | None) -> NDArray[np.uint8]:
+def _in_colour(picture: NDArray) -> NDArray:
     if picture.ndim == 2 or picture.shape[2] < 3:
         picture = np.repeat(picture.reshape(*picture.shape[:2], -1)[..., :1], 3, axis=2)
-    picture = picture[..., :3]
-    if picture.dtype == np.uint8:
-        return picture
-    if picture.dtype.kind not in "ui":
-        white = 1.0
-    elif white is None:
-        white = float(np.iinfo(picture.dtype).max)
-    scaled: NDArray[np.uint8] = np.rint(np.clip(picture / white, 0, 1) * 255).astype(np.uint8)
-    return scaled
+    return picture[..., :3]

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import OutputError, check_output, whole_file
+from lfcal.display import eight_bits
 
 from .embedded import Embedded
 from .picture import PictureError, check_picture, write_picture
@@ -127,7 +127,7 @@ def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering],
     frames = []
     for picture in pictures:
         check_animation(path, picture.image.dtype)
-        frames.append(Image.fromarray(_eight_bits(picture.image)))
+        frames.append(Image.fromarray(np.ascontiguousarray(eight_bits(picture.image, picture.white))))
     if not frames:
         raise PictureError(f"{path}: an animation needs at least one picture")
     suffix = Path(path).suffix.lower()
@@ -142,8 +142,3 @@ def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering],
             temporary, ANIMATIONS[suffix], save_all=True, append_images=frames[1:], duration=milliseconds, loop=0,
             **options,
         )  # fmt: skip
-
-
-def _eight_bits(image: NDArray[Any]) -> NDArray[np.uint8]:
-    pixels = image if image.dtype == np.uint8 else (image.astype(np.uint32) * 255 + 32767) // 65535
-    return np.ascontiguousarray(pixels.astype(np.uint8))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, CalibrationError, LightFieldError
+from lfcal.display import eight_bits
 
 from .bending import lattice_bend
 from .depthmap import DepthMap
@@ -94,7 +95,7 @@ def viewer_scene(
             with_seen.append(name)
             coded = np.dstack([part >> 8, part & 255, _cut(from_middle, x, y, side)]).astype(np.uint8)
             yield f"seen-{name}.png", _png(coded, compression)
-        yield f"flat-{name}.png", _png(_eight_bits(_cut(even, x, y, side), white), compression)
+        yield f"flat-{name}.png", _png(eight_bits(_shown(_cut(even, x, y, side)), white), compression)
     last = list(tiles)[-1].split("-")
     described["tiles"] = {
         "side": next(iter(tiles.values()))[2], "columns": int(last[0]) + 1, "rows": int(last[1]) + 1, "seen": with_seen,
@@ -230,13 +231,9 @@ def _overlay(depth: DepthMap) -> dict[str, Any]:
     return {"limits": [float(low), float(max(high, 1.2 * low))], "ramp": _base64(ramp, np.uint8)}
 
 
-def _eight_bits(pixels: NDArray, white: float) -> NDArray[np.uint8]:
-    """The first three channels, or the first alone, as 8 bits."""
-    shown = pixels[:, :, :3] if pixels.shape[2] >= 3 else pixels[:, :, :1]
-    if shown.dtype == np.uint8:
-        return shown
-    scaled: NDArray[np.uint8] = np.rint(np.clip(shown / white, 0, 1) * 255).astype(np.uint8)
-    return scaled
+def _shown(pixels: NDArray) -> NDArray:
+    """The first three channels, or the first alone."""
+    return pixels[:, :, :3] if pixels.shape[2] >= 3 else pixels[:, :, :1]
 
 
 def _png(pixels: NDArray[np.uint8], compression: int) -> bytes:

@@ -101,7 +101,9 @@ def _drawn(
         image, valid, affine = _draw(
             pixels, calibration, depth.surface, scale, True, blur, viewpoint=point, stored=True
         )
-        yield Rendering(as_stored(image[:, :, 0] if plain else image, dtype), affine, valid, scale)
+        yield Rendering(
+            as_stored(image[:, :, 0] if plain else image, dtype), affine, valid, scale, calibration.white_level
+        )
 
 
 def _checked(offset: tuple[float, float], radius: float) -> tuple[float, float]:
