@@ -13,6 +13,7 @@ from .depthmap import DepthMap
 from .judgement import RESOLVABLE, SURE, credible, judged, moving, possible, shaded, staying
 from .neighbours import both_ways, rows_among
 from .pooling import pooled
+from .radiance import shrink
 from .recurrence import hardly_seen, recurring
 from .search import Found, Matcher, Preset, search
 from .slant import LensFits
@@ -25,6 +26,7 @@ _KEPT = {
     "patch_size": "drawn", "standard_error": "standard_error", "confidence": "confidence", "reason": "reason",
     "guess": "drawn",
 }  # fmt: skip
+_BLURRED_PITCH = 22.0
 # A scene without any texture is drawn at this s / D: from the middle of the microimages. Its sign makes no difference.
 UNTOLD = 0.25
 
@@ -230,17 +232,20 @@ def _refined(
     """
     texture = lenses.texture
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
-    first = np.where(wanted, found.patch_size, np.nan).astype(np.float32)
-    alone, by_pixels = measure(
-        texture.flat,
+    # Where one lens is more blurred than the next, finer detail than this tells the difference and not the depth.
+    factor = max(1, int(lenses.pitch / _BLURRED_PITCH)) if texture.flat.kinds is not None else 1
+    first = np.where(wanted, found.patch_size / factor, np.nan).astype(np.float32)
+    found_by = measure(
+        shrink(texture.flat, factor),
         lenses.forward,
         lenses.backward,
         first,
         scale,
-        texture.noise,
+        texture.noise / factor,
         setting.iterations,
         setting.last_step,
     )
+    alone, by_pixels = (fits.larger(factor) for fits in found_by)
     measured = np.isfinite(by_pixels.patch_size)
     refined = np.where(measured, by_pixels.patch_size, found.patch_size)
     return alone, refined, np.where(measured, by_pixels.standard_error, np.inf)

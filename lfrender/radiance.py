@@ -55,12 +55,15 @@ class GrayFlat:
     radius : float [px of `image`]
         Radius up to which a microimage is trusted.
     pitch : float [px of `image`]
+    kinds : (n,) int8, optional
+        Types of the lenses, where they are focused at different depths.
     """
 
     image: NDArray[np.float32]
     centres: NDArray[np.float32]
     radius: float
     pitch: float
+    kinds: NDArray[np.int8] | None = None
 
 
 def gain_table(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
@@ -260,7 +263,9 @@ def gray_flat(
         # Microimages of this radius share no pixel.
         apart = np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min() / 2
         _fill_unlit(centres, np.float32(min(radius + _BEYOND, apart)), light, image)
-    return GrayFlat(image, centres, radius, lattice.pitch)
+    types = calibration.lens_types
+    kinds = None if types is None else types.of(calibration.lattice.indices())
+    return GrayFlat(image, centres, radius, lattice.pitch, kinds)
 
 
 def shrunk(lattice: Lattice, factor: int) -> Lattice:
@@ -381,4 +386,4 @@ def _shrunk_flat(gray: GrayFlat, factor: int) -> GrayFlat:
 
 def _of_blocks(gray: GrayFlat, factor: int, image: NDArray[np.float32]) -> GrayFlat:
     centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)
-    return GrayFlat(image, centres, gray.radius / factor - _MIXED, gray.pitch / factor)
+    return GrayFlat(image, centres, gray.radius / factor - _MIXED, gray.pitch / factor, gray.kinds)

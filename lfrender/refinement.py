@@ -9,8 +9,10 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .fastmath import FAST
-from .microimages import copy_box
+from .focus_blur import NO_BLUR, FocusBlur, add_curve, focus_blur, some_of
+from .pair_pixels import BEYOND, MORE, NOWHERE, WHOLE, corner, cut, lay_over
 from .radiance import GrayFlat
+from .remembered import remembered
 from .striding import stretches
 
 __all__ = ["LAST_STEP", "PairFits", "fit_pairs"]
@@ -35,15 +37,6 @@ _CORRELATED, _CORRELATED_NOISE = np.float32(4.0), np.float32(1.62)
 _RIM, _RIM_SHARE = 1.0, 0.05
 # Neighbours whose first values differ by less than this share of the pitch start from their mean.
 _COMMON_START = np.float32(0.04)
-# Vector loops take up to so many pixels at a time. Places are unsigned: signed ones are looked at for being counted
-# from the end.
-_WHOLE = 64
-# Between columns, three more pixels are read than there are places.
-_MORE = 3
-# Slopes are taken between the pixels on both sides, and smoothing reads one further [px].
-_BEYOND = 2
-# No whole step between two microimages.
-_NOWHERE = 2**40
 
 
 @dataclass(frozen=True)
@@ -69,86 +62,15 @@ class PairFits:
     place: NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _spline(f):
-    """Weights of the four pixels at -1, 0, 1, 2 in the cubic B-spline at `f`.
-
-    It smooths as much at any fraction as at 0, where its weights are those of `_cut`; compared with a picture so
-    smoothed it shifts a detail of w radians per pixel by less than w^5 / 1000 px. Linear interpolation shifts it
-    by up to w^2 / 60 px, and so does Keys's cubic: by the same amount over the whole flat.
-    """
-    one, sixth, half = np.float32(1.0), np.float32(1 / 6), np.float32(0.5)
-    g = one - f
-    return (
-        sixth * g * g * g,
-        np.float32(2 / 3) - half * f * f * (one + g),
-        np.float32(2 / 3) - half * g * g * (one + f),
-        sixth * f * f * f,
-    )
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _whole(count):
-    """The next whole number of what vector loops take at a time."""
-    return (count + _WHOLE - 1) // _WHOLE * _WHOLE
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _corner(centre, radius, side, size):
-    """First of `side` pixels that hold a microimage, so that these and those beside them lie on the flat."""
-    return min(max(int(np.ceil(centre - radius)), 1), size - side - 1)
-
-
-# Without fast math: sums whose order it is free to choose would have other bits where the kernel is compiled than where
-# it is loaded.
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _cut(pixels, height, width, left, top, side, wide, box, smooth, own, slope_x, slope_y):
-    """A microimage smoothed by 1, 4, 1 over 6 in both directions, and its slopes, row after row.
-
-    `box` and `smooth` are memory to work in.
-    """
-    across, half, one, two = side + 2 * _BEYOND, np.float32(0.5), np.uint64(1), np.uint64(2)
-    first = left - _BEYOND
-    for row in range(across):
-        at, into = min(max(top - _BEYOND + row, 0), height - 1) * width, np.uint64(row * across)
-        if first < 0 or first + across > width:
-            for k in range(across):
-                box[into + np.uint64(k)] = pixels[np.uint64(at + min(max(first + k, 0), width - 1))]
-        else:
-            for k in range(np.uint64(across)):
-                box[into + k] = pixels[np.uint64(at + first) + k]
-    line, four, weight = np.uint64(across), np.float32(4.0), np.float32(1 / 36)
-    for k in range(np.uint64(across * (across - 2))):
-        smooth[k] = box[k] + four * box[k + line] + box[k + line + line]
-    # What lies between the end of one row and the beginning of the next is of no use.
-    for k in range(np.uint64(across * (across - 2) - 2)):
-        box[k] = weight * (smooth[k] + four * smooth[k + one] + smooth[k + two])
-    for row in range(side):
-        middle, into = np.uint64((row + 1) * across + 1), np.uint64(row * wide)
-        for k in range(np.uint64(side)):
-            own[into + k] = box[middle + k]
-            slope_x[into + k] = half * (box[middle + one + k] - box[middle - one + k])
-            slope_y[into + k] = half * (box[middle + line + k] - box[middle - line + k])
-
-
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
-    """Weighted sums of four values so far `apart`, for `count` places from `start` on."""
-    first, second = np.uint64(start), np.uint64(start + apart)
-    third, fourth = np.uint64(start + 2 * apart), np.uint64(start + 3 * apart)
-    for k in range(np.uint64(count)):
-        out[first + k] = (c0 * values[first + k] + c1 * values[second + k]) + (
-            c2 * values[third + k] + c3 * values[fourth + k]
-        )
-
-
 # Python's error model checks every division, which no vector loop can.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _sums(
-    own, slope_x, slope_y, other, columns, rows, start, count, ux, uy, ax, ay, qx, qy, mx, my, r2, low_x, high_x, low_y,
-    high_y, offset, scale2,
-):  # fmt: skip
-    """Sums over the pixels of a microimage that the other shows too, weighted after Geman and McClure."""
+def _sums(own, slope_x, slope_y, other, columns, rows, placed, offset, scale2):
+    """Sums over the pixels of a microimage that the other shows too, weighted after Geman and McClure.
+
+    Those of weights, residuals, slopes, their products, the moments of place, and the sums and products of brightness
+    that grows along the step from lens to lens.
+    """
+    start, count, ux, uy, ax, ay, qx, qy, mx, my, r2, low_x, high_x, low_y, high_y = placed
     zero = np.float32(0.0)
     sw = sr = srr = sp = spp = spr = sx = sy = sq = sqq = spq = sqr = zero
     first = np.uint64(start)
@@ -180,51 +102,15 @@ def _sums(
     return sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _normal_equation(
-    pixels, height, width, ax, ay, bx, by, radius, s, pitch, scale2, offset, left, top, side, wide, columns, rows, own,
-    slope_x, slope_y, at, there, lines, other,
-):  # fmt: skip
-    """Sums for a change of s and of the offset between two microimages.
-
-    Returns the sums of weights, residuals, slopes, their products, the moments of place, and the sums and products of
-    brightness that grows along the step from lens to lens. The first microimage is cut out from the pixel (left, top)
-    on.
-    """
-    ux, uy = (bx - ax) / pitch, (by - ay) / pitch
-    tx, ty = bx - ax + s * ux, by - ay + s * uy
-    x0, y0 = int(np.floor(tx)), int(np.floor(ty))
-    cx0, cx1, cx2, cx3 = _spline(np.float32(tx - x0))
-    cy0, cy1, cy2, cy3 = _spline(np.float32(ty - y0))
-    qx, qy = bx - tx, by - ty
-    begin = max(int(np.ceil(max(ay, qy) - radius)), max(1, 1 - y0), top)
-    end = min(int(np.floor(min(ay, qy) + radius)), min(height - 2, height - 3 - y0), top + side - 1)
-    if end < begin:
-        zero = np.float32(0.0)
-        return zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
-    # Most steps stay between the same pixels.
-    if at[0] != x0 or at[1] != y0:
-        copy_box(pixels, width, left + x0 - 1, top + y0 - 1, side + _MORE, wide, there)
-        at[0], at[1] = x0, y0
-    start, count = (begin - top) * wide, _whole((end + 1 - begin) * wide)
-    _mean_of_four(there, start, 1, _whole((end + 4 - begin) * wide), cx0, cx1, cx2, cx3, lines)
-    _mean_of_four(lines, start, wide, count, cy0, cy1, cy2, cy3, other)
-    # Relative to the first pixel that is cut out.
-    x, y = np.float32(left), np.float32(top)
-    return _sums(
-        own, slope_x, slope_y, other, columns, rows, start, count, ux, uy, ax - x, ay - y, qx - x, qy - y,
-        np.float32(0.5) * (ax + qx) - x, np.float32(0.5) * (ay + qy) - y, radius * radius,
-        np.float32(max(1, 1 - x0) - left), np.float32(min(width - 2 - left, width - 3 - x0 - left, side - 1)),
-        np.float32(begin - top), np.float32(end - top), offset, scale2,
-    )  # fmt: skip
-
-
 @njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def _fit(
     pixels, height, width, ax, ay, bx, by, radius, start, pitch, scale2, noise2, iterations, last_step, left, top, side,
-    wide, columns, rows, own, slope_x, slope_y, at, there, lines, between,
+    wide, columns, rows, own, slope_x, slope_y, bend, blur, growth, at, there, lines, between,
 ):  # fmt: skip
-    """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be told."""
+    """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be told.
+
+    The first microimage differs from the second by `blur`, and its `growth` per s, times `bend`, where there is any.
+    """
     s = start
     slope_noise = _SLOPE_NOISE * ((bx - ax) ** 2 + (by - ay) ** 2) / (pitch * pitch)
     offset = np.float32(0.0)
@@ -232,10 +118,16 @@ def _fit(
     x = y = np.float32(0.0)
     two, tiny = np.float32(2.0), np.float32(1e-12)
     for _ in range(iterations):
-        sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr = _normal_equation(
-            pixels, height, width, ax, ay, bx, by, radius, s, pitch, scale2, offset, left, top, side, wide, columns,
-            rows, own, slope_x, slope_y, at, there, lines, between,
-        )  # fmt: skip
+        placed = lay_over(
+            pixels, height, width, ax, ay, bx, by, radius, s, pitch, left, top, side, wide, at, there, lines, between
+        )
+        if len(bend) > 0:
+            share, first = blur + growth * s, np.uint64(placed[0])
+            for k in range(np.uint64(placed[1])):
+                between[first + k] += share * bend[first + k]
+        sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr = _sums(
+            own, slope_x, slope_y, between, columns, rows, placed, offset, scale2
+        )
         if sw < 4:
             return np.float32(np.nan), variance, x, y
         inverse = np.float32(1.0) / sw
@@ -274,11 +166,12 @@ def _starts(first, second, near):
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _fit_pairs(
-    image, centres, radius, pitch, rows, start, scale2, noise2, iterations, last_step, sizes, variances, places
-):  # fmt: skip
+    image, centres, radius, pitch, rows, start, scale2, noise2, iterations, last_step, kinds, blurs, growths, curve,
+    sizes, variances, places,
+):  # fmt: skip  # fmt: skip
     side = int(2 * radius) + 1
-    wide = side + _MORE
-    size = max((side + _MORE) * (wide + _MORE), (side + 2 * _BEYOND) ** 2) + 2 * _WHOLE
+    wide = side + MORE
+    size = max((side + MORE) * (wide + MORE), (side + 2 * BEYOND) ** 2) + 2 * WHOLE
     column, line = np.empty(size, np.float32), np.empty(size, np.float32)
     for k in range(size):
         column[k], line[k] = k % wide, k // wide
@@ -289,11 +182,11 @@ def _fit_pairs(
         # All that sums run over is some number, also where it has not been set.
         own, slope_x, slope_y = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
         there, lines, between = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
-        at = np.empty(2, np.int64)
+        bend, at = np.zeros(size if len(kinds) else 0, np.float32), np.empty(2, np.int64)
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
             ax, ay = centres[lens, 0], centres[lens, 1]
-            left, top = _corner(ax, radius, side, width), _corner(ay, radius, side, height)
+            left, top = corner(ax, radius, side, width), corner(ay, radius, side, height)
             ready = False
             for d in range(rows.shape[1]):
                 other = rows[lens, d]
@@ -304,8 +197,13 @@ def _fit_pairs(
                 if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
                     continue
                 if not ready:
-                    _cut(pixels, height, width, left, top, side, wide, there, lines, own, slope_x, slope_y)
+                    cut(pixels, height, width, left, top, side, wide, there, lines, own, slope_x, slope_y, bend)
+                    if len(bend) > 0:
+                        add_curve(own, slope_x, slope_y, curve, bend)
                     ready = True
+                blur = growth = np.float32(0.0)
+                if len(bend) > 0:
+                    blur, growth = blurs[kinds[lens], kinds[other]], growths[kinds[lens], kinds[other]]
                 first, second, together = _starts(start[lens], start[other], _COMMON_START * pitch)
                 for k in range(2):
                     if k == 1 and together:
@@ -313,12 +211,12 @@ def _fit_pairs(
                         variances[lens, d, 1] = variances[lens, d, 0]
                         places[lens, d, 1, 0], places[lens, d, 1, 1] = places[lens, d, 0, 0], places[lens, d, 0, 1]
                         break
-                    at[0] = at[1] = _NOWHERE
+                    at[0] = at[1] = NOWHERE
                     s, variance, x, y = _fit(
                         pixels, height, width, ax, ay, centres[other, 0], centres[other, 1], radius,
                         first if k == 0 else second, pitch, max(scale2[lens], scale2[other]), noise2, iterations,
-                        last_step, left, top, side, wide, column, line, own, slope_x, slope_y, at, there, lines,
-                        between,
+                        last_step, left, top, side, wide, column, line, own, slope_x, slope_y, bend, blur, growth, at,
+                        there, lines, between,
                     )  # fmt: skip
                     sizes[lens, d, k] = s
                     variances[lens, d, k] = variance
@@ -353,16 +251,27 @@ def fit_pairs(
         A step shorter than this is the last.
     """
     radius = gray.radius - min(_RIM, _RIM_SHARE * gray.pitch)
-    shape = (*rows.shape, 2)
-    fits = PairFits(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32))
     image = gray.image
     # Microimages are cut out with what lies about them.
-    missing = [max(0, int(2 * radius) + 2 * _MORE - n) for n in image.shape]
+    missing = [max(0, int(2 * radius) + 2 * MORE - n) for n in image.shape]
     if any(missing):
         image = np.pad(image, [(0, n) for n in missing], "edge")
-    _fit_pairs(
-        np.ascontiguousarray(image), gray.centres, np.float32(radius), np.float32(gray.pitch), rows,
-        start.astype(np.float32), (scale * scale).astype(np.float32), np.float32(noise * noise), iterations,
-        np.float32(last_step),        fits.patch_size, fits.variance, fits.place,
-    )  # fmt: skip
-    return fits
+    image, start = np.ascontiguousarray(image), start.astype(np.float32)
+    shape = (*rows.shape, 2)
+
+    def fit(start: NDArray[np.float32], blur: FocusBlur) -> PairFits:
+        fits = PairFits(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32))
+        _fit_pairs(
+            image, gray.centres, np.float32(radius), np.float32(gray.pitch), rows, start,
+            (scale * scale).astype(np.float32), np.float32(noise * noise), iterations, np.float32(last_step),
+            blur.kinds, blur.blurs, blur.growths, blur.curve, fits.patch_size, fits.variance, fits.place,
+        )  # fmt: skip
+        return fits
+
+    def found_blur(kinds: NDArray[np.int8]) -> FocusBlur:
+        some = some_of(start)
+        sizes = fit(some, NO_BLUR).patch_size[:, :, 0]
+        return focus_blur(image, gray.centres, radius, gray.pitch, rows, sizes, scale, noise, kinds)
+
+    kinds = gray.kinds
+    return fit(start, NO_BLUR if kinds is None else remembered(gray, "blur", lambda: found_blur(kinds)))

@@ -57,7 +57,12 @@ def part_of(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tupl
     high = np.minimum(size, np.ceil((centres.max(0) + around) / step) * step + 1).astype(int)
     sub = latest(lattice, "part", (*low.tolist(), *high.tolist()), lambda: lattice_of(lattice, low, high))
     image = np.ascontiguousarray(gray.image[low[1] : high[1], low[0] : high[0]])
-    return replace(gray, image=image, centres=sub.centres().astype(np.float32)), sub
+    kinds = None
+    if gray.kinds is not None:
+        grid, first = lens_grid(lattice)
+        i, j = (np.rint(lattice.to_index(sub.centres() + low)).astype(int) - first).T
+        kinds = gray.kinds[grid[j, i]]
+    return replace(gray, image=image, centres=sub.centres().astype(np.float32), kinds=kinds), sub
 
 
 def lattice_of(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int64]) -> Lattice:

@@ -96,7 +96,8 @@ class Texture:
 
     def of(self, rows: NDArray[np.int64]) -> Texture:
         """That of some lenses."""
-        flat = replace(self.flat, centres=self.flat.centres[rows])
+        kinds = None if self.flat.kinds is None else self.flat.kinds[rows]
+        flat = replace(self.flat, centres=self.flat.centres[rows], kinds=kinds)
         return Texture(flat, self.statistics.of(rows), self.noise, self.clear[rows], self.faint[rows])
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import correlate1d
 
-from lfrender import refinement
 from lfrender.neighbours import neighbour_rows
+from lfrender.pair_pixels import cut
 from lfrender.refinement import PairFits, fit_pairs
 from lfrender.slant import fit_lenses
 
@@ -108,11 +108,12 @@ def test_pairs_that_scatter_by_more_than_their_noise_widen_the_error_beyond_thei
 def test_microimages_are_cut_out_smoothed_with_their_slopes(left, top):
     height, width, side, wide = 18, 21, 9, 12
     image = np.random.default_rng(2).random((height, width)).astype(np.float32)
-    box, smooth, own, slope_x, slope_y = np.full((5, 400), np.nan, np.float32)
-    refinement._cut(image.ravel(), height, width, left, top, side, wide, box, smooth, own, slope_x, slope_y)
+    box, smooth, own, slope_x, slope_y, bend = np.full((6, 400), np.nan, np.float32)
+    cut(image.ravel(), height, width, left, top, side, wide, box, smooth, own, slope_x, slope_y, bend)
     kernel = np.array([1, 4, 1]) / 6
     expected = correlate1d(correlate1d(image.astype(float), kernel, 0, mode="nearest"), kernel, 1, mode="nearest")
     slopes = [correlate1d(expected, [-0.5, 0, 0.5], axis, mode="nearest") for axis in (1, 0)]
+    laplacian = sum(correlate1d(expected, [1, -2, 1], axis, mode="nearest") for axis in (0, 1))
     part = slice(top, top + side), slice(left, left + side)
-    for found, whole in zip((own, slope_x, slope_y), (expected, *slopes), strict=True):
+    for found, whole in zip((own, slope_x, slope_y, bend), (expected, *slopes, laplacian), strict=True):
         np.testing.assert_allclose(found[: side * wide].reshape(side, wide)[:, :side], whole[part], atol=1e-6)

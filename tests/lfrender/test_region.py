@@ -24,6 +24,18 @@ def test_the_next_frame_has_the_lattice_of_the_same_part_and_another_part_its_ow
     assert set(map(tuple, centres[left].round(6))) <= set(map(tuple, sub.centres().round(6)))
 
 
+def test_lenses_of_a_part_keep_their_types():
+    lattice = Lattice(np.array([5.0, 6.0]), np.array([[20.0, 0.0], [10.0, 17.3]]), (400, 300), 9.0)
+    centres, (i, j) = lattice.centres(), lattice.indices().T
+    kinds = ((i - j) % 3).astype(np.int8)
+    gray = GrayFlat(np.zeros((300, 400), np.float32), centres.astype(np.float32), 9.0, 20.0, kinds)
+    part, sub = part_of(gray, lattice, (centres[:, 0] > 150) & (centres[:, 1] > 110))
+    low = np.array([400, 300]) - sub.image_size
+    found = {tuple(place): kind for place, kind in zip((sub.centres() + low).round(3), part.kinds, strict=True)}
+    known = {tuple(place): kind for place, kind in zip(centres.round(3), kinds, strict=True)}
+    assert len(found) > 50 and found.items() <= known.items()
+
+
 def test_only_the_latest_value_of_a_name_is_kept():
     owner, made = Lattice(np.zeros(2), np.eye(2) * 9, (50, 50), 4.0), []
 

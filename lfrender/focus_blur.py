@@ -1,0 +1,203 @@
+"""How much more one lens blurs than the next, where lenses of several types are focused at different depths.
+
+The sharper of two pictures of one place differs from the other by half the difference of the variances of both blurs
+times its Laplacian. Blur widens with the distance from the depth in focus, so that the difference of two variances
+grows evenly with s. Lenses add up light, and most files hold another curve of it: there the squared slope, over the
+brightness, comes with the Laplacian. All of it is told by the pairs themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from .pair_pixels import BEYOND, MORE, NOWHERE, WHOLE, corner, cut, lay_over
+
+__all__ = ["NO_BLUR", "FocusBlur", "add_curve", "focus_blur", "some_of"]
+
+# About so many lenses tell it, by no fewer than so many pairs of two types.
+_SAMPLE, _FEWEST = 200, 12
+# Brightness below which slopes count as at this one.
+_DARK = np.float32(0.05)
+# Half the differences of variances are about so large [share of the squared pitch], and so is their growth per s / D.
+_LIKELY, _LIKELY_GROWTH = 1e-3, 4e-3
+# Curves of light are between none and this one: of light that grows with the square of a number, the squared slope over
+# brightness comes once.
+_STEEPEST = 4.0
+_TURNS = 5
+
+
+@dataclass(frozen=True)
+class FocusBlur:
+    """What the lenses of one type blur more than those of another.
+
+    Parameters
+    ----------
+    kinds : (n,) int8
+        Types of the lenses; none where they make no difference.
+    blurs, growths : (types, types) float32 [px^2, px]
+        By how much of its bend a lens of the first type differs from one of the second, and its growth per s.
+    curve : float32
+        How much of the squared slope over brightness belongs to the Laplacian in that bend.
+    """
+
+    kinds: NDArray[np.int8]
+    blurs: NDArray[np.float32]
+    growths: NDArray[np.float32]
+    curve: np.float32
+
+
+#: For lenses that all blur alike.
+NO_BLUR = FocusBlur(np.empty(0, np.int8), np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), np.float32(0.0))
+
+
+def some_of(start: NDArray[np.float32]) -> NDArray[np.float32]:
+    """First values [px] of a sample of the lenses that have any, NaN for the others."""
+    rows = np.flatnonzero(np.isfinite(start))
+    some = np.full_like(start, np.nan)
+    chosen = rows[:: max(1, len(rows) // _SAMPLE)]
+    some[chosen] = start[chosen]
+    return some
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def add_curve(own, slope_x, slope_y, curve, bend):
+    """Add so much of the squared slope over brightness to the Laplacian `bend`."""
+    for k in range(len(bend)):
+        bend[k] += curve * (slope_x[k] * slope_x[k] + slope_y[k] * slope_y[k]) / max(own[k], _DARK)
+
+
+# Exact sums: with fast math they would have other bits where Numba compiles than where it loads.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _products(own, slope_x, slope_y, bend, other, columns, rows, placed, scale2, out):
+    """Fill `out` (5, 5) with sums of the products of 1, the slope along the step, the Laplacian, the squared slope over
+    brightness, and the difference, over what both microimages show; less what the first two explain of the others."""
+    start, count, ux, uy, ax, ay, qx, qy, _mx, _my, r2, low_x, high_x, low_y, high_y = placed
+    out[:] = 0.0
+    one = np.empty(5, np.float32)
+    for at in range(start, start + count):
+        x, y = columns[at], rows[at]
+        own_2, other_2 = (x - ax) ** 2 + (y - ay) ** 2, (x - qx) ** 2 + (y - qy) ** 2
+        if max(own_2, other_2) > r2 or x < low_x or x > high_x or y < low_y or y > high_y:
+            continue
+        r = own[at] - other[at]
+        one[0], one[1], one[2] = np.float32(1.0), ux * slope_x[at] + uy * slope_y[at], bend[at]
+        one[3], one[4] = (slope_x[at] ** 2 + slope_y[at] ** 2) / max(own[at], _DARK), r
+        w = scale2 / (scale2 + r * r)
+        for k in range(5):
+            for m in range(k, 5):
+                out[k, m] += w * w * one[k] * one[m]
+    for free in range(2):
+        if out[free, free] <= 0:
+            return
+        for k in range(free + 1, 5):
+            share = out[free, k] / out[free, free]
+            for m in range(k, 5):
+                out[k, m] -= share * out[free, m]
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _compare(image, centres, radius, pitch, rows, sizes, scale2, out):
+    """Fill `out` (n, d, 5, 5) with the `_products` of the pairs with known `sizes` (n, d), 0 for the others."""
+    side = int(2 * radius) + 1
+    wide = side + MORE
+    size = max((side + MORE) * (wide + MORE), (side + 2 * BEYOND) ** 2) + 2 * WHOLE
+    column, line = np.empty(size, np.float32), np.empty(size, np.float32)
+    for k in range(size):
+        column[k], line[k] = k % wide, k // wide
+    height, width = image.shape
+    pixels = image.reshape(-1)
+    for lens in prange(len(centres)):
+        out[lens] = 0.0
+        if np.isnan(sizes[lens]).all():
+            continue
+        own, slope_x, slope_y = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
+        there, lines, between = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
+        bend, at = np.zeros(size, np.float32), np.empty(2, np.int64)
+        ax, ay = centres[lens, 0], centres[lens, 1]
+        left, top = corner(ax, radius, side, width), corner(ay, radius, side, height)
+        cut(pixels, height, width, left, top, side, wide, there, lines, own, slope_x, slope_y, bend)
+        for d in range(rows.shape[1]):
+            other = rows[lens, d]
+            if other < 0 or np.isnan(sizes[lens, d]):
+                continue
+            at[0] = at[1] = NOWHERE
+            placed = lay_over(
+                pixels, height, width, ax, ay, centres[other, 0], centres[other, 1], radius, sizes[lens, d], pitch,
+                left, top, side, wide, at, there, lines, between,
+            )  # fmt: skip
+            limit = max(scale2[lens], scale2[other])
+            _products(own, slope_x, slope_y, bend, between, column, line, placed, limit, out[lens, d])
+
+
+def focus_blur(
+    image: NDArray[np.float32],
+    centres: NDArray[np.float32],
+    radius: float,
+    pitch: float,
+    rows: NDArray[np.int32],
+    sizes: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    noise: float,
+    kinds: NDArray[np.int8],
+) -> FocusBlur:
+    """What lenses of each type blur more than those of the others, as pairs of them tell.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+    centres : (n, 2) float32 [px]
+    radius, pitch : float [px]
+    rows : (n, d) int32
+        One neighbour of each lens in `d` directions, -1 where there is none.
+    sizes : (n, d) float32 [px]
+        Patch sizes of pairs; NaN for those that are not asked.
+    scale : (n,) float32
+        As for `fit_pairs`.
+    noise : float
+        Standard deviation of a pixel.
+    kinds : (n,) int8
+        Types of the lenses.
+    """
+    products = np.empty((*rows.shape, 5, 5), np.float32)
+    _compare(
+        image, centres, np.float32(radius), np.float32(pitch), rows, sizes, (scale * scale).astype(np.float32), products
+    )
+    lens, d = np.nonzero(products[:, :, 0, 0] > 4)
+    known, first, second = products[lens, d].astype(np.float64), kinds[lens], kinds[rows[lens, d]]
+    size, sign = sizes[lens, d].astype(np.float64), np.where(first < second, 1.0, -1.0)
+    weight = 1 / (known[:, 4, 4] / known[:, 0, 0] + noise**2)
+    grown = np.stack([np.ones_like(size), size], 1)
+    likely = np.array([_LIKELY * pitch**2, _LIKELY_GROWTH * pitch])
+    count = int(kinds.max()) + 1
+    pairs = [
+        (a, b, some)
+        for a in range(count)
+        for b in range(a + 1, count)
+        if (some := (np.minimum(first, second) == a) & (np.maximum(first, second) == b)).sum() >= _FEWEST
+    ]
+
+    def solved(some: NDArray[np.bool_], bend: NDArray, shown: NDArray) -> NDArray:
+        """Blur and growth of some pairs, from what their bends (m,) and these with the differences (m,) sum up to."""
+        basis, w = grown[some], weight[some]
+        matrix = np.einsum("n,ni,nj->ij", w * bend[some], basis, basis) + np.diag(1 / likely**2)
+        return np.linalg.solve(matrix, np.einsum("n,ni->i", w * (sign * shown)[some], basis))
+
+    # Blur and curve of light are told by turns, each from what the other leaves.
+    curve, blur = 0.0, np.zeros(len(size))
+    blurs, growths = np.zeros((2, count, count), np.float32)
+    for _ in range(_TURNS):
+        bend = known[:, 2, 2] + 2 * curve * known[:, 2, 3] + curve**2 * known[:, 3, 3]
+        shown = known[:, 2, 4] + curve * known[:, 3, 4]
+        for a, b, some in pairs:
+            found = solved(some, bend, shown)
+            blurs[a, b], growths[a, b] = found
+            blurs[b, a], growths[b, a] = -found
+            blur[some] = grown[some] @ found * sign[some]
+        left = (weight * blur * (known[:, 3, 4] - blur * known[:, 2, 3])).sum()
+        slopes = (weight * blur**2 * known[:, 3, 3]).sum()
+        curve = float(np.clip(left / slopes, 0, _STEEPEST)) if slopes > 0 else 0.0
+    return FocusBlur(kinds, blurs, growths, np.float32(curve))
