@@ -27,7 +27,7 @@ _LIKELY, _LIKELY_GROWTH = 1e-3, 4e-3
 # Curves of light are between none and this one: of light that grows with the square of a number, the squared slope over
 # brightness comes once.
 _STEEPEST = 4.0
-_TURNS = 5
+_TURNS = 4
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,9 @@ def _products(own, slope_x, slope_y, bend, other, columns, rows, placed, scale2,
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _compare(image, centres, radius, pitch, rows, sizes, scale2, out):
-    """Fill `out` (n, d, 5, 5) with the `_products` of the pairs with known `sizes` (n, d), 0 for the others."""
+def _compare(image, centres, radius, pitch, rows, sizes, scale2, lenses, out):
+    """Fill `out` (m, d, 5, 5) with the `_products` of the pairs of `lenses` (m,) with known `sizes` (n, d), 0 for the
+    others."""
     side = int(2 * radius) + 1
     wide = side + MORE
     size = max((side + MORE) * (wide + MORE), (side + 2 * BEYOND) ** 2) + 2 * WHOLE
@@ -110,10 +111,9 @@ def _compare(image, centres, radius, pitch, rows, sizes, scale2, out):
         column[k], line[k] = k % wide, k // wide
     height, width = image.shape
     pixels = image.reshape(-1)
-    for lens in prange(len(centres)):
-        out[lens] = 0.0
-        if np.isnan(sizes[lens]).all():
-            continue
+    for number in prange(len(lenses)):
+        lens = lenses[number]
+        out[number] = 0.0
         own, slope_x, slope_y = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
         there, lines, between = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
         bend, at = np.zeros(size, np.float32), np.empty(2, np.int64)
@@ -130,7 +130,7 @@ def _compare(image, centres, radius, pitch, rows, sizes, scale2, out):
                 left, top, side, wide, at, there, lines, between,
             )  # fmt: skip
             limit = max(scale2[lens], scale2[other])
-            _products(own, slope_x, slope_y, bend, between, column, line, placed, limit, out[lens, d])
+            _products(own, slope_x, slope_y, bend, between, column, line, placed, limit, out[number, d])
 
 
 def focus_blur(
@@ -162,42 +162,68 @@ def focus_blur(
     kinds : (n,) int8
         Types of the lenses.
     """
-    products = np.empty((*rows.shape, 5, 5), np.float32)
+    lenses = np.flatnonzero(np.isfinite(sizes).any(1))
+    products = np.empty((len(lenses), rows.shape[1], 5, 5), np.float32)
     _compare(
-        image, centres, np.float32(radius), np.float32(pitch), rows, sizes, (scale * scale).astype(np.float32), products
-    )
-    lens, d = np.nonzero(products[:, :, 0, 0] > 4)
-    known, first, second = products[lens, d].astype(np.float64), kinds[lens], kinds[rows[lens, d]]
-    size, sign = sizes[lens, d].astype(np.float64), np.where(first < second, 1.0, -1.0)
+        image, centres, np.float32(radius), np.float32(pitch), rows, sizes, (scale * scale).astype(np.float32), lenses,
+        products,
+    )  # fmt: skip
+    number, d = np.nonzero(products[:, :, 0, 0] > 4)
+    lens, known = lenses[number], products[number, d].astype(np.float64)
     weight = 1 / (known[:, 4, 4] / known[:, 0, 0] + noise**2)
-    grown = np.stack([np.ones_like(size), size], 1)
     likely = np.array([_LIKELY * pitch**2, _LIKELY_GROWTH * pitch])
-    count = int(kinds.max()) + 1
+    between = np.stack([kinds[lens], kinds[rows[lens, d]]])
+    return FocusBlur(
+        kinds, *_solved(known, weight, sizes[lens, d].astype(np.float64), between, likely, int(kinds.max()) + 1)
+    )
+
+
+def _solved(
+    known: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    sizes: NDArray[np.float64],
+    between: NDArray[np.int8],
+    likely: NDArray[np.float64],
+    count: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], np.float32]:
+    """Blurs, growths and curve of `FocusBlur` from pairs.
+
+    Parameters
+    ----------
+    known : (m, 5, 5)
+        As `_products`.
+    weight : (m,)
+        Of each pair.
+    sizes : (m,) [px]
+        Their patch sizes.
+    between : (2, m)
+        Types of both lenses.
+    likely : (2,) [px^2, px]
+        Size of a blur, and of its growth.
+    count : int
+        Number of types.
+    """
+    low, high = between.min(0), between.max(0)
     pairs = [
         (a, b, some)
         for a in range(count)
         for b in range(a + 1, count)
-        if (some := (np.minimum(first, second) == a) & (np.maximum(first, second) == b)).sum() >= _FEWEST
+        if (some := (low == a) & (high == b)).sum() >= _FEWEST
     ]
-
-    def solved(some: NDArray[np.bool_], bend: NDArray, shown: NDArray) -> NDArray:
-        """Blur and growth of some pairs, from what their bends (m,) and these with the differences (m,) sum up to."""
-        basis, w = grown[some], weight[some]
-        matrix = np.einsum("n,ni,nj->ij", w * bend[some], basis, basis) + np.diag(1 / likely**2)
-        return np.linalg.solve(matrix, np.einsum("n,ni->i", w * (sign * shown)[some], basis))
-
+    sign, basis = np.where(between[0] == low, 1.0, -1.0), np.stack([np.ones_like(sizes), sizes], 1)
     # Blur and curve of light are told by turns, each from what the other leaves.
-    curve, blur = 0.0, np.zeros(len(size))
+    curve, blur = 0.0, np.zeros(len(sizes))
     blurs, growths = np.zeros((2, count, count), np.float32)
     for _ in range(_TURNS):
-        bend = known[:, 2, 2] + 2 * curve * known[:, 2, 3] + curve**2 * known[:, 3, 3]
-        shown = known[:, 2, 4] + curve * known[:, 3, 4]
+        bend = weight * (known[:, 2, 2] + 2 * curve * known[:, 2, 3] + curve**2 * known[:, 3, 3])
+        shown = weight * sign * (known[:, 2, 4] + curve * known[:, 3, 4])
         for a, b, some in pairs:
-            found = solved(some, bend, shown)
+            square = basis[some].T @ (bend[some, None] * basis[some]) + np.diag(1 / likely**2)
+            found = np.linalg.solve(square, basis[some].T @ shown[some])
             blurs[a, b], growths[a, b] = found
             blurs[b, a], growths[b, a] = -found
-            blur[some] = grown[some] @ found * sign[some]
+            blur[some] = basis[some] @ found * sign[some]
         left = (weight * blur * (known[:, 3, 4] - blur * known[:, 2, 3])).sum()
         slopes = (weight * blur**2 * known[:, 3, 3]).sum()
         curve = float(np.clip(left / slopes, 0, _STEEPEST)) if slopes > 0 else 0.0
-    return FocusBlur(kinds, blurs, growths, np.float32(curve))
+    return blurs, growths, np.float32(curve)

@@ -10,7 +10,7 @@ import pytest
 
 from data_synth import SCENES, Camera, simulate
 from lfrender.consensus import measure
-from lfrender.focus_blur import NO_BLUR, some_of
+from lfrender.focus_blur import NO_BLUR, focus_blur, some_of
 from lfrender.neighbours import lens_halves
 from lfrender.radiance import GrayFlat, gray_flat
 from lfrender.remembered import remembered
@@ -51,6 +51,32 @@ def test_lenses_focused_farther_from_the_scene_blur_more():
     np.testing.assert_array_equal(more, -more.T)
     # The first type is the sharpest: its Laplacian is taken away to make it like the others.
     assert more[0, 2] < more[0, 1] < -0.05 and more[1, 2] < -0.05
+
+
+def test_types_of_which_no_pair_is_known_count_as_like_the_others():
+    _, gray, kinds = measured(kinds=True)
+    sizes = np.full((len(kinds), 3), np.nan, np.float32)
+    forward, _ = lens_halves(flat().truth.calibration.lattice)
+    some = (kinds != 2) & (kinds[forward[:, 0]] != 2) & (forward[:, 0] >= 0)
+    sizes[some, 0] = RATIO * gray.pitch
+    blur = focus_blur(
+        gray.image,
+        gray.centres,
+        gray.radius - 1,
+        gray.pitch,
+        forward,
+        sizes,
+        np.full(len(kinds), 0.1),
+        0.004,
+        gray.kinds,
+    )
+    assert blur.blurs.shape == (3, 3) and blur.blurs[0, 1] != 0
+    assert (blur.blurs[2] == 0).all() and (blur.growths[2] == 0).all()
+    nothing = focus_blur(
+        gray.image, gray.centres, gray.radius - 1, gray.pitch, forward, np.full_like(sizes, np.nan),
+        np.full(len(kinds), 0.1), 0.004, gray.kinds,
+    )  # fmt: skip
+    assert not nothing.blurs.any() and nothing.curve == 0
 
 
 def test_a_sample_is_spread_over_the_lenses_with_a_first_value():
