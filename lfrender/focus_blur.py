@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .pair_pixels import BEYOND, MORE, NOWHERE, WHOLE, corner, cut, lay_over
+from .pair_pixels import NOWHERE, corner, cut, lay_over, raster
 
 __all__ = ["NO_BLUR", "FocusBlur", "add_curve", "focus_blur", "some_of"]
 
@@ -103,12 +103,7 @@ def _products(own, slope_x, slope_y, bend, other, columns, rows, placed, scale2,
 def _compare(image, centres, radius, pitch, rows, sizes, scale2, lenses, out):
     """Fill `out` (m, d, 5, 5) with the `_products` of the pairs of `lenses` (m,) with known `sizes` (n, d), 0 for the
     others."""
-    side = int(2 * radius) + 1
-    wide = side + MORE
-    size = max((side + MORE) * (wide + MORE), (side + 2 * BEYOND) ** 2) + 2 * WHOLE
-    column, line = np.empty(size, np.float32), np.empty(size, np.float32)
-    for k in range(size):
-        column[k], line[k] = k % wide, k // wide
+    side, wide, size, column, line = raster(radius)
     height, width = image.shape
     pixels = image.reshape(-1)
     for number in prange(len(lenses)):

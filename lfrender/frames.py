@@ -269,7 +269,7 @@ def _deep_pixels(picture: Any) -> NDArray[np.uint16]:
     """(h, w, 3) of a frame of PyAV, without the copies that it makes of so many bytes."""
     plane = picture.reformat(format="rgb48le").planes[0]
     rows = np.frombuffer(plane, "<u2").reshape(plane.height, plane.line_size // 2)
-    return rows[:, : 3 * plane.width].reshape(plane.height, plane.width, 3)
+    return rows[:, : 3 * plane.width].reshape(plane.height, plane.width, 3).astype(np.uint16, copy=False)
 
 
 def exact(picture: Any, name: str, **options: Any) -> Any:

@@ -26,6 +26,7 @@ _KEPT = {
     "patch_size": "drawn", "standard_error": "standard_error", "confidence": "confidence", "reason": "reason",
     "guess": "drawn",
 }  # fmt: skip
+# Lenses that blur unlike each other are compared on a flat of no less than this pitch [px].
 _BLURRED_PITCH = 22.0
 # A scene without any texture is drawn at this s / D: from the middle of the microimages. Its sign makes no difference.
 UNTOLD = 0.25

@@ -8,15 +8,15 @@ from numba import njit
 from .fastmath import FAST
 from .microimages import copy_box
 
-__all__ = ["BEYOND", "MORE", "NOWHERE", "WHOLE", "corner", "cut", "lay_over"]
+__all__ = ["MORE", "NOWHERE", "corner", "cut", "lay_over", "raster"]
 
-#: Vector loops take up to so many pixels at a time. Places are unsigned: signed ones are looked at for being counted
-#: from the end.
-WHOLE = 64
+# Vector loops take up to so many pixels at a time. Places are unsigned: signed ones are looked at for being counted
+# from the end.
+_WHOLE = 64
 #: Between columns, three more pixels are read than there are places.
 MORE = 3
-#: Slopes are taken between the pixels on both sides, and smoothing reads one further [px].
-BEYOND = 2
+# Slopes are taken between the pixels on both sides, and smoothing reads one further [px].
+_BEYOND = 2
 #: No whole step between two microimages.
 NOWHERE = 2**40
 
@@ -42,7 +42,20 @@ def _spline(f):
 @njit(cache=True, nogil=True, inline="always")
 def _whole(count):
     """The next whole number of what vector loops take at a time."""
-    return (count + WHOLE - 1) // WHOLE * WHOLE
+    return (count + _WHOLE - 1) // _WHOLE * _WHOLE
+
+
+@njit(cache=True, nogil=True)
+def raster(radius):
+    """Side of the square that holds a microimage, pixels from row to row of one that is cut out, how many they are with
+    what vector loops read beyond, and the column and line of each."""
+    side = int(2 * radius) + 1
+    wide = side + MORE
+    size = max((side + MORE) * (wide + MORE), (side + 2 * _BEYOND) ** 2) + 2 * _WHOLE
+    columns, lines = np.empty(size, np.float32), np.empty(size, np.float32)
+    for k in range(size):
+        columns[k], lines[k] = k % wide, k // wide
+    return side, wide, size, columns, lines
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -60,10 +73,10 @@ def cut(pixels, height, width, left, top, side, wide, box, smooth, own, slope_x,
 
     `box` and `smooth` are memory to work in.
     """
-    across, half, one, two = side + 2 * BEYOND, np.float32(0.5), np.uint64(1), np.uint64(2)
-    first = left - BEYOND
+    across, half, one, two = side + 2 * _BEYOND, np.float32(0.5), np.uint64(1), np.uint64(2)
+    first = left - _BEYOND
     for row in range(across):
-        at, into = min(max(top - BEYOND + row, 0), height - 1) * width, np.uint64(row * across)
+        at, into = min(max(top - _BEYOND + row, 0), height - 1) * width, np.uint64(row * across)
         if first < 0 or first + across > width:
             for k in range(across):
                 box[into + np.uint64(k)] = pixels[np.uint64(at + min(max(first + k, 0), width - 1))]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .fastmath import FAST
 from .focus_blur import NO_BLUR, FocusBlur, add_curve, focus_blur, some_of
-from .pair_pixels import BEYOND, MORE, NOWHERE, WHOLE, corner, cut, lay_over
+from .pair_pixels import MORE, NOWHERE, corner, cut, lay_over, raster
 from .radiance import GrayFlat
 from .remembered import remembered
 from .striding import stretches
@@ -169,12 +169,7 @@ def _fit_pairs(
     image, centres, radius, pitch, rows, start, scale2, noise2, iterations, last_step, kinds, blurs, growths, curve,
     sizes, variances, places,
 ):  # fmt: skip  # fmt: skip
-    side = int(2 * radius) + 1
-    wide = side + MORE
-    size = max((side + MORE) * (wide + MORE), (side + 2 * BEYOND) ** 2) + 2 * WHOLE
-    column, line = np.empty(size, np.float32), np.empty(size, np.float32)
-    for k in range(size):
-        column[k], line[k] = k % wide, k // wide
+    side, wide, size, column, line = raster(radius)
     height, width = image.shape
     pixels = image.reshape(-1)
     parts, each, stride = stretches(len(centres))
