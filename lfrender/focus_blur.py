@@ -9,6 +9,7 @@ brightness, comes with the Laplacian. All of it is told by the pairs themselves.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numba import njit, prange
@@ -199,26 +200,26 @@ def _solved(
         Number of types.
     """
     low, high = between.min(0), between.max(0)
-    pairs = [
-        (a, b, some)
-        for a in range(count)
-        for b in range(a + 1, count)
-        if (some := (low == a) & (high == b)).sum() >= _FEWEST
-    ]
-    sign, basis = np.where(between[0] == low, 1.0, -1.0), np.stack([np.ones_like(sizes), sizes], 1)
+    basis = np.stack([np.ones_like(sizes), sizes], 1)
+    signed = basis * np.where(between[0] == low, weight, -weight)[:, None]
+    pairs = []
+    for a, b in combinations(range(count), 2):
+        some = (low == a) & (high == b)
+        if some.sum() >= _FEWEST:
+            of, at = known[some], basis[some]
+            squares = [at.T @ ((weight[some] * of[:, k, m])[:, None] * at) for k, m in ((2, 2), (2, 3), (3, 3))]
+            pairs.append((a, b, squares, [signed[some].T @ of[:, k, 4] for k in (2, 3)]))
     # Blur and curve of light are told by turns, each from what the other leaves.
-    curve, blur = 0.0, np.zeros(len(sizes))
+    curve = 0.0
     blurs, growths = np.zeros((2, count, count), np.float32)
     for _ in range(_TURNS):
-        bend = weight * (known[:, 2, 2] + 2 * curve * known[:, 2, 3] + curve**2 * known[:, 3, 3])
-        shown = weight * sign * (known[:, 2, 4] + curve * known[:, 3, 4])
-        for a, b, some in pairs:
-            square = basis[some].T @ (bend[some, None] * basis[some]) + np.diag(1 / likely**2)
-            found = np.linalg.solve(square, basis[some].T @ shown[some])
+        left = slopes = 0.0
+        for a, b, (laplacian, both, slope), (of_laplacian, of_slope) in pairs:
+            square = laplacian + 2 * curve * both + curve**2 * slope + np.diag(1 / likely**2)
+            found = np.linalg.solve(square, of_laplacian + curve * of_slope)
             blurs[a, b], growths[a, b] = found
             blurs[b, a], growths[b, a] = -found
-            blur[some] = basis[some] @ found * sign[some]
-        left = (weight * blur * (known[:, 3, 4] - blur * known[:, 2, 3])).sum()
-        slopes = (weight * blur**2 * known[:, 3, 3]).sum()
+            left += found @ of_slope - found @ both @ found
+            slopes += found @ slope @ found
         curve = float(np.clip(left / slopes, 0, _STEEPEST)) if slopes > 0 else 0.0
     return blurs, growths, np.float32(curve)
