@@ -20,7 +20,7 @@ from .pair_pixels import NOWHERE, corner, cut, lay_over, raster
 __all__ = ["NO_BLUR", "FocusBlur", "add_curve", "focus_blur", "some_of"]
 
 # About so many lenses tell it, by no fewer than so many pairs of two types.
-_SAMPLE, _FEWEST = 200, 12
+_SAMPLE, _FEWEST = 120, 12
 # Brightness below which slopes count as at this one.
 _DARK = np.float32(0.05)
 # Half the differences of variances are about so large [share of the squared pitch], and so is their growth per s / D.
