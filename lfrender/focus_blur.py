@@ -93,6 +93,8 @@ def _products(own, slope_x, slope_y, bend, other, columns, rows, placed, scale2,
                 out[k, m] += w * w * one[k] * one[m]
     for free in range(2):
         if out[free, free] <= 0:
+            # Without a slope nothing tells blur.
+            out[:] = 0.0
             return
         for k in range(free + 1, 5):
             share = out[free, k] / out[free, free]
@@ -166,7 +168,7 @@ def focus_blur(
     )  # fmt: skip
     number, d = np.nonzero(products[:, :, 0, 0] > 4)
     lens, known = lenses[number], products[number, d].astype(np.float64)
-    weight = 1 / (known[:, 4, 4] / known[:, 0, 0] + noise**2)
+    weight = 1 / (np.maximum(known[:, 4, 4], 0) / known[:, 0, 0] + noise**2)
     likely = np.array([_LIKELY * pitch**2, _LIKELY_GROWTH * pitch])
     between = np.stack([kinds[lens], kinds[rows[lens, d]]])
     return FocusBlur(

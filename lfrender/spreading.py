@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 
 from .bending import lattice_bend
-from .candidates import MOST_CANDIDATES, calm_lenses, mark_unsettled, propose
+from .candidates import MOST_CANDIDATES, calm_lenses, propose
 from .fastmath import FAST
 from .neighbours import lens_grid, neighbour_rows
 from .radiance import GrayFlat
 from .remembered import remembered
 from .scratch import scratch
 from .surface import Surface
+from .unsettled_points import mark_unsettled
 
 __all__ = ["grid_shape", "spread"]
 
