@@ -26,8 +26,8 @@ _KEPT = {
     "patch_size": "drawn", "standard_error": "standard_error", "confidence": "confidence", "reason": "reason",
     "guess": "drawn",
 }  # fmt: skip
-# Lenses that blur unlike each other are compared on a flat of no less than this pitch [px].
-_BLURRED_PITCH = 22.0
+# Lenses that blur unlike each other are compared on a flat of about this pitch [px].
+_BLURRED_PITCH = 25.0
 # A scene without any texture is drawn at this s / D: from the middle of the microimages. Its sign makes no difference.
 UNTOLD = 0.25
 
@@ -234,7 +234,7 @@ def _refined(
     texture = lenses.texture
     scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
     # Where one lens is more blurred than the next, finer detail than this tells the difference and not the depth.
-    factor = max(1, int(lenses.pitch / _BLURRED_PITCH)) if texture.flat.kinds is not None else 1
+    factor = max(1, round(lenses.pitch / _BLURRED_PITCH)) if texture.flat.kinds is not None else 1
     first = np.where(wanted, found.patch_size / factor, np.nan).astype(np.float32)
     found_by = measure(
         shrink(texture.flat, factor),
