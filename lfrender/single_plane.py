@@ -22,7 +22,7 @@ from .texture import Texture, lens_statistics
 __all__ = ["FEWEST", "PlaneScene", "explained_by_plane", "find_plane", "plane_evidence", "with_misled"]
 
 #: Fewer lenses with texture hardly show whether what they see repeats.
-FEWEST = 100
+FEWEST = 40
 # About so many lenses tell a plane; of few lenses this share of them, but not fewer than the third number. Fewer than
 # the last number tell nothing.
 _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE, _TOO_FEW = 60, 1 / 12, 30, 20
