@@ -33,6 +33,9 @@ _TRIES = 2
 _RAW = "give a raw flat from the sensor, of a camera with a microlens array"
 # Relative spread of the tones of an image that shows nothing.
 _EVEN = 1e-4
+# Where tones of a scene spread by more than this, or its average microimage is less round, a few bright places may
+# outdo all others: scenes in files with gamma spread by up to 0.46, linear ones by up to 0.9.
+_GLARING, _ROUND = 0.5, 0.55
 
 
 def calibrate(
@@ -114,6 +117,8 @@ def _calibrated(
     if found.white and kind == "auto" and len(flats) == 1 and _is_scene(found):
         others = _found_on_all(lights(), "scene", filtered)
         found = next(others)
+    if not found.white and _may_be_misled(found):
+        found, others = _without_glare(found, others, lights(), filtered)
     camera, found = _first_measured(found, others)
     warnings = (*camera.warnings, *_warnings(camera, found.fit.halves_differ, filtered and mosaic is None))
     return replace(camera, mosaic=mosaic, warnings=warnings)
@@ -140,7 +145,8 @@ def _first_measured(found: _Found, others: Iterator[_Found]) -> tuple[Calibratio
 class _Found:
     """The lattice of a camera, and what it was found on: the `tone` of a flat, or parts of it and a look at all.
 
-    `single` is the tone of one of several scenes, where the picture is their mean.
+    `single` is the tone of one of several scenes, where the picture is their mean. `softened` is the picture with less
+    contrast, where that is what the lattice was found on.
     """
 
     picture: NDArray[np.float32] | Parts
@@ -149,6 +155,7 @@ class _Found:
     fit: FinalLattice
     look: Look | None = None
     single: NDArray[np.float32] | None = None
+    softened: NDArray[np.float32] | None = None
 
 
 def _found_in_parts(flat: NDArray[Any], kind: str, filtered: bool) -> _Found | None:
@@ -169,6 +176,35 @@ def _is_scene(found: _Found) -> bool:
     from .neighbours import shows_scene
 
     return isinstance(found.picture, np.ndarray) and shows_scene(found.picture, found.fit.lattice)
+
+
+def _may_be_misled(found: _Found) -> bool:
+    """Whether bright places of a scene may outdo the microimages."""
+    return _glares(found) or found.start.roundness < _ROUND
+
+
+def _glares(found: _Found) -> bool:
+    return float(np.asarray(found.picture).std()) > _GLARING
+
+
+def _without_glare(
+    found: _Found, others: Iterator[_Found], lights: list[NDArray[np.float32]], filtered: bool
+) -> tuple[_Found, Iterator[_Found]]:
+    """What is found on the root of the light of scenes, where that glares or its microimages are rounder."""
+    softer = _softer(found, _found_on_all([np.sqrt(light) for light in lights], "scene", filtered))
+    try:
+        first = next(softer)
+    except CalibrationError:
+        return found, others
+    wanted = _glares(found) or first.start.roundness > found.start.roundness
+    return (first, softer) if wanted else (found, others)
+
+
+def _softer(found: _Found, others: Iterator[_Found]) -> Iterator[_Found]:
+    """The others, found on the root of the light that `found` was found on."""
+    for one in others:
+        assert isinstance(one.picture, np.ndarray)
+        yield replace(one, picture=found.picture, softened=one.picture)
 
 
 def _found_on_large(flat: NDArray[Any], kind: str) -> _Found | None:
@@ -261,7 +297,8 @@ def _doubt(found: _Found, lattice: Lattice) -> str | None:
     from .neighbours import check_neighbours
 
     picture, several = found.picture, found.single is not None
-    if isinstance(picture, np.ndarray) and check_neighbours(picture, lattice, found.white, not several):
+    compared = picture if found.softened is None else found.softened
+    if isinstance(compared, np.ndarray) and check_neighbours(compared, lattice, found.white, not several):
         return None
     if found.start.doubt is not None:
         raise found.start.doubt

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from skimage import data
 
 import lfcal
+from data_synth import SCENES, Camera, simulate
 
 _ANGLES = [0.0, 0.7, 11.0, 30.0, 45.0, 90.0]
 
@@ -115,6 +116,16 @@ def test_scene_alone_places_centres_of_a_simulated_camera(house, whites):
     true = house.camera.lattice
     assert camera.source == "scene"
     assert whites.rms(whites.centre_errors(camera.lattice, true.origin, true.basis)) < 0.2
+
+
+def test_few_bright_places_of_a_linear_scene_do_not_move_the_lattice(whites):
+    camera = Camera.design((800, 640), 23.2, rotation=1.3)
+    capture = simulate(SCENES["house"](camera), camera, samples=24, seed=3, noise=(12000.0, 5.0))
+    light = capture.flat / 255 / np.maximum(capture.white / capture.white.max(), 0.3)[..., None]
+    linear = np.rint(65535 * np.clip(light, 0, 1) ** 3.5).astype(np.uint16)
+    true = capture.truth.calibration.lattice
+    errors = whites.centre_errors(lfcal.calibrate(linear).lattice, true.origin, true.basis)
+    assert whites.rms(errors) < 0.06
 
 
 @pytest.mark.parametrize(
