@@ -29,8 +29,9 @@ __all__ = ["changed_since", "following"]
 # Brightness of flats of no more bytes than this is kept until the next frame.
 _MOST_KEPT = 1 << 25
 # A lens still shows its depth where it matches there no worse than it did, by this much, and the best match about it
-# has not moved to one side by the second number [px of the search], neither there nor in so many lenses beside it.
-_WORSE, _MOVED, _TOGETHER = 0.15, 0.1, 2
+# has not moved to one side by the second number [px of the search] and so many standard errors of one pair, neither
+# there nor in so many lenses beside it.
+_WORSE, _MOVED, _SURELY, _TOGETHER = 0.15, 0.1, 4.0, 2
 
 
 def following(
@@ -127,12 +128,15 @@ class _Probe:
         At that depth.
     offset : (n,) float32 [px of the search]
         From there to the least cost.
+    error : (n,) float32 [px of the search]
+        Standard error of that for one pair.
     clear, textured : (n,) bool
         Lenses with texture, and with any that a match may tell from noise.
     """
 
     cost: NDArray[np.float32]
     offset: NDArray[np.float32]
+    error: NDArray[np.float32]
     clear: NDArray[np.bool_]
     textured: NDArray[np.bool_]
 
@@ -188,8 +192,9 @@ def _unsteady(
     found |= (reason == 0) & then.textured & ~now.textured
     found |= (reason != 0) & now.textured & (now.cost < then.cost - _WORSE)
     found |= (reason == 1) & now.clear & ~then.clear
+    least = np.maximum(_MOVED, np.float32(_SURELY) * np.hypot(then.error, now.error))
     for side in (-1, 1):
-        found |= beside(told & (side * moved > _MOVED), neighbours) >= _TOGETHER
+        found |= beside(told & (side * moved > least), neighbours) >= _TOGETHER
     return np.asarray(found)
 
 

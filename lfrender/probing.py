@@ -141,9 +141,9 @@ def probe(
     about: NDArray[np.float32],
     noise: float,
     strips: Strips,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """How badly each lens agrees with its neighbours at the patch size that it is expected to have, and how far from
-    that the best one lies.
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """How badly each lens agrees with its neighbours at the patch size that it is expected to have, how far from
+    that the best one lies, and how well noise lets that be told.
 
     Parameters
     ----------
@@ -165,6 +165,8 @@ def probe(
         As `pair_costs`, the mean over the pairs of each lens.
     offset : (n,) float32 [px of `gray`]
         To a first order, and at most `FARTHEST`; less under noise, which has slopes of its own.
+    error : (n,) float32 [px of `gray`]
+        Standard deviation of the offset of one pair of the lens under noise.
     """
     about = about.astype(np.float32)
     masks = shared_pixels(strips, gray, forward, np.zeros(1, np.float32), about)
@@ -176,5 +178,7 @@ def probe(
         strips.size, *strips.places, BUNCH, *masks, pairs,
     )  # fmt: skip
     cost, gradient, steepness = lens_costs(pairs, forward, backward).T
-    offset = gradient / np.maximum(steepness, np.float32(1e-12))
-    return np.ascontiguousarray(cost), np.clip(offset, -FARTHEST, FARTHEST)
+    steepness = np.maximum(steepness, np.float32(1e-12))
+    # Both microimages of a pair have noise.
+    error = np.float32(np.sqrt(2) * noise) / np.sqrt(steepness)
+    return np.ascontiguousarray(cost), np.clip(gradient / steepness, -FARTHEST, FARTHEST), error

@@ -210,9 +210,9 @@ class Matcher:
 
     def probe(
         self, active: NDArray[np.bool_], about: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(n,) float32 costs of the `active` lenses at what is expected `about` each, and [px] how far beside it the
-        least costs lie.
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """(n,) float32 costs of the `active` lenses at what is expected `about` each, [px] how far beside it the
+        least costs lie, and the standard error of that for one pair.
 
         Pairs in two directions tell whether a lens shows what is expected; the third adds little.
         """

@@ -216,7 +216,7 @@ def plane_evidence(
 ) -> NDArray[np.float32] | None:
     """(n,) correlation of every lens at the plane's shift; None where a lens shows something else."""
     everyone = texture.clear | texture.faint
-    cost, off = matcher.probe(everyone, (about / matcher.factor).astype(np.float32))
+    cost, off, _ = matcher.probe(everyone, (about / matcher.factor).astype(np.float32))
     limit = min(max(_USUAL * median(cost[texture.clear]), MISFIT), _WORST)
     misfits = texture.clear & (cost > limit)
     rows = matcher.rows

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import lfrender
-from lfcal import Calibration
-from lfrender.following import changed_since
+from lfcal import Calibration, Lattice
+from lfrender.following import _Probe, _unsteady, changed_since
+from lfrender.neighbours import neighbour_rows
 from lfrender.remembered import remembered
 from lfrender.sequence import changed_lenses
 
@@ -127,6 +128,18 @@ def test_other_texture_at_the_same_depth_keeps_it_and_at_another_depth_does_not(
         same, calibration, "fast", previous=(one.image, before), skip=("blank", "ranges", "plane", "still")
     )
     assert "steady" not in unchecked.saved
+
+
+@pytest.mark.parametrize(("error", "asked"), [(0.01, True), (0.1, False)])
+def test_what_noise_alone_may_have_moved_is_not_asked_again(error, asked):
+    lattice = Lattice((20.0, 20.0), ((23.2, 0.0), (0.0, 23.2)), (240, 240), 11.0)
+    count = len(lattice)
+    every, none = np.ones(count, bool), np.zeros(count, np.float32)
+    then = _Probe(none, none, np.full(count, error, np.float32), every, every)
+    # Twice the least motion that is looked at, of all lenses to one side.
+    now = replace(then, offset=np.full(count, 0.2, np.float32))
+    found = _unsteady(then, now, every, np.zeros(count, np.int8), neighbour_rows(lattice, lattice.steps))
+    assert found.all() if asked else not found.any()
 
 
 def test_a_depth_that_changes_little_by_little_is_found_in_the_end(drawn_flat):
