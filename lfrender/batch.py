@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError
 
-from .frame_job import STRETCH, FrameResult, Job, Key
+from .frame_job import GROUP, STRETCH, FrameResult, Job, Key
 from .frames import Frame
 
 __all__ = ["render_frames"]
@@ -40,7 +40,7 @@ def render_frames(
 ) -> Iterator[FrameResult]:
     """Render the frames of a sequence into a folder, one picture a frame.
 
-    The folder also gets a hidden folder with the camera, the settings, and a depth map every 30 frames. Run again with
+    The folder also gets a hidden folder with the camera, the settings, and a depth map every 5 frames. Run again with
     the same settings, only pictures that are not there are rendered, and they are the same as in one run.
     A frame that cannot be read or analysed is reported, and the others are rendered.
 
@@ -89,12 +89,15 @@ def _given(
     """What becomes of each frame, or will: those to be rendered are given to the workers."""
     earlier: Key | None = None
     key: Key | None = None
+    first: Key | None = None
     wanted = None if overwrite else job.is_missing
     for number, (frame, reading) in enumerate(_read_ahead(frames, wanted)):
         if number % STRETCH == 0:
             earlier, key = key or earlier, None
+        if number % STRETCH % GROUP == 0:
+            first = None
         if reading is None:
-            key = key or Key(number, frame)
+            key, first = key or Key(number, frame), first or Key(number, frame)
             yield FrameResult(frame.name, job.path_of(frame), "kept")
             continue
         try:
@@ -103,15 +106,17 @@ def _given(
                 key = job.with_depth(key or Key(number, frame, flat), earlier)
                 # Its flat is as large as this one's.
                 earlier = None
+            if first is None or first.depth is None:
+                first = job.first_of_group(first or Key(number, frame, flat), key)
         except OutputError:
             raise
         except LightFieldError as error:
             yield job.failure(frame, error)
             continue
         if _can_share(flat):
-            yield workers.submit(job.result, number, frame, partial(np.asarray, flat), key)
+            yield workers.submit(job.result, number, frame, partial(np.asarray, flat), first)
         else:
-            yield job.result(number, frame, partial(np.asarray, flat), key)
+            yield job.result(number, frame, partial(np.asarray, flat), first)
 
 
 def _can_share(flat: NDArray[Any]) -> bool:

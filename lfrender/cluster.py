@@ -6,18 +6,17 @@ import os
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError
 
-from .frame_job import STRETCH, FrameResult, Job, Key
+from .frame_job import GROUP, STRETCH, FrameResult, Job, Key
 from .frames import Frame
 
 if TYPE_CHECKING:
@@ -25,10 +24,10 @@ if TYPE_CHECKING:
 
 __all__ = ["connect", "limit_threads", "render_frames_on", "taken"]
 
-# Frames in flight for each thread of the cluster: enough to keep all busy, few enough to hold videos in memory.
-_AHEAD = 3
-# Fewer frames than this in flight leave workers idle at the end of a stretch.
-_LEAST_AHEAD = 8
+# Groups in flight for each thread of the cluster: enough to keep all busy, few enough to hold videos in memory.
+_AHEAD = 2
+# Fewer groups than this in flight leave workers idle at the end of a stretch.
+_LEAST_AHEAD = 4
 _RETRIES = 3
 # Seconds to wait for a scheduler.
 _PATIENCE = 15
@@ -72,43 +71,87 @@ def render_frames_on(
     job = Job.opened(Path(folder).absolute(), calibration, preset, scale, suffix, overwrite)
     settings = (str(job.folder), preset, suffix, threads)
     most = max(_LEAST_AHEAD, _AHEAD * sum(client.nthreads().values()))
-    waiting: deque[FrameResult | Future] = deque()
+    waiting: deque[tuple[list[FrameResult | None], Future | None]] = deque()
+    for group in _groups(client, job, settings, frames, overwrite):
+        waiting.append(group.submitted(client, settings))
+        while len(waiting) > most:
+            yield from _results(*waiting.popleft())
+    while waiting:
+        yield from _results(*waiting.popleft())
+
+
+@dataclass
+class _Group:
+    """Frames that one worker renders one after the other.
+
+    Parameters
+    ----------
+    known : list
+        What has become of each frame, None for those to be rendered.
+    asked : list
+        Those, with their numbers.
+    first : Key, optional
+        What they are analysed against, where its picture is there already.
+    key : Key, optional
+        Of their stretch.
+    ready : Future, optional
+        Done when there is a depth map of that.
+    """
+
+    known: list[FrameResult | None] = field(default_factory=list)
+    asked: list[tuple[int, Frame]] = field(default_factory=list)
+    first: Key | None = None
+    key: Key | None = None
+    ready: Future | None = None
+
+    def submitted(self, client: Client, settings: tuple[Any, ...]) -> tuple[list[FrameResult | None], Future | None]:
+        """What is known, and what tells the others."""
+        if not self.asked or self.key is None:
+            return self.known, None
+        task = (settings, self.asked, self.first, replace(self.key, flat=None), self.ready)
+        return self.known, client.submit(_draw, *task, pure=False, retries=_RETRIES)
+
+
+def _groups(
+    client: Client, job: Job, settings: tuple[Any, ...], frames: Iterable[Frame], overwrite: bool
+) -> Iterator[_Group]:
+    """The groups of a sequence; the depth of keys is asked of the workers, or made here where it tells the settings."""
     earlier: tuple[Key, Future | None] | None = None
     key: Key | None = None
     ready: Future | None = None
     known = False
+    group = _Group()
     for number, frame in enumerate(frames):
         if number % STRETCH == 0:
             earlier, key, ready, known = (key, ready) if key else earlier, None, None, False
+        if number % STRETCH % GROUP == 0 and group.known:
+            yield group
+            group = _Group()
         if not overwrite and not job.is_missing(frame):
-            key = key or Key(number, frame)
-            waiting.append(FrameResult(frame.name, job.path_of(frame), "kept"))
-        else:
-            try:
-                if key is None:
-                    key = _readable(job, number, frame)
-                if job.scale is None or job.calibration is None:
-                    # Camera and scale are those of the first key, for all workers.
-                    job.with_depth(key, None)
-                    known = True
-            except OutputError:
-                raise
-            except LightFieldError as error:
-                key = None
-                waiting.append(job.failure(frame, error))
-            else:
-                if not known:
-                    before = (replace(earlier[0], flat=None), earlier[1]) if earlier else (None, None)
-                    ready = client.submit(
-                        _prepare, settings, replace(key, flat=None), *before, pure=False, retries=_RETRIES
-                    )
-                    known = True
-                task = (settings, number, frame, replace(key, flat=None), ready)
-                waiting.append(client.submit(_draw, *task, pure=False, retries=_RETRIES))
-        while len(waiting) > most:
-            yield _result(waiting.popleft())
-    while waiting:
-        yield _result(waiting.popleft())
+            key, group.first = key or Key(number, frame), group.first or Key(number, frame)
+            group.known.append(FrameResult(frame.name, job.path_of(frame), "kept"))
+            continue
+        try:
+            if key is None:
+                key = _readable(job, number, frame)
+            if job.scale is None or job.calibration is None:
+                # Camera and scale are those of the first key, for all workers.
+                job.with_depth(key, None)
+                known = True
+        except OutputError:
+            raise
+        except LightFieldError as error:
+            key = None
+            group.known.append(job.failure(frame, error))
+            continue
+        if not known:
+            before = (replace(earlier[0], flat=None), earlier[1]) if earlier else (None, None)
+            ready = client.submit(_prepare, settings, replace(key, flat=None), *before, pure=False, retries=_RETRIES)
+            known = True
+        group.known.append(None)
+        group.asked.append((number, frame))
+        group.key, group.ready = key, ready
+    yield group
 
 
 @contextmanager
@@ -148,9 +191,11 @@ def _readable(job: Job, number: int, frame: Frame) -> Key:
     return Key(number, frame, flat)
 
 
-def _result(waiting: Any) -> FrameResult:
-    found: FrameResult = waiting if isinstance(waiting, FrameResult) else taken(waiting)
-    return found
+def _results(known: list[FrameResult | None], others: Future | None) -> Iterator[FrameResult]:
+    """What has become of the frames of a group, in their order."""
+    rendered = iter([] if others is None else taken(others))
+    for result in known:
+        yield next(rendered) if result is None else result
 
 
 def taken(future: Future) -> Any:
@@ -208,14 +253,24 @@ def _prepare(settings: tuple[Any, ...], key: Key, earlier: Key | None, _after: o
         _Worker.key_of(job, key, earlier)
 
 
-def _draw(settings: tuple[Any, ...], number: int, frame: Frame, key: Key, _after: object) -> FrameResult:
-    """Render one frame, once the depth map of its key is there."""
+def _draw(
+    settings: tuple[Any, ...], asked: list[tuple[int, Frame]], first: Key | None, key: Key, _after: object
+) -> list[FrameResult]:
+    """Render some frames of a group, once the depth map of the key of their stretch is there."""
     with _Worker.lock:
         job = _Worker.job_of(settings)
         if not job.depth_file(key).exists():
             raise OutputError(f"{job.folder}: a worker does not see what another has written; give a shared folder")
-        return job.result(number, frame, partial(_flat, job, frame), _Worker.key_of(job, key, None))
-
-
-def _flat(job: Job, frame: Frame) -> NDArray[Any]:
-    return np.asarray(job.in_colour(frame.read()))
+        results = []
+        for number, frame in asked:
+            try:
+                flat = job.in_colour(frame.read())
+                if first is None or first.depth is None:
+                    first = job.first_of_group(first or Key(number, frame, flat), _Worker.key_of(job, key, None))
+            except OutputError:
+                raise
+            except LightFieldError as error:
+                results.append(job.failure(frame, error))
+                continue
+            results.append(job.result(number, frame, partial(np.asarray, flat), first))
+        return results

@@ -1,8 +1,9 @@
 """One run over a sequence: its settings, what it keeps in its folder, and what it does with one frame.
 
-The sequence is cut into stretches. The first frame of each, its key, is analysed against the key of the stretch before,
-all others against their own: still parts keep one depth from picture to picture, and a run that was killed, or was
-spread over many machines, makes the same pictures as one that was not.
+The sequence is cut into stretches, and these into groups. The first frame of a stretch, its key, is analysed against
+the key of the stretch before, the first of any other group against the key of its stretch, and all others against the
+first of their group, since which little has moved: still parts keep one depth from picture to picture, and a run that
+was killed, or was spread over many machines, makes the same pictures as one that was not.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from threading import Lock
+from threading import RLock
 from time import perf_counter
 from typing import Any, Literal
 
@@ -29,10 +30,12 @@ from .frames import Frame
 from .picture import check_picture, write_picture
 from .rendering import Rendering
 
-__all__ = ["STRETCH", "FrameResult", "Job", "Key", "camera_of"]
+__all__ = ["GROUP", "STRETCH", "FrameResult", "Job", "Key", "camera_of"]
 
-# Frames from one key to the next.
-STRETCH = 30
+#: Frames from one key to the next, and from the first of a group to that of the next.
+STRETCH, GROUP = 30, 5
+# Pictures of keys that are kept, those used last: of a stretch, of the first of a group, and of the next.
+_PICTURES = 3
 _STATE = ".lfrender"
 
 
@@ -65,12 +68,16 @@ class FrameResult:
 
 @dataclass(frozen=True)
 class Key:
-    """The frame that others of its stretch are analysed against; flat and depth are there once they were needed."""
+    """A frame that others of its stretch or group are analysed against; flat and depth are there once needed.
+
+    Where nothing has changed since the frame `before` in its stretch, if any, it shows the picture of that.
+    """
 
     number: int
     frame: Frame
     flat: NDArray[Any] | None = None
     depth: DepthMap | None = None
+    before: Key | None = None
 
 
 def camera_of(folder: Path) -> Calibration:
@@ -88,7 +95,7 @@ class Job:
     scale: float | None
     suffix: str
     _pictures: dict[int, Rendering] = field(default_factory=dict)
-    _drawing: Lock = field(default_factory=Lock, compare=False)
+    _drawing: RLock = field(default_factory=RLock, compare=False)
 
     @classmethod
     def opened(
@@ -131,16 +138,17 @@ class Job:
         self.calibration = camera
 
     def result(self, number: int, frame: Frame, flat: Callable[[], NDArray[Any]], key: Key) -> FrameResult:
-        """Analyse and draw one frame; `flat` gives its pixels in colour, `key` has flat and depth."""
+        """Analyse and draw one frame; `flat` gives its pixels in colour, `key`, the first of its group, has flat and
+        depth."""
         path, start = self.path_of(frame), perf_counter()
         try:
             pixels = flat()
-            depth = key.depth if key.number == number else self.depth_after(key, pixels)
+            if key.number == number:
+                depth, picture = key.depth, self.key_picture(key)
+            else:
+                depth = self.depth_after(key, pixels)
+                picture = self._picture_after(key, pixels, depth)
             assert depth is not None
-            picture = self.key_picture(key)
-            if key.number != number:
-                assert key.flat is not None and key.depth is not None
-                picture = render(pixels, self.camera(pixels), depth, previous=(key.flat, key.depth, picture))
             self.write(path, picture, Embedded() if frame.source is None else read_embedded(frame.source))
         except OutputError:
             raise
@@ -193,6 +201,10 @@ class Job:
         # What an analysis remembers of a depth map beside its file, another worker or a later run would not have.
         return replace(key, flat=flat, depth=DepthMap.load(file))
 
+    def first_of_group(self, first: Key, key: Key) -> Key:
+        """The first frame of a group with flat and depth; it may be the key of its stretch itself."""
+        return key if first.number == key.number else replace(self.with_depth(first, key), before=key)
+
     def depth_after(self, key: Key, flat: NDArray[Any]) -> DepthMap:
         """Depth of a frame whose still parts keep that of a key frame."""
         assert key.flat is not None and key.depth is not None
@@ -208,13 +220,22 @@ class Job:
 
     def key_picture(self, key: Key) -> Rendering:
         """The picture of a key frame, whose pixels are kept where nothing has changed since."""
-        # The last frames of one stretch and the first of the next may be worked on at once.
+        # The last frames of one group and the first of the next may be worked on at once.
         with self._drawing:
-            if key.number not in self._pictures:
-                assert key.flat is not None
-                picture = render(key.flat, self.camera(key.flat), key.depth, scale=self.scale)
-                self._pictures = {**dict(list(self._pictures.items())[-1:]), key.number: picture}
-            return self._pictures[key.number]
+            picture = self._pictures.pop(key.number, None)
+            if picture is None:
+                assert key.flat is not None and key.depth is not None
+                if key.before is None:
+                    picture = render(key.flat, self.camera(key.flat), key.depth, scale=self.scale)
+                else:
+                    picture = self._picture_after(key.before, key.flat, key.depth)
+            self._pictures = {**dict(list(self._pictures.items())[1 - _PICTURES :]), key.number: picture}
+            return picture
+
+    def _picture_after(self, key: Key, flat: NDArray[Any], depth: DepthMap) -> Rendering:
+        """The picture of a frame, which keeps pixels of that of a key frame."""
+        assert key.flat is not None and key.depth is not None
+        return render(flat, self.camera(flat), depth, previous=(key.flat, key.depth, self.key_picture(key)))
 
     def write(self, path: Path, picture: Rendering, embedded: Embedded) -> None:
         """Write the picture of a frame, with what its file says of its colours and of how it was taken."""

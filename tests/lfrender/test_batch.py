@@ -15,6 +15,7 @@ from PIL import Image, ImageCms
 
 import lfcal
 import lfrender
+from lfcal import read_flat
 from lfrender import batch
 from lfrender.cli import main
 from lfrender.film_file import FilmFile
@@ -48,6 +49,7 @@ def whole(sequence, tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(batch, "STRETCH", 3)
+        patch.setattr(batch, "GROUP", 2)
         return folder, _run(sequence, folder)
 
 
@@ -82,6 +84,7 @@ def test_pictures_keep_the_colour_profile_and_camera_data_of_their_frames(house,
 
 def test_a_run_that_was_stopped_goes_on_with_the_same_pictures(sequence, whole, tmp_path, monkeypatch):
     monkeypatch.setattr(batch, "STRETCH", 3)
+    monkeypatch.setattr(batch, "GROUP", 2)
     frames, camera = sequence
     started = lfrender.render_frames(lfrender.open_frames([frames]), tmp_path, camera, preset="fast")
     # Two more are on their way by then.
@@ -94,18 +97,28 @@ def test_a_run_that_was_stopped_goes_on_with_the_same_pictures(sequence, whole, 
 
 
 def test_frames_are_analysed_against_what_lies_in_the_folder_as_in_a_later_run(sequence, tmp_path, monkeypatch):
-    monkeypatch.setattr(batch, "STRETCH", 3)
-    made, against = [], []
+    monkeypatch.setattr(batch, "STRETCH", 4)
+    monkeypatch.setattr(batch, "GROUP", 2)
+    flats, against = [], []
 
-    def analyze(*arguments, previous=None):
-        made.append(lfrender.analyze(*arguments, previous=previous))
+    def analyze(flat, *arguments, previous=None):
+        flats.append(flat)
         against.append(previous)
+        made.append(lfrender.analyze(flat, *arguments, previous=previous))
         return made[-1]
 
+    made = []
     monkeypatch.setattr("lfrender.frame_job.analyze", analyze)
-    _run(sequence, tmp_path)
-    assert [previous is None for previous in against] == [True, False, False, False, False]
-    assert not any(previous[1] is depth for previous in against[1:] for depth in made)
+    results = _run(sequence, tmp_path)
+    order = [read_flat(sequence[0] / f"{r.name}.png") for r in results]
+
+    def number(flat):
+        return next(k for k, other in enumerate(order) if np.array_equal(flat, other))
+
+    found = {number(flat): before and number(before[0]) for flat, before in zip(flats, against, strict=True)}
+    # Of two stretches the first has two groups.
+    assert found == {0: None, 1: 0, 2: 0, 3: 2, 4: 0}
+    assert not any(previous[1] is depth for previous in against if previous for depth in made)
 
 
 def test_other_settings_are_refused_until_everything_is_rendered_anew(sequence, whole):

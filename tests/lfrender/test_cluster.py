@@ -53,7 +53,8 @@ def frames(house, tmp_path_factory):
 
 def test_pictures_are_those_of_one_machine_although_a_worker_is_killed(frames, house, client, tmp_path, monkeypatch):
     for module in ("batch", "cluster"):
-        monkeypatch.setattr(f"lfrender.{module}.STRETCH", 3)
+        monkeypatch.setattr(f"lfrender.{module}.STRETCH", 4)
+        monkeypatch.setattr(f"lfrender.{module}.GROUP", 2)
     camera = house.truth.calibration
     here = list(lfrender.render_frames(frames, tmp_path / "here", camera, preset="fast"))
     running = lfrender.render_frames_on(client, frames, tmp_path / "there", camera, preset="fast", threads=1)
