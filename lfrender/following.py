@@ -5,11 +5,13 @@ from __future__ import annotations
 import weakref
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, FlatError, Lattice
+from lfcal import Calibration, FlatError, Lattice, OutputError, whole_file
 
 from .blankness import skipped_lenses
 from .depthmap import DepthMap
@@ -24,7 +26,7 @@ from .several_depths import lens_by_lens
 from .skipping import Shortcuts
 from .texture import LensStatistics, quick_statistics, untouched_texture
 
-__all__ = ["changed_since", "following"]
+__all__ = ["changed_since", "following", "load_comparison", "save_comparison"]
 
 # Brightness of flats of no more bytes than this is kept until the next frame.
 _MOST_KEPT = 1 << 25
@@ -73,7 +75,9 @@ def following(
     kept = ~grown(changed, neighbours)
     saved = {"still": float(kept.mean())}
     if kept.all():
-        return _noted(replace(before, saved=saved), before, changed)
+        after = _noted(replace(before, saved=saved), before, changed)
+        remembered(after, "kept probe", lambda: _kept_probe(before))
+        return after
     gray, small, factor = working(flat, calibration, preset)
     plain = quick_statistics(gray)
     then = None
@@ -151,9 +155,43 @@ def _first_probe(gray: GrayFlat, plain: LensStatistics, lattice: Lattice, depth:
     Lenses that have kept their depth from a frame before are compared with that one for good, or many small changes
     would pass.
     """
-    then, kept = remembered(depth, "kept probe", lambda: (None, None))
+    then, kept = _kept_probe(depth)
     probe = _probe(gray, lattice, plain, depth, factor, kept)
     return probe if then is None or kept is None else probe.but(then, kept)
+
+
+def _kept_probe(depth: DepthMap) -> tuple[_Probe | None, NDArray[np.bool_] | None]:
+    """The probe that lenses are compared with which have kept their depth from a frame before, and which these are."""
+    return remembered(depth, "kept probe", lambda: (None, None))
+
+
+def save_comparison(depth: DepthMap, path: Path) -> None:
+    """Save what later frames are compared with where lenses have kept their `depth` from frame to frame.
+
+    Without it, changes that are small from one frame to the next would pass for good once that was loaded from a file.
+    """
+    then, kept = _kept_probe(depth)
+    if then is not None and kept is not None:
+        with whole_file(path) as temporary, temporary.open("wb") as file:
+            np.savez(file, kept=kept, **{f.name: getattr(then, f.name) for f in fields(_Probe)})
+
+
+def load_comparison(depth: DepthMap, path: Path) -> None:
+    """Have later frames compared with what was saved of a `depth` that comes from a file itself, if anything was.
+
+    Raises
+    ------
+    OutputError
+        If the file is damaged.
+    """
+    if not path.exists():
+        return
+    try:
+        with np.load(path) as file:
+            then = _Probe(*(file[f.name] for f in fields(_Probe)))
+            remembered(depth, "kept probe", lambda: (then, file["kept"]))
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
+        raise OutputError(f"{path}: damaged ({error}); render everything anew (--overwrite)") from error
 
 
 def _probe(
@@ -210,7 +248,8 @@ def _noted(
     remembered(after, "changed", lambda: (reference, changed))
     if then is not None and kept is None:
         remembered(after, "probe", lambda: then)
-    elif then is not None:
+        kept = np.ones(len(changed), bool)
+    if then is not None:
         remembered(after, "kept probe", lambda: (then, kept))
     return after
 

@@ -26,6 +26,7 @@ from .demosaicing import demosaic
 from .depthmap import DepthMap
 from .drawing import default_scale, render
 from .embedded import Embedded, read_embedded
+from .following import load_comparison, save_comparison
 from .frames import Frame
 from .picture import check_picture, write_picture
 from .rendering import Rendering
@@ -115,7 +116,12 @@ class Job:
         check_picture(folder / f"picture{suffix}")
         job = cls(folder, calibration, preset, scale, suffix)
         if overwrite:
-            for old in [*state.glob("depth_*.npz"), state / "camera.json", state / "settings.json"]:
+            for old in [
+                *state.glob("depth_*.npz"),
+                *state.glob("comparison_*.npz"),
+                state / "camera.json",
+                state / "settings.json",
+            ]:
                 old.unlink(missing_ok=True)
         if (state / "settings.json").exists():
             job._resume(state)
@@ -164,6 +170,10 @@ class Job:
         """Where the depth map of a key frame is kept."""
         return self.folder / _STATE / f"depth_{key.number:06d}.npz"
 
+    def _comparison_file(self, key: Key) -> Path:
+        """Where is kept what frames after a key frame are compared with."""
+        return self.folder / _STATE / f"comparison_{key.number:06d}.npz"
+
     def path_of(self, frame: Frame) -> Path:
         return self.folder / f"{frame.name}{self.suffix}"
 
@@ -188,7 +198,7 @@ class Job:
         flat = self.in_colour(key.frame.read()) if key.flat is None else key.flat
         file = self.depth_file(key)
         if file.exists():
-            return replace(key, flat=flat, depth=DepthMap.load(file))
+            return self._loaded(key, flat)
         camera = self.camera(flat)
         if earlier is None:
             depth = analyze(flat, camera, self.preset)
@@ -197,9 +207,16 @@ class Job:
         if self.scale is None:
             self.scale = default_scale(depth)
         self._remember(camera)
+        save_comparison(depth, self._comparison_file(key))
         depth.save(file)
-        # What an analysis remembers of a depth map beside its file, another worker or a later run would not have.
-        return replace(key, flat=flat, depth=DepthMap.load(file))
+        # What an analysis remembers of a depth map beside its files, another worker or a later run would not have.
+        return self._loaded(key, flat)
+
+    def _loaded(self, key: Key, flat: NDArray[Any]) -> Key:
+        """The key frame with flat and depth, which is in the hidden folder."""
+        depth = DepthMap.load(self.depth_file(key))
+        load_comparison(depth, self._comparison_file(key))
+        return replace(key, flat=flat, depth=depth)
 
     def first_of_group(self, first: Key, key: Key) -> Key:
         """The first frame of a group with flat and depth; it may be the key of its stretch itself."""

@@ -121,6 +121,19 @@ def test_frames_are_analysed_against_what_lies_in_the_folder_as_in_a_later_run(s
     assert not any(previous[1] is depth for previous in against if previous for depth in made)
 
 
+def test_a_depth_that_changes_little_from_key_to_key_is_followed(drawn_flat, tmp_path, monkeypatch):
+    monkeypatch.setattr(batch, "STRETCH", 1)
+    sizes, inputs = 7.0 + 0.08 * np.arange(14), tmp_path / "in"
+    inputs.mkdir()
+    for k, s in enumerate(sizes):
+        gray, lattice, _, inner = drawn_flat(s, noise=0.003, detail=0.7)
+        cv2.imwrite(str(inputs / f"f{k:02d}.png"), np.clip(np.rint(255 * gray.image), 0, 255).astype(np.uint8))
+    frames, out = lfrender.open_frames([inputs]), tmp_path / "out"
+    list(lfrender.render_frames(frames, out, lfcal.Calibration(lattice), preset="fast"))
+    depth = lfrender.DepthMap.load(out / ".lfrender" / f"depth_{len(sizes) - 1:06d}.npz")
+    assert abs(np.nanmedian(depth.patch_size[inner]) - sizes[-1]) < 0.5
+
+
 def test_other_settings_are_refused_until_everything_is_rendered_anew(sequence, whole):
     with pytest.raises(lfcal.OutputError, match="overwrite"):
         _run(sequence, whole[0], scale=3.0)
