@@ -194,33 +194,35 @@ class Job:
         return self.calibration
 
     def with_depth(self, key: Key, earlier: Key | None) -> Key:
-        """The key frame with flat and depth, which is in the hidden folder or analysed against an earlier key frame."""
-        flat = self.in_colour(key.frame.read()) if key.flat is None else key.flat
-        file = self.depth_file(key)
-        if file.exists():
-            return self._loaded(key, flat)
-        camera = self.camera(flat)
-        if earlier is None:
-            depth = analyze(flat, camera, self.preset)
-        else:
-            depth = self.depth_after(earlier if earlier.depth else self.with_depth(earlier, None), flat)
-        if self.scale is None:
-            self.scale = default_scale(depth)
-        self._remember(camera)
-        save_comparison(depth, self._comparison_file(key))
-        depth.save(file)
-        # What an analysis remembers of a depth map beside its files, another worker or a later run would not have.
-        return self._loaded(key, flat)
-
-    def _loaded(self, key: Key, flat: NDArray[Any]) -> Key:
-        """The key frame with flat and depth, which is in the hidden folder."""
-        depth = DepthMap.load(self.depth_file(key))
-        load_comparison(depth, self._comparison_file(key))
-        return replace(key, flat=flat, depth=depth)
+        """The key of a stretch with flat and depth, which is in the hidden folder or analysed against another key."""
+        if earlier is None or self.depth_file(key).exists():
+            return self._analysed(key, None, self._comparison_file(key))
+        earlier = earlier if earlier.depth else self.with_depth(earlier, None)
+        # In its own stretch it has been compared with for itself.
+        depth = DepthMap.load(self.depth_file(earlier))
+        load_comparison(depth, self._comparison_file(earlier))
+        return self._analysed(key, replace(earlier, depth=depth), self._comparison_file(key))
 
     def first_of_group(self, first: Key, key: Key) -> Key:
         """The first frame of a group with flat and depth; it may be the key of its stretch itself."""
-        return key if first.number == key.number else replace(self.with_depth(first, key), before=key)
+        return key if first.number == key.number else replace(self._analysed(first, key), before=key)
+
+    def _analysed(self, key: Key, earlier: Key | None, comparison: Path | None = None) -> Key:
+        """A frame with flat and depth, which is in the hidden folder or analysed against an earlier one; what later
+        ones are compared with is kept in the file `comparison`."""
+        flat = self.in_colour(key.frame.read()) if key.flat is None else key.flat
+        file = self.depth_file(key)
+        if not file.exists():
+            camera = self.camera(flat)
+            depth = analyze(flat, camera, self.preset) if earlier is None else self.depth_after(earlier, flat)
+            if self.scale is None:
+                self.scale = default_scale(depth)
+            self._remember(camera)
+            if comparison is not None:
+                save_comparison(depth, comparison)
+            depth.save(file)
+        # What an analysis remembers of a depth map beside its file, another worker or a later run would not have.
+        return replace(key, flat=flat, depth=DepthMap.load(file))
 
     def depth_after(self, key: Key, flat: NDArray[Any]) -> DepthMap:
         """Depth of a frame whose still parts keep that of a key frame."""
