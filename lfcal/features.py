@@ -18,6 +18,8 @@ __all__ = ["breaks", "level_locally", "luminance", "tone"]
 _NOISE_FLOOR = 0.02
 # Pixels further than this from their surroundings, in local standard deviations, tell no more than "far".
 _CLIP = 3.0
+# At least so many rows are levelled one after the other: the first takes as long as the square is high.
+_ROWS = 64
 # Types of raw values whose root is taken as they are, most flats; others are converted first.
 _ROOTED = (np.uint8, np.uint16)
 
@@ -106,14 +108,79 @@ def breaks(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return steepness
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _divide_by_spread(picture, mean, square, floor, clip):
+@njit(cache=True, nogil=True, inline="always")
+def _mirrored(at, count):
+    """Place in a line of `count` values that one beyond its ends stands for: mirrored, the ends not repeated."""
+    last = count - 1
+    while at < 0 or at > last:
+        at = -at if at < 0 else 2 * last - at
+        if last == 0:
+            return 0
+    return at
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_row(row, squares, sums):
+    for x in range(len(row)):
+        value = np.float64(row[x])
+        sums[x] += value
+        squares[x] += value * value
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _next_row(row, other, squares, sums):
+    """Sums over columns, with a `row` more and an `other` one less."""
+    for x in range(len(row)):
+        value, gone = np.float64(row[x]), np.float64(other[x])
+        sums[x] += value - gone
+        squares[x] += value * value - gone * gone
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _running(sums, half, out):
+    """Fill `out` (n + 2 half + 1,) with the sum of all before each place, the ends of `sums` (n,) mirrored."""
+    count, total = len(sums), 0.0
+    out[0] = 0.0
+    for x in range(half):
+        total += sums[_mirrored(x - half, count)]
+        out[x + 1] = total
+    for x in range(count):
+        total += sums[x]
+        out[half + x + 1] = total
+    for x in range(half):
+        total += sums[_mirrored(count + x, count)]
+        out[half + count + x + 1] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _level_row(row, sums, squares, side, floor, clip, out):
+    """Values over their surroundings, from running sums over rows of `side` each and of their squares."""
+    share = 1.0 / (side * side)
+    for x in range(len(row)):
+        mean = np.float32((sums[x + side] - sums[x]) * share)
+        square = np.float32((squares[x + side] - squares[x]) * share)
+        value = (row[x] - mean) / (np.sqrt(max(square - mean * mean, np.float32(0))) + floor)
+        out[x] = min(max(value, -clip), clip)
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _level(picture, half, together, floor, clip, out):
+    """Fill `out` with what `level_locally` returns, `together` rows after each other."""
     height, width = picture.shape
-    for y in prange(height):
-        for x in range(width):
-            m = mean[y, x]
-            value = (picture[y, x] - m) / (np.sqrt(max(square[y, x] - m * m, np.float32(0))) + floor)
-            mean[y, x] = min(max(value, -clip), clip)
+    side = 2 * half + 1
+    for part in prange((height + together - 1) // together):
+        sums, squares = np.zeros(width), np.zeros(width)
+        running, running_squares = np.empty(width + side), np.empty(width + side)
+        first = part * together
+        for y in range(first - half, first + half + 1):
+            _add_row(picture[_mirrored(y, height)], squares, sums)
+        for y in range(first, min(first + together, height)):
+            if y > first:
+                more, less = _mirrored(y + half, height), _mirrored(y - half - 1, height)
+                _next_row(picture[more], picture[less], squares, sums)
+            _running(sums, half, running)
+            _running(squares, half, running_squares)
+            _level_row(picture[y], running, running_squares, side, floor, clip, out[y])
 
 
 def level_locally(picture: NDArray[np.float32], window: float) -> NDArray[np.float32]:
@@ -123,12 +190,9 @@ def level_locally(picture: NDArray[np.float32], window: float) -> NDArray[np.flo
     ----------
     picture : (h, w) float32
     window : float [px]
-        Side of the square over which mean and standard deviation are taken.
+        Side of the square over which mean and standard deviation are taken; the picture is mirrored at its borders.
     """
-    import cv2
-
-    size = (max(3, int(window) | 1),) * 2
-    mean: Any = cv2.blur(picture, size)
-    square: Any = cv2.blur(np.square(picture), size)
-    _divide_by_spread(picture, mean, square, np.float32(_NOISE_FLOOR), np.float32(_CLIP))
-    return mean
+    half = max(3, int(window) | 1) // 2
+    out = np.empty_like(picture)
+    _level(picture, half, max(_ROWS, 4 * half), np.float32(_NOISE_FLOOR), np.float32(_CLIP), out)
+    return out
