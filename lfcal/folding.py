@@ -19,31 +19,33 @@ __all__ = ["HIGHEST_HARMONIC", "TileFolds", "fold_tiles"]
 HIGHEST_HARMONIC = 6
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bins_along(u, v, step_u, step_v, bins, out):
+    """Bins, row by row, of the pixels of a line that starts at lattice coordinates (u, v)."""
+    last = np.int32(bins - 1)
+    for k in range(len(out)):
+        a, b = u + k * step_u, v + k * step_v
+        a, b = (a - np.floor(a)) * bins, (b - np.floor(b)) * bins
+        out[k] = min(np.int32(b), last) * np.int32(bins) + min(np.int32(a), last)
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _fold(picture, inverse, side, columns, bins, tiles, total, count):
+    """Fill `total` and `count` (t, bins * bins)."""
     height, width = picture.shape
     for place in prange(len(tiles)):
         tile = tiles[place]
-        y0 = (tile // columns) * side
-        x0 = (tile % columns) * side
+        y0, x0 = (tile // columns) * side, (tile % columns) * side
+        at = np.empty(max(min(side, width - x0), 0), np.int32)
+        values, numbers = total[place], count[place]
         for y in range(y0, min(y0 + side, height)):
-            u = x0 * inverse[0, 0] + y * inverse[1, 0]
-            v = x0 * inverse[0, 1] + y * inverse[1, 1]
-            u -= np.floor(u)
-            v -= np.floor(v)
-            for x in range(x0, min(x0 + side, width)):
-                a = int(u * bins)
-                b = int(v * bins)
-                if a >= bins:
-                    a = bins - 1
-                if b >= bins:
-                    b = bins - 1
-                total[place, b, a] += picture[y, x]
-                count[place, b, a] += 1
-                u += inverse[0, 0]
-                v += inverse[0, 1]
-                u -= np.floor(u)
-                v -= np.floor(v)
+            u, v = x0 * inverse[0, 0] + y * inverse[1, 0], x0 * inverse[0, 1] + y * inverse[1, 1]
+            _bins_along(u, v, inverse[0, 0], inverse[0, 1], bins, at)
+            row = picture[y, x0 : x0 + len(at)]
+            for k in range(len(row)):
+                n = np.uint64(np.uint32(at[k]))
+                values[n] += row[k]
+                numbers[n] += 1
 
 
 @dataclass(frozen=True)
@@ -149,10 +151,12 @@ def fold_tiles(
     tiles = np.arange(rows * columns)
     if most is not None and len(tiles) > most:
         tiles = np.unique(np.linspace(0, len(tiles) - 1, most).astype(int))
-    total = np.zeros((len(tiles), bins, bins), dtype=np.float32)
-    count = np.zeros_like(total)
+    total, count = np.zeros((2, len(tiles), bins * bins), np.float32)
     _fold(picture, np.linalg.inv(basis), side, columns, bins, tiles, total, count)
     y, x = np.divmod(tiles, columns)
     right, low = np.minimum((x + 1) * side, width), np.minimum((y + 1) * side, height)
     centre = np.column_stack([(x * side + right - 1) / 2, (y * side + low - 1) / 2])
-    return TileFolds(total, count, centre, np.array(basis, dtype=np.float64), (rows, columns), side)
+    cells = (len(tiles), bins, bins)
+    return TileFolds(
+        total.reshape(cells), count.reshape(cells), centre, np.array(basis, dtype=np.float64), (rows, columns), side
+    )
