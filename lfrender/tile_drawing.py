@@ -286,9 +286,10 @@ class Drawing:
     def _bend(self) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         return lattice_bend(self.calibration.lattice)
 
-    @cached_property
+    @property
     def _offsets(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        return lens_offsets(self.calibration.lattice, self.reach * self.calibration.lattice.pitch)
+        lattice, reach = self.calibration.lattice, self.reach
+        return remembered(lattice, ("offsets", reach), lambda: lens_offsets(lattice, reach * lattice.pitch))
 
     @cached_property
     def _seen_from(self) -> tuple[Surface, NDArray[np.float64]]:
