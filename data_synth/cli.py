@@ -82,7 +82,7 @@ Examples:
 @click.option("--noise", type=_Pair("FULL_WELL,READ", ",", float), help="Electrons, e.g. 12000,5; none if absent.")
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", show_default=True)
 @click.option("--linear", is_flag=True, help="Store linear values instead of sRGB.")
-@click.option("--samples", type=int, default=48, show_default=True, help="Rays per pixel.")
+@click.option("--samples", type=int, default=48, show_default=True, help="Rays per pixel; few make noise of their own.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the scene, the sampling and the noise.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.option("--quiet", is_flag=True, help="Print nothing.")

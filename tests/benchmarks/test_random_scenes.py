@@ -6,7 +6,7 @@ from benchmarks.random_scenes import draw, judge
 
 
 def test_a_plane_is_judged_right_and_a_false_truth_wrong():
-    described, capture = draw(8)
+    described, capture = draw(8, samples=32)
     assert described.startswith("plane")
     found = judge(capture)
     assert found.right > 0.995
