@@ -224,8 +224,8 @@ def plane_evidence(
     if not inner.any() or misfits[inner].mean() > _DOUBTFUL:
         return None
     if misfits.any():
-        few = _Few.of(texture, matcher.forward, matcher.backward, misfits)
-        elsewhere, far, misfits = _searched(few, setting, misfits, about, limit)
+        few = _Few.of(matcher.shrunk(texture), matcher.forward, matcher.backward, misfits)
+        elsewhere, far, misfits = _searched(few, matcher.factor, setting, misfits, about, limit)
         together = beside(elsewhere, rows)
         if (far & inner).any() or (elsewhere & inner & (together > 0)).any() or (together >= _TOGETHER).any():
             return None
@@ -245,16 +245,17 @@ def plane_evidence(
 
 
 def _searched(
-    few: _Few, setting: Preset, misfits: NDArray[np.bool_], about: NDArray[np.float32], limit: float
+    few: _Few, factor: int, setting: Preset, misfits: NDArray[np.bool_], about: NDArray[np.float32], limit: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Which of the lenses (n,) that seem to misfit a plane match better elsewhere, which of them far from it, and which
     do not match at the plane either, when they are searched at all shifts.
 
-    The search tries other pairs than the probe, so that only what it finds itself can be compared.
+    The search tries other pairs than the probe, so that only what it finds itself can be compared. The `few` are on a
+    flat `factor` times as small as that which the plane is `about`.
     """
-    matcher = few.matcher(setting)
+    matcher, factor = few.matcher(setting), factor * few.coarse
     full = matcher.costs(matcher.pairs(few.asked), few.asked)
-    away = np.abs(matcher.shifts - about[misfits, None] / few.coarse)
+    away = np.abs(matcher.shifts - about[misfits, None] / factor)
     near = away <= matcher.step
     # Between the two shifts beside the plane; none is where the plane lies beyond those that are searched.
     share = np.where(near, matcher.step - away, 0)
@@ -264,7 +265,7 @@ def _searched(
     better = (least < own - _BETTER) & (least < limit)
     elsewhere, far, unmatched = np.zeros((3, len(misfits)), bool)
     elsewhere[misfits] = better
-    far[misfits] = better & (away[np.arange(len(best)), best] * few.coarse > _FAR)
+    far[misfits] = better & (away[np.arange(len(best)), best] * factor > _FAR)
     unmatched[misfits] = np.where(near, full, np.inf).min(1) > limit
     return elsewhere, far, unmatched
 
