@@ -190,7 +190,7 @@ def load_comparison(depth: DepthMap, path: Path) -> None:
         with np.load(path) as file:
             then = _Probe(*(file[f.name] for f in fields(_Probe)))
             remembered(depth, "kept probe", lambda: (then, file["kept"]))
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
+    except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
         raise OutputError(f"{path}: damaged ({error}); render everything anew (--overwrite)") from error
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import lfrender
-from lfcal import Calibration, Lattice
-from lfrender.following import _Probe, _unsteady, changed_since
+from lfcal import Calibration, Lattice, OutputError
+from lfrender.following import _Probe, _unsteady, changed_since, load_comparison
 from lfrender.neighbours import neighbour_rows
 from lfrender.remembered import remembered
 from lfrender.sequence import changed_lenses
@@ -206,3 +206,11 @@ def test_what_is_remembered_is_made_once_and_goes_with_its_owner():
     del owner
     gc.collect()
     assert before not in _kept
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 and no more"])
+def test_a_damaged_comparison_is_one_clear_error(first, tmp_path, content):
+    path = tmp_path / "comparison_000000.npz"
+    path.write_bytes(content)
+    with pytest.raises(OutputError, match=r"comparison_000000\.npz: damaged .*--overwrite"):
+        load_comparison(first[1], path)
