@@ -45,7 +45,7 @@ def _whole(groups):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
 def _place(
-    n, e_x, e_y, spacing, inner_x, inner_y, at_x, at_y, slope, limits, share, u, kind, width, height, stride, corner_x,
+    columns, n, e_x, e_y, spacing, inner_x, inner_y, at_x, at_y, slope, limits, share, u, kind, width, height, stride, corner_x,
     corner_y, per_light_step, last_ring, lanes, work, whole, at,
 ):  # fmt: skip
     """Where some pixels read a lens, and how much that counts.
@@ -56,7 +56,7 @@ def _place(
     last_x, last_y = np.int32(width - 2), np.int32(height - 2)
     end_x, end_y = np.float32(width - 1), np.float32(height - 1)
     for k in range(lanes):
-        ex = np.float32(np.int32(n + np.int32(k))) * spacing + e_x
+        ex = np.float32(np.int32(n + columns[u + k])) * spacing + e_x
         d2 = ex * ex + e_y * e_y
         tilt = slope[u + k]
         rx, ry = inner_x - ex * tilt, inner_y - e_y * tilt
@@ -149,28 +149,28 @@ def _agree(values, base, sums, u, lanes, t2, per_channel, totals):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _depths_along(
-    surface, x, y, spacing, grid_x, grid_y, cell, edge, pitch, radius, reach, count, slope, limits, sizes, places,
-    level, near, torn,
+    surface, x, y, spacing, grid_x, grid_y, cell, edge, pitch, radius, reach, columns, count, slope, limits, sizes,
+    places, level, near, torn,
 ):  # fmt: skip
-    """Patch sizes along a row, as `patch_size_at`, their share of the pitch, and the squared distance at which lenses
-    are read. The last four arguments are memory to work in."""
-    rows, columns = surface.shape
-    last_x, last_y, last = np.float32(columns - 1), np.float32(rows - 1), np.int32(max(columns - 2, 0))
+    """Patch sizes at some columns of a row, as `patch_size_at`, their share of the pitch, and the squared distance at
+    which lenses are read. The last four arguments are memory to work in."""
+    rows, wide = surface.shape
+    last_x, last_y, last = np.float32(wide - 1), np.float32(rows - 1), np.int32(max(wide - 2, 0))
     for k in range(count):
-        gx = min(max((np.float32(x + k * spacing) - grid_x) / cell, np.float32(0.0)), last_x)
+        gx = min(max((np.float32(x + columns[k] * spacing) - grid_x) / cell, np.float32(0.0)), last_x)
         places[k] = min(np.int32(gx), last)
         sizes[k] = gx - np.float32(places[k])
     gy = min(max((np.float32(y) - grid_y) / cell, np.float32(0.0)), last_y)
     j = min(int(gy), max(rows - 2, 0))
     above, below, fy = surface[j], surface[min(j + 1, rows - 1)], gy - np.float32(j)
-    start, number = places[0], min(places[count - 1] + 2, columns) - places[0]
+    start, number = places[0], min(places[count - 1] + 2, wide) - places[0]
     for k in range(number):
         a, b = above[start + k], below[start + k]
         level[k] = (np.float32(1.0) - fy) * a + fy * b
         near[k] = b if fy > np.float32(0.5) else a
     level[number], near[number] = level[number - 1], near[number - 1]
     for k in range(number):
-        right = min(start + k + 1, columns - 1)
+        right = min(start + k + 1, wide - 1)
         a, b, c, d = above[start + k], above[right], below[start + k], below[right]
         torn[k] = max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) >= edge
     for k in range(count):
@@ -228,7 +228,7 @@ def _read_queue(
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _lay_lenses(
     line, seen, edged, glow, light_step, centres, kinds, lowest, highest, x, y, spacing, column, reach, edge, count,
-    before, slope, limits, sizes, share, size, stride, corner, work, whole, quads, lamps, values, runs, sums,
+    before, columns, slope, limits, sizes, share, size, stride, corner, work, whole, quads, lamps, values, runs, sums,
 ):  # fmt: skip
     """Read all lenses that show a part of a row, and add them up; returns how many runs of pixels that are."""
     width, height = np.int32(size[0]), np.int32(size[1])
@@ -243,19 +243,15 @@ def _lay_lenses(
         wide = np.sqrt(max(reach * reach - ey * ey, 0.0))
         begin = max(int(np.ceil((cx - wide - x) * per_spacing)) - column, 0)
         end = min(int(np.floor((cx + wide - x) * per_spacing)) + 1 - column, count)
-        # What nobody wants at both ends.
-        while begin < end and before[min(begin + _GROUP, end)] == before[begin]:
-            begin += _GROUP
-        while begin < end and before[max(end - _GROUP, begin)] == before[end]:
-            end -= _GROUP
+        if begin >= end:
+            continue
         # As seen from the first column of the picture, whatever part of it is drawn.
         anchor = int(np.rint((cx - x) * per_spacing))
         e_x = np.float32(x + anchor * spacing - cx)
         at_x, at_y = np.floor(cx), np.floor(cy)
-        for u in range(begin, end, _LANES):
+        end = before[end]
+        for u in range(before[begin], end, _LANES):
             stop = min(u + _LANES, end)
-            if before[stop] == before[u]:
-                continue
             if found == done + _QUEUE:
                 _read_queue(
                     line, seen, glow, edge, down, sizes, runs, done, found, work, whole, quads, pairs, lamps,
@@ -266,7 +262,7 @@ def _lay_lenses(
             runs[found, 2] = max((stop - u + _GROUP - 1) // _GROUP, _FEWEST)
             q = np.uint64(found % _QUEUE)
             _place(
-                np.int32(u + column - anchor), e_x, np.float32(ey), step, np.float32(cx - at_x), np.float32(cy - at_y),
+                columns, np.int32(column - anchor), e_x, np.float32(ey), step, np.float32(cx - at_x), np.float32(cy - at_y),
                 np.int32(at_x), np.int32(at_y), slope, limits, share, np.uint64(u),
                 np.uint64(kinds[lens]) * np.uint64(_LINE), width, height, np.int32(stride), corner_x, corner_y,
                 per_light_step, last_ring, _whole(runs[found, 2]), work, whole, q * _WORK,
@@ -291,14 +287,13 @@ def _normalise(sums, count):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _store(totals, sizes, before, largest, half, top, marks, out, valid, left, section):
-    """Round and store the wanted pixels of a row that are read at one place."""
-    for k in range(min(SECTION, len(out) - section)):
-        u, at = section + k, np.uint64(k)
-        more = abs(sizes[at]) > largest
-        wanted = before[at + np.uint64(1)] > before[at]
-        left[u] = wanted and more
-        if more or not wanted:
+def _store(totals, sizes, columns, count, largest, half, top, marks, out, valid, left, section):
+    """Round and store the pixels at some columns of a row that are read at one place."""
+    for k in range(count):
+        at = np.uint64(k)
+        u = section + columns[at]
+        left[u] = abs(sizes[at]) > largest
+        if left[u]:
             continue
         valid[u] = totals[at] > 0
         out[u, 0] = min(totals[_SECOND + at] + half, top)
@@ -309,11 +304,18 @@ def _store(totals, sizes, before, largest, half, top, marks, out, valid, left, s
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _wanted_before(wanted, v, section, count, before):
-    """How many pixels before each place of a row are wanted; all of them where `wanted` is (0, 0)."""
-    before[0] = 0
+def _wanted_columns(wanted, v, section, count, before, columns):
+    """Fill `columns` with the wanted ones of a row, and `before` with how many of them are before each place; returns
+    how many there are. All of them where `wanted` is (0, 0)."""
+    found = 0
     for k in range(count):
-        before[k + 1] = before[k] + (wanted.size == 0 or wanted[v, section + k])
+        before[k] = found
+        columns[found] = k
+        found += wanted.size == 0 or wanted[v, section + k]
+    before[count] = found
+    # Lanes beyond the last.
+    columns[found : found + 2 * _LANES] = 0
+    return found
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -358,6 +360,7 @@ def blend_rows(
     for group in prange((rows + _TOGETHER - 1) // _TOGETHER):
         slope, limits, sizes = np.empty(_LINE, np.float32), np.empty(_LINE, np.float32), np.empty(_LINE, np.float32)
         places, level = np.empty(_LINE, np.int32), np.empty(beneath, np.float32)
+        chosen = np.empty(_LINE, np.int32)
         near, torn = np.empty(beneath, np.float32), np.empty(beneath, np.bool_)
         share, before = np.ones(types * _LINE, np.float32), np.empty(SECTION + 1, np.int64)
         sums, totals = np.empty(4 * _LINE, np.float32), np.empty(4 * _LINE, np.float32)
@@ -370,26 +373,28 @@ def blend_rows(
             highest = np.searchsorted(centres[:, 1], y + reach)
             for section in range(0, columns, SECTION):
                 count, column = min(SECTION, columns - section), start[0] + section
-                _wanted_before(wanted, v, section, count, before)
-                if before[count] == 0:
-                    left[v, section : section + count] = False
+                left[v, section : section + count] = False
+                asked = _wanted_columns(wanted, v, section, count, before, chosen)
+                if asked == 0:
                     continue
                 _depths_along(
                     surface, first[0] + column * spacing, y, spacing, grid_x, grid_y, cell, edge, pitch, radius,
-                    np.float32(reach), count, slope, limits, sizes, places, level, near, torn,
+                    np.float32(reach), chosen, asked, slope, limits, sizes, places, level, near, torn,
                 )  # fmt: skip
                 if last_ratio > 0:
-                    _shares_along(shares, slope, count, places, share)
+                    _shares_along(shares, slope, asked, places, share)
                 sums[:] = 0
                 totals[:] = 0
                 found = _lay_lenses(
                     line, seen_line, edged, glow_pairs, light_step, centres, kinds, lowest, highest, first[0], y,
-                    spacing, column, reach, edge, count, before, slope, limits, sizes, share, size, flat.shape[1],
+                    spacing, column, reach, edge, count, before, chosen, slope, limits, sizes, share, size, flat.shape[1],
                     corner, work, whole, quads, lamps, values, runs, sums,
                 )  # fmt: skip
-                _normalise(sums, np.uint64(count))
+                _normalise(sums, np.uint64(asked))
                 for n in range(found):
                     at, u = np.uint64(n) * _PER_RUN, np.uint64(runs[n, 0])
                     _agree(values, at, sums, u, _whole(runs[n, 2]), t2, per_channel, totals)
-                _normalise(totals, np.uint64(count))
-                _store(totals, sizes, before, _OVER * scale, half, top, marks, out[v], valid[v], left[v], section)
+                _normalise(totals, np.uint64(asked))
+                _store(
+                    totals, sizes, chosen, asked, _OVER * scale, half, top, marks, out[v], valid[v], left[v], section
+                )  # fmt: skip
