@@ -45,8 +45,8 @@ def _whole(groups):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
 def _place(
-    columns, n, e_x, e_y, spacing, inner_x, inner_y, at_x, at_y, slope, limits, share, u, kind, width, height, stride, corner_x,
-    corner_y, per_light_step, last_ring, lanes, work, whole, at,
+    columns, n, e_x, e_y, spacing, inner_x, inner_y, at_x, at_y, slope, limits, share, u, kind, width, height, stride,
+    corner_x, corner_y, per_light_step, last_ring, lanes, work, whole, at,
 ):  # fmt: skip
     """Where some pixels read a lens, and how much that counts.
 
@@ -262,8 +262,8 @@ def _lay_lenses(
             runs[found, 2] = max((stop - u + _GROUP - 1) // _GROUP, _FEWEST)
             q = np.uint64(found % _QUEUE)
             _place(
-                columns, np.int32(column - anchor), e_x, np.float32(ey), step, np.float32(cx - at_x), np.float32(cy - at_y),
-                np.int32(at_x), np.int32(at_y), slope, limits, share, np.uint64(u),
+                columns, np.int32(column - anchor), e_x, np.float32(ey), step, np.float32(cx - at_x),
+                np.float32(cy - at_y), np.int32(at_x), np.int32(at_y), slope, limits, share, np.uint64(u),
                 np.uint64(kinds[lens]) * np.uint64(_LINE), width, height, np.int32(stride), corner_x, corner_y,
                 per_light_step, last_ring, _whole(runs[found, 2]), work, whole, q * _WORK,
             )  # fmt: skip
@@ -334,13 +334,14 @@ def _shares_along(shares, slope, count, places, share):
 def blend_rows(
     flat, marks, seen, edged, gains, lights, light_step, centres, kinds, shares, radius, pitch, surface, grid_x, grid_y,
     cell, edge, scale, first, spacing, reach, tolerance, corner, size, start, wanted, half, top, out, valid, left,
+    threads,
 ):  # fmt: skip
     """Fill `out` (h, w, C) as `mosaic.draw_rows` does, for whole numbers in the middle view.
 
     `flat` (H, W) uint32 or uint64 are pixels as `packed_to_read`. Lenses have their `centres` (n, 2) on the flat,
     sorted by y, are of the type `kinds` (n,) and `edged` (n,) where `seen` tells anything of them. Pixels that need
-    more than one reading are marked in `left` (h, w), and are to be drawn by the other kernel. The other arguments are
-    those of that one.
+    more than one reading are marked in `left` (h, w), and are to be drawn by the other kernel. So many `threads` share
+    the work. The other arguments are those of that one.
     """
     rows, columns, _ = out.shape
     glow = np.empty(2 * len(gains), np.float32)
@@ -357,7 +358,11 @@ def blend_rows(
     most = tall * ((int(2 * reach / spacing) + 2) // _LANES + 2)
     # Values of the surface beneath a row.
     beneath = int(min(SECTION, columns) * spacing / cell) + 4
-    for group in prange((rows + _TOGETHER - 1) // _TOGETHER):
+    groups = (rows + _TOGETHER - 1) // _TOGETHER
+    each = -(-groups // threads)
+    for number in prange(each * threads):
+        # What is wanted comes in clusters: every thread has rows from top to bottom.
+        group = number % each * threads + number // each
         slope, limits, sizes = np.empty(_LINE, np.float32), np.empty(_LINE, np.float32), np.empty(_LINE, np.float32)
         places, level = np.empty(_LINE, np.int32), np.empty(beneath, np.float32)
         chosen = np.empty(_LINE, np.int32)
@@ -387,8 +392,8 @@ def blend_rows(
                 totals[:] = 0
                 found = _lay_lenses(
                     line, seen_line, edged, glow_pairs, light_step, centres, kinds, lowest, highest, first[0], y,
-                    spacing, column, reach, edge, count, before, chosen, slope, limits, sizes, share, size, flat.shape[1],
-                    corner, work, whole, quads, lamps, values, runs, sums,
+                    spacing, column, reach, edge, count, before, chosen, slope, limits, sizes, share, size,
+                    flat.shape[1], corner, work, whole, quads, lamps, values, runs, sums,
                 )  # fmt: skip
                 _normalise(sums, np.uint64(asked))
                 for n in range(found):

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numba import get_num_threads
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
@@ -208,7 +209,7 @@ class Drawing:
             left = np.empty(image.shape[:2], bool)
             blend_rows(
                 packed, marks, seen_depth, edged[order], *light, centres, kinds, self._shares[1], radius, *depths,
-                float(reach), tolerance, *place, wanted, *stored, left,
+                float(reach), tolerance, *place, wanted, *stored, left, get_num_threads(),
             )  # fmt: skip
             if not left.any():
                 return image, valid
