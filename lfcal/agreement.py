@@ -216,7 +216,7 @@ class _Region:
         from .folding import fold_tiles
 
         side = max(8, max(self.picture.shape) // _TILES)
-        return [fold_tiles(feature, self.lattice.basis, side, _BINS) for feature in (self.picture, self.rims)]
+        return fold_tiles([self.picture, self.rims], self.lattice.basis, side, _BINS)
 
     @cached_property
     def repeats(self) -> bool:

@@ -5,6 +5,7 @@ What the lattice carries adds up, what the scene shows averages out (the average
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -22,30 +23,39 @@ HIGHEST_HARMONIC = 6
 @njit(cache=True, nogil=True, error_model="numpy")
 def _bins_along(u, v, step_u, step_v, bins, out):
     """Bins, row by row, of the pixels of a line that starts at lattice coordinates (u, v)."""
-    last = np.int32(bins - 1)
-    for k in range(len(out)):
-        a, b = u + k * step_u, v + k * step_v
-        a, b = (a - np.floor(a)) * bins, (b - np.floor(b)) * bins
-        out[k] = min(np.int32(b), last) * np.int32(bins) + min(np.int32(a), last)
+    # A cell is 2**32 units each way, so that places in it wrap around by themselves.
+    whole, half, many = 4294967296.0, np.uint32(16), np.uint32(bins)
+    across, down = np.uint32(np.int64(step_u * whole)), np.uint32(np.int64(step_v * whole))
+    first, upper = np.uint32(np.int64((u - np.floor(u)) * whole)), np.uint32(np.int64((v - np.floor(v)) * whole))
+    for k in range(np.uint64(len(out))):
+        a, b = np.uint32(first + np.uint32(across * np.uint32(k))), np.uint32(upper + np.uint32(down * np.uint32(k)))
+        column, row = np.uint32(np.uint32(a >> half) * many) >> half, np.uint32(np.uint32(b >> half) * many) >> half
+        out[k] = np.uint32(row * many) + column
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _fold(picture, inverse, side, columns, bins, tiles, total, count):
-    """Fill `total` and `count` (t, bins * bins)."""
-    height, width = picture.shape
+def _fold(first, second, inverse, side, columns, bins, tiles, totals, count):
+    """Fill the `totals` (2, t, bins * bins) of both pictures, and the `count` (t, bins * bins) of pixels."""
+    height, width = first.shape
+    one = np.float32(1)
     for place in prange(len(tiles)):
         tile = tiles[place]
         y0, x0 = (tile // columns) * side, (tile % columns) * side
-        at = np.empty(max(min(side, width - x0), 0), np.int32)
-        values, numbers = total[place], count[place]
+        at = np.empty(max(min(side, width - x0), 0), np.uint32)
+        cells = np.zeros((bins * bins, 4), np.float32)
         for y in range(y0, min(y0 + side, height)):
             u, v = x0 * inverse[0, 0] + y * inverse[1, 0], x0 * inverse[0, 1] + y * inverse[1, 1]
             _bins_along(u, v, inverse[0, 0], inverse[0, 1], bins, at)
-            row = picture[y, x0 : x0 + len(at)]
-            for k in range(len(row)):
-                n = np.uint64(np.uint32(at[k]))
-                values[n] += row[k]
-                numbers[n] += 1
+            row, other = first[y, x0 : x0 + len(at)], second[y, x0 : x0 + len(at)]
+            for k in range(len(at)):
+                n = np.uint64(at[k])
+                # Four that are read and written together are one step for the processor.
+                a, b, c, d = cells[n, 0], cells[n, 1], cells[n, 2], cells[n, 3]
+                a, b, c, d = a + row[k], b + other[k], c + one, d + one
+                cells[n, 0], cells[n, 1], cells[n, 2], cells[n, 3] = a, b, c, d
+        for cell in range(len(cells)):
+            totals[0, place, cell], totals[1, place, cell] = cells[cell, 0], cells[cell, 1]
+            count[place, cell] = cells[cell, 2]
 
 
 @dataclass(frozen=True)
@@ -129,13 +139,13 @@ def _periodic_box(values: NDArray[np.float64], width: int, axis: int) -> NDArray
 
 
 def fold_tiles(
-    picture: NDArray[np.float32], basis: NDArray[np.float64], side: int, bins: int, most: int | None = None
-) -> TileFolds:
-    """Fold a picture on a lattice with its origin at (0, 0), tile by tile.
+    pictures: Sequence[NDArray[np.float32]], basis: NDArray[np.float64], side: int, bins: int, most: int | None = None
+) -> list[TileFolds]:
+    """Fold one or two pictures on a lattice with its origin at (0, 0), tile by tile.
 
     Parameters
     ----------
-    picture : (h, w) float32
+    pictures : one or two (h, w) float32
     basis : (2, 2) float64 [px]
     side : int [px]
         Side of the square tiles.
@@ -144,19 +154,18 @@ def fold_tiles(
     most : int or None
         Fold only about so many tiles, evenly spread; all of them with None.
     """
-    height, width = picture.shape
+    height, width = pictures[0].shape
     rows, columns = max(1, round(height / side)), max(1, round(width / side))
     side = max(-(-height // rows), -(-width // columns))
     rows, columns = -(-height // side), -(-width // side)
     tiles = np.arange(rows * columns)
     if most is not None and len(tiles) > most:
         tiles = np.unique(np.linspace(0, len(tiles) - 1, most).astype(int))
-    total, count = np.zeros((2, len(tiles), bins * bins), np.float32)
-    _fold(picture, np.linalg.inv(basis), side, columns, bins, tiles, total, count)
+    *totals, count = planes = np.empty((3, len(tiles), bins, bins), np.float32)
+    flat = planes.reshape(3, len(tiles), -1)
+    _fold(pictures[0], pictures[-1], np.linalg.inv(basis), side, columns, bins, tiles, flat[:2], flat[2])
     y, x = np.divmod(tiles, columns)
     right, low = np.minimum((x + 1) * side, width), np.minimum((y + 1) * side, height)
     centre = np.column_stack([(x * side + right - 1) / 2, (y * side + low - 1) / 2])
-    cells = (len(tiles), bins, bins)
-    return TileFolds(
-        total.reshape(cells), count.reshape(cells), centre, np.array(basis, dtype=np.float64), (rows, columns), side
-    )
+    basis = np.array(basis, dtype=np.float64)
+    return [TileFolds(total, count, centre, basis, (rows, columns), side) for total in totals[: len(pictures)]]

@@ -113,20 +113,45 @@ def _weighted(design, step, weight, basis, ratio, change):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _weighted_quantile(values, weight, share):
-    """Least value below which lies at least this share of the weight."""
-    order = np.argsort(values)
-    wanted, below = share * weight.sum(), 0.0
-    for k in order:
-        below += weight[k]
-        if below >= wanted:
-            return values[k]
-    return values[order[-1]]
+def _weighted_quantile(values, weight, share, some, theirs):
+    """Least value below which lies at least this share of the weight.
+
+    By Hoare's selection (Communications of the ACM 4, 1961); `some` and `theirs` (n,) is memory to work in.
+    """
+    some[:], theirs[:] = values, weight
+    wanted = share * weight.sum()
+    low, high = 0, len(some)
+    while True:
+        one, other, third = some[low], some[(low + high) // 2], some[high - 1]
+        pivot = max(min(one, other), min(max(one, other), third))
+        # What is less comes first, what is more last.
+        less, more, at = low, high, low
+        below = equal = 0.0
+        while at < more:
+            value, heavy = some[at], theirs[at]
+            if value < pivot:
+                some[at], theirs[at], some[less], theirs[less] = some[less], theirs[less], value, heavy
+                below += heavy
+                less += 1
+                at += 1
+            elif value > pivot:
+                more -= 1
+                some[at], theirs[at], some[more], theirs[more] = some[more], theirs[more], value, heavy
+            else:
+                equal += heavy
+                at += 1
+        if less > low and below >= wanted:
+            high = less
+        elif more == high or below + equal >= wanted:
+            return pivot
+        else:
+            wanted -= below + equal
+            low = more
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _settle(design, step, spread, trust, basis, ratio, agreeing, outlier, turns, weights, changes, commons):
-    square = np.empty(len(step))
+    square, some, theirs = np.empty(len(step)), np.empty(len(step)), np.empty(len(step))
     expected = -2 * np.log(1 - agreeing)
     before = np.empty(6)
     for start in range(len(weights)):
@@ -140,7 +165,7 @@ def _settle(design, step, spread, trust, basis, ratio, agreeing, outlier, turns,
                 y = step[k, 1] - change[0, 1] - design[k, 1] * change[1, 1] - design[k, 2] * change[2, 1]
                 square[k] = (x * x + y * y) / spread[k]
             # That variance at which just the agreeing share lies within what is expected of it.
-            common = max(_weighted_quantile(square, trust, agreeing) / expected, 1e-12)
+            common = max(_weighted_quantile(square, trust, agreeing, some, theirs) / expected, 1e-12)
             for k in range(len(step)):
                 weight[k] = max(1 - square[k] / (common * outlier * outlier), 0.0) ** 2 * trust[k] / common
             commons[start] = common

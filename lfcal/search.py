@@ -233,7 +233,7 @@ def _lattice_from(basis: NDArray[np.float64], picture: NDArray[np.float32], edge
     cells = [fold.mean() for fold in folds]
     if coherence < _COHERENT:
         raise CalibrationError(NO_MICROIMAGES)
-    tone = fold_tiles(picture, basis, side, 4 * _BINS, _FEW_TILES)
+    (tone,) = fold_tiles([picture], basis, side, 4 * _BINS, _FEW_TILES)
     check_waves(tone)
     if is_board(*cells):
         raise CalibrationError("a checkerboard repeats on the image, not microimages; give a raw flat from the sensor")
@@ -303,7 +303,8 @@ def _right_cell(
     """
     for multiple in (1, 2, 3):
         wide = basis * multiple
-        first, second = zip(*(fold_tiles(f, wide, side, _BINS, _FEW_TILES).halves() for f in levelled), strict=True)
+        folds = fold_tiles(levelled, wide, side, _BINS, _FEW_TILES)
+        first, second = zip(*(fold.halves() for fold in folds), strict=True)
         found = true_cell(list(first), wide, list(second))
         if abs(abs(np.linalg.det(found) / np.linalg.det(basis)) - 1) > 0.1:
             return found, True
@@ -314,7 +315,7 @@ def _lit_folds(
     picture: NDArray[np.float32], levelled: list[NDArray[np.float32]], basis: NDArray[np.float64], side: int
 ) -> list[TileFolds]:
     """Folds of the features, without the tiles beside the array: dark ones in which next to nothing repeats."""
-    folds = [fold_tiles(feature, basis, side, _BINS) for feature in levelled]
+    folds = fold_tiles(levelled, basis, side, _BINS)
     tone = _tile_tones(picture, folds[0].side)
     strength = sum(fold.strength() for fold in folds)
     beside = (tone < _DARK * np.quantile(tone, 0.9)) & (strength < _IDLE * np.quantile(strength, 0.9))

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from .fastmath import FAST
 from .lattice import Lattice
 
 __all__ = ["LensSteps", "Template", "average_cell", "lens_steps"]
@@ -46,26 +47,39 @@ def _span(faces, reach, cx, dy):
     return int(np.ceil(cx + low)), int(np.floor(cx + high))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _places(picture, cx, cy, lens, faces, reach, inverse, stride, bins, place, values):
     """Bins and values of the pixels of a cell, as many as the number returned."""
     # A cell is 2**32 units each way, so that places in it wrap around by themselves.
     whole = 4294967296.0
-    across, down = np.int64(inverse[0, 0] * stride * whole), np.int64(inverse[0, 1] * stride * whole)
-    number = 0
+    across, down = (
+        np.uint32(np.int64(inverse[0, 0] * stride * whole)),
+        np.uint32(np.int64(inverse[0, 1] * stride * whole)),
+    )
+    many, short = np.uint32(bins), np.uint32(16)
+    number = np.uint64(0)
     for y in range(int(np.ceil(cy - reach)) + lens % stride, int(np.floor(cy + reach)) + 1, stride):
         dy = y - cy
         first, last = _span(faces, reach, cx, dy)
         first += (lens // stride - first) % stride
+        if first > last:
+            continue
         dx = first - cx
-        u = np.int64((dx * inverse[0, 0] + dy * inverse[1, 0] + 0.5 / bins) * whole)
-        v = np.int64((dx * inverse[0, 1] + dy * inverse[1, 1] + 0.5 / bins) * whole)
-        for x in range(first, last + 1, stride):
-            place[number] = ((v & 0xFFFFFFFF) * bins >> 32) * bins + ((u & 0xFFFFFFFF) * bins >> 32)
-            values[number] = picture[y, x]
-            number += 1
-            u += across
-            v += down
+        u = np.uint32(np.int64((dx * inverse[0, 0] + dy * inverse[1, 0] + 0.5 / bins) * whole))
+        v = np.uint32(np.int64((dx * inverse[0, 1] + dy * inverse[1, 1] + 0.5 / bins) * whole))
+        count = np.uint64((last - first) // stride + 1)
+        for k in range(count):
+            column = np.uint32(np.uint32(np.uint32(u + np.uint32(across * np.uint32(k))) >> short) * many) >> short
+            row = np.uint32(np.uint32(np.uint32(v + np.uint32(down * np.uint32(k))) >> short) * many) >> short
+            place[number + k] = np.uint32(row * many) + column
+        pixels = picture[y]
+        if stride == 1:
+            for k in range(count):
+                values[number + k] = pixels[np.uint64(first) + k]
+        else:
+            for k in range(count):
+                values[number + k] = pixels[np.uint64(first) + k * np.uint64(stride)]
+        number += count
     return number
 
 
@@ -74,15 +88,53 @@ def _fold(picture, centres, faces, reach, inverse, stride, bins, chunks, sums):
     lenses = centres.shape[0]
     side = int(2 * reach) // stride + 3
     for chunk in prange(chunks):
-        place, values = np.empty(side * side, np.int64), np.empty(side * side, np.float32)
+        place, values = np.empty(side * side, np.uint32), np.empty(side * side, np.float32)
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0], centres[lens, 1]
             number = _places(picture, cx, cy, lens, faces, reach, inverse, stride, bins, place, values)
             for k in range(number):
-                value = values[k]
-                sums[chunk, place[k], 0] += value
-                sums[chunk, place[k], 1] += value * value
-                sums[chunk, place[k], 2] += 1
+                value, at = values[k], np.uint64(place[k])
+                sums[chunk, at, 0] += value
+                sums[chunk, at, 1] += value * value
+                sums[chunk, at, 2] += 1
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _match(values, level, weight, number):
+    """Sums from which the contrast and the offset of a lens follow."""
+    zero = np.float32(0)
+    one = sum_level = square = value = product = zero
+    for k in range(number):
+        w = weight[k]
+        wl = w * level[k]
+        one += w
+        sum_level += wl
+        square += wl * level[k]
+        value += w * values[k]
+        product += wl * values[k]
+    return one, sum_level, square, value, product
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _pull(values, level, weight, slope_x, slope_y, number, contrast, offset, cutoff):
+    """Sums that the step of a lens follows from."""
+    one, zero = np.float32(1), np.float32(0)
+    xx = xy = yy = bx = by = far = told = zero
+    for k in range(number):
+        w = weight[k]
+        residual = values[k] - offset - contrast * level[k]
+        near = max(one - residual * residual * w * cutoff, zero)
+        near *= near
+        told += near
+        w *= near
+        far += w * residual * residual
+        wx, wy = w * slope_x[k], w * slope_y[k]
+        xx += wx * slope_x[k]
+        xy += wx * slope_y[k]
+        yy += wy * slope_y[k]
+        bx -= wx * residual
+        by -= wy * residual
+    return xx, xy, yy, bx, by, far, told
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -92,38 +144,25 @@ def _accumulate(
     lenses = centres.shape[0]
     side = int(2 * reach) // stride + 3
     for chunk in prange(chunks):
-        place, values = np.empty(side * side, np.int64), np.empty(side * side, np.float32)
+        place, values = np.empty(side * side, np.uint32), np.empty(side * side, np.float32)
+        level, weight = np.empty(side * side, np.float32), np.empty(side * side, np.float32)
+        slope_x, slope_y = np.empty(side * side, np.float32), np.empty(side * side, np.float32)
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0], centres[lens, 1]
             number = _places(picture, cx, cy, lens, faces, reach, inverse, stride, bins, place, values)
-            one = level = square = value = product = 0.0
             for k in range(number):
-                w, wl = maps[place[k], 1], maps[place[k], 4]
-                one += w
-                level += wl
-                square += wl * maps[place[k], 0]
-                value += w * values[k]
-                product += wl * values[k]
+                at = np.uint64(place[k])
+                level[k], weight[k] = maps[at, 0], maps[at, 1]
+                slope_x[k], slope_y[k] = maps[at, 2], maps[at, 3]
+            one, mean, square, value, product = _match(values, level, weight, number)
             contrast, offset = np.float32(1), np.float32(0)
-            determinant = one * square - level * level
+            determinant = one * square - mean * mean
             if determinant > 1e-9 * one * square:
-                contrast = np.float32(min(max((one * product - level * value) / determinant, 0.0), most))
-                offset = np.float32((value - contrast * level) / one)
-            xx = xy = yy = bx = by = far = told = 0.0
-            for k in range(number):
-                w = maps[place[k], 1]
-                residual = values[k] - offset - contrast * maps[place[k], 0]
-                near = max(np.float32(1) - residual * residual * w * cutoff, np.float32(0))
-                told += near * near
-                w *= near * near
-                far += w * residual * residual
-                gx, gy = maps[place[k], 2], maps[place[k], 3]
-                wx, wy = w * gx, w * gy
-                xx += wx * gx
-                xy += wx * gy
-                yy += wy * gy
-                bx -= wx * residual
-                by -= wy * residual
+                contrast = np.float32(min(max((one * product - mean * value) / determinant, 0.0), most))
+                offset = np.float32((value - contrast * mean) / one)
+            xx, xy, yy, bx, by, far, told = _pull(
+                values, level, weight, slope_x, slope_y, number, contrast, offset, cutoff
+            )
             normal[lens, 0, 0] = contrast * contrast * xx
             normal[lens, 0, 1] = contrast * contrast * xy
             normal[lens, 1, 0] = contrast * contrast * xy
@@ -139,9 +178,9 @@ class Template:
 
     Parameters
     ----------
-    maps : (bins, bins, 5) float32
-        Level, inverse variance of a pixel, slopes of the level in x and y [1/px], and the product of the first two;
-        column along `a1`, row along `a2`, `[j, i]` at `i / bins, j / bins` of the cell.
+    maps : (bins, bins, 4) float32
+        Level, inverse variance of a pixel, and slopes of the level in x and y [1/px]; column along `a1`, row along
+        `a2`, `[j, i]` at `i / bins, j / bins` of the cell.
     """
 
     maps: NDArray[np.float32]
@@ -184,7 +223,7 @@ def average_cell(
     variance = np.maximum(square / count - level**2, 1e-4 * float(np.var(level)) + 1e-12)
     along = [(np.roll(level, -1, axis) - np.roll(level, 1, axis)) * (bins / 2) for axis in (1, 0)]
     slope = np.stack(along, axis=-1) @ inverse.T
-    return Template(np.dstack([level, 1 / variance, slope, level / variance]).astype(np.float32))
+    return Template(np.dstack([level, 1 / variance, slope]).astype(np.float32))
 
 
 def _bins(lattice: Lattice) -> int:

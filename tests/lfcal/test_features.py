@@ -34,7 +34,7 @@ def test_folds_hold_every_pixel_of_a_tile_in_the_bin_of_its_place():
     rng, bins = np.random.default_rng(3), 12
     picture = rng.standard_normal((130, 170)).astype(np.float32)
     basis = np.array([[18.6, 0.3], [9.1, 16.2]])
-    folds = fold_tiles(picture, basis, 50, bins)
+    (folds,) = fold_tiles([picture], basis, 50, bins)
     y, x = np.mgrid[: folds.side, : folds.side].reshape(2, -1)
     place = np.column_stack([x + folds.side, y]) @ np.linalg.inv(basis)
     column, row = (((place - np.floor(place)) * bins).astype(int) % bins).T
