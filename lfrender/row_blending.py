@@ -196,7 +196,7 @@ def _hide(seen, edge, sizes, u, whole, at, lanes, work):
     for k in range(lanes):
         depth = seen[np.uint64(np.uint32(whole[at + _W + k]))]
         # A branch that cannot be foretold would cost more.
-        work[at + _W + k] *= HIDDEN if abs(depth - sizes[u + k]) > 2 * edge else np.float32(1.0)
+        work[at + _W + k] *= HIDDEN if abs(depth - sizes[u + k]) > np.float32(2.0) * edge else np.float32(1.0)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -226,9 +226,22 @@ def _read_queue(
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _columns_of(centres, lowest, highest, x, y, spacing, column, reach, count, ranges):
+    """Fill `ranges` (2, n) with the first column, and the one beyond the last, of what some lenses show in a row."""
+    per_spacing, first, end = 1 / spacing, np.int32(column), np.int32(count)
+    for n in range(np.uint64(highest - lowest)):
+        lens = np.uint64(lowest) + n
+        across, ey = centres[lens, 0] - x, y - centres[lens, 1]
+        wide = np.sqrt(max(reach * reach - ey * ey, 0.0))
+        ranges[0, n] = max(np.int32(np.ceil((across - wide) * per_spacing)) - first, np.int32(0))
+        ranges[1, n] = min(np.int32(np.floor((across + wide) * per_spacing)) + np.int32(1) - first, end)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _lay_lenses(
     line, seen, edged, glow, light_step, centres, kinds, lowest, highest, x, y, spacing, column, reach, edge, count,
-    before, columns, slope, limits, sizes, share, size, stride, corner, work, whole, quads, lamps, values, runs, sums,
+    before, columns, slope, limits, sizes, share, size, stride, corner, work, whole, quads, lamps, values, ranges,
+    runs, sums,
 ):  # fmt: skip
     """Read all lenses that show a part of a row, and add them up; returns how many runs of pixels that are."""
     width, height = np.int32(size[0]), np.int32(size[1])
@@ -237,14 +250,13 @@ def _lay_lenses(
     last_ring, per_light_step = np.float32(len(glow) - 1), np.float32(1 / light_step)
     pairs, lamp_pairs = quads.view(np.uint64), lamps.view(np.uint64)
     found = done = 0
+    _columns_of(centres, lowest, highest, x, y, spacing, column, reach, count, ranges)
     for lens in range(lowest, highest):
-        cx, cy = centres[lens, 0], centres[lens, 1]
-        ey = y - cy
-        wide = np.sqrt(max(reach * reach - ey * ey, 0.0))
-        begin = max(int(np.ceil((cx - wide - x) * per_spacing)) - column, 0)
-        end = min(int(np.floor((cx + wide - x) * per_spacing)) + 1 - column, count)
+        begin, end = ranges[0, lens - lowest], ranges[1, lens - lowest]
         if begin >= end:
             continue
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        ey = y - cy
         # As seen from the first column of the picture, whatever part of it is drawn.
         anchor = int(np.rint((cx - x) * per_spacing))
         e_x = np.float32(x + anchor * spacing - cx)
@@ -372,6 +384,7 @@ def blend_rows(
         work, whole = np.empty(_QUEUE * 3 * _LANES, np.float32), np.empty(_QUEUE * 3 * _LANES, np.int32)
         quads, lamps = np.empty(_QUEUE * 4 * _LANES, flat.dtype), np.empty(_QUEUE * 2 * _LANES, np.float32)
         values, runs = np.empty(most * 4 * _LANES, np.float32), np.empty((most, 3), np.int64)
+        ranges = np.empty((2, tall), np.int32)
         for v in range(group * _TOGETHER, min((group + 1) * _TOGETHER, rows)):
             y = first[1] + (start[1] + v) * spacing
             lowest = np.searchsorted(centres[:, 1], y - reach)
@@ -393,7 +406,7 @@ def blend_rows(
                 found = _lay_lenses(
                     line, seen_line, edged, glow_pairs, light_step, centres, kinds, lowest, highest, first[0], y,
                     spacing, column, reach, edge, count, before, chosen, slope, limits, sizes, share, size,
-                    flat.shape[1], corner, work, whole, quads, lamps, values, runs, sums,
+                    flat.shape[1], corner, work, whole, quads, lamps, values, ranges, runs, sums,
                 )  # fmt: skip
                 _normalise(sums, np.uint64(asked))
                 for n in range(found):
