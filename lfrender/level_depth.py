@@ -86,9 +86,7 @@ def regular_plane(
     inner = known & (around(reason != 1, neighbours) == (neighbours >= 0).sum(1))
     if inner.sum() < _FEWEST:
         return None
-    plane = fit_plane(centres[inner], own[inner], pitch)
-    if plane is not None and plane.slanted and known.sum() < TEXTURED * count:
-        return None
+    plane = fit_plane(centres[inner], own[inner], pitch, facing=bool(known.sum() < TEXTURED * count))
     if plane is None or strays(np.where(known, own - plane.at(centres), np.nan), errors.astype(float), neighbours):
         return None
     return replace(plane, misled=float(np.median(astray[known])))

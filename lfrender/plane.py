@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit, prange
@@ -22,6 +22,9 @@ _NEAREST_ZERO, _LARGEST = 0.1, 0.7
 _DEGREE, _EVEN = 3, 0.025
 # A term of it that is so little beside those before it, as of lenses in one line, is left out.
 _NOTHING_NEW = 1e-6
+# A plane is slanted where that explains so many times the variance of an independent measurement: by chance, one in
+# two hundred thousand is.
+_TILTED = 25.0
 # Least scatter [px] of lenses about a plane: what interpolation does to each of them.
 _FLOOR = 0.006
 # Systematic error of a patch size [px] that no number of lenses averages out, and what it grows by [pitches] with the
@@ -60,6 +63,8 @@ class Plane:
     pitch : float [px]
     misled : float [px]
         What the texture that its matches leave unexplained may have done to each lens.
+    tilt : float
+        How many times the variance of an independent measurement a slant would explain of what the plane leaves.
     """
 
     inverse: NDArray[np.float64]
@@ -67,6 +72,7 @@ class Plane:
     covariance: NDArray[np.float64]
     pitch: float
     misled: float = 0.0
+    tilt: float = 0.0
 
     @property
     def slanted(self) -> bool:
@@ -102,7 +108,9 @@ def _over_grid(inverse, left, top, spacing, out):
             row[u] = 1 / (start + inverse[1] * spacing * u)
 
 
-def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> Plane | None:
+def fit_plane(
+    points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float, facing: bool = False
+) -> Plane | None:
     """The plane that lenses lie on: one facing the camera, else a slanted one; None where they do not.
 
     Parameters
@@ -112,6 +120,8 @@ def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: fl
     sizes : (m,) float64 [px]
         Patch sizes that they have measured.
     pitch : float [px]
+    facing : bool
+        Only a plane that faces the camera, or nearly so, will do.
     """
     # Without a common middle and scale the sums of large coordinates would lose digits.
     middle, reach = points.mean(0), float(np.abs(points - points.mean(0)).max()) + 1e-9
@@ -119,7 +129,8 @@ def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: fl
     terms = np.stack([np.ones(len(sizes)), *places.T], 1)
     every = len(sizes) // _FEW
     some = slice(None, None, max(1, every))
-    for count in (1, 3):
+    level: Plane | None = None
+    for count in (1,) if facing else (1, 3):
         if every > 1 and _hopeless(places[some], terms[some, :count], sizes[some]):
             continue
         inverse = _inverse(terms[:, :count], sizes)
@@ -138,8 +149,13 @@ def fit_plane(points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: fl
             change = change[:, :count]
             weight = np.einsum("ni,nj,n->ij", terms[:, :count], terms[:, :count], predicted**4)
             covariance = _SHARED * scatter**2 * np.linalg.inv(weight)
-            return Plane(change @ inverse, scatter, change @ covariance @ change.T, pitch)
-    return None
+            plane = Plane(change @ inverse, scatter, change @ covariance @ change.T, pitch)
+            if count > 1 or facing:
+                return plane
+            level = replace(plane, tilt=_tilt(places, sizes - predicted, scatter))
+            if level.tilt < _TILTED:
+                return level
+    return level
 
 
 def nearly_planar(places: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> bool:
@@ -235,6 +251,17 @@ def _even(places: NDArray[np.float64], residual: NDArray[np.float64], deviations
         return None
     leaves = _leaves(places[inside], residual[inside], deviations * scatter)
     return None if leaves else scatter
+
+
+def _tilt(places: NDArray[np.float64], residual: NDArray[np.float64], scatter: float) -> float:
+    """How many times the variance of an independent measurement a slant explains of the residuals of a plane that faces
+    the camera; 0 where systematic errors explain as much."""
+    inside = np.abs(residual) < _OUTLYING * max(scatter, _FLOOR)
+    away, left = places[inside] - places[inside].mean(0), residual[inside] - residual[inside].mean()
+    square, pull = away.T @ away, away.T @ left
+    explained = float(pull @ np.linalg.lstsq(square, pull, rcond=_NOTHING_NEW)[0])
+    systematic = len(left) * (2 * _UNSEEN) ** 2
+    return explained / (_SHARED * max(scatter, 1e-9) ** 2) if explained > systematic else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

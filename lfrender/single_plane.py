@@ -30,6 +30,9 @@ _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE, _TOO_FEW = 60, 1 / 12, 30, 20
 _COARSE = 11.0
 # A slanted plane needs so many times as many: three numbers instead of one, of which two are carried to the border.
 _SLANTED = 6
+# A sample whose slant explains so many times the variance of an independent measurement leaves in doubt whether there
+# is none: by chance, one in twenty does.
+_DOUBTFUL_TILT = 6.0
 # Microimages of a larger pitch than this [px] tell more each, so that fewer of them do.
 _LARGE = 35.0
 # Of a plane that faces the camera this share of the lenses are searched to the same patch size, to that of the pitch.
@@ -109,8 +112,8 @@ def find_plane(
         return None
     points, sizes = few.measured(found, setting)
     points, sizes = (points + 0.5) * whole.factor - 0.5, sizes * whole.factor
-    plane = fit_plane(points, sizes, pitch) if len(sizes) >= _TOO_FEW else None
-    if plane is None or (facing and plane.slanted):
+    plane = fit_plane(points, sizes, pitch, facing) if len(sizes) >= _TOO_FEW else None
+    if plane is None:
         return None
     paths = 2 * forward.shape[1]
     sure = median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance()))
@@ -118,14 +121,15 @@ def find_plane(
     evidence = plane_evidence(whole, texture, about, setting)
     if evidence is None:
         return None
-    if plane.slanted or whole.factor > 1:
+    slanted = plane.slanted or plane.tilt > _DOUBTFUL_TILT
+    if slanted or whole.factor > 1:
         more = sample
-        if plane.slanted:
+        if slanted:
             more = sample_lenses(indices, texture.clear, int(_SLANTED * _SAMPLE * min(1.0, _LARGE / pitch) ** 2))
         few = _Few.of(texture, forward, backward, more)
         # Of so few as the sample a plane that faces the camera may have looked slanted.
         about_few = plane.at(few.texture.flat.centres.astype(np.float64))
-        plane = fit_plane(*few.measured(about_few, setting, once=True), pitch)
+        plane = fit_plane(*few.measured(about_few, setting, once=True), pitch, facing)
         if plane is None:
             return None
     plane = with_misled(plane, explained_by_plane(whole, texture, about, evidence)[texture.clear])

@@ -127,6 +127,26 @@ def test_a_bend_of_a_tenth_of_a_pixel_is_no_plane():
     assert fit_plane(points, bent, 23.2) is None
 
 
+def test_a_plane_is_slanted_where_that_is_more_than_chance():
+    points = np.random.default_rng(5).uniform(0, 600, (400, 2))
+    noise = np.random.default_rng(6).normal(0, 0.01, 400)
+    slightly = 7 + 0.02 * (points[:, 0] / 300 - 1)
+    slanted, level = fit_plane(points, slightly + noise, 23.2), fit_plane(points, 7 + noise, 23.2)
+    assert slanted is not None and slanted.slanted
+    assert np.abs(slanted.at(points) - slightly).max() < 0.005
+    assert level is not None and not level.slanted
+    facing = fit_plane(points, slightly + noise, 23.2, facing=True)
+    assert facing is not None and not facing.slanted
+
+
+def test_a_slightly_slanted_plane_is_measured_as_one():
+    """Its few samples do not tell the slant from noise: 0.04 px over the whole flat."""
+    shot = simulate(SCENES["slope"](camera(), left=0.199, right=0.201), camera(), samples=24, seed=4, noise=(8000, 4))
+    for depth in both(shot):
+        error = (depth.patch_size - shot.truth.patch_size)[(depth.mode != 0) & (shot.truth.mode != 0)]
+        assert np.abs(error).max() < 0.01
+
+
 @pytest.mark.parametrize("ratio", [0.33, -0.3])
 def test_a_small_card_before_a_plane_is_not_overlooked(ratio):
     shot = shot_of(*plane(camera(), ratio=0.3).surfaces, card(ratio, (250, 200), (370, 300)))
