@@ -32,6 +32,9 @@ SHADED_REACH, _EVIDENCE_NEAR_ZERO = 0.2, 0.5
 _STILL, _FIRM, _BEYOND_ERRORS = 0.005, 0.002, 8.0
 # A lens with texture that correlates less than this with its neighbours at any shift shares no content with them.
 _SHARED = 0.25
+# One whose contrast is so little over the noise as this share of its square tells, five times, and that correlates with
+# nothing, shows the coding of the file or what is left of the shading rather than content that neighbours do not share.
+_FAINT_SIGNAL = 1 - 1 / 5**2
 # Unrelated content reaches this correlation at some shift; neighbours that do agree to this share of the pitch only
 # where it is no chance.
 _BY_CHANCE, _ALIKE = 0.4, 0.06
@@ -65,8 +68,10 @@ def judged(
     single = (reason == 0) & (found.rivals >= SURE) & ~echoes
     occurring = populated(refined, refined[single], 0.5 * _ALIKE * pitch)
     reason[repeated(reason == 0, found.rivals, echoes, occurring, neighbours)] = 2
+    faint = (reason > 1) & (found.evidence < _SHARED) & (signal < _FAINT_SIGNAL)
+    reason[faint] = 1
     error = widened(error, explained)
-    sure = np.where(textured, np.minimum(found.confidence, found.rivals), 0)
+    sure = np.where(textured & ~faint, np.minimum(found.confidence, found.rivals), 0)
     return reason, error, certainty(sure, refined, error, explained, neighbours, pitch)
 
 

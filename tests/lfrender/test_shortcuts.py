@@ -389,6 +389,20 @@ def test_unresolved_lenses_say_why():
     assert reasons(textured, found, sizes, np.ones(5, bool), 23.0).tolist() == [0, 1, 2, 3, 3]
 
 
+def test_little_contrast_that_matches_nothing_is_too_little_texture():
+    from lfrender.judgement import judged
+    from lfrender.search import Found
+
+    sizes, faint = np.full(4, 5, np.float32), np.full(4, 0.1, np.float32)
+    found = Found(sizes, 3 * faint, faint, faint, np.ones(4), faint, np.zeros(4), sizes, 1.0, 0.0)
+    # Contrast four and ten times the noise.
+    signal = np.repeat(np.float32([1 - 1 / 16, 1 - 1 / 100]), 2)
+    centres, alone = 23 * np.arange(8, dtype=np.float32).reshape(4, 2), np.full((4, 6), -1, np.int32)
+    reason, _, sure = judged(np.ones(4, bool), found, sizes, np.full(4, 9.0), signal, centres, alone, 23.0)
+    assert reason.tolist() == [1, 1, 3, 3]
+    assert (sure[:2] == 0).all() and (sure[2:] > 0).all()
+
+
 @pytest.mark.parametrize("basis", [((23.2, 0.4), (11.25, 20.3)), ((22.9, 0.6), (-0.6, 22.9))])
 def test_patch_sizes_from_minus_to_plus_three_quarters_of_a_pitch_keep_their_sign(drawn_flat, basis):
     from lfcal import Calibration
