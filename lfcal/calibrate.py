@@ -360,6 +360,8 @@ def _starts(
 
     `single` is the tone of the only one.
     """
+    import cv2
+
     from .features import tone
     from .reduction import sought_in_a_piece
     from .search import NO_MICROIMAGES, REPEATS, first_lattices, first_lattices_of_large
@@ -370,7 +372,8 @@ def _starts(
     for light in tries:
         picture = tone(without_mosaic(light()) if filtered else light()) if single is None or filtered else single
         try:
-            if float(picture.max()) == 0 or float(picture.std()) < _EVEN * float(picture.mean()):
+            mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(picture))
+            if mean == 0 or deviation < _EVEN * mean:
                 raise CalibrationError(
                     "the image is one even grey; give a flat with light on it and without saturation"
                 )

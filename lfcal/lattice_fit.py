@@ -128,10 +128,11 @@ def fit_on_scenes(lights: list[NDArray[np.float32]], picture: NDArray[np.float32
     from .scene_fit import fit_scene
 
     found = start.lattice
-    rims = np.zeros(picture.shape, np.float32)
-    for light in lights:
-        single = picture if len(lights) == 1 else tone(light)
-        rims += level_locally(breaks(single), _RIM * found.pitch) / np.float32(len(lights))
+    rims = level_locally(breaks(picture if len(lights) == 1 else tone(lights[0])), _RIM * found.pitch)
+    for light in lights[1:]:
+        rims += level_locally(breaks(tone(light)), _RIM * found.pitch)
+    if len(lights) > 1:
+        rims /= np.float32(len(lights))
     fit = fit_scene(rims, found)
     if fit.residual_rms > _FAINT * found.pitch and not fit.halves_differ < start.halves_differ:
         # Rims too faint for single lenses: what whole tiles have in common is the better measure.
