@@ -14,23 +14,24 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["HIGHEST_HARMONIC", "TileFolds", "fold_tiles"]
+__all__ = ["HIGHEST_HARMONIC", "TileFolds", "bins_along", "fold_tiles"]
 
 # Finer structure of a microimage than a sixth of the pitch says little about where it lies.
 HIGHEST_HARMONIC = 6
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _bins_along(u, v, step_u, step_v, bins, out):
-    """Bins, row by row, of the pixels of a line that starts at lattice coordinates (u, v)."""
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def bins_along(u, v, step_u, step_v, bins, begin, count, out):
+    """Set `out` from `begin` on to the bins of a cell, row by row, of `count` pixels of a line that starts at lattice
+    coordinates (u, v)."""
     # A cell is 2**32 units each way, so that places in it wrap around by themselves.
     whole, half, many = 4294967296.0, np.uint32(16), np.uint32(bins)
     across, down = np.uint32(np.int64(step_u * whole)), np.uint32(np.int64(step_v * whole))
-    first, upper = np.uint32(np.int64((u - np.floor(u)) * whole)), np.uint32(np.int64((v - np.floor(v)) * whole))
-    for k in range(np.uint64(len(out))):
+    first, upper = np.uint32(np.int64(u * whole)), np.uint32(np.int64(v * whole))
+    for k in range(np.uint64(count)):
         a, b = np.uint32(first + np.uint32(across * np.uint32(k))), np.uint32(upper + np.uint32(down * np.uint32(k)))
         column, row = np.uint32(np.uint32(a >> half) * many) >> half, np.uint32(np.uint32(b >> half) * many) >> half
-        out[k] = np.uint32(row * many) + column
+        out[np.uint64(begin) + k] = np.uint32(row * many) + column
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -45,7 +46,7 @@ def _fold(first, second, inverse, side, columns, bins, tiles, totals, count):
         cells = np.zeros((bins * bins, 4), np.float32)
         for y in range(y0, min(y0 + side, height)):
             u, v = x0 * inverse[0, 0] + y * inverse[1, 0], x0 * inverse[0, 1] + y * inverse[1, 1]
-            _bins_along(u, v, inverse[0, 0], inverse[0, 1], bins, at)
+            bins_along(u, v, inverse[0, 0], inverse[0, 1], bins, 0, len(at), at)
             row, other = first[y, x0 : x0 + len(at)], second[y, x0 : x0 + len(at)]
             for k in range(len(at)):
                 n = np.uint64(at[k])

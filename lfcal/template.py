@@ -13,6 +13,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .fastmath import FAST
+from .folding import bins_along
 from .lattice import Lattice
 
 __all__ = ["LensSteps", "Template", "average_cell", "lens_steps"]
@@ -50,13 +51,6 @@ def _span(faces, reach, cx, dy):
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _places(picture, cx, cy, lens, faces, reach, inverse, stride, bins, place, values):
     """Bins and values of the pixels of a cell, as many as the number returned."""
-    # A cell is 2**32 units each way, so that places in it wrap around by themselves.
-    whole = 4294967296.0
-    across, down = (
-        np.uint32(np.int64(inverse[0, 0] * stride * whole)),
-        np.uint32(np.int64(inverse[0, 1] * stride * whole)),
-    )
-    many, short = np.uint32(bins), np.uint32(16)
     number = np.uint64(0)
     for y in range(int(np.ceil(cy - reach)) + lens % stride, int(np.floor(cy + reach)) + 1, stride):
         dy = y - cy
@@ -65,13 +59,10 @@ def _places(picture, cx, cy, lens, faces, reach, inverse, stride, bins, place, v
         if first > last:
             continue
         dx = first - cx
-        u = np.uint32(np.int64((dx * inverse[0, 0] + dy * inverse[1, 0] + 0.5 / bins) * whole))
-        v = np.uint32(np.int64((dx * inverse[0, 1] + dy * inverse[1, 1] + 0.5 / bins) * whole))
         count = np.uint64((last - first) // stride + 1)
-        for k in range(count):
-            column = np.uint32(np.uint32(np.uint32(u + np.uint32(across * np.uint32(k))) >> short) * many) >> short
-            row = np.uint32(np.uint32(np.uint32(v + np.uint32(down * np.uint32(k))) >> short) * many) >> short
-            place[number + k] = np.uint32(row * many) + column
+        u = dx * inverse[0, 0] + dy * inverse[1, 0] + 0.5 / bins
+        v = dx * inverse[0, 1] + dy * inverse[1, 1] + 0.5 / bins
+        bins_along(u, v, inverse[0, 0] * stride, inverse[0, 1] * stride, bins, number, count, place)
         pixels = picture[y]
         if stride == 1:
             for k in range(count):

@@ -35,6 +35,7 @@ def test_folds_hold_every_pixel_of_a_tile_in_the_bin_of_its_place():
     picture = rng.standard_normal((130, 170)).astype(np.float32)
     basis = np.array([[18.6, 0.3], [9.1, 16.2]])
     (folds,) = fold_tiles([picture], basis, 50, bins)
+    first, second = fold_tiles([-picture, picture], basis, 50, bins)
     y, x = np.mgrid[: folds.side, : folds.side].reshape(2, -1)
     place = np.column_stack([x + folds.side, y]) @ np.linalg.inv(basis)
     column, row = (((place - np.floor(place)) * bins).astype(int) % bins).T
@@ -45,3 +46,6 @@ def test_folds_hold_every_pixel_of_a_tile_in_the_bin_of_its_place():
     np.testing.assert_array_equal(folds.count[1], count)
     np.testing.assert_allclose(folds.total[1], total, atol=1e-4)
     assert folds.count.sum() == picture.size
+    # Two pictures at once are folded as each by itself.
+    for both, single in ((first.total, -folds.total), (second.total, folds.total), (second.count, folds.count)):
+        np.testing.assert_array_equal(both, single)

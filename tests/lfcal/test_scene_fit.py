@@ -14,7 +14,7 @@ import lfcal
 from lfcal.distortion import Distortion
 from lfcal.features import breaks, level_locally, tone
 from lfcal.lattice import Lattice
-from lfcal.majority import Steps, agreed, held_back
+from lfcal.majority import Steps, _weighted_quantile, agreed, held_back
 from lfcal.scene_fit import _field_rms, _standard_error, fit_scene
 
 
@@ -215,3 +215,15 @@ def test_standard_error_of_agreeing_lenses_is_the_spread_of_what_they_agree_on()
         stated.append(_standard_error(steps, change, share) * held_back(steps, share))
         found.append(_field_rms(steps, change))
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(np.sqrt(np.mean(np.square(stated))), rel=0.15)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 10, 500])
+def test_weighted_quantile_is_that_of_the_sorted_values(count):
+    rng = np.random.default_rng(count)
+    for values in (rng.random(count), rng.integers(0, 4, count).astype(float)):
+        weight = rng.random(count) * (rng.random(count) < 0.7) + 1e-9
+        order = np.argsort(values)
+        below = np.cumsum(weight[order])
+        for share in (0.05, 0.5, 0.95):
+            wanted = values[order][np.searchsorted(below, share * weight.sum())]
+            assert _weighted_quantile(values, weight, share, np.empty(count), np.empty(count)) == wanted
