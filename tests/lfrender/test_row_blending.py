@@ -8,6 +8,7 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
+from lfrender.drawing import drawing_of
 from lfrender.tile_drawing import Drawing
 
 
@@ -76,3 +77,17 @@ def test_blended_rows_have_the_same_bits_on_one_thread_and_two_and_in_a_part(mad
     left, top = np.rint((part.affine[:, 2] - whole.affine[:, 2]) / whole.affine[0, 0]).astype(int)
     rows, columns = part.valid.shape
     np.testing.assert_array_equal(part.image, whole.image[top : top + rows, left : left + columns])
+
+
+@pytest.mark.parametrize("made", [np.asarray, shorts])
+def test_wanted_pixels_are_those_of_the_whole_picture_wherever_they_lie(made):
+    flat, camera, depth = capture()
+    flat = made(flat)
+    whole = lfrender.render(flat, camera, depth)
+    drawing = drawing_of(lambda part: flat[part[1] : part[3], part[0] : part[2]], camera, depth, None, None, None)
+    wanted = np.random.default_rng(4).random(whole.valid.shape) < 0.3
+    # Whole rows and long runs without any, too.
+    wanted[10:20] = wanted[:, 40:90] = False
+    image, valid = drawing.redraw(flat, wanted, np.zeros_like(whole.image), np.zeros_like(whole.valid))
+    np.testing.assert_array_equal(image, whole.image * wanted[:, :, None])
+    np.testing.assert_array_equal(valid, whole.valid & wanted)
