@@ -238,7 +238,7 @@ def _look(
     whole = ((centres >= reach) & (centres <= np.array(picture.shape[::-1]) - 1 - reach)).all(1)
     if whole.sum() < _FEWEST_LENSES:
         raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
-    found = lens_steps(picture, lattice, np.ascontiguousarray(centres[whole]), (faces, reach), stride)
+    found = lens_steps(picture, lattice, np.ascontiguousarray(centres[whole]), faces, stride)
     # Dark and blank lenses agree with whatever they are asked.
     told = np.trace(found.normal, axis1=1, axis2=2)
     clear = told > _SAYS * np.quantile(told, _GOOD)

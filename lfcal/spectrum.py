@@ -6,7 +6,6 @@ peaks that are one frequency bin wide and stand at all integer combinations of t
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -29,6 +28,8 @@ _FEWEST_PERIODS = 4.0
 _BACKGROUND = 21
 #: Sides [bins] of boxes that leave little but the lattice itself.
 NARROW = (7, 9)
+# One of so many rows tells how far a spectrum spreads.
+_ROWS_APART = 4
 # A node of the reciprocal lattice is occupied above this many standard deviations of the whitened log power.
 _OCCUPIED = 4.0
 _PEAKS = 40
@@ -123,17 +124,13 @@ def spectra_of(picture: NDArray[np.float32], reduction: int, backgrounds: tuple[
     taper = np.hanning(size).astype(np.float32)
     log_power = np.zeros((size, size // 2 + 1), dtype=np.float32)
     windows = _windows(height, width, size)
-    with ThreadPoolExecutor() as pool:
-        pending = []
-        for y, x in windows:
-            window = np.ascontiguousarray(picture[y : y + size, x : x + size])
-            for feature in (window, breaks(window)):
-                levelled = level_locally(feature, size / 10)
-                levelled *= taper[:, None]
-                levelled *= taper
-                pending.append(pool.submit(_log_power, levelled))
-        for one in pending:
-            log_power += one.result()
+    for y, x in windows:
+        window = np.ascontiguousarray(picture[y : y + size, x : x + size])
+        for feature in (window, breaks(window)):
+            levelled = level_locally(feature, size / 10)
+            levelled *= taper[:, None]
+            levelled *= taper
+            log_power += _log_power(levelled)
     log_power /= 2 * len(windows)
     log_power = np.fft.fftshift(log_power, axes=0)
     return [_whitened(log_power, background, reduction) for background in backgrounds]
@@ -149,15 +146,29 @@ def _whitened(log_power: NDArray[np.float32], side: int, reduction: int) -> Spec
     mirrored = np.roll(log_power[::-1, margin:0:-1], 1 - size % 2, axis=0)
     background = cv2.blur(np.hstack([mirrored, log_power]), (margin | 1, margin | 1))[:, margin:]
     prominence = log_power - background
-    middle = float(np.median(prominence))
-    spread = 1.4826 * float(np.median(np.abs(prominence - middle))) + 1e-6
+    few = prominence[::_ROWS_APART]
+    middle = float(np.median(few))
+    spread = 1.4826 * float(np.median(np.abs(few - middle))) + 1e-6
     return Spectrum((prominence - middle) / np.float32(spread), size, reduction)
 
 
 def _log_power(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    transform = np.fft.rfft2(picture)
-    power: NDArray[np.float32] = np.log(transform.real**2 + transform.imag**2 + np.float32(1e-6))
-    return power
+    """Log power (n, n // 2 + 1) of a picture (n, n) of even size."""
+    import cv2
+
+    size = len(picture)
+    # OpenCV's transform of real numbers, several times as fast as NumPy's: real and imaginary parts lie beside each
+    # other along rows, in the first and last column, which are those of real numbers again, below each other.
+    squares = np.square(cv2.dft(picture))
+    power = np.empty((size, size // 2 + 1), np.float32)
+    np.add(squares[:, 1:-1:2], squares[:, 2::2], out=power[:, 1:-1])
+    for column in (0, -1):
+        ends = squares[:, column]
+        power[0, column], power[size // 2, column] = ends[0], ends[-1]
+        power[1 : size // 2, column] = ends[1:-1:2] + ends[2::2]
+        power[size // 2 + 1 :, column] = power[size // 2 - 1 : 0 : -1, column]
+    power += np.float32(1e-6)
+    return np.asarray(np.log(power, out=power))
 
 
 def _peaks(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

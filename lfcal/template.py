@@ -13,8 +13,9 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .fastmath import FAST
-from .folding import bins_along
+from .folding import RUN, bins_along
 from .lattice import Lattice
+from .lens_cell import cell_reach, cell_sides, row_in_cell
 
 __all__ = ["LensSteps", "Template", "average_cell", "lens_steps"]
 
@@ -32,62 +33,54 @@ _OUTLIER = 4.685
 _MOST_CONTRAST = 2.0
 
 
-@njit(cache=True, nogil=True)
-def _span(faces, reach, cx, dy):
-    """First and last column of a cell in a row `dy` below its centre."""
-    half = np.sqrt(max(reach * reach - dy * dy, 0.0))
-    low, high = -half, half
-    for face in range(faces.shape[0]):
-        room = 0.5 - dy * faces[face, 1]
-        if faces[face, 0] > 1e-9:
-            high = min(high, room / faces[face, 0])
-        elif faces[face, 0] < -1e-9:
-            low = max(low, room / faces[face, 0])
-        elif room < 0:
-            return 0, -1
-    return int(np.ceil(cx + low)), int(np.floor(cx + high))
-
-
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _places(picture, cx, cy, lens, faces, reach, inverse, stride, bins, place, values):
-    """Bins and values of the pixels of a cell, as many as the number returned."""
+def _places(picture, cx, cy, lens, sides, inverse, stride, bins, place, values):
+    """Bins and values of the pixels of a cell, as many as the number returned; `RUN` more may be overwritten."""
+    height, width = picture.shape
     number = np.uint64(0)
-    for y in range(int(np.ceil(cy - reach)) + lens % stride, int(np.floor(cy + reach)) + 1, stride):
+    for y in range(int(np.ceil(cy + sides[6, 0])) + lens % stride, int(np.floor(cy + sides[6, 1])) + 1, stride):
         dy = y - cy
-        first, last = _span(faces, reach, cx, dy)
+        low, high = row_in_cell(dy, sides)
+        first, last = int(np.ceil(cx + low)), int(np.floor(cx + high))
         first += (lens // stride - first) % stride
         if first > last:
             continue
         dx = first - cx
-        count = np.uint64((last - first) // stride + 1)
+        count = (last - first) // stride + 1
         u = dx * inverse[0, 0] + dy * inverse[1, 0] + 0.5 / bins
         v = dx * inverse[0, 1] + dy * inverse[1, 1] + 0.5 / bins
         bins_along(u, v, inverse[0, 0] * stride, inverse[0, 1] * stride, bins, number, count, place)
         pixels = picture[y]
-        if stride == 1:
-            for k in range(count):
-                values[number + k] = pixels[np.uint64(first) + k]
+        # What lies beyond the last row is not to be read.
+        if stride == 1 and (y + 1 < height or first + count + RUN <= width):
+            for start in range(0, count, RUN):
+                for lane in range(RUN):
+                    k = np.uint64(start) + np.uint64(lane)
+                    values[number + k] = pixels[np.uint64(first) + k]
         else:
-            for k in range(count):
+            for k in range(np.uint64(count)):
                 values[number + k] = pixels[np.uint64(first) + k * np.uint64(stride)]
-        number += count
+        number += np.uint64(count)
     return number
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _fold(picture, centres, faces, reach, inverse, stride, bins, chunks, sums):
+def _fold(picture, centres, sides, room, inverse, stride, bins, chunks, sums):
+    """Add up pixels, their squares and their number in the bins of the cell, for each of the chunks of lenses."""
     lenses = centres.shape[0]
-    side = int(2 * reach) // stride + 3
+    one = np.float32(1)
     for chunk in prange(chunks):
-        place, values = np.empty(side * side, np.uint32), np.empty(side * side, np.float32)
+        cells = sums[chunk]
+        place, values = np.empty(room, np.uint32), np.empty(room, np.float32)
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0], centres[lens, 1]
-            number = _places(picture, cx, cy, lens, faces, reach, inverse, stride, bins, place, values)
+            number = _places(picture, cx, cy, lens, sides, inverse, stride, bins, place, values)
             for k in range(number):
-                value, at = values[k], np.uint64(place[k])
-                sums[chunk, at, 0] += value
-                sums[chunk, at, 1] += value * value
-                sums[chunk, at, 2] += 1
+                value, n = values[k], np.uint64(place[k])
+                # Four that are read and written together are one step for the processor.
+                a, b, c, d = cells[n, 0], cells[n, 1], cells[n, 2], cells[n, 3]
+                a, b, c, d = a + value, b + value * value, c + one, d + one
+                cells[n, 0], cells[n, 1], cells[n, 2], cells[n, 3] = a, b, c, d
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
@@ -130,17 +123,16 @@ def _pull(values, level, weight, slope_x, slope_y, number, contrast, offset, cut
 
 @njit(cache=True, nogil=True, parallel=True)
 def _accumulate(
-    picture, centres, faces, reach, inverse, stride, bins, chunks, maps, cutoff, most, normal, right, noise,
+    picture, centres, sides, room, inverse, stride, bins, chunks, maps, cutoff, most, normal, right, noise,
 ):  # fmt: skip
     lenses = centres.shape[0]
-    side = int(2 * reach) // stride + 3
     for chunk in prange(chunks):
-        place, values = np.empty(side * side, np.uint32), np.empty(side * side, np.float32)
-        level, weight = np.empty(side * side, np.float32), np.empty(side * side, np.float32)
-        slope_x, slope_y = np.empty(side * side, np.float32), np.empty(side * side, np.float32)
+        place, values = np.empty(room, np.uint32), np.empty(room, np.float32)
+        level, weight = np.empty(room, np.float32), np.empty(room, np.float32)
+        slope_x, slope_y = np.empty(room, np.float32), np.empty(room, np.float32)
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0], centres[lens, 1]
-            number = _places(picture, cx, cy, lens, faces, reach, inverse, stride, bins, place, values)
+            number = _places(picture, cx, cy, lens, sides, inverse, stride, bins, place, values)
             for k in range(number):
                 at = np.uint64(place[k])
                 level[k], weight[k] = maps[at, 0], maps[at, 1]
@@ -197,17 +189,16 @@ def average_cell(
     picture: NDArray[np.float32],
     lattice: Lattice,
     centres: NDArray[np.float64],
-    cell: tuple[NDArray[np.float64], float],
+    faces: NDArray[np.float64],
     stride: int = 1,
 ) -> Template:
-    """Average of `picture` (h, w) over the cells at `centres` (n, 2) [px]; `cell` its faces and circumradius."""
-    faces, reach = cell
+    """Average of `picture` (h, w) over the cells at `centres` (n, 2) [px], all of them on it; `faces` as by `cell_faces`."""
     bins = _bins(lattice)
-    sums = np.zeros((_CHUNKS, bins * bins, 3))
+    sums = np.zeros((_CHUNKS, bins * bins, 4), np.float32)
     inverse = np.linalg.inv(lattice.basis)
-    _fold(picture, centres, faces, reach, inverse, stride, bins, _CHUNKS, sums)
+    _fold(picture, centres, cell_sides(faces), _room(faces, stride), inverse, stride, bins, _CHUNKS, sums)
     width = _SMOOTH * bins / lattice.pitch
-    planes = sums.sum(0).T.reshape(3, bins, bins)
+    planes = sums.sum(0, dtype=np.float64).T[:3].reshape(3, bins, bins)
     total, square, count = (_turned(_smoothed(plane, width)) for plane in planes)
     count = np.maximum(count, 1e-9)
     level = total / count
@@ -215,6 +206,11 @@ def average_cell(
     along = [(np.roll(level, -1, axis) - np.roll(level, 1, axis)) * (bins / 2) for axis in (1, 0)]
     slope = np.stack(along, axis=-1) @ inverse.T
     return Template(np.dstack([level, 1 / variance, slope]).astype(np.float32))
+
+
+def _room(faces: NDArray[np.float64], stride: int) -> int:
+    """Room for the pixels of a cell, and for what is worked on beyond them."""
+    return (int(2 * cell_reach(faces)) // stride + 3) ** 2 + 2 * RUN
 
 
 def _bins(lattice: Lattice) -> int:
@@ -237,7 +233,7 @@ def lens_steps(
     picture: NDArray[np.float32],
     lattice: Lattice,
     centres: NDArray[np.float64],
-    cell: tuple[NDArray[np.float64], float],
+    faces: NDArray[np.float64],
     stride: int = 1,
 ) -> LensSteps:
     """Gauss-Newton steps of the lenses at `centres` (n, 2) [px] of a straight `lattice`, every pixel of their cells.
@@ -245,9 +241,8 @@ def lens_steps(
     Each lens has a contrast of its own, so blank or dark ones say nothing, and an offset. Of large microimages every
     `stride`-th pixel each way is enough, as what the scene shows is alike in neighbouring pixels.
     """
-    faces, reach = cell
     few = np.ascontiguousarray(centres[:: max(1, len(centres) // _TEMPLATE_LENSES)])
-    template = average_cell(picture, lattice, few, cell, stride)
+    template = average_cell(picture, lattice, few, faces, stride)
     normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
     noise = np.zeros(len(centres))
     inverse, bins = np.linalg.inv(lattice.basis), _bins(lattice)
@@ -255,8 +250,8 @@ def lens_steps(
     _accumulate(
         picture,
         centres,
-        faces,
-        reach,
+        cell_sides(faces),
+        _room(faces, stride),
         inverse,
         stride,
         bins,
