@@ -363,7 +363,7 @@ def _starts(
     import cv2
 
     from .features import tone
-    from .reduction import sought_in_a_piece
+    from .reduction import sought_at_half_size
     from .search import NO_MICROIMAGES, REPEATS, first_lattices, first_lattices_of_large
 
     error: CalibrationError | None = None
@@ -377,7 +377,7 @@ def _starts(
                 raise CalibrationError(
                     "the image is one even grey; give a flat with light on it and without saturation"
                 )
-            large = sought_in_a_piece((picture.shape[1], picture.shape[0]))
+            large = sought_at_half_size((picture.shape[1], picture.shape[0]))
             for start in (first_lattices_of_large if large else first_lattices)(picture):
                 # Two halves of a flat with microimages show the same average one.
                 if start.repeatability < REPEATS:

@@ -11,8 +11,9 @@ from .lens_sample import LensSample
 
 __all__ = ["FocusOrder", "focus_order"]
 
-# Neighbours in an order must differ by so many standard errors, so that a wrong order is a chance of 1 in 10,000.
-_CLEAR = 4.0
+# Neighbours in an order must differ by so many standard errors, so that a wrong order is a chance of 1 in 10,000; by
+# fewer where three foci are seen too, which lie in that order in one of six cases by chance.
+_CLEAR, _CLEAR_WITH_FOCI = 4.0, 3.5
 # Range of s / D on both sides of where two types are equally sharp in which sharpness differences are straight lines.
 _NEAR = 0.12
 _TURNS = 5
@@ -132,8 +133,8 @@ def _means(
     return fit and (fit[0][:, 0], fit[1][0])
 
 
-def _distinct(values: NDArray[np.float64], error: float) -> bool:
-    return bool(np.diff(np.sort(values)).min() > _CLEAR * error)
+def _distinct(values: NDArray[np.float64], error: float, clear: float = _CLEAR) -> bool:
+    return bool(np.diff(np.sort(values)).min() > clear * error)
 
 
 def _lines(
@@ -176,13 +177,14 @@ def _over_depth(
     if fit is None:
         return None
     (height, slope), error = fit[0].T, fit[1][1]
-    if not _distinct(slope, error):
-        return None
     focus = _foci(sharpness, disparity, types, mixing)
     if (np.diff(focus[np.argsort(slope)]) < 0).any():
         focus[:] = np.nan
+    seen = bool(np.isfinite(focus).all())
+    if not _distinct(slope, error, _CLEAR_WITH_FOCI if seen else _CLEAR):
+        return None
     # Where foci are seen, their mean is where types change places; the lines are bent by what lies far from all foci.
-    middle = float(focus.mean()) if np.isfinite(focus).all() else -float(height @ slope) / float(slope @ slope)
+    middle = float(focus.mean()) if seen else -float(height @ slope) / float(slope @ slope)
     sign = float(np.sign(middle))
     low, median, high = np.quantile(disparity[known], (0.1, 0.5, 0.9))
     # Far from all foci differences fade and their slopes turn round: types must change places within what is seen.

@@ -50,14 +50,14 @@ def _solve3(m, r):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _own_light(picture, cx, cy, shift, stride, core, scene, brightest, lens, profile, step, cut):
+def _own_light(picture, cx, cy, shift, rows, stride, core, scene, brightest, lens, profile, step, cut):
     """Light of a lens, its relative slope in x and y [1/px], and its say; no say where it is clipped or unlike any."""
     moment, force = np.zeros((3, 3)), np.zeros(3)
     squares, count, clipped = 0.0, 0, 0
-    for y in range(math.ceil(cy - core) + shift, math.floor(cy + core) + 1, stride):
+    for y in range(math.ceil(cy - core) + shift, math.floor(cy + core) + 1, rows):
         dy = y - cy
         half = math.sqrt(max(core * core - dy * dy, 0.0))
-        for x in range(math.ceil(cx - half) + shift, math.floor(cx + half) + 1, stride):
+        for x in range(math.ceil(cx - half) + shift % stride, math.floor(cx + half) + 1, stride):
             dx = x - cx
             s = light(dx, dy, lens, profile, step, cut)[0]
             if s < 0.5:
@@ -127,14 +127,15 @@ def _compare(
             cx, cy = centres[n, 0], centres[n, 1]
             describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
             px, py = places[n, 0], places[n, 1]
-            # Pixels left out are others in each lens.
-            shift = n % stride
+            # Pixels left out are others in each lens. What a scene shows differs little from row to row.
+            rows = 2 * stride if scene else stride
+            shift = n % rows
             gain, gx, gy, share = _own_light(
-                picture, px, py, shift, stride, core, scene, brightest, lens, profile, step, cut
+                picture, px, py, shift, rows, stride, core, scene, brightest, lens, profile, step, cut
             )
             if share == 0:
                 continue
-            for y in range(math.ceil(py - reach) + shift, math.floor(py + reach) + 1, stride):
+            for y in range(math.ceil(py - reach) + shift, math.floor(py + reach) + 1, rows):
                 dy = y - py
                 half = math.sqrt(max(reach * reach - dy * dy, 0.0))
                 for x in range(math.ceil(px - half) + (n // stride) % stride, math.floor(px + half) + 1, stride):

@@ -48,8 +48,8 @@ _BRIGHT_WHITE, _BRIGHT_SCENE = 1.1, 1.25
 _SHOWS_WHITE, _SHOWS_SCENE, _OVER_NOISE = 0.03, 0.012, 2.0
 _PLAIN = 0.1, 0.5
 # Neighbours moved by the disparity are alike this many times better than if not moved: scenes reach 1.7 and more,
-# patterns 1.2.
-_ALIKE = 1.3
+# patterns 1.2, noise 1. From the second factor on that is seen whatever the noise.
+_ALIKE, _SURELY = 1.3, 1.6
 _RAW = "give a raw flat from the sensor, of a camera with a microlens array"
 
 
@@ -130,7 +130,10 @@ def shows_scene(picture: NDArray[np.float32], lattice: Lattice) -> bool:
     `picture` and `lattice` are those of `check_neighbours`.
     """
     found = compare_neighbours(picture, lattice, _SHOWS_WHITE)
-    return found is not None and _shows(found, True) and _alike(found)
+    if found is None or not found.inside > _SHOWS_WHITE:
+        return False
+    # Fine texture passes for noise, but noise is not alike in neighbours.
+    return _alike(found, _ALIKE if _shows(found, True) else _SURELY)
 
 
 def _shows(found: Neighbours, white: bool) -> bool:
@@ -139,12 +142,12 @@ def _shows(found: Neighbours, white: bool) -> bool:
     return found.inside > max(shown, _OVER_NOISE * noise / _MEAN_DISTANCE)
 
 
-def _alike(found: Neighbours) -> bool:
-    """Whether neighbours moved by the disparity are better alike than any others."""
+def _alike(found: Neighbours, factor: float = _ALIKE) -> bool:
+    """Whether neighbours moved by the disparity are so many times better alike than any others."""
     # Noise is not alike in any microimages.
     moved = max(found.moved**2 - found.noise**2, 0)
     other = max(min(found.same, found.across) ** 2 - found.noise**2, 0)
-    return other >= _ALIKE**2 * moved
+    return other >= factor**2 * moved
 
 
 def compare_neighbours(picture: NDArray[np.float32], lattice: Lattice, shown: float = 0.0) -> Neighbours | None:

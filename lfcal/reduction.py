@@ -16,13 +16,15 @@ from .gain_map import GainMap
 from .lattice import Lattice
 from .vignetting import Vignetting
 
-__all__ = ["block_size", "enlarged", "reduced", "remains_large", "sought_in_a_piece"]
+__all__ = ["block_size", "enlarged", "reduced", "remains_large", "sought_at_half_size", "sought_in_a_piece"]
 
 # Flats with more pixels than this are reduced, down to about so many, as long as the pitch stays this long [px].
 _LARGE = 4.8e7
 _ENOUGH = 1.6e7
 # White images with fewer pixels are as soon seen as a whole as in pieces.
 _PIECEWISE = 6e6
+# Flats with fewer pixels do not hold enough lenses whose microimages may be halved.
+_HALVED = 3e6
 _LEAST_PITCH = 9.0
 # Side of the part in which the pitch is looked for [px], where in the flat in turn, and rows averaged at a time.
 _PART = 2400
@@ -85,6 +87,11 @@ def sought_in_a_piece(size: tuple[int, int]) -> bool:
 def remains_large(size: tuple[int, int], block: int) -> bool:
     """Whether a flat of `size` (width, height) is large even when reduced."""
     return size[0] * size[1] / block**2 >= _LARGE
+
+
+def sought_at_half_size(size: tuple[int, int]) -> bool:
+    """Whether the first lattice of a flat of `size` (width, height) is sought where that is half as large."""
+    return size[0] * size[1] >= _HALVED
 
 
 def reduced(flat: NDArray[Any], block: int) -> NDArray[np.float32]:

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 __all__ = ["at_places"]
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _read(picture, places, out):
+    height, width = picture.shape
+    for k in range(len(places)):
+        x, y = places[k, 0], places[k, 1]
+        column, row = min(max(int(x), 0), width - 2), min(max(int(y), 0), height - 2)
+        right, low = x - column, y - row
+        above = picture[row, column] * (1 - right) + picture[row, column + 1] * right
+        below = picture[row + 1, column] * (1 - right) + picture[row + 1, column + 1] * right
+        out[k] = above * (1 - low) + below * low
+
+
 def at_places(picture: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float64]:
     """(...,) the picture at `places` (..., 2) [px], linear between its pixels."""
-    x, y = np.moveaxis(places, -1, 0)
-    column = np.clip(x.astype(np.int64), 0, picture.shape[1] - 2)
-    row = np.clip(y.astype(np.int64), 0, picture.shape[0] - 2)
-    right, low = x - column, y - row
-    above = picture[row, column] * (1 - right) + picture[row, column + 1] * right
-    below = picture[row + 1, column] * (1 - right) + picture[row + 1, column + 1] * right
-    return np.asarray(above * (1 - low) + below * low)
+    values = np.empty(places.shape[:-1])
+    _read(picture, places.reshape(-1, 2), values.reshape(-1))
+    return values

@@ -45,7 +45,8 @@ def _sums(picture, centres, first, stride, faces, inner, reach, clip, field, rad
             describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
             total[:], number[:] = 0.0, 0.0
             clipped, count = 0, 0
-            for y in range(math.ceil(cy - reach) + n % stride, math.floor(cy + reach) + 1, stride):
+            # What a scene shows differs little from row to row.
+            for y in range(math.ceil(cy - reach) + n % (2 * stride), math.floor(cy + reach) + 1, 2 * stride):
                 dy = y - cy
                 half = math.sqrt(max(reach * reach - dy * dy, 0.0))
                 for x in range(math.ceil(cx - half) + (n // stride) % stride, math.floor(cx + half) + 1, stride):

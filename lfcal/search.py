@@ -39,8 +39,8 @@ NO_MICROIMAGES = (
 )
 # Smaller microimages hold too few pixels to tell discs from gaps; measured pitches may be off by a hundredth.
 _LEAST_PITCH = 0.99 * 6.0
-# Pitch [px] from which on microimages show all that a first lattice asks for at half their size.
-_HALVED_PITCH = 20.0
+# Halved microimages of this pitch [px] and more still show all that a first lattice asks for.
+_HALVED_PITCH = 11.0
 # Tiles this many pitches wide hold enough lenses for an average and are small against a wandering period.
 _TILE = 8
 # Small flats are still cut into this many tiles each way where that leaves them so many pitches wide.

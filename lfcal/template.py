@@ -24,7 +24,7 @@ _BINS_PER_PX = 3.0
 _MOST_BINS = 210
 _CHUNKS = 16
 # Lenses that make an average hardly noisier than all of them would.
-_TEMPLATE_LENSES = 3000
+_TEMPLATE_LENSES = 1500
 # Bins are smoothed over so many pixels, about the width of an edge.
 _SMOOTH = 0.5
 # Residuals beyond this many standard deviations have no say (Tukey's biweight).
@@ -220,8 +220,12 @@ def _bins(lattice: Lattice) -> int:
 
 def _smoothed(values: NDArray[np.float64], width: float) -> NDArray[np.float64]:
     """A periodic square picture blurred by a Gaussian of standard deviation `width` [samples]."""
-    passed = np.exp(-2 * (np.pi * width * np.fft.fftfreq(len(values))) ** 2)
-    return np.fft.ifft2(np.fft.fft2(values) * passed[:, None] * passed).real
+    count = len(values)
+    passed = np.exp(-2 * (np.pi * width * np.fft.fftfreq(count)) ** 2)
+    place = np.arange(count)
+    # A product with so small a matrix takes a tenth of the time of Fourier transforms.
+    blur = np.fft.ifft(passed).real[place[:, None] - place]
+    return np.asarray(blur @ values @ blur.T)
 
 
 def _turned(values: NDArray[np.float64]) -> NDArray[np.float64]:

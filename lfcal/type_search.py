@@ -205,8 +205,7 @@ def _clipped(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _power(values: NDArray[np.float64], waves: NDArray[np.complex128]) -> NDArray[np.float64]:
     """(f, v) power of patterns in values (f, n) over that of noise of the same size."""
-    # Not a matrix product: for one so small the threads of a BLAS library cost ten times the work.
-    sums = np.einsum("fn,nv->fv", values, waves)
+    sums = values @ waves
     return np.abs(sums) ** 2 / (np.square(values).sum(1, keepdims=True) + _FINE)
 
 
