@@ -192,7 +192,7 @@ def average_cell(
     faces: NDArray[np.float64],
     stride: int = 1,
 ) -> Template:
-    """Average of `picture` (h, w) over the cells at `centres` (n, 2) [px], all of them on it; `faces` as by `cell_faces`."""
+    """Average of `picture` (h, w) over whole cells at `centres` (n, 2) [px] with these `faces` (`cell_faces`)."""
     bins = _bins(lattice)
     sums = np.zeros((_CHUNKS, bins * bins, 4), np.float32)
     inverse = np.linalg.inv(lattice.basis)

@@ -10,7 +10,7 @@ from skimage import data
 import lfcal
 from data_synth import SCENES, Camera, simulate
 from lfcal.features import tone
-from lfcal.neighbours import check_neighbours, compare_neighbours
+from lfcal.neighbours import check_neighbours, compare_neighbours, shows_scene
 
 _SIZE = (480, 360)
 
@@ -108,3 +108,21 @@ def test_a_scene_that_is_nearly_even_within_its_microimages_is_no_white_image(pi
     assert found.source == "scene"
     assert found.confidence > 0.9
     assert lfcal.calibrate(shot.white).source == "white"
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_texture_as_fine_as_noise_shows_a_scene_where_neighbours_show_it_too(moves):
+    size, pitch, ratio = (620, 500), 24.3, -0.3
+    rng = np.random.default_rng(5)
+    lattice = lfcal.Lattice([300.2, 250.7], [[pitch, 0.4], [-0.4, pitch]], size, 10.0)
+    # Detail of the width of a pixel in the microimages.
+    scene = cv2.GaussianBlur(rng.standard_normal((size[1] + 200, size[0] + 200)), (0, 0), 0.8 / -ratio)
+    y, x = np.mgrid[: size[1], : size[0]].astype(np.float32)
+    centre = lattice.points(np.rint(lattice.to_index(np.column_stack([x.ravel(), y.ravel()]))))
+    cx, cy = centre.T.reshape(2, *x.shape).astype(np.float32)
+    place = [c - (p - c) / ratio + 100 for p, c in ((x, cx), (y, cy))]
+    shown = cv2.remap(scene, *place, cv2.INTER_LINEAR) if moves else rng.standard_normal(x.shape)
+    picture = (1 + 0.1 * shown / shown.std()).astype(np.float32)
+    found = compare_neighbours(picture, lattice)
+    assert found.inside < 2 * found.rough / 1.128
+    assert shows_scene(picture, lattice) == moves
