@@ -149,6 +149,17 @@ def _better_half(views, size, seen, at, values):
     return total / (9 * half) if count > 1 else np.float32(-1.0)
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _count_within(views, size, seen, limit, out):
+    """How many of the `seen` neighbours leave no more than `limit` at each place."""
+    one, none, most = np.float32(1), np.float32(0), np.float32(limit)
+    out[:] = 0
+    for n in range(seen):
+        first = np.uint64(n * size)
+        for k in range(np.uint64(size)):
+            out[k] += one if views[first + k] <= most else none
+
+
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, floor, row_step, mask, shares):
     """Set `mask` (H, W) to 1 at the pixels of `wanted` lenses that `sizes` do not explain, and to 0 at the others."""
@@ -162,6 +173,7 @@ def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, f
         own, there = np.empty(size, np.float32), np.zeros(size + 2 * wide, np.float32)
         squares, lines = np.empty(size, np.float32), np.zeros(size, np.float32)
         views, values = np.empty(most * size, np.float32), np.empty(most, np.float32)
+        confirming = np.empty(size, np.float32)
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
             shares[lens] = 0.0
@@ -180,6 +192,7 @@ def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, f
                         pitch, left, top, wide, row_step, own, there, squares, lines, views, seen * size,
                     )  # fmt: skip
                     seen += 1
+            _count_within(views, size, seen, 9 * least, confirming)
             start = max(1, top)
             for y in range(start + -start % row_step, min(height - 1, top + wide), row_step):
                 for x in range(max(1, left), min(width - 1, left + wide)):
@@ -187,7 +200,11 @@ def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, f
                         continue
                     total += 1
                     mask[y, x] = 0
-                    difference = _better_half(views, size, seen, (y - top) * wide + x - left, values)
+                    at = (y - top) * wide + x - left
+                    # Where half of all confirm it, so does the better half.
+                    if 2 * confirming[at] >= seen:
+                        continue
+                    difference = _better_half(views, size, seen, at, values)
                     # What is below the least need not be compared with the variance about it.
                     if difference > least and difference > _SHARE * _variance(image, x, y) + least:
                         mask[y, x] = 1
