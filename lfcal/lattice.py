@@ -22,6 +22,8 @@ _SAME_LENGTH = 5e-3
 _MOST_PIXELS, _MOST_LENSES, _MOST_ROWS, _FARTHEST = 1 << 31, 1 << 27, 1e7, 1e9
 # Lenses looked at together, so that hardly more memory is needed than for the result.
 _TOGETHER = 1 << 20
+# Slope of rows of `j` from which on they run down the flat.
+_STEEP = 0.25
 # Lattices of no more lenses keep their centres, which are asked for again and again.
 _KEPT = 1 << 20
 
@@ -152,7 +154,9 @@ class Lattice(Frozen):
         low, high = np.floor(bounds.min(0)).astype(int), np.ceil(bounds.max(0)).astype(int)
         rows = np.arange(low[1], high[1] + 1)
         first, last = self._ends(rows, low[0], high[0])
-        found = []
+        across, down = np.abs(self.basis[0])
+        steep = down > _STEEP * across
+        found, places = [], []
         block = max(1, _TOGETHER // (high[0] - low[0] + 1))
         for start in range(0, len(rows), block):
             few = slice(start, start + block)
@@ -163,7 +167,11 @@ class Lattice(Frozen):
             x, y = centres.T
             inside = np.flatnonzero((x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5))
             found.append(ij.take(inside, 0))
-        return np.concatenate(found)
+            if steep:
+                band = (y[inside] * (2 / self.pitch)).astype(np.int64)
+                places.append(band * width + x[inside].astype(np.int64))
+        indices = np.concatenate(found)
+        return indices[np.argsort(np.concatenate(places))] if steep else indices
 
     def _ends(self, rows: NDArray[np.int64], low: int, high: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """First and last `i` (n,) from `low` to `high` between which all lenses of rows `j` (n,) on the flat are."""
@@ -178,7 +186,11 @@ class Lattice(Frozen):
         return np.floor(first).astype(np.int64), np.ceil(last).astype(np.int64)
 
     def indices(self) -> NDArray[np.int64]:
-        """(n, 2) lattice indices `i, j` of all microimages whose centre lies on the flat, rows of `j` in order."""
+        """(n, 2) lattice indices `i, j` of all microimages whose centre lies on the flat.
+
+        In rows of `j`, or, where those run down the flat, in rows of pixels half a pitch high, from top to bottom:
+        loops over the pixels of lenses that lie one below the other take up to twice as long.
+        """
         return self._indices.copy()
 
     def centres(self) -> NDArray[np.float64]:

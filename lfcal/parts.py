@@ -19,24 +19,17 @@ Look = Callable[[int, int, int, int], NDArray[np.float32]]
 _ALONG = 5
 # Steps by the golden ratio choose lenses evenly whatever period they have.
 _GOLDEN = 0.6180339887498949
-# Slope of rows of indices from which on they run down the flat, not across.
-_STEEP = 0.25
 # Of more lenses than this hardly any lie at the border: which lie whole on the flat is asked after choosing.
 _MANY = 60_000
 
 
 def whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Indices (n, 2) and centres (n, 2) of lenses at least `margin` px inside the flat, from top to bottom."""
+    """Indices (n, 2) and centres (n, 2) of lenses at least `margin` px inside the flat."""
     centres, indices = lattice.centres(), lattice.indices()
     width, height = lattice.image_size
     x, y = centres.T
     # Of very many lenses, two columns are compared several times as fast as rows of two, and so are rows taken.
     keep = np.flatnonzero((x >= margin) & (x <= width - 1 - margin) & (y >= margin) & (y <= height - 1 - margin))
-    across, down = np.abs(lattice.basis[0])
-    if down > _STEEP * across:
-        # Lenses one below the other share no lines of memory: loops over their pixels take up to twice as long.
-        band = (y[keep] * (2 / lattice.pitch)).astype(np.int64)
-        keep = keep[np.argsort(band * width + x[keep].astype(np.int64))]
     return indices.take(keep, 0), centres.take(keep, 0)
 
 

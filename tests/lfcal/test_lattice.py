@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from lfcal import Lattice
 from lfcal.distortion import Distortion
 from lfcal.lattice import reduce_basis
-from lfcal.parts import whole_lenses
 
 _UNIMODULAR = st.sampled_from(
     [[[1, 0], [0, 1]], [[2, 1], [1, 1]], [[1, -3], [0, 1]], [[0, 1], [1, 0]], [[-1, 0], [5, 1]]]
@@ -83,12 +82,14 @@ def test_a_grid_of_lenses_lies_where_each_of_them_does(distortion):
 
 
 @pytest.mark.parametrize("basis", [[[20.1, 11.6], [0.0, 23.2]], [[23.2, 0.3], [11.9, 20.0]]])
-def test_whole_lenses_come_from_top_to_bottom_each_once(basis):
+def test_lenses_come_from_top_to_bottom_each_once(basis):
     lattice = Lattice([301.3, 222.2], basis, (640, 480), 9.0)
-    indices, centres = whole_lenses(lattice, 14.0)
+    indices, centres = lattice.indices(), lattice.centres()
     np.testing.assert_allclose(centres, lattice.points(indices))
-    inside = ((lattice.centres() >= 14.0) & (lattice.centres() <= [625.0, 465.0])).all(1)
-    assert {*map(tuple, indices.tolist())} == {*map(tuple, lattice.indices()[inside].tolist())}
+    i, j = np.mgrid[-60:60, -60:60].reshape(2, -1)
+    all_centres = lattice.points(np.column_stack([i, j]))
+    inside = ((all_centres >= -0.5) & (all_centres < [639.5, 479.5])).all(1)
+    assert {*map(tuple, indices.tolist())} == {*zip(i[inside].tolist(), j[inside].tolist(), strict=True)}
     assert len(indices) == inside.sum()
     # Lenses of one row may differ by what the lattice is turned.
     assert np.diff(centres[:, 1]).min() > -lattice.pitch
