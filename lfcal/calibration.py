@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,8 @@ from .vignetting import Vignetting
 __all__ = ["Calibration", "load"]
 
 _SCHEMA = "lfcal-camera"
-_VERSION = 1
+# Files of version 1 have their lenses in rows of `j`, whatever the lattice.
+_VERSION, _IN_ROWS = 2, 1
 
 
 @dataclass(frozen=True)
@@ -129,22 +130,25 @@ class Calibration:
         """Rebuild a camera from `to_dict`; raises CameraFileError naming the field that is wrong."""
         if not isinstance(data, dict) or data.get("schema") != _SCHEMA:
             raise CameraFileError(f"{where}: not an {_SCHEMA} file; make one with 'lfcal calibrate IMAGE -o {where}'")
-        if data.get("version") != _VERSION:
+        version = data.get("version")
+        if version not in (_IN_ROWS, _VERSION):
             raise CameraFileError(
-                f"{where}: version {data.get('version')!r} is not known "
-                f"(this toolkit reads {_VERSION}); calibrate again"
+                f"{where}: version {version!r} is not known "
+                f"(this toolkit reads {_IN_ROWS} and {_VERSION}); calibrate again"
             )
         try:
-            lattice, fit, vignetting = data["lattice"], data["fit"], data["vignetting"]
+            known, fit, vignetting = data["lattice"], data["fit"], data["vignetting"]
+            lattice = Lattice(
+                known["origin"],
+                known["basis"],
+                tuple(data["image_size"]),
+                known["radius"],
+                _unbend(known.get("distortion")),
+            )
+            gain = data.get("gain_map") and GainMap.from_dict(data["gain_map"])
             residual = fit["residual_rms"]
             return cls(
-                lattice=Lattice(
-                    lattice["origin"],
-                    lattice["basis"],
-                    tuple(data["image_size"]),
-                    lattice["radius"],
-                    _unbend(lattice.get("distortion")),
-                ),
+                lattice=lattice,
                 vignetting=vignetting and Vignetting(vignetting["profile"], vignetting["step"]),
                 source=str(data["source"]),
                 residual_rms=float("nan") if residual is None else float(residual),
@@ -154,7 +158,7 @@ class Calibration:
                 # Files of earlier versions have none of these.
                 lens_types=data.get("lens_types") and LensTypes.from_dict(data["lens_types"]),
                 mosaic=data.get("mosaic"),
-                gain_map=data.get("gain_map") and GainMap.from_dict(data["gain_map"]),
+                gain_map=_from_rows(gain, lattice) if gain and version == _IN_ROWS else gain,
                 defects=Defects.from_dict(data["defects"]) if data.get("defects") else Defects(),
                 errors=data.get("errors") and LatticeErrors.from_dict(data["errors"]),
                 residuals=data.get("residuals") and Residuals.from_dict(data["residuals"]),
@@ -288,6 +292,15 @@ def _unbend(data: Any) -> Distortion | None:
     if data is None:
         return None
     return Distortion(data["centre"], data["k1"], data["k2"], data["reach"], data.get("general"), data.get("middle"))
+
+
+def _from_rows(gain: GainMap, lattice: Lattice) -> GainMap:
+    """A map whose lenses are in rows of `j`, in the order of the centres."""
+    if len(gain.own) != len(lattice):
+        return gain
+    own = np.empty_like(gain.own)
+    own[np.lexsort(lattice.indices().T)] = gain.own
+    return replace(gain, own=own)
 
 
 def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None) -> Calibration:

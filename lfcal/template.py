@@ -55,8 +55,8 @@ def _places(picture, cx, cy, lens, sides, inverse, stride, bins, place, values):
         if stride == 1 and (y + 1 < height or first + count + RUN <= width):
             for start in range(0, count, RUN):
                 for lane in range(RUN):
-                    k = np.uint64(start) + np.uint64(lane)
-                    values[number + k] = pixels[np.uint64(first) + k]
+                    at = np.uint64(start) + np.uint64(lane)
+                    values[number + at] = pixels[np.uint64(first) + at]
         else:
             for k in range(np.uint64(count)):
                 values[number + k] = pixels[np.uint64(first) + k * np.uint64(stride)]

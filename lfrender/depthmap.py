@@ -22,7 +22,8 @@ __all__ = ["BINOCULAR", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError",
 TELESCOPIC, BINOCULAR, UNRESOLVED = 1, -1, 0
 #: Why a lens is unresolved, by the code in `DepthMap.reason`; 0 is resolved.
 REASONS = ("resolved", "too little texture", "ambiguous", "image plane on the microlenses", "not analysed")
-_VERSION = 1
+# Of version 1 the lenses of some arrays are in another order.
+_VERSION = 2
 
 
 class DepthFileError(LightFieldError, ValueError):

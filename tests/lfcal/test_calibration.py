@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import lfcal
+from lfcal.gain_map import GainMap
 
 
 @pytest.fixture
@@ -85,3 +87,15 @@ def test_the_condition_of_a_fit_tells_a_strip_from_a_field_whatever_the_unit():
     assert errors.scaled(8.0).condition == pytest.approx(errors.condition)
     # All parameters are one and the same number.
     assert LatticeErrors(errors.names, np.full((6, 6), 1e-6)).condition > 1e6
+
+
+def test_lenses_of_a_file_of_version_1_are_put_in_the_order_of_the_centres():
+    lattice = lfcal.Lattice([101.0, 80.0], [[20.1, 11.6], [0.0, 23.2]], (400, 300), 9.0)
+    own = np.linspace(0.5, 1.5, len(lattice)).astype(np.float16).astype(np.float32)
+    gain = replace(GainMap.round(np.ones(40), 0.25, 10.0), own=own)
+    data = lfcal.Calibration(lattice=lattice, gain_map=gain).to_dict()
+    np.testing.assert_array_equal(lfcal.Calibration.from_dict(data).gain_map.own, own)
+    rows = sorted(range(len(lattice)), key=lambda n: tuple(lattice.indices()[n][::-1]))
+    assert rows != sorted(rows)
+    old = data | {"version": 1, "gain_map": replace(gain, own=own[rows]).to_dict()}
+    np.testing.assert_array_equal(lfcal.Calibration.from_dict(old).gain_map.own, own)
