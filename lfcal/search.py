@@ -264,7 +264,8 @@ def _lattice_from(basis: NDArray[np.float64], picture: NDArray[np.float32], edge
 
 
 def first_lattices_of_large(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
-    """`first_lattices` of a picture (h, w) of many pixels, at half its size where that leaves enough of microimages.
+    """`first_lattices` of a picture (h, w) of many pixels, at half its size where that leaves enough of microimages and
+    no doubt.
 
     The features are then of half the size; the lattice is in px of the picture.
     """
@@ -277,7 +278,7 @@ def first_lattices_of_large(picture: NDArray[np.float32]) -> Iterator[FirstLatti
         start = next(starts)
     except CalibrationError:
         start = None
-    if start is None or start.lattice.pitch < _HALVED_PITCH:
+    if start is None or start.lattice.pitch < _HALVED_PITCH or start.doubt is not None:
         yield from first_lattices(picture)
         return
     for found in chain([start], starts):
