@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from .refocusing import focal_stack, refocus, stack_depths
     from .rendering import Rendering
     from .report_page import write_report
-    from .stream import render_stream
     from .view_files import stereo_pair, write_animation, write_grid
     from .viewer_page import write_viewer
     from .viewpoints import circle_offsets, grid_offsets, views
@@ -50,7 +49,6 @@ __all__ = [
     "render_frames",
     "render_frames_on",
     "render_large",
-    "render_stream",
     "stack_depths",
     "stereo_pair",
     "traditional",
@@ -86,7 +84,6 @@ _HOMES = {
     "render_frames": "batch",
     "render_frames_on": "cluster",
     "render_large": "large_rendering",
-    "render_stream": "stream",
     "stack_depths": "refocusing",
     "stereo_pair": "view_files",
     "traditional": "lens_means",

@@ -18,12 +18,14 @@ from lfcal import Calibration, LightFieldError, OutputError
 
 from .frame_job import GROUP, STRETCH, FrameResult, Job, Key
 from .frames import Frame
-from .shared_cores import can_share
 
 __all__ = ["render_frames"]
 
-# Frames that are worked on at once.
-_AT_ONCE = 2
+# Frames that are worked on at once, if a flat has no more bytes than this: larger ones keep all cores busy by
+# themselves, and take memory.
+_AT_ONCE, _MOST_SHARED = 2, 1 << 26
+# What Numba runs kernels on that may be called from several threads.
+_SAFE_LAYERS = ("omp", "tbb")
 
 
 def render_frames(
@@ -111,10 +113,15 @@ def _given(
         except LightFieldError as error:
             yield job.failure(frame, error)
             continue
-        if can_share(flat.nbytes):
+        if _can_share(flat):
             yield workers.submit(job.result, number, frame, partial(np.asarray, flat), first)
         else:
             yield job.result(number, frame, partial(np.asarray, flat), first)
+
+
+def _can_share(flat: NDArray[Any]) -> bool:
+    """Whether frames may be worked on at once: one core need not wait while the other does what has no parts."""
+    return flat.nbytes <= _MOST_SHARED and numba.threading_layer() in _SAFE_LAYERS
 
 
 def _outcome(given: FrameResult | Future[FrameResult]) -> FrameResult:
