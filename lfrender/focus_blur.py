@@ -9,7 +9,6 @@ brightness, comes with the Laplacian. All of it is told by the pairs themselves.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numba import njit, prange
@@ -176,6 +175,53 @@ def focus_blur(
     )
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_pairs(known, weight, sizes, between, squares, crossed, number):
+    """Add up the pairs of each two types, and their `number` (t, t).
+
+    `squares` (t, t, 3, 3) are sums of the products of Laplacian and squared slope, each with 1, s and s^2, `crossed`
+    (t, t, 2, 2) those of both with the difference, each with 1 and s.
+    """
+    for k in range(len(weight)):
+        low, high = min(between[0, k], between[1, k]), max(between[0, k], between[1, k])
+        power, sign = weight[k], 1.0 if between[0, k] == low else -1.0
+        number[low, high] += 1
+        for n in range(3):
+            squares[low, high, 0, n] += power * known[k, 2, 2]
+            squares[low, high, 1, n] += power * known[k, 2, 3]
+            squares[low, high, 2, n] += power * known[k, 3, 3]
+            if n < 2:
+                crossed[low, high, 0, n] += sign * power * known[k, 2, 4]
+                crossed[low, high, 1, n] += sign * power * known[k, 3, 4]
+            power *= sizes[k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solve(squares, crossed, number, ridge, blurs, growths):
+    """Fill `blurs` and `growths` (t, t), return the curve of light; `ridge` (2,) holds both where pairs say little."""
+    curve = 0.0
+    # Blur and curve of light are told by turns, each from what the other leaves.
+    for _ in range(_TURNS):
+        left = slopes = 0.0
+        for a in range(len(number)):
+            for b in range(a + 1, len(number)):
+                if number[a, b] < _FEWEST:
+                    continue
+                laplacian, both, slope = squares[a, b, 0], squares[a, b, 1], squares[a, b, 2]
+                joint = laplacian + 2 * curve * both + curve * curve * slope
+                first, mixed, second = joint[0] + ridge[0], joint[1], joint[2] + ridge[1]
+                right = crossed[a, b, 0] + curve * crossed[a, b, 1]
+                determinant = first * second - mixed * mixed
+                blur = (second * right[0] - mixed * right[1]) / determinant
+                growth = (first * right[1] - mixed * right[0]) / determinant
+                blurs[a, b], growths[a, b], blurs[b, a], growths[b, a] = blur, growth, -blur, -growth
+                left += blur * crossed[a, b, 1, 0] + growth * crossed[a, b, 1, 1]
+                left -= blur * blur * both[0] + 2 * blur * growth * both[1] + growth * growth * both[2]
+                slopes += blur * blur * slope[0] + 2 * blur * growth * slope[1] + growth * growth * slope[2]
+        curve = min(max(left / slopes, 0.0), _STEEPEST) if slopes > 0 else 0.0
+    return curve
+
+
 def _solved(
     known: NDArray[np.float64],
     weight: NDArray[np.float64],
@@ -201,27 +247,9 @@ def _solved(
     count : int
         Number of types.
     """
-    low, high = between.min(0), between.max(0)
-    basis = np.stack([np.ones_like(sizes), sizes], 1)
-    signed = basis * np.where(between[0] == low, weight, -weight)[:, None]
-    pairs = []
-    for a, b in combinations(range(count), 2):
-        some = (low == a) & (high == b)
-        if some.sum() >= _FEWEST:
-            of, at = known[some], basis[some]
-            squares = [at.T @ ((weight[some] * of[:, k, m])[:, None] * at) for k, m in ((2, 2), (2, 3), (3, 3))]
-            pairs.append((a, b, squares, [signed[some].T @ of[:, k, 4] for k in (2, 3)]))
-    # Blur and curve of light are told by turns, each from what the other leaves.
-    curve = 0.0
+    squares, crossed = np.zeros((count, count, 3, 3)), np.zeros((count, count, 2, 2))
+    number = np.zeros((count, count), np.int64)
+    _add_pairs(known, weight, sizes, between, squares, crossed, number)
     blurs, growths = np.zeros((2, count, count), np.float32)
-    for _ in range(_TURNS):
-        left = slopes = 0.0
-        for a, b, (laplacian, both, slope), (of_laplacian, of_slope) in pairs:
-            square = laplacian + 2 * curve * both + curve**2 * slope + np.diag(1 / likely**2)
-            found = np.linalg.solve(square, of_laplacian + curve * of_slope)
-            blurs[a, b], growths[a, b] = found
-            blurs[b, a], growths[b, a] = -found
-            left += found @ of_slope - found @ both @ found
-            slopes += found @ slope @ found
-        curve = float(np.clip(left / slopes, 0, _STEEPEST)) if slopes > 0 else 0.0
+    curve = _solve(squares, crossed, number, 1 / likely**2, blurs, growths)
     return blurs, growths, np.float32(curve)

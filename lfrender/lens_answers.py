@@ -108,6 +108,16 @@ class Earlier:
         """Those of some lenses."""
         return Earlier(*(getattr(self, field.name)[rows] for field in fields(self)))
 
+    def recurring(self, resolved: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], bool] | None:
+        """As `recurrence.recurring` of lenses that are `resolved` (n,) now, where that is known from before.
+
+        Where most of them have been asked before, and nothing repeated in what they saw, nothing does.
+        """
+        known = self.kept & resolved
+        if 2 * known.sum() <= resolved.sum() or (self.reason[self.kept] == 2).any():
+            return None
+        return np.zeros(len(resolved), bool), bool(self.confidence[known].max() <= SURE)
+
 
 @dataclass(frozen=True)
 class Answers:
@@ -199,7 +209,8 @@ def ask(
     explained = found.explained / signal
     astray = misled(error, explained)
     reason, error, sure = judged(textured, found, refined, error, signal, texture.flat.centres, neighbours, pitch)
-    again, perhaps = recurring(texture.flat, lenses.indices, refined, reason == 0)
+    told = None if earlier is None else earlier.recurring(reason == 0)
+    again, perhaps = told or recurring(texture.flat, lenses.indices, refined, reason == 0)
     little = hardly_seen(texture.flat.centres, refined, reason == 0, pitch)
     perhaps = perhaps or unexplained(explained, signal, reason == 0, little)
     reason[again] = 2

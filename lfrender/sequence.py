@@ -18,7 +18,7 @@ __all__ = ["changed_lenses"]
 # microimages of less than the third [px] have no room for several of them.
 _BLOCK, _SMALL_BLOCK, _ROOMY = 4, 2, 6.0
 # Lenses are grouped by brightness, because noise grows with it.
-_LEVELS = 8
+_LEVELS, _TELLING = 8, 1000
 # The quietest lenses of a group show its noise: in one frame the smoothest tenth, between two frames a larger part,
 # since most of a scene stands still.
 _SMOOTH, _STILL = 0.1, 0.25
@@ -32,6 +32,8 @@ _ROUNDING = 1 / 6
 # pixel of motion makes more.
 _UNSEEN_PIXEL, _UNSEEN_BLOCK = 2 / 255, 0.5 / 255
 _UNSEEN_SHARE = 0.007
+# Every so many rows of blocks tell how rough a frame is.
+_ROUGH_ROWS = 2
 # Energy of the answer to a checkerboard mask, of four times the noise, over the three rows of which it is told.
 _ROUGH = np.float32(1 / 36)
 
@@ -66,7 +68,7 @@ def _over_blocks(row, side, out):
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _compare_blocks(first, second, channels, side, like, out):
     """Fill `out` (4, h, w): per block of `side` x `side` pixels, 2 or 4, the sum of the differences, that of their
-    squares, the brightness, and how rough the first is, squared; all of sums over the channels.
+    squares, the brightness, and, in every other row, how rough the first is, squared; all of sums over the channels.
 
     Rows are held as numbers of the type of `like`: short ones, of which vectors hold many.
     """
@@ -86,18 +88,20 @@ def _compare_blocks(first, second, channels, side, like, out):
                 d = np.float32(apart[x])
                 sums[x] += d
                 squares[x] += d * d
-        for r in range(3):
+        # Brightness is that of the middle row.
+        told = v % _ROUGH_ROWS == 0
+        for r in range(0 if told else 1, 3 if told else 2):
             a = first[min(v * side + r, len(first) - 1)]
             for k in range(width * channels):
                 channel_by_channel[k] = a[k]
             _over_channels(channel_by_channel, channels, gray[r])
         above, here, below = gray[0], gray[1], gray[2]
-        for x in range(width - 2):
+        for x in range(width - 2 if told else 0):
             apart[x] = (
                 above[x] + above[x + 2] + below[x] + below[x + 2]
                 - 2 * (above[x + 1] + below[x + 1] + here[x] + here[x + 2]) + 4 * here[x + 1]
             )  # fmt: skip
-        for x in range(width - 2):
+        for x in range(width - 2 if told else 0):
             bend = np.float32(apart[x])
             rough[x + 1] = _ROUGH * bend * bend
         for x in range(width):
@@ -105,7 +109,8 @@ def _compare_blocks(first, second, channels, side, like, out):
         _over_blocks(sums, side, out[0, v])
         _over_blocks(squares, side, out[1, v])
         _over_blocks(bright, side, out[2, v])
-        _over_blocks(rough, side, out[3, v])
+        if told:
+            _over_blocks(rough, side, out[3, v])
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
@@ -119,7 +124,7 @@ def _pool(blocks, centres, side, radius, per_pixel, out):
         cx, cy = (centres[lens, 0] - middle) / side, (centres[lens, 1] - middle) / side
         reach = radius / side
         total = squares = rough = energy = sums = np.float32(0.0)
-        count = 0
+        count = told = 0
         top, bottom = max(0, int(np.ceil(cy - reach))), min(rows - 1, int(np.floor(cy + reach)))
         left, right = max(0, int(np.ceil(cx - reach))), min(columns - 1, int(np.floor(cx + reach)))
         for v in range(top, bottom + 1):
@@ -129,14 +134,16 @@ def _pool(blocks, centres, side, radius, per_pixel, out):
                 bright = blocks[2, v, u] / side * per_pixel
                 total += bright
                 squares += bright * bright
-                rough += blocks[3, v, u] / side
+                if v % _ROUGH_ROWS == 0:
+                    rough += blocks[3, v, u] / side
+                    told += 1
                 energy += blocks[1, v, u]
                 sums += blocks[0, v, u] * blocks[0, v, u]
                 count += 1
         one = np.float32(1.0) / max(count, 1)
         out[0, lens] = total * one
         out[1, lens] = max(squares * one - total * one * total * one, np.float32(0.0))
-        out[2, lens] = rough * one * per_pixel * per_pixel
+        out[2, lens] = rough / max(told, 1) * per_pixel * per_pixel
         out[3, lens] = energy * one / area * per_pixel * per_pixel
         out[4, lens] = sums * one / area * per_pixel * per_pixel
         out[5, lens] = max(count, 1)
@@ -192,7 +199,10 @@ def changed_lenses(before: NDArray, now: NDArray, calibration: Calibration) -> N
         np.empty(_LEVELS, np.int64),
         np.empty((2, len(mean)), np.float32),
     )
-    _group(np.quantile(np.sort(mean), np.arange(1, _LEVELS) / _LEVELS), mean, 2 * rough, pixel, level, ends, groups)
+    # Some of the lenses tell where the groups end.
+    ordered = np.sort(mean[:: max(1, len(mean) // _TELLING)])
+    edges = ordered[np.arange(1, _LEVELS) * len(ordered) // _LEVELS]
+    _group(edges, mean, 2 * rough, pixel, level, ends, groups)
     noise = np.full(_LEVELS, rounding / channels)
     for k, (smooth, still) in enumerate(zip(*(np.split(values, ends[:-1]) for values in groups), strict=True)):
         if len(smooth):
