@@ -12,6 +12,7 @@ import pytest
 import lfrender
 from lfcal import Calibration, Lattice, OutputError
 from lfrender.following import _Probe, _unsteady, changed_since, load_comparison
+from lfrender.lens_answers import Earlier
 from lfrender.neighbours import neighbour_rows
 from lfrender.remembered import remembered
 from lfrender.sequence import changed_lenses
@@ -214,3 +215,15 @@ def test_a_damaged_comparison_is_one_clear_error(first, tmp_path, content):
     path.write_bytes(content)
     with pytest.raises(OutputError, match=r"comparison_000000\.npz: damaged .*--overwrite"):
         load_comparison(first[1], path)
+
+
+def test_repeating_texture_is_known_from_before_where_most_lenses_were_asked():
+    kept = np.arange(20) < 14
+    size, sure, none = np.full(20, 5.0, np.float32), np.full(20, 0.9, np.float32), np.zeros(20, np.int8)
+    before = Earlier(kept, size, size, sure, none)
+    again, perhaps = before.recurring(np.ones(20, bool))
+    assert not again.any() and not perhaps
+    # Confidence that was halved for all of them says that it may repeat.
+    assert replace(before, confidence=np.float32(0.5) * sure).recurring(np.ones(20, bool))[1]
+    assert replace(before, kept=~kept).recurring(np.ones(20, bool)) is None
+    assert replace(before, reason=np.where(np.arange(20) == 3, 2, none)).recurring(np.ones(20, bool)) is None
