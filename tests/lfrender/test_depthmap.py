@@ -60,9 +60,17 @@ def test_every_truncation_of_a_file_is_refused(depth, tmp_path):
 
 
 def test_a_missing_field_is_named(depth, tmp_path):
-    np.savez(tmp_path / "d.npz", version=1)
+    np.savez(tmp_path / "d.npz", version=2)
     with pytest.raises(DepthFileError, match="not a file in the archive"):
         DepthMap.load(tmp_path / "d.npz")
+
+
+def test_a_file_whose_lenses_may_be_in_another_order_is_refused(depth, tmp_path):
+    depth.save(tmp_path / "d.npz")
+    with np.load(tmp_path / "d.npz") as data:
+        np.savez(tmp_path / "old.npz", **{**data, "version": 1})
+    with pytest.raises(DepthFileError, match="version 1 is not known"):
+        DepthMap.load(tmp_path / "old.npz")
 
 
 def test_per_lens_arrays_of_different_length_are_refused(depth):

@@ -25,7 +25,7 @@ def test_archives_with_damaged_entries_are_no_depth_files(tmp_path):
     import lfrender
 
     whole = tmp_path / "whole.npz"
-    np.savez(whole, version=np.int64(1))
+    np.savez(whole, version=np.int64(2))
     data = bytearray(whole.read_bytes())
     # Compression method and flags of the entry, in both of its headers: no method has number 77, bit 5 is patched data.
     for offset, start in ((8, data.find(b"PK\3\4")), (10, data.find(b"PK\1\2"))):
