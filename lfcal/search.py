@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain, zip_longest
 from typing import Any
@@ -172,7 +173,12 @@ def first_lattices(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
     CalibrationError
         As `first_lattice`, if there is none at all.
     """
-    edges, bases = breaks(picture), _bases(picture)
+    yield from _lattices_from(_bases(picture), picture)
+
+
+def _lattices_from(bases: Iterator[NDArray[np.float64]], picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
+    """`first_lattices` from bases of the spectrum."""
+    edges = breaks(picture)
     error: CalibrationError | None = None
     unsure: FirstLattice | None = None
     given: list[FirstLattice] = []
@@ -273,11 +279,15 @@ def first_lattices_of_large(picture: NDArray[np.float32]) -> Iterator[FirstLatti
 
     height, width = (length // 2 for length in picture.shape)
     half: Any = cv2.resize(picture[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-    starts = first_lattices(half)
-    try:
-        start = next(starts)
-    except CalibrationError:
-        start = None
+    bases = _bases(half)
+    start: FirstLattice | None = None
+    starts: Iterator[FirstLattice] = iter(())
+    with suppress(CalibrationError):
+        first = next(bases)
+        # Where the pitch is too short to be halved, no lattice need be made of it to know.
+        if 2 * _inradius(first) >= _HALVED_PITCH:
+            starts = _lattices_from(chain([first], bases), half)
+            start = next(starts)
     if start is None or start.lattice.pitch < _HALVED_PITCH or start.doubt is not None:
         yield from first_lattices(picture)
         return
