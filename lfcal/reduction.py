@@ -23,7 +23,7 @@ _LARGE = 4.8e7
 _ENOUGH = 1.6e7
 # White images with fewer pixels are as soon seen as a whole as in pieces.
 _PIECEWISE = 6e6
-# Flats with fewer pixels do not hold enough lenses whose microimages may be halved.
+# Flats with fewer pixels are as soon searched at their own size.
 _HALVED = 3e6
 _LEAST_PITCH = 9.0
 # Side of the part in which the pitch is looked for [px], where in the flat in turn, and rows averaged at a time.

@@ -270,8 +270,7 @@ def _lattice_from(basis: NDArray[np.float64], picture: NDArray[np.float32], edge
 
 
 def first_lattices_of_large(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
-    """`first_lattices` of a picture (h, w) of many pixels, at half its size where that leaves enough of microimages and
-    no doubt.
+    """`first_lattices` of a picture (h, w) of many pixels, at half its size where that leaves no doubt.
 
     The features are then of half the size; the lattice is in px of the picture.
     """

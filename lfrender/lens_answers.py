@@ -116,6 +116,7 @@ class Earlier:
         known = self.kept & resolved
         if 2 * known.sum() <= resolved.sum() or (self.reason[self.kept] == 2).any():
             return None
+        # Where the scene may repeat, the confidence of all lenses has been cut to this.
         return np.zeros(len(resolved), bool), bool(self.confidence[known].max() <= SURE)
 
 
