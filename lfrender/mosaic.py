@@ -7,6 +7,7 @@ from numba import njit, prange
 
 from .bending import bent_by, nearest_index
 from .fastmath import FAST
+from .striding import stretches
 
 __all__ = ["HIDDEN", "draw_rows", "patch_size_at"]
 
@@ -290,11 +291,15 @@ def draw_rows(
                 for o in range(len(offsets)):
                     kinds[a, b, o] = types[(a + steps[o, 0]) % cells, (b + steps[o, 1]) % cells]
     squares = lights * lights
-    for v in prange(len(out)):
-        # The same type of number where this is compiled and where it is run: else the row is compiled twice.
-        _draw_row(
-            np.int64(v), flat, marks, seen, gains, lights, light_step, origin, inverse, basis, bend, low, offsets,
-            steps, types, shares, radius, pitch, surface, grid_x, grid_y, cell, edge, scale, first,
-            spacing, blurred, reach, tolerance, view, corner, size, start, wanted, half, top, out, valid,
-            kinds, squares,
-        )  # fmt: skip
+    # What is wanted comes in clusters.
+    count, length, stride = stretches(len(out))
+    for number in prange(count):
+        first_row = number * stride % count * length
+        for v in range(first_row, min(first_row + length, len(out))):
+            # The same type of number where this is compiled and where it is run: else the row is compiled twice.
+            _draw_row(
+                np.int64(v), flat, marks, seen, gains, lights, light_step, origin, inverse, basis, bend, low, offsets,
+                steps, types, shares, radius, pitch, surface, grid_x, grid_y, cell, edge, scale, first,
+                spacing, blurred, reach, tolerance, view, corner, size, start, wanted, half, top, out, valid,
+                kinds, squares,
+            )  # fmt: skip

@@ -1,8 +1,9 @@
-"""Blended pictures row by row: what one lens adds to a row of output pixels is found for all of them together.
+"""Blended pictures, some rows at a time: what one lens adds to them is found for all of its pixels together.
 
 The same mean as that of `mosaic.draw_rows`, in another order of work: there every pixel asks which lenses show it,
-here every lens is laid over the pixels that it shows. Neighbours in a row then take the same steps, as vector
-instructions want it. Pixels that need more than one reading are left to the other kernel.
+here every lens is laid over the pixels that it shows. A few rows lie column by column in memory, so that a lens shows
+one run of pixels, which take the same steps, as vector instructions want it. Pixels that need more than one reading are
+left to the other kernel.
 """
 
 from __future__ import annotations
@@ -13,21 +14,23 @@ from numba import njit, prange
 from .byte_reading import two_at
 from .fastmath import FAST
 from .mosaic import HIDDEN
+from .prefetching import prefetch
 
 __all__ = ["SECTION", "blend_rows"]
 
-# So many pixels are worked on together at most, in whole groups of the second number, one vector register of single
-# precision, and not fewer groups than the third, or no compiler takes them together. Counts and places are unsigned:
-# signed ones are looked at for being counted from the end.
-_LANES, _GROUP, _FEWEST = 32, 8, 2
-#: Columns of a picture that are blended at once, so that places of a row's buffer lie a known way apart.
-SECTION = 1024
-_LINE = SECTION + 4 * _LANES
+# So many rows, and columns of them, are a group of pixels, one vector register of single precision. So many pixels are
+# worked on together at most, in whole groups, and not fewer of these than the last number, or no compiler takes them
+# together. Counts and places are unsigned: signed ones are looked at for being counted from the end.
+_ROWS, _GROUP, _LANES, _FEWEST = 4, 8, 96, 2
+_ACROSS = _GROUP // _ROWS
+#: Columns of a picture that are blended at once, so that places of the buffers lie a known way apart.
+SECTION = 512
+_LINE = _ROWS * SECTION + 2 * _LANES
 _SECOND, _THIRD, _FOURTH = np.uint64(_LINE), np.uint64(2 * _LINE), np.uint64(3 * _LINE)
-# Rows that one thread blends one after the other with the same buffers.
-_TOGETHER = 8
-# Runs whose places are found before the first of them is read.
-_QUEUE = 8
+# Bands of rows that one thread blends one after the other with the same buffers.
+_TOGETHER = 4
+# Runs whose places are found before the first of them is read, and after how many pixels of a run memory is asked for.
+_QUEUE, _AHEAD = 3, np.uint64(16)
 # Weight of a lens at the rim of its reach.
 _RIM = np.float32(1.02)
 # An output pixel that is larger in the flat by no more than this is read at one place [px].
@@ -45,41 +48,50 @@ def _whole(groups):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
 def _place(
-    columns, n, e_x, e_y, spacing, inner_x, inner_y, at_x, at_y, slope, limits, share, u, kind, width, height, stride,
-    corner_x, corner_y, per_light_step, last_ring, lanes, work, whole, at,
+    columns, rows, n_x, n_y, e_x, e_y, spacing, inner_x, inner_y, at_x, at_y, slope, limits, share, u, kind, border,
+    width, height, stride, corner_x, corner_y, per_light_step, last_ring, lanes, work, whole, at,
 ):  # fmt: skip
-    """Where some pixels read a lens, and how much that counts.
+    """Where some pixels read a lens, which may reach beyond the `border` of the flat, and how much that counts.
 
-    Leaves the parts of a pixel and the weight in `work`, and in `whole` the pixel of the flat, the place in the light
-    table and the nearest pixel. All numbers are of 32 bits: sums of whole ones would be of 64, half as many at a time.
+    Leaves the parts of a pixel and the weight in `work`, and in `whole` the pixel of the flat and the place in the light
+    table. All numbers are of 32 bits: sums of whole ones would be of 64, half as many at a time.
     """
     last_x, last_y = np.int32(width - 2), np.int32(height - 2)
     end_x, end_y = np.float32(width - 1), np.float32(height - 1)
     for k in range(lanes):
-        ex = np.float32(np.int32(n + columns[u + k])) * spacing + e_x
-        d2 = ex * ex + e_y * e_y
+        ex = np.float32(np.int32(n_x + columns[u + k])) * spacing + e_x
+        ey = np.float32(np.int32(n_y + rows[k])) * spacing + e_y
+        d2 = ex * ex + ey * ey
         tilt = slope[u + k]
-        rx, ry = inner_x - ex * tilt, inner_y - e_y * tilt
+        rx, ry = inner_x - ex * tilt, inner_y - ey * tilt
         step_x, step_y = np.floor(rx), np.floor(ry)
         fx, fy = rx - step_x, ry - step_y
         ix, iy = np.int32(at_x + np.int32(step_x)), np.int32(at_y + np.int32(step_y))
         limit = limits[u + k]
-        ok = (d2 <= limit) & (ix >= 0) & (iy >= 0)
-        ok &= (np.float32(ix) + fx <= end_x) & (np.float32(iy) + fy <= end_y)
-        fx = np.float32(1.0) if ix > last_x else fx
-        fy = np.float32(1.0) if iy > last_y else fy
-        ix, iy = min(max(ix, np.int32(0)), last_x), min(max(iy, np.int32(0)), last_y)
+        ok = d2 <= limit
+        if border:
+            ok &= (ix >= 0) & (iy >= 0) & (np.float32(ix) + fx <= end_x) & (np.float32(iy) + fy <= end_y)
+            fx = np.float32(1.0) if ix > last_x else fx
+            fy = np.float32(1.0) if iy > last_y else fy
+            ix, iy = min(max(ix, np.int32(0)), last_x), min(max(iy, np.int32(0)), last_y)
         weight = (_RIM - d2 / limit) * share[kind + u + k]
         work[at + k] = fx
         work[at + _F + k] = fy
         work[at + _W + k] = weight if ok else np.float32(0.0)
         place = np.int32(np.int32(np.int32(iy - corner_y) * stride) + np.int32(ix - corner_x))
         whole[at + k] = place if ok else np.int32(0)
-        ring = min(d2 * tilt * tilt * per_light_step, last_ring)
-        whole[at + _F + k] = np.int32(ring)
-        right = np.int32(1) if fx >= np.float32(0.5) else np.int32(0)
-        below = stride if fy >= np.float32(0.5) else np.int32(0)
-        whole[at + _W + k] = np.int32(np.int32(place + right) + below) if ok else np.int32(0)
+        whole[at + _F + k] = np.int32(min(d2 * tilt * tilt * per_light_step, last_ring))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _ask_for(line, down, whole, at, lanes):
+    """Have the memory fetched that some pixels are going to be read from: lenses lie at too odd steps to be foreseen."""
+    for first in range(np.uint64(0), lanes, _AHEAD):
+        for k in range(first, first + np.uint64(_ROWS)):
+            prefetch(line, np.uint64(np.uint32(whole[at + k])))
+        prefetch(line, np.uint64(np.uint32(whole[at + first + np.uint64(_ROWS - 1)])) + down)
+    for k in range(lanes - np.uint64(_ROWS), lanes):
+        prefetch(line, np.uint64(np.uint32(whole[at + k])))
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
@@ -149,11 +161,10 @@ def _agree(values, base, sums, u, lanes, t2, per_channel, totals):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _depths_along(
-    surface, x, y, spacing, grid_x, grid_y, cell, edge, pitch, radius, reach, columns, count, slope, limits, sizes,
-    places, level, near, torn,
+    surface, x, y, spacing, grid_x, grid_y, cell, edge, columns, count, places, level, near, torn, sizes
 ):  # fmt: skip
-    """Patch sizes at some columns of a row, as `patch_size_at`, their share of the pitch, and the squared distance at
-    which lenses are read. The last four arguments are memory to work in."""
+    """Fill `sizes` with the patch sizes at some columns of a row, as `patch_size_at`; the four arguments before it are
+    memory to work in."""
     rows, wide = surface.shape
     last_x, last_y, last = np.float32(wide - 1), np.float32(rows - 1), np.int32(max(wide - 2, 0))
     for k in range(count):
@@ -180,21 +191,38 @@ def _depths_along(
             sizes[k] = near[at + one] if fx > np.float32(0.5) else near[at]
         else:
             sizes[k] = (np.float32(1.0) - fx) * level[at] + fx * level[at + one]
-    per_pitch = np.float32(1.0) / pitch
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _column_by_column(along, columns, count, pitch, radius, reach, across, sizes, slope, limits):
+    """From the patch sizes `along` each row of a band, and its columns, those of its pixels as they lie in memory, with
+    their share of the pitch and the squared distance at which lenses are read."""
     for k in range(count):
+        for r in range(_ROWS):
+            sizes[_ROWS * k + r] = along[r, k]
+            across[_ROWS * k + r] = columns[k]
+    per_pitch = np.float32(1.0) / pitch
+    for k in range(_ROWS * count):
         tilt = sizes[k] * per_pitch
         limit = min(radius / max(abs(tilt), np.float32(1e-6)), reach)
         slope[k], limits[k] = tilt, limit * limit
     # Lanes beyond the last pixel find nothing.
-    slope[count : count + 2 * _LANES] = 0
-    limits[count : count + 2 * _LANES] = -1
+    beyond = _ROWS * count
+    slope[beyond : beyond + 2 * _LANES] = 0
+    limits[beyond : beyond + 2 * _LANES] = -1
+    across[beyond : beyond + 2 * _LANES] = 0
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _hide(seen, edge, sizes, u, whole, at, lanes, work):
-    """Take the weight from readings that see another depth."""
+def _hide(seen, edge, stride, sizes, u, whole, at, lanes, work):
+    """Take the weight from readings whose nearest pixel sees another depth. Leaves that pixel in `whole`."""
+    half = np.float32(0.5)
     for k in range(lanes):
-        depth = seen[np.uint64(np.uint32(whole[at + _W + k]))]
+        right = np.int32(1) if work[at + k] >= half else np.int32(0)
+        below = stride if work[at + _F + k] >= half else np.int32(0)
+        whole[at + k] = np.int32(np.int32(whole[at + k] + right) + below)
+    for k in range(lanes):
+        depth = seen[np.uint64(np.uint32(whole[at + k]))]
         # A branch that cannot be foretold would cost more.
         work[at + _W + k] *= HIDDEN if abs(depth - sizes[u + k]) > np.float32(2.0) * edge else np.float32(1.0)
 
@@ -216,7 +244,7 @@ def _read_queue(
         q = np.uint64(n % _QUEUE)
         if runs[n, 1]:
             lanes = _whole(runs[n, 2])
-            _hide(seen, edge, sizes, np.uint64(runs[n, 0]), whole, q * _WORK, lanes, work)
+            _hide(seen, edge, np.int32(stride), sizes, np.uint64(runs[n, 0]), whole, q * _WORK, lanes, work)
     for n in range(begin, end):
         q, lanes = np.uint64(n % _QUEUE), _whole(runs[n, 2])
         _add(
@@ -226,12 +254,13 @@ def _read_queue(
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _columns_of(centres, lowest, highest, x, y, spacing, column, reach, count, ranges):
-    """Fill `ranges` (2, n) with the first column, and the one beyond the last, of what some lenses show in a row."""
+def _columns_of(centres, lowest, highest, x, top, bottom, spacing, column, reach, count, ranges):
+    """Fill `ranges` (2, n) with the first column, and the one beyond the last, of what some lenses show in a band."""
     per_spacing, first, end = 1 / spacing, np.int32(column), np.int32(count)
     for n in range(np.uint64(highest - lowest)):
         lens = np.uint64(lowest) + n
-        across, ey = centres[lens, 0] - x, y - centres[lens, 1]
+        across, cy = centres[lens, 0] - x, centres[lens, 1]
+        ey = max(max(top - cy, cy - bottom), 0.0)
         wide = np.sqrt(max(reach * reach - ey * ey, 0.0))
         ranges[0, n] = max(np.int32(np.ceil((across - wide) * per_spacing)) - first, np.int32(0))
         ranges[1, n] = min(np.int32(np.floor((across + wide) * per_spacing)) + np.int32(1) - first, end)
@@ -239,31 +268,35 @@ def _columns_of(centres, lowest, highest, x, y, spacing, column, reach, count, r
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _lay_lenses(
-    line, seen, edged, glow, light_step, centres, kinds, lowest, highest, x, y, spacing, column, reach, edge, count,
-    before, columns, slope, limits, sizes, share, size, stride, corner, work, whole, quads, lamps, values, ranges,
-    runs, sums,
+    line, seen, edged, glow, light_step, centres, kinds, lowest, highest, first, row, spacing, column, radius, reach,
+    edge, count, before, across, rows, slope, limits, sizes, share, size, stride, corner, work, whole, quads, lamps,
+    values, ranges, runs, sums,
 ):  # fmt: skip
-    """Read all lenses that show a part of a row, and add them up; returns how many runs of pixels that are."""
+    """Read all lenses that show a part of a band, and add them up; returns how many runs of pixels that are."""
     width, height = np.int32(size[0]), np.int32(size[1])
     corner_x, corner_y = np.int32(corner[0]), np.int32(corner[1])
     down, step, per_spacing = np.uint64(stride), np.float32(spacing), 1 / spacing
     last_ring, per_light_step = np.float32(len(glow) - 1), np.float32(1 / light_step)
     pairs, lamp_pairs = quads.view(np.uint64), lamps.view(np.uint64)
     found = done = 0
-    _columns_of(centres, lowest, highest, x, y, spacing, column, reach, count, ranges)
+    top, bottom = first[1] + row * spacing, first[1] + (row + _ROWS - 1) * spacing
+    _columns_of(centres, lowest, highest, first[0], top, bottom, spacing, column, reach, count, ranges)
+    # Interpolation reads two pixels beyond a place at most.
+    low, high_x, high_y = radius + 2, width - 3 - radius, height - 3 - radius
     for lens in range(lowest, highest):
         begin, end = ranges[0, lens - lowest], ranges[1, lens - lowest]
         if begin >= end:
             continue
         cx, cy = centres[lens, 0], centres[lens, 1]
-        ey = y - cy
-        # As seen from the first column of the picture, whatever part of it is drawn.
-        anchor = int(np.rint((cx - x) * per_spacing))
-        e_x = np.float32(x + anchor * spacing - cx)
+        # As seen from the first pixel of the picture, whatever part of it is drawn.
+        anchor_x = int(np.rint((cx - first[0]) * per_spacing))
+        anchor_y = int(np.rint((cy - first[1]) * per_spacing))
+        e_x = np.float32(first[0] + anchor_x * spacing - cx)
+        e_y = np.float32(first[1] + anchor_y * spacing - cy)
         at_x, at_y = np.floor(cx), np.floor(cy)
-        end = before[end]
-        for u in range(before[begin], end, _LANES):
-            stop = min(u + _LANES, end)
+        border = not (low <= cx <= high_x and low <= cy <= high_y)
+        end = _GROUP * before[(end + _ACROSS - 1) // _ACROSS]
+        for u in range(_GROUP * before[begin // _ACROSS], end, _LANES):
             if found == done + _QUEUE:
                 _read_queue(
                     line, seen, glow, edge, down, sizes, runs, done, found, work, whole, quads, pairs, lamps,
@@ -271,14 +304,26 @@ def _lay_lenses(
                 )  # fmt: skip
                 done = found
             runs[found, 0], runs[found, 1] = u, edged[lens]
-            runs[found, 2] = max((stop - u + _GROUP - 1) // _GROUP, _FEWEST)
-            q = np.uint64(found % _QUEUE)
-            _place(
-                columns, np.int32(column - anchor), e_x, np.float32(ey), step, np.float32(cx - at_x),
-                np.float32(cy - at_y), np.int32(at_x), np.int32(at_y), slope, limits, share, np.uint64(u),
-                np.uint64(kinds[lens]) * np.uint64(_LINE), width, height, np.int32(stride), corner_x, corner_y,
-                per_light_step, last_ring, _whole(runs[found, 2]), work, whole, q * _WORK,
-            )  # fmt: skip
+            runs[found, 2] = max((min(u + _LANES, end) - u) // _GROUP, _FEWEST)
+            q, lanes = np.uint64(found % _QUEUE), _whole(runs[found, 2])
+            kind = np.uint64(kinds[lens]) * np.uint64(_LINE)
+            if border:
+                _place(
+                    across, rows, np.int32(column - anchor_x), np.int32(row - anchor_y), e_x, e_y, step,
+                    np.float32(cx - at_x), np.float32(cy - at_y), np.int32(at_x), np.int32(at_y), slope, limits, share,
+                    np.uint64(u), kind, True, width, height, np.int32(stride), corner_x, corner_y, per_light_step,
+                    last_ring, lanes, work, whole, q * _WORK,
+                )  # fmt: skip
+            else:
+                _place(
+                    across, rows, np.int32(column - anchor_x), np.int32(row - anchor_y), e_x, e_y, step,
+                    np.float32(cx - at_x), np.float32(cy - at_y), np.int32(at_x), np.int32(at_y), slope, limits, share,
+                    np.uint64(u), kind, False, width, height, np.int32(stride), corner_x, corner_y, per_light_step,
+                    last_ring, lanes, work, whole, q * _WORK,
+                )  # fmt: skip
+            _ask_for(line, down, whole, q * _WORK, lanes)
+            if edged[lens]:
+                _ask_for(seen, down, whole, q * _WORK, lanes)
             found += 1
     _read_queue(
         line, seen, glow, edge, down, sizes, runs, done, found, work, whole, quads, pairs, lamps, lamp_pairs, values,
@@ -299,11 +344,14 @@ def _normalise(sums, count):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _store(totals, sizes, columns, count, largest, half, top, marks, out, valid, left, section):
-    """Round and store the pixels at some columns of a row that are read at one place."""
+def _store(totals, sizes, wanted, row, columns, count, end, largest, half, top, marks, out, valid, left, section):
+    """Round and store the pixels of one row of a band that are read at one place; columns from `end` on are none."""
     for k in range(count):
-        at = np.uint64(k)
-        u = section + columns[at]
+        if columns[k] >= end:
+            continue
+        at, u = np.uint64(_ROWS * k + row), section + columns[k]
+        if len(wanted) > 0 and not wanted[u]:
+            continue
         left[u] = abs(sizes[at]) > largest
         if left[u]:
             continue
@@ -316,18 +364,25 @@ def _store(totals, sizes, columns, count, largest, half, top, marks, out, valid,
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _wanted_columns(wanted, v, section, count, before, columns):
-    """Fill `columns` with the wanted ones of a row, and `before` with how many of them are before each place; returns
-    how many there are. All of them where `wanted` is (0, 0)."""
+def _wanted_columns(wanted, first, end, section, count, some, before, columns):
+    """Fill `columns` with those of the groups in which any of the rows from `first` to `end` is wanted, and `before`
+    with how many such groups are before each; returns how many columns there are. All of them where `wanted` is (0, 0);
+    `some` is memory to work in."""
+    groups = (count + _ACROSS - 1) // _ACROSS
+    some[: _ACROSS * groups] = wanted.size == 0
+    for v in range(first, end if wanted.size else first):
+        for k in range(count):
+            some[k] |= wanted[v, section + k]
     found = 0
-    for k in range(count):
-        before[k] = found
-        columns[found] = k
-        found += wanted.size == 0 or wanted[v, section + k]
-    before[count] = found
-    # Lanes beyond the last.
-    columns[found : found + 2 * _LANES] = 0
-    return found
+    for g in range(groups):
+        before[g] = found
+        any_here = False
+        for k in range(_ACROSS * g, _ACROSS * (g + 1)):
+            columns[_ACROSS * found + k - _ACROSS * g] = k
+            any_here |= some[k]
+        found += any_here
+    before[groups] = found
+    return _ACROSS * found
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -363,56 +418,70 @@ def blend_rows(
     line, seen_line = flat.reshape(-1), seen.reshape(-1)
     t2, per_channel = tolerance * tolerance, np.float32(1 / len(marks))
     last_ratio, types = shares.shape[1] - 1, len(shares)
-    tall = 0
-    for v in range(rows):
-        y = first[1] + (start[1] + v) * spacing
-        tall = max(tall, np.searchsorted(centres[:, 1], y + reach) - np.searchsorted(centres[:, 1], y - reach))
-    most = tall * ((int(2 * reach / spacing) + 2) // _LANES + 2)
+    row_of = np.empty(_LANES, np.int32)
+    for k in range(_LANES):
+        row_of[k] = k % _ROWS
+    bands, tall = (rows + _ROWS - 1) // _ROWS, 0
+    for band in range(bands):
+        y = first[1] + (start[1] + _ROWS * band) * spacing
+        above, below = y - reach, y + (_ROWS - 1) * spacing + reach
+        tall = max(tall, np.searchsorted(centres[:, 1], below) - np.searchsorted(centres[:, 1], above))
+    most = tall * (_ROWS * (int(2 * reach / spacing) + 1 + 2 * _ACROSS) // _LANES + 2)
     # Values of the surface beneath a row.
-    beneath = int(min(SECTION, columns) * spacing / cell) + 4
-    groups = (rows + _TOGETHER - 1) // _TOGETHER
+    beneath = int((min(SECTION, columns) + _ACROSS) * spacing / cell) + 4
+    groups = (bands + _TOGETHER - 1) // _TOGETHER
     each = -(-groups // threads)
     for number in prange(each * threads):
         # What is wanted comes in clusters: every thread has rows from top to bottom.
         group = number % each * threads + number // each
         slope, limits, sizes = np.empty(_LINE, np.float32), np.empty(_LINE, np.float32), np.empty(_LINE, np.float32)
-        places, level = np.empty(_LINE, np.int32), np.empty(beneath, np.float32)
-        chosen = np.empty(_LINE, np.int32)
+        places, level = np.empty(SECTION, np.int32), np.empty(beneath, np.float32)
         near, torn = np.empty(beneath, np.float32), np.empty(beneath, np.bool_)
-        share, before = np.ones(types * _LINE, np.float32), np.empty(SECTION + 1, np.int64)
+        along, chosen, across = np.empty((_ROWS, SECTION), np.float32), np.empty(SECTION, np.int32), np.empty(_LINE, np.int32)
+        some, before = np.empty(SECTION, np.bool_), np.empty(SECTION // _ACROSS + 1, np.int64)
+        ratios, share = np.empty(_LINE, np.int32), np.ones(types * _LINE, np.float32)
         sums, totals = np.empty(4 * _LINE, np.float32), np.empty(4 * _LINE, np.float32)
         work, whole = np.empty(_QUEUE * 3 * _LANES, np.float32), np.empty(_QUEUE * 3 * _LANES, np.int32)
         quads, lamps = np.empty(_QUEUE * 4 * _LANES, flat.dtype), np.empty(_QUEUE * 2 * _LANES, np.float32)
         values, runs = np.empty(most * 4 * _LANES, np.float32), np.empty((most, 3), np.int64)
         ranges = np.empty((2, tall), np.int32)
-        for v in range(group * _TOGETHER, min((group + 1) * _TOGETHER, rows)):
-            y = first[1] + (start[1] + v) * spacing
+        for band in range(group * _TOGETHER, min((group + 1) * _TOGETHER, bands)):
+            upper, lower = _ROWS * band, min(_ROWS * (band + 1), rows)
+            y = first[1] + (start[1] + upper) * spacing
             lowest = np.searchsorted(centres[:, 1], y - reach)
-            highest = np.searchsorted(centres[:, 1], y + reach)
+            highest = np.searchsorted(centres[:, 1], y + (_ROWS - 1) * spacing + reach)
             for section in range(0, columns, SECTION):
                 count, column = min(SECTION, columns - section), start[0] + section
-                left[v, section : section + count] = False
-                asked = _wanted_columns(wanted, v, section, count, before, chosen)
+                left[upper:lower, section : section + count] = False
+                asked = _wanted_columns(wanted, upper, lower, section, count, some, before, chosen)
                 if asked == 0:
                     continue
-                _depths_along(
-                    surface, first[0] + column * spacing, y, spacing, grid_x, grid_y, cell, edge, pitch, radius,
-                    np.float32(reach), chosen, asked, slope, limits, sizes, places, level, near, torn,
+                for r in range(_ROWS):
+                    _depths_along(
+                        surface, first[0] + column * spacing, first[1] + (start[1] + upper + r) * spacing, spacing,
+                        grid_x, grid_y, cell, edge, chosen, asked, places, level, near, torn, along[r],
+                    )  # fmt: skip
+                _column_by_column(
+                    along, chosen, asked, pitch, radius, np.float32(reach), across, sizes, slope, limits
                 )  # fmt: skip
+                lanes = _ROWS * asked
                 if last_ratio > 0:
-                    _shares_along(shares, slope, asked, places, share)
+                    _shares_along(shares, slope, lanes, ratios, share)
                 sums[:] = 0
                 totals[:] = 0
                 found = _lay_lenses(
-                    line, seen_line, edged, glow_pairs, light_step, centres, kinds, lowest, highest, first[0], y,
-                    spacing, column, reach, edge, count, before, chosen, slope, limits, sizes, share, size,
-                    flat.shape[1], corner, work, whole, quads, lamps, values, ranges, runs, sums,
+                    line, seen_line, edged, glow_pairs, light_step, centres, kinds, lowest, highest, first,
+                    start[1] + upper, spacing, column, radius, reach, edge, count, before, across, row_of, slope,
+                    limits, sizes, share, size, flat.shape[1], corner, work, whole, quads, lamps, values, ranges, runs,
+                    sums,
                 )  # fmt: skip
-                _normalise(sums, np.uint64(asked))
+                _normalise(sums, np.uint64(lanes))
                 for n in range(found):
                     at, u = np.uint64(n) * _PER_RUN, np.uint64(runs[n, 0])
                     _agree(values, at, sums, u, _whole(runs[n, 2]), t2, per_channel, totals)
-                _normalise(totals, np.uint64(asked))
-                _store(
-                    totals, sizes, chosen, asked, _OVER * scale, half, top, marks, out[v], valid[v], left[v], section
-                )  # fmt: skip
+                _normalise(totals, np.uint64(lanes))
+                for v in range(upper, lower):
+                    _store(
+                        totals, sizes, wanted[v] if wanted.size else wanted[:0, 0], v - upper, chosen, asked, count,
+                        _OVER * scale, half, top, marks, out[v], valid[v], left[v], section,
+                    )  # fmt: skip

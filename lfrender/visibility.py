@@ -17,8 +17,10 @@ __all__ = ["lens_depths"]
 
 # Side of the squares of grid values whose range is known: where lenses see no edge in these, none looks at the values.
 _SQUARE = 4
-# Lenses that one thread works on, one after the other.
-_TOGETHER = 64
+# From the middle of a square to its corners, as a multiple of half its side, and a little more.
+_DIAGONAL = np.float32(1.42)
+# Height of the bands of a flat that one thread works on, one after the other, in pitches.
+_BAND = 2
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -55,12 +57,15 @@ def _level(lows, highs, low_v, high_v, low_u, high_u, edge):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _enter(surface, lows, highs, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, edged, out):
-    """Set `out` to the depth of what is seen through some lenses, and `edged` where they have a depth edge in reach."""
+def _enter(
+    surface, lows, highs, first_x, first_y, spacing, centres, lenses, radius, pitch, reach, edge, corner, edged, out
+):  # fmt: skip
+    """Set `out` to the depth of what is seen through some `lenses`, `edged` where they have a depth edge in reach."""
     rows, columns = surface.shape
     left, top = corner
     right, bottom = left + out.shape[1], top + out.shape[0]
-    for lens in range(len(centres)):
+    per_pitch = np.float32(1.0) / pitch
+    for lens in lenses:
         cx, cy = centres[lens, 0], centres[lens, 1]
         low_u = max(0, int(np.ceil((cx - reach - first_x) / spacing)))
         high_u = min(columns - 1, int(np.floor((cx + reach - first_x) / spacing)))
@@ -79,45 +84,72 @@ def _enter(surface, lows, highs, first_x, first_y, spacing, centres, radius, pit
         edged[lens] = highest - lowest >= edge
         if not edged[lens]:
             continue
+        within = left <= cx - radius and top <= cy - radius and right - 1 >= cx + radius and bottom - 1 >= cy + radius
         for v in range(low_v, high_v + 1):
+            across_y = np.float32(first_y + v * spacing - cy)
             for u in range(low_u, high_u + 1):
                 s = surface[v, u]
-                # The farthest surface hides nothing.
-                if nearness(s, pitch) <= farthest + edge:
-                    continue
-                dx = -(first_x + u * spacing - cx) * s / pitch
-                dy = -(first_y + v * spacing - cy) * s / pitch
-                # The grid value stands for a square of this size in the microimage.
-                half = np.float32(0.5) * abs(s) / pitch * spacing + np.float32(0.25)
-                if dx * dx + dy * dy > (radius + half) ** 2:
-                    continue
                 near = nearness(s, pitch)
+                # The farthest surface hides nothing.
+                if near <= farthest + edge:
+                    continue
+                tilt = s * per_pitch
+                dx, dy = -np.float32(first_x + u * spacing - cx) * tilt, -across_y * tilt
+                # The grid value stands for a square of this size in the microimage.
+                half = np.float32(0.5) * abs(tilt) * spacing + np.float32(0.25)
+                distance_2 = dx * dx + dy * dy
+                if distance_2 > (radius + half) ** 2:
+                    continue
+                # Not even the corners of the square reach the rim.
+                middle = within and distance_2 < max(radius - _DIAGONAL * half, np.float32(0.0)) ** 2
                 for y in range(int(np.ceil(cy + dy - half)), int(np.floor(cy + dy + half)) + 1):
                     for x in range(int(np.ceil(cx + dx - half)), int(np.floor(cx + dx + half)) + 1):
-                        if x < left or y < top or x >= right or y >= bottom:
-                            continue
-                        if (x - cx) * (x - cx) + (y - cy) * (y - cy) > radius * radius:
-                            continue
-                        before = out[y - top, x - left]
-                        if np.isnan(before) or nearness(before, pitch) < near:
+                        if not middle:
+                            if x < left or y < top or x >= right or y >= bottom:
+                                continue
+                            if (x - cx) * (x - cx) + (y - cy) * (y - cy) > radius * radius:
+                                continue
+                        # True where nothing is known as yet.
+                        if not nearness(out[y - top, x - left], pitch) >= near:
                             out[y - top, x - left] = s
+
+
+@njit(cache=True, nogil=True)
+def _banded(centres, top, tall, order, ends):
+    """Fill `order` with the lenses of one band of `tall` rows after the other, of which each `ends` at a place in it."""
+    band = np.empty(len(centres), np.int64)
+    ends[:] = 0
+    for lens in range(len(centres)):
+        band[lens] = min(max(int((centres[lens, 1] - top) / tall), 0), len(ends) - 1)
+        ends[band[lens]] += 1
+    for k in range(1, len(ends)):
+        ends[k] += ends[k - 1]
+    for lens in range(len(centres) - 1, -1, -1):
+        ends[band[lens]] -= 1
+        order[ends[band[lens]]] = lens
+    ends[:-1], ends[-1] = ends[1:], len(centres)
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def _lens_depths(surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, edged, out):
-    for y in prange(out.shape[0]):
-        out[y] = np.nan
+    # Depth edges come in clusters. What a thread has filled lies in its caches: there it enters lenses too.
+    tall = max(int(_BAND * pitch), 1)
+    bands = (out.shape[0] + tall - 1) // tall
+    stride = coprime_stride(max(bands, 1))
+    for number in prange(bands):
+        first = number * stride % bands * tall
+        out[first : first + tall] = np.nan
     rows, columns = (surface.shape[0] + _SQUARE - 1) // _SQUARE, (surface.shape[1] + _SQUARE - 1) // _SQUARE
     lows, highs = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
     _ranges(surface, lows, highs)
-    # Depth edges come in clusters; but lenses beside each other share what is in the caches.
-    parts = (len(centres) + _TOGETHER - 1) // _TOGETHER
-    stride = coprime_stride(max(parts, 1))
-    for number in prange(parts):
-        first = number * stride % parts * _TOGETHER
+    order, ends = np.empty(len(centres), np.int64), np.empty(bands, np.int64)
+    _banded(centres, corner[1], tall, order, ends)
+    for number in prange(bands):
+        band = number * stride % bands
+        lenses = order[ends[band - 1] if band else 0 : ends[band]]
         _enter(
-            surface, lows, highs, first_x, first_y, spacing, centres[first : first + _TOGETHER], radius, pitch, reach,
-            edge, corner, edged[first : first + _TOGETHER], out,
+            surface, lows, highs, first_x, first_y, spacing, centres, lenses, radius, pitch, reach, edge, corner, edged,
+            out,
         )  # fmt: skip
 
 
