@@ -1,9 +1,9 @@
 """Speed from array to array, calibrated and warm: `python -m benchmarks.frame_speed [FRAME ...]`.
 
 Frames of one camera, images or `.npy` arrays, or else a ray-traced scene with noise, are analysed and rendered all in
-focus with `fast` and `balanced`, on one thread and on all; a second frame also follows the first with shortcuts. Then
-a flat of 135 megapixels is rendered at one patch size, and a quarter of it. Printed are medians of several runs, wall
-[ms], beside a memory copy of the flat and `cv2.remap` or `cv2.resize` to as many pixels in turns with them.
+focus with `fast` and `balanced`, on one thread and on all; they also follow one another with shortcuts, to and fro.
+Then a flat of 135 megapixels is rendered at one patch size, and a quarter of it. Printed are medians of several runs,
+wall [ms], beside a memory copy of the flat and `cv2.remap` or `cv2.resize` to as many pixels in turns with them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
 
-_RUNS = 7
+_RUNS, _STEPS = 7, 20
 _SIZE, _PITCH = (1400, 1000), 23.2
 # Patch sizes of two analyses that differ by more than this share of the pitch are different depths.
 _APART = 0.04
@@ -76,27 +76,33 @@ def _frame_rows(frames: list[NDArray[Any]], camera: lfcal.Calibration) -> None:
 
 
 def _next_row(frames: list[NDArray[Any]], camera: lfcal.Calibration, preset: str, depth: lfrender.DepthMap) -> None:
-    """A second frame after the first: its depth and picture, what was kept, and how far it is from one on its own."""
+    """Frames after one another, to and fro: their depth and picture, what was kept, and how far they are from frames on
+    their own."""
+    there_and_back = [*range(1, len(frames)), *range(len(frames) - 2, -1, -1)]
     before = (frames[0], depth, lfrender.render(frames[0], camera, depth))
-
-    def followed() -> lfrender.DepthMap:
-        return lfrender.analyze(frames[1], camera, preset, previous=before[:2])
-
-    after = followed()
-
-    def drawn() -> lfrender.Rendering:
-        return lfrender.render(frames[1], camera, after, previous=before)
-
-    same = (drawn().image == before[2].image).reshape(*before[2].image.shape[:2], -1).all(2).mean()
-    alone = lfrender.analyze(frames[1], camera, preset)
-    both = (alone.mode != 0) & (after.mode != 0)
-    apart = np.abs(alone.patch_size - after.patch_size)[both] > _APART * depth.pitch
-    analysis, drawing = _medians(followed, drawn)
+    alone = [lfrender.analyze(frame, camera, preset) for frame in frames]
+    times, told = [], []
+    for step in range(-2, max(_STEPS, len(there_and_back))):
+        k = there_and_back[step % len(there_and_back)]
+        start = time.perf_counter()
+        after = lfrender.analyze(frames[k], camera, preset, previous=before[:2])
+        middle = time.perf_counter()
+        picture = lfrender.render(frames[k], camera, after, previous=before)
+        # The first steps compile.
+        if step >= 0:
+            times.append([1e3 * (middle - start), 1e3 * (time.perf_counter() - middle)])
+            same = (picture.image == before[2].image).reshape(*picture.image.shape[:2], -1).all(2).mean()
+            both = (alone[k].mode != 0) & (after.mode != 0)
+            apart = np.abs(alone[k].patch_size - after.patch_size)[both] > _APART * depth.pitch
+            told.append([after.saved.get("still", 0.0), after.saved.get("steady", 0.0), same, apart.mean()])
+        before = (frames[k], after, picture)
+    (analysis, drawing), whole = np.median(times, 0), np.sum(times, 1)
+    still, steady, same, apart = 100 * np.mean(told, 0)
     print(
-        f"  {preset:9} next frame: analyze {analysis:.1f} + render {drawing:.1f} = {analysis + drawing:.1f} ms,"
-        f" {100 * after.saved.get('still', 0.0):.0f} % of the lenses still,"
-        f" {100 * after.saved.get('steady', 0.0):.0f} % steady, {100 * same:.0f} % of the pixels kept;"
-        f" {100 * apart.mean():.1f} % of the lenses more than {_APART} D from the depth of the frame on its own"
+        f"  {preset:9} next frame: analyze {analysis:.1f} + render {drawing:.1f} ms, median {np.median(whole):.1f},"
+        f" mean {whole.mean():.1f} ms of {len(whole)}, {still:.0f} % of the lenses still, {steady:.0f} % steady,"
+        f" {same:.0f} % of the pixels kept; {apart:.1f} % of the lenses more than {_APART} D from the depth of the frame"
+        " on its own"
     )
 
 

@@ -30,6 +30,12 @@ class DepthFileError(LightFieldError, ValueError):
     """A depth file is missing, damaged, or belongs to another camera."""
 
 
+def _finite(values: NDArray[np.float32]) -> bool:
+    """Whether all values are, none of which is so large that their sum is not: one that is not makes it another."""
+    with np.errstate(invalid="ignore"):
+        return bool(np.isfinite(values.sum()))
+
+
 @dataclass(frozen=True)
 class DepthMap(Frozen):
     """Depth of every lens, in the order of `lattice.centres()`, and of every place of the picture.
@@ -87,7 +93,7 @@ class DepthMap(Frozen):
             raise ValueError("reason must be 0 for every lens with a patch size, and only for those")
         reason.flags.writeable = False
         object.__setattr__(self, "reason", reason)
-        if not np.isfinite(self.drawn).all() or not np.isfinite(self.surface.patch_size).all():
+        if not _finite(self.drawn) or not _finite(self.surface.patch_size):
             raise ValueError("drawn and surface must be finite")
         object.__setattr__(self, "image_size", (int(self.image_size[0]), int(self.image_size[1])))
 

@@ -44,7 +44,7 @@ class Lenses:
     indices : (n, 2) int
         On the lattice.
     near : (n,) bool
-        Lenses with a new answer, and those that support them.
+        Lenses with a new answer.
     active : (n,) bool
         Those of them to match.
     sample : (n,) bool, optional

@@ -7,50 +7,10 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .fastmath import FAST
-from .surface import Surface
+from .surface import Surface, mark_changes
 from .tile_drawing import Drawing
 
 __all__ = ["pixels_to_redraw"]
-
-# Side of the squares of grid values of which it is known whether any differ.
-_SQUARE = 4
-
-
-@njit(cache=True, nogil=True)
-def _differ(old, new, top, bottom, left, right):
-    """Whether any of the values of some rows and columns are not the same."""
-    for v in range(top, bottom):
-        for u in range(left, right):
-            if old[v, u] != new[v, u]:
-                return True
-    return False
-
-
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _mark_beside_changes(old, new, first_x, first_y, spacing, centres, reach, changed):
-    """Set `changed` of lenses with a value within `reach` that differs between two surfaces."""
-    rows, columns = new.shape
-    # Which squares of values hold any that differ: where none about a lens does, nobody looks at their values.
-    down, across = (rows + _SQUARE - 1) // _SQUARE, (columns + _SQUARE - 1) // _SQUARE
-    some = np.empty((down, across), np.bool_)
-    for j in prange(down):
-        for i in range(across):
-            v, u = j * _SQUARE, i * _SQUARE
-            some[j, i] = _differ(old, new, v, min(v + _SQUARE, rows), u, min(u + _SQUARE, columns))
-    for lens in prange(len(centres)):
-        if changed[lens]:
-            continue
-        x, y = (centres[lens, 0] - first_x) / spacing, (centres[lens, 1] - first_y) / spacing
-        side = reach / spacing
-        top, bottom = max(0, int(np.ceil(y - side))), min(rows, int(np.floor(y + side)) + 1)
-        left, right = max(0, int(np.ceil(x - side))), min(columns, int(np.floor(x + side)) + 1)
-        for j in range(top // _SQUARE, (bottom + _SQUARE - 1) // _SQUARE):
-            for i in range(left // _SQUARE, (right + _SQUARE - 1) // _SQUARE):
-                if some[j, i] and not changed[lens]:
-                    v, u = j * _SQUARE, i * _SQUARE
-                    changed[lens] = _differ(
-                        old, new, max(v, top), min(v + _SQUARE, bottom), max(u, left), min(u + _SQUARE, right)
-                    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
@@ -103,9 +63,7 @@ def pixels_to_redraw(drawing: Drawing, before: Surface, changed: NDArray[np.bool
     reach = drawing.reach * lattice.pitch
     stale = changed.copy()
     # A place between grid values depends on all four of them.
-    _mark_beside_changes(
-        before.patch_size, now.patch_size, *now.first, now.spacing, centres, reach + 1.5 * now.spacing, stale
-    )
+    mark_changes(before, now, centres, reach + 1.5 * now.spacing, stale)
     wanted = np.empty((rows, columns), bool)
     # Pixels are read at several places where patches are larger, all of them within the pixel.
     farthest = reach + drawing.spacing

@@ -53,8 +53,8 @@ def _place(
 ):  # fmt: skip
     """Where some pixels read a lens, which may reach beyond the `border` of the flat, and how much that counts.
 
-    Leaves the parts of a pixel and the weight in `work`, and in `whole` the pixel of the flat and the place in the light
-    table. All numbers are of 32 bits: sums of whole ones would be of 64, half as many at a time.
+    Leaves the parts of a pixel and the weight in `work`, and in `whole` the pixel of the flat and the place in the
+    light table. All numbers are of 32 bits: sums of whole ones would be of 64, half as many at a time.
     """
     last_x, last_y = np.int32(width - 2), np.int32(height - 2)
     end_x, end_y = np.float32(width - 1), np.float32(height - 1)
@@ -85,7 +85,7 @@ def _place(
 
 @njit(cache=True, nogil=True, inline="always")
 def _ask_for(line, down, whole, at, lanes):
-    """Have the memory fetched that some pixels are going to be read from: lenses lie at too odd steps to be foreseen."""
+    """Have the memory fetched that some pixels are read from soon: lenses lie at too odd steps to be foreseen."""
     for first in range(np.uint64(0), lanes, _AHEAD):
         for k in range(first, first + np.uint64(_ROWS)):
             prefetch(line, np.uint64(np.uint32(whole[at + k])))
@@ -437,7 +437,8 @@ def blend_rows(
         slope, limits, sizes = np.empty(_LINE, np.float32), np.empty(_LINE, np.float32), np.empty(_LINE, np.float32)
         places, level = np.empty(SECTION, np.int32), np.empty(beneath, np.float32)
         near, torn = np.empty(beneath, np.float32), np.empty(beneath, np.bool_)
-        along, chosen, across = np.empty((_ROWS, SECTION), np.float32), np.empty(SECTION, np.int32), np.empty(_LINE, np.int32)
+        along, chosen = np.empty((_ROWS, SECTION), np.float32), np.empty(SECTION, np.int32)
+        across = np.empty(_LINE, np.int32)
         some, before = np.empty(SECTION, np.bool_), np.empty(SECTION // _ACROSS + 1, np.int64)
         ratios, share = np.empty(_LINE, np.int32), np.ones(types * _LINE, np.float32)
         sums, totals = np.empty(4 * _LINE, np.float32), np.empty(4 * _LINE, np.float32)

@@ -16,6 +16,7 @@ from .neighbours import both_ways, grown
 from .probing import probe
 from .radiance import GrayFlat, shrink
 from .refinement import LAST_STEP
+from .remembered import remembered
 from .rivals import shared_trust, without_rivals
 from .texture import FIXED_SHADING, LensStatistics, Texture, lens_statistics
 
@@ -216,7 +217,7 @@ class Matcher:
 
         Pairs in two directions tell whether a lens shows what is expected; the third adds little.
         """
-        forward, backward = (np.ascontiguousarray(rows[:, :_PROBED]) for rows in (self.forward, self.backward))
+        forward, backward = (_probed(rows) for rows in (self.forward, self.backward))
         return probe(self.gray, forward, backward, self.statistics, active, about, self._noise, self._strips(active))
 
     def costs(self, pair: NDArray[np.float32], wanted: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
@@ -237,6 +238,11 @@ class Matcher:
     def tolerance(self) -> int:
         """Steps that belong to one optimum."""
         return max(1, round(1.5 / self.step))
+
+
+def _probed(rows: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(n, d) neighbour rows in the directions in which lenses are probed; shared, as `neighbour_rows`."""
+    return remembered(rows, "probed", lambda: np.ascontiguousarray(rows[:, :_PROBED]))
 
 
 def search(

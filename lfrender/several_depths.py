@@ -205,10 +205,8 @@ def _asked(
     """The lenses to ask: those with texture and without an answer, and those beside them."""
     forward, backward = lens_halves(lattice)
     neighbours = neighbour_rows(lattice, lattice.steps)
-    near = np.ones(len(lattice), bool)
-    if kept is not None:
-        # Lenses beside those with a new answer support them.
-        near = grown(~kept, neighbours)
+    # Lenses that keep their answer support those beside them with it.
+    near = np.ones(len(lattice), bool) if kept is None else ~kept
     noise = None if overview is None else overview.noise
     texture = find_texture(gray, lattice, plain, blank, grown(near, neighbours), noise)
     some = texture.clear | texture.faint

@@ -17,7 +17,7 @@ from lfcal import Lattice
 
 from .fastmath import FAST
 from .microimages import cut_out
-from .neighbours import neighbour_rows
+from .neighbours import around, neighbour_rows
 from .radiance import GrayFlat
 from .remembered import remembered
 from .scratch import recycled
@@ -198,10 +198,8 @@ def flatten_shading(
     near = neighbour_rows(lattice, remembered(lattice, "of its type", lambda: _steps_of_type(lattice)))
     read = None
     if not wanted.all():
-        # The last place is that of no lens.
-        read = np.zeros(len(near) + 1, bool)
-        read[near[wanted]] = True
-        read = read[:-1]
+        # For every step there is the opposite one.
+        read = around(wanted, near) > 0
     strips = cut_out(gray, means, 1, read)
     out = recycled(gray.image.shape, np.float32) if others is None else others.image
     _subtract_shading(

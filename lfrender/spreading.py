@@ -186,7 +186,8 @@ def spread(
         old = before.patch_size
     if settled is None:
         old = old[:0, :0]
-    table = np.hstack([gray.centres, trust[:, None], values[:, None], seconds])
+    table = np.empty((len(values), 6), np.float32)
+    table[:, :2], table[:, 2], table[:, 3], table[:, 4:] = gray.centres, trust, values, seconds
 
     def settle(
         shape: tuple[int, int], part: float, old: NDArray[np.float32], coarse: NDArray[np.float32], purpose: str
@@ -223,5 +224,5 @@ def _every_other(values: NDArray[np.float32], shape: tuple[int, int]) -> NDArray
     """Every other row and column, with the last ones repeated to fill the `shape`; (0, 0) stays so."""
     if not values.size:
         return values
-    v, u = (np.minimum(2 * np.arange(n), (m - 1) // 2 * 2) for n, m in zip(shape, values.shape, strict=True))
-    return values[v[:, None], u]
+    some = values[::2, ::2]
+    return np.pad(some, [(0, n - m) for n, m in zip(shape, some.shape, strict=True)], "edge")

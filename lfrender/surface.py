@@ -8,7 +8,12 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["Surface"]
+from .fastmath import FAST
+
+__all__ = ["Surface", "mark_changes"]
+
+# Side of the squares of grid values of which it is known whether any differ.
+_SQUARE = 4
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -17,6 +22,43 @@ def _nearest(values, first_x, first_y, spacing, points, out):
     for k in prange(len(out)):
         u, v = np.rint((points[k, 0] - first_x) / spacing), np.rint((points[k, 1] - first_y) / spacing)
         out[k] = values[min(max(int(v), 0), rows - 1), min(max(int(u), 0), columns - 1)]
+
+
+@njit(cache=True, nogil=True)
+def _differ(old, new, top, bottom, left, right):
+    """Whether any of the values of some rows and columns are not the same."""
+    for v in range(top, bottom):
+        for u in range(left, right):
+            if old[v, u] != new[v, u]:
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _mark_changes(old, new, first_x, first_y, spacing, centres, reach, changed):
+    """Set `changed` of lenses with a value within `reach` that differs between two surfaces."""
+    rows, columns = new.shape
+    # Which squares of values hold any that differ: where none about a lens does, nobody looks at their values.
+    down, across = (rows + _SQUARE - 1) // _SQUARE, (columns + _SQUARE - 1) // _SQUARE
+    some = np.empty((down, across), np.bool_)
+    for j in prange(down):
+        for i in range(across):
+            v, u = j * _SQUARE, i * _SQUARE
+            some[j, i] = _differ(old, new, v, min(v + _SQUARE, rows), u, min(u + _SQUARE, columns))
+    for lens in prange(len(centres)):
+        if changed[lens]:
+            continue
+        x, y = (centres[lens, 0] - first_x) / spacing, (centres[lens, 1] - first_y) / spacing
+        side = reach / spacing
+        top, bottom = max(0, int(np.ceil(y - side))), min(rows, int(np.floor(y + side)) + 1)
+        left, right = max(0, int(np.ceil(x - side))), min(columns, int(np.floor(x + side)) + 1)
+        for j in range(top // _SQUARE, (bottom + _SQUARE - 1) // _SQUARE):
+            for i in range(left // _SQUARE, (right + _SQUARE - 1) // _SQUARE):
+                if some[j, i] and not changed[lens]:
+                    v, u = j * _SQUARE, i * _SQUARE
+                    changed[lens] = _differ(
+                        old, new, max(v, top), min(v + _SQUARE, bottom), max(u, left), min(u + _SQUARE, right)
+                    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -42,3 +84,13 @@ class Surface:
         out = np.empty(len(points), np.float32)
         _nearest(self.patch_size, *self.first, self.spacing, points, out)
         return out
+
+
+def mark_changes(
+    before: Surface, after: Surface, places: NDArray[np.floating], reach: float, changed: NDArray[np.bool_]
+) -> None:
+    """Set `changed` (n,) where a grid value within `reach` [px] to each side of `places` (n, 2) is another one.
+
+    The grids are the same.
+    """
+    _mark_changes(before.patch_size, after.patch_size, *after.first, after.spacing, places, reach, changed)

@@ -181,7 +181,7 @@ class Drawing:
         whole = image.dtype.kind in "ui"
         white = white_level(pixels, self.calibration)
         edged = np.zeros(len(lattice), bool)
-        seen_depth = self._seen_depth(corner, pixels.shape, edged)
+        seen_depth = self._seen_depth(corner, pixels.shape, edged, wanted.size > 0)
         gains, step = self._gains
         lights = 1 / gains
         if self._part_gain is not None:
@@ -248,11 +248,12 @@ class Drawing:
         return shows_all_patches(lattice, self.scale, self.aperture * lattice.radius)
 
     def _seen_depth(
-        self, corner: tuple[int, int], shape: tuple[int, ...], edged: NDArray[np.bool_]
+        self, corner: tuple[int, int], shape: tuple[int, ...], edged: NDArray[np.bool_], following: bool
     ) -> NDArray[np.float32]:
         """What each pixel of a part of the flat sees, (0, 0) where nothing can hide anything.
 
-        Sets the lenses that are `edged` (n,): of the others it tells nothing.
+        Sets the lenses that are `edged` (n,): of the others it tells nothing. A picture `following` another differs
+        from that in some places.
         """
         if not self.blend or self.surface.patch_size.size <= 1:
             return np.empty((0, 0), np.float32)
@@ -260,7 +261,12 @@ class Drawing:
         reach = self.reach * lattice.pitch + self._parallax
         part = (*corner, corner[0] + shape[1], corner[1] + shape[0])
         whole = shape[:2] == self._shape
-        return lens_depths(self.surface, lattice, reach, self._edge, None if whole else part, edged, "seen depth")
+        # Unlit pixels are entered into it as well where the light of the lenses differs.
+        purpose = "seen depth" if self._part_gain is None else "seen depth and light"
+        return lens_depths(
+            self.surface, lattice, reach, self._edge, None if whole else part, edged, purpose,
+            following and self._part_gain is None,
+        )  # fmt: skip
 
     @property
     def _shape(self) -> tuple[int, int]:

@@ -49,3 +49,27 @@ def test_only_lenses_within_reach_of_a_step_are_edged(stepped):
     assert not edged[away > REACH + 3.25].any()
     lens_depths(surface, lattice, REACH, NEAR - FAR + 0.1, edged=edged)
     assert not edged.any()
+
+
+def test_what_follows_another_surface_is_as_made_anew(stepped):
+    lattice, surface = stepped
+    moved = surface.patch_size.copy()
+    moved[30:60, 40:75] = NEAR
+    surfaces = [surface, Surface(moved, surface.first, surface.spacing), surface]
+    edged = np.zeros((2, len(lattice)), bool)
+
+    def entered(surface, lattice=lattice, part=None, following=True):
+        return lens_depths(surface, lattice, REACH, 0.7, part, edged[0], "test", following)
+
+    entered(surfaces[0], following=False)
+    before = edged[0].copy()
+    for number, after in enumerate(surfaces[1:]):
+        seen = entered(after)
+        assert np.array_equal(seen, lens_depths(after, lattice, REACH, 0.7, edged=edged[1]), equal_nan=True)
+        assert np.array_equal(edged[0], edged[1])
+        assert (number == 1) == np.array_equal(edged[0], before)
+    # What another flat has left in that memory is not gone on from.
+    entered(surfaces[1], part=(100, 50, 420, 380))
+    turned = Lattice(lattice.origin, np.asarray(lattice.basis)[::-1], lattice.image_size, lattice.radius)
+    entered(surfaces[1], turned)
+    assert np.array_equal(entered(surface), lens_depths(surface, lattice, REACH, 0.7), equal_nan=True)
