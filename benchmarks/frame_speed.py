@@ -101,8 +101,8 @@ def _next_row(frames: list[NDArray[Any]], camera: lfcal.Calibration, preset: str
     print(
         f"  {preset:9} next frame: analyze {analysis:.1f} + render {drawing:.1f} ms, median {np.median(whole):.1f},"
         f" mean {whole.mean():.1f} ms of {len(whole)}, {still:.0f} % of the lenses still, {steady:.0f} % steady,"
-        f" {same:.0f} % of the pixels kept; {apart:.1f} % of the lenses more than {_APART} D from the depth of frames on"
-        " their own"
+        f" {same:.0f} % of the pixels kept; {apart:.1f} % of the lenses more than {_APART} D from the depth of frames"
+        " on their own"
     )
 
 
