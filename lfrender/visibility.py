@@ -257,9 +257,7 @@ class _Entered:
     edged: NDArray[np.bool_]
     out: NDArray[np.float32]
 
-    def leads_to(
-        self, surface: Surface, settings: _Settings, out: NDArray[np.float32]
-    ) -> bool:
+    def leads_to(self, surface: Surface, settings: _Settings, out: NDArray[np.float32]) -> bool:
         """Whether what follows, in the same memory, can go on from it."""
         grids = [(of.patch_size.shape, of.first, of.spacing) for of in (self.surface, surface)]
         memory = [(of.ctypes.data, of.shape) for of in (self.out, out)]
