@@ -1,6 +1,7 @@
 """Calibration of focused plenoptic cameras: find the microimages on a flat."""
 
 from . import console, notebook
+from . import waiting as waiting
 from .agreement import Agreement, agreement
 from .calibrate import calibrate
 from .calibration import Calibration, load
