@@ -13,6 +13,7 @@ from lfcal import Calibration, CalibrationError
 from .analysis import analyze
 from .depthmap import DepthMap
 from .flatcheck import check_flat
+from .quantiles import quantile
 from .region import check_region
 from .rendering import Rendering
 from .sharpness import lens_blur
@@ -41,7 +42,7 @@ def default_scale(depth: DepthMap) -> float:
     sizes = np.abs(depth.patch_size[np.isfinite(depth.patch_size)])
     if sizes.size == 0:
         return 1.0
-    return max(1.0, float(np.quantile(sizes, _LARGEST_SCALE_SHARE)))
+    return max(1.0, quantile(sizes, _LARGEST_SCALE_SHARE))
 
 
 def render(

@@ -231,7 +231,8 @@ class Drawing:
 
     @cached_property
     def _shares(self) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-        return focus_shares(self.calibration.lens_types)
+        camera = self.calibration
+        return remembered(camera, "focus shares", lambda: focus_shares(camera.lens_types))
 
     @property
     def _sorted_lenses(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
@@ -283,7 +284,8 @@ class Drawing:
 
     @cached_property
     def _gains(self) -> tuple[NDArray[np.float32], float]:
-        return gain_table(self.calibration)
+        camera = self.calibration
+        return remembered(camera, "gain table", lambda: gain_table(camera))
 
     @cached_property
     def _part_gain(self) -> Any:
