@@ -97,7 +97,7 @@ def following(
     asked = grown(grown(~kept, neighbours), neighbours)
     blank = skipped_lenses(gray, small, plain, PRESETS[preset], asked=asked) if shortcuts.blank else None
     depth, _ = lens_by_lens(gray, small, preset, shortcuts, plain, blank, kept, scaled(before, small, 1 / factor))
-    after = scaled(replace(depth, saved={**depth.saved, **saved}), lattice, factor)
+    after = scaled(depth, lattice, factor, {**depth.saved, **saved})
     if gray.image.nbytes <= _MOST_KEPT:
         # The strips that were cut out of it stay as well.
         _latest_frame(calibration)[:] = [(weakref.ref(after), gray, plain)]

@@ -113,8 +113,8 @@ class Earlier:
 
         Where most of them have been asked before, and nothing repeated in what they saw, nothing does.
         """
-        known = self.kept & resolved
-        if 2 * known.sum() <= resolved.sum() or (self.reason[self.kept] == 2).any():
+        known = self.kept & (self.reason == 0)
+        if known.sum() <= (resolved & ~self.kept).sum() or (self.reason[self.kept] == 2).any():
             return None
         # Where the scene may repeat, the confidence of all lenses has been cut to this.
         return np.zeros(len(resolved), bool), bool(self.confidence[known].max() <= SURE)
@@ -210,9 +210,13 @@ def ask(
     explained = found.explained / signal
     astray = misled(error, explained)
     reason, error, sure = judged(textured, found, refined, error, signal, texture.flat.centres, neighbours, pitch)
-    told = None if earlier is None else earlier.recurring(reason == 0)
-    again, perhaps = told or recurring(texture.flat, lenses.indices, refined, reason == 0)
-    little = hardly_seen(texture.flat.centres, refined, reason == 0, pitch)
+    depths, shown, told = refined, reason == 0, None
+    if earlier is not None:
+        # Those that keep their answer see the same scene.
+        told = earlier.recurring(shown)
+        depths, shown = np.where(earlier.kept, earlier.drawn, refined), shown | (earlier.kept & (earlier.reason == 0))
+    again, perhaps = told or recurring(texture.flat, lenses.indices, depths, shown)
+    little = hardly_seen(texture.flat.centres, depths, shown, pitch)
     perhaps = perhaps or unexplained(explained, signal, reason == 0, little)
     reason[again] = 2
     sure = SURE * sure if perhaps else sure

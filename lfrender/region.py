@@ -108,8 +108,11 @@ def _rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
     return grid[j, i]
 
 
-def scaled(depth: DepthMap, lattice: Lattice, factor: float) -> DepthMap:
-    """The depth of the same lenses in pixels `factor` times as small, `lattice` being in those."""
+def scaled(depth: DepthMap, lattice: Lattice, factor: float, saved: dict[str, float] | None = None) -> DepthMap:
+    """The depth of the same lenses in pixels `factor` times as small, `lattice` being in those.
+
+    `saved` is what has been saved if that is something else.
+    """
     first_x, first_y = ((x + 0.5) * factor - 0.5 for x in depth.surface.first)
     surface = Surface(
         (depth.surface.patch_size * np.float32(factor)), (first_x, first_y), depth.surface.spacing * factor
@@ -118,4 +121,5 @@ def scaled(depth: DepthMap, lattice: Lattice, factor: float) -> DepthMap:
         depth, patch_size=depth.patch_size * np.float32(factor),
         standard_error=depth.standard_error * np.float32(factor), drawn=depth.drawn * np.float32(factor),
         surface=surface, pitch=lattice.pitch, image_size=lattice.image_size,
+        saved=depth.saved if saved is None else saved,
     )  # fmt: skip

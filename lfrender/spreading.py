@@ -224,5 +224,8 @@ def _every_other(values: NDArray[np.float32], shape: tuple[int, int]) -> NDArray
     """Every other row and column, with the last ones repeated to fill the `shape`; (0, 0) stays so."""
     if not values.size:
         return values
-    some = values[::2, ::2]
-    return np.pad(some, [(0, n - m) for n, m in zip(shape, some.shape, strict=True)], "edge")
+    some, out = values[::2, ::2], np.empty(shape, values.dtype)
+    rows, columns = some.shape
+    out[:rows, :columns], out[rows:, :columns] = some, some[-1]
+    out[:, columns:] = out[:, columns - 1 : columns]
+    return out

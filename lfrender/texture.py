@@ -14,6 +14,7 @@ from .fastmath import FAST
 from .microimages import copy_box
 from .neighbours import grown, neighbour_rows
 from .radiance import GrayFlat
+from .remembered import remembered
 from .shading import flatten_shading
 
 __all__ = [
@@ -273,6 +274,10 @@ def nearly_untouched_texture(
 
 def noise_of(roughness: NDArray[np.float32]) -> float:
     """The least rough microimages show the noise alone; rounding and coding leave a grey level in any case."""
+    return remembered(roughness, "noise", lambda: _noise_of(roughness))
+
+
+def _noise_of(roughness: NDArray[np.float32]) -> float:
     at = _LEAST_ROUGH * (len(roughness) - 1)
     # As numpy's quantile, which takes six times as long.
     low, high = np.partition(roughness, [int(at), int(np.ceil(at))])[[int(at), int(np.ceil(at))]].astype(float)
