@@ -280,10 +280,14 @@ def _lay(
                     length = np.uint64(high - low) * across
                     # The next row of the picture reads one more row here: lenses lie at too odd steps to be foreseen.
                     ahead = at - down if turned else at + down + down
-                    prefetch(flat, ahead)
-                    prefetch(flat, ahead + length)
-                    for k in range(line_of_memory, length, line_of_memory):
-                        prefetch(flat, ahead + k)
+                    # What is read in whole bunches beyond a run must be there as well, though it is not used.
+                    begin, beyond = ahead, ahead + _up_to(length, bunch) + across
+                    if at_once:
+                        begin, beyond = ahead + length - _up_to(length, turned_bunch), ahead + length + across
+                    prefetch(flat, begin)
+                    prefetch(flat, beyond)
+                    for k in range(begin + line_of_memory, beyond, line_of_memory):
+                        prefetch(flat, k)
                     # Before the first row of a patch there is none to have it fetched; lenses are looked up ahead.
                     if cy - v > above:
                         later_x, later_y = cx + _LATER * around[following, 0], cy + _LATER * around[following, 1]
