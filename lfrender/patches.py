@@ -39,7 +39,7 @@ _BUNCH = 32
 # Processors fetch so many bytes at once.
 _LINE_OF_MEMORY = 64
 # Memory takes as long to come as so many lenses take to read.
-_LATER = 4
+_LATER = 8
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -58,12 +58,14 @@ def _read_turned_run(flat, at, across, down, fx, fy, gain, gain_at, out, start, 
     weights = _weights_of_bytes(fx, fy)
     bunch = np.uint64(3 * TURNED)
     for k in range(np.uint64(0), size, bunch):
-        at, gain_at = at - bunch, gain_at - bunch
-        places = (at, at + across, at + down, at + down + across)
+        # The last bunch begins within the one before it.
+        into = min(k, size - bunch)
+        place = at - into - bunch
+        places = (place, place + across, place + down, place + down + across)
         if len(gain) == 0:
-            read_turned(flat, places, weights, out, start + k)
+            read_turned(flat, places, weights, out, start + into)
         else:
-            read_turned_with_gain(flat, places, weights, gain, gain_at, out, start + k)
+            read_turned_with_gain(flat, places, weights, gain, gain_at - into - bunch, out, start + into)
 
 
 # Python's error model checks every division, which no vector loop can.
@@ -89,19 +91,23 @@ def _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, out, start
     """The same of bytes, with weights of whole 256ths: twice as many at a time."""
     at_b, at_c, at_d = at + across, at + down, at + down + across
     wa, wb, wc, wd = _weights_of_bytes(fx, fy)
-    whole = size // np.uint64(TOGETHER) * np.uint64(TOGETHER)
+    # The last bunch begins within the one before it; fewer bytes than one are read one by one.
+    bunch = np.uint64(TOGETHER)
+    bunched = size if size >= bunch else np.uint64(0)
     if len(gain) == 0:
-        for k in range(np.uint64(0), whole, np.uint64(TOGETHER)):
+        for n in range(np.uint64(0), bunched, bunch):
+            k = min(n, size - bunch)
             read_bytes(flat, (at + k, at_b + k, at_c + k, at_d + k), (wa, wb, wc, wd), out, start + k)
-        for k in range(whole, size):
+        for k in range(bunched, size):
             value = np.uint16(wa * flat[at + k] + wb * flat[at_b + k] + wc * flat[at_c + k] + wd * flat[at_d + k])
             out[start + k] = np.uint16(value + np.uint16(128)) >> np.uint16(8)
     else:
-        for k in range(np.uint64(0), whole, np.uint64(TOGETHER)):
+        for n in range(np.uint64(0), bunched, bunch):
+            k = min(n, size - bunch)
             read_with_gain(
                 flat, (at + k, at_b + k, at_c + k, at_d + k), (wa, wb, wc, wd), gain, gain_at + k, out, start + k
             )
-        for k in range(whole, size):
+        for k in range(bunched, size):
             value = np.uint16(wa * flat[at + k] + wb * flat[at_b + k] + wc * flat[at_c + k] + wd * flat[at_d + k])
             value = np.uint16((np.uint32(value) * np.uint32(gain[gain_at + k])) >> np.uint32(16))
             value = np.uint16(value + np.uint16(1 << (LEFT_BITS - 1))) >> np.uint16(LEFT_BITS)
@@ -109,9 +115,10 @@ def _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, out, start
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _up_to(length, bunch):
-    """The next whole number of bunches."""
-    return (length + bunch - np.uint64(1)) // bunch * bunch
+def _bunched(length, bunch, overlap):
+    """How much is read of a run: as much as it has where bunches may `overlap`, but a whole one; else the next whole
+    number of them."""
+    return max(length, bunch) if overlap else (length + bunch - np.uint64(1)) // bunch * bunch
 
 
 @njit(cache=True, nogil=True)
@@ -205,11 +212,11 @@ def _lay(
             around[count, 0], around[count, 1] = ex, ey
             room[count], tilt[count] = 0.5 * (ex * ex + ey * ey) / ex, -ey / ex
             count += 1
-    turned = patch_slope > 0
+    turned, of_bytes = patch_slope > 0, flat.itemsize == 1
     slope = -1 if turned else 1
-    bunch, turned_bunch = np.uint64(TOGETHER if flat.itemsize == 1 else _BUNCH), np.uint64(3 * TURNED)
+    bunch, turned_bunch = np.uint64(TOGETHER if of_bytes else _BUNCH), np.uint64(3 * TURNED)
     phases, line_of_memory = np.uint64(_PHASES), np.uint64(_LINE_OF_MEMORY // flat.itemsize)
-    at_once = turned and flat.itemsize == 1 and channels == 3
+    at_once = turned and of_bytes and channels == 3
     across, down = np.uint64(channels), np.uint64(width * channels)
     gain = tabled.reshape(-1)
     gain_line = np.uint64(tabled.shape[2])
@@ -280,10 +287,11 @@ def _lay(
                     length = np.uint64(high - low) * across
                     # The next row of the picture reads one more row here: lenses lie at too odd steps to be foreseen.
                     ahead = at - down if turned else at + down + down
-                    # What is read in whole bunches beyond a run must be there as well, though it is not used.
-                    begin, beyond = ahead, ahead + _up_to(length, bunch) + across
+                    # What is read beyond a run must be there as well, though it is not used.
+                    bunched, turned_length = _bunched(length, bunch, of_bytes), max(length, turned_bunch)
+                    begin, beyond = ahead, ahead + bunched + across
                     if at_once:
-                        begin, beyond = ahead + length - _up_to(length, turned_bunch), ahead + length + across
+                        begin, beyond = ahead + length - turned_length, ahead + length + across
                     prefetch(flat, begin)
                     prefetch(flat, beyond)
                     for k in range(begin + line_of_memory, beyond, line_of_memory):
@@ -304,7 +312,6 @@ def _lay(
                         gain_at = gain_row * gain_line + step // phases * across + np.uint64(_BUNCH)
                     # What is written beyond the end of a run must neither leave the row nor cover what is written, nor
                     # may what is read leave the flat.
-                    bunched, turned_length = _up_to(length, bunch), _up_to(length, turned_bunch)
                     spare = high == end and turned_length < min(at + length, room_in_row - into)
                     if at_once and spare and at + length < last_place:
                         _read_turned_run(
@@ -315,7 +322,7 @@ def _lay(
                             length = bunched
                         direct = not turned and high == end and into + length <= room_in_row
                         to = row if direct else line
-                        if flat.itemsize == 1:
+                        if of_bytes:
                             _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, to, into, length)
                         else:
                             _read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, to, into, length)
