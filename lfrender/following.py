@@ -34,6 +34,8 @@ _MOST_KEPT = 1 << 25
 # has not moved to one side by the second number [px of the search] and so many standard errors of one pair, neither
 # there nor in so many lenses beside it.
 _WORSE, _MOVED, _SURELY, _TOGETHER = 0.15, 0.1, 4.0, 2
+# Beside one that may not, it is not asked again either where it is worse and has moved by less than this share of that.
+_HARDLY = 0.25
 
 
 def following(
@@ -88,7 +90,9 @@ def following(
         # What shows the same matches as it did.
         probe = _probe(gray, small, plain, before, factor, kept).but(then, kept)
         told = (before.reason == 0) & probe.textured
-        kept |= ~grown(~kept & _unsteady(then, probe, told, before.reason, neighbours), neighbours)
+        unsteady, doubtful = _unsteady(then, probe, told, before.reason, neighbours)
+        unsteady &= ~kept
+        kept |= ~(unsteady | (doubtful & grown(unsteady, neighbours)))
         saved["steady"] = float(kept.mean()) - saved["still"]
         if kept.all():
             return _noted(replace(before, saved=saved), before, changed, then)
@@ -220,10 +224,11 @@ def _unsteady(
     told: NDArray[np.bool_],
     reason: NDArray[np.int8],
     neighbours: NDArray[np.int32],
-) -> NDArray[np.bool_]:
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Lenses whose depth may be another one: they match worse there, or better beside it, together with others.
 
-    Of those without an answer, those that now carry texture, or match where they are drawn.
+    Of those without an answer, those that now carry texture, or match where they are drawn. And those that are in doubt
+    if one beside them is of these.
     """
     moved = now.offset - then.offset
     found = told & (now.cost > then.cost + _WORSE)
@@ -233,7 +238,8 @@ def _unsteady(
     least = np.maximum(_MOVED, np.float32(_SURELY) * np.hypot(then.error, now.error))
     for side in (-1, 1):
         found |= beside(told & (side * moved > least), neighbours) >= _TOGETHER
-    return np.asarray(found)
+    doubtful = ~told | (now.cost > then.cost + _HARDLY * _WORSE) | (np.abs(moved) > np.float32(_HARDLY) * least)
+    return np.asarray(found), np.asarray(doubtful)
 
 
 def _noted(

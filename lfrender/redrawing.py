@@ -14,19 +14,17 @@ __all__ = ["pixels_to_redraw"]
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _mark_pixels(centres, changed, first, spacing, reach, strip, out):
-    """Set `out` within `reach` of `changed` lenses, `strip` rows of it at a time."""
+def _mark_pixels(places, side, strip, out):
+    """Set `out` no farther than `side` from `places` (m, 2) in it, `strip` rows of it at a time, and unset the rest."""
     rows, columns = out.shape
-    side = reach / spacing
     for s in prange((rows + strip - 1) // strip):
         top, bottom = s * strip, min(rows, (s + 1) * strip)
         # How many more lenses reach a pixel than the one to its left.
         more = np.zeros((bottom - top, columns + 1), np.int32)
-        for lens in range(len(centres)):
-            y = (centres[lens, 1] - first) / spacing
-            if not changed[lens] or y + side < top or y - side > bottom:
+        for n in range(len(places)):
+            x, y = places[n, 0], places[n, 1]
+            if y + side < top or y - side > bottom:
                 continue
-            x = (centres[lens, 0] - first) / spacing
             for v in range(max(top, int(np.ceil(y - side))), min(bottom - 1, int(np.floor(y + side))) + 1):
                 half = np.sqrt(max(side * side - (v - y) * (v - y), 0.0))
                 left, right = max(0, int(np.ceil(x - half))), min(columns, int(np.floor(x + half)) + 1)
@@ -67,5 +65,6 @@ def pixels_to_redraw(drawing: Drawing, before: Surface, changed: NDArray[np.bool
     wanted = np.empty((rows, columns), bool)
     # Pixels are read at several places where patches are larger, all of them within the pixel.
     farthest = reach + drawing.spacing
-    _mark_pixels(centres, stale, 0.5 * drawing.spacing - 0.5, drawing.spacing, farthest, 16, wanted)
+    places = (centres[stale] - (0.5 * drawing.spacing - 0.5)) / drawing.spacing
+    _mark_pixels(places, farthest / drawing.spacing, 16, wanted)
     return wanted

@@ -23,8 +23,6 @@ _Settings = tuple[Lattice, float, float, tuple[int, int, int, int] | None]
 
 # Side of the squares of grid values whose range is known: where lenses see no edge in these, none looks at the values.
 _SQUARE = 4
-# From the middle of a square to its corners, as a multiple of half its side, and a little more.
-_DIAGONAL = np.float32(1.42)
 # What is left free between two lenses to each side [px]: more than rounding of their centres.
 _APART = 0.01
 # Height of the bands of a flat that one thread works on, one after the other, in pitches.
@@ -92,7 +90,6 @@ def _enter(
         edged[lens] = highest - lowest >= edge
         if not edged[lens]:
             continue
-        within = left <= cx - radius and top <= cy - radius and right - 1 >= cx + radius and bottom - 1 >= cy + radius
         for v in range(low_v, high_v + 1):
             across_y = np.float32(first_y + v * spacing - cy)
             for u in range(low_u, high_u + 1):
@@ -105,18 +102,14 @@ def _enter(
                 dx, dy = -np.float32(first_x + u * spacing - cx) * tilt, -across_y * tilt
                 # The grid value stands for a square of this size in the microimage.
                 half = np.float32(0.5) * abs(tilt) * spacing + np.float32(0.25)
-                distance_2 = dx * dx + dy * dy
-                if distance_2 > (radius + half) ** 2:
+                if dx * dx + dy * dy > (radius + half) ** 2:
                     continue
-                # Not even the corners of the square reach the rim.
-                middle = within and distance_2 < max(radius - _DIAGONAL * half, np.float32(0.0)) ** 2
                 for y in range(int(np.ceil(cy + dy - half)), int(np.floor(cy + dy + half)) + 1):
                     for x in range(int(np.ceil(cx + dx - half)), int(np.floor(cx + dx + half)) + 1):
-                        if not middle:
-                            if x < left or y < top or x >= right or y >= bottom:
-                                continue
-                            if (x - cx) * (x - cx) + (y - cy) * (y - cy) > radius * radius:
-                                continue
+                        if x < left or y < top or x >= right or y >= bottom:
+                            continue
+                        if (x - cx) * (x - cx) + (y - cy) * (y - cy) > radius * radius:
+                            continue
                         # True where nothing is known as yet.
                         if not nearness(out[y - top, x - left], pitch) >= near:
                             out[y - top, x - left] = s
