@@ -139,8 +139,22 @@ def test_what_noise_alone_may_have_moved_is_not_asked_again(error, asked):
     then = _Probe(none, none, np.full(count, error, np.float32), every, every)
     # Twice the least motion that is looked at, of all lenses to one side.
     now = replace(then, offset=np.full(count, 0.2, np.float32))
-    found = _unsteady(then, now, every, np.zeros(count, np.int8), neighbour_rows(lattice, lattice.steps))
+    found, _ = _unsteady(then, now, every, np.zeros(count, np.int8), neighbour_rows(lattice, lattice.steps))
     assert found.all() if asked else not found.any()
+
+
+@pytest.mark.parametrize(("moved", "worse", "in_doubt"), [(0.01, 0.0, False), (0.06, 0.0, True), (0.0, 0.1, True)])
+def test_lenses_beside_one_with_another_depth_are_in_doubt_where_anything_has_changed(moved, worse, in_doubt):
+    lattice = Lattice((20.0, 20.0), ((23.2, 0.0), (0.0, 23.2)), (240, 240), 11.0)
+    count = len(lattice)
+    every, none = np.ones(count, bool), np.zeros(count, np.float32)
+    then = _Probe(none, none, np.full(count, 0.01, np.float32), every, every)
+    now = replace(then, offset=np.full(count, moved, np.float32), cost=np.full(count, worse, np.float32))
+    neighbours = neighbour_rows(lattice, lattice.steps)
+    found, doubtful = _unsteady(then, now, every, np.zeros(count, np.int8), neighbours)
+    assert not found.any() and doubtful.all() == doubtful.any() == in_doubt
+    # Without an answer there is nothing to be sure of.
+    assert _unsteady(then, then, ~every, np.ones(count, np.int8), neighbours)[1].all()
 
 
 def test_a_depth_that_changes_little_by_little_is_found_in_the_end(drawn_flat):
