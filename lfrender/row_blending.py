@@ -307,20 +307,12 @@ def _lay_lenses(
             runs[found, 2] = max((min(u + _LANES, end) - u) // _GROUP, _FEWEST)
             q, lanes = np.uint64(found % _QUEUE), _whole(runs[found, 2])
             kind = np.uint64(kinds[lens]) * np.uint64(_LINE)
-            if border:
-                _place(
-                    across, rows, np.int32(column - anchor_x), np.int32(row - anchor_y), e_x, e_y, step,
-                    np.float32(cx - at_x), np.float32(cy - at_y), np.int32(at_x), np.int32(at_y), slope, limits, share,
-                    np.uint64(u), kind, True, width, height, np.int32(stride), corner_x, corner_y, per_light_step,
-                    last_ring, lanes, work, whole, q * _WORK,
-                )  # fmt: skip
-            else:
-                _place(
-                    across, rows, np.int32(column - anchor_x), np.int32(row - anchor_y), e_x, e_y, step,
-                    np.float32(cx - at_x), np.float32(cy - at_y), np.int32(at_x), np.int32(at_y), slope, limits, share,
-                    np.uint64(u), kind, False, width, height, np.int32(stride), corner_x, corner_y, per_light_step,
-                    last_ring, lanes, work, whole, q * _WORK,
-                )  # fmt: skip
+            _place(
+                across, rows, np.int32(column - anchor_x), np.int32(row - anchor_y), e_x, e_y, step,
+                np.float32(cx - at_x), np.float32(cy - at_y), np.int32(at_x), np.int32(at_y), slope, limits, share,
+                np.uint64(u), kind, border, width, height, np.int32(stride), corner_x, corner_y, per_light_step,
+                last_ring, lanes, work, whole, q * _WORK,
+            )  # fmt: skip
             _ask_for(line, down, whole, q * _WORK, lanes)
             if edged[lens]:
                 _ask_for(seen, down, whole, q * _WORK, lanes)

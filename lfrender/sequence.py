@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 
 from .fastmath import FAST
+from .quantiles import quantile
 from .radiance import trusted_radius, white_level
 
 __all__ = ["changed_lenses"]
@@ -150,27 +151,6 @@ def _pool(blocks, centres, side, radius, per_pixel, out):
 
 
 @njit(cache=True, nogil=True)
-def _quantile(values, share):
-    """As `quantiles.quantile`; puts the values in another order."""
-    place = share * (len(values) - 1)
-    low, high = int(place), min(int(place) + 1, len(values) - 1)
-    parted = np.partition(values, high)
-    least = np.partition(parted[: high + 1], low)[low]
-    return least + (place - low) * (parted[high] - least)
-
-
-@njit(cache=True, nogil=True)
-def _raise_noise(groups, ends, noise):
-    """Let the `noise` of each group be no less than its quietest lenses tell."""
-    start = 0
-    for k in range(len(ends)):
-        smooth, still = groups[0, start : ends[k]], groups[1, start : ends[k]]
-        if len(smooth):
-            noise[k] = max(noise[k], min(_quantile(smooth, _SMOOTH), _quantile(still, _STILL)))
-        start = ends[k]
-
-
-@njit(cache=True, nogil=True)
 def _group(edges, mean, rough, pixel, level, ends, groups):
     """Group lenses by the `level` of their mean between the `edges`; fill `groups` (2, n) with `rough` and `pixel` of
     one group after the other, each of which `ends` before the place that it tells."""
@@ -225,7 +205,9 @@ def changed_lenses(before: NDArray, now: NDArray, calibration: Calibration) -> N
     edges = ordered[np.arange(1, _LEVELS) * len(ordered) // _LEVELS]
     _group(edges, mean, 2 * rough, pixel, level, ends, groups)
     noise = np.full(_LEVELS, rounding / channels)
-    _raise_noise(groups, ends, noise)
+    for k, (smooth, still) in enumerate(zip(*(np.split(values, ends[:-1]) for values in groups), strict=True)):
+        if len(smooth):
+            noise[k] = max(noise[k], min(quantile(smooth, _SMOOTH), quantile(still, _STILL)))
     # Noise may change much within a group, as where pixels are cut off at black.
     allowed = np.maximum(np.maximum(noise[_BELOW], noise[_ABOVE]), noise)[level]
     unseen = _UNSEEN_SHARE * contrast

@@ -68,6 +68,11 @@ def test_what_follows_another_surface_is_as_made_anew(stepped):
         assert np.array_equal(seen, lens_depths(after, lattice, REACH, 0.7, edged=edged[1]), equal_nan=True)
         assert np.array_equal(edged[0], edged[1])
         assert (number == 1) == np.array_equal(edged[0], before)
+    # Only what may differ is entered anew: what lies elsewhere in that memory stays as it is.
+    far = np.flatnonzero(np.linalg.norm(lattice.centres() - [380, 330], axis=1) < 15)[0]
+    x, y = lattice.centres()[far].round().astype(int)
+    entered(surfaces[0])[y, x] = 123.0
+    assert entered(surfaces[1])[y, x] == 123.0 and entered(surfaces[1], following=False)[y, x] != 123.0
     # What another flat has left in that memory is not gone on from.
     entered(surfaces[1], part=(100, 50, 420, 380))
     turned = Lattice(lattice.origin, np.asarray(lattice.basis)[::-1], lattice.image_size, lattice.radius)
