@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration, Lattice
 
 from .fastmath import FAST
+from .prefetching import prefetch
 from .remembered import remembered
 from .scratch import recycled
 
@@ -34,6 +35,8 @@ _LEAST_TRUSTED, _LEAST_RADIUS = 0.3, 1.5
 _BEYOND, _UNSHARED, _UNSHARED_BENT = 3.0, 0.4995, 0.49
 # Bytes of no more rows than this are summed as such.
 _MOST_TOGETHER = 64
+# Values in a line of memory; rows of boxes are asked for so many rows ahead.
+_LINE, _AHEAD = 16, 2
 # Cameras with no more pixels than this keep what corrects them [px].
 _MOST_KEPT = 1 << 25
 # A pixel made of several at the rim mixes light from beyond it [px].
@@ -345,12 +348,17 @@ def _shrink_row(image, top, first, factor, line, into):
 def _shrink_boxes(image, centres, half, factor, out):
     """Fill the pixels of `out` no farther than `half` from a centre, each way: means of `factor` x `factor` others."""
     height, width = out.shape
+    pixels, down = image.reshape(-1), image.shape[1]
     for lens in prange(len(centres)):
         x, y = int(np.rint(centres[lens, 0])), int(np.rint(centres[lens, 1]))
         left, right = max(0, x - half), min(width - 1, x + half)
         columns = max(right + 1 - left, 0)
         line = np.empty(columns * factor, np.float32)
         for v in range(max(0, y - half), min(height - 1, y + half) + 1):
+            # Rows of a box lie too far apart for the processor to guess which is read next.
+            for r in range((v + _AHEAD) * factor, (v + _AHEAD + 1) * factor):
+                for k in range(0, len(line) + _LINE, _LINE):
+                    prefetch(pixels, np.uint64(r * down + left * factor + k))
             _shrink_row(image, v * factor, left * factor, factor, line, out[v, left : left + columns])
 
 
