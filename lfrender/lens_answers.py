@@ -164,7 +164,8 @@ class Answers:
     def pooled(self, lenses: Lenses, kept: NDArray[np.bool_] | None) -> Answers:
         """These with what the lenses on the same surface say as well; those that are `kept` stay."""
         wanted = self.resolved if kept is None else self.resolved & ~kept
-        sizes, errors = pooled(lenses.texture.flat.centres, lenses.pitch, lenses.neighbours, self.alone, wanted)
+        flat = lenses.texture.flat
+        sizes, errors = pooled(flat.centres, lenses.pitch, flat.radius, lenses.neighbours, self.alone, wanted)
         known = wanted & np.isfinite(errors)
         return replace(
             self,

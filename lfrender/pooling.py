@@ -16,6 +16,12 @@ __all__ = ["pooled"]
 _APART = 3.0
 # No surface is even, and no slant better known than to this.
 _LEAST_SLANT = 0.002
+# Bends of surfaces [pitches of s per squared pitch of the scene] are about so large. One is believed as far as its
+# square exceeds so many times its variance: on flat surfaces there is none.
+_BENT, _CHANCE = 0.007, 5.0
+# Half the mean square distance [pitches^2] of what a lens sees from its middle, at most: the lenses around tell no bend
+# farther off.
+_FARTHEST = 1.0
 # How far the lenses about one scatter beyond their errors is found in so many rounds.
 _ROUNDS = 3
 # Lenses that together weigh less than one half say nothing.
@@ -109,13 +115,94 @@ def _expect(count, away, along_x, along_y, variance, share, slant_known):
     return height, inverse + uneven, count / total
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bend(count, away, along_x, along_y, bent, variance, share, slant_known, bend_known):
+    """How the surface bends that `count` lenses see by their differences `away`, and the variance of that.
+
+    A weighted paraboloid, round since a slant in each direction and one bend are all that so few lenses tell. Lenses
+    that scatter about it make it as much less certain.
+    """
+    a = b = c = d = e = f = g = h = i = j = p = q = r = s = squares = 0.0
+    freedom = -2.0
+    for k in range(count):
+        w, x, y, z = share[k] / variance[k], along_x[k], along_y[k], bent[k]
+        a += w
+        b += w * x
+        c += w * y
+        d += w * x * x
+        e += w * x * y
+        f += w * y * y
+        g += w * z
+        h += w * z * x
+        i += w * z * y
+        j += w * z * z
+        p += w * away[k]
+        q += w * x * away[k]
+        r += w * y * away[k]
+        s += w * z * away[k]
+        squares += w * away[k] * away[k]
+        freedom += share[k]
+    d += slant_known
+    f += slant_known
+    i00, i01, i02 = d * f - e * e, c * e - b * f, b * e - c * d
+    i11, i12, i22 = a * f - c * c, b * c - a * e, a * d - b * b
+    over = 1 / (a * i00 + b * i01 + c * i02)
+    # A plane, and by how much it changes with the bend.
+    height, by_height = (i00 * p + i01 * q + i02 * r) * over, (i00 * g + i01 * h + i02 * i) * over
+    x_slant, by_x = (i01 * p + i11 * q + i12 * r) * over, (i01 * g + i11 * h + i12 * i) * over
+    y_slant, by_y = (i02 * p + i12 * q + i22 * r) * over, (i02 * g + i12 * h + i22 * i) * over
+    left = s - by_height * p - by_x * q - by_y * r
+    own = 1 / (j - by_height * g - by_x * h - by_y * i + bend_known)
+    scatter = squares - height * p - x_slant * q - y_slant * r - own * left * left
+    freedom -= (1 - i11 * over * slant_known) + (1 - i22 * over * slant_known)
+    return own * left, own * max((scatter + 1) / (max(freedom, 0.0) + 1), 1.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _seen_about(size, radius):
+    """Half the mean square distance [pitches^2], on the scene, between what a lens shows and what its centre does."""
+    return min(radius * radius / (4 * size * size), _FARTHEST)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look_around(
+    lens, centres, pitch, radius, around, sizes, errors, slants, slant_variance, wanted, away, variance, share, along_x,
+    along_y, bent,
+):  # fmt: skip
+    """Fill the last six with what the lenses `around` one measure: difference from what it says itself, variance, how
+    far each counts, and how that difference changes with a slant and with a bend. Returns how many they are, and how
+    much they count together."""
+    own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
+    count, weight = 0, 0.0
+    for k in range(around.shape[1]):
+        other = around[lens, k]
+        if other < 0:
+            break
+        size, noise = np.float64(sizes[other]), np.float64(errors[other]) ** 2
+        if not np.isfinite(noise):
+            continue
+        ex = (np.float64(centres[other, 0]) - centres[lens, 0]) / pitch
+        ey = (np.float64(centres[other, 1]) - centres[lens, 1]) / pitch
+        # Over a plane 1 / s is linear in X, with the slant -D * grad(s) / s.
+        rest = size * (1 + slants[lens, 0] * ex + slants[lens, 1] * ey) - own
+        limit = own_variance + noise + slant_variance * size * size * (ex * ex + ey * ey)
+        doubt = 1 / (1 + rest * rest / (_APART * _APART * limit))
+        away[count], variance[count], share[count] = rest, noise, doubt * doubt
+        along_x[count], along_y[count] = size * ex, size * ey
+        # Those that are not wanted have been freed of it before.
+        bent[count] = 0.5 * (ex * ex + ey * ey) + (_seen_about(size, radius) if wanted[other] else 0.0)
+        weight += share[count]
+        count += 1
+    return count, weight
+
+
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _pool(centres, pitch, around, sizes, errors, slants, slant_errors, wanted, out, out_errors):
-    most = around.shape[1]
+def _pool(centres, pitch, radius, around, sizes, errors, slants, slant_errors, wanted, out, out_errors):
+    most = around.shape[1] + 1
     parts, each, stride = stretches(len(centres))
     for part in prange(parts):
         away, variance, share = np.empty(most), np.empty(most), np.empty(most)
-        along_x, along_y = np.empty(most), np.empty(most)
+        along_x, along_y, bent = np.empty(most), np.empty(most), np.empty(most)
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
             own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
@@ -123,31 +210,29 @@ def _pool(centres, pitch, around, sizes, errors, slants, slant_errors, wanted, o
             if not (wanted[lens] and np.isfinite(own_variance)):
                 continue
             slant_variance = np.float64(slant_errors[lens]) ** 2 + _LEAST_SLANT**2
-            count, weight = 0, 0.0
-            for k in range(most):
-                other = around[lens, k]
-                if other < 0:
-                    break
-                size, noise = np.float64(sizes[other]), np.float64(errors[other]) ** 2
-                if not np.isfinite(noise):
-                    continue
-                ex = (np.float64(centres[other, 0]) - centres[lens, 0]) / pitch
-                ey = (np.float64(centres[other, 1]) - centres[lens, 1]) / pitch
-                # Over a plane 1 / s is linear in X, with the slant -D * grad(s) / s.
-                rest = size * (1 + slants[lens, 0] * ex + slants[lens, 1] * ey) - own
-                limit = own_variance + noise + slant_variance * size * size * (ex * ex + ey * ey)
-                doubt = 1 / (1 + rest * rest / (_APART * _APART * limit))
-                away[count], variance[count], share[count] = rest, noise, doubt * doubt
-                along_x[count], along_y[count] = size * ex, size * ey
-                weight += share[count]
-                count += 1
+            count, weight = _look_around(
+                lens, centres, pitch, radius, around, sizes, errors, slants, slant_variance, wanted, away, variance,
+                share, along_x, along_y, bent,
+            )  # fmt: skip
             if weight < _LEAST_WEIGHT:
                 continue
+            mean = _seen_about(own, radius)
+            away[count], variance[count], share[count] = 0.0, own_variance, 1.0
+            along_x[count], along_y[count], bent[count] = 0.0, 0.0, mean
+            bend, doubt = _bend(
+                count + 1, away, along_x, along_y, bent, variance, share, 1 / slant_variance, 1 / (_BENT * pitch) ** 2
+            )
+            bend *= max(1 - _CHANCE * doubt / (bend * bend), 0.0)
+            # What all of them show of the bend, the lens itself too, is taken from what they measure.
+            misled = mean * mean * doubt if bend != 0 else 0.0
+            for k in range(count):
+                away[k] += bend * (mean - bent[k])
+            own_variance += misled
             expected, uncertain, shared = _expect(count, away, along_x, along_y, variance, share, 1 / slant_variance)
             if expected * expected > _APART * _APART * (uncertain + own_variance):
                 continue
-            out[lens] = own + own_variance / (own_variance + uncertain) * expected
-            joint = own_variance * uncertain / (own_variance + uncertain)
+            out[lens] = own - mean * bend + own_variance / (own_variance + uncertain) * expected
+            joint = own_variance * uncertain / (own_variance + uncertain) + misled
             unseen = _UNSEEN_GROWTH * pitch * abs(own / pitch) ** 3
             out_errors[lens] = np.sqrt(joint + _SHARED * min(shared, own_variance) + _UNSEEN**2 + unseen**2)
 
@@ -155,6 +240,7 @@ def _pool(centres, pitch, around, sizes, errors, slants, slant_errors, wanted, o
 def pooled(
     centres: NDArray[np.float32],
     pitch: float,
+    radius: float,
     neighbours: NDArray[np.int32],
     fits: LensFits,
     wanted: NDArray[np.bool_],
@@ -162,22 +248,25 @@ def pooled(
     """Patch sizes and standard errors (n,) [px] of lenses together with those in two rings around them.
 
     A lens is weighed with what a plane through the others expects of it. Others count as far as they agree with it,
-    and the less the more they scatter: what is bent, or belongs to several surfaces, stays as it is.
+    and the less the more they scatter: what belongs to several surfaces stays as it is. A microimage measures the mean
+    of what it shows, which on a bent surface is not what its centre shows: where lenses tell a bend, the difference is
+    taken from all of them, and the plane is that of what is left.
 
     Parameters
     ----------
     centres : (n, 2) float32 [px]
-    pitch : float [px]
+    pitch, radius : float [px]
+        Of the microimages; as far as they are compared.
     neighbours : (n, k) int32
         Neighbour rows in all directions, -1 where there is none.
     fits : LensFits
         What each lens measures alone; those of infinite error say nothing to others.
     wanted : (n,) bool
-        The others stay as they are.
+        The others stay as they are, and are what their centres show.
     """
     sizes, errors = np.empty(len(centres), np.float32), np.empty(len(centres), np.float32)
     _pool(
-        centres, pitch, _around(neighbours), fits.patch_size.astype(np.float32), fits.standard_error.astype(np.float32),
-        fits.slant, fits.slant_error, wanted, sizes, errors,
+        centres, pitch, radius, _around(neighbours), fits.patch_size.astype(np.float32),
+        fits.standard_error.astype(np.float32), fits.slant, fits.slant_error, wanted, sizes, errors,
     )  # fmt: skip
     return sizes, errors

@@ -8,7 +8,7 @@ from lfrender.neighbours import neighbour_rows
 from lfrender.pooling import _around, pooled
 from lfrender.slant import LensFits
 
-NOISE = 0.05
+NOISE, RADIUS = 0.05, 8.5
 
 
 def cameras(kind="hex"):
@@ -31,7 +31,7 @@ def test_lenses_of_a_plane_halve_their_error_and_know_it(kind, slant):
     _, centres, neighbours = cameras(kind)
     truth = 1 / (-1 / 9.0 + (centres[:, 0] - 300) * slant / 9)
     own = fits(truth)
-    sizes, errors = pooled(centres, 20.0, neighbours, own, np.ones(len(truth), bool))
+    sizes, errors = pooled(centres, 20.0, RADIUS, neighbours, own, np.ones(len(truth), bool))
     away = np.abs(sizes - truth)
     assert np.median(away) < 0.5 * np.median(np.abs(own.patch_size - truth))
     assert 0.6 < np.mean(away <= errors) < 0.85
@@ -42,7 +42,7 @@ def test_depth_edges_stay_sharp():
     _, centres, neighbours = cameras()
     left = centres[:, 0] < 300
     truth = np.where(left, -9.0, -8.0)
-    sizes, _ = pooled(centres, 20.0, neighbours, fits(truth), np.ones(len(truth), bool))
+    sizes, _ = pooled(centres, 20.0, RADIUS, neighbours, fits(truth), np.ones(len(truth), bool))
     assert np.abs(sizes - truth).max() < 4 * NOISE
     at_edge = np.abs(centres[:, 0] - 300) < 20
     assert np.abs((sizes - truth)[at_edge & left].mean()) < 0.02
@@ -56,18 +56,42 @@ def test_a_doubtful_lens_between_two_depths_keeps_its_doubt():
     doubtful = np.abs(centres[:, 0] - 300) < 10
     own.standard_error[doubtful] = 0.6
     own.patch_size[doubtful] = -8.5
-    _, errors = pooled(centres, 20.0, neighbours, own, np.ones(len(truth), bool))
+    _, errors = pooled(centres, 20.0, RADIUS, neighbours, own, np.ones(len(truth), bool))
     assert np.median(errors[doubtful]) > 0.15
     assert np.median(errors[~doubtful]) < 0.01
 
 
-def test_bent_surfaces_are_not_flattened():
-    _, centres, neighbours = cameras()
+def bowl(centres, bend):
+    """What lenses see in their centres of a surface of this bend [px / pitch^2], what they tell of it, and which do not
+    lie at the border of the flat: a microimage tells the mean of what it shows, the more of it the smaller the patch.
+    """
     away = (centres - centres.mean(0)) / 20.0
-    truth = -9.0 + 0.06 * (away**2).sum(1)
-    own = fits(truth, 0.005)
-    sizes, _ = pooled(centres, 20.0, neighbours, own, np.ones(len(truth), bool))
-    assert np.median(np.abs(sizes - truth)) < 1.2 * np.median(np.abs(own.patch_size - truth))
+    truth = -9.0 + 0.5 * bend * (away**2).sum(1)
+    return truth, truth + 0.5 * bend * (RADIUS / truth) ** 2 / 2, (np.abs(away) < (9, 7)).all(1)
+
+
+@pytest.mark.parametrize("bend", [0.01, 0.02, 0.04])
+def test_bent_surfaces_are_measured_where_the_centres_of_lenses_see_them(bend):
+    _, centres, neighbours = cameras()
+    truth, told, inner = bowl(centres, bend)
+    own = fits(told, 0.002)
+    sizes, errors = pooled(centres, 20.0, RADIUS, neighbours, own, np.ones(len(truth), bool))
+    before = np.median((own.patch_size - truth)[inner])
+    assert before > 0.2 * bend
+    assert abs(np.median((sizes - truth)[inner])) < 0.1 * before + 0.0005
+    assert np.median(np.abs(sizes - truth)[inner]) < 1.2 * np.median(np.abs(own.patch_size - told)[inner])
+    assert 0.5 < np.mean((np.abs(sizes - truth) <= errors)[inner])
+
+
+def test_lenses_that_were_freed_of_a_bend_before_count_as_such():
+    _, centres, neighbours = cameras()
+    truth, told, inner = bowl(centres, 0.02)
+    wanted = np.zeros(len(truth), bool)
+    wanted[::7] = True
+    own = fits(np.where(wanted, told, truth), 0.002)
+    sizes, _ = pooled(centres, 20.0, RADIUS, neighbours, own, wanted)
+    assert abs(np.median((sizes - truth)[inner & wanted])) < 0.0015
+    np.testing.assert_array_equal(sizes[~wanted], own.patch_size[~wanted])
 
 
 def test_lenses_that_know_nothing_say_nothing():
@@ -77,7 +101,7 @@ def test_lenses_that_know_nothing_say_nothing():
     own.standard_error[::3] = np.inf
     own.patch_size[::3] = np.nan
     wanted[1::3] = False
-    sizes, errors = pooled(centres, 20.0, neighbours, own, wanted)
+    sizes, errors = pooled(centres, 20.0, RADIUS, neighbours, own, wanted)
     assert np.isnan(sizes[::3]).all() and np.isinf(errors[::3]).all()
     np.testing.assert_array_equal(sizes[1::3], own.patch_size[1::3])
     assert np.isfinite(sizes[2::3]).all()
