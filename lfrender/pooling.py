@@ -72,13 +72,14 @@ def _around(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _expect(count, away, along_x, along_y, variance, share, slant_known):
+def _expect(count, told, slant_known):
     """What `count` lenses expect of another: difference from what it says itself, variance, and shared variance.
 
-    A weighted plane through their differences `away`. What they scatter about it beyond their variances is as likely
-    the surface's own unevenness (DerSimonian and Laird, Meta-analysis in clinical trials, 1986), which the other lens
-    has as well.
+    A weighted plane through the differences of what they have `told`. What they scatter about it beyond their variances
+    is as likely the surface's own unevenness (DerSimonian and Laird, Meta-analysis in clinical trials, 1986), which the
+    other lens has as well.
     """
+    away, variance, share, along_x, along_y = told[0], told[1], told[2], told[3], told[4]
     uneven = height = inverse = total = 0.0
     for turn in range(_ROUNDS):
         a = b = c = d = e = f = p = q = r = squares = 0.0
@@ -116,14 +117,20 @@ def _expect(count, away, along_x, along_y, variance, share, slant_known):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bend(count, away, along_x, along_y, bent, variance, share, slant_known, bend_known):
-    """How the surface bends that `count` lenses see by their differences `away`, and the variance of that.
+def _bend(count, told, own, own_variance, own_bent, slant_known, bend_known):
+    """How the surface bends [px / pitch^2] that a lens sees at `own`, and `count` others as they have `told`, and the
+    variance of that.
 
-    A weighted paraboloid, round since a slant in each direction and one bend are all that so few lenses tell. Lenses
-    that scatter about it make it as much less certain.
+    A weighted paraboloid, round since a slant in each direction and one bend are all that so few lenses tell. Over a
+    plane all slants are the same; it changes them. Lenses that scatter about it make it as much less certain.
     """
-    a = b = c = d = e = f = g = h = i = j = p = q = r = s = squares = 0.0
-    freedom = -2.0
+    away, variance, share, along_x, along_y, bent = told[0], told[1], told[2], told[3], told[4], told[5]
+    ahead_x, ahead_y, turned_x, turned_y, turn_variance = told[6], told[7], told[8], told[9], told[10]
+    b = c = d = e = f = h = i = p = q = r = s = squares = 0.0
+    # The lens itself differs by nothing from what it says.
+    a = 1 / own_variance
+    g, j = a * own_bent, a * own_bent * own_bent
+    freedom = -1.0
     for k in range(count):
         w, x, y, z = share[k] / variance[k], along_x[k], along_y[k], bent[k]
         a += w
@@ -141,7 +148,17 @@ def _bend(count, away, along_x, along_y, bent, variance, share, slant_known, ben
         r += w * y * away[k]
         s += w * z * away[k]
         squares += w * away[k] * away[k]
-        freedom += share[k]
+        w, x, y = share[k] / turn_variance[k], ahead_x[k], ahead_y[k]
+        d += w * own * own
+        f += w * own * own
+        h += w * own * x
+        i += w * own * y
+        j += w * (x * x + y * y)
+        q -= w * own * turned_x[k]
+        r -= w * own * turned_y[k]
+        s -= w * (x * turned_x[k] + y * turned_y[k])
+        squares += w * (turned_x[k] * turned_x[k] + turned_y[k] * turned_y[k])
+        freedom += 3 * share[k]
     d += slant_known
     f += slant_known
     i00, i01, i02 = d * f - e * e, c * e - b * f, b * e - c * d
@@ -152,10 +169,10 @@ def _bend(count, away, along_x, along_y, bent, variance, share, slant_known, ben
     x_slant, by_x = (i01 * p + i11 * q + i12 * r) * over, (i01 * g + i11 * h + i12 * i) * over
     y_slant, by_y = (i02 * p + i12 * q + i22 * r) * over, (i02 * g + i12 * h + i22 * i) * over
     left = s - by_height * p - by_x * q - by_y * r
-    own = 1 / (j - by_height * g - by_x * h - by_y * i + bend_known)
-    scatter = squares - height * p - x_slant * q - y_slant * r - own * left * left
+    spread = 1 / (j - by_height * g - by_x * h - by_y * i + bend_known)
+    scatter = squares - height * p - x_slant * q - y_slant * r - spread * left * left
     freedom -= (1 - i11 * over * slant_known) + (1 - i22 * over * slant_known)
-    return own * left, own * max((scatter + 1) / (max(freedom, 0.0) + 1), 1.0)
+    return spread * left, spread * max((scatter + 1) / (max(freedom, 0.0) + 1), 1.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -165,14 +182,15 @@ def _seen_about(size, radius):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _look_around(
-    lens, centres, pitch, radius, around, sizes, errors, slants, slant_variance, wanted, away, variance, share, along_x,
-    along_y, bent,
-):  # fmt: skip
-    """Fill the last six with what the lenses `around` one measure: difference from what it says itself, variance, how
-    far each counts, and how that difference changes with a slant and with a bend. Returns how many they are, and how
-    much they count together."""
+def _ask_around(lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, wanted, told):
+    """Fill `told` with what the lenses `around` one measure. Returns how many they are, and what they count together.
+
+    In its rows: the difference from what the lens says itself, its variance, and how far it counts; by how much it
+    grows with a slant in both directions, and with a bend; by how much slants fall with a bend, by how much they
+    differ, times s, and the variance of either.
+    """
     own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
+    slant_variance = np.float64(slant_errors[lens]) ** 2 + _LEAST_SLANT**2
     count, weight = 0, 0.0
     for k in range(around.shape[1]):
         other = around[lens, k]
@@ -185,53 +203,51 @@ def _look_around(
         ey = (np.float64(centres[other, 1]) - centres[lens, 1]) / pitch
         # Over a plane 1 / s is linear in X, with the slant -D * grad(s) / s.
         rest = size * (1 + slants[lens, 0] * ex + slants[lens, 1] * ey) - own
-        limit = own_variance + noise + slant_variance * size * size * (ex * ex + ey * ey)
+        away2 = ex * ex + ey * ey
+        limit = own_variance + noise + slant_variance * size * size * away2
         doubt = 1 / (1 + rest * rest / (_APART * _APART * limit))
-        away[count], variance[count], share[count] = rest, noise, doubt * doubt
-        along_x[count], along_y[count] = size * ex, size * ey
-        # Those that are not wanted have been freed of it before.
-        bent[count] = 0.5 * (ex * ex + ey * ey) + (_seen_about(size, radius) if wanted[other] else 0.0)
-        weight += share[count]
+        told[0, count], told[1, count], told[2, count] = rest, noise, doubt * doubt
+        told[3, count], told[4, count] = size * ex, size * ey
+        # Those that are not wanted have been freed of what they show of it.
+        told[5, count] = 0.5 * away2 + (_seen_about(size, radius) if wanted[other] else 0.0)
+        told[6, count], told[7, count] = ex, ey
+        told[8, count] = own * (np.float64(slants[other, 0]) - slants[lens, 0])
+        told[9, count] = own * (np.float64(slants[other, 1]) - slants[lens, 1])
+        told[10, count] = own * own * (np.float64(slant_errors[other]) ** 2 + _LEAST_SLANT**2)
+        weight += doubt * doubt
         count += 1
     return count, weight
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _pool(centres, pitch, radius, around, sizes, errors, slants, slant_errors, wanted, out, out_errors):
-    most = around.shape[1] + 1
     parts, each, stride = stretches(len(centres))
     for part in prange(parts):
-        away, variance, share = np.empty(most), np.empty(most), np.empty(most)
-        along_x, along_y, bent = np.empty(most), np.empty(most), np.empty(most)
+        told = np.empty((11, around.shape[1]))
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
             own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
             out[lens], out_errors[lens] = sizes[lens], errors[lens]
             if not (wanted[lens] and np.isfinite(own_variance)):
                 continue
-            slant_variance = np.float64(slant_errors[lens]) ** 2 + _LEAST_SLANT**2
-            count, weight = _look_around(
-                lens, centres, pitch, radius, around, sizes, errors, slants, slant_variance, wanted, away, variance,
-                share, along_x, along_y, bent,
-            )  # fmt: skip
+            count, weight = _ask_around(
+                lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, wanted, told
+            )
             if weight < _LEAST_WEIGHT:
                 continue
-            mean = _seen_about(own, radius)
-            away[count], variance[count], share[count] = 0.0, own_variance, 1.0
-            along_x[count], along_y[count], bent[count] = 0.0, 0.0, mean
-            bend, doubt = _bend(
-                count + 1, away, along_x, along_y, bent, variance, share, 1 / slant_variance, 1 / (_BENT * pitch) ** 2
-            )
+            slant_known = 1 / (np.float64(slant_errors[lens]) ** 2 + _LEAST_SLANT**2)
+            shown = _seen_about(own, radius)
+            bend, doubt = _bend(count, told, own, own_variance, shown, slant_known, 1 / (_BENT * pitch) ** 2)
             bend *= max(1 - _CHANCE * doubt / (bend * bend), 0.0)
             # What all of them show of the bend, the lens itself too, is taken from what they measure.
-            misled = mean * mean * doubt if bend != 0 else 0.0
+            misled = shown * shown * doubt if bend != 0 else 0.0
             for k in range(count):
-                away[k] += bend * (mean - bent[k])
+                told[0, k] += bend * (shown - told[5, k])
             own_variance += misled
-            expected, uncertain, shared = _expect(count, away, along_x, along_y, variance, share, 1 / slant_variance)
+            expected, uncertain, shared = _expect(count, told, slant_known)
             if expected * expected > _APART * _APART * (uncertain + own_variance):
                 continue
-            out[lens] = own - mean * bend + own_variance / (own_variance + uncertain) * expected
+            out[lens] = own - shown * bend + own_variance / (own_variance + uncertain) * expected
             joint = own_variance * uncertain / (own_variance + uncertain) + misled
             unseen = _UNSEEN_GROWTH * pitch * abs(own / pitch) ** 3
             out_errors[lens] = np.sqrt(joint + _SHARED * min(shared, own_variance) + _UNSEEN**2 + unseen**2)
