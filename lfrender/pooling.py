@@ -71,6 +71,13 @@ def _around(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
     return remembered(neighbours, "two rings", find)
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _inverted(a, b, c, d, e, f):
+    """Inverse of the symmetric matrix ((a, b, c), (b, d, e), (c, e, f)): its upper half, and a factor to it."""
+    i00, i01, i02 = d * f - e * e, c * e - b * f, b * e - c * d
+    return i00, i01, i02, a * f - c * c, b * c - a * e, a * d - b * b, 1 / (a * i00 + b * i01 + c * i02)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _expect(count, told, slant_known):
     """What `count` lenses expect of another: difference from what it says itself, variance, and shared variance.
@@ -99,9 +106,7 @@ def _expect(count, told, slant_known):
         total = a
         d += slant_known
         f += slant_known
-        i00, i01, i02 = d * f - e * e, c * e - b * f, b * e - c * d
-        i11, i12, i22 = a * f - c * c, b * c - a * e, a * d - b * b
-        over = 1 / (a * i00 + b * i01 + c * i02)
+        i00, i01, i02, i11, i12, i22, over = _inverted(a, b, c, d, e, f)
         height, inverse = (i00 * p + i01 * q + i02 * r) * over, i00 * over
         if turn == _ROUNDS - 1:
             break
@@ -161,9 +166,7 @@ def _bend(count, told, own, own_variance, own_bent, slant_known, bend_known):
         freedom += 3 * share[k]
     d += slant_known
     f += slant_known
-    i00, i01, i02 = d * f - e * e, c * e - b * f, b * e - c * d
-    i11, i12, i22 = a * f - c * c, b * c - a * e, a * d - b * b
-    over = 1 / (a * i00 + b * i01 + c * i02)
+    i00, i01, i02, i11, i12, i22, over = _inverted(a, b, c, d, e, f)
     # A plane, and by how much it changes with the bend.
     height, by_height = (i00 * p + i01 * q + i02 * r) * over, (i00 * g + i01 * h + i02 * i) * over
     x_slant, by_x = (i01 * p + i11 * q + i12 * r) * over, (i01 * g + i11 * h + i12 * i) * over
