@@ -33,7 +33,8 @@ _SLANTED = 6
 # A sample whose slant explains so many times the variance of an independent measurement leaves in doubt whether there
 # is none: by chance, one in twenty does.
 _DOUBTFUL_TILT = 6.0
-# Microimages of a larger pitch than this [px] tell more each, so that fewer of them do.
+# Microimages of a larger pitch than this [px] tell more each, so that fewer of them do, where a slant or few lenses
+# cost the most.
 _LARGE = 35.0
 # Of a plane that faces the camera this share of the lenses are searched to the same patch size, to that of the pitch.
 _ALIKE, _NEAR = 0.7, 0.05
@@ -126,6 +127,9 @@ def find_plane(
         more = sample
         if slanted:
             more = sample_lenses(indices, texture.clear, int(_SLANTED * _SAMPLE * min(1.0, _LARGE / pitch) ** 2))
+        elif facing:
+            more = np.zeros(len(sample), bool)
+            more[np.flatnonzero(sample)[:: max(1, round(pitch / _LARGE))]] = True
         few = _Few.of(texture, forward, backward, more)
         # Of so few as the sample a plane that faces the camera may have looked slanted.
         about_few = plane.at(few.texture.flat.centres.astype(np.float64))

@@ -303,10 +303,11 @@ def _clear(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
 
 
 def _unsure(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
-    """Lenses with about as much contrast as tells texture, or with more of it, but hardly any in the middle."""
-    limit = _least_clear(found, noise)
-    little = (found.contrast < _BESIDE * limit) | (found.middle < _BESIDE * _least_middle(found, noise))
-    return np.asarray(little & (found.contrast * _BESIDE > limit))
+    """Lenses with about as much contrast as tells texture, or with about as much in the middle, and no less of the
+    other."""
+    limit, least = _least_clear(found, noise), _least_middle(found, noise)
+    little = (found.contrast < _BESIDE * limit) | (found.middle < _BESIDE * least)
+    return np.asarray(little & (found.contrast * _BESIDE > limit) & (found.middle * _BESIDE > least))
 
 
 def _beyond_noise(found: LensStatistics) -> NDArray[np.bool_]:
