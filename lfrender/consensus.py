@@ -54,9 +54,9 @@ def _expect(centres, pitch, forward, backward, sizes, errors, slants, about, rea
             other = forward[lens, k] if k < half else backward[lens, k - half]
             if other < 0 or not errors[other] < _EXPECTING:
                 continue
-            # Over a plane 1 / s is linear in X, with the slant -D * grad(s) / s.
+            # Over a plane 1 / s is linear in X, with the slant D * grad(1 / s) * s.
             ex, ey = centres[other, 0] - centres[lens, 0], centres[other, 1] - centres[lens, 1]
-            value = sizes[other] * (1 + (slants[other, 0] * ex + slants[other, 1] * ey) / pitch)
+            value = sizes[other] / (1 - (slants[other, 0] * ex + slants[other, 1] * ey) / pitch)
             if abs(value - about[lens]) < reach:
                 values[count] = value
                 count += 1

@@ -30,7 +30,7 @@ _FLOOR = 0.006
 # Systematic error of a patch size [px] that no number of lenses averages out, what it grows by [pitches] with the cube
 # of |s| / D, as neighbours come to share no more than their rims, and the share of what misleads the pairs of each lens
 # that all lenses of a plane have in common: as measured on 188 planes of random cameras, and those of two ray tracers.
-_UNSEEN, _UNSEEN_GROWTH, _COMMON = 0.0012, 0.0003, 0.4
+_UNSEEN, _UNSEEN_GROWTH, _COMMON = 0.0014, 0.0003, 0.4
 # No slant is read from less than this [px], or as if more than one of so many measurements told something new: pairs in
 # opposite directions see the same texture, and each belongs to two lenses.
 _CROOKED, _SHARED = 0.0032, 4

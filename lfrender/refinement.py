@@ -34,7 +34,7 @@ _LEFT = np.float32(2.5)
 # Of the frequencies at which noise has its own slopes it leaves less: the integral over all of them.
 _CORRELATED, _CORRELATED_NOISE = np.float32(4.0), np.float32(1.62)
 # Smoothing and slopes each read a pixel beyond [px]; small microimages give up no more than the share of the pitch.
-_RIM, _RIM_SHARE = 1.0, 0.05
+_RIM, _RIM_SHARE = 1.0, 0.03
 # Neighbours whose first values differ by less than this share of the pitch start from their mean.
 _COMMON_START = np.float32(0.04)
 

@@ -17,6 +17,15 @@ def drawn_flat():
     return _draw
 
 
+def _nearest(lattice, points):
+    """(n, 2) the centre nearest to each point."""
+    index = np.rint(lattice.to_index(points))
+    beside = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), -1).reshape(-1, 2)
+    centres = lattice.origin + (index[:, None] + beside) @ lattice.basis
+    nearest = np.square(centres - points[:, None]).sum(2).argmin(1)
+    return centres[np.arange(len(points)), nearest]
+
+
 def _draw(patch_size, slant=(0.0, 0.0), noise=0.0, detail=1.3, basis=((23.2, 0.4), (11.25, 20.3)), seed=5):
     """A flat drawn from waves in scene coordinates: exact at every pixel, with `s` and its slant at the middle lens.
 
@@ -27,8 +36,7 @@ def _draw(patch_size, slant=(0.0, 0.0), noise=0.0, detail=1.3, basis=((23.2, 0.4
     pitch = lattice.pitch
     y, x = np.mgrid[: SIZE[1], : SIZE[0]].astype(float)
     points = np.column_stack([x.ravel(), y.ravel()])
-    index = np.rint(lattice.to_index(points))
-    own = lattice.origin + index @ lattice.basis
+    own = _nearest(lattice, points)
     middle = np.array(SIZE) / 2
     # s of a lens at c, and s(delta) = s(c) + g(c) . delta within it, with g = D * grad(1/s) * s.
     tilt = np.asarray(slant) / (pitch * patch_size)
