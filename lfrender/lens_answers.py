@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .bent_lenses import fit_bent
 from .certainty import misled, signal_share, unexplained, widened
 from .consensus import measure
 from .depthmap import DepthMap
@@ -28,6 +30,9 @@ _KEPT = {
 }  # fmt: skip
 # Lenses that blur unlike each other are compared on a flat of about this pitch [px].
 _BLURRED_PITCH = 25.0
+# Bends are looked at whose square exceeds so many times its variance, and believed at twice as many, by lenses that
+# share as much with others as up to the second share of the pitch: beyond, their rims alone would tell.
+_BENT, _SHARING = 3.0, 0.45
 # A scene without any texture is drawn at this s / D: from the middle of the microimages. Its sign makes no difference.
 UNTOLD = 0.25
 
@@ -161,16 +166,28 @@ class Answers:
         """(n,) float32 [px]: the answers of resolved lenses, and guesses of the others."""
         return np.where(self.resolved, self.patch_size, self.guess).astype(np.float32)
 
-    def pooled(self, lenses: Lenses, kept: NDArray[np.bool_] | None) -> Answers:
-        """These with what the lenses on the same surface say as well; those that are `kept` stay."""
+    def pooled(self, lenses: Lenses, kept: NDArray[np.bool_] | None, bends: bool) -> Answers:
+        """These with what the lenses on the same surface say as well; those that are `kept` stay.
+
+        With `bends`, lenses on bent surfaces are measured at their centres first.
+        """
         wanted = self.resolved if kept is None else self.resolved & ~kept
-        flat = lenses.texture.flat
-        sizes, errors = pooled(flat.centres, lenses.pitch, flat.radius, lenses.neighbours, self.alone, wanted)
-        known = wanted & np.isfinite(errors)
+        flat, neighbours = lenses.texture.flat, lenses.neighbours
+        pool = partial(pooled, flat.centres, lenses.pitch, flat.radius, neighbours)
+        # Those that are kept have been freed of what they show of bends.
+        freed = (~wanted).astype(np.float32)
+        joint = pool(self.alone, wanted, freed)
+        # Lenses of unlike blur differ by more than their patch sizes.
+        if bends and flat.kinds is None:
+            doubted = wanted & (np.abs(self.alone.patch_size) < _SHARING * lenses.pitch)
+            asked = np.where(doubted, np.clip(joint.bent / _BENT - 1, 0, 1), 0).astype(np.float32)
+            alone, centred = fit_bent(flat, neighbours, self.alone, asked, _usual_contrast(lenses.texture))
+            joint = pool(alone, wanted, np.maximum(freed, centred)) if centred.any() else joint
+        known = wanted & np.isfinite(joint.standard_error)
         return replace(
             self,
-            patch_size=np.where(known, sizes, self.patch_size),
-            standard_error=np.where(known, errors, self.standard_error),
+            patch_size=np.where(known, joint.patch_size, self.patch_size),
+            standard_error=np.where(known, joint.standard_error, self.standard_error),
         )
 
     def among(self, count: int, rows: NDArray[np.int64], earlier: Earlier | None) -> Answers:
@@ -249,7 +266,7 @@ def _refined(
     Of the lenses `wanted`; for the others what was found, and inf.
     """
     texture = lenses.texture
-    scale = np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast)
+    scale = _usual_contrast(texture)
     # Where one lens is more blurred than the next, finer detail than this tells the difference and not the depth.
     factor = max(1, round(lenses.pitch / _BLURRED_PITCH)) if texture.flat.kinds is not None else 1
     first = np.where(wanted, found.patch_size / factor, np.nan).astype(np.float32)
@@ -267,6 +284,11 @@ def _refined(
     measured = np.isfinite(by_pixels.patch_size)
     refined = np.where(measured, by_pixels.patch_size, found.patch_size)
     return alone, refined, np.where(measured, by_pixels.standard_error, np.inf)
+
+
+def _usual_contrast(texture: Texture) -> NDArray[np.float32]:
+    """(n,) float32 difference of brightness beyond which two pixels hardly show the same point."""
+    return np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast).astype(np.float32)
 
 
 def _within_reach(guess: NDArray, refined: NDArray, reason: NDArray[np.int8], pitch: float) -> NDArray:

@@ -8,7 +8,7 @@ from numba import njit
 from .fastmath import FAST
 from .microimages import copy_box
 
-__all__ = ["MORE", "NOWHERE", "corner", "cut", "lay_over", "raster"]
+__all__ = ["MORE", "NOWHERE", "corner", "cut", "lay_over", "raster", "spline"]
 
 # Vector loops take up to so many pixels at a time. Places are unsigned: signed ones are looked at for being counted
 # from the end.
@@ -22,7 +22,7 @@ NOWHERE = 2**40
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _spline(f):
+def spline(f):
     """Weights of the four pixels at -1, 0, 1, 2 in the cubic B-spline at `f`.
 
     It smooths as much at any fraction as at 0, where its weights are those of `cut`; compared with a picture so
@@ -127,8 +127,8 @@ def lay_over(
     ux, uy = (bx - ax) / pitch, (by - ay) / pitch
     tx, ty = bx - ax + s * ux, by - ay + s * uy
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
-    cx0, cx1, cx2, cx3 = _spline(np.float32(tx - x0))
-    cy0, cy1, cy2, cy3 = _spline(np.float32(ty - y0))
+    cx0, cx1, cx2, cx3 = spline(np.float32(tx - x0))
+    cy0, cy1, cy2, cy3 = spline(np.float32(ty - y0))
     qx, qy = bx - tx, by - ty
     begin = max(int(np.ceil(max(ay, qy) - radius)), max(1, 1 - y0), top)
     end = min(int(np.floor(min(ay, qy) + radius)), min(height - 2, height - 3 - y0), top + side - 1)

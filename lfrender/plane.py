@@ -9,6 +9,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .neighbours import beside
+from .normal_equations import solve
 from .quantiles import median
 
 __all__ = ["TEXTURED", "Plane", "fit_plane", "nearly_planar", "strays"]
@@ -197,7 +198,7 @@ def _fitted(rows, sizes, rounds, doubted):
                 right[i] += w * rows[i, n] / s
                 for j in range(i + 1):
                     left[i, j] += w * rows[i, n] * rows[j, n]
-        _solve(left, right, inverse)
+        solve(left, right, inverse)
         change = 0.0
         for n in range(number):
             told = inverse[0] * rows[0, n]
@@ -209,28 +210,6 @@ def _fitted(rows, sizes, rounds, doubted):
         if change < _SETTLED:
             break
     return inverse
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _solve(left, right, out):
-    """Solve normal equations after Cholesky; `left`, of which the lower half is set, becomes its factor."""
-    count = len(right)
-    for i in range(count):
-        for j in range(i + 1):
-            total = left[i, j]
-            for k in range(j):
-                total -= left[i, k] * left[j, k]
-            left[i, j] = np.sqrt(total) if i == j else total / left[j, j]
-    for i in range(count):
-        total = right[i]
-        for k in range(i):
-            total -= left[i, k] * out[k]
-        out[i] = total / left[i, i]
-    for i in range(count - 1, -1, -1):
-        total = out[i]
-        for k in range(i + 1, count):
-            total -= left[k, i] * out[k]
-        out[i] = total / left[i, i]
 
 
 def _inverse(

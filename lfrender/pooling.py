@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
@@ -10,7 +12,7 @@ from .remembered import remembered
 from .slant import LensFits
 from .striding import stretches
 
-__all__ = ["pooled"]
+__all__ = ["Pooled", "pooled"]
 
 # Lenses farther apart than this many standard deviations hardly count as one surface.
 _APART = 3.0
@@ -185,7 +187,7 @@ def _seen_about(size, radius):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ask_around(lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, wanted, told):
+def _ask_around(lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, centred, told):
     """Fill `told` with what the lenses `around` one measure. Returns how many they are, and what they count together.
 
     In its rows: the difference from what the lens says itself, its variance, and how far it counts; by how much it
@@ -211,8 +213,7 @@ def _ask_around(lens, centres, pitch, radius, around, sizes, errors, slants, sla
         doubt = 1 / (1 + rest * rest / (_APART * _APART * limit))
         told[0, count], told[1, count], told[2, count] = rest, noise, doubt * doubt
         told[3, count], told[4, count] = size * ex, size * ey
-        # Those that are not wanted have been freed of what they show of it.
-        told[5, count] = 0.5 * away2 + (_seen_about(size, radius) if wanted[other] else 0.0)
+        told[5, count] = 0.5 * away2 + (1 - centred[other]) * _seen_about(size, radius)
         told[6, count], told[7, count] = ex, ey
         told[8, count] = own * (np.float64(slants[other, 0]) - slants[lens, 0])
         told[9, count] = own * (np.float64(slants[other, 1]) - slants[lens, 1])
@@ -223,24 +224,25 @@ def _ask_around(lens, centres, pitch, radius, around, sizes, errors, slants, sla
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _pool(centres, pitch, radius, around, sizes, errors, slants, slant_errors, wanted, out, out_errors):
+def _pool(centres, pitch, radius, around, sizes, errors, slants, slant_errors, wanted, centred, out, out_errors, bent):
     parts, each, stride = stretches(len(centres))
     for part in prange(parts):
         told = np.empty((11, around.shape[1]))
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
             own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
-            out[lens], out_errors[lens] = sizes[lens], errors[lens]
+            out[lens], out_errors[lens], bent[lens] = sizes[lens], errors[lens], 0.0
             if not (wanted[lens] and np.isfinite(own_variance)):
                 continue
             count, weight = _ask_around(
-                lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, wanted, told
+                lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, centred, told
             )
             if weight < _LEAST_WEIGHT:
                 continue
             slant_known = 1 / (np.float64(slant_errors[lens]) ** 2 + _LEAST_SLANT**2)
-            shown = _seen_about(own, radius)
+            shown = (1 - centred[lens]) * _seen_about(own, radius)
             bend, doubt = _bend(count, told, own, own_variance, shown, slant_known, 1 / (_BENT * pitch) ** 2)
+            bent[lens] = bend * bend / doubt
             bend *= max(1 - _CHANCE * doubt / (bend * bend), 0.0)
             # What all of them show of the bend, the lens itself too, is taken from what they measure.
             misled = shown * shown * doubt if bend != 0 else 0.0
@@ -256,6 +258,22 @@ def _pool(centres, pitch, radius, around, sizes, errors, slants, slant_errors, w
             out_errors[lens] = np.sqrt(joint + _SHARED * min(shared, own_variance) + _UNSEEN**2 + unseen**2)
 
 
+@dataclass(frozen=True)
+class Pooled:
+    """What lenses measure together.
+
+    Parameters
+    ----------
+    patch_size, standard_error : (n,) float32 [px]
+    bent : (n,) float32
+        How many times its variance the square of the bend is that the lenses about one tell; 0 where they do not.
+    """
+
+    patch_size: NDArray[np.float32]
+    standard_error: NDArray[np.float32]
+    bent: NDArray[np.float32]
+
+
 def pooled(
     centres: NDArray[np.float32],
     pitch: float,
@@ -263,8 +281,9 @@ def pooled(
     neighbours: NDArray[np.int32],
     fits: LensFits,
     wanted: NDArray[np.bool_],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Patch sizes and standard errors (n,) [px] of lenses together with those in two rings around them.
+    centred: NDArray[np.float32],
+) -> Pooled:
+    """Patch sizes and standard errors of lenses together with those in two rings around them.
 
     A lens is weighed with what a plane through the others expects of it. Others count as far as they agree with it,
     and the less the more they scatter: what belongs to several surfaces stays as it is. A microimage measures the mean
@@ -281,11 +300,13 @@ def pooled(
     fits : LensFits
         What each lens measures alone; those of infinite error say nothing to others.
     wanted : (n,) bool
-        The others stay as they are, and are what their centres show.
+        The others stay as they are.
+    centred : (n,) float32
+        How far lenses measure what their centres show, 0 to 1, and not a mean.
     """
-    sizes, errors = np.empty(len(centres), np.float32), np.empty(len(centres), np.float32)
+    sizes, errors, bent = (np.empty(len(centres), np.float32) for _ in range(3))
     _pool(
         centres, pitch, radius, _around(neighbours), fits.patch_size.astype(np.float32),
-        fits.standard_error.astype(np.float32), fits.slant, fits.slant_error, wanted, sizes, errors,
+        fits.standard_error.astype(np.float32), fits.slant, fits.slant_error, wanted, centred, sizes, errors, bent,
     )  # fmt: skip
-    return sizes, errors
+    return Pooled(sizes, errors, bent)

@@ -15,7 +15,7 @@ from .radiance import GrayFlat
 from .remembered import remembered
 from .striding import stretches
 
-__all__ = ["LAST_STEP", "PairFits", "fit_pairs"]
+__all__ = ["LAST_STEP", "PairFits", "fit_pairs", "usable_radius"]
 
 # Of white noise, the smoothed picture has this much of the energy in slopes of one direction; the difference between
 # two pictures has the second.
@@ -218,6 +218,11 @@ def _fit_pairs(
                     places[lens, d, k, 0], places[lens, d, k, 1] = x, y
 
 
+def usable_radius(gray: GrayFlat) -> float:
+    """Radius [px] within which the pixels of a microimage, smoothed and with their slopes, are its own."""
+    return gray.radius - min(_RIM, _RIM_SHARE * gray.pitch)
+
+
 def fit_pairs(
     gray: GrayFlat,
     rows: NDArray[np.int32],
@@ -245,7 +250,7 @@ def fit_pairs(
     last_step : float [px of `gray`]
         A step shorter than this is the last.
     """
-    radius = gray.radius - min(_RIM, _RIM_SHARE * gray.pitch)
+    radius = usable_radius(gray)
     image = gray.image
     # Microimages are cut out with what lies about them.
     missing = [max(0, int(2 * radius) + 2 * MORE - n) for n in image.shape]

@@ -30,7 +30,7 @@ class Preset:
 
     With a `least_pitch` [px] the flat is made smaller for all of the analysis, by a whole factor that leaves as much.
     `cells` are the grid values of the surface per pitch, `remainder` tells whether what the first depth of a lens
-    leaves unexplained is matched again.
+    leaves unexplained is matched again, `bends` whether lenses on bent surfaces are measured at their centres.
 
     Detail is sharper in a picture made smaller for the search than in the flat itself, where it has at
     least the microlenses' blur: `full_step` is enough there.
@@ -45,6 +45,7 @@ class Preset:
     least_pitch: float = np.inf
     cells: int = 7
     remainder: bool = True
+    bends: bool = True
 
     def factor(self, pitch: float) -> int:
         """How many pixels of the flat, each way, become one for all of the analysis."""
@@ -62,6 +63,7 @@ PRESETS = {
         least_pitch=11,
         cells=5,
         remainder=False,
+        bends=False,
     ),
     "balanced": Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=5),
     "accurate": Preset(search_pitch=40, step=0.5, full_step=0.5, row_step=1, iterations=8),

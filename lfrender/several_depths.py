@@ -227,7 +227,7 @@ def _spread_out(
     lattice, lenses, rows, earlier, setting = asked.lattice, asked.lenses, asked.rows, asked.earlier, PRESETS[preset]
     gap = max(1.0, 0.05 * lattice.pitch)
     kept, single = asked.kept, answers
-    answers = answers.pooled(lenses, kept if kept is None or rows is None else kept[rows])
+    answers = answers.pooled(lenses, kept if kept is None or rows is None else kept[rows], setting.bends)
     occurring = _occurring(answers, rows, earlier) if asked.overview is None else asked.overview.sizes
     drawn = fill(answers.drawn, answers.resolved, lenses.neighbours, gap)
     seconds = _seconds(lenses, answers, drawn, occurring, setting, shortcuts, gap)

@@ -70,7 +70,7 @@ def test_one_plane_is_seen_as_one_plane(tmp_path, small_tiles):
 def test_the_error_of_one_plane_counts_what_misleads_all_of_its_lenses(tmp_path, small_tiles, monkeypatch, checked):
     """A plane that cannot be checked on every tile is to be found among their answers."""
     shot = capture("plane", ratio=0.32)
-    noisy = shot.flat + np.random.default_rng(3).normal(0, 3 if checked else 16, shot.flat.shape)
+    noisy = shot.flat + np.random.default_rng(4).normal(0, 3 if checked else 8, shot.flat.shape)
     shot = replace(shot, flat=np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
     if not checked:
         monkeypatch.setattr(large_analysis, "plane_evidence", lambda *_: None)

@@ -25,13 +25,20 @@ def fits(sizes, noise=NOISE, seed=0):
     return LensFits(measured, errors, slants, np.full(len(sizes), 0.02, np.float32))
 
 
+def together(centres, neighbours, own, wanted=None):
+    """Sizes and errors of lenses pooled, of which those that are not wanted measure at their centres."""
+    wanted = np.ones(len(centres), bool) if wanted is None else wanted
+    joint = pooled(centres, 20.0, RADIUS, neighbours, own, wanted, (~wanted).astype(np.float32))
+    return joint.patch_size, joint.standard_error
+
+
 @pytest.mark.parametrize("kind", ["hex", "square"])
 @pytest.mark.parametrize("slant", [0.0, 0.0004])
 def test_lenses_of_a_plane_halve_their_error_and_know_it(kind, slant):
     _, centres, neighbours = cameras(kind)
     truth = 1 / (-1 / 9.0 + (centres[:, 0] - 300) * slant / 9)
     own = fits(truth)
-    sizes, errors = pooled(centres, 20.0, RADIUS, neighbours, own, np.ones(len(truth), bool))
+    sizes, errors = together(centres, neighbours, own)
     away = np.abs(sizes - truth)
     assert np.median(away) < 0.5 * np.median(np.abs(own.patch_size - truth))
     assert 0.6 < np.mean(away <= errors) < 0.85
@@ -42,7 +49,7 @@ def test_depth_edges_stay_sharp():
     _, centres, neighbours = cameras()
     left = centres[:, 0] < 300
     truth = np.where(left, -9.0, -8.0)
-    sizes, _ = pooled(centres, 20.0, RADIUS, neighbours, fits(truth), np.ones(len(truth), bool))
+    sizes, _ = together(centres, neighbours, fits(truth))
     assert np.abs(sizes - truth).max() < 4 * NOISE
     at_edge = np.abs(centres[:, 0] - 300) < 20
     assert np.abs((sizes - truth)[at_edge & left].mean()) < 0.02
@@ -56,7 +63,7 @@ def test_a_doubtful_lens_between_two_depths_keeps_its_doubt():
     doubtful = np.abs(centres[:, 0] - 300) < 10
     own.standard_error[doubtful] = 0.6
     own.patch_size[doubtful] = -8.5
-    _, errors = pooled(centres, 20.0, RADIUS, neighbours, own, np.ones(len(truth), bool))
+    _, errors = together(centres, neighbours, own)
     assert np.median(errors[doubtful]) > 0.15
     assert np.median(errors[~doubtful]) < 0.01
 
@@ -80,12 +87,24 @@ def bowl(centres, bend, noise=0.002):
 def test_bent_surfaces_are_measured_where_the_centres_of_lenses_see_them(bend):
     _, centres, neighbours = cameras()
     truth, told, own, inner = bowl(centres, bend)
-    sizes, errors = pooled(centres, 20.0, RADIUS, neighbours, own, np.ones(len(truth), bool))
+    sizes, errors = together(centres, neighbours, own)
     before = np.median((own.patch_size - truth)[inner])
     assert before > 0.2 * bend
     assert abs(np.median((sizes - truth)[inner])) < 0.1 * before + 0.0005
     assert np.median(np.abs(sizes - truth)[inner]) < 1.2 * np.median(np.abs(own.patch_size - told)[inner])
     assert np.mean((np.abs(sizes - truth) <= errors)[inner]) > 0.5
+
+
+def test_a_bend_shows_where_there_is_one_and_hardly_elsewhere():
+    _, centres, neighbours = cameras()
+    wanted = np.ones(len(centres), bool)
+    *_, own, inner = bowl(centres, 0.02)
+    assert (
+        np.mean(pooled(centres, 20.0, RADIUS, neighbours, own, wanted, (~wanted).astype(np.float32)).bent[inner] > 3)
+        > 0.95
+    )
+    flat = fits(np.full(len(centres), -9.0))
+    assert np.mean(pooled(centres, 20.0, RADIUS, neighbours, flat, wanted, (~wanted).astype(np.float32)).bent > 3) < 0.1
 
 
 def test_lenses_that_were_freed_of_a_bend_before_count_as_such():
@@ -94,7 +113,7 @@ def test_lenses_that_were_freed_of_a_bend_before_count_as_such():
     wanted = np.zeros(len(truth), bool)
     wanted[::7] = True
     own.patch_size[~wanted] += (truth - told)[~wanted].astype(np.float32)
-    sizes, _ = pooled(centres, 20.0, RADIUS, neighbours, own, wanted)
+    sizes, _ = together(centres, neighbours, own, wanted)
     assert abs(np.median((sizes - truth)[inner & wanted])) < 0.0015
     np.testing.assert_array_equal(sizes[~wanted], own.patch_size[~wanted])
 
@@ -106,7 +125,7 @@ def test_lenses_that_know_nothing_say_nothing():
     own.standard_error[::3] = np.inf
     own.patch_size[::3] = np.nan
     wanted[1::3] = False
-    sizes, errors = pooled(centres, 20.0, RADIUS, neighbours, own, wanted)
+    sizes, errors = together(centres, neighbours, own, wanted)
     assert np.isnan(sizes[::3]).all() and np.isinf(errors[::3]).all()
     np.testing.assert_array_equal(sizes[1::3], own.patch_size[1::3])
     assert np.isfinite(sizes[2::3]).all()

@@ -1,0 +1,36 @@
+"""Normal equations of a few unknowns, solved inside kernels."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+__all__ = ["back", "solve"]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve(left, right, out):
+    """Solve normal equations after Cholesky; `left`, of which the lower half is set, becomes its factor."""
+    for i in range(len(right)):
+        for j in range(i + 1):
+            total = left[i, j]
+            for k in range(j):
+                total -= left[i, k] * left[j, k]
+            left[i, j] = np.sqrt(total) if i == j else total / left[j, j]
+    back(left, right, out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def back(factor, right, out):
+    """Solve normal equations by the factor of Cholesky that `solve` has left in their place."""
+    count = len(right)
+    for i in range(count):
+        total = right[i]
+        for k in range(i):
+            total -= factor[i, k] * out[k]
+        out[i] = total / factor[i, i]
+    for i in range(count - 1, -1, -1):
+        total = out[i]
+        for k in range(i + 1, count):
+            total -= factor[k, i] * out[k]
+        out[i] = total / factor[i, i]
