@@ -1,8 +1,9 @@
 """Depth of random scenes of random cameras: `python -m benchmarks.random_scenes [FIRST LAST [SAMPLES]]`.
 
 Each seed draws a camera (lattice, pitch, rotation, lens types, noise, bits) and a scene of `data_synth`. Only the flat
-is given; the lattice is calibrated from it. Modes and patch sizes are judged as in `benchmarks.truth_flats`. Of few
-samples (rays a pixel) the ray tracer makes a noise of its own, which in fine clutter errs more than that of the camera.
+is given; the lattice is calibrated from it. Modes, patch sizes and edges are judged as in `benchmarks.truth_flats`,
+and lenses that do not show the depth of the most apart as well. Of few samples (rays a pixel) the ray tracer makes a
+noise of its own, which in fine clutter errs more than that of the camera.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ import lfrender
 from data_synth import SCENES, Camera, Capture, simulate
 from data_synth.camera import LATTICES
 
+from .depth_edges import edge_share
+
 __all__ = ["DepthErrors", "draw", "judge", "main"]
 
 _SEEDS = (0, 20)
@@ -30,6 +33,8 @@ _FULL_WELLS, _READ = (800.0, 20000.0), (2.0, 6.0)
 _SAMPLES = 256
 # Lenses that show less contrast are not judged; a lens is the one of the truth that is nearer than this [pitches].
 _CONTRAST, _SAME = 0.03, 0.25
+# Lenses farther than this [share of the pitch] from the median of a scene, so many at least, are judged apart.
+_APART, _FEWEST = 0.03, 10
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,10 @@ class DepthErrors:
         Median and 95th percentile of the error of the patch size.
     within : float
         Share of the lenses within their standard error.
+    before : float [px]
+        Median error of the lenses that do not show the depth of the most; NaN where these are few.
+    edges : float
+        Share of the depth edges that are right to one pixel of the traditional picture.
     """
 
     centres: float
@@ -54,6 +63,8 @@ class DepthErrors:
     median: float
     most: float
     within: float
+    before: float
+    edges: float
 
 
 def draw(seed: int, samples: int = _SAMPLES) -> tuple[str, Capture]:
@@ -93,6 +104,8 @@ def judge(capture: Capture) -> DepthErrors:
     # Lenses left unresolved count among the modes alone.
     measured = np.isfinite(error)
     within = error <= depth.standard_error[judged]
+    away = np.abs(truth.patch_size[near][judged] - np.median(truth.patch_size[near][judged]))
+    before = measured & (away > _APART * depth.pitch)
     return DepthErrors(
         centres=float(np.sqrt((apart[known] ** 2).mean())),
         right=float((mode == wanted).mean()),
@@ -100,6 +113,8 @@ def judge(capture: Capture) -> DepthErrors:
         median=float(np.nanmedian(error)),
         most=float(np.nanquantile(error, 0.95)),
         within=float(within[measured].mean()),
+        before=float(np.median(error[before])) if before.sum() >= _FEWEST else float("nan"),
+        edges=edge_share(depth, truth.reference_patch_size, truth.reference_affine),
     )
 
 
@@ -110,7 +125,8 @@ def main(arguments: list[str]) -> None:
         found = judge(capture)
         print(
             f"{seed:3d} {described:62s} centres {found.centres:.4f} px  modes {found.right:.4f} wrong {found.wrong:.4f}"
-            f"  s median {found.median:.4f} 95 % {found.most:.3f} px  within its error {found.within:.2f}",
+            f"  s median {found.median:.4f} 95 % {found.most:.3f} px  within its error {found.within:.2f}"
+            f"  before it {found.before:.4f} px  edges {found.edges:.3f}",
             flush=True,
         )
 

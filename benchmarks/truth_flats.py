@@ -19,12 +19,11 @@ import lfcal
 import lfrender
 from lfrender.merit import PictureMerit, compare_pictures, resample
 
+from .depth_edges import RESOLVABLE, edge_share
+
 # Reference pixel (i, j) of these folders lies at scene coordinates X = (2i + 0.5, 2j + 0.5).
 _REFERENCE = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5]])
 SCALES = (0.15, 0.3)
-_RESOLVABLE = 0.75
-# Depths that differ by this share of the pitch lie on two sides of an edge.
-_EDGE = 0.05
 _BLANK = 2
 
 
@@ -41,29 +40,8 @@ def merit(picture: lfrender.Rendering, folder: Path, pitch: float) -> PictureMer
     border = int(np.ceil(picture.scale))
     inner = np.zeros(shape, bool)
     inner[border:-border, border:-border] = True
-    where = inside & inner & picture.valid & (np.abs(s) < _RESOLVABLE * pitch)
+    where = inside & inner & picture.valid & (np.abs(s) < RESOLVABLE * pitch)
     return compare_pictures(picture.image / np.float64(np.iinfo(picture.image.dtype).max), wanted, where)
-
-
-def _edges(depth: lfrender.DepthMap, folder: Path) -> float:
-    """Share of the places at depth edges, on both sides, whose depth the map has within one pitch."""
-    wanted = np.load(folder / "reference_depth.npz")["disparity_px"].astype(np.float64)
-    limit = _EDGE * depth.pitch
-    edge = np.zeros(wanted.shape, bool)
-    for axis in (0, 1):
-        jump = np.abs(np.diff(wanted, axis=axis)) > limit
-        edge |= np.insert(jump, 0, False, axis) | np.insert(jump, jump.shape[axis], False, axis)
-    v, u = np.nonzero(edge & (np.abs(wanted) < _RESOLVABLE * depth.pitch))
-    here = np.column_stack([u, v, np.ones(len(u))]) @ _REFERENCE.T
-    size = np.array(depth.image_size)
-    inside = np.all((here > depth.pitch) & (here < size - depth.pitch), axis=1)
-    here, s = here[inside], wanted[v, u][inside]
-    reach = np.arange(-10, 11) / 10
-    around = np.stack(np.meshgrid(reach, reach), -1).reshape(-1, 2)
-    found = np.zeros(len(s), bool)
-    for offset in around[np.linalg.norm(around, axis=1) <= 1]:
-        found |= np.abs(depth.surface.at(here + offset * depth.pitch) - s) < limit
-    return float(found.mean()) if len(found) else 1.0
 
 
 def _row(folder: Path, preset: str) -> str:
@@ -87,13 +65,14 @@ def _row(folder: Path, preset: str) -> str:
     blank = known & (truth["reason"][nearest] & _BLANK > 0)
     claims = f"{(depth.confidence[blank] > 0.5).mean():.3f} of {blank.sum()}" if blank.any() else "none"
     pitch = calibration.lattice.pitch
+    edges = edge_share(depth, np.load(folder / "reference_depth.npz")["disparity_px"], _REFERENCE)
     psnr = [merit(lfrender.render(flat, calibration, depth, scale=k * pitch), folder, pitch).psnr for k in SCALES]
     psnr.append(merit(picture, folder, pitch).psnr)
     return (
         f"{folder.name:10} {preset:9} centres {np.sqrt((distance[known] ** 2).mean()):.4f} px"
         f"  modes {(depth.mode == mode)[single].mean():.4f} / all {(depth.mode == mode)[every].mean():.4f}"
         f"  s median {np.nanmedian(error):.3f} 95 % {np.nanpercentile(error, 95):.3f} px"
-        f" within its error {within:.2f}  blank claims {claims}  edges {_edges(depth, folder):.3f}"
+        f" within its error {within:.2f}  blank claims {claims}  edges {edges:.3f}"
         f"  PSNR {psnr[0]:.2f} {psnr[1]:.2f} {psnr[2]:.2f} dB (P = 0.15 D, 0.3 D, {picture.scale:.1f})"
         f"  {analysed - start:.2f} + {drawn - analysed:.2f} s"
     )
