@@ -145,6 +145,60 @@ def _add_pair(told, total, rest, places, left, right):
             left[i, j] += told[12 + places[i, j]] - told[i] * told[j] / total
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _step(left, right, noise, known, c, change):
+    """Move the coefficients, which are `known` to be about zero, to where the normal equations have them. By how much
+    at most; `left` becomes its factor."""
+    for i in range(_TERMS):
+        left[i, i] += noise * known[i]
+        right[i] -= noise * known[i] * c[i]
+    solve(left, right, change)
+    moved = np.float32(0.0)
+    for i in range(_TERMS):
+        step = np.float32(min(max(change[i], -1.0), 1.0))
+        c[i] += step
+        moved = max(moved, abs(step))
+    return moved
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _inside(columns, lines, side, wide, left, top, ax, ay, radius, smoothed, along_x, along_y, about, own, slopes):
+    """Gather the pixels of a microimage in a circle: places in pixels and in radii, brightness and slopes. Their
+    number."""
+    count = 0
+    for k in range(side * wide):
+        dx, dy = columns[k] + np.float32(left) - ax, lines[k] + np.float32(top) - ay
+        if columns[k] < side and dx * dx + dy * dy <= radius * radius:
+            about[0, count], about[1, count] = dx, dy
+            about[2, count], about[3, count] = dx / radius, dy / radius
+            own[count], slopes[0, count], slopes[1, count] = smoothed[k], along_x[k], along_y[k]
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _bend(count, c, about, bent):
+    """Patch sizes of all pixels by their coefficients."""
+    for k in range(count):
+        u, v = about[2, k], about[3, k]
+        bent[k] = c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _standard_errors(factor, right, noise, radius, column):
+    """Standard errors of the patch size at the centre and of the slant, from the factor of the normal equations."""
+    height, slope = 0.0, 0.0
+    for i in range(3):
+        right[:] = 0.0
+        right[i] = 1.0
+        back(factor, right, column)
+        if i == 0:
+            height = column[0]
+        else:
+            slope += 0.5 * column[i]
+    return _UNSEEN * np.float32(np.sqrt(noise * height)), _UNSEEN * np.float32(np.sqrt(noise * slope)) / radius
+
+
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _fit_bent(
     image, centres, radius, pitch, neighbours, sizes, slants, scale2, wanted, known, places, out, errors, out_slants,
@@ -153,15 +207,18 @@ def _fit_bent(
     side, wide, size, columns, lines = raster(radius)
     height, width = image.shape
     pixels = image.reshape(-1)
+    last_x, last_y = np.float32(width) - np.float32(3.001), np.float32(height) - np.float32(3.001)
     parts, each, stride = stretches(len(centres))
-    nearest = neighbours.shape[1]
     for part in prange(parts):
-        room = np.zeros((17, size), np.float32)
-        box, smooth, smoothed, along_x, along_y, x, y = room[0], room[1], room[2], room[3], room[4], room[5], room[6]
-        inner_x, inner_y, own, slope_x, slope_y = room[7], room[8], room[9], room[10], room[11]
-        bent, other, share, weights, slopes = room[12], room[13], room[14], room[15], room[16]
-        rests, none = np.zeros(size, np.float32), np.zeros(0, np.float32)
-        told, offsets = np.empty(27, np.float32), np.zeros(nearest, np.float32)
+        room, about, slopes = (
+            np.zeros((11, size), np.float32),
+            np.zeros((4, size), np.float32),
+            np.zeros((2, size), np.float32),
+        )
+        box, smooth, smoothed, along_x, along_y, own = room[0], room[1], room[2], room[3], room[4], room[5]
+        bent, other, share, weights, along = room[6], room[7], room[8], room[9], room[10]
+        rests, none, told = np.zeros(size, np.float32), np.zeros(0, np.float32), np.empty(27, np.float32)
+        offsets, c = np.empty(neighbours.shape[1], np.float32), np.empty(_TERMS, np.float32)
         left, right, change = np.empty((_TERMS, _TERMS)), np.empty(_TERMS), np.empty(_TERMS)
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
@@ -171,74 +228,45 @@ def _fit_bent(
             ax, ay = centres[lens, 0], centres[lens, 1]
             first, top = corner(ax, radius, side, width), corner(ay, radius, side, height)
             cut(pixels, height, width, first, top, side, wide, box, smooth, smoothed, along_x, along_y, none)
-            count = 0
-            for k in range(side * wide):
-                dx, dy = columns[k] + np.float32(first) - ax, lines[k] + np.float32(top) - ay
-                if columns[k] < side and dx * dx + dy * dy <= radius * radius:
-                    x[count], y[count] = dx, dy
-                    inner_x[count], inner_y[count] = dx / radius, dy / radius
-                    own[count], slope_x[count], slope_y[count] = smoothed[k], along_x[k], along_y[k]
-                    count += 1
-            c = np.zeros(_TERMS, np.float32)
+            count = _inside(
+                columns, lines, side, wide, first, top, ax, ay, radius, smoothed, along_x, along_y, about, own, slopes
+            )
             c[0], c[1], c[2] = sizes[lens], slants[lens, 0] * radius, slants[lens, 1] * radius
-            offsets[:] = 0.0
-            noise, moved, pixels_told = 0.0, np.float32(np.inf), np.float32(0.0)
+            c[3:], offsets[:], noise, seen = 0.0, 0.0, 0.0, np.float32(0.0)
             for _ in range(_ITERATIONS):
-                for k in range(count):
-                    u, v = inner_x[k], inner_y[k]
-                    bent[k] = c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
-                left[:], right[:] = 0.0, 0.0
-                pixels_told, squares = np.float32(0.0), np.float32(0.0)
-                for d in range(nearest):
+                _bend(count, c, about, bent)
+                left[:], right[:], seen, squares = 0.0, 0.0, np.float32(0.0), np.float32(0.0)
+                for d in range(neighbours.shape[1]):
                     near = neighbours[lens, d]
                     if near < 0:
                         continue
                     bx, by = centres[near, 0], centres[near, 1]
                     ux, uy = (bx - ax) / pitch, (by - ay) / pitch
                     _look(
-                        pixels, width, count, x, y, bent, ux, uy, bx, by, np.float32(width) - np.float32(3.001),
-                        np.float32(height) - np.float32(3.001), radius * radius, other, share,
+                        pixels, width, count, about[0], about[1], bent, ux, uy, bx, by, last_x, last_y, radius * radius,
+                        other, share,
                     )  # fmt: skip
                     total, rest, square = _weigh(
-                        count, own, other, share, offsets[d], scale2[lens], slope_x, slope_y, ux, uy, weights, slopes,
-                        rests,
+                        count, own, other, share, offsets[d], scale2[lens], slopes[0], slopes[1], ux, uy, weights,
+                        along, rests,
                     )  # fmt: skip
                     if total < 4:
                         continue
-                    _moments(count, inner_x, inner_y, weights, slopes, rests, told)
+                    _moments(count, about[2], about[3], weights, along, rests, told)
                     _add_pair(told, total, rest, places, left, right)
                     offsets[d] += rest / total
-                    pixels_told += total
+                    seen += total
                     squares += square - rest * rest / total
-                if pixels_told < _FEWEST:
+                if seen < _FEWEST:
                     break
-                noise = float(_CORRELATED * squares / pixels_told) + 1e-9
-                for i in range(_TERMS):
-                    left[i, i] += noise * known[i]
-                    right[i] -= noise * known[i] * c[i]
-                solve(left, right, change)
-                moved = np.float32(0.0)
-                for i in range(_TERMS):
-                    step = np.float32(min(max(change[i], -1.0), 1.0))
-                    c[i] += step
-                    moved = max(moved, abs(step))
-                if moved < _LAST_STEP:
+                noise = float(_CORRELATED * squares / seen) + 1e-9
+                if _step(left, right, noise, known, c, change) < _LAST_STEP:
                     break
-            if pixels_told < _FEWEST or not abs(c[0] - sizes[lens]) < _LEFT * pitch:
+            if seen < _FEWEST or not abs(c[0] - sizes[lens]) < _LEFT * pitch:
                 continue
             out[lens] = c[0]
             out_slants[lens, 0], out_slants[lens, 1] = c[1] / radius, c[2] / radius
-            slope_variance = 0.0
-            for i in range(3):
-                right[:] = 0.0
-                right[i] = 1.0
-                # The factor is in the lower half by now.
-                back(left, right, change)
-                if i == 0:
-                    errors[lens] = _UNSEEN * np.float32(np.sqrt(noise * change[0]))
-                else:
-                    slope_variance += 0.5 * noise * change[i]
-            slant_errors[lens] = _UNSEEN * np.float32(np.sqrt(slope_variance)) / radius
+            errors[lens], slant_errors[lens] = _standard_errors(left, right, noise, radius, change)
 
 
 def _places_of_products() -> NDArray[np.int64]:
