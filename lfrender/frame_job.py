@@ -23,7 +23,7 @@ from lfcal import Calibration, LightFieldError, OutputError, load, whole_file
 
 from .analysis import analyze
 from .demosaicing import demosaic
-from .depthmap import DepthMap
+from .depthmap import DepthFileError, DepthMap
 from .drawing import default_scale, render
 from .embedded import Embedded, read_embedded
 from .following import load_comparison, save_comparison
@@ -199,7 +199,7 @@ class Job:
             return self._analysed(key, None, self._comparison_file(key))
         earlier = earlier if earlier.depth else self.with_depth(earlier, None)
         # In its own stretch it has been compared with for itself.
-        depth = DepthMap.load(self.depth_file(earlier))
+        depth = self._kept_depth(self.depth_file(earlier))
         load_comparison(depth, self._comparison_file(earlier))
         return self._analysed(key, replace(earlier, depth=depth), self._comparison_file(key))
 
@@ -222,7 +222,15 @@ class Job:
                 save_comparison(depth, comparison)
             depth.save(file)
         # What an analysis remembers of a depth map beside its file, another worker or a later run would not have.
-        return replace(key, flat=flat, depth=DepthMap.load(file))
+        return replace(key, flat=flat, depth=self._kept_depth(file))
+
+    def _kept_depth(self, file: Path) -> DepthMap:
+        """A depth map of the hidden folder, which another version may have left there."""
+        try:
+            return DepthMap.load(file)
+        except DepthFileError as error:
+            what = "left by another version, or damaged; render everything anew (--overwrite)"
+            raise OutputError(f"{file}: {what}") from error
 
     def depth_after(self, key: Key, flat: NDArray[Any]) -> DepthMap:
         """Depth of a frame whose still parts keep that of a key frame."""

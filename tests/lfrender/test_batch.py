@@ -143,6 +143,20 @@ def test_other_settings_are_refused_until_everything_is_rendered_anew(sequence, 
     assert tifffile.imread(whole[0] / "f8.tif").shape[1] == pytest.approx(3.0 * 520 / 20.3, abs=1)
 
 
+def test_depths_left_by_another_version_are_refused_until_everything_is_rendered_anew(sequence, tmp_path):
+    frames, camera = sequence
+    one = lfrender.open_frames([frames / "f8.png"])
+    list(lfrender.render_frames(one, tmp_path, camera, preset="fast"))
+    file = tmp_path / ".lfrender" / "depth_000000.npz"
+    with np.load(file) as data:
+        np.savez(file, **{**data, "version": np.int64(1)})
+    (tmp_path / "f8.tif").unlink()
+    with pytest.raises(lfcal.OutputError, match=r"depth_000000.*--overwrite"):
+        list(lfrender.render_frames(one, tmp_path, camera, preset="fast"))
+    list(lfrender.render_frames(one, tmp_path, camera, preset="fast", overwrite=True))
+    assert (tmp_path / "f8.tif").exists()
+
+
 def test_bad_frame_is_reported_and_the_others_are_rendered(sequence, tmp_path):
     frames, camera = sequence
     inputs = tmp_path / "in"
