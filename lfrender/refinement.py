@@ -33,8 +33,9 @@ _LEFT = np.float32(2.5)
 # The cubic B-spline leaves a quarter of the energy of white noise, and all of it at low frequencies, where texture is.
 # Of the frequencies at which noise has its own slopes it leaves less: the integral over all of them.
 _CORRELATED, _CORRELATED_NOISE = np.float32(4.0), np.float32(1.62)
-# Smoothing and slopes each read a pixel beyond [px]; small microimages give up no more than the share of the pitch.
-_RIM, _RIM_SHARE = 1.0, 0.03
+# Smoothing and slopes each read a pixel beyond [px]; small microimages give up the share of the pitch, and no less than
+# the third number [px].
+_RIM, _RIM_SHARE, _LEAST_RIM = 1.0, 0.03, 0.3
 # Neighbours whose first values differ by less than this share of the pitch start from their mean.
 _COMMON_START = np.float32(0.04)
 
@@ -220,7 +221,7 @@ def _fit_pairs(
 
 def usable_radius(gray: GrayFlat) -> float:
     """Radius [px] within which the pixels of a microimage, smoothed and with their slopes, are its own."""
-    return gray.radius - min(_RIM, _RIM_SHARE * gray.pitch)
+    return gray.radius - min(_RIM, max(_RIM_SHARE * gray.pitch, _LEAST_RIM))
 
 
 def fit_pairs(
