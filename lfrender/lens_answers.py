@@ -14,7 +14,7 @@ from .consensus import measure
 from .depthmap import DepthMap
 from .judgement import RESOLVABLE, SURE, credible, judged, moving, possible, shaded, staying
 from .neighbours import both_ways, rows_among
-from .pooling import pooled
+from .pooling import pooled, pooled_afar
 from .radiance import shrink
 from .recurrence import hardly_seen, recurring
 from .search import Found, Matcher, Preset, search
@@ -173,7 +173,8 @@ class Answers:
         """
         wanted = self.resolved if kept is None else self.resolved & ~kept
         flat, neighbours = lenses.texture.flat, lenses.neighbours
-        pool = partial(pooled, flat.centres, lenses.pitch, flat.radius, neighbours)
+        where = flat.centres, lenses.pitch, flat.radius, neighbours
+        pool = partial(pooled, *where)
         # Those that are kept have been freed of what they show of bends.
         freed = (~wanted).astype(np.float32)
         joint = pool(self.alone, wanted, freed)
@@ -183,11 +184,12 @@ class Answers:
             asked = np.where(doubted, np.clip(joint.bent / _BENT - 1, 0, 1), 0).astype(np.float32)
             alone, centred = fit_bent(flat, neighbours, self.alone, asked, _usual_contrast(lenses.texture))
             joint = pool(alone, wanted, np.maximum(freed, centred)) if centred.any() else joint
-        known = wanted & np.isfinite(joint.standard_error)
+        fits = pooled_afar(*where, joint, wanted)
+        known = wanted & np.isfinite(fits.standard_error)
         return replace(
             self,
-            patch_size=np.where(known, joint.patch_size, self.patch_size),
-            standard_error=np.where(known, joint.standard_error, self.standard_error),
+            patch_size=np.where(known, fits.patch_size, self.patch_size),
+            standard_error=np.where(known, fits.standard_error, self.standard_error),
         )
 
     def among(self, count: int, rows: NDArray[np.int64], earlier: Earlier | None) -> Answers:

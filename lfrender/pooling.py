@@ -8,14 +8,15 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .remembered import remembered
+from .rings import afar, around
 from .slant import LensFits
 from .striding import stretches
 
-__all__ = ["Pooled", "pooled"]
+__all__ = ["Pooled", "pooled", "pooled_afar"]
 
-# Lenses farther apart than this many standard deviations hardly count as one surface.
-_APART = 3.0
+# Lenses farther apart than this many standard deviations hardly count as one surface, and from the second number on not
+# at all: one that knows itself far better than those about it would else draw them to another surface.
+_APART, _ELSEWHERE = 3.0, 6.0
 # No surface is even, and no slant better known than to this.
 _LEAST_SLANT = 0.002
 # Bends of surfaces [pitches of s per squared pitch of the scene] are about so large. One is believed as far as its
@@ -33,44 +34,10 @@ _LEAST_WEIGHT = 0.5
 # Measured on ray-traced scenes.
 _SHARED = 0.03
 _UNSEEN, _UNSEEN_GROWTH = 0.0016, 0.001
-# Two rings hold so many times the lenses of the first: of a lattice, the second has twice as many.
-_BOTH_RINGS = 3
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def _find_around(neighbours, out):
-    """The neighbours of each lens and their neighbours, each once, then -1."""
-    for lens in prange(len(out)):
-        count = 0
-        for k in range(neighbours.shape[1]):
-            near = neighbours[lens, k]
-            if near >= 0:
-                out[lens, count] = near
-                count += 1
-        for k in range(neighbours.shape[1]):
-            near = neighbours[lens, k]
-            if near < 0:
-                continue
-            for m in range(neighbours.shape[1]):
-                other = neighbours[near, m]
-                new = other >= 0 and other != lens
-                for seen in range(count):
-                    new &= out[lens, seen] != other
-                if new and count < out.shape[1]:
-                    out[lens, count] = other
-                    count += 1
-        out[lens, count:] = -1
-
-
-def _around(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(n, 3 k) int32 rows of the lenses in two rings about each, -1 where there is none."""
-
-    def find() -> NDArray[np.int32]:
-        out = np.empty((len(neighbours), _BOTH_RINGS * neighbours.shape[1]), np.int32)
-        _find_around(neighbours, out)
-        return out
-
-    return remembered(neighbours, "two rings", find)
+# Lenses afar are asked so many times: those that they have asked tell of what is farther.
+_TURNS = 2
+# On a plane, errors alone leave so much agreement. Lenses with less count afar by this power of what they have of it.
+_AGREED, _STEEPNESS = np.float32(0.83), 8
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -82,14 +49,15 @@ def _inverted(a, b, c, d, e, f):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _expect(count, told, slant_known):
-    """What `count` lenses expect of another: difference from what it says itself, variance, and shared variance.
+    """What `count` lenses expect of another: difference from what it says itself, variance, and shared variance; by how
+    much their slant differs from its own, and the variance of that.
 
     A weighted plane through the differences of what they have `told`. What they scatter about it beyond their variances
     is as likely the surface's own unevenness (DerSimonian and Laird, Meta-analysis in clinical trials, 1986), which the
     other lens has as well.
     """
     away, variance, share, along_x, along_y = told[0], told[1], told[2], told[3], told[4]
-    uneven = height = inverse = total = 0.0
+    uneven = height = inverse = total = x_slant = y_slant = slanted = 0.0
     for turn in range(_ROUNDS):
         a = b = c = d = e = f = p = q = r = squares = 0.0
         for k in range(count):
@@ -110,9 +78,10 @@ def _expect(count, told, slant_known):
         f += slant_known
         i00, i01, i02, i11, i12, i22, over = _inverted(a, b, c, d, e, f)
         height, inverse = (i00 * p + i01 * q + i02 * r) * over, i00 * over
+        x_slant, y_slant = (i01 * p + i11 * q + i12 * r) * over, (i02 * p + i12 * q + i22 * r) * over
+        slanted = 0.5 * (i11 + i22) * over
         if turn == _ROUNDS - 1:
             break
-        x_slant, y_slant = (i01 * p + i11 * q + i12 * r) * over, (i02 * p + i12 * q + i22 * r) * over
         scatter, freedom = 0.0, -1.0
         for k in range(count):
             rest = away[k] - height - x_slant * along_x[k] - y_slant * along_y[k]
@@ -120,7 +89,7 @@ def _expect(count, told, slant_known):
             freedom += share[k]
         freedom -= (1 - i11 * over * slant_known) + (1 - i22 * over * slant_known)
         uneven += max(scatter - freedom + 1, 0.0) / max(a - squares / a, 1e-9)
-    return height, inverse + uneven, count / total
+    return height, inverse + uneven, count / total, -x_slant, -y_slant, slanted
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -187,7 +156,7 @@ def _seen_about(size, radius):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ask_around(lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, centred, told):
+def _ask_around(lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, centred, trust, told):
     """Fill `told` with what the lenses `around` one measure. Returns how many they are, and what they count together.
 
     In its rows: the difference from what the lens says itself, its variance, and how far it counts; by how much it
@@ -210,21 +179,26 @@ def _ask_around(lens, centres, pitch, radius, around, sizes, errors, slants, sla
         rest = size * (1 + slants[lens, 0] * ex + slants[lens, 1] * ey) - own
         away2 = ex * ex + ey * ey
         limit = own_variance + noise + slant_variance * size * size * away2
-        doubt = 1 / (1 + rest * rest / (_APART * _APART * limit))
-        told[0, count], told[1, count], told[2, count] = rest, noise, doubt * doubt
+        apart = rest * rest / limit
+        doubt = 1 / (1 + apart / (_APART * _APART))
+        share = doubt * doubt * max(1 - apart / (_ELSEWHERE * _ELSEWHERE), 0.0) * trust[lens] * trust[other]
+        told[0, count], told[1, count], told[2, count] = rest, noise, share
         told[3, count], told[4, count] = size * ex, size * ey
         told[5, count] = 0.5 * away2 + (1 - centred[other]) * _seen_about(size, radius)
         told[6, count], told[7, count] = ex, ey
         told[8, count] = own * (np.float64(slants[other, 0]) - slants[lens, 0])
         told[9, count] = own * (np.float64(slants[other, 1]) - slants[lens, 1])
         told[10, count] = own * own * (np.float64(slant_errors[other]) ** 2 + _LEAST_SLANT**2)
-        weight += doubt * doubt
+        weight += share
         count += 1
     return count, weight
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _pool(centres, pitch, radius, around, sizes, errors, slants, slant_errors, wanted, centred, out, out_errors, bent):
+def _pool(
+    centres, pitch, radius, around, sizes, errors, slants, slant_errors, wanted, centred, trust, out, out_errors,
+    out_slants, out_slant_errors, bent, agreed,
+):  # fmt: skip
     parts, each, stride = stretches(len(centres))
     for part in prange(parts):
         told = np.empty((11, around.shape[1]))
@@ -232,11 +206,13 @@ def _pool(centres, pitch, radius, around, sizes, errors, slants, slant_errors, w
         for lens in range(begin, min(begin + each, len(centres))):
             own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
             out[lens], out_errors[lens], bent[lens] = sizes[lens], errors[lens], 0.0
+            out_slants[lens], out_slant_errors[lens], agreed[lens] = slants[lens], slant_errors[lens], 1.0
             if not (wanted[lens] and np.isfinite(own_variance)):
                 continue
             count, weight = _ask_around(
-                lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, centred, told
+                lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, centred, trust, told
             )
+            agreed[lens] = weight / max(count, 1)
             if weight < _LEAST_WEIGHT:
                 continue
             slant_known = 1 / (np.float64(slant_errors[lens]) ** 2 + _LEAST_SLANT**2)
@@ -249,10 +225,13 @@ def _pool(centres, pitch, radius, around, sizes, errors, slants, slant_errors, w
             for k in range(count):
                 told[0, k] += bend * (shown - told[5, k])
             own_variance += misled
-            expected, uncertain, shared = _expect(count, told, slant_known)
+            expected, uncertain, shared, x_slant, y_slant, slanted = _expect(count, told, slant_known)
             if expected * expected > _APART * _APART * (uncertain + own_variance):
                 continue
             out[lens] = own - shown * bend + own_variance / (own_variance + uncertain) * expected
+            out_slants[lens, 0] += x_slant
+            out_slants[lens, 1] += y_slant
+            out_slant_errors[lens] = np.sqrt(slanted)
             joint = own_variance * uncertain / (own_variance + uncertain) + misled
             unseen = _UNSEEN_GROWTH * pitch * abs(own / pitch) ** 3
             out_errors[lens] = np.sqrt(joint + _SHARED * min(shared, own_variance) + _UNSEEN**2 + unseen**2)
@@ -264,14 +243,16 @@ class Pooled:
 
     Parameters
     ----------
-    patch_size, standard_error : (n,) float32 [px]
+    fits : LensFits
     bent : (n,) float32
         How many times its variance the square of the bend is that the lenses about one tell; 0 where they do not.
+    agreed : (n,) float32
+        Share of the lenses about one that agree with it, 0 to 1.
     """
 
-    patch_size: NDArray[np.float32]
-    standard_error: NDArray[np.float32]
+    fits: LensFits
     bent: NDArray[np.float32]
+    agreed: NDArray[np.float32]
 
 
 def pooled(
@@ -283,7 +264,7 @@ def pooled(
     wanted: NDArray[np.bool_],
     centred: NDArray[np.float32],
 ) -> Pooled:
-    """Patch sizes and standard errors of lenses together with those in two rings around them.
+    """Patch sizes, slants and their errors of lenses together with those in two rings around them.
 
     A lens is weighed with what a plane through the others expects of it. Others count as far as they agree with it,
     and the less the more they scatter: what belongs to several surfaces stays as it is. A microimage measures the mean
@@ -304,9 +285,46 @@ def pooled(
     centred : (n,) float32
         How far lenses measure what their centres show, 0 to 1, and not a mean.
     """
-    sizes, errors, bent = (np.empty(len(centres), np.float32) for _ in range(3))
+    trust = np.ones(len(centres), np.float32)
+    return _together(centres, pitch, radius, around(neighbours), fits, wanted, centred, trust)
+
+
+def pooled_afar(
+    centres: NDArray[np.float32],
+    pitch: float,
+    radius: float,
+    neighbours: NDArray[np.int32],
+    near: Pooled,
+    wanted: NDArray[np.bool_],
+) -> LensFits:
+    """What lenses have `pooled` together with those farther off: planes of many lenses come out as planes.
+
+    Lenses count as far as those about them agree. Beside a depth edge they see a little of both sides, and err toward
+    the other one together.
+    """
+    centred = np.ones(len(centres), np.float32)
+    trust = np.minimum(near.agreed / _AGREED, 1) ** _STEEPNESS
+    fits = near.fits
+    for _ in range(_TURNS):
+        fits = _together(centres, pitch, radius, afar(neighbours), fits, wanted, centred, trust).fits
+    return fits
+
+
+def _together(
+    centres: NDArray[np.float32],
+    pitch: float,
+    radius: float,
+    rows: NDArray[np.int32],
+    fits: LensFits,
+    wanted: NDArray[np.bool_],
+    centred: NDArray[np.float32],
+    trust: NDArray[np.float32],
+) -> Pooled:
+    """As `pooled`, with the lenses `rows` (n, m) of each, which count as far as they and it have `trust` (n,)."""
+    sizes, errors, slant_errors, bent, agreed = (np.empty(len(centres), np.float32) for _ in range(5))
+    slants = np.empty((len(centres), 2), np.float32)
     _pool(
-        centres, pitch, radius, _around(neighbours), fits.patch_size.astype(np.float32),
-        fits.standard_error.astype(np.float32), fits.slant, fits.slant_error, wanted, centred, sizes, errors, bent,
+        centres, pitch, radius, rows, fits.patch_size.astype(np.float32), fits.standard_error.astype(np.float32),
+        fits.slant, fits.slant_error, wanted, centred, trust, sizes, errors, slants, slant_errors, bent, agreed,
     )  # fmt: skip
-    return Pooled(sizes, errors, bent)
+    return Pooled(LensFits(sizes, errors, slants, slant_errors), bent, agreed)
