@@ -11,7 +11,6 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .fastmath import FAST
 from .matching import mean_steps
 from .radiance import GrayFlat
 
@@ -47,7 +46,7 @@ def shared_trust(gray: GrayFlat, rows: NDArray[np.int32], shifts: NDArray[np.flo
     return (trust / max(len(steps), 1)).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _without_rivals(cost, trust, rows, best, wanted, apart, out, matched, echo):
     shifts = cost.shape[1]
     for lens in prange(len(best)):
