@@ -65,22 +65,27 @@ def _squares(own, there, wide, count, w00, w01, w10, w11, out):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _sums_of_three(values, apart, count, out, at):
-    """Sums of values and those so far `apart` on both sides, put a place `at` on."""
-    one, two, first = np.uint64(apart), np.uint64(2 * apart), np.uint64(apart + at)
-    for k in range(np.uint64(count)):
-        out[first + k] = values[k] + values[k + one] + values[k + two]
+def _sums_of_squares(squares, v, wide, begin, end, lines, out, at):
+    """Sums of the 3 x 3 squares about each place of row `v`, put from place `at` on; infinite but for `begin` to `end`."""
+    above, here, below = np.uint64((v - 1) * wide), np.uint64(v * wide), np.uint64((v + 1) * wide)
+    into, one, two = np.uint64(at), np.uint64(1), np.uint64(2)
+    for k in range(np.uint64(wide)):
+        lines[one + k] = squares[above + k] + squares[here + k] + squares[below + k]
+    first, last, far = np.int32(begin), np.int32(end), np.float32(np.inf)
+    for k in range(np.uint64(wide)):
+        u = np.int32(k)
+        out[into + k] = lines[k] + lines[k + one] + lines[k + two] if (u >= first) & (u <= last) else far
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _differences(
-    pixels, height, width, ax, ay, bx, by, radius, s, pitch, left, top, wide, row_step, own, there, squares, lines, out,
-    at,
+    pixels, height, width, ax, ay, bx, by, radius, s, pitch, left, top, wide, begin_row, row_step, own, there, squares,
+    lines, out, at,
 ):  # fmt: skip
-    """Mean squared difference over 3 x 3 pixels of lens a from what lens b shows there; infinite where that is nothing.
+    """Squared difference over 3 x 3 pixels of lens a from what lens b shows there; infinite where that is nothing.
 
-    `own` is lens a with what lies about it, from the pixel (left, top) on, as many rows as each is `wide`; so are the
-    answers in `out`, from place `at` on; only every `row_step`-th row of the flat is cut to what both show.
+    `own` is lens a with what lies about it, from the pixel (left, top) on, as many rows as each is `wide`. In `out`,
+    from place `at` on, are the answers of every `row_step`-th of these rows from `begin_row` on, but for the last.
     """
     tx, ty = (bx - ax) * (1 + s / pitch), (by - ay) * (1 + s / pitch)
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
@@ -88,23 +93,19 @@ def _differences(
     count = wide * wide
     copy_box(pixels, width, left + x0, top + y0, wide + 1, wide, there)
     _squares(own, there, wide, count, (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy, squares)
-    _sums_of_three(squares, 1, count - 2, lines, 0)
-    _sums_of_three(lines, wide, count - 2 * wide, out, at)
     qx, qy, r2 = bx - tx, by - ty, radius * radius
     first, last = max(1, 1 - x0), min(width - 2, width - 3 - x0)
     above, below = max(1, 1 - y0), min(height - 2, height - 3 - y0)
-    for v in range(-top % row_step, wide, row_step):
+    row = at
+    for v in range(begin_row, wide - 1, row_step):
         half = r2 - (top + v - qy) * (top + v - qy)
         begin, end = wide, -1
         if half > 0 and above <= top + v <= below:
             half = np.sqrt(half)
-            begin = min(max(max(int(np.ceil(qx - half)), first) - left, 0), wide)
-            end = min(min(int(np.floor(qx + half)), last) - left, wide - 1)
-        row = at + v * wide
-        for u in range(min(begin, wide)):
-            out[row + u] = np.inf
-        for u in range(max(end + 1, begin), wide):
-            out[row + u] = np.inf
+            begin = max(int(np.ceil(qx - half)), first) - left
+            end = min(int(np.floor(qx + half)), last) - left
+        _sums_of_squares(squares, v, wide, begin, end, lines, out, row)
+        row += wide
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -150,13 +151,13 @@ def _better_half(views, size, seen, at, values):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _count_within(views, size, seen, limit, out):
-    """How many of the `seen` neighbours leave no more than `limit` at each place."""
+def _count_within(views, size, count, seen, limit, out):
+    """How many of the `seen` neighbours leave no more than `limit` at each of so many places."""
     one, none, most = np.float32(1), np.float32(0), np.float32(limit)
-    out[:] = 0
+    out[:count] = 0
     for n in range(seen):
         first = np.uint64(n * size)
-        for k in range(np.uint64(size)):
+        for k in range(np.uint64(count)):
             out[k] += one if views[first + k] <= most else none
 
 
@@ -182,6 +183,8 @@ def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, f
             ax, ay = centres[lens, 0], centres[lens, 1]
             left, top = int(ax) - side, int(ay) - side
             least = floor + _OF_LENS * contrast[lens] * contrast[lens]
+            begin_row = 1 + -(top + 1) % row_step
+            number = (wide - 2 - begin_row) // row_step + 1
             copy_box(pixels, width, left, top, wide, wide, own)
             seen = total = unexplained = 0
             for k in range(most):
@@ -189,18 +192,21 @@ def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, f
                 if other >= 0:
                     _differences(
                         pixels, height, width, ax, ay, centres[other, 0], centres[other, 1], radius, sizes[lens],
-                        pitch, left, top, wide, row_step, own, there, squares, lines, views, seen * size,
+                        pitch, left, top, wide, begin_row, row_step, own, there, squares, lines, views, seen * size,
                     )  # fmt: skip
                     seen += 1
-            _count_within(views, size, seen, 9 * least, confirming)
-            start = max(1, top)
-            for y in range(start + -start % row_step, min(height - 1, top + wide), row_step):
-                for x in range(max(1, left), min(width - 1, left + wide)):
-                    if (x - ax) ** 2 + (y - ay) ** 2 > radius * radius:
-                        continue
-                    total += 1
+            _count_within(views, size, number * wide, seen, 9 * least, confirming)
+            for row in range(number):
+                y = top + begin_row + row * row_step
+                half = radius * radius - (y - ay) * (y - ay)
+                if half < 0 or y < 1 or y >= height - 1:
+                    continue
+                half = np.sqrt(half)
+                first, last = max(1, int(np.ceil(ax - half))), min(width - 2, int(np.floor(ax + half)))
+                total += max(last - first + 1, 0)
+                for x in range(first, last + 1):
                     mask[y, x] = 0
-                    at = (y - top) * wide + x - left
+                    at = row * wide + x - left
                     # Where half of all confirm it, so does the better half.
                     if 2 * confirming[at] >= seen:
                         continue

@@ -16,28 +16,56 @@ _BOTH_RINGS = 3
 _STEPS = 3
 
 
+@njit(cache=True, nogil=True)
+def _find_one(neighbours, lens, ways, out):
+    """Put the neighbours of a lens and their neighbours in `out`, each once, then -1, and the `ways` there, by which
+    neighbour of which neighbour, in the first two columns; returns how many there are."""
+    count = 0
+    for k in range(neighbours.shape[1]):
+        near = neighbours[lens, k]
+        if near >= 0:
+            out[count] = near
+            count += 1
+    for k in range(neighbours.shape[1]):
+        near = neighbours[lens, k]
+        if near < 0:
+            continue
+        for m in range(neighbours.shape[1]):
+            other = neighbours[near, m]
+            new = other >= 0 and other != lens
+            for seen in range(count):
+                new &= out[seen] != other
+            if new and count < len(out):
+                out[count], ways[count, 0], ways[count, 1] = other, k, m
+                count += 1
+    out[count:] = -1
+    return count
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def _find_around(neighbours, out):
-    """The neighbours of each lens and their neighbours, each once, then -1."""
+    """As `_find_one` for each lens. On a lattice the ways are the same for all that have all their neighbours; whom these
+    do not lead to is left out."""
+    most, near = out.shape[1], neighbours.shape[1]
+    ways, known = np.empty((most, 2), np.int64), False
+    for lens in range(len(out)):
+        if (neighbours[lens] >= 0).all() and _find_one(neighbours, lens, ways, out[lens]) == most:
+            known = True
+            break
     for lens in prange(len(out)):
-        count = 0
-        for k in range(neighbours.shape[1]):
-            near = neighbours[lens, k]
-            if near >= 0:
-                out[lens, count] = near
+        whole = known
+        for k in range(near):
+            whole &= neighbours[lens, k] >= 0
+        if not whole:
+            _find_one(neighbours, lens, np.empty((most, 2), np.int64), out[lens])
+            continue
+        out[lens, :near] = neighbours[lens]
+        count = near
+        for n in range(near, most):
+            other = neighbours[neighbours[lens, ways[n, 0]], ways[n, 1]]
+            if other >= 0:
+                out[lens, count] = other
                 count += 1
-        for k in range(neighbours.shape[1]):
-            near = neighbours[lens, k]
-            if near < 0:
-                continue
-            for m in range(neighbours.shape[1]):
-                other = neighbours[near, m]
-                new = other >= 0 and other != lens
-                for seen in range(count):
-                    new &= out[lens, seen] != other
-                if new and count < out.shape[1]:
-                    out[lens, count] = other
-                    count += 1
         out[lens, count:] = -1
 
 
