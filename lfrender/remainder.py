@@ -66,7 +66,7 @@ def _squares(own, there, wide, count, w00, w01, w10, w11, out):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _sums_of_squares(squares, v, wide, begin, end, lines, out, at):
-    """Sums of the 3 x 3 squares about each place of row `v`, put from place `at` on; infinite but for `begin` to `end`."""
+    """Sums of the 3 x 3 squares about each place of row `v`, infinite but for `begin` to `end`; from place `at` on."""
     above, here, below = np.uint64((v - 1) * wide), np.uint64(v * wide), np.uint64((v + 1) * wide)
     into, one, two = np.uint64(at), np.uint64(1), np.uint64(2)
     for k in range(np.uint64(wide)):

@@ -44,8 +44,8 @@ def _find_one(neighbours, lens, ways, out):
 
 @njit(cache=True, nogil=True, parallel=True)
 def _find_around(neighbours, out):
-    """As `_find_one` for each lens. On a lattice the ways are the same for all that have all their neighbours; whom these
-    do not lead to is left out."""
+    """As `_find_one` for each lens. On a lattice the ways are the same for all lenses that have all their neighbours;
+    others that they do not lead to are left out."""
     most, near = out.shape[1], neighbours.shape[1]
     ways, known = np.empty((most, 2), np.int64), False
     for lens in range(len(out)):
