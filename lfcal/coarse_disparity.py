@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from .fastmath import FAST
 from .lens_sample import LensSample
 
 __all__ = ["coarse_disparity"]
@@ -25,13 +26,40 @@ _LEAST, _CLEAR = 0.5, 0.04
 _BLANK = 1e-5
 
 
-@njit(cache=True, nogil=True, parallel=True)
+# Python's error model checks every division, which no vector loop can.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _sums(pixels, width, height, cx, cy, first, second, number):
+    """How many of `number` places of one lens and another are on the picture, and sums over what they show there.
+
+    Half a pixel is in the centre (cx, cy), so that cutting off the fraction rounds.
+    """
+    zero, one = np.float32(0.0), np.float32(1.0)
+    last_x, last_y = np.float32(width), np.float32(height)
+    count = sum_a = sum_b = sum_aa = sum_bb = sum_ab = zero
+    for n in range(np.uint64(number)):
+        xa, ya, xb, yb = cx + first[0, n], cy + first[1, n], cx + second[0, n], cy + second[1, n]
+        inside = (min(min(xa, ya), min(xb, yb)) >= zero) & (max(xa, xb) < last_x) & (max(ya, yb) < last_y)
+        own, other = np.int32(ya) * np.int32(width) + np.int32(xa), np.int32(yb) * np.int32(width) + np.int32(xb)
+        # The mean of the picture is 1.
+        a, b = pixels[own if inside else np.int32(0)] - one, pixels[other if inside else np.int32(0)] - one
+        a, b = a if inside else zero, b if inside else zero
+        count += one if inside else zero
+        sum_a += a
+        sum_b += b
+        sum_aa += a * a
+        sum_bb += b * b
+        sum_ab += a * b
+    return count, sum_a, sum_b, sum_aa, sum_bb, sum_ab
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _correlate(picture, centres, steps, ratios, radius, spacing, common, total):
     height, width = picture.shape
+    pixels = picture.reshape(-1)
     reach = int(radius / spacing)
-    pairs = len(ratios) * len(steps)
+    pairs, most = len(ratios) * len(steps), (2 * reach + 1) ** 2
     # Where the pixels compared lie beside the centre of a lens: the same for all lenses.
-    first, second = np.empty((pairs, (2 * reach + 1) ** 2, 2)), np.empty((pairs, (2 * reach + 1) ** 2, 2))
+    first, second = np.empty((pairs, 2, most), np.float32), np.empty((pairs, 2, most), np.float32)
     size = np.zeros(pairs, np.int64)
     for pair in range(pairs):
         k, step = pair // len(steps), pair % len(steps)
@@ -43,31 +71,17 @@ def _correlate(picture, centres, steps, ratios, radius, spacing, common, total):
                 if max((x - ux) ** 2 + (y - uy) ** 2, (x + ux) ** 2 + (y + uy) ** 2) > radius * radius:
                     continue
                 n = size[pair]
-                first[pair, n, 0], first[pair, n, 1] = x - ux, y - uy
-                second[pair, n, 0], second[pair, n, 1] = steps[step, 0] + x + ux, steps[step, 1] + y + uy
+                first[pair, 0, n], first[pair, 1, n] = x - ux, y - uy
+                second[pair, 0, n], second[pair, 1, n] = steps[step, 0] + x + ux, steps[step, 1] + y + uy
                 size[pair] += 1
     for lens in prange(len(centres)):
-        # Half a pixel on, so that cutting off the fraction rounds.
-        cx, cy = centres[lens, 0] + 0.5, centres[lens, 1] + 0.5
+        cx, cy = np.float32(centres[lens, 0] + 0.5), np.float32(centres[lens, 1] + 0.5)
         for pair in range(pairs):
-            number = 0
-            sum_a = sum_b = sum_aa = sum_bb = sum_ab = 0.0
-            for n in range(size[pair]):
-                xa, ya = int(cx + first[pair, n, 0]), int(cy + first[pair, n, 1])
-                xb, yb = int(cx + second[pair, n, 0]), int(cy + second[pair, n, 1])
-                if min(xa, ya, xb, yb) < 0 or max(xa, xb) >= width or max(ya, yb) >= height:
-                    continue
-                a, b = picture[ya, xa], picture[yb, xb]
-                number += 1
-                sum_a += a
-                sum_b += b
-                sum_aa += a * a
-                sum_bb += b * b
-                sum_ab += a * b
+            number, a, b, aa, bb, ab = _sums(pixels, width, height, cx, cy, first[pair], second[pair], size[pair])
             if number > 4:
                 k = pair // len(steps)
-                common[lens, k] += (sum_ab - sum_a * sum_b / number) / number
-                total[lens, k] += 0.5 * (sum_aa + sum_bb - (sum_a * sum_a + sum_b * sum_b) / number) / number
+                common[lens, k] += (ab - a * b / number) / number
+                total[lens, k] += 0.5 * (aa + bb - (a * a + b * b) / number) / number
 
 
 def coarse_disparity(picture: NDArray[np.float32], sample: LensSample) -> NDArray[np.float64]:
