@@ -26,6 +26,8 @@ _LEAST_LEFT = 0.2
 _SEARCHED = 1000
 _GOLDEN = 0.6180339887498949
 _TURNS = 30
+# From turn to turn the common variance changes by less than this factor, nearly always.
+_NEAR = 1.2
 # Bases this near to a regular one, relative to their length, may be one; the test with that many independent places
 # asks for one chance in a hundred.
 _NEARLY_REGULAR = 0.003
@@ -113,14 +115,23 @@ def _weighted(design, step, weight, basis, ratio, change):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _weighted_quantile(values, weight, share, some, theirs):
-    """Least value below which lies at least this share of the weight.
+def _weighted_quantile(values, weight, wanted, about, some, theirs):
+    """Least value below which lies at least the `wanted` weight.
 
-    By Hoare's selection (Communications of the ACM 4, 1961); `some` and `theirs` (n,) is memory to work in.
+    By Hoare's selection (Communications of the ACM 4, 1961) among the values near the one it is expected `about`, or
+    among all if it is not there; `some` and `theirs` (n,) is memory to work in.
     """
-    some[:], theirs[:] = values, weight
-    wanted = share * weight.sum()
-    low, high = 0, len(some)
+    least, most, under, low, high = about / _NEAR, about * _NEAR, 0.0, 0, 0
+    for k in range(len(values)):
+        value, heavy = values[k], weight[k]
+        under += heavy if value < least else 0.0
+        # Written in any case: a branch would be as often wrong.
+        some[high], theirs[high] = value, heavy
+        high += int((value >= least) & (value <= most))
+    if under < wanted <= under + theirs[:high].sum():
+        wanted -= under
+    else:
+        some[:], theirs[:], high = values, weight, len(values)
     while True:
         one, other, third = some[low], some[(low + high) // 2], some[high - 1]
         pivot = max(min(one, other), min(max(one, other), third))
@@ -152,11 +163,12 @@ def _weighted_quantile(values, weight, share, some, theirs):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _settle(design, step, spread, trust, basis, ratio, agreeing, outlier, turns, weights, changes, commons):
     square, some, theirs = np.empty(len(step)), np.empty(len(step)), np.empty(len(step))
-    expected = -2 * np.log(1 - agreeing)
+    expected, wanted = -2 * np.log(1 - agreeing), agreeing * trust.sum()
     before = np.empty(6)
     for start in range(len(weights)):
         weight, change = weights[start], changes[start]
         _weighted(design, step, weight, basis, ratio, change)
+        common = 0.0
         for _turn in range(turns):
             for i in range(6):
                 before[i] = change[i // 2, i % 2]
@@ -165,7 +177,7 @@ def _settle(design, step, spread, trust, basis, ratio, agreeing, outlier, turns,
                 y = step[k, 1] - change[0, 1] - design[k, 1] * change[1, 1] - design[k, 2] * change[2, 1]
                 square[k] = (x * x + y * y) / spread[k]
             # That variance at which just the agreeing share lies within what is expected of it.
-            common = max(_weighted_quantile(square, trust, agreeing, some, theirs) / expected, 1e-12)
+            common = max(_weighted_quantile(square, trust, wanted, common * expected, some, theirs) / expected, 1e-12)
             for k in range(len(step)):
                 weight[k] = max(1 - square[k] / (common * outlier * outlier), 0.0) ** 2 * trust[k] / common
             commons[start] = common

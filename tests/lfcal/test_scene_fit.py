@@ -225,5 +225,7 @@ def test_weighted_quantile_is_that_of_the_sorted_values(count):
         order = np.argsort(values)
         below = np.cumsum(weight[order])
         for share in (0.05, 0.5, 0.95):
-            wanted = values[order][np.searchsorted(below, share * weight.sum())]
-            assert _weighted_quantile(values, weight, share, np.empty(count), np.empty(count)) == wanted
+            wanted = share * weight.sum()
+            value = values[order][np.searchsorted(below, wanted)]
+            for about in (0.0, 0.9 * value, value, 2.0):
+                assert _weighted_quantile(values, weight, wanted, about, np.empty(count), np.empty(count)) == value
