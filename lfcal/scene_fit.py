@@ -75,11 +75,13 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
     if min(most, len(lattice)) > 2 * _SKETCH_LENSES:
         lattice = _settled(picture, lattice, _chosen(lattice, _SKETCH_LENSES), stride, _SKETCH_PASSES).lattice
     indices = _chosen(lattice, most)
-    indices = _trusted(indices, _look(picture, lattice, indices, stride)[1])
-    fit = _bent(picture, _settled(picture, lattice, indices, stride, _PASSES), indices, stride)
+    seen = _look(picture, lattice, indices, stride)
+    trusted = _trusted(seen.variance)
+    indices, seen = indices[trusted], seen.of(trusted)
+    fit = _bent(picture, _settled(picture, lattice, indices, stride, _PASSES, seen=seen), indices, stride)
     regular = regular_ratio(fit.before.basis, fit.steps)
     if regular is not None:
-        fit = _settled(picture, fit.before, indices, stride, _PASSES, regular)
+        fit = _settled(picture, fit.before, indices, stride, _PASSES, regular, fit.seen)
         fit = fit if fit.lattice.distortion is None else _bent(picture, fit, indices, stride, regular)
     lattice, steps, change, share = fit.lattice, fit.steps, fit.change, fit.share
     error = _standard_error(steps, change, share) * held_back(steps, share)
@@ -97,18 +99,36 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
 
 
 @dataclass(frozen=True)
+class _Seen:
+    """Steps of the lenses that show something, and the variance (n,) [px^2] of the place of each of all."""
+
+    steps: Steps
+    variance: NDArray[np.float64]
+
+    def of(self, chosen: NDArray[np.bool_]) -> _Seen:
+        """What the `chosen` (n,) of all lenses show."""
+        some, steps = chosen[np.isfinite(self.variance)], self.steps
+        of_some = replace(steps, design=steps.design[some], step=steps.step[some], variance=steps.variance[some])
+        return _Seen(of_some, self.variance[chosen])
+
+
+@dataclass(frozen=True)
 class _Settled:
-    """A lattice, the one before it, and the steps of the lenses from there: their common change and weights.
+    """A lattice, the one before it, what is seen from there, and the common change and weights of its steps.
 
     `unsettled` [px] is how far the lattice would still have gone, RMS over the field.
     """
 
     lattice: Lattice
     before: Lattice
-    steps: Steps
+    seen: _Seen
     change: NDArray[np.float64]
     share: NDArray[np.float64]
     unsettled: float
+
+    @property
+    def steps(self) -> Steps:
+        return self.seen.steps
 
 
 def _settled(
@@ -118,8 +138,9 @@ def _settled(
     stride: int,
     passes: int,
     regular: complex | None = None,
+    seen: _Seen | None = None,
 ) -> _Settled:
-    """Move the lattice until the lenses at `indices` (n, 2) ask for no more.
+    """Move the lattice until the lenses at `indices` (n, 2) ask for no more; what is `seen` of them need not be again.
 
     Where scenes blur the average microimage a single step falls far short: steps are combined as by Anderson, J. ACM
     12 (1965), which finds where they lead.
@@ -130,9 +151,9 @@ def _settled(
     weights: NDArray[np.float64] | None = None
     asked = _CHOICES - 1
     for turn in range(passes):
-        found, variance = _look(picture, lattice, indices, stride)
-        steps, seen = replace(found, regular=regular), np.isfinite(variance)
-        before = None if weights is None else weights[seen]
+        looked = seen if seen is not None and turn == 0 else _look(picture, lattice, indices, stride)
+        steps, shown = replace(looked.steps, regular=regular), np.isfinite(looked.variance)
+        before = None if weights is None else weights[shown]
         change, share = agreed(steps, before=before if before is not None and before.any() else None)
         error = _standard_error(steps, change, share)
         leap = path.leap(lattice, change, steps.design)
@@ -144,13 +165,14 @@ def _settled(
                 change, share, path, settled = other, others, _Path([], []), False
                 leap = path.leap(lattice, change, steps.design)
         weights = np.zeros(len(indices))
-        weights[seen] = share
+        weights[shown] = share
         before_lattice, lattice = lattice, _moved(lattice, change if settled or turn == passes - 1 else leap)
         if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
         if settled:
             break
-    return _Settled(lattice, before_lattice, steps, change, share, 0.0 if settled else _field_rms(steps, leap))
+    seen = replace(looked, steps=steps)
+    return _Settled(lattice, before_lattice, seen, change, share, 0.0 if settled else _field_rms(steps, leap))
 
 
 def _bent(
@@ -221,17 +243,15 @@ def _chosen(lattice: Lattice, most: int) -> NDArray[np.int64]:
     return indices
 
 
-def _trusted(indices: NDArray[np.int64], variance: NDArray[np.float64]) -> NDArray[np.int64]:
-    """The lenses that have a say, as their `variance` (n,) tells: the rest only takes time."""
+def _trusted(variance: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) lenses that have a say, as their `variance` (n,) tells: the rest only takes time."""
     surest = np.quantile(variance, SUREST)
     enough = np.sort(variance)[min(_ENOUGH_LENSES, len(variance)) - 1]
-    return indices[variance <= max(_DOUBTFUL * surest, enough)]
+    return np.asarray(variance <= max(_DOUBTFUL * surest, enough))
 
 
-def _look(
-    picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.int64], stride: int
-) -> tuple[Steps, NDArray[np.float64]]:
-    """Steps of the lenses that show something, and the variance (n,) [px^2] of the place of each of all."""
+def _look(picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.int64], stride: int) -> _Seen:
+    """What the lenses at `indices` (n, 2) show of their steps."""
     faces, reach = cell_faces(lattice)
     centres = lattice.points(indices)
     # Where the lattice has moved, so have lenses over the edge of the flat.
@@ -255,7 +275,7 @@ def _look(
     design = np.column_stack([np.ones(count), indices[whole][clear]])
     variance = np.full(len(indices), np.inf)
     variance[np.flatnonzero(whole)[clear]] = known = found.noise[clear] * (xx + yy) / determinant / 2
-    return Steps(design, step, known, lattice.basis), variance
+    return _Seen(Steps(design, step, known, lattice.basis), variance)
 
 
 def _field_rms(steps: Steps, change: NDArray[np.float64]) -> float:

@@ -183,7 +183,7 @@ def test_lenses_that_a_step_moves_over_the_edge_of_the_flat_say_nothing(whites):
     lattice = lfcal.Lattice(origin, basis, (300, 260), 10.0)
     indices = scene_fit._chosen(lattice, 1000)
     moved = lfcal.Lattice(origin + np.array([60.0, 0.0]), basis, (300, 260), 10.0)
-    _, variance = scene_fit._look(image.astype(np.float32), moved, indices, 1)
+    variance = scene_fit._look(image.astype(np.float32), moved, indices, 1).variance
     over = moved.points(indices)[:, 0] > 299
     assert over.sum() > 10
     assert np.isinf(variance[over]).all()
