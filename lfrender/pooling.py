@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from .fastmath import FAST
 from .rings import afar, around
 from .slant import LensFits
 from .striding import stretches
@@ -47,6 +48,38 @@ def _inverted(a, b, c, d, e, f):
     return i00, i01, i02, a * f - c * c, b * c - a * e, a * d - b * b, 1 / (a * i00 + b * i01 + c * i02)
 
 
+# Python's error model checks every division, which no vector loop can.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _plane_sums(count, away, variance, share, along_x, along_y, uneven):
+    """Weighted sums of squared weights, of 1, x, y, their products, and of all that with differences."""
+    squares = a = b = c = d = e = f = p = q = r = 0.0
+    for k in range(np.uint64(count)):
+        w, x, y, rest = share[k] / (variance[k] + uneven), along_x[k], along_y[k], away[k]
+        wx, wy, wr = w * x, w * y, w * rest
+        squares += w * w
+        a += w
+        b += wx
+        c += wy
+        d += wx * x
+        e += wx * y
+        f += wy * y
+        p += wr
+        q += wr * x
+        r += wr * y
+    return squares, a, b, c, d, e, f, p, q, r
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _scatter(count, away, variance, share, along_x, along_y, uneven, height, x_slant, y_slant):
+    """Weighted sum of the squares that a plane leaves, and sum of the shares."""
+    scatter = number = 0.0
+    for k in range(np.uint64(count)):
+        rest = away[k] - height - x_slant * along_x[k] - y_slant * along_y[k]
+        scatter += share[k] * rest * rest / (variance[k] + uneven)
+        number += share[k]
+    return scatter, number
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _expect(count, told, slant_known):
     """What `count` lenses expect of another: difference from what it says itself, variance, and shared variance; by how
@@ -59,20 +92,7 @@ def _expect(count, told, slant_known):
     away, variance, share, along_x, along_y = told[0], told[1], told[2], told[3], told[4]
     uneven = height = inverse = total = x_slant = y_slant = slanted = 0.0
     for turn in range(_ROUNDS):
-        a = b = c = d = e = f = p = q = r = squares = 0.0
-        for k in range(count):
-            w = share[k] / (variance[k] + uneven)
-            x, y = along_x[k], along_y[k]
-            a += w
-            squares += w * w
-            b += w * x
-            c += w * y
-            d += w * x * x
-            e += w * x * y
-            f += w * y * y
-            p += w * away[k]
-            q += w * x * away[k]
-            r += w * y * away[k]
+        squares, a, b, c, d, e, f, p, q, r = _plane_sums(count, away, variance, share, along_x, along_y, uneven)
         total = a
         d += slant_known
         f += slant_known
@@ -82,14 +102,41 @@ def _expect(count, told, slant_known):
         slanted = 0.5 * (i11 + i22) * over
         if turn == _ROUNDS - 1:
             break
-        scatter, freedom = 0.0, -1.0
-        for k in range(count):
-            rest = away[k] - height - x_slant * along_x[k] - y_slant * along_y[k]
-            scatter += share[k] * rest * rest / (variance[k] + uneven)
-            freedom += share[k]
-        freedom -= (1 - i11 * over * slant_known) + (1 - i22 * over * slant_known)
+        scatter, freedom = _scatter(count, away, variance, share, along_x, along_y, uneven, height, x_slant, y_slant)
+        freedom -= 1 + (1 - i11 * over * slant_known) + (1 - i22 * over * slant_known)
         uneven += max(scatter - freedom + 1, 0.0) / max(a - squares / a, 1e-9)
     return height, inverse + uneven, count / total, -x_slant, -y_slant, slanted
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _bend_sums(count, told, own):
+    """Weighted sums over `count` lenses of 1, x, y, the bend, their products, and of all that with differences; the sum
+    of the squares of these, and of the shares."""
+    away, variance, share, along_x, along_y, bent = told[0], told[1], told[2], told[3], told[4], told[5]
+    ahead_x, ahead_y, turned_x, turned_y, turn_variance = told[6], told[7], told[8], told[9], told[10]
+    a = b = c = d = e = f = g = h = i = j = p = q = r = s = squares = number = 0.0
+    for k in range(np.uint64(count)):
+        w, x, y, z, rest = share[k] / variance[k], along_x[k], along_y[k], bent[k], away[k]
+        wx, wy, wz, wr = w * x, w * y, w * z, w * rest
+        v, u, n = share[k] / turn_variance[k], ahead_x[k], ahead_y[k]
+        turn_x, turn_y, vo = turned_x[k], turned_y[k], v * own
+        a += w
+        b += wx
+        c += wy
+        d += wx * x + vo * own
+        e += wx * y
+        f += wy * y + vo * own
+        g += wz
+        h += wz * x + vo * u
+        i += wz * y + vo * n
+        j += wz * z + v * (u * u + n * n)
+        p += wr
+        q += wr * x - vo * turn_x
+        r += wr * y - vo * turn_y
+        s += wr * z - v * (u * turn_x + n * turn_y)
+        squares += wr * rest + v * (turn_x * turn_x + turn_y * turn_y)
+        number += share[k]
+    return a, b, c, d, e, f, g, h, i, j, p, q, r, s, squares, number
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -100,41 +147,11 @@ def _bend(count, told, own, own_variance, own_bent, slant_known, bend_known):
     A weighted paraboloid, round since a slant in each direction and one bend are all that so few lenses tell. Over a
     plane all slants are the same; it changes them. Lenses that scatter about it make it as much less certain.
     """
-    away, variance, share, along_x, along_y, bent = told[0], told[1], told[2], told[3], told[4], told[5]
-    ahead_x, ahead_y, turned_x, turned_y, turn_variance = told[6], told[7], told[8], told[9], told[10]
-    b = c = d = e = f = h = i = p = q = r = s = squares = 0.0
+    a, b, c, d, e, f, g, h, i, j, p, q, r, s, squares, number = _bend_sums(count, told, own)
     # The lens itself differs by nothing from what it says.
-    a = 1 / own_variance
-    g, j = a * own_bent, a * own_bent * own_bent
-    freedom = -1.0
-    for k in range(count):
-        w, x, y, z = share[k] / variance[k], along_x[k], along_y[k], bent[k]
-        a += w
-        b += w * x
-        c += w * y
-        d += w * x * x
-        e += w * x * y
-        f += w * y * y
-        g += w * z
-        h += w * z * x
-        i += w * z * y
-        j += w * z * z
-        p += w * away[k]
-        q += w * x * away[k]
-        r += w * y * away[k]
-        s += w * z * away[k]
-        squares += w * away[k] * away[k]
-        w, x, y = share[k] / turn_variance[k], ahead_x[k], ahead_y[k]
-        d += w * own * own
-        f += w * own * own
-        h += w * own * x
-        i += w * own * y
-        j += w * (x * x + y * y)
-        q -= w * own * turned_x[k]
-        r -= w * own * turned_y[k]
-        s -= w * (x * turned_x[k] + y * turned_y[k])
-        squares += w * (turned_x[k] * turned_x[k] + turned_y[k] * turned_y[k])
-        freedom += 3 * share[k]
+    a += 1 / own_variance
+    g += own_bent / own_variance
+    j += own_bent * own_bent / own_variance
     d += slant_known
     f += slant_known
     i00, i01, i02, i11, i12, i22, over = _inverted(a, b, c, d, e, f)
@@ -145,7 +162,7 @@ def _bend(count, told, own, own_variance, own_bent, slant_known, bend_known):
     left = s - by_height * p - by_x * q - by_y * r
     spread = 1 / (j - by_height * g - by_x * h - by_y * i + bend_known)
     scatter = squares - height * p - x_slant * q - y_slant * r - spread * left * left
-    freedom -= (1 - i11 * over * slant_known) + (1 - i22 * over * slant_known)
+    freedom = 3 * number - 1 - (1 - i11 * over * slant_known) - (1 - i22 * over * slant_known)
     return spread * left, spread * max((scatter + 1) / (max(freedom, 0.0) + 1), 1.0)
 
 
@@ -155,42 +172,60 @@ def _seen_about(size, radius):
     return min(radius * radius / (4 * size * size), _FARTHEST)
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius2, seen, told):
+    """Fill `told` from what lenses are `seen` to measure; returns what they count together."""
+    sizes, variance, ahead_x, ahead_y, slants_x, slants_y = seen[0], seen[1], seen[2], seen[3], seen[4], seen[5]
+    slant_variances, shown, trust = seen[6], seen[7], seen[8]
+    away, variances, share, along_x, along_y, bent = told[0], told[1], told[2], told[3], told[4], told[5]
+    out_x, out_y, turned_x, turned_y, turn_variance = told[6], told[7], told[8], told[9], told[10]
+    weight = 0.0
+    for k in range(np.uint64(count)):
+        size, noise, ex, ey = sizes[k], variance[k], ahead_x[k], ahead_y[k]
+        # Over a plane 1 / s is linear in X, with the slant -D * grad(s) / s.
+        rest = size * (1 + slant_x * ex + slant_y * ey) - own
+        away2, size2 = ex * ex + ey * ey, size * size
+        apart = rest * rest / (own_variance + noise + slant_variance * size2 * away2)
+        doubt = 1 / (1 + apart / (_APART * _APART))
+        counts = doubt * doubt * max(1 - apart / (_ELSEWHERE * _ELSEWHERE), 0.0) * trust[k]
+        away[k], variances[k], share[k], along_x[k], along_y[k] = rest, noise, counts, size * ex, size * ey
+        bent[k] = 0.5 * away2 + shown[k] * min(radius2 / (4 * size2), _FARTHEST)
+        out_x[k], out_y[k] = ex, ey
+        turned_x[k], turned_y[k] = own * (slants_x[k] - slant_x), own * (slants_y[k] - slant_y)
+        turn_variance[k] = own * own * slant_variances[k]
+        weight += counts
+    return weight
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ask_around(lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, centred, trust, told):
+def _ask_around(
+    lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, centred, trust, seen, told
+):  # fmt: skip
     """Fill `told` with what the lenses `around` one measure. Returns how many they are, and what they count together.
 
     In its rows: the difference from what the lens says itself, its variance, and how far it counts; by how much it
     grows with a slant in both directions, and with a bend; by how much slants fall with a bend, by how much they
     differ, times s, and the variance of either.
     """
-    own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
-    slant_variance = np.float64(slant_errors[lens]) ** 2 + _LEAST_SLANT**2
-    count, weight = 0, 0.0
+    count, near = 0, 1 / np.float64(pitch)
     for k in range(around.shape[1]):
         other = around[lens, k]
         if other < 0:
             break
-        size, noise = np.float64(sizes[other]), np.float64(errors[other]) ** 2
-        if not np.isfinite(noise):
+        if not np.isfinite(errors[other]):
             continue
-        ex = (np.float64(centres[other, 0]) - centres[lens, 0]) / pitch
-        ey = (np.float64(centres[other, 1]) - centres[lens, 1]) / pitch
-        # Over a plane 1 / s is linear in X, with the slant -D * grad(s) / s.
-        rest = size * (1 + slants[lens, 0] * ex + slants[lens, 1] * ey) - own
-        away2 = ex * ex + ey * ey
-        limit = own_variance + noise + slant_variance * size * size * away2
-        apart = rest * rest / limit
-        doubt = 1 / (1 + apart / (_APART * _APART))
-        share = doubt * doubt * max(1 - apart / (_ELSEWHERE * _ELSEWHERE), 0.0) * trust[lens] * trust[other]
-        told[0, count], told[1, count], told[2, count] = rest, noise, share
-        told[3, count], told[4, count] = size * ex, size * ey
-        told[5, count] = 0.5 * away2 + (1 - centred[other]) * _seen_about(size, radius)
-        told[6, count], told[7, count] = ex, ey
-        told[8, count] = own * (np.float64(slants[other, 0]) - slants[lens, 0])
-        told[9, count] = own * (np.float64(slants[other, 1]) - slants[lens, 1])
-        told[10, count] = own * own * (np.float64(slant_errors[other]) ** 2 + _LEAST_SLANT**2)
-        weight += share
+        seen[0, count], seen[1, count] = sizes[other], np.float64(errors[other]) ** 2
+        seen[2, count] = (np.float64(centres[other, 0]) - centres[lens, 0]) * near
+        seen[3, count] = (np.float64(centres[other, 1]) - centres[lens, 1]) * near
+        seen[4, count], seen[5, count] = slants[other, 0], slants[other, 1]
+        seen[6, count] = np.float64(slant_errors[other]) ** 2 + _LEAST_SLANT**2
+        seen[7, count], seen[8, count] = 1 - centred[other], trust[lens] * trust[other]
         count += 1
+    weight = _compare(
+        count, np.float64(sizes[lens]), np.float64(errors[lens]) ** 2, np.float64(slants[lens, 0]),
+        np.float64(slants[lens, 1]), np.float64(slant_errors[lens]) ** 2 + _LEAST_SLANT**2, np.float64(radius) ** 2,
+        seen, told,
+    )  # fmt: skip
     return count, weight
 
 
@@ -201,7 +236,7 @@ def _pool(
 ):  # fmt: skip
     parts, each, stride = stretches(len(centres))
     for part in prange(parts):
-        told = np.empty((11, around.shape[1]))
+        seen, told = np.empty((9, around.shape[1])), np.empty((11, around.shape[1]))
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
             own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
@@ -210,7 +245,7 @@ def _pool(
             if not (wanted[lens] and np.isfinite(own_variance)):
                 continue
             count, weight = _ask_around(
-                lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, centred, trust, told
+                lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, centred, trust, seen, told
             )
             agreed[lens] = weight / max(count, 1)
             if weight < _LEAST_WEIGHT:
