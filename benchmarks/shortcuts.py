@@ -155,15 +155,17 @@ def main(arguments: list[str]) -> None:
         return
     camera, large = (Camera.design(size, _PITCH, rotation=1.3) for size in (_SIZE, _LARGE))
     scenes = {name: (camera, scene) for name, scene in _scenes(camera).items()}
-    square, large_square, short = (
+    square, large_square, short, coarse = (
         Camera.design((1100, 1200), 28.0, lattice="square", rotation=5.0),
         Camera.design((2200, 2400), 28.0, lattice="square", rotation=5.0),
         Camera.design(_LARGE, 17.3, rotation=2.0),
+        Camera.design(_LARGE, 70.0, rotation=1.3),
     )
     scenes |= {f"large, {share} %": (large, partial(_mostly_blank, large, share / 100)) for share in (10, 5)}
     scenes |= {f"square, {share} %": (square, partial(_mostly_blank, square, share / 100)) for share in (10, 3)}
     scenes |= {"large short, 10 %": (short, partial(_mostly_blank, short, 0.1))}
     scenes |= {"large square, 10 %": (large_square, partial(_mostly_blank, large_square, 0.1))}
+    scenes |= {f"70 px, {share} %": (coarse, partial(_mostly_blank, coarse, share / 100)) for share in (10, 20)}
     scenes |= {"large plane": (large, partial(plane, large, ratio=0.3))}
     for name, (taken_by, scene) in scenes.items():
         capture = simulate(scene(), taken_by, samples=48, seed=2, noise=_NOISE)
