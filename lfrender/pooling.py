@@ -34,7 +34,7 @@ _LEAST_WEIGHT = 0.5
 # surface share; it grows [pitches] with the cube of |s| / D, as neighbours come to share no more than their rims.
 # Measured on ray-traced scenes.
 _SHARED = 0.03
-_UNSEEN, _UNSEEN_GROWTH = 0.0016, 0.0005
+_UNSEEN, _UNSEEN_GROWTH = 0.0019, 0.0005
 # Lenses afar are asked so many times: those that they have asked tell of what is farther.
 _TURNS = 2
 # On a plane, errors alone leave so much agreement. Lenses with less count afar by this power of what they have of it.
