@@ -8,7 +8,6 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .fastmath import FAST
 from .rings import afar, around
 from .slant import LensFits
 from .striding import stretches
@@ -48,13 +47,16 @@ def _inverted(a, b, c, d, e, f):
     return i00, i01, i02, a * f - c * c, b * c - a * e, a * d - b * b, 1 / (a * i00 + b * i01 + c * i02)
 
 
-# Python's error model checks every division, which no vector loop can.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _plane_sums(count, away, variance, share, along_x, along_y, uneven):
+# Exact sums, here and below: with fast math they would have other bits where Numba compiles than where it loads them.
+# Divisions are in loops without sums, which are vector loops as they are, but for Python's error model.
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _plane_sums(count, away, variance, share, along_x, along_y, uneven, weights):
     """Weighted sums of squared weights, of 1, x, y, their products, and of all that with differences."""
+    for k in range(np.uint64(count)):
+        weights[k] = share[k] / (variance[k] + uneven)
     squares = a = b = c = d = e = f = p = q = r = 0.0
     for k in range(np.uint64(count)):
-        w, x, y, rest = share[k] / (variance[k] + uneven), along_x[k], along_y[k], away[k]
+        w, x, y, rest = weights[k], along_x[k], along_y[k], away[k]
         wx, wy, wr = w * x, w * y, w * rest
         squares += w * w
         a += w
@@ -69,13 +71,13 @@ def _plane_sums(count, away, variance, share, along_x, along_y, uneven):
     return squares, a, b, c, d, e, f, p, q, r
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _scatter(count, away, variance, share, along_x, along_y, uneven, height, x_slant, y_slant):
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _scatter(count, away, share, along_x, along_y, weights, height, x_slant, y_slant):
     """Weighted sum of the squares that a plane leaves, and sum of the shares."""
     scatter = number = 0.0
     for k in range(np.uint64(count)):
         rest = away[k] - height - x_slant * along_x[k] - y_slant * along_y[k]
-        scatter += share[k] * rest * rest / (variance[k] + uneven)
+        scatter += weights[k] * rest * rest
         number += share[k]
     return scatter, number
 
@@ -89,10 +91,12 @@ def _expect(count, told, slant_known):
     is as likely the surface's own unevenness (DerSimonian and Laird, Meta-analysis in clinical trials, 1986), which the
     other lens has as well.
     """
-    away, variance, share, along_x, along_y = told[0], told[1], told[2], told[3], told[4]
+    away, variance, share, along_x, along_y, weights = told[0], told[1], told[2], told[3], told[4], told[11]
     uneven = height = inverse = total = x_slant = y_slant = slanted = 0.0
     for turn in range(_ROUNDS):
-        squares, a, b, c, d, e, f, p, q, r = _plane_sums(count, away, variance, share, along_x, along_y, uneven)
+        squares, a, b, c, d, e, f, p, q, r = _plane_sums(
+            count, away, variance, share, along_x, along_y, uneven, weights
+        )
         total = a
         d += slant_known
         f += slant_known
@@ -102,23 +106,26 @@ def _expect(count, told, slant_known):
         slanted = 0.5 * (i11 + i22) * over
         if turn == _ROUNDS - 1:
             break
-        scatter, freedom = _scatter(count, away, variance, share, along_x, along_y, uneven, height, x_slant, y_slant)
+        scatter, freedom = _scatter(count, away, share, along_x, along_y, weights, height, x_slant, y_slant)
         freedom -= 1 + (1 - i11 * over * slant_known) + (1 - i22 * over * slant_known)
         uneven += max(scatter - freedom + 1, 0.0) / max(a - squares / a, 1e-9)
     return height, inverse + uneven, count / total, -x_slant, -y_slant, slanted
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _bend_sums(count, told, own):
     """Weighted sums over `count` lenses of 1, x, y, the bend, their products, and of all that with differences; the sum
     of the squares of these, and of the shares."""
     away, variance, share, along_x, along_y, bent = told[0], told[1], told[2], told[3], told[4], told[5]
     ahead_x, ahead_y, turned_x, turned_y, turn_variance = told[6], told[7], told[8], told[9], told[10]
+    weights, turn_weights = told[11], told[12]
+    for k in range(np.uint64(count)):
+        weights[k], turn_weights[k] = share[k] / variance[k], share[k] / turn_variance[k]
     a = b = c = d = e = f = g = h = i = j = p = q = r = s = squares = number = 0.0
     for k in range(np.uint64(count)):
-        w, x, y, z, rest = share[k] / variance[k], along_x[k], along_y[k], bent[k], away[k]
+        w, x, y, z, rest = weights[k], along_x[k], along_y[k], bent[k], away[k]
         wx, wy, wz, wr = w * x, w * y, w * z, w * rest
-        v, u, n = share[k] / turn_variance[k], ahead_x[k], ahead_y[k]
+        v, u, n = turn_weights[k], ahead_x[k], ahead_y[k]
         turn_x, turn_y, vo = turned_x[k], turned_y[k], v * own
         a += w
         b += wx
@@ -172,14 +179,13 @@ def _seen_about(size, radius):
     return min(radius * radius / (4 * size * size), _FARTHEST)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius2, seen, told):
     """Fill `told` from what lenses are `seen` to measure; returns what they count together."""
     sizes, variance, ahead_x, ahead_y, slants_x, slants_y = seen[0], seen[1], seen[2], seen[3], seen[4], seen[5]
     slant_variances, shown, trust = seen[6], seen[7], seen[8]
     away, variances, share, along_x, along_y, bent = told[0], told[1], told[2], told[3], told[4], told[5]
     out_x, out_y, turned_x, turned_y, turn_variance = told[6], told[7], told[8], told[9], told[10]
-    weight = 0.0
     for k in range(np.uint64(count)):
         size, noise, ex, ey = sizes[k], variance[k], ahead_x[k], ahead_y[k]
         # Over a plane 1 / s is linear in X, with the slant -D * grad(s) / s.
@@ -193,7 +199,9 @@ def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius2
         out_x[k], out_y[k] = ex, ey
         turned_x[k], turned_y[k] = own * (slants_x[k] - slant_x), own * (slants_y[k] - slant_y)
         turn_variance[k] = own * own * slant_variances[k]
-        weight += counts
+    weight = 0.0
+    for k in range(np.uint64(count)):
+        weight += share[k]
     return weight
 
 
@@ -205,7 +213,7 @@ def _ask_around(
 
     In its rows: the difference from what the lens says itself, its variance, and how far it counts; by how much it
     grows with a slant in both directions, and with a bend; by how much slants fall with a bend, by how much they
-    differ, times s, and the variance of either.
+    differ, times s, and the variance of either. The last two rows are to work in.
     """
     count, near = 0, 1 / np.float64(pitch)
     for k in range(around.shape[1]):
@@ -236,7 +244,7 @@ def _pool(
 ):  # fmt: skip
     parts, each, stride = stretches(len(centres))
     for part in prange(parts):
-        seen, told = np.empty((9, around.shape[1])), np.empty((11, around.shape[1]))
+        seen, told = np.empty((9, around.shape[1])), np.empty((13, around.shape[1]))
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
             own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
