@@ -180,7 +180,7 @@ def _seen_about(size, radius):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius2, seen, told):
+def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius, seen, told):
     """Fill `told` from what lenses are `seen` to measure; returns what they count together."""
     sizes, variance, ahead_x, ahead_y, slants_x, slants_y = seen[0], seen[1], seen[2], seen[3], seen[4], seen[5]
     slant_variances, shown, trust = seen[6], seen[7], seen[8]
@@ -195,7 +195,7 @@ def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius2
         doubt = 1 / (1 + apart / (_APART * _APART))
         counts = doubt * doubt * max(1 - apart / (_ELSEWHERE * _ELSEWHERE), 0.0) * trust[k]
         away[k], variances[k], share[k], along_x[k], along_y[k] = rest, noise, counts, size * ex, size * ey
-        bent[k] = 0.5 * away2 + shown[k] * min(radius2 / (4 * size2), _FARTHEST)
+        bent[k] = 0.5 * away2 + shown[k] * _seen_about(size, radius)
         out_x[k], out_y[k] = ex, ey
         turned_x[k], turned_y[k] = own * (slants_x[k] - slant_x), own * (slants_y[k] - slant_y)
         turn_variance[k] = own * own * slant_variances[k]
@@ -231,7 +231,7 @@ def _ask_around(
         count += 1
     weight = _compare(
         count, np.float64(sizes[lens]), np.float64(errors[lens]) ** 2, np.float64(slants[lens, 0]),
-        np.float64(slants[lens, 1]), np.float64(slant_errors[lens]) ** 2 + _LEAST_SLANT**2, np.float64(radius) ** 2,
+        np.float64(slants[lens, 1]), np.float64(slant_errors[lens]) ** 2 + _LEAST_SLANT**2, np.float64(radius),
         seen, told,
     )  # fmt: skip
     return count, weight
