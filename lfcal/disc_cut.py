@@ -72,7 +72,8 @@ def accumulate_cut(
     lenses, side = light.shape[0], light.shape[1]
     per_step, per_soft, even, within = 1 / step, 1 / soft, calm * calm, inner * inner
     most = OUTLIER * OUTLIER
-    clear, shut = max(radius - _EDGE * soft, 0.0) ** 2, (radius + _EDGE * soft) ** 2
+    clear, shut = max(radius - _EDGE * soft, 0.0), radius + _EDGE * soft
+    clear, shut = clear * clear, shut * shut
     for chunk in prange(chunks):
         g, pull, products = np.zeros(7), np.zeros(7), np.zeros((7, 7))
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):

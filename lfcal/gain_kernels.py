@@ -24,7 +24,7 @@ _DIRECTIONS = 32
 _TOGETHER = 256
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
 def _monomials(x, y, count, out):
     """1, x, y, x^2, x*y, y^2 ...: each degree is the one before times x, and its last term times y."""
     out[0] = 1.0
@@ -39,7 +39,7 @@ def _monomials(x, y, count, out):
         degree += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
 def describe(cx, cy, field, radius, shade, rim, cut, powers, lens):
     """Write what the shape of the lens at `(cx, cy)` is, in px, into `lens`; `powers` gets the field's monomials."""
     x, y = (cx - field[0]) / field[2], (cy - field[1]) / field[2]

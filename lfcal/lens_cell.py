@@ -72,7 +72,7 @@ def row_in_cell(dy, sides):
     return low, high
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
 def outside(dx, dy, faces):
     """Whether a place lies outside of the cell with these faces (`cell_faces`)."""
     most = 0.0
@@ -81,7 +81,7 @@ def outside(dx, dy, faces):
     return most > 0.5
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
 def rows_within(centre, reach, corner, side):
     """First and last but one row of a window within reach of the centre."""
     return max(int(np.ceil(centre - reach)) - corner, 0), min(int(np.floor(centre + reach)) + 1 - corner, side)

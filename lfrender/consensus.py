@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .fastmath import FAST
+from .fastmath import FAST, square
 from .radiance import GrayFlat
 from .refinement import LAST_STEP, fit_pairs
 from .slant import LensFits, fit_lenses
@@ -71,7 +71,7 @@ def _expect(centres, pitch, forward, backward, sizes, errors, slants, about, rea
         for k in range(count):
             if abs(values[k] - median) <= limit:
                 total += values[k] - median
-                squares += (values[k] - median) ** 2
+                squares += square(values[k] - median)
                 kept += 1
         means[lens] = median + total / kept
         if kept > 2:

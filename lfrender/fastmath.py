@@ -1,5 +1,7 @@
 """Which liberties kernels take with floating point: any order of sums, but NaN and infinity keep their meaning."""
 
-__all__ = ["FAST"]
+from lfcal.fastmath import square
+
+__all__ = ["FAST", "square"]
 
 FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}

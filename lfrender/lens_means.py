@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 
 from .drawing import as_stored
-from .fastmath import FAST
+from .fastmath import FAST, square
 from .flatcheck import check_flat
 from .neighbours import lens_grid
 from .radiance import gain_table, lens_by_lens
@@ -34,7 +34,7 @@ def _lens_means(flat, centres, radius, gains, gain_step, unlit, out, lit):
             for x in range(max(0, int(np.ceil(cx - half))), min(width - 1, int(np.floor(cx + half))) + 1):
                 if known and unlit[y, x]:
                     continue
-                gain = gains[min(int(((x - cx) ** 2 + (y - cy) ** 2) / gain_step), last)]
+                gain = gains[min(int((square(x - cx) + square(y - cy)) / gain_step), last)]
                 for k in range(channels):
                     out[lens, k] += gain * np.float32(flat[y, x, k])
                 count += 1

@@ -145,7 +145,7 @@ def unshaded(shift, pitch):
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def doubted(contrast):
     """How much a match at zero of lenses of this contrast is doubted."""
-    return _SHADED**2 / (_SHADED**2 + contrast * contrast)
+    return _SHADED * _SHADED / (_SHADED * _SHADED + contrast * contrast)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -42,7 +42,7 @@ _LINE_OF_MEMORY = 64
 _LATER = 8
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=False, forceinline=True)
 def _weights_of_bytes(fx, fy):
     """Weights of the four pixels about a place in whole 256ths, rounded so that their sum is 256 whatever they are."""
     right, low = np.rint(256 * fx), np.rint(256 * fy)

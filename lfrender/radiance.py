@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
 
-from .fastmath import FAST
+from .fastmath import FAST, square
 from .prefetching import prefetch
 from .remembered import remembered
 from .scratch import recycled
@@ -178,7 +178,7 @@ def _correct_lenses(centres, radius, around, share, gains, step, image):
     for n in range(len(around)):
         # Lines along x are tilted by a thousandth of a pixel at most.
         ex = around[n, 0] if abs(around[n, 0]) > 1e-4 else np.float32(1e-4)
-        room[n] = share * (around[n, 0] ** 2 + around[n, 1] ** 2) / ex
+        room[n] = share * (square(around[n, 0]) + square(around[n, 1])) / ex
         tilt[n] = -around[n, 1] / ex
     for lens in prange(len(centres)):
         cx, cy = centres[lens, 0], centres[lens, 1]
@@ -217,7 +217,7 @@ def _fill_unlit(centres, radius, light, image):
         lit = unlit = 0
         for y in range(top, bottom + 1):
             for x in range(left, right + 1):
-                if (x - cx) ** 2 + (y - cy) ** 2 > radius * radius:
+                if square(x - cx) + square(y - cy) > radius * radius:
                     continue
                 if np.isnan(light[y, x]):
                     unlit += 1
@@ -228,7 +228,7 @@ def _fill_unlit(centres, radius, light, image):
             continue
         for y in range(top, bottom + 1):
             for x in range(left, right + 1):
-                if (x - cx) ** 2 + (y - cy) ** 2 <= radius * radius and np.isnan(light[y, x]):
+                if square(x - cx) + square(y - cy) <= radius * radius and np.isnan(light[y, x]):
                     image[y, x] = total / lit
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .fastmath import FAST
+from .fastmath import FAST, square
 from .focus_blur import NO_BLUR, FocusBlur, add_curve, focus_blur, some_of
 from .pair_pixels import MORE, NOWHERE, corner, cut, lay_over, raster
 from .radiance import GrayFlat
@@ -113,7 +113,7 @@ def _fit(
     The first microimage differs from the second by `blur`, and its `growth` per s, times `bend`, where there is any.
     """
     s = start
-    slope_noise = _SLOPE_NOISE * ((bx - ax) ** 2 + (by - ay) ** 2) / (pitch * pitch)
+    slope_noise = _SLOPE_NOISE * (square(bx - ax) + square(by - ay)) / (pitch * pitch)
     offset = np.float32(0.0)
     variance = np.float32(np.inf)
     x = y = np.float32(0.0)

@@ -13,7 +13,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .agreement import aggregate
-from .fastmath import FAST
+from .fastmath import FAST, square
 from .microimages import copy_box
 from .modes import confidence, parabola_peak
 from .neighbours import both_ways
@@ -274,7 +274,7 @@ def _costs(image, mask, centres, radius, pitch, rows, means, wanted, shifts, flo
     """Mismatch of the masked pixels of each `wanted` lens with the better half of its neighbours, at every shift."""
     height, width = image.shape
     pixels = image.reshape(-1)
-    most = (2 * int(radius) + 3) ** 2
+    most = square(2 * int(radius) + 3)
     parts, each, stride = stretches(len(centres))
     for part in prange(parts):
         values = np.empty(rows.shape[1], np.float32)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 
-from .fastmath import FAST
+from .fastmath import FAST, square
 from .quantiles import quantile
 from .radiance import trusted_radius, white_level
 
@@ -130,7 +130,7 @@ def _pool(blocks, centres, side, radius, per_pixel, out):
         left, right = max(0, int(np.ceil(cx - reach))), min(columns - 1, int(np.floor(cx + reach)))
         for v in range(top, bottom + 1):
             for u in range(left, right + 1):
-                if (u - cx) ** 2 + (v - cy) ** 2 > reach * reach:
+                if square(u - cx) + square(v - cy) > reach * reach:
                     continue
                 bright = blocks[2, v, u] / side * per_pixel
                 total += bright

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 
-from .fastmath import FAST
+from .fastmath import FAST, square
 from .radiance import trusted_radius
 from .scratch import scratch
 
@@ -280,14 +280,14 @@ def _differences(flat, centres, radius, lags, out):
             count = 0
             for y in range(int(np.ceil(cy - radius)), int(np.floor(cy + radius)) + 1):
                 for x in range(int(np.ceil(cx - radius)), int(np.floor(cx + radius)) + 1):
-                    if (x - cx) ** 2 + (y - cy) ** 2 > limit:
+                    if square(x - cx) + square(y - cy) > limit:
                         continue
-                    if (x + lag - cx) ** 2 + (y - cy) ** 2 <= limit:
+                    if square(x + lag - cx) + square(y - cy) <= limit:
                         for k in range(channels):
-                            total += (np.float64(flat[y, x + lag, k]) - np.float64(flat[y, x, k])) ** 2
+                            total += square(np.float64(flat[y, x + lag, k]) - np.float64(flat[y, x, k]))
                         count += 1
-                    if (x - cx) ** 2 + (y + lag - cy) ** 2 <= limit:
+                    if square(x - cx) + square(y + lag - cy) <= limit:
                         for k in range(channels):
-                            total += (np.float64(flat[y + lag, x, k]) - np.float64(flat[y, x, k])) ** 2
+                            total += square(np.float64(flat[y + lag, x, k]) - np.float64(flat[y, x, k]))
                         count += 1
             out[lens, n] = total / max(count, 1)

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .fastmath import FAST
+from .fastmath import FAST, square
 from .radiance import GrayFlat
 from .refinement import PairFits
 
@@ -168,7 +168,7 @@ def _expect_slants(forward, backward, sizes, gap, slants, spreads, prior):
         weight = np.float32(1.0) / spreads[lens, 1]
         total = weight
         x, y = weight * slants[lens, 0], weight * slants[lens, 1]
-        squares = weight * (slants[lens, 0] ** 2 + slants[lens, 1] ** 2)
+        squares = weight * (square(slants[lens, 0]) + square(slants[lens, 1]))
         count = np.float32(1.0)
         for k in range(2 * half):
             other = forward[lens, k] if k < half else backward[lens, k - half]
@@ -178,7 +178,7 @@ def _expect_slants(forward, backward, sizes, gap, slants, spreads, prior):
             total += weight
             x += weight * slants[other, 0]
             y += weight * slants[other, 1]
-            squares += weight * (slants[other, 0] ** 2 + slants[other, 1] ** 2)
+            squares += weight * (square(slants[other, 0]) + square(slants[other, 1]))
             count += 1
         if count < 3:
             continue
@@ -188,7 +188,7 @@ def _expect_slants(forward, backward, sizes, gap, slants, spreads, prior):
         scatter = np.float32(0.5) * (squares / total - x * x - y * y) * count / (count - 1)
         bend = max(scatter - count / total, np.float32(0.0))
         prior[lens, 0], prior[lens, 1] = x, y
-        prior[lens, 2] = np.float32(1.0) / (bend + 1 / total + _LEAST_BEND**2)
+        prior[lens, 2] = np.float32(1.0) / (bend + 1 / total + square(_LEAST_BEND))
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)

@@ -10,7 +10,7 @@ __all__ = ["coprime_stride", "stretches"]
 _STRETCHES = 32
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="python", fastmath=False)
 def coprime_stride(n):
     """A step near the golden section of `n` that visits all of 0..n-1."""
     stride = max(1, int(0.618 * n))
@@ -23,7 +23,7 @@ def coprime_stride(n):
         stride -= 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="python", fastmath=False)
 def stretches(n):
     """How many stretches of 0..n-1 are worked on one after the other, their length, and the step from one to the
     next, so that each thread has its share of what lies together."""

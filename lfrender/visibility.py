@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
-from .fastmath import FAST
+from .fastmath import FAST, square
 from .scratch import scratch
 from .striding import coprime_stride
 from .surface import Surface, mark_changes
@@ -102,7 +102,7 @@ def _enter(
                 dx, dy = -np.float32(first_x + u * spacing - cx) * tilt, -across_y * tilt
                 # The grid value stands for a square of this size in the microimage.
                 half = np.float32(0.5) * abs(tilt) * spacing + np.float32(0.25)
-                if dx * dx + dy * dy > (radius + half) ** 2:
+                if dx * dx + dy * dy > square(radius + half):
                     continue
                 for y in range(int(np.ceil(cy + dy - half)), int(np.floor(cy + dy + half)) + 1):
                     for x in range(int(np.ceil(cx + dx - half)), int(np.floor(cx + dx + half)) + 1):

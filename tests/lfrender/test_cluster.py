@@ -97,10 +97,8 @@ def test_tiles_are_those_of_one_machine_although_a_worker_is_killed(flat, client
         progress, told = killing(client, 2)
         there = lfrender.analyze_large(source, camera, "fast", client=client, threads=1, progress=progress)
         assert told == [(k + 1, 4) for k in range(4)]
-        for name in ("patch_size", "standard_error", "drawn", "reason"):
+        for name in ("patch_size", "standard_error", "confidence", "drawn", "reason"):
             np.testing.assert_array_equal(getattr(here, name), getattr(there, name))
-        # On some processors the last bit differs between a process that has compiled a kernel and one that loads it.
-        np.testing.assert_array_max_ulp(here.confidence, there.confidence, 1)
         np.testing.assert_array_equal(here.surface.patch_size, there.surface.patch_size)
         lfrender.render_large(source, tmp_path / "here.tif", camera, here, tile=40)
         progress, told = killing(client, 5)

@@ -1,0 +1,76 @@
+"""Kernels round alike in every process, whatever it has compiled before."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import pkgutil
+import sys
+import textwrap
+from importlib import import_module
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+import lfcal
+import lfrender
+from lfrender.fastmath import square
+
+
+@pytest.fixture(scope="module")
+def kernels():
+    """All kernels of both packages, by module and name."""
+    for package in (lfcal, lfrender):
+        for module in pkgutil.iter_modules(package.__path__):
+            if not module.name.startswith("__"):
+                import_module(f"{package.__name__}.{module.name}")
+    found = {
+        (name, key): value
+        for name, module in sorted(sys.modules.items())
+        if name.startswith(("lfcal.", "lfrender."))
+        for key, value in vars(module).items()
+        if isinstance(value, Dispatcher) and value.py_func.__module__ == name
+    }
+    assert len(found) > 200
+    return found
+
+
+def is_inlined(kernel):
+    """Whether Numba copies it into its callers, with whose options it is compiled."""
+    return kernel.targetoptions.get("inline") == "always"
+
+
+def called(kernel):
+    """What is linked to a kernel, also through kernels that Numba copies into it."""
+    for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(kernel.py_func)))):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            other = kernel.py_func.__globals__.get(node.func.id)
+            if isinstance(other, Dispatcher):
+                yield from called(other) if is_inlined(other) else [other]
+
+
+def test_kernels_with_fast_math_raise_to_no_power(kernels):
+    for name, kernel in kernels.items():
+        if kernel.targetoptions.get("fastmath") or is_inlined(kernel):
+            powers = (n for n in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(kernel.py_func)))) if is_power(n))
+            assert not any(powers), f"{name}: a power is to be a product"
+
+
+def is_power(node):
+    return isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.Pow)
+
+
+def test_kernels_with_callers_of_both_kinds_state_their_own(kernels):
+    callers = {}
+    for name, kernel in kernels.items():
+        if not is_inlined(kernel):
+            for other in called(kernel):
+                callers.setdefault(other, {})[name] = bool(kernel.targetoptions.get("fastmath"))
+    assert sum("fastmath" in kernel.targetoptions for kernel in callers) > 30
+    for kernel, fast in callers.items():
+        if "fastmath" not in kernel.targetoptions:
+            assert len(set(fast.values())) == 1, f"{kernel.py_func.__qualname__}: fastmath=False is to be said; {fast}"
+
+
+def test_square_is_a_product_of_the_same_type():
+    assert square(3) == 9 and square(-1.5) == 2.25
