@@ -123,11 +123,11 @@ def coarse_disparity(picture: NDArray[np.float32], sample: LensSample) -> NDArra
 def _pooled(values: NDArray[Any]) -> NDArray[Any]:
     """Sums over 3 x 3 lenses of (m, a, b, k), what lies beyond a block left out."""
     for axis in (1, 2):
-        first, last = np.zeros_like(values), np.zeros_like(values)
-        ahead = [slice(None)] * 4
-        behind = [slice(None)] * 4
+        ahead: list[Any] = [slice(None)] * 4
+        behind = ahead.copy()
         ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
-        first[tuple(behind)] = values[tuple(ahead)]
-        last[tuple(ahead)] = values[tuple(behind)]
-        values = values + first + last
+        total = values.copy()
+        total[tuple(behind)] += values[tuple(ahead)]
+        total[tuple(ahead)] += values[tuple(behind)]
+        values = total
     return values

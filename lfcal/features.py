@@ -21,14 +21,14 @@ _CLIP = 3.0
 # At least so many rows are levelled one after the other: the first takes as long as the square is high.
 _ROWS = 64
 # Types of raw values whose root is taken as they are, most flats; others are converted first.
-_ROOTED = (np.uint8, np.uint16)
+_ROOTED = (np.uint8, np.uint16, np.float32)
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def _root(values, out):
     for y in prange(values.shape[0]):
         for x in range(values.shape[1]):
-            out[y, x] = np.sqrt(np.float32(values[y, x]))
+            out[y, x] = np.sqrt(max(np.float32(values[y, x]), np.float32(0)))
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -50,7 +50,8 @@ def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
             grey = cv2.transform(np.asarray(image, dtype=np.float32), np.array([[0.299, 0.587, 0.114]], np.float32))
     else:
         grey = np.array(image, dtype=np.float32)
-    np.maximum(grey, 0, out=grey)
+    if image.dtype.kind != "u":
+        np.maximum(grey, 0, out=grey)
     return grey
 
 
@@ -91,12 +92,14 @@ def _steep(above, here, below, left, x, right):
 @njit(cache=True, nogil=True, parallel=True)
 def _steepness(picture, steepness):
     height, width = picture.shape
+    # Signed places that are added up may count from the end, which no vector loop can.
+    one = np.uint64(1)
     for y in prange(height):
         above, here, below = picture[abs(y - 1)], picture[y], picture[y + 1 if y + 1 < height else height - 2]
         line = steepness[y]
         line[0] = _steep(above, here, below, 1, 0, 1)
-        for x in range(1, width - 1):
-            line[x] = _steep(above, here, below, x - 1, x, x + 1)
+        for x in range(one, np.uint64(width) - one):
+            line[x] = _steep(above, here, below, x - one, x, x + one)
         line[width - 1] = _steep(above, here, below, width - 2, width - 1, width - 2)
 
 
@@ -145,18 +148,17 @@ def _running(sums, half, out):
         total += sums[_mirrored(x - half, count)]
         out[x + 1] = total
     # Four at a time: each addition to the total waits for the one before.
-    whole = count // 4 * 4
-    for x in range(0, whole, 4):
-        one = sums[x]
-        two = one + sums[x + 1]
-        three = two + sums[x + 2]
-        four = two + (sums[x + 2] + sums[x + 3])
-        out[half + x + 1], out[half + x + 2] = total + one, total + two
-        out[half + x + 3], out[half + x + 4] = total + three, total + four
-        total += four
-    for x in range(whole, count):
+    after = out[half + 1 :]
+    whole, one, two, three = np.uint64(count // 4 * 4), np.uint64(1), np.uint64(2), np.uint64(3)
+    for x in range(np.uint64(0), whole, np.uint64(4)):
+        pair = sums[x] + sums[x + one]
+        after[x], after[x + one] = total + sums[x], total + pair
+        after[x + two] = total + (pair + sums[x + two])
+        total += pair + (sums[x + two] + sums[x + three])
+        after[x + three] = total
+    for x in range(whole, np.uint64(count)):
         total += sums[x]
-        out[half + x + 1] = total
+        after[x] = total
     for x in range(half):
         total += sums[_mirrored(count + x, count)]
         out[half + count + x + 1] = total
@@ -166,9 +168,11 @@ def _running(sums, half, out):
 def _level_row(row, sums, squares, side, floor, clip, out):
     """Values over their surroundings, from running sums over rows of `side` each and of their squares."""
     share = 1.0 / (side * side)
-    for x in range(len(row)):
-        mean = np.float32((sums[x + side] - sums[x]) * share)
-        square = np.float32((squares[x + side] - squares[x]) * share)
+    # Without sums of signed places, as above.
+    later, later_squares = sums[side:], squares[side:]
+    for x in range(np.uint64(len(row))):
+        mean = np.float32((later[x] - sums[x]) * share)
+        square = np.float32((later_squares[x] - squares[x]) * share)
         value = (row[x] - mean) / (np.sqrt(max(square - mean * mean, np.float32(0))) + floor)
         out[x] = min(max(value, -clip), clip)
 

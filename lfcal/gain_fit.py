@@ -11,6 +11,7 @@ taken from sums over many lenses (`scene_profile`). Scenes say nothing about the
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -83,12 +84,14 @@ def fit_gain(
         cut = (*cat_eye.shift, cat_eye.growth.sum(), cat_eye.radius, cat_eye.soft)
     gain = GainMap.round(np.ones(rings), _STEP, limit, cut)
     core = (_SCENE_CORE if scene else _CORE) * limit
+    # A white image may well be as even as if it were clipped.
+    brightest = 0.995 * float(picture.max()) ** 2 if scene else math.inf
     spread, windows = np.full(rings, np.inf), np.ones(len(sample.first) - 1)
 
     def left_over(every: int, sectors: bool = False, terms: bool = True) -> Left:
         limit = OUTLIER * spread * windows[:, None]
         few = sample if scene or sectors else sample.some(every)
-        return compare(picture, lattice, gain, few, core, scene, limit, sectors, terms)
+        return compare(picture, lattice, gain, few, core, scene, brightest, limit, sectors, terms)
 
     for turn in range(_PASSES[0]):
         left = left_over(_PROFILE, sectors=cat_eye is None and turn == _PASSES[0] - 1, terms=False)
@@ -107,7 +110,7 @@ def fit_gain(
             # Where the two rims lie upon each other, both at once would be moved twice as far as they have to.
             gain = replace(gain, cut=cut_terms(left_over(every), gain))
     if scene:
-        gain = replace(gain, profile=scene_profile(picture, lattice, gain))
+        gain = replace(gain, profile=scene_profile(picture, lattice, gain, brightest))
     return GainFit(gain, spread, windows.reshape(sample.shape))
 
 

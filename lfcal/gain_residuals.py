@@ -284,7 +284,7 @@ class Left:
 
 def compare(
     picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, sample: Sample, core: float, scene: bool,
-    limit: NDArray[np.float64], sectors: bool = False, terms: bool = True,
+    brightest: float, limit: NDArray[np.float64], sectors: bool = False, terms: bool = True,
 ) -> Left:  # fmt: skip
     """Compare a sample of lenses with a map.
 
@@ -299,6 +299,8 @@ def compare(
         Radius within which the light of a lens is measured.
     scene : bool
         Whether lenses show something; their light is then a plane.
+    brightest : float
+        Light that has been clipped where many pixels of a lens share it.
     limit : (w, k) float64
         Pixels that are off by more, as a share of the light of the lens, have no say.
     sectors : bool
@@ -312,8 +314,6 @@ def compare(
     normal, right = np.zeros((parts, _SHADES, _SHADES)), np.zeros((parts, _SHADES))
     rims, sector = np.zeros((2, parts, DIRECTIONS)), np.zeros((parts * sectors, DIRECTIONS, 2))
     dark, cut_normal, cut_right = np.zeros((parts, 2)), np.zeros((parts, _CUTS, _CUTS)), np.zeros((parts, _CUTS))
-    # Light of scenes that many pixels share at the top has been clipped there; a white image may well be so even.
-    brightest = 0.995 * float(picture.max()) ** 2 if scene else math.inf
     kernel: Any = _compare
     kernel(
         picture, sample.centres, sample.places, sample.first, sample.stride, faces, inner_radius(faces), reach, core,

@@ -238,10 +238,9 @@ def _beside(
     light: NDArray[np.float64], count: NDArray[np.float64], zone: tuple[float, float], other: tuple[float, float]
 ) -> tuple[NDArray[np.float64], float]:
     """(n,) light in a zone over that in another, less what is common to all lenses, and that common share."""
-    relative = light / _mean(light, count, other)[:, None]
-    # Which pixels fall on a ring differs from lens to lens; the common profile allows for that.
-    profile = relative.sum(0) / np.maximum(count.sum(0), 1)
     rings = _rings(zone)
-    area = count[:, rings].sum()
-    share = float((count * profile)[:, rings].sum() / max(area, 1))
-    return (relative - count * profile)[:, rings].sum(1) / np.maximum(count[:, rings].sum(1), 1), share
+    relative, count = light[:, rings] / _mean(light, count, other)[:, None], count[:, rings]
+    # Which pixels fall on a ring differs from lens to lens; the common profile allows for that.
+    expected = count * (relative.sum(0) / np.maximum(count.sum(0), 1))
+    share = float(expected.sum() / max(count.sum(), 1))
+    return (relative - expected).sum(1) / np.maximum(count.sum(1), 1), share

@@ -35,8 +35,8 @@ _UNSURE = 2.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sums(picture, centres, first, stride, faces, inner, reach, clip, field, radius, profile, step, shade, rim, cut,
-          up, down):  # fmt: skip
+def _sums(picture, centres, first, stride, faces, inner, reach, brightest, field, radius, profile, step, shade, rim,
+          cut, up, down):  # fmt: skip
     powers, lens = np.empty(64), np.empty(7 + rim.shape[0])
     total, number = np.empty(len(profile)), np.empty(len(profile))
     for window in range(len(first) - 1):
@@ -57,7 +57,7 @@ def _sums(picture, centres, first, stride, faces, inner, reach, clip, field, rad
                     if through < 0.5:
                         continue
                     v = picture[y, x] * picture[y, x]
-                    clipped += v >= clip
+                    clipped += v >= brightest
                     count += 1
                     place = stretched / step
                     ring = min(int(place), len(profile) - 2)
@@ -71,7 +71,9 @@ def _sums(picture, centres, first, stride, faces, inner, reach, clip, field, rad
                 down[window] += number
 
 
-def scene_profile(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap) -> NDArray[np.float64]:
+def scene_profile(
+    picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, brightest: float
+) -> NDArray[np.float64]:
     """(k,) profile of a gain map whose rims are right, from a scene capture; 1 wherever that cannot be excluded.
 
     Parameters
@@ -81,15 +83,15 @@ def scene_profile(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap)
     lattice : Lattice [px]
     gain : GainMap
         Its profile is used where this capture shows none.
+    brightest : float
+        Light that has been clipped where many pixels of a lens share it.
     """
     faces, reach = cell_faces(lattice)
     sample = lens_sample(lattice, _PIXELS)
     up, down = np.zeros((2, len(sample.first) - 1, len(gain.profile)))
-    # Light that many pixels share at the top has been clipped there.
-    clip = 0.995 * float(picture.max()) ** 2
     kernel: Any = _sums
     kernel(
-        picture, sample.centres, sample.first, sample.stride, faces, inner_radius(faces), reach, clip,
+        picture, sample.centres, sample.first, sample.stride, faces, inner_radius(faces), reach, brightest,
         *gain.shape(lattice), up, down,
     )  # fmt: skip
     rings = np.arange(len(gain.profile))
@@ -110,8 +112,8 @@ def scene_profile(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap)
     profile = np.interp(rings, rings[filled], ratio[filled])
     profile = _sure(profile, np.interp(rings, rings[filled], _errors(up, down)[filled]))
     smooth = np.convolve(np.pad(profile, 2, "edge"), np.ones(5) / 5, "valid")
-    brightest: NDArray[np.float64] = profile / smooth[rings * gain.step < gain.radius].max()
-    return brightest
+    even: NDArray[np.float64] = profile / smooth[rings * gain.step < gain.radius].max()
+    return even
 
 
 def _errors(up: NDArray[np.float64], down: NDArray[np.float64]) -> NDArray[np.float64]:
