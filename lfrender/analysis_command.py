@@ -21,6 +21,7 @@ from .command_options import (
     flat_argument,
     preset_option,
 )
+from .early_imports import import_meanwhile
 
 if TYPE_CHECKING:
     import numpy as np
@@ -99,6 +100,7 @@ def analyze(
             figures = {**camera_figures(calibration, depth), **depth_figures(depth), **distance_figures(depth, optics)}
             report.finish({"depth": str(output), **figures})
             return
+    import_meanwhile(".analysis")
     with report.stage("read"):
         from lfcal import read_flat
 

@@ -6,20 +6,19 @@ import gc
 import sys
 from contextlib import suppress
 from importlib import import_module
-from pathlib import Path
 from threading import Thread
 
 __all__ = ["import_meanwhile"]
 
 
-def import_meanwhile(output: Path) -> None:
-    """Begin to import what drawing a picture into this file needs."""
+def import_meanwhile(*modules: str) -> None:
+    """Begin to import these modules, those of this package by names that begin with a dot."""
     # What is imported stays: collecting garbage among it takes a tenth of the time.
     gc.disable()
-    Thread(target=_import_drawing, args=(output.suffix.lower() in (".tif", ".tiff"),)).start()
+    Thread(target=_import, args=modules).start()
 
 
-def _import_drawing(tiff: bool) -> None:
+def _import(*modules: str) -> None:
     # The compiler looks for the linear algebra of SciPy, which takes longer to import than the compiler itself. No
     # kernel of ours uses it, and this process runs no others.
     blas = "scipy.linalg.cython_blas"
@@ -33,8 +32,7 @@ def _import_drawing(tiff: bool) -> None:
             sys.modules.pop(blas, None)
         gc.freeze()
         gc.enable()
-    # A command that fails at once ends while this goes on: nothing will be drawn, and nobody minds.
+    # A command that fails at once ends while this goes on: nothing will be needed, and nobody minds.
     with suppress(RuntimeError):
-        import_module(f"{__package__}.drawing")
-        if tiff:
-            import_module("tifffile")
+        for module in modules:
+            import_module(module, __package__)
