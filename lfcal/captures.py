@@ -70,6 +70,7 @@ def _checked(image: ArrayLike, name: str) -> NDArray[Any]:
             y, x = np.argwhere(bad)[0]
             where = f"first at x={x}, y={y}" + ("" if name == "image" else f" of {name}")
             raise FlatError(f"{bad.sum()} pixels are NaN or infinite, {where}; fill them in first")
+    # No unsigned number is as large.
     if flat.dtype.kind != "u" and max(-float(flat.min()), float(flat.max())) > _LARGEST:
         raise FlatError(f"{name} has values up to {np.abs(flat).max():.3g}; scale them to at most {_LARGEST:.0e} first")
     if min(flat.shape[:2]) < 16:

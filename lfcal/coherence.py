@@ -84,16 +84,12 @@ def refine_basis(folds: list[TileFolds]) -> tuple[NDArray[np.float64], float]:
     offset = first.centre - middle
     reach = np.abs(offset).max() + 1.0
     norm = float((np.abs(stack) ** 2).sum() * stack.shape[1])
-    along, across = stack.real.astype(np.float64), stack.imag.astype(np.float64)
 
     def energy(parameters: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
         change = parameters.reshape(2, 2) / reach
-        phase = (2 * np.pi * index @ change) @ offset.T
-        # Several times as fast as the exponential of complex numbers.
-        cosine, sine = np.cos(phase), np.sin(phase)
-        real = (along * cosine + across * sine).sum(1)
-        imaginary = (across * cosine - along * sine).sum(1)
-        return float((real @ real + imaginary @ imaginary) / norm)
+        phase = (index @ change) @ offset.T
+        sums = (stack * np.exp(-2j * np.pi * phase)).sum(1)
+        return float((np.abs(sums) ** 2).sum() / norm)
 
     best_start, best_value = np.zeros(4), -1.0
     for guess in (start, np.zeros((2, 2))):

@@ -4,9 +4,9 @@ A kernel with these liberties that others call is to be inlined (`forceinline`):
 of itself, whose sums are in another order, just compiled than from Numba's cache.
 
 Nothing may depend on what a process has compiled before, or the same kernel rounds otherwise in another process.
-Numba compiles `x ** 2` once, with the liberties of the kernel that asks for it first: powers are products here. And a
-kernel that says nothing of liberties has those of its first caller: one with callers of both kinds
-says `fastmath=False`.
+Numba compiles `x ** 2` once, with the liberties of the kernel that asks for it first: kernels with liberties have
+products instead. And a kernel that says nothing of liberties has those of its first caller: one with callers of both
+kinds says `fastmath=False`.
 """
 
 from numba import njit

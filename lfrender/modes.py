@@ -89,21 +89,18 @@ def parabola_peak(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArra
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _smooth(both, unknown, neighbours, gap, rounds):
-    """Mean of the neighbours of each unknown lens that differ from it by `gap` at most, or its own value; again and
-    again, from one row of `both` into the other."""
-    for turn in range(rounds):
-        values, out = both[turn % 2], both[1 - turn % 2]
-        for u in prange(len(unknown)):
-            lens = unknown[u]
-            total = np.float32(0.0)
-            count = 0
-            for k in range(neighbours.shape[1]):
-                other = neighbours[lens, k]
-                if other >= 0 and abs(values[other] - values[lens]) <= gap:
-                    total += values[other]
-                    count += 1
-            out[lens] = total / count if count else values[lens]
+def _smooth(values, unknown, neighbours, gap, out):
+    """Mean of the neighbours of each unknown lens that differ from it by `gap` at most, or its own value."""
+    for u in prange(len(unknown)):
+        lens = unknown[u]
+        total = np.float32(0.0)
+        count = 0
+        for k in range(neighbours.shape[1]):
+            other = neighbours[lens, k]
+            if other >= 0 and abs(values[other] - values[lens]) <= gap:
+                total += values[other]
+                count += 1
+        out[lens] = total / count if count else values[lens]
 
 
 def fill(
@@ -122,9 +119,15 @@ def fill(
     gap : float [px]
         Values further apart belong to different surfaces.
     """
-    both = np.stack([values, values])
-    _smooth(both, np.flatnonzero(~known), neighbours, np.float32(gap), _FILL_ROUNDS)
-    return both[_FILL_ROUNDS % 2]
+    result = values.copy()
+    unknown = np.flatnonzero(~known)
+    if unknown.size == 0:
+        return result
+    other = values.copy()
+    for _ in range(_FILL_ROUNDS):
+        _smooth(result, unknown, neighbours, np.float32(gap), other)
+        result, other = other, result
+    return result
 
 
 @njit(cache=True, nogil=True, parallel=True)

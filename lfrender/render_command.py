@@ -132,7 +132,7 @@ def render(
             large_cli.render(report, asked)
             return
     check_picture(output, alpha=alpha, inputs=[flat, camera, white, depth_file])
-    import_meanwhile(".drawing", *["tifffile"] * (output.suffix.lower() in (".tif", ".tiff")))
+    import_meanwhile(".drawing", *(["tifffile"] if output.suffix.lower() in (".tif", ".tiff") else []))
     with report.stage("read"):
         from lfcal import read_flat
 
