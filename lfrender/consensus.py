@@ -21,8 +21,8 @@ _OUTLYING = np.float32(0.15)
 # A second start may differ from the first by this share of the pitch: more would be another label, not an offset.
 _OFFSET = 0.15
 # Beyond this share of the pitch neighbours share less than half of what they show, and where texture is weak the search
-# falls short of the right shift by about the second share. A start from there must clearly pay: its error must be less
-# than the third share of the other's.
+# falls short of the right shift by about the second share. A start from there, or from another shift that matched, must
+# clearly pay: its error must be less than the third share of the other's.
 _LEANING, _LEAN, _CLEARLY = 0.45, 0.06, 0.7
 # Neighbouring lenses share pairs: correlation of an expectation's error with the lens's own.
 _SHARED = np.float32(0.5)
@@ -104,6 +104,7 @@ def measure(
     forward: NDArray[np.int32],
     backward: NDArray[np.int32],
     start: NDArray[np.float32],
+    second: NDArray[np.float32],
     scale: NDArray[np.float32],
     noise: float,
     iterations: int,
@@ -112,7 +113,10 @@ def measure(
     """Sub-pixel patch size of each lens from its own pixels, and then with the lenses around it.
 
     Where a fit is doubtful and the neighbours expect something else nearby, a second fit starts from
-    there and the more certain one is kept. At last each lens is weighed with what its neighbours expect of it.
+    there and the more certain one is kept. Where it is still doubtful and another value matched nearly as well, on
+    which the pairs agree clearly better, that is kept: the search takes the mean over all pairs, also over those of
+    which one lens shows what hides the scene from the other. At last each lens is weighed with what its neighbours
+    expect of it.
 
     Parameters
     ----------
@@ -121,6 +125,8 @@ def measure(
         Neighbour rows in `d` directions and in their opposites, -1 where there is none.
     start : (n,) float32 [px]
         First values; NaN for lenses to leave alone.
+    second : (n,) float32 [px]
+        Other values that may be right, far from the first; NaN where there is none.
     scale : (n,) float32
         Difference of brightness beyond which two pixels hardly count as the same point.
     noise : float
@@ -144,6 +150,9 @@ def measure(
     if leaning.any():
         farther = np.where(leaning, start + np.sign(start) * _LEAN * gray.pitch, np.nan).astype(np.float32)
         own = _surer(own, fit(farther), _CLEARLY)
+    torn = (own.standard_error >= _DOUBTFUL) & np.isfinite(second)
+    if torn.any():
+        own = _surer(own, fit(np.where(torn, second, np.nan).astype(np.float32)), _CLEARLY)
     return own, _supported(own, *_expected(gray, forward, backward, own, own.patch_size, np.inf))
 
 

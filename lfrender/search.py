@@ -76,8 +76,8 @@ _SEARCHED = 0.82
 # Prices of semi-global matching in units of the match cost (0 perfect, 1 unrelated). On ray-traced and real flats a
 # slant costs little at half the price, and at double the price depth edges begin to suffer.
 _SLOPE_PER_PIXEL, _JUMP = 0.07, 0.8
-# Radius [px] below which microimages have no row and no shift to spare.
-_LEAST_RADIUS, _TINY_STEP = 4.0, 0.5
+# Radii [px] below which microimages have no row to spare, and no shift either.
+_NO_ROW_TO_SPARE, _LEAST_RADIUS, _TINY_STEP = 7.0, 4.0, 0.5
 # A second depth is tried on the pixels when it matches the lens at most this much worse, and the first leaves
 # this much unexplained.
 _SECOND, _UNEXPLAINED = 0.3, 0.2
@@ -85,6 +85,8 @@ _SECOND, _UNEXPLAINED = 0.3, 0.2
 MISFIT = 0.35
 # Of fewer lenses than this share microimages are cut out for these and their neighbours alone.
 _FEW = 0.2
+# Where pairs agree clearly better on the next best value, it is the right one for this share of the lenses.
+_TURNED = np.float32(0.6)
 # Beyond the last pixel that is shared no correlation is anything.
 _LEAST_TRUST = np.float32(0.02)
 # Lenses that match as well at another shift are torn; texture repeats where this share of them is.
@@ -118,6 +120,8 @@ class Found:
         none; pooled with the lenses around it.
     second : (n,) float32
         Next best value, NaN where no other comes near.
+    second_evidence, second_explained : (n,) float32
+        As `evidence` and `explained`, at the next best value.
     step : float
         Between the values that were tried.
     untried : float
@@ -132,8 +136,23 @@ class Found:
     matched: NDArray[np.float32]
     echo: NDArray[np.float32]
     second: NDArray[np.float32]
+    second_evidence: NDArray[np.float32]
+    second_explained: NDArray[np.float32]
     step: float
     untried: float
+
+    def turned(self, lenses: NDArray[np.bool_]) -> Found:
+        """These with the best and the next best value of some `lenses` (n,) exchanged."""
+        return replace(
+            self,
+            patch_size=np.where(lenses, self.second, self.patch_size),
+            second=np.where(lenses, self.patch_size, self.second),
+            evidence=np.where(lenses, self.second_evidence, self.evidence),
+            second_evidence=np.where(lenses, self.evidence, self.second_evidence),
+            explained=np.where(lenses, self.second_explained, self.explained),
+            second_explained=np.where(lenses, self.explained, self.second_explained),
+            confidence=np.where(lenses, np.minimum(_TURNED, self.confidence), self.confidence),
+        )
 
 
 class Matcher:
@@ -164,13 +183,13 @@ class Matcher:
         if self.factor > 1:
             self.statistics = lens_statistics(self.gray, wanted=wanted)
         # Of tiny microimages every row is needed, and every half pixel: the depth that few pixels share is biased.
-        tiny = self.gray.radius < _LEAST_RADIUS
+        row_step = 1 if self.gray.radius < _NO_ROW_TO_SPARE else setting.row_step
         self.step = setting.step if self.factor > 1 else max(setting.step, setting.full_step)
-        self.step = min(self.step, _TINY_STEP) if tiny else self.step
+        self.step = min(self.step, _TINY_STEP) if self.gray.radius < _LEAST_RADIUS else self.step
         side = int(np.ceil(_SEARCHED * self.gray.pitch / self.step))
         self.shifts = (np.arange(-side, side + 1) * self.step).astype(np.float32)
         self.forward, self.backward = forward, backward
-        self._noise, self._row_step = texture.noise / self.factor, 1 if tiny else setting.row_step
+        self._noise, self._row_step = texture.noise / self.factor, row_step
 
     @cached_property
     def rows(self) -> NDArray[np.int32]:
@@ -284,17 +303,19 @@ def search(
     own = cost[np.arange(len(best)), best]
     other, other_cost = second_best(cost, best, max(2, round(2 / step)))
     rival = (own > _UNEXPLAINED) & (other_cost < own + _SECOND)
-    factor, shifts = matcher.factor, matcher.shifts
+    factor, shifts, trust = matcher.factor, matcher.shifts, np.maximum(matcher.trust, _LEAST_TRUST)
     rivals, matched, echo = without_rivals(cost, matcher.trust, matcher.rows, best, active, matcher.tolerance())
     return Found(
         patch_size=((shifts[best] + parabola_peak(total, best) * step) * factor).astype(np.float32),
         confidence=confidence(total, best, 2 * matcher.forward.shape[1], matcher.tolerance()),
         evidence=1 - own,
-        explained=((1 - own) / np.maximum(matcher.trust[best], _LEAST_TRUST)).astype(np.float32),
+        explained=((1 - own) / trust[best]).astype(np.float32),
         rivals=rivals,
         matched=matched,
         echo=echo,
         second=np.where(rival, (shifts[other] + parabola_peak(cost, other) * step) * factor, np.nan).astype(np.float32),
+        second_evidence=1 - other_cost,
+        second_explained=((1 - other_cost) / trust[other]).astype(np.float32),
         step=step * factor,
         untried=untried,
     )

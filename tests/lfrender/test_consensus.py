@@ -4,11 +4,12 @@ from lfrender.consensus import measure
 from lfrender.neighbours import neighbour_rows
 
 
-def measured(gray, lattice, start):
+def measured(gray, lattice, start, second=np.nan):
     rows = neighbour_rows(lattice, lattice.steps)
     half = rows.shape[1] // 2
     scale = np.full(len(start), 0.1, np.float32)
-    return measure(gray, rows[:, :half], rows[:, half:], start.astype(np.float32), scale, 0.005, 6)[1]
+    second = np.broadcast_to(np.float32(second), len(start))
+    return measure(gray, rows[:, :half], rows[:, half:], start.astype(np.float32), second, scale, 0.005, 6)[1]
 
 
 def test_a_lens_that_starts_far_off_is_brought_back_by_its_neighbours(drawn_flat):
@@ -20,6 +21,15 @@ def test_a_lens_that_starts_far_off_is_brought_back_by_its_neighbours(drawn_flat
     lenses = measured(gray, lattice, start)
     assert (np.abs(lenses.patch_size + 8.0)[far] < 0.1).mean() > 0.9
     assert np.median(np.abs(lenses.patch_size + 8.0)[inner]) < 0.01
+
+
+def test_a_lens_turns_to_the_other_value_on_which_its_pairs_agree(drawn_flat):
+    gray, lattice, truth, inner = drawn_flat(-8.0, detail=1.0)
+    false = inner & (np.arange(len(truth)) % 7 == 0)
+    start = np.where(false, 7.0, truth)
+    assert (np.abs(measured(gray, lattice, start).patch_size + 8.0)[false] > 1).all()
+    lenses = measured(gray, lattice, start, np.where(false, -8.2, 7.0))
+    assert (np.abs(lenses.patch_size + 8.0)[inner] < 0.1).mean() > 0.99
 
 
 def test_lenses_on_the_other_side_of_a_depth_edge_do_not_pull(drawn_flat):

@@ -30,7 +30,8 @@ def measured(kinds: bool, gamma: bool = True) -> tuple[np.ndarray, GrayFlat, np.
     gray = gray_flat(shot.flat, shot.truth.calibration)
     gray = replace(gray, kinds=shot.truth.lens_type.astype(np.int8) if kinds else None)
     start = (shot.truth.patch_size + 0.2).astype(np.float32)
-    alone, _ = measure(gray, *lens_halves(shot.truth.calibration.lattice), start, np.full(len(start), 0.1), 0.004, 5)
+    halves = lens_halves(shot.truth.calibration.lattice)
+    alone, _ = measure(gray, *halves, start, np.full(len(start), np.nan), np.full(len(start), 0.1), 0.004, 5)
     inner = (np.abs(gray.centres - np.array([209.5, 179.5])) < np.array([150, 120])).all(1)
     return (alone.patch_size - shot.truth.patch_size)[inner], gray, shot.truth.lens_type
 

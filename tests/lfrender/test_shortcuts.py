@@ -383,6 +383,8 @@ def test_unresolved_lenses_say_why():
         evidence,
         np.zeros(5),
         np.full(5, np.nan, np.float32),
+        evidence,
+        evidence,
         1.0,
         0.0,
     )
@@ -395,7 +397,7 @@ def test_little_contrast_that_matches_nothing_is_too_little_texture():
     from lfrender.search import Found
 
     sizes, faint = np.full(4, 5, np.float32), np.full(4, 0.1, np.float32)
-    found = Found(sizes, 3 * faint, faint, faint, np.ones(4), faint, np.zeros(4), sizes, 1.0, 0.0)
+    found = Found(sizes, 3 * faint, faint, faint, np.ones(4), faint, np.zeros(4), sizes, faint, faint, 1.0, 0.0)
     # Contrast four and ten times the noise.
     signal = np.repeat(np.float32([1 - 1 / 16, 1 - 1 / 100]), 2)
     centres, alone = 23 * np.arange(8, dtype=np.float32).reshape(4, 2), np.full((4, 6), -1, np.int32)
