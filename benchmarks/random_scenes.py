@@ -51,8 +51,9 @@ class DepthErrors:
         Median and 95th percentile of the error of the patch size.
     within : float
         Share of the lenses within their standard error.
-    before : float [px]
-        Median error of the lenses that do not show the depth of the most; NaN where these are few.
+    before, before_within : float [px], float
+        Median error of the lenses that do not show the depth of the most, and share of them within their standard
+        error; NaN where these are few.
     edges : float
         Share of the depth edges that are right to one pixel of the traditional picture.
     """
@@ -64,7 +65,13 @@ class DepthErrors:
     most: float
     within: float
     before: float
+    before_within: float
     edges: float
+
+    @property
+    def wanted(self) -> bool:
+        """All are as good as is wanted of every scene."""
+        return self.right >= 0.995 and self.median <= 0.02 and self.most <= 0.3 and self.edges >= 0.9
 
 
 def draw(seed: int, samples: int = _SAMPLES) -> tuple[str, Capture]:
@@ -106,6 +113,7 @@ def judge(capture: Capture) -> DepthErrors:
     within = error <= depth.standard_error[judged]
     away = np.abs(truth.patch_size[near][judged] - np.median(truth.patch_size[near][judged]))
     before = measured & (away > _APART * depth.pitch)
+    many = before.sum() >= _FEWEST
     return DepthErrors(
         centres=float(np.sqrt((apart[known] ** 2).mean())),
         right=float((mode == wanted).mean()),
@@ -113,22 +121,30 @@ def judge(capture: Capture) -> DepthErrors:
         median=float(np.nanmedian(error)),
         most=float(np.nanquantile(error, 0.95)),
         within=float(within[measured].mean()),
-        before=float(np.median(error[before])) if before.sum() >= _FEWEST else float("nan"),
+        before=float(np.median(error[before])) if many else float("nan"),
+        before_within=float(within[before].mean()) if many else float("nan"),
         edges=edge_share(depth, truth.reference_patch_size, truth.reference_affine),
     )
 
 
 def main(arguments: list[str]) -> None:
     first, last, samples = (*(int(v) for v in arguments), *(*_SEEDS, _SAMPLES)[len(arguments) :])
+    every = []
     for seed in range(first, last):
         described, capture = draw(seed, samples)
         found = judge(capture)
+        every.append(found)
         print(
             f"{seed:3d} {described:62s} centres {found.centres:.4f} px  modes {found.right:.4f} wrong {found.wrong:.4f}"
             f"  s median {found.median:.4f} 95 % {found.most:.3f} px  within its error {found.within:.2f}"
-            f"  before it {found.before:.4f} px  edges {found.edges:.3f}",
+            f"  before it {found.before:.4f} px {found.before_within:.2f}  edges {found.edges:.3f}",
             flush=True,
         )
+    means = [np.mean([getattr(found, name) for found in every]) for name in ("right", "wrong", "within")]
+    print(
+        f"{sum(found.wanted for found in every)} of {len(every)} scenes as wanted;"
+        " means: modes {:.5f} wrong {:.5f} within {:.3f}".format(*means)
+    )
 
 
 if __name__ == "__main__":
