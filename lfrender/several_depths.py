@@ -23,6 +23,7 @@ from .skipping import Shortcuts, sample_lenses
 from .spreading import spread
 from .surface import Surface
 from .texture import LensStatistics, Texture, find_texture, nearly_untouched_texture, noise_of
+from .thin_things import thin_depths
 
 __all__ = ["Overview", "Single", "lens_by_lens"]
 
@@ -301,7 +302,12 @@ def _seconds(
         rest = remainder_depths(lenses.texture, lenses.forward, lenses.backward, drawn, evidence, setting, around)
     # Shading matches itself near zero: a depth there must occur by itself.
     rest[(np.abs(rest) < SHADED_REACH * lenses.pitch) & ~populated(rest, occurring, gap)] = np.nan
-    return np.stack([second, rest], 1).astype(np.float32)
+    others = np.stack([second, rest], 1).astype(np.float32)
+    if setting.remainder:
+        thin = thin_depths(lenses.texture, lenses.forward, lenses.backward, drawn, others, lenses.near, gap)
+        told, place = np.isfinite(thin), np.where(np.isfinite(second) & np.isnan(rest), 1, 0)
+        others[told, place[told]] = thin[told]
+    return others
 
 
 def _among_all(
