@@ -22,15 +22,15 @@ __all__ = ["thin_depths"]
 
 # Lenses beyond this share of the pitch share too little with others.
 _SHARING_LITTLE = 0.4
-# Pitch [px] at which lenses are compared, where the flat's is larger: a tenth of a pitch is four pixels wide there.
-_PITCH = 40
+# Pitch [px] at which lenses are compared, about, where the flat's is larger: 3 x 3 pixels fit into a twentieth of it.
+_PITCH = 60
 # Of places that vary over 3 x 3 pixels by more than so many times the least difference, one is confirmed by lenses that
 # differ from it by no more than a share of that, and this: so many times the noise. That takes half of all neighbours,
 # and so many.
-_TEXTURED, _CONFIRMED, _NOISES, _FEWEST = np.float32(3.0), np.float32(0.5), 4.0, 2.0
-# A thing is seen where so much of a microimage is confirmed, and so many times as much as at depths this share of the
-# pitch beside it: whatever repeats is confirmed there as well.
-_LEAST, _MORE, _BESIDE = 0.005, 2.0, 0.13
+_TEXTURED, _CONFIRMED, _NOISES, _FEWEST = np.float32(3.0), np.float32(0.7), 4.0, 2.0
+# A thing is seen where so much of a microimage is confirmed, at least the second number of places, and so many times as
+# much as at depths this share of the pitch beside it: whatever repeats is confirmed there as well.
+_LEAST, _FEWEST_PLACES, _MORE, _BESIDE = 0.005, 3, 2.0, 0.13
 # Such 3 x 3 pixels reach a pixel farther.
 _BORDER = 1.0
 # Lenses ask those beside them so many times at most: so many lenses long a thing may be.
@@ -112,7 +112,7 @@ def _shown(image, centres, radius, pitch, rows, lenses, sizes, firsts, floor, be
         left, top = int(centres[lens, 0]) - side, int(centres[lens, 1]) - side
         copy_box(pixels, width, left, top, wide, wide, own)
         total = _set_limits(image, centres[lens, 0], centres[lens, 1], radius, left, top, wide, floor, limits)
-        least = max(int(_LEAST * total), 1)
+        least = max(int(_LEAST * total), _FEWEST_PLACES)
         count = _confirm(
             pixels, height, width, centres, lens, radius, s, pitch, rows, left, top, wide, own, there, squares, lines,
             view, limits, here,
