@@ -24,8 +24,6 @@ __all__ = ["grid_shape", "spread"]
 _VOTING, _LOOKING = 1.45, 2.1
 # Specks are smaller than about half of a square of so many grid values to each side.
 _SPECK = 1
-# Up to this pitch [px] the samples on which candidates compete are a pixel apart: thin things fill no wider patch.
-_FINE = 96
 # Price of a depth edge between neighbouring grid values, and of a slant by one gap.
 _JUMP, _SLANT = np.float32(0.35), np.float32(0.1)
 
@@ -206,8 +204,7 @@ def spread(
         propose(
             gray.image, table, around, np.float32(gray.radius), np.float32(pitch), calm, grid, low, lattice.origin,
             inverse, *bend, ring, gap, np.float32(4 * noise * noise), start[0], spacing / part,
-            np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / _FINE)), unsettled, old, coarse, depths,
-            costs,
+            np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), unsettled, old, coarse, depths, costs,
         )  # fmt: skip
         chosen = scratch(purpose, shape, np.float32)
         # A step between grid values counts as part of those that it stands for, as what they mismatch does.
