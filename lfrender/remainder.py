@@ -13,11 +13,11 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .agreement import aggregate
-from .confirmation import better_half, differences, variance_about
 from .fastmath import FAST, square
 from .microimages import copy_box
 from .modes import confidence, parabola_peak
 from .neighbours import both_ways
+from .place_differences import differences, variance_about
 from .search import Matcher, Preset
 from .striding import stretches
 from .texture import Texture
@@ -62,6 +62,26 @@ def _insert(values, count, value):
         values[at] = values[at - 1]
         at -= 1
     values[at] = value
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+def _better_half(views, size, seen, at, values):
+    """Mean of the better half of what the `seen` neighbours leave at place `at`; -1 where fewer than two show it."""
+    count = 0
+    # Branches that nothing foretells would cost more than all steps of the sorting.
+    for k in range(seen):
+        value = views[np.uint64(k * size + at)]
+        count += int(value < np.inf)
+        for n in range(k):
+            less = min(values[n], value)
+            value = max(values[n], value)
+            values[n] = less
+        values[k] = value
+    total = np.float32(0.0)
+    half = (count + 1) // 2
+    for k in range(half):
+        total += values[k]
+    return total / (9 * half) if count > 1 else np.float32(-1.0)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
@@ -124,7 +144,7 @@ def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, f
                     # Where half of all confirm it, so does the better half.
                     if 2 * confirming[at] >= seen:
                         continue
-                    difference = better_half(views, size, seen, at, values)
+                    difference = _better_half(views, size, seen, at, values)
                     # What is below the least need not be compared with the variance about it.
                     if difference > least and difference > _SHARE * variance_about(image, x, y) + least:
                         mask[y, x] = 1

@@ -295,18 +295,19 @@ def _seconds(
 ) -> NDArray[np.float32]:
     """(n, 2) [px] other patch sizes that lenses may show beside `drawn`, of those that occur, as for `spread`."""
     second = np.where(populated(answers.second, occurring, gap), answers.second, np.nan)
-    rest = np.full(len(drawn), np.nan, np.float32)
-    if setting.remainder:
-        evidence = np.where(lenses.near, answers.found.evidence, 1)
-        around = occurring if shortcuts.ranges else None
-        rest = remainder_depths(lenses.texture, lenses.forward, lenses.backward, drawn, evidence, setting, around)
+    others = np.stack([second, np.full(len(drawn), np.nan)], 1).astype(np.float32)
+    if not setting.remainder:
+        return others
+    evidence = np.where(lenses.near, answers.found.evidence, 1)
+    around = occurring if shortcuts.ranges else None
+    rest = remainder_depths(lenses.texture, lenses.forward, lenses.backward, drawn, evidence, setting, around)
     # Shading matches itself near zero: a depth there must occur by itself.
     rest[(np.abs(rest) < SHADED_REACH * lenses.pitch) & ~populated(rest, occurring, gap)] = np.nan
-    others = np.stack([second, rest], 1).astype(np.float32)
-    if setting.remainder:
-        thin = thin_depths(lenses.texture, lenses.forward, lenses.backward, drawn, others, lenses.near, gap)
-        told, place = np.isfinite(thin), np.where(np.isfinite(second) & np.isnan(rest), 1, 0)
-        others[told, place[told]] = thin[told]
+    others[:, 1] = rest
+    thin = thin_depths(lenses.texture, lenses.forward, lenses.backward, drawn, others, lenses.near, gap)
+    # Its place is that of the second best, which is false more often, but where the other one is free.
+    told, place = np.isfinite(thin), np.where(np.isfinite(second) & np.isnan(rest), 1, 0)
+    others[told, place[told]] = thin[told]
     return others
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .confirmation import differences, variance_about
 from .fastmath import FAST
 from .microimages import copy_box
 from .neighbours import both_ways
+from .place_differences import differences, variance_about
 from .radiance import shrink
 from .texture import Texture
 
@@ -39,6 +39,8 @@ _LONGEST = 60
 _SAME = 0.5
 # Patch sizes tried on one lens are told apart within so many numbers.
 _KEYS = 1 << 20
+# What is known of each lens.
+_FIRST, _REST, _TOLD, _SECOND = range(4)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
@@ -143,6 +145,30 @@ def _nearness(sizes: NDArray[np.float32], pitch: float) -> NDArray[np.float32]:
     return np.where(sizes > 0, sizes, sizes + 2 * pitch)
 
 
+def _news(
+    known: NDArray[np.float32], rows: NDArray[np.int32], lenses: NDArray[np.int64], gap: float, pitch: float
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """What those beside some `lenses` (m,) know and these do not, before their first: lenses, and patch sizes [px].
+
+    What is no more than their second best counts as unknown: where it is told as well, it is no false one.
+    """
+    beside = rows[lenses]
+    heard = np.where((beside >= 0)[:, :, None], known[beside], np.nan).reshape(len(lenses), -1)
+    own = known[lenses][:, None, [_FIRST, _REST, _TOLD]]
+    apart = ~(np.abs(heard[:, :, None] - own) <= gap).any(2)
+    at, which = np.nonzero(apart & (_nearness(heard, pitch) > _nearness(known[lenses, _FIRST, None], pitch)))
+    return lenses[at], heard[at, which]
+
+
+def _best_of_each(lens: NDArray[np.int64], share: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Where each of the lenses has its largest share, of those that have any."""
+    order = np.lexsort((share, lens))
+    order = order[share[order] > 0]
+    last = np.ones(len(order), bool)
+    last[:-1] = np.diff(lens[order]) > 0
+    return order[last]
+
+
 def thin_depths(
     texture: Texture,
     forward: NDArray[np.int32],
@@ -194,33 +220,21 @@ def thin_depths(
     second = np.flatnonzero(asked & np.isfinite(others[:, 0]))
     sure = second[shown(second, others[second, 0]) > 0]
     known = np.full((len(first), 4), np.nan, np.float32)
-    known[:, 0], known[:, 1], known[sure, 3] = first, others[:, 1], others[sure, 0]
-    told = known[:, 2]
-    near = _nearness(first, pitch)
+    known[:, _FIRST], known[:, _REST], known[sure, _SECOND] = first, others[:, 1], others[sure, 0]
+    told = known[:, _TOLD]
     fresh, tried = np.ones(len(first), bool), np.empty(0, np.int64)
     for _ in range(_LONGEST):
         lenses = np.flatnonzero(asked & np.isnan(told) & ((rows >= 0) & fresh[rows]).any(1))
         if not len(lenses):
             break
-        heard = np.where((rows[lenses] >= 0)[:, :, None], known[rows[lenses]], np.nan).reshape(len(lenses), -1)
-        # Where it is its second best, it is told as well: then it is no false one.
-        apart = ~(np.abs(heard[:, :, None] - known[lenses, None, :2]) <= gap).any(2)
-        at, which = np.nonzero(apart & (_nearness(heard, pitch) > near[lenses, None]))
-        lens, size = lenses[at], heard[at, which]
-        keys = lens * _KEYS + np.rint(size / (_SAME * gap)).astype(np.int64)
-        keys, once = np.unique(keys, return_index=True)
+        lens, size = _news(known, rows, lenses, gap, pitch)
+        keys, once = np.unique(lens * _KEYS + np.rint(size / (_SAME * gap)).astype(np.int64), return_index=True)
         once = once[~np.isin(keys, tried)]
-        lens, size = lens[once], size[once]
-        tried = np.union1d(tried, keys)
-        share = shown(lens, size)
-        order = np.lexsort((share, lens))
-        order = order[share[order] > 0]
-        if not len(order):
-            break
-        # The last of each lens is what shows most.
-        best = order[np.append(np.diff(lens[order]) > 0, True)]
+        lens, size, tried = lens[once], size[once], np.union1d(tried, keys)
+        best = _best_of_each(lens, shown(lens, size))
         told[lens[best]] = size[best]
         fresh[:] = False
         fresh[lens[best]] = True
+    # What a lens beside has as its first is tried on the places about this one in any case.
     spoken = (np.abs(np.where(rows >= 0, first[rows], np.nan) - told[:, None]) <= gap).any(1)
     return np.where(spoken, np.nan, told).astype(np.float32)

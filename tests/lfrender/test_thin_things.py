@@ -35,7 +35,8 @@ def rod_before_a_wall(drawn_flat):
 
 
 def told(rod_before_a_wall, size):
-    """What lenses hear if one at the rod says `size`: which of them, their answers, and how far from it they are."""
+    """What lenses hear if one in the middle of the rod says `size`, how far they are from it [pitches], and which of
+    them are off its wide end and the border."""
     gray, lattice = rod_before_a_wall
     centres = lattice.centres()
     away = centres - MIDDLE
@@ -45,7 +46,7 @@ def told(rod_before_a_wall, size):
     every = np.ones(len(centres), bool)
     texture = SimpleNamespace(flat=gray, noise=0.002, clear=every, faint=~every)
     answers = thin_depths(texture, *lens_halves(lattice), first, others, every, 1.2)
-    narrow = (away @ ALONG > -60) & (np.abs(away @ ALONG) < 130)
+    narrow = (away @ ALONG > -60) & (away @ ALONG < 130)
     return answers, np.abs(away @ np.array([ALONG[1], -ALONG[0]])) / lattice.pitch, narrow
 
 

@@ -1,4 +1,4 @@
-"""What other microimages confirm of one, place by place, at a patch size."""
+"""By how much other microimages differ from one at a patch size, place by place."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numba import njit
 from .fastmath import FAST
 from .microimages import copy_box
 
-__all__ = ["better_half", "differences", "variance_about"]
+__all__ = ["differences", "variance_about"]
 
 
 # Python's error model checks every division, which no vector loop can.
@@ -76,23 +76,3 @@ def variance_about(image, x, y):
             mean += value
             squares += value * value
     return squares / 9 - mean * mean / 81
-
-
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def better_half(views, size, seen, at, values):
-    """Mean of the better half of what the `seen` neighbours leave at place `at`; -1 where fewer than two show it."""
-    count = 0
-    # Branches that nothing foretells would cost more than all steps of the sorting.
-    for k in range(seen):
-        value = views[np.uint64(k * size + at)]
-        count += int(value < np.inf)
-        for n in range(k):
-            less = min(values[n], value)
-            value = max(values[n], value)
-            values[n] = less
-        values[k] = value
-    total = np.float32(0.0)
-    half = (count + 1) // 2
-    for k in range(half):
-        total += values[k]
-    return total / (9 * half) if count > 1 else np.float32(-1.0)
