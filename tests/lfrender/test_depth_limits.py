@@ -9,6 +9,7 @@ import lfrender
 from benchmarks import depth_sweep
 from data_synth import Camera, Patch, Scene, simulate
 from data_synth.scenes import plane
+from lfcal import Calibration
 from lfrender.plane import fit_plane
 
 
@@ -124,3 +125,17 @@ def test_the_error_that_all_lenses_of_a_plane_share_grows_with_the_patch_size():
     # Of that many lenses the scatter alone would leave less than a ten-thousandth of a pixel.
     assert 0.001 < errors[0] < 0.002
     assert 0.002 < errors[1] < 0.006
+
+
+@pytest.mark.parametrize("basis", [((23.2, 0.4), (11.25, 20.3)), ((22.9, 0.6), (-0.6, 22.9))])
+def test_patch_sizes_from_minus_to_plus_three_quarters_of_a_pitch_keep_their_sign(drawn_flat, basis):
+    for s in (-17.0, -7.0, -0.6, 0.0, 0.6, 7.0, 17.0):
+        gray, lattice, _, inner = drawn_flat(s if s else 1e-3, basis=basis)
+        depth = lfrender.analyze(gray.image, Calibration(lattice))
+        found = depth.patch_size[inner]
+        resolved = depth.mode[inner] != 0
+        assert np.isfinite(found[resolved]).all()
+        assert np.isfinite(depth.drawn).all()
+        if abs(s) > 0.5 and resolved.any():
+            assert (np.sign(found[resolved]) == np.sign(s)).mean() > 0.99, s
+            assert np.median(np.abs(found[resolved] - s)) < 0.1, s
