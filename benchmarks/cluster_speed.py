@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.cluster import connect
+from lfrender.sequence.cluster import connect
 
 _SIZE, _PITCH = (900, 700), 23.2
 _NOISE = 1.5

@@ -131,20 +131,20 @@ def _run(folder: Path, size: tuple[int, int], pitch: float, steps: list[str]) ->
     scale = pitch * float(np.sqrt(_PAPER))
     fixed = ["--patch-size", f"{scale:.4f}"]
     for options in (fixed, ["--preset", "fast"]) if {"sharp", "analyze"} & set(steps) else (fixed,):
-        command = ["lfrender.cli", "render", str(small), "-c", str(folder / "small.json"), "-o", str(picture)]
+        command = ["lfrender.cli.main", "render", str(small), "-c", str(folder / "small.json"), "-o", str(picture)]
         subprocess.run([sys.executable, "-m", *command, "--tile", "256", "--quiet", *options], check=True)
     print(f"{'command':12s} {'wall s':>8s} {'CPU s':>8s} {'peak GiB':>9s}  stages", flush=True)
     drawn = ["-c", str(camera), "-o", str(picture)]
     if "fixed" in steps:
-        figures = _measure("fixed patch", "lfrender.cli", "render", str(flat), *drawn, *fixed)
+        figures = _measure("fixed patch", "lfrender.cli.main", "render", str(flat), *drawn, *fixed)
         print(f"{'':12s} picture of {np.prod(figures['size']) / 1e6:.0f} Mpx in {figures['tiles']} tiles", flush=True)
     if "calibrate" in steps:
-        _measure("calibrate", "lfcal.cli", "calibrate", str(flat), "-o", str(folder / "found.json"))
+        _measure("calibrate", "lfcal.cli.main", "calibrate", str(flat), "-o", str(folder / "found.json"))
     if "analyze" in steps:
-        _measure("analyze", "lfrender.cli", "analyze", str(flat), "-c", str(camera), "-o", str(depth))
+        _measure("analyze", "lfrender.cli.main", "analyze", str(flat), "-c", str(camera), "-o", str(depth))
     if "sharp" in steps:
         given = ["--depth", str(depth)] if depth.exists() else []
-        _measure("sharp" if given else "whole chain", "lfrender.cli", "render", str(flat), *drawn, *given)
+        _measure("sharp" if given else "whole chain", "lfrender.cli.main", "render", str(flat), *drawn, *given)
 
 
 def main(arguments: list[str] | None = None) -> None:

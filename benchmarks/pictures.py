@@ -19,8 +19,8 @@ from scipy.ndimage import distance_transform_edt
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.merit import compare_pictures, nearest_lens, resample
-from lfrender.surface import Surface
+from lfrender.data.surface import Surface
+from lfrender.output.metrics import compare_pictures, nearest_lens, resample
 
 from .truth_flats import SCALES, merit
 

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 import lfcal
 import lfrender
-from lfrender.merit import PictureMerit, compare_pictures, resample
+from lfrender.output.metrics import PictureMerit, compare_pictures, resample
 
 from .depth_edges import RESOLVABLE, edge_share
 

@@ -1,23 +1,23 @@
 """Calibration of focused plenoptic cameras: find the microimages on a flat."""
 
-from . import console, notebook
-from . import waiting as waiting
-from .agreement import Agreement, agreement
 from .calibrate import calibrate
-from .calibration import Calibration, load
-from .compare import LatticeDifference, compare
-from .errors import CalibrationError, CameraFileError, FlatError, LightFieldError
-from .exchange import convert, read_camera
-from .flat import count_pages, read_flat
-from .flat_source import FlatSource, open_flat
-from .lattice import Lattice
-from .lattice_errors import LatticeErrors
-from .lens_types import LensTypes
-from .outfile import OutputError, check_output, whole_file
-from .published import read_published
-from .residuals import Residuals
-from .show import show
-from .vignetting import Vignetting
+from .camera.calibration import Calibration, load
+from .camera.lens_types import LensTypes
+from .camera_files.published import read_published
+from .camera_files.read_write import convert, read_camera
+from .display.compare import LatticeDifference, compare
+from .display.fit_check import Agreement, agreement
+from .display.overlay import show
+from .gain.vignetting import Vignetting
+from .images.read import count_pages, read_flat
+from .images.stream import FlatSource, open_flat
+from .lattice.lattice import Lattice
+from .lattice.residuals import Residuals
+from .lattice.standard_errors import LatticeErrors
+from .runtime import console, notebook
+from .runtime import openmp_spin as openmp_spin
+from .runtime.errors import CalibrationError, CameraFileError, FlatError, LightFieldError
+from .runtime.output_file import OutputError, check_output, whole_file
 
 __all__ = [
     "Agreement",

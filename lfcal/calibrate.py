@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .bayer import Mosaic, check_mosaic, equalise, has_mosaic, without_mosaic
-from .calibration import Calibration
-from .errors import CalibrationError
+from .camera.calibration import Calibration
+from .images.mosaic import Mosaic, check_mosaic, equalise, has_mosaic, without_mosaic
+from .runtime.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from .lattice import Lattice
+    from .detection.first_lattice import FirstLattice
+    from .lattice.lattice import Lattice
+    from .lattice.lens_subset import Look, Parts
     from .lattice_fit import FinalLattice
-    from .parts import Look, Parts
-    from .search import FirstLattice
 
 __all__ = ["calibrate"]
 
@@ -78,7 +78,7 @@ def calibrate(
     # Compiled code is loaded only when a flat is there to be calibrated.
     from threadpoolctl import threadpool_limits
 
-    from .captures import checked_flats, white_level_of
+    from .detection.capture_kind import checked_flats, white_level_of
 
     flats = checked_flats(image)
     for flat in flats:
@@ -91,8 +91,8 @@ def calibrate(
 def _calibrated(
     flats: list[NDArray[Any]], kind: Literal["auto", "white", "scene"], mosaic: Mosaic | None
 ) -> Calibration:
-    from .features import luminance
-    from .reduction import block_size, enlarged, reduced, remains_large, sought_in_a_piece
+    from .detection.downscale import block_size, enlarged, reduced, remains_large, sought_in_a_piece
+    from .images.preprocessing import luminance
 
     filtered = mosaic is not None or all(flat.ndim == 2 and has_mosaic(flat) for flat in flats)
     size = flats[0].shape[1], flats[0].shape[0]
@@ -160,8 +160,8 @@ class _Found:
 
 def _found_in_parts(flat: NDArray[Any], kind: str, filtered: bool) -> _Found | None:
     """The lattice of a white image from parts of it; None where it is none."""
-    from .large_white import first_of_white, look_at, some_parts
     from .lattice_fit import fit_on_white
+    from .white_fit.large import first_of_white, look_at, some_parts
 
     look = look_at(flat, filtered)
     start = first_of_white(look, (flat.shape[1], flat.shape[0]), kind == "white", tries=9)
@@ -173,7 +173,7 @@ def _found_in_parts(flat: NDArray[Any], kind: str, filtered: bool) -> _Found | N
 
 def _is_scene(found: _Found) -> bool:
     """Whether what was taken for a white image shows a scene: one that is nearly even within the microimages."""
-    from .neighbours import shows_scene
+    from .detection.parallax_test import shows_scene
 
     return isinstance(found.picture, np.ndarray) and shows_scene(found.picture, found.fit.lattice)
 
@@ -210,9 +210,9 @@ def _softer(found: _Found, others: Iterator[_Found]) -> Iterator[_Found]:
 
 def _found_on_large(flat: NDArray[Any], kind: str) -> _Found | None:
     """The lattice of a large white image, followed outwards from its middle; None where it is none."""
-    from .features import tone
-    from .large_white import first_of_all
+    from .images.preprocessing import tone
     from .lattice_fit import fit_on_white
+    from .white_fit.large import first_of_all
 
     picture = tone(flat)
     start = first_of_all(picture, kind == "white")
@@ -221,8 +221,8 @@ def _found_on_large(flat: NDArray[Any], kind: str) -> _Found | None:
 
 def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) -> Iterator[_Found]:
     """The lattice from whole flats, the likeliest first; CalibrationError where there is none."""
-    from .captures import white_or_scene
-    from .features import tone
+    from .detection.capture_kind import white_or_scene
+    from .images.preprocessing import tone
     from .lattice_fit import fit_on_scenes, fit_on_white
 
     single = tone(lights[0]) if len(lights) == 1 else None
@@ -256,8 +256,8 @@ def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) 
 
 def _measured(found: _Found) -> Calibration:
     """The camera with what else its flat shows."""
-    from .illumination import measure_illumination
-    from .type_search import find_lens_types
+    from .illumination.measure import measure_illumination
+    from .lens_types.classify import find_lens_types
 
     fit, picture, white = found.fit, found.picture, found.white
     pitch = fit.lattice.pitch
@@ -294,8 +294,8 @@ def _measured(found: _Found) -> Calibration:
 
 def _doubt(found: _Found, lattice: Lattice) -> str | None:
     """Why what repeats on the flat may be no microimages, None where it proves to be; CalibrationError if it cannot."""
-    from .aperture import aperture_doubt
-    from .neighbours import check_neighbours
+    from .detection.aperture import aperture_doubt
+    from .detection.parallax_test import check_neighbours
 
     picture, several = found.picture, found.single is not None
     compared = picture if found.softened is None else found.softened
@@ -336,19 +336,19 @@ def _warnings(camera: Calibration, differ: float, unknown_mosaic: bool) -> list[
 
 def _telling(lights: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
     """The lights that show something."""
-    from .combine import telling
+    from .images.stack import telling
 
     return [lights[k] for k in telling(lights)]
 
 
 def _white_sum(lights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-    from .combine import white_sum
+    from .images.stack import white_sum
 
     return white_sum(lights)
 
 
 def _mean_scene(lights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-    from .combine import mean_scene
+    from .images.stack import mean_scene
 
     return mean_scene(lights) if len(lights) > 1 else lights[0]
 
@@ -362,9 +362,9 @@ def _starts(
     """
     import cv2
 
-    from .features import tone
-    from .reduction import sought_at_half_size
-    from .search import NO_MICROIMAGES, REPEATS, first_lattices, first_lattices_of_large
+    from .detection.downscale import sought_at_half_size
+    from .detection.first_lattice import NO_MICROIMAGES, REPEATS, first_lattices, first_lattices_of_large
+    from .images.preprocessing import tone
 
     error: CalibrationError | None = None
     found = False

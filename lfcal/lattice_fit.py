@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import CalibrationError
-from .lattice import Lattice
-from .lattice_errors import LatticeErrors, errors_of_even_fit
-from .residuals import Residuals
+from .lattice.lattice import Lattice
+from .lattice.residuals import Residuals
+from .lattice.standard_errors import LatticeErrors, errors_of_even_fit
+from .runtime.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from .disc_fit import DiscFit
-    from .disc_parameters import CatEye
-    from .parts import Parts
-    from .search import FirstLattice
+    from .detection.first_lattice import FirstLattice
+    from .lattice.lens_subset import Parts
+    from .white_fit.fit import DiscFit
+    from .white_fit.parameters import CatEye
 
 __all__ = ["FinalLattice", "fit_on_scenes", "fit_on_white"]
 
@@ -67,8 +67,8 @@ class FinalLattice:
 
 def fit_on_white(picture: NDArray[np.float32] | Parts, start: FirstLattice) -> FinalLattice:
     """Fit the `tone` picture of a white image, or parts of it."""
-    from .disc_fit import fit_discs
-    from .parts import Parts
+    from .lattice.lens_subset import Parts
+    from .white_fit.fit import fit_discs
 
     found = start.lattice
     try:
@@ -106,7 +106,7 @@ def _strays(found: Lattice, discs: DiscFit, places: NDArray[np.float64]) -> floa
     That is the straight lattice through what is seen of the microimages: of cut ones the middle lies off the centre by
     up to half of the cut.
     """
-    from .disc_parameters import field_of
+    from .white_fit.parameters import field_of
 
     lattice = discs.lattice
     centres = lattice.points(np.rint(lattice.to_index(places)))
@@ -124,8 +124,8 @@ def fit_on_scenes(lights: list[NDArray[np.float32]], picture: NDArray[np.float32
     Only the breaks at the rims are what the lattice predicts: brightness also shows the scene, gaps that cut
     microimages have moved, and where a camera has flattened its pictures with another white image.
     """
-    from .features import breaks, level_locally, tone
-    from .scene_fit import fit_scene
+    from .images.preprocessing import breaks, level_locally, tone
+    from .scene_fit.fit import fit_scene
 
     found = start.lattice
     rims = level_locally(breaks(picture if len(lights) == 1 else tone(lights[0])), _RIM * found.pitch)

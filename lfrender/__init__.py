@@ -3,28 +3,28 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .analysis import analyze
-    from .batch import render_frames
-    from .cluster import render_frames_on
-    from .demosaicing import demosaic
-    from .depthmap import DepthMap
-    from .drawing import default_scale, render
-    from .films import render_film
-    from .fourier_slice import refocus_fourier
-    from .frame_job import FrameResult
-    from .frames import Frames, open_frames
-    from .large_analysis import analyze_large
-    from .large_rendering import LargePicture, render_large
-    from .lens_means import traditional
-    from .optics import Optics
-    from .picture import write_picture, write_stack
-    from .plotting import napari_layers
-    from .refocusing import focal_stack, refocus, stack_depths
-    from .rendering import Rendering
-    from .report_page import write_report
-    from .view_files import stereo_pair, write_animation, write_grid
-    from .viewer_page import write_viewer
-    from .viewpoints import circle_offsets, grid_offsets, views
+    from .data.depth_map import DepthMap
+    from .data.optics import Optics
+    from .data.plots import napari_layers
+    from .data.rendering import Rendering
+    from .depth.analyze import analyze
+    from .flat.demosaicing import demosaic
+    from .large.analyze import analyze_large
+    from .large.render import LargePicture, render_large
+    from .output.picture import write_picture, write_stack
+    from .output.views import stereo_pair, write_animation, write_grid
+    from .rendering.fourier_slice import refocus_fourier
+    from .rendering.refocus import focal_stack, refocus, stack_depths
+    from .rendering.render import default_scale, render
+    from .rendering.traditional import traditional
+    from .rendering.viewpoints import circle_offsets, grid_offsets, views
+    from .sequence.batch import render_frames
+    from .sequence.cluster import render_frames_on
+    from .sequence.films import render_film
+    from .sequence.frames import Frames, open_frames
+    from .sequence.job import FrameResult
+    from .web.report_page import write_report
+    from .web.viewer_page import write_viewer
 
 __all__ = [
     "DepthMap",
@@ -62,38 +62,38 @@ __all__ = [
 ]
 
 _HOMES = {
-    "DepthMap": "depthmap",
-    "FrameResult": "frame_job",
-    "Frames": "frames",
-    "LargePicture": "large_rendering",
-    "Optics": "optics",
-    "Rendering": "rendering",
-    "analyze": "analysis",
-    "analyze_large": "large_analysis",
-    "circle_offsets": "viewpoints",
-    "default_scale": "drawing",
-    "demosaic": "demosaicing",
-    "focal_stack": "refocusing",
-    "grid_offsets": "viewpoints",
-    "napari_layers": "plotting",
-    "open_frames": "frames",
-    "refocus": "refocusing",
-    "refocus_fourier": "fourier_slice",
-    "render": "drawing",
-    "render_film": "films",
-    "render_frames": "batch",
-    "render_frames_on": "cluster",
-    "render_large": "large_rendering",
-    "stack_depths": "refocusing",
-    "stereo_pair": "view_files",
-    "traditional": "lens_means",
-    "views": "viewpoints",
-    "write_animation": "view_files",
-    "write_grid": "view_files",
-    "write_picture": "picture",
-    "write_report": "report_page",
-    "write_stack": "picture",
-    "write_viewer": "viewer_page",
+    "DepthMap": "data.depth_map",
+    "FrameResult": "sequence.job",
+    "Frames": "sequence.frames",
+    "LargePicture": "large.render",
+    "Optics": "data.optics",
+    "Rendering": "data.rendering",
+    "analyze": "depth.analyze",
+    "analyze_large": "large.analyze",
+    "circle_offsets": "rendering.viewpoints",
+    "default_scale": "rendering.render",
+    "demosaic": "flat.demosaicing",
+    "focal_stack": "rendering.refocus",
+    "grid_offsets": "rendering.viewpoints",
+    "napari_layers": "data.plots",
+    "open_frames": "sequence.frames",
+    "refocus": "rendering.refocus",
+    "refocus_fourier": "rendering.fourier_slice",
+    "render": "rendering.render",
+    "render_film": "sequence.films",
+    "render_frames": "sequence.batch",
+    "render_frames_on": "sequence.cluster",
+    "render_large": "large.render",
+    "stack_depths": "rendering.refocus",
+    "stereo_pair": "output.views",
+    "traditional": "rendering.traditional",
+    "views": "rendering.viewpoints",
+    "write_animation": "output.views",
+    "write_grid": "output.views",
+    "write_picture": "output.picture",
+    "write_report": "web.report_page",
+    "write_stack": "output.picture",
+    "write_viewer": "web.viewer_page",
 }
 
 

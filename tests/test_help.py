@@ -11,10 +11,10 @@ import pytest
 from click.testing import CliRunner
 
 import data_synth.cli
-import lfcal.cli
-import lfrender.cli
+import lfcal.cli.main
+import lfrender.cli.main
 
-PROGRAMS = {"lfcal": lfcal.cli.main, "lfrender": lfrender.cli.main}
+PROGRAMS = {"lfcal": lfcal.cli.main.main, "lfrender": lfrender.cli.main.main}
 COMMANDS = [(program, name) for program, group in PROGRAMS.items() for name in group.commands]
 
 
@@ -56,7 +56,7 @@ def test_the_simulator_is_quiet_or_verbose_as_asked(tmp_path):
 
 def test_verbose_tells_each_stage_and_its_seconds(house_files, tmp_path):
     result = CliRunner().invoke(
-        lfrender.cli.main,
+        lfrender.cli.main.main,
         [
             "render",
             str(house_files / "flat.png"),
@@ -78,7 +78,7 @@ def test_verbose_tells_each_stage_and_its_seconds(house_files, tmp_path):
 @pytest.mark.parametrize(("program", "begun", "offered"), [("lfrender", "re", "render"), ("lfcal", "cal", "calibrate")])
 def test_the_shell_completes_commands(program, begun, offered):
     asked = {"COMP_WORDS": f"{program} {begun}", "COMP_CWORD": "1", f"_{program.upper()}_COMPLETE": "bash_complete"}
-    code = f"import {program}.cli, sys; sys.argv = ['{program}']; {program}.cli.main(prog_name='{program}')"
+    code = f"import {program}.cli.main, sys; sys.argv = ['{program}']; {program}.cli.main.main(prog_name='{program}')"
     done = subprocess.run([sys.executable, "-c", code], env=os.environ | asked, capture_output=True, text=True)
     assert f"plain,{offered}" in done.stdout
 
@@ -89,7 +89,7 @@ def test_a_command_that_fails_at_once_says_one_line(tmp_path):
             [
                 sys.executable,
                 "-c",
-                "from lfrender.cli import main; main()",
+                "from lfrender.cli.main import main; main()",
                 "render",
                 str(tmp_path / "no.png"),
                 "-o",

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-import lfcal.cli
-import lfrender.cli
+import lfcal.cli.main
+import lfrender.cli.main
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-PROGRAMS = {"lfcal": lfcal.cli.main, "lfrender": lfrender.cli.main}
+PROGRAMS = {"lfcal": lfcal.cli.main.main, "lfrender": lfrender.cli.main.main}
 
 
 def blocks(language):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import lfcal
 import lfrender
-from lfcal.lattice import reduce_basis
+from lfcal.lattice.lattice import reduce_basis
 
 __all__ = ["hough_lattice", "matched_patch_sizes", "tiled"]
 

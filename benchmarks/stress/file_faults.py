@@ -19,8 +19,8 @@ import tifffile
 
 import lfcal
 import lfrender
-from lfrender.film_file import FilmFile
-from lfrender.frames import open_frames
+from lfrender.sequence.film_file import FilmFile
+from lfrender.sequence.frames import open_frames
 
 from .plane_flats import PlaneFlat
 

@@ -18,7 +18,7 @@ import tifffile
 
 import lfcal
 import lfrender
-from lfrender import large_rendering
+from lfrender.large import render as large_rendering
 
 from .plane_flats import PlaneFlat
 

@@ -19,7 +19,7 @@ import numpy as np
 
 import lfcal
 import lfrender
-from lfrender.surface import Surface
+from lfrender.data.surface import Surface
 
 __all__ = ["full_disk", "kill_writers", "main"]
 

@@ -79,7 +79,7 @@ def test_three_lens_types_of_different_brightness_are_one_lattice(whites):
 
 
 def test_fit_that_leaves_the_first_lattice_is_not_followed(whites, monkeypatch):
-    from lfcal import disc_fit
+    from lfcal.white_fit import fit as disc_fit
 
     true_fit = disc_fit.fit_discs
 

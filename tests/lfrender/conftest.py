@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lfcal import Lattice
-from lfrender.radiance import GrayFlat
+from lfrender.flat.grey_flat import GrayFlat
 
 SIZE = (420, 380)
 

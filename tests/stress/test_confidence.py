@@ -213,10 +213,10 @@ def test_the_far_end_of_a_hundred_thousand_pixels_keeps_its_sub_pixels():
 
 
 def test_profiles_reach_to_the_corners_of_cells_that_have_grown():
-    from lfcal.disc_lenses import open_lenses
-    from lfcal.disc_parameters import DiscModel
-    from lfcal.features import tone
-    from lfcal.parts import Parts
+    from lfcal.images.preprocessing import tone
+    from lfcal.lattice.lens_subset import Parts
+    from lfcal.white_fit.cutouts import open_lenses
+    from lfcal.white_fit.parameters import DiscModel
 
     truth = WhiteImage(pitch=60.0, degrees=3.0, size=(500, 400))
     tones = Parts.of(tone(truth.image()))

@@ -1,0 +1,352 @@
+"""A calibrated camera: lattice, vignetting and how well they fit, with its JSON file."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..gain.defects import Defects
+from ..gain.gain_map import GainMap
+from ..gain.part_gain import PartGain
+from ..gain.vignetting import Vignetting
+from ..lattice.distortion import Distortion
+from ..lattice.lattice import Lattice
+from ..lattice.residuals import Residuals
+from ..lattice.standard_errors import LatticeErrors
+from ..runtime.errors import CalibrationError, CameraFileError, FlatError
+from ..runtime.output_file import whole_file
+from .lens_types import LensTypes
+
+__all__ = ["Calibration", "load"]
+
+_SCHEMA = "lfcal-camera"
+# Files of version 1 have their lenses in rows of `j`, whatever the lattice.
+_VERSION, _IN_ROWS = 2, 1
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Where the microimages of a camera are and what they can be used for.
+
+    Parameters
+    ----------
+    lattice : Lattice
+        Centres, pitch and usable radius.
+    vignetting : Vignetting or None
+        Illumination inside each microimage; None where it is flat or unknown.
+    source : str
+        What it was measured on: `"white"`, `"scene"`, `"published"` or `"truth"`.
+    residual_rms : float [px]
+        RMS distance of single microimages from the fitted lattice, NaN where not measured.
+    lenses_used : int
+        Microimages that took part in the fit.
+    confidence : float
+        0..1, how sure the lattice is the right one.
+    warnings : tuple of str
+        What a user should know before trusting it.
+    lens_types : LensTypes or None
+        Types of microlenses of a multi-focus array; None where there is one type, or more were not seen.
+    mosaic : str or None
+        Colour filters of the top left 2 x 2 pixels of its flats, row by row: `"RGGB"`, `"BGGR"`, `"GRBG"` or
+        `"GBRG"`; None where flats have no colour mosaic or its colours are not known.
+    gain_map : GainMap or None
+        Light at every place of every microimage; None where only `vignetting` is known.
+    defects : Defects
+        Pixels and lenses that are not to be trusted.
+    errors : LatticeErrors or None
+        Standard errors of the lattice's parameters and centres; None where not measured.
+    residuals : Residuals or None
+        How far single microimages lie from the lattice; None where only many together show it, as in scenes.
+    white_level : float or None
+        Largest value of its flats where their type holds more, as 4095 for 12 bits in files of 16; None where it does
+        not, for floats, or where nobody has looked.
+    """
+
+    lattice: Lattice
+    vignetting: Vignetting | None = None
+    source: str = "published"
+    residual_rms: float = float("nan")
+    lenses_used: int = 0
+    confidence: float = 1.0
+    warnings: tuple[str, ...] = field(default=())
+    lens_types: LensTypes | None = None
+    mosaic: str | None = None
+    gain_map: GainMap | None = None
+    defects: Defects = field(default_factory=Defects)
+    errors: LatticeErrors | None = None
+    residuals: Residuals | None = None
+    white_level: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.mosaic not in (None, "RGGB", "BGGR", "GRBG", "GBRG"):
+            raise ValueError(f"mosaic must be RGGB, BGGR, GRBG, GBRG or None, got {self.mosaic!r}")
+        if self.white_level is not None and not 0 < self.white_level < np.inf:
+            raise ValueError(f"white_level must be positive or None, got {self.white_level!r}")
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of the flats this camera makes [px]."""
+        return self.lattice.image_size
+
+    def to_dict(self) -> dict[str, Any]:
+        """The camera as plain numbers and strings, as written by `save`."""
+        vignetting = self.vignetting and {"step": self.vignetting.step, "profile": self.vignetting.profile.tolist()}
+        return {
+            "schema": _SCHEMA,
+            "version": _VERSION,
+            "image_size": list(self.image_size),
+            "lattice": {
+                "origin": self.lattice.origin.tolist(),
+                "basis": self.lattice.basis.tolist(),
+                "radius": self.lattice.radius,
+                "pitch": self.lattice.pitch,
+            }
+            | _bend(self.lattice.distortion),
+            "vignetting": vignetting,
+            "source": self.source,
+            "fit": {
+                "residual_rms": None if np.isnan(self.residual_rms) else self.residual_rms,
+                "lenses_used": self.lenses_used,
+                "confidence": self.confidence,
+            },
+            "warnings": list(self.warnings),
+            "lens_types": self.lens_types and self.lens_types.to_dict(),
+            "mosaic": self.mosaic,
+            "gain_map": self.gain_map and self.gain_map.to_dict(),
+            "defects": self.defects.to_dict(),
+            "errors": self.errors and self.errors.to_dict(),
+            "residuals": self.residuals and self.residuals.to_dict(),
+            "white_level": self.white_level,
+        }
+
+    @classmethod
+    def from_dict(cls, data: Any, where: str = "camera file") -> Calibration:
+        """Rebuild a camera from `to_dict`; raises CameraFileError naming the field that is wrong."""
+        if not isinstance(data, dict) or data.get("schema") != _SCHEMA:
+            raise CameraFileError(f"{where}: not an {_SCHEMA} file; make one with 'lfcal calibrate IMAGE -o {where}'")
+        version = data.get("version")
+        if version not in (_IN_ROWS, _VERSION):
+            raise CameraFileError(
+                f"{where}: version {version!r} is not known "
+                f"(this toolkit reads {_IN_ROWS} and {_VERSION}); calibrate again"
+            )
+        try:
+            known, fit, vignetting = data["lattice"], data["fit"], data["vignetting"]
+            lattice = Lattice(
+                known["origin"],
+                known["basis"],
+                tuple(data["image_size"]),
+                known["radius"],
+                _unbend(known.get("distortion")),
+            )
+            gain = data.get("gain_map") and GainMap.from_dict(data["gain_map"])
+            residual = fit["residual_rms"]
+            return cls(
+                lattice=lattice,
+                vignetting=vignetting and Vignetting(vignetting["profile"], vignetting["step"]),
+                source=str(data["source"]),
+                residual_rms=float("nan") if residual is None else float(residual),
+                lenses_used=int(fit["lenses_used"]),
+                confidence=float(fit["confidence"]),
+                warnings=tuple(str(w) for w in data["warnings"]),
+                # Files of earlier versions have none of these.
+                lens_types=data.get("lens_types") and LensTypes.from_dict(data["lens_types"]),
+                mosaic=data.get("mosaic"),
+                gain_map=_from_rows(gain, lattice) if gain and version == _IN_ROWS else gain,
+                defects=Defects.from_dict(data["defects"]) if data.get("defects") else Defects(),
+                errors=data.get("errors") and LatticeErrors.from_dict(data["errors"]),
+                residuals=data.get("residuals") and Residuals.from_dict(data["residuals"]),
+                white_level=None if data.get("white_level") is None else float(data["white_level"]),
+            )
+        except KeyError as error:
+            raise CameraFileError(f"{where}: field {error} is missing; calibrate again") from error
+        except (TypeError, ValueError) as error:
+            raise CameraFileError(f"{where}: {error}; calibrate again") from error
+
+    def gain(self) -> NDArray[np.float32]:
+        """Light at every pixel over that at the brightest place of the field.
+
+        Returns
+        -------
+        (h, w) float32
+            NaN where nothing can be known: in gaps, where microimages are cut off, in lenses without light.
+
+        Raises
+        ------
+        CalibrationError
+            If the camera has neither gain map nor vignetting.
+        """
+        return self._gain_map().gain(self.lattice)
+
+    def flatten(self, flat: ArrayLike) -> NDArray[Any]:
+        """Divide a flat by the gain of the camera, so that a white image of it becomes even.
+
+        Parameters
+        ----------
+        flat : (h, w) or (h, w, c) array_like
+            Unsigned integers or floats, of the size the camera is for.
+
+        Returns
+        -------
+        array of the shape and type of `flat`
+            Integers are rounded, and clipped at the highest value of their type. Pixels whose gain is unknown, NaN in
+            `gain()`, are left as they are.
+
+        Raises
+        ------
+        FlatError
+            If `flat` is no picture, or not of the size the camera is for.
+        CalibrationError
+            If the camera has neither gain map nor vignetting.
+        """
+        pixels = np.asarray(flat)
+        if pixels.ndim not in (2, 3) or pixels.dtype.kind not in "uf" or 0 in pixels.shape:
+            raise FlatError(f"flat of shape {pixels.shape} and type {pixels.dtype}; give a grey or colour picture")
+        if (pixels.shape[1], pixels.shape[0]) != self.image_size:
+            raise FlatError(
+                f"flat is {pixels.shape[1]} x {pixels.shape[0]} px, the camera is for "
+                f"{self.image_size[0]} x {self.image_size[1]} px; calibrate on a flat of that size"
+            )
+        return self._gain_map().flatten(pixels, self.lattice)
+
+    def part_gain(self) -> PartGain:
+        """The gain of parts of a flat, for flats too large for `gain` and `flatten`.
+
+        Raises
+        ------
+        CalibrationError
+            If the camera has neither gain map nor vignetting.
+        """
+        return PartGain(self._gain_map(), self.lattice)
+
+    def usable_radius(self) -> NDArray[np.float64]:
+        """How far each microimage can be used.
+
+        Returns
+        -------
+        (n,) float64 [px]
+            In the order of `lattice.centres()`: radius of the largest circle about the centre in which the lens has
+            at least half the light of its brightest place, at most half the distance to the nearest microimage. A cut
+            (cat-eye) ends it in its own direction, so it is the least usable distance. 0 for lenses without light.
+
+        Raises
+        ------
+        CalibrationError
+            If the camera has neither gain map nor vignetting.
+        """
+        return self._gain_map().usable_radius(self.lattice)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw how far regions of the flat lie from the lattice, or its centres where nobody has measured that.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            By default the current one (`pip install 'lfrender[plots]'`).
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        from .plotting import plot_calibration
+
+        return plot_calibration(self, ax)
+
+    def _repr_html_(self) -> str:
+        from .plotting import calibration_card
+
+        return calibration_card(self)
+
+    def _gain_map(self) -> GainMap:
+        if self.gain_map is not None:
+            return self.gain_map
+        if self.vignetting is None:
+            raise CalibrationError("the camera file holds no gain map; make one with 'lfcal calibrate IMAGE'")
+        return GainMap.round(self.vignetting.profile, self.vignetting.step, self.lattice.radius)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the camera as JSON; the file appears whole or not at all."""
+        with whole_file(path) as temporary:
+            temporary.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+
+
+def _bend(distortion: Distortion | None) -> dict[str, Any]:
+    """The entry of a distortion in a camera file; none for a straight lattice."""
+    if distortion is None:
+        return {}
+    values: dict[str, Any] = {"k1": distortion.k1, "k2": distortion.k2, "reach": distortion.reach}
+    bend = {"centre": distortion.centre.tolist()} | values
+    if distortion.general is not None and distortion.middle is not None:
+        bend |= {"general": distortion.general.tolist(), "middle": distortion.middle.tolist()}
+    return {"distortion": bend}
+
+
+def _unbend(data: Any) -> Distortion | None:
+    """A distortion from its entry in a camera file; KeyError, TypeError or ValueError where that is wrong."""
+    if data is None:
+        return None
+    return Distortion(data["centre"], data["k1"], data["k2"], data["reach"], data.get("general"), data.get("middle"))
+
+
+def _from_rows(gain: GainMap, lattice: Lattice) -> GainMap:
+    """A map whose lenses are in rows of `j`, in the order of the centres."""
+    if len(gain.own) != len(lattice):
+        return gain
+    own = np.empty_like(gain.own)
+    own[np.lexsort(lattice.indices().T)] = gain.own
+    return replace(gain, own=own)
+
+
+def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None) -> Calibration:
+    """Read a camera file written by `Calibration.save`, or one published by others (see `read_published`).
+
+    Parameters
+    ----------
+    path : path-like
+    image_size : (int, int) or None [px]
+        Width and height of the flats; needed only for published files that do not say.
+
+    Raises
+    ------
+    CameraFileError
+        If the file is missing, is not of a known kind, a field is wrong, or it belongs to another image size.
+    """
+    source = Path(path)
+    try:
+        text = source.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CameraFileError(f"{source}: cannot be read as a camera file ({error})") from error
+    if _looks_published(text):
+        from ..camera_files.published import parse_published
+
+        return parse_published(text, image_size, str(source))
+    try:
+        data = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise CameraFileError(f"{source}: not valid JSON ({error}); make one with 'lfcal calibrate'") from error
+    camera = Calibration.from_dict(data, str(source))
+    if image_size is not None and tuple(image_size) != camera.image_size:
+        raise CameraFileError(
+            f"{source}: is for flats of {camera.image_size[0]} x {camera.image_size[1]} px, "
+            f"not of {image_size[0]} x {image_size[1]} px; calibrate on a flat of that size"
+        )
+    return camera
+
+
+def _looks_published(text: str) -> bool:
+    """Whether `text` is XML or begins with a line `key : number`."""
+    first = next((line for line in text.splitlines() if line.strip()), "").strip()
+    key, colon, value = first.partition(":")
+    if first.startswith("<"):
+        return True
+    try:
+        float(value)
+    except ValueError:
+        return False
+    return bool(colon) and key.strip().isidentifier()

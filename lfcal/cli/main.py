@@ -1,0 +1,293 @@
+"""Command line of lfcal: calibrate a camera from one image, look at a camera file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+from ..runtime.console import Input, Program, Report, about, examples, report_options, several_inputs
+from ..runtime.output_file import check_output
+
+if TYPE_CHECKING:
+    from ..camera.calibration import Calibration
+    from ..camera.lens_types import LensTypes
+
+__all__ = ["main"]
+
+_INPUT, _OUTPUT = Input(), click.Path(path_type=Path)
+
+
+# What is looked for here and is found in another program.
+_ELSEWHERE = dict.fromkeys(("analyze", "batch", "demo", "refocus", "render", "report", "view", "views"), "lfrender")
+
+
+@click.group(
+    cls=Program,
+    name="lfcal",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    elsewhere=_ELSEWHERE,
+    for_a_file="calibrate {} -o camera.json",
+)
+@click.version_option(package_name="lfrender", prog_name="lfcal")
+def main() -> None:
+    """Find the microimages of a focused plenoptic camera."""
+
+
+@main.command(
+    epilog=examples(
+        "lfcal calibrate white.png -o camera.json",
+        "lfcal calibrate white1.png white2.png -o camera.json",
+        "lfcal calibrate scene.tif --kind scene --mosaic rggb -o camera.json",
+    )
+)
+@several_inputs("images", "IMAGE...")
+@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="CAMERA.json", help="Camera file to write.")
+@click.option(
+    "--kind",
+    type=click.Choice(["auto", "white", "scene"]),
+    default="auto",
+    show_default=True,
+    help="What the images show: an evenly lit white surface, or any scene.",
+)
+@click.option(
+    "--mosaic",
+    type=click.Choice(["RGGB", "BGGR", "GRBG", "GBRG"], case_sensitive=False),
+    help="Colour filters of the top left 2 x 2 pixels, row by row, of a raw mosaic. Without it a mosaic is detected.",
+)
+@report_options
+def calibrate(
+    images: tuple[Path, ...],
+    output: Path,
+    kind: Literal["auto", "white", "scene"],
+    mosaic: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Find the microlens lattice on IMAGE, a white image or any scene capture, and write it as a camera file.
+
+    Several white images, or several captures of one camera, are combined.
+    """
+    report = Report(as_json, quiet)
+    check_output(output, {".json"}, images)
+    with report.stage("read"):
+        from .. import FlatError, read_flat
+        from .. import calibrate as run
+
+        flats = [read_flat(image) for image in images]
+        for image, flat in zip(images, flats, strict=True):
+            if flat.shape[:2] != flats[0].shape[:2]:
+                raise FlatError(
+                    f"{image}: is {flat.shape[1]} x {flat.shape[0]} px, {images[0]} is {flats[0].shape[1]} x "
+                    f"{flats[0].shape[0]} px; give flats of one camera"
+                )
+    report.announce_compilation("lfcal")
+    with report.stage("calibrate"), about(images[0] if len(images) == 1 else f"{images[0]} ..."):
+        camera = run(flats if len(flats) > 1 else flats[0], kind=kind, mosaic=mosaic)
+    camera.save(output)
+    report.finish({"camera": str(output), **describe(camera)})
+
+
+def _sized(command: Any) -> Any:
+    """Give a command the two ways to say how large the flats of a published file are."""
+    command = click.option("--image", type=_INPUT, help="An image of that size, instead of --size.")(command)
+    return click.option(
+        "--size", metavar="WxH", help="Size of the flats [px], for files that do not say (.xml, .csv)."
+    )(command)
+
+
+@main.command(epilog=examples("lfcal info camera.json", "lfcal info calibration.xml --image flat.png"))
+@click.argument("camera", type=_INPUT)
+@_sized
+@report_options
+def info(camera: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
+    """Show what is in the camera file CAMERA."""
+    calibration = _read(camera, _size(size, image))
+    Report(as_json, quiet).finish({"camera": str(camera), **describe(calibration)})
+
+
+@main.command(epilog=examples("lfcal show camera.json --image white.png -o show.png"))
+@click.argument("camera", type=_INPUT)
+@click.option("--image", type=_INPUT, required=True, help="A white image or scene capture of that camera.")
+@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="SHOW.png", help="Picture to write.")
+@report_options
+def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) -> None:
+    """Draw the centres and circles of CAMERA over the centre and corners of an image."""
+    report = Report(as_json, quiet)
+    check_output(output, {".png"}, [camera, image])
+    with report.stage("read"):
+        from .. import read_flat, whole_file
+
+        flat = read_flat(image)
+        calibration = _read(camera, (flat.shape[1], flat.shape[0]))
+    report.announce_compilation("lfcal")
+    with report.stage("show"):
+        from PIL import Image
+
+        from .. import show as run
+
+        picture = Image.fromarray(run(calibration, flat))
+    with report.stage("write"), whole_file(output) as temporary:
+        picture.save(temporary, compress_level=4)
+    report.finish({"picture": str(output), **describe(calibration)})
+
+
+@main.command(epilog=examples("lfcal flatten flat.png -c camera.json -o even.tif"))
+@click.argument("flat", type=_INPUT)
+@click.option("-c", "--camera", type=_INPUT, required=True, help="Camera file with a gain map.")
+@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="FLAT.tif", help="Flattened flat to write.")
+@report_options
+def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) -> None:
+    """Divide FLAT by the gain of CAMERA, so that microimages are evenly lit; where that is unknown it stays as is."""
+    report = Report(as_json, quiet)
+    check_output(output, {".tif", ".tiff"}, [flat, camera])
+    with report.stage("read"):
+        from .. import read_flat, whole_file
+
+        pixels = read_flat(flat)
+        calibration = _read(camera, (pixels.shape[1], pixels.shape[0]))
+    report.announce_compilation("lfcal")
+    with report.stage("flatten"), about(flat):
+        even = calibration.flatten(pixels)
+    with report.stage("write"), whole_file(output) as temporary:
+        import tifffile
+
+        tifffile.imwrite(temporary, even, photometric="rgb" if even.ndim == 3 else "minisblack")
+    report.finish({"written": str(output), "size": [even.shape[1], even.shape[0]], "type": str(even.dtype)})
+
+
+@main.command(epilog=examples("lfcal compare monday.json friday.json"))
+@click.argument("a", type=_INPUT)
+@click.argument("b", type=_INPUT)
+@_sized
+@report_options
+def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
+    """Say how far apart the cameras A and B put the microimages: B minus A, in pixels."""
+    from .. import compare as run
+
+    given = _size(size, image)
+    first, second = _read_pair(a, b, given)
+    difference = run(first, second)
+    figures = {
+        "rms": round(difference.rms, 6),
+        "max": round(difference.max, 6),
+        "mean_shift": difference.mean_shift.round(6),
+        "scale": round(difference.scale, 9),
+        "rotation_degrees": round(difference.rotation_degrees, 7),
+    }
+    names = ("top", "middle", "bottom"), ("left", "centre", "right")
+    field = {
+        f"{row} {column}": difference.field[r, c].round(6)
+        for r, row in enumerate(names[0])
+        for c, column in enumerate(names[1])
+    }
+    warnings = [f"{path}: {w}" for path, camera in ((a, first), (b, second)) for w in camera.warnings]
+    Report(as_json, quiet).finish({"a": str(a), "b": str(b), **figures, "field": field, "warnings": warnings})
+
+
+@main.command(
+    epilog=examples(
+        "lfcal convert camera.json -o calibration.xml", "lfcal convert calibration.xml --image flat.png -o camera.json"
+    )
+)
+@click.argument("camera", type=_INPUT)
+@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="FILE", help=".xml, .cfg, .csv or .json to write.")
+@_sized
+@report_options
+def convert(camera: Path, output: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
+    """Write CAMERA in a form that other programs read, or theirs in ours."""
+    from .. import convert as run
+
+    check_output(output, {".xml", ".cfg", ".csv", ".json"}, [camera, image])
+    calibration = _read(camera, _size(size, image))
+    run(calibration, output)
+    Report(as_json, quiet).finish({"written": str(output), **describe(calibration)})
+
+
+def _size(size: str | None, image: Path | None) -> tuple[int, int] | None:
+    """Width and height [px] that `--size` or `--image` name."""
+    if size is not None and image is not None:
+        raise click.UsageError("--size and --image exclude each other")
+    if image is not None:
+        from .. import read_flat
+
+        height, width = read_flat(image).shape[:2]
+        return width, height
+    if size is None:
+        return None
+    width_text, _, height_text = size.lower().partition("x")
+    try:
+        width, height = int(width_text), int(height_text)
+    except ValueError:
+        width = height = 0
+    if width < 1 or height < 1:
+        raise click.UsageError(f"--size {size}: give width and height in pixels, such as 2048x1536")
+    return width, height
+
+
+def _read(path: Path, size: tuple[int, int] | None) -> Calibration:
+    """A camera file of any form, or an error that names the option that says what is missing."""
+    from ..camera_files.read_write import read_camera
+    from ..runtime.errors import CameraFileError
+
+    try:
+        return read_camera(path, size)
+    except CameraFileError as error:
+        if size is None and "image_size" in str(error):
+            raise CameraFileError(f"{path}: does not say how large its flats are; add --size WxH or --image") from error
+        raise
+
+
+def _read_pair(a: Path, b: Path, size: tuple[int, int] | None) -> tuple[Calibration, Calibration]:
+    """Two cameras, the size of one taken for the other where that does not say."""
+    from ..runtime.errors import CameraFileError
+
+    try:
+        first = _read(a, size)
+    except CameraFileError:
+        if size is not None:
+            raise
+        second = _read(b, None)
+        return _read(a, second.image_size), second
+    return first, _read(b, size or first.image_size)
+
+
+def describe(camera: Calibration) -> dict[str, Any]:
+    """The figures of a calibration a person asks for, in words and pixels."""
+    from ..lattice.orientation import orientation
+
+    lattice = camera.lattice
+    shape, rows, rotation = orientation(lattice)
+    return {
+        "size": list(camera.image_size),
+        "lattice": shape,
+        "rows": rows,
+        "rotation_degrees": rotation,
+        "pitch": lattice.pitch,
+        "radius": lattice.radius,
+        "origin": lattice.origin,
+        "basis": lattice.basis,
+        "lenses": len(lattice),
+        "source": camera.source,
+        "lens_types": _types(camera.lens_types),
+        "lenses_used": camera.lenses_used,
+        "residual_rms": camera.residual_rms,
+        "confidence": camera.confidence,
+        "mosaic": camera.mosaic or "none",
+        "defect_pixels": len(camera.defects.pixels),
+        "defect_lenses": len(camera.defects.lenses),
+        "warnings": list(camera.warnings),
+    }
+
+
+def _types(types: LensTypes | None) -> dict[str, Any] | None:
+    """The types of a multi-focus array, `focus` as s / D in the order of their numbers; None where none were seen."""
+    if types is None:
+        return None
+    found = {"count": types.count, "by_focus": types.ordered, "confidence": types.confidence}
+    return found | {"focus": types.focus, "cell": types.cell}
+
+
+if __name__ == "__main__":
+    main()

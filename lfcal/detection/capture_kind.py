@@ -1,0 +1,133 @@
+"""The flats that a camera is calibrated on: checked, their light brought together, white images told from scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..lattice.lattice import Lattice
+from ..lattice.lens_subset import Parts
+from ..runtime.errors import FlatError
+from .first_lattice import FirstLattice
+from .radial_profile import RadialProfile, radial_profile
+
+__all__ = ["checked_flats", "evenly_lit", "white_level_of", "white_or_scene"]
+
+# Squares of sums of larger values leave the range of single precision.
+_LARGEST = 1e30
+# Bits that sensors have, and files of 16 do not tell.
+_BITS = (8, 10, 12, 14)
+# Window, in pitches, in which brightness is levelled to see whether microimages are evenly lit.
+_LEVEL = 2.0
+# Scatter inside the microimages of a white image, as a share of the depth of the gaps.
+_EVEN_INSIDE = 0.15
+_DOUBTLESS = 0.06
+
+
+def checked_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
+    """The flats given, one or several, each checked."""
+    given: Any = image
+    several = isinstance(given, (list, tuple)) and len(given) > 0 and np.ndim(given[0]) >= 2
+    if not several and np.ndim(given) != 4:
+        return [_checked(given, "image")]
+    if len(given) == 0:
+        raise FlatError("no flat is given; give at least one")
+    flats = [_checked(flat, f"flat {k}") for k, flat in enumerate(given, 1)]
+    first = flats[0].shape
+    for k, flat in enumerate(flats, 1):
+        if flat.shape[:2] != first[:2]:
+            raise FlatError(
+                f"flat {k} is {flat.shape[1]} x {flat.shape[0]} px, flat 1 is {first[1]} x {first[0]} px; "
+                "give flats of one camera"
+            )
+    return flats
+
+
+def white_level_of(flats: Sequence[NDArray[Any]]) -> float | None:
+    """Largest value of so many bits as the flats use, where their type has more; None otherwise.
+
+    Cameras of 10, 12 and 14 bits store them in files of 16.
+    """
+    if any(flat.dtype.kind not in "ui" or flat.dtype.itemsize == 1 for flat in flats):
+        return None
+    largest = max(int(flat.max()) for flat in flats)
+    return next((float(2**bits - 1) for bits in _BITS if largest < 2**bits), None)
+
+
+def _checked(image: ArrayLike, name: str) -> NDArray[Any]:
+    """The flat as an array, or FlatError saying what is wrong with it."""
+    flat = np.asarray(image)
+    if flat.ndim not in (2, 3) or (flat.ndim == 3 and flat.shape[2] != 3):
+        raise FlatError(f"{name} has shape {flat.shape}; give a flat as (height, width) or (height, width, 3)")
+    if flat.dtype.kind not in "uif" or 0 in flat.shape:
+        raise FlatError(f"{name} has shape {flat.shape} and type {flat.dtype}; give non-empty real pixel values")
+    if flat.dtype.kind == "f" and not np.isfinite(flat.sum(dtype=np.float64)):
+        bad = ~np.isfinite(flat).reshape(*flat.shape[:2], -1).all(-1)
+        if bad.any():
+            y, x = np.argwhere(bad)[0]
+            where = f"first at x={x}, y={y}" + ("" if name == "image" else f" of {name}")
+            raise FlatError(f"{bad.sum()} pixels are NaN or infinite, {where}; fill them in first")
+    # No unsigned number is as large.
+    if flat.dtype.kind != "u" and max(-float(flat.min()), float(flat.max())) > _LARGEST:
+        raise FlatError(f"{name} has values up to {np.abs(flat).max():.3g}; scale them to at most {_LARGEST:.0e} first")
+    if min(flat.shape[:2]) < 16:
+        raise FlatError(
+            f"{name} of {flat.shape[1]} x {flat.shape[0]} px is too small to be a flat; give the whole sensor"
+        )
+    return flat
+
+
+def white_or_scene(
+    lights: list[NDArray[np.float32]], start: FirstLattice, kind: str
+) -> tuple[bool, list[NDArray[np.float32]]]:
+    """Whether to calibrate on white images, and the lights to do it on."""
+    if kind != "auto":
+        return kind == "white", lights
+    if len(lights) == 1:
+        return _evenly_lit_at(start, lights[0]), lights
+    from ..images.preprocessing import level_locally, tone
+
+    window = _LEVEL * start.lattice.pitch
+    whites = [light for light in lights if evenly_lit(level_locally(tone(light), window), light, start.lattice)]
+    return (True, whites) if whites else (False, lights)
+
+
+def _evenly_lit_at(start: FirstLattice, light: NDArray[np.float32]) -> bool:
+    """`evenly_lit` at the size at which the lattice of a light was found."""
+    factor = light.shape[0] // start.brightness.shape[0]
+    if factor == 1:
+        return evenly_lit(start.brightness, light, start.lattice)
+    import cv2
+
+    height, width = start.brightness.shape
+    small: Any = cv2.resize(light[: factor * height, : factor * width], (width, height), interpolation=cv2.INTER_AREA)
+    return evenly_lit(start.brightness, small, start.lattice.shrunk(factor))
+
+
+def evenly_lit(brightness: NDArray[np.float32] | Parts, light: NDArray[np.float32], lattice: Lattice) -> bool:
+    """Whether the insides of lit microimages vary by little against the depth of the gaps between them.
+
+    Parameters
+    ----------
+    brightness : (h, w) float32, or parts of such
+        Locally levelled.
+    light : (h, w) float32
+        Of the flat, or of these parts.
+    lattice : Lattice [px]
+    """
+    return (
+        _scatter_inside(radial_profile(brightness, lattice), lattice) < _EVEN_INSIDE
+        # Scenes have dark places too: lenses are left out only where the others are beyond doubt.
+        or _scatter_inside(radial_profile(brightness, lattice, light=light), lattice) < _DOUBTLESS
+    )
+
+
+def _scatter_inside(profile: RadialProfile, lattice: Lattice) -> float:
+    """Scatter inside the microimages over the depth of the gaps."""
+    radii = np.arange(len(profile.mean)) * profile.step
+    inner = radii < 0.5 * lattice.radius
+    noise = float(np.sqrt(np.average(profile.variance[inner], weights=radii[inner] + profile.step)))
+    return noise / max(float(np.ptp(profile.mean)), 1e-12)

@@ -1,0 +1,288 @@
+"""Candidate microlens periods from the narrow peaks of tiled power spectra.
+
+Microimages repeat with one and the same period all over a flat, scene content does not: only the lattice makes
+peaks that are one frequency bin wide and stand at all integer combinations of two frequencies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..images.preprocessing import breaks, level_locally
+from ..lattice.lattice import reduce_basis
+
+__all__ = ["NARROW", "Candidate", "Spectrum", "candidate_bases", "spectra_of", "spectrum_of"]
+
+_WINDOW = 1024
+# Shortest period that leaves a microimage anything to see, and fewest periods across a window.
+_SHORTEST_PERIOD = 4.0
+# Harmonics count almost up to two pixels, where the sensor's own colour mosaic begins.
+_SHORTEST_HARMONIC = 2.2
+_FEWEST_PERIODS = 4.0
+# Side of the box over which the background of the spectrum is averaged [bins].
+_BACKGROUND = 21
+#: Sides [bins] of boxes that leave little but the lattice itself.
+NARROW = (7, 9)
+# One of so many rows tells how far a spectrum spreads.
+_ROWS_APART = 4
+# A node of the reciprocal lattice is occupied above this many standard deviations of the whitened log power.
+_OCCUPIED = 4.0
+_PEAKS = 40
+_SEEDS = 10
+# Lowest nodes (half plane) on which a candidate is judged: the first four shells of a hexagonal lattice.
+_NODES = 12
+# Distance of a peak from its node that is still "on" it [bins].
+_ON_NODE = 1.0
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Whitened log power of a flat.
+
+    Parameters
+    ----------
+    prominence : (n, n // 2 + 1) float32
+        Log power above its local background, in standard deviations; row `n // 2` is zero vertical frequency.
+    size : int [px]
+        Side n of the windows it was taken from.
+    reduction : int
+        How many times the flat was made smaller first.
+    """
+
+    prominence: NDArray[np.float32]
+    size: int
+    reduction: int
+
+    def at(self, frequency: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Largest prominence within a bin of each `frequency` (k, 2) [cycles per px of the reduced flat]."""
+        rows, columns = self.prominence.shape
+        flip = np.where(frequency[:, :1] < 0, -1.0, 1.0)
+        place = np.rint(frequency * flip * self.size).astype(int)
+        best = np.full(len(frequency), -np.inf, dtype=np.float32)
+        for dy in (-1, 0, 1):
+            for dx in (-1, 0, 1):
+                x = np.clip(np.abs(place[:, 0] + dx), 0, columns - 1)
+                y = (place[:, 1] + dy + self.size // 2) % rows
+                np.maximum(best, self.prominence[y, x], out=best)
+        return best
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A lattice basis [px of the flat] and how well the spectrum supports it, 0..1."""
+
+    basis: NDArray[np.float64]
+    support: float
+
+
+def _windows(height: int, width: int, size: int) -> list[tuple[int, int]]:
+    """Top left corners `(y, x)` of up to three windows: the middle, then two far ends where they are not the middle."""
+    middle = ((height - size) // 2, (width - size) // 2)
+    rows = (0, height - size) if height >= 1.5 * size else (middle[0], middle[0])
+    columns = (0, width - size) if width >= 1.5 * size else (middle[1], middle[1])
+    return list(dict.fromkeys([middle, (rows[0], columns[0]), (rows[1], columns[1])]))
+
+
+def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | None:
+    """The wide one of `spectra_of`, None where the reduced flat is too small."""
+    spectra = spectra_of(picture, reduction, (_BACKGROUND,))
+    return spectra[0] if spectra else None
+
+
+def spectra_of(picture: NDArray[np.float32], reduction: int, backgrounds: tuple[int, ...]) -> list[Spectrum]:
+    """Average log power spectrum of brightness and breaks over a few windows, whitened in one way or another.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+        As made by `features.tone`.
+    reduction : int
+        Look at the flat made smaller by this factor, which brings long periods into the window.
+    backgrounds : tuple of int [bins]
+        Sides of the boxes over which the background is averaged, one for each answer. What comes back in a few lenses
+        only is wider than a bin: in a narrow box it is part of the background.
+
+    Returns
+    -------
+    list of Spectrum
+        Empty where the reduced flat is too small for four of the shortest periods.
+    """
+    import cv2
+
+    if reduction > 1:
+        smaller: Any = cv2.resize(picture, None, fx=1 / reduction, fy=1 / reduction, interpolation=cv2.INTER_AREA)
+        picture = smaller
+    height, width = picture.shape
+    size = min(_WINDOW, min(height, width)) // 2 * 2
+    if size < _FEWEST_PERIODS * _SHORTEST_PERIOD:
+        return []
+    taper = np.hanning(size).astype(np.float32)
+    log_power = np.zeros((size, size // 2 + 1), dtype=np.float32)
+    windows = _windows(height, width, size)
+    for y, x in windows:
+        window = np.ascontiguousarray(picture[y : y + size, x : x + size])
+        for feature in (window, breaks(window)):
+            levelled = level_locally(feature, size / 10)
+            levelled *= taper[:, None]
+            levelled *= taper
+            log_power += _log_power(levelled)
+    log_power /= 2 * len(windows)
+    log_power = np.fft.fftshift(log_power, axes=0)
+    return [_whitened(log_power, background, reduction) for background in backgrounds]
+
+
+def _whitened(log_power: NDArray[np.float32], side: int, reduction: int) -> Spectrum:
+    """Log power (n, n // 2 + 1) over its mean in a box."""
+    import cv2
+
+    size = len(log_power)
+    # Mirror the half plane across zero frequency before averaging: there is no edge at fx = 0.
+    margin = min(side, size // 4)
+    mirrored = np.roll(log_power[::-1, margin:0:-1], 1 - size % 2, axis=0)
+    background = cv2.blur(np.hstack([mirrored, log_power]), (margin | 1, margin | 1))[:, margin:]
+    prominence = log_power - background
+    few = prominence[::_ROWS_APART]
+    middle = float(np.median(few))
+    spread = 1.4826 * float(np.median(np.abs(few - middle))) + 1e-6
+    return Spectrum((prominence - middle) / np.float32(spread), size, reduction)
+
+
+def _log_power(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Log power (n, n // 2 + 1) of a picture (n, n) of even size."""
+    import cv2
+
+    size = len(picture)
+    # OpenCV's transform of real numbers, several times as fast as NumPy's: real and imaginary parts lie beside each
+    # other along rows, in the first and last column, which are those of real numbers again, below each other.
+    squares = np.square(cv2.dft(picture))
+    power = np.empty((size, size // 2 + 1), np.float32)
+    np.add(squares[:, 1:-1:2], squares[:, 2::2], out=power[:, 1:-1])
+    for column in (0, -1):
+        ends = squares[:, column]
+        power[0, column], power[size // 2, column] = ends[0], ends[-1]
+        power[1 : size // 2, column] = ends[1:-1:2] + ends[2::2]
+        power[size // 2 + 1 :, column] = power[size // 2 - 1 : 0 : -1, column]
+    power += np.float32(1e-6)
+    return np.asarray(np.log(power, out=power))
+
+
+def _peaks(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Strongest narrow peaks: frequencies (k, 2) [cycles per px], refined within the bin, and prominences (k,)."""
+    import cv2
+
+    p = spectrum.prominence
+    n = spectrum.size
+    highest = cv2.dilate(p, np.ones((5, 5), np.uint8))
+    y, x = np.nonzero((p >= highest) & (p > _OCCUPIED))
+    fy = y - n // 2
+    period = n / np.maximum(np.hypot(x, fy), 1e-9)
+    keep = (period >= _SHORTEST_HARMONIC) & (period <= n / _FEWEST_PERIODS) & ((x > 0) | (fy > 0))
+    keep &= (x < p.shape[1] - 1) & (y > 0) & (y < n - 1)
+    y, x = y[keep], x[keep]
+    order = np.argsort(-p[y, x], kind="stable")[:_PEAKS]
+    y, x = y[order], x[order]
+    strength = p[y, x].astype(np.float64)
+
+    def vertex(below: NDArray, above: NDArray) -> NDArray:
+        bend = below - 2 * strength + above
+        return np.where(bend < 0, np.clip(0.5 * (below - above) / np.minimum(bend, -1e-9), -0.5, 0.5), 0.0)
+
+    left = np.where(x > 0, p[y, np.abs(x - 1)], strength)
+    dx = vertex(left, p[y, x + 1]) * (x > 0)
+    dy = vertex(p[y - 1, x], p[y + 1, x])
+    return np.column_stack([x + dx, y - n // 2 + dy]) / n, strength
+
+
+def _reduced(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(m, 2, 2) shortest bases of the lattices that pairs span, the shorter vector first (Lagrange-Gauss reduction)."""
+    a, b = pairs[:, 0], pairs[:, 1]
+    while True:
+        swap = ((a * a).sum(1) > (b * b).sum(1))[:, None]
+        a, b = np.where(swap, b, a), np.where(swap, a, b)
+        times = np.rint((a * b).sum(1) / (a * a).sum(1))
+        if not times.any():
+            return np.stack([a, b], axis=1)
+        b = b - times[:, None] * a
+
+
+def _snapped(
+    reciprocal: NDArray[np.float64], peaks: NDArray[np.float64], strength: NDArray[np.float64], size: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Least-squares reciprocal bases (m, 2, 2) through all peaks on their nodes, and which (m, k) peaks those are."""
+    on, before = np.zeros((len(reciprocal), len(peaks)), dtype=bool), np.full((len(reciprocal), len(peaks), 2), np.nan)
+    for _ in range(4):
+        index = peaks @ np.linalg.inv(reciprocal)
+        node = np.rint(index)
+        apart = (index - node) @ reciprocal
+        on = (np.hypot(apart[..., 0], apart[..., 1]) * size < _ON_NODE) & (np.abs(node).sum(-1) > 0)
+        chosen = node * on[..., None]
+        gram = chosen.transpose(0, 2, 1) @ chosen
+        # Whole numbers: nodes on one line give exactly 0.
+        turned = gram[:, 0, 0] * gram[:, 1, 1] != gram[:, 0, 1] ** 2
+        active = turned & (chosen != before).any((1, 2))
+        if not active.any():
+            break
+        before = chosen
+        few = chosen[active]
+        weighted = few.transpose(0, 2, 1) * strength
+        reciprocal = reciprocal.copy()
+        reciprocal[active] = np.linalg.solve(weighted @ few, weighted @ peaks)
+    return reciprocal, on
+
+
+def _lowest_nodes(reciprocal: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """(m, count, 2) nodes nearest to zero frequency, one of each opposite pair, of reciprocal bases (m, 2, 2)."""
+    span = np.arange(-5, 6)
+    h, k = (v.ravel() for v in np.meshgrid(span, span))
+    half = (h > 0) | ((h == 0) & (k > 0))
+    nodes = np.column_stack([h[half], k[half]]) @ reciprocal
+    order = np.argsort(np.hypot(nodes[..., 0], nodes[..., 1]), axis=1, kind="stable")[:, :count]
+    return np.take_along_axis(nodes, order[..., None], axis=1)
+
+
+def candidate_bases(spectrum: Spectrum, count: int = 6) -> list[Candidate]:
+    """Lattices whose harmonics explain the peaks, best supported first.
+
+    Support is the share of peaks on the nodes of the candidate (a fraction of the true period misses most) times
+    the share of its lowest nodes that are occupied (a multiple of the true period leaves most empty).
+
+    Returns
+    -------
+    list of Candidate
+        Empty where no two independent periods stand out.
+    """
+    peaks, strength = _peaks(spectrum)
+    if len(peaks) < 3:
+        return []
+    n = spectrum.size
+    # Low frequencies are the likely fundamentals, strong peaks the sure ones: seeds of both kinds.
+    by_period = np.argsort(np.hypot(*peaks.T), kind="stable")[:_SEEDS]
+    seeds = list(dict.fromkeys([*range(min(_SEEDS, len(peaks))), *by_period.tolist()]))
+    pairs = peaks[np.array(list(combinations(seeds, 2)))]
+    lengths = np.hypot(pairs[..., 0], pairs[..., 1])
+    reciprocal = _reduced(pairs[np.abs(np.linalg.det(pairs)) >= 0.2 * lengths[:, 0] * lengths[:, 1]])
+    lengths = np.hypot(reciprocal[..., 0], reciprocal[..., 1])
+    fit = (lengths.min(1) * n >= _FEWEST_PERIODS * 0.9) & (lengths.max(1) <= 1 / (_SHORTEST_PERIOD * np.sqrt(0.75)))
+    reciprocal, on = _snapped(reciprocal[fit], peaks, strength, n)
+    area = np.abs(np.linalg.det(reciprocal))
+    sure = (on.sum(1) >= 3) & (area >= 1e-9)
+    reciprocal, on, area = reciprocal[sure], on[sure], area[sure]
+    chance = np.minimum(0.9, np.pi * (_ON_NODE / n) ** 2 / area)
+    covered = np.maximum(0.0, (on @ strength**2 / (strength**2).sum() - chance) / (1 - chance))
+    nodes = _lowest_nodes(reciprocal, _NODES)
+    near = np.abs(nodes).max(2) < 0.45
+    occupied = (spectrum.at(nodes.reshape(-1, 2)) > _OCCUPIED).reshape(near.shape) & near
+    support = np.where(near.sum(1) >= 3, covered * occupied.sum(1) / np.maximum(near.sum(1), 1), 0.0)
+    distinct: list[Candidate] = []
+    for best in np.argsort(-support, kind="stable").tolist():
+        basis = reduce_basis(np.linalg.inv(reciprocal[best]).T) * spectrum.reduction
+        if all(np.abs(basis - other.basis).max() > 0.02 * np.abs(other.basis).max() for other in distinct):
+            distinct.append(Candidate(basis, float(support[best])))
+        if len(distinct) == count:
+            break
+    return distinct

@@ -1,0 +1,104 @@
+"""How far apart two calibrations put the microimages of one camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera.calibration import Calibration
+from ..runtime.errors import CalibrationError
+
+__all__ = ["LatticeDifference", "compare"]
+
+# A whole lattice vector may be off by this share of itself before the lattices count as two different ones.
+_SAME_VECTOR = 0.25
+
+
+@dataclass(frozen=True)
+class LatticeDifference:
+    """Centres of calibration B minus those of calibration A, up to one whole lattice shift for the entire field.
+
+    Parameters
+    ----------
+    rms, max : float [px]
+        Length of the differences over all microimages on the flat.
+    mean_shift : (2,) float64 [px]
+        Mean difference, order x, y.
+    scale : float
+        Pitch of B over pitch of A.
+    rotation_degrees : float
+        How far B is turned against A, clockwise on the screen.
+    places, field : (3, 3, 2) float64 [px]
+        Nine places, from the corners to the middle of the flat in rows from the top, and the difference at each.
+    """
+
+    rms: float
+    max: float
+    mean_shift: NDArray[np.float64]
+    scale: float
+    rotation_degrees: float
+    places: NDArray[np.float64]
+    field: NDArray[np.float64]
+
+
+def compare(a: Calibration, b: Calibration) -> LatticeDifference:
+    """Compare the centres of two calibrations over the field of the flat.
+
+    Indices of the two may start anywhere and their bases may be any two of one lattice. Where the pitch differs so
+    much that the lattices run out of step, the difference grows beyond half a pitch instead of starting anew.
+
+    Parameters
+    ----------
+    a, b : Calibration
+        For flats of one size.
+
+    Raises
+    ------
+    CalibrationError
+        If the flats differ in size or the lattices in kind: no basis vector of one is anything like one of the other.
+
+    Examples
+    --------
+    >>> from lfcal import Calibration, Lattice
+    >>> a, b = (Calibration(Lattice([x, 30], [[20, 0], [0, 20]], (200, 100), 9)) for x in (40, 60.5))
+    >>> round(compare(a, b).rms, 6)
+    0.5
+    """
+    if a.image_size != b.image_size:
+        sizes = " and ".join("{} x {}".format(*size) for size in (a.image_size, b.image_size))
+        raise CalibrationError(f"the cameras are for flats of {sizes} px; compare calibrations of flats of one size")
+    same = np.rint(a.lattice.basis @ np.linalg.inv(b.lattice.basis))
+    leftover = np.linalg.norm(a.lattice.basis - same @ b.lattice.basis, axis=1)
+    if round(abs(np.linalg.det(same))) != 1 or (leftover > _SAME_VECTOR * a.lattice.pitch).any():
+        raise CalibrationError(
+            f"the lattices are different ones, with pitches of {a.lattice.pitch:.2f} and {b.lattice.pitch:.2f} px, "
+            "not one lattice measured twice; look at both with 'lfcal show'"
+        )
+    centres, indices = a.lattice.centres(), a.lattice.indices() @ same
+    places = _places(a.image_size)
+    anchor = np.rint(np.median(b.lattice.to_index(centres) - indices, axis=0))
+    offset = (indices + anchor - b.lattice.to_index(centres)) @ b.lattice.basis
+    # Differences vary smoothly: a plane through them gives scale and rotation, and their values between the lenses.
+    change = np.linalg.lstsq(np.column_stack([np.ones(len(centres)), centres]), offset, rcond=None)[0]
+    matrix = np.eye(2) + change[1:]
+    at_places = a.lattice.to_index(places.reshape(-1, 2)) @ same
+    field = (at_places + anchor - b.lattice.to_index(places.reshape(-1, 2))) @ b.lattice.basis
+    lengths = np.hypot(*offset.T)
+    return LatticeDifference(
+        rms=float(np.sqrt(np.mean(lengths**2))),
+        max=float(lengths.max()),
+        mean_shift=offset.mean(0),
+        scale=float(np.sqrt(abs(np.linalg.det(matrix)))),
+        rotation_degrees=float(np.degrees(np.arctan2(matrix[0, 1] - matrix[1, 0], np.trace(matrix)))),
+        places=places,
+        field=field.reshape(3, 3, 2),
+    )
+
+
+def _places(image_size: tuple[int, int]) -> NDArray[np.float64]:
+    """(3, 3, 2) corners, edge middles and middle of the flat [px]."""
+    width, height = image_size
+    x, y = np.meshgrid(np.linspace(0, width - 1, 3), np.linspace(0, height - 1, 3))
+    return np.stack([x, y], axis=-1)

@@ -1,0 +1,47 @@
+"""Defects: pixels of a white image that are not as bright as the camera makes them, and lenses without light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..runtime.frozen import Frozen
+from ..runtime.text_arrays import pack, unpack
+
+__all__ = ["Defects"]
+
+
+@dataclass(frozen=True)
+class Defects(Frozen):
+    """What of a flat is not to be trusted.
+
+    Parameters
+    ----------
+    pixels : (k, 2) int32
+        `x, y` of pixels that are hot, dead or under dust or scratches.
+    lenses : (m, 2) int32
+        Lattice indices `i, j` of lenses that are missing or in the dark.
+    """
+
+    pixels: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 2), np.int32))
+    lenses: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 2), np.int32))
+
+    def __post_init__(self) -> None:
+        for name in ("pixels", "lenses"):
+            values = np.array(getattr(self, name), dtype=np.int32)
+            if values.ndim != 2 or values.shape[1] != 2:
+                raise ValueError(f"{name} of defects must be of shape (k, 2), got {values.shape}")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Two packed blocks."""
+        return {"pixels": pack(self.pixels.astype("<i4")), "lenses": pack(self.lenses.astype("<i4"))}
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Defects:
+        """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
+        return cls(unpack(data["pixels"], "<i4").reshape(-1, 2), unpack(data["lenses"], "<i4").reshape(-1, 2))

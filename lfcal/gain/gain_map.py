@@ -1,0 +1,169 @@
+"""Gain map: relative illumination at every place of every microimage, compact enough for a camera file.
+
+The light of a lens is its level times the shape of its microimage. The shape is one profile over the distance to the
+centre, stretched in each direction to the rim there, cut by a second disc where the main lens' barrel does so, and
+tilted by a low-order polynomial. What changes over the field is a low-order polynomial of the place in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..lattice.lattice import Lattice
+from ..runtime.frozen import Frozen
+from ..runtime.text_arrays import pack, unpack
+from .part_gain import PartGain
+
+__all__ = ["GainMap", "frame", "terms"]
+
+
+def _readonly(values: Any, kind: type, dimensions: int, name: str) -> NDArray[Any]:
+    array: NDArray[Any] = np.array(values, dtype=kind)
+    if array.ndim != dimensions or not np.isfinite(array).all():
+        raise ValueError(f"{name} must be a finite array of {dimensions} dimension(s)")
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True)
+class GainMap(Frozen):
+    """Relative illumination of a camera, 1 at the brightest place of the brightest part of the field.
+
+    Polynomials of the field have the terms `1, X, Y, X^2, X*Y, Y^2, ...` of the place `(X, Y)` of a lens, counted from
+    the middle of the flat in half diagonals.
+
+    Parameters
+    ----------
+    profile : (k,) float64
+        Light over the distance to the centre, at `0, step, 2*step, ...`, of a lens with a round uncut rim.
+    step : float [px]
+    radius : float [px]
+        Unit of length of `shade`, and where `rim` counts in full.
+    level : (t,) float64
+        Polynomial of the natural logarithm of the light of a lens (natural vignetting); `t` = 1, 3, 6, 10 ...
+    own : (n,) float32
+        Light of each lens over that of the polynomial, in the order of `lattice.centres()`; 0 where a lens has none.
+        Empty where all are 1.
+    shade : (5, t) float64
+        Polynomials of the factors of `u, v, u^2, u*v, v^2` with `(u, v) = delta / radius`; 1 is added to their sum.
+    rim : (1 + 2*m, t) float64 [px]
+        Polynomials of how far the rim lies outside of that of `profile`: mean, then cosine and sine of each harmonic
+        of the direction.
+    cut : (5,) float64 [px]
+        Cutting disc: displacement (2) in the middle, displacement added up to the corner, radius, standard deviation
+        of its edge. Empty where there is none.
+    dark : float
+        Light where the cutting disc lets none through.
+    """
+
+    profile: NDArray[np.float64]
+    step: float
+    radius: float
+    level: NDArray[np.float64]
+    own: NDArray[np.float32]
+    shade: NDArray[np.float64]
+    rim: NDArray[np.float64]
+    cut: NDArray[np.float64]
+    dark: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, kind, dimensions in (
+            ("profile", np.float64, 1), ("level", np.float64, 1), ("own", np.float32, 1), ("shade", np.float64, 2),
+            ("rim", np.float64, 2), ("cut", np.float64, 1),
+        ):  # fmt: skip
+            object.__setattr__(self, name, _readonly(getattr(self, name), kind, dimensions, name))
+        for name in ("step", "radius", "dark"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+        if not (np.isfinite([self.step, self.radius, self.dark]).all() and self.step > 0 and self.radius > 0):
+            raise ValueError("step and radius of a gain map must be positive numbers of px, dark a finite number")
+        degrees = {terms(d) for d in range(9)}
+        tables = (len(self.level), self.shade.shape[1], self.rim.shape[1])
+        if len(self.profile) < 2 or self.shade.shape[0] != 5 or not set(tables) <= degrees:
+            raise ValueError("profile, level, shade or rim of a gain map is of a wrong shape")
+        if self.rim.shape[0] % 2 != 1 or len(self.cut) not in (0, 5) or (len(self.cut) and not self.cut[4] > 0):
+            raise ValueError("rim or cut of a gain map is of a wrong shape")
+
+    @classmethod
+    def round(cls, profile: Any, step: float, radius: float, cut: Any = ()) -> GainMap:
+        """A map in which all lenses are alike, with one radial profile."""
+        none = np.zeros(0, np.float32)
+        return cls(profile, step, radius, np.zeros(1), none, np.zeros((5, 1)), np.zeros((1, 1)), np.array(cut))
+
+    def rows(self, lattice: Lattice, top: int, count: int) -> NDArray[np.float32]:
+        """(count, w) rows of `gain` from the row `top` on."""
+        out = np.empty((count, lattice.image_size[0]), np.float32)
+        self.filler(lattice)(out, top, 0)
+        return out
+
+    def gain(self, lattice: Lattice) -> NDArray[np.float32]:
+        """(h, w) relative illumination of every pixel of the flat, NaN where none is known."""
+        return self.rows(lattice, 0, lattice.image_size[1])
+
+    def flatten(self, flat: NDArray[Any], lattice: Lattice) -> NDArray[Any]:
+        """`flat` (h, w) or (h, w, c) divided by the gain; pixels with unknown gain are left as they are."""
+        return PartGain(self, lattice).flatten(flat)[0]
+
+    def filler(self, lattice: Lattice) -> Callable[[NDArray[np.float32], int, int], None]:
+        """What writes the gain of the rows and columns from given ones on into an array."""
+        from .rows import fill, walk
+
+        way = walk(lattice, self.own)
+        shape = self.shape(lattice)
+        known = way.middles, way.own, way.starts, way.ahead, self.level, *shape
+        return lambda out, top, left: fill(out, top, left, *known)
+
+    def usable_radius(self, lattice: Lattice) -> NDArray[np.float64]:
+        """(n,) largest distance [px] within which a lens has half its light in every direction; 0 without light."""
+        from .kernel import usable
+
+        centres = lattice.centres()
+        limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
+        out = np.zeros(len(centres))
+        own = self.own if len(self.own) else np.ones(len(centres), np.float32)
+        usable(centres, own, limit, out, *self.shape(lattice))
+        return out
+
+    def shape(self, lattice: Lattice) -> tuple[Any, ...]:
+        """What `gain_kernels.describe` and `light` need of this map."""
+        cut = np.zeros(6)
+        cut[: len(self.cut)] = self.cut
+        cut[5] = self.dark
+        return frame(lattice), self.radius, self.profile, self.step, self.shade, self.rim, cut
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings; `own` as a packed block."""
+        return {
+            "profile": pack(self.profile.astype("<f4")),
+            "step": self.step,
+            "radius": self.radius,
+            "level": self.level.tolist(),
+            "own": pack(self.own.astype("<f2")),
+            "shade": self.shade.tolist(),
+            "rim": self.rim.tolist(),
+            "cut": self.cut.tolist(),
+            "dark": self.dark,
+        }
+
+    @classmethod
+    def from_dict(cls, data: Any) -> GainMap:
+        """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
+        return cls(
+            unpack(data["profile"], "<f4"), data["step"], data["radius"], data["level"], unpack(data["own"], "<f2"),
+            data["shade"], data["rim"], data["cut"], data["dark"],
+        )  # fmt: skip
+
+
+def terms(degree: int) -> int:
+    """Number of terms of a polynomial of the field."""
+    return (degree + 1) * (degree + 2) // 2
+
+
+def frame(lattice: Lattice) -> NDArray[np.float64]:
+    """(3,) middle x, y and half diagonal of the flat [px]: the frame of field coordinates."""
+    width, height = lattice.image_size
+    return np.array([(width - 1) / 2, (height - 1) / 2, np.hypot(width, height) / 2])

@@ -1,0 +1,42 @@
+"""Microimage vignetting: how much light a microlens delivers at each place of its own image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..runtime.frozen import Frozen
+
+__all__ = ["Vignetting"]
+
+
+@dataclass(frozen=True)
+class Vignetting(Frozen):
+    """Relative illumination over the microimage radius, 1 at its brightest.
+
+    Parameters
+    ----------
+    profile : (k,) float64
+        Relative illumination at radii `0, step, 2*step, ...`, each in 0..1.
+    step : float [px]
+        Distance between samples of `profile`.
+    """
+
+    profile: NDArray[np.float64]
+    step: float
+
+    def __post_init__(self) -> None:
+        profile = np.array(self.profile, dtype=np.float64)
+        if profile.ndim != 1 or len(profile) < 2 or not np.isfinite(profile).all():
+            raise ValueError("profile must be a finite 1D array with at least two samples")
+        if not (np.isfinite(self.step) and self.step > 0):
+            raise ValueError(f"step must be a positive number of px, got {self.step!r}")
+        profile.flags.writeable = False
+        object.__setattr__(self, "profile", profile)
+        object.__setattr__(self, "step", float(self.step))
+
+    def at(self, radius: ArrayLike) -> NDArray[np.float64]:
+        """Relative illumination at distances `radius` [px] from the microimage centre."""
+        return np.interp(np.asarray(radius, dtype=np.float64), np.arange(len(self.profile)) * self.step, self.profile)

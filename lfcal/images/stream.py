@@ -1,0 +1,233 @@
+"""Flats read part by part, so that they need not fit into memory.
+
+The pixels of a part are those that `read_flat` has there. TIFFs without compression are read row by row where they lie
+in the file; of others only the strips or tiles are decoded that have to do with a part, and of a Zarr array the chunks.
+What cannot be read in parts, such as PNG, is read as a whole, once.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from threading import Lock
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..runtime.errors import FlatError
+from .read import MAX_PIXELS, as_flat, checked_page, opened_tiff, read_flat, tiff_pixels, translated
+from .zarr_flat import is_zarr, open_zarr
+
+__all__ = ["FlatSource", "open_flat"]
+
+# Strips or tiles of more bytes would have to be decoded again and again; such files are read as a whole.
+_LARGEST_SEGMENT = 1 << 27
+
+
+class _Reader(Protocol):
+    def read(self, rows: slice, columns: slice) -> NDArray[Any]: ...
+
+
+class FlatSource:
+    """A flat in a file; close it after use, or use it in a `with` statement.
+
+    Parameters
+    ----------
+    path : Path
+    shape : (int, int) or (int, int, 3) [px]
+        Height, width and colours.
+    dtype : dtype
+        uint8, uint16 or float32.
+    in_parts : bool
+        Whether parts are read on their own; else all of it is in memory.
+    """
+
+    def __init__(self, path: Path, reader: _Reader, shape: tuple[int, ...], file: Any = None) -> None:
+        self.path, self._reader, self._file = path, reader, file
+        self.in_parts = not isinstance(reader, _Memory)
+        self._size = shape[0], shape[1]
+        with translated(path):
+            corner = as_flat(reader.read(slice(0, 1), slice(0, 1)))
+        self.shape: tuple[int, ...] = (*self._size, *corner.shape[2:])
+        self.dtype = corner.dtype
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all pixels."""
+        return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
+
+    def read(self, left: int, top: int, right: int, bottom: int) -> NDArray[Any]:
+        """Pixels of the columns `left` to `right` and rows `top` to `bottom`, the latter not included.
+
+        Returns
+        -------
+        (bottom - top, right - left) or (bottom - top, right - left, 3) array
+
+        Raises
+        ------
+        FlatError
+            If that part is damaged, or holds NaN or infinity.
+        ValueError
+            If it is empty, or not on the flat.
+        """
+        height, width = self._size
+        if not (0 <= left < right <= width and 0 <= top < bottom <= height):
+            raise ValueError(f"part {left, top, right, bottom} is not on a flat of {width} x {height} px")
+        with translated(self.path):
+            return as_flat(self._reader.read(slice(top, bottom), slice(left, right)))
+
+    def close(self) -> None:
+        """Close the file; no part can be read any more."""
+        if self._file is not None:
+            self._file.close()
+
+    def __enter__(self) -> FlatSource:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def open_flat(path: str | os.PathLike[str], page: int | None = None) -> FlatSource:
+    """Open a raw plenoptic picture to read it part by part.
+
+    Parameters
+    ----------
+    path : path-like
+        The image file, or the folder of a Zarr array (needs the package `zarr`: `pip install 'lfrender[zarr]'`).
+    page : int or None
+        As in `read_flat`.
+
+    Returns
+    -------
+    FlatSource
+
+    Raises
+    ------
+    FlatError
+        As `read_flat`; what is damaged inside is found when it is read.
+    """
+    source = Path(path)
+    if source.is_dir() and is_zarr(source):
+        with translated(source):
+            array = open_zarr(source, MAX_PIXELS)
+        return FlatSource(source, array, array.shape)
+    if source.suffix.lower() in (".tif", ".tiff") and source.is_file():
+        found = _open_tiff(source, page)
+        if found is not None:
+            return found
+    pixels = read_flat(source, page)
+    return FlatSource(source, _Memory(pixels), pixels.shape)
+
+
+def _open_tiff(source: Path, number: int | None) -> FlatSource | None:
+    """A TIFF to be read in parts, None where it is none or its compression is not known here."""
+    with translated(source):
+        tiff = opened_tiff(source)
+        try:
+            page = checked_page(tiff, number)
+            reader = _Rows(page) if _plain(page) else _Segments(tiff, page)
+            if isinstance(reader, _Rows) or reader.segment_bytes <= _LARGEST_SEGMENT:
+                return FlatSource(source, reader, (page.imagelength, page.imagewidth), tiff)
+        # Reading it as a whole finds another way, or says what is wrong.
+        except Exception:
+            pass
+        tiff.close()
+    return None
+
+
+def _plain(page: Any) -> bool:
+    """Whether the rows of a page lie one after the other in the file."""
+    return bool(page.is_memmappable and page.is_contiguous and page.fillorder == 1 and page.axes in ("YX", "YXS"))
+
+
+class _Memory:
+    """A flat that is in memory already."""
+
+    def __init__(self, pixels: NDArray[Any]) -> None:
+        self._pixels = pixels
+
+    def read(self, rows: slice, columns: slice) -> NDArray[Any]:
+        return self._pixels[rows, columns]
+
+
+class _Rows:
+    """Rows of a TIFF without compression."""
+
+    def __init__(self, page: Any) -> None:
+        self._page = page
+        self._file, self._lock = page.parent.filehandle, Lock()
+        self._start = int(page.dataoffsets[0])
+        self._row = page.shape[1:]
+        self._kind = np.dtype(page.parent.byteorder + page.dtype.char)
+
+    def read(self, rows: slice, columns: slice) -> NDArray[Any]:
+        row_bytes = int(np.prod(self._row)) * self._kind.itemsize
+        out = np.empty((rows.stop - rows.start, columns.stop - columns.start, *self._row[1:]), self._kind)
+        start = self._start + rows.start * row_bytes
+        if out.shape[1] == self._row[0]:
+            self._fill(out, start)
+        else:
+            start += columns.start * row_bytes // self._row[0]
+            for number, row in enumerate(out):
+                self._fill(row, start + number * row_bytes)
+        return tiff_pixels(out, self._page)
+
+    def _fill(self, into: NDArray[Any], start: int) -> None:
+        view = into.reshape(-1).view(np.uint8).data
+        with self._lock:
+            self._file.seek(start)
+            got = self._file.readinto(view)
+        if got < len(view):
+            raise FlatError("truncated TIFF: pixel data are missing")
+
+
+class _Segments:
+    """Strips or tiles of a TIFF, decoded as they are needed."""
+
+    def __init__(self, tiff: Any, page: Any) -> None:
+        self._tiff, self._page, self._lock = tiff, page, Lock()
+        self._planes = page.axes == "SYX"
+        rows, columns = page.chunks[1:3] if self._planes and len(page.chunks) == 3 else page.chunks[:2]
+        self._side = int(rows), int(columns)
+        across, down = -(-page.imagewidth // self._side[1]), -(-page.imagelength // self._side[0])
+        self._grid = down, across
+        self.segment_bytes = rows * columns * page.samplesperpixel * page.dtype.itemsize
+
+    def read(self, rows: slice, columns: slice) -> NDArray[Any]:
+        from concurrent.futures import ThreadPoolExecutor
+
+        page = self._page
+        count = (page.samplesperpixel,) if page.samplesperpixel > 1 else ()
+        size = rows.stop - rows.start, columns.stop - columns.start
+        out = np.zeros((*count, *size) if self._planes else (*size, *count), page.dtype)
+        down, across = self._grid
+        wanted = [
+            (plane * down + v) * across + u
+            for plane in range(page.samplesperpixel if self._planes else 1)
+            for v in range(rows.start // self._side[0], -(-rows.stop // self._side[0]))
+            for u in range(columns.start // self._side[1], -(-columns.stop // self._side[1]))
+        ]
+        with ThreadPoolExecutor(min(len(wanted), os.cpu_count() or 1)) as pool:
+            for _ in pool.map(lambda number: self._decode(number, rows, columns, out), wanted):
+                pass
+        return tiff_pixels(out, page)
+
+    def _decode(self, number: int, rows: slice, columns: slice, out: NDArray[Any]) -> None:
+        """Decode one strip or tile, and copy what is wanted of it."""
+        page = self._page
+        with self._lock:
+            file = self._tiff.filehandle
+            file.seek(page.dataoffsets[number])
+            data = file.read(page.databytecounts[number])
+        found, (plane, _, top, left, _), _ = page.decode(data, number, jpegtables=page.jpegtables)
+        if found is None:
+            return
+        pixels = found[0]
+        bottom, right = min(top + pixels.shape[0], rows.stop), min(left + pixels.shape[1], columns.stop)
+        first, start = max(top, rows.start), max(left, columns.start)
+        some = pixels[first - top : bottom - top, start - left : right - left]
+        into = out[plane] if self._planes else out
+        place = into[first - rows.start : bottom - rows.start, start - columns.start : right - columns.start]
+        place[...] = some.reshape(place.shape)

@@ -1,0 +1,258 @@
+"""Microlens lattice: where the centre of each microimage lies on the flat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..runtime.frozen import Frozen
+from .distortion import Distortion
+
+__all__ = ["Lattice", "reduce_basis"]
+
+# A third lattice direction counts as a neighbour when it is at most this much longer than
+# the geometric mean of the two shortest ones: 1 for hexagons, 1.41 for squares.
+_NEIGHBOUR_STRETCH = 1.2
+# Squared lengths this near to each other count as equal, so that measured hexagons get the basis of exact ones.
+_SAME_LENGTH = 5e-3
+# No camera has more pixels or lenses than this, nor more rows of lenses, nor a centre so far [px] from its flat.
+_MOST_PIXELS, _MOST_LENSES, _MOST_ROWS, _FARTHEST = 1 << 31, 1 << 27, 1e7, 1e9
+# Lenses looked at together, so that hardly more memory is needed than for the result.
+_TOGETHER = 1 << 20
+# Slope of rows of `j` from which on they run down the flat.
+_STEEP = 0.25
+# Lattices of no more lenses keep their centres, which are asked for again and again.
+_KEPT = 1 << 20
+
+
+def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
+    """Shortest basis of the lattice that `basis` spans (Lagrange-Gauss reduction), in one canonical form.
+
+    Parameters
+    ----------
+    basis : (2, 2) array_like [px]
+        Rows are two independent lattice vectors.
+
+    Returns
+    -------
+    (2, 2) float64 [px]
+        Rows `a1, a2`: `a1` points within 45 degrees of +x where a shortest vector does, `a2`
+        follows it clockwise on the screen (y down) at 60 to 90 degrees.
+    """
+    a, b = np.array(basis, dtype=np.float64)
+    if not np.isfinite([a, b]).all() or abs(a[0] * b[1] - a[1] * b[0]) <= 1e-12 * (a @ a + b @ b):
+        raise ValueError(f"basis must be two independent finite vectors, got {np.asarray(basis).tolist()}")
+    while True:
+        if a @ a > b @ b:
+            a, b = b, a
+        b = b - np.round((a @ b) / (a @ a)) * a
+        if b @ b >= (a @ a) * (1 - 1e-12):
+            break
+    candidates = [v for v in (a, b, a - b, a + b) if v @ v <= (b @ b) * (1 + _SAME_LENGTH)]
+    candidates += [-v for v in candidates]
+    best: tuple[tuple[float, ...], NDArray[np.float64], NDArray[np.float64]] | None = None
+    for first in candidates:
+        for second in candidates:
+            turn, lean = first[0] * second[1] - first[1] * second[0], first @ second
+            if turn <= 1e-9 * (b @ b) or lean < -1e-6 * (b @ b):
+                continue
+            # Lengths decide before directions, and directions only where they clearly differ.
+            size = (first @ first + second @ second) / (b @ b)
+            rank = (-round(size / _SAME_LENGTH), round(first[0] / np.hypot(*first), 6), first[1], lean)
+            if best is None or rank > best[0]:
+                best = (rank, first, second)
+    assert best is not None
+    first, second = best[1:]
+    return np.array([first, second])
+
+
+@dataclass(frozen=True)
+class Lattice(Frozen):
+    """Centres `c(i, j) = origin + i*a1 + j*a2`, plus an optional distortion, of all microimages on one flat.
+
+    Parameters
+    ----------
+    origin : (2,) float64 [px]
+        Centre of microimage (0, 0), order `x, y`, pixel centres at integers.
+    basis : (2, 2) float64 [px]
+        Rows `a1, a2`.
+    image_size : (int, int) [px]
+        Width and height of the flat.
+    radius : float [px]
+        Usable microimage radius `R`.
+    distortion : Distortion or None
+        How far centres lie from the straight lattice; None where they do not.
+    """
+
+    origin: NDArray[np.float64]
+    basis: NDArray[np.float64]
+    image_size: tuple[int, int]
+    radius: float
+    distortion: Distortion | None = None
+
+    def __post_init__(self) -> None:
+        origin = np.array(self.origin, dtype=np.float64)
+        basis = np.array(self.basis, dtype=np.float64)
+        if origin.shape != (2,) or not np.isfinite(origin).all():
+            raise ValueError(f"origin must be two finite numbers, got {self.origin!r}")
+        if basis.shape != (2, 2) or not np.isfinite(basis).all() or abs(np.linalg.det(basis)) < 1e-6:
+            raise ValueError(f"basis must be two independent finite vectors, got {self.basis!r}")
+        width, height = (int(v) for v in self.image_size)
+        if width < 1 or height < 1:
+            raise ValueError(f"image_size must be positive (width, height), got {self.image_size!r}")
+        if width * height > _MOST_PIXELS or np.abs(origin).max() > _FARTHEST:
+            raise ValueError(f"no camera has {width} x {height} px or a microimage at {self.origin!r}")
+        across = np.abs(np.linalg.inv(basis)).max() * (width + height)
+        if across > _MOST_ROWS or width * height > _MOST_LENSES * abs(np.linalg.det(basis)):
+            raise ValueError(f"no camera has {width} x {height} px full of lenses a basis of {self.basis!r} px apart")
+        if not (np.isfinite(self.radius) and self.radius > 0):
+            raise ValueError(f"radius must be a positive number of px, got {self.radius!r}")
+        origin.flags.writeable = basis.flags.writeable = False
+        object.__setattr__(self, "origin", origin)
+        object.__setattr__(self, "basis", basis)
+        object.__setattr__(self, "image_size", (width, height))
+        object.__setattr__(self, "radius", float(self.radius))
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    @cached_property
+    def steps(self) -> NDArray[np.int64]:
+        """(k, 2) index steps to the nearest neighbours, opposite steps `k/2` apart: k = 6 (hexagonal) or 4."""
+        a1, a2 = self.basis
+        half = [(1, 0), (0, 1)]
+        typical = np.sqrt(np.hypot(*a1) * np.hypot(*a2))
+        diagonal = min((a1 + a2, (1, 1)), (a1 - a2, (1, -1)), key=lambda d: np.hypot(*d[0]))
+        if np.hypot(*diagonal[0]) <= _NEIGHBOUR_STRETCH * typical:
+            half.append(diagonal[1])
+        return np.array(half + [(-i, -j) for i, j in half], dtype=np.int64)
+
+    @cached_property
+    def pitch(self) -> float:
+        """D: mean distance between neighbouring microimage centres [px]."""
+        return float(np.linalg.norm(self.steps @ self.basis, axis=1).mean())
+
+    @property
+    def middle(self) -> NDArray[np.int64]:
+        """(2,) index of the lens next to the middle of the flat."""
+        middle = (np.array(self.image_size) - 1) / 2
+        return np.rint(self.to_index(middle[None])[0]).astype(np.int64)
+
+    @cached_property
+    def _indices(self) -> NDArray[np.int64]:
+        width, height = self.image_size
+        corners = np.array([(-0.5, -0.5), (width - 0.5, -0.5), (-0.5, height - 0.5), (width - 0.5, height - 0.5)])
+        if self.distortion is not None:
+            # Edges of the flat are curved lines on the straight lattice.
+            along = np.linspace(0, 1, 33)[:, None]
+            pairs = ((0, 1), (1, 3), (3, 2), (2, 0))
+            corners = np.vstack([corners[a] + along * (corners[b] - corners[a]) for a, b in pairs])
+        bounds = self.to_index(corners)
+        low, high = np.floor(bounds.min(0)).astype(int), np.ceil(bounds.max(0)).astype(int)
+        rows = np.arange(low[1], high[1] + 1)
+        first, last = self._ends(rows, low[0], high[0])
+        across, down = np.abs(self.basis[0])
+        steep = down > _STEEP * across
+        found, places = [], []
+        block = max(1, _TOGETHER // (high[0] - low[0] + 1))
+        for start in range(0, len(rows), block):
+            few = slice(start, start + block)
+            count = np.maximum(last[few] - first[few] + 1, 0)
+            i = np.arange(count.sum()) + np.repeat(first[few] - np.cumsum(count) + count, count)
+            ij = np.column_stack([i, np.repeat(rows[few], count)])
+            centres = self.points(ij)
+            x, y = centres.T
+            inside = np.flatnonzero((x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5))
+            found.append(ij.take(inside, 0))
+            if steep:
+                band = (y[inside] * (2 / self.pitch)).astype(np.int64)
+                places.append(band * width + x[inside].astype(np.int64))
+        indices = np.concatenate(found)
+        return indices[np.argsort(np.concatenate(places))] if steep else indices
+
+    def _ends(self, rows: NDArray[np.int64], low: int, high: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First and last `i` (n,) from `low` to `high` between which all lenses of rows `j` (n,) on the flat are."""
+        first, last = np.full(len(rows), float(low)), np.full(len(rows), float(high))
+        if self.distortion is None:
+            for axis in range(2):
+                step = self.basis[0, axis]
+                if abs(step) > 1e-6 * np.abs(self.basis).max():
+                    start = self.origin[axis] + rows * self.basis[1, axis]
+                    ends = np.sort([(-0.5 - start) / step, (self.image_size[axis] - 0.5 - start) / step], axis=0)
+                    first, last = np.maximum(first, ends[0] - 1), np.minimum(last, ends[1] + 1)
+        return np.floor(first).astype(np.int64), np.ceil(last).astype(np.int64)
+
+    def indices(self) -> NDArray[np.int64]:
+        """(n, 2) lattice indices `i, j` of all microimages whose centre lies on the flat.
+
+        In rows of `j`, or, where those run down the flat, in rows of pixels half a pitch high, from top to bottom:
+        loops over the pixels of lenses that lie one below the other take up to twice as long.
+        """
+        return self._indices.copy()
+
+    def centres(self) -> NDArray[np.float64]:
+        """(n, 2) float64 centres `x, y` [px], in the order of `indices()`."""
+        if len(self) <= _KEPT:
+            return self._centres.copy()
+        centres = np.empty((len(self), 2))
+        for start in range(0, len(self), _TOGETHER):
+            centres[start : start + _TOGETHER] = self.points(self._indices[start : start + _TOGETHER])
+        return centres
+
+    @cached_property
+    def _centres(self) -> NDArray[np.float64]:
+        return self.points(self._indices)
+
+    def with_radius(self, radius: float) -> Lattice:
+        """The same lenses with another usable radius [px]."""
+        other = replace(self, radius=radius)
+        for name in ("_indices", "_centres"):
+            if name in self.__dict__:
+                other.__dict__[name] = self.__dict__[name]
+        return other
+
+    def shrunk(self, factor: int) -> Lattice:
+        """The same lenses on a flat of which `factor` x `factor` pixels each have become one."""
+        distortion = self.distortion
+        width, height = (max(1, n // factor) for n in self.image_size)
+        small = Lattice(
+            (self.origin + 0.5) / factor - 0.5,
+            self.basis / factor,
+            (width, height),
+            self.radius / factor,
+            None if distortion is None else distortion.shrunk(factor),
+        )
+        # Lenses at the border are the same, whichever way their places are rounded.
+        small.__dict__["_indices"] = self._indices
+        return small
+
+    def points(self, index: ArrayLike) -> NDArray[np.float64]:
+        """(n, 2) positions `x, y` [px] of lattice indices (n, 2), which need be neither whole nor on the flat."""
+        index = np.asarray(index)
+        # Of very many lenses, columns take a third of the time of a product with a matrix of two.
+        straight = np.empty(index.shape)
+        for axis in range(2):
+            column = index[..., 0] * self.basis[0, axis]
+            column += index[..., 1] * self.basis[1, axis]
+            np.add(column, self.origin[axis], out=straight[..., axis])
+        return straight if self.distortion is None else self.distortion.apply(straight)
+
+    def grid(self, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(m, n, 2) positions `x, y` [px] of all lenses whose index `i` is in `columns` (n,) and `j` in `rows` (m,)."""
+        straight = np.empty((len(rows), len(columns), 2))
+        for axis in range(2):
+            along, down = columns * self.basis[0, axis], rows * self.basis[1, axis]
+            np.add(along + down[:, None], self.origin[axis], out=straight[..., axis])
+        if self.distortion is None:
+            return straight
+        return self.distortion.apply(straight.reshape(-1, 2)).reshape(straight.shape)
+
+    def to_index(self, points: ArrayLike) -> NDArray[np.float64]:
+        """(n, 2) real-valued lattice indices of flat positions `points` (n, 2) [px]."""
+        straight = np.asarray(points, dtype=np.float64)
+        if self.distortion is not None:
+            straight = self.distortion.remove(straight)
+        return (straight - self.origin) @ np.linalg.inv(self.basis)

@@ -1,0 +1,274 @@
+"""What the command lines share: one-line errors, stages with their times, and a report for people or programs."""
+
+from __future__ import annotations
+
+import gc
+import json
+import math
+import os
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .errors import LightFieldError
+from .path_arguments import Input, hints_on_names, several_inputs, single_input
+from .terminal import Terminal
+
+__all__ = ["Input", "Program", "Report", "about", "examples", "report_options", "several_inputs", "single_input"]
+
+_USER_ERROR = 2
+# Where a command keeps whether `--verbose` was given.
+_VERBOSE = "lfcal.verbose"
+
+
+class Program(click.Group):
+    """A command group whose user errors are one line on stderr and exit code 2.
+
+    Parameters
+    ----------
+    elsewhere : mapping of str to str, optional
+        Commands of other programs that are looked for here, and those programs.
+    for_a_file : str, optional
+        Command that does what is meant where a file is given in the place of a command, with `{}` for the file.
+    """
+
+    def __init__(self, *args: Any, elsewhere: Mapping[str, str] | None = None, for_a_file: str = "", **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        self.elsewhere = dict(elsewhere or {})
+        self.for_a_file = for_a_file
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        name = args[0]
+        if self.get_command(ctx, name) is None and not ctx.resilient_parsing:
+            if name in self.elsewhere:
+                ctx.fail(f"No such command {name!r}. Did you mean '{self.elsewhere[name]} {name}'?")
+            if self.for_a_file and Path(name).is_file():
+                ctx.fail(f"No such command {name!r}. Did you mean '{self.name} {self.for_a_file.format(name)}'?")
+        return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        with hints_on_names(ctx):
+            return super().invoke(ctx)
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        kwargs["standalone_mode"] = False
+        try:
+            # A library's warnings are for developers; what a user has to know is in the warnings of a result.
+            with warnings.catch_warnings():
+                if not sys.warnoptions:
+                    warnings.simplefilter("ignore")
+                code = super().main(*args, **kwargs)
+        except click.exceptions.NoArgsIsHelpError as error:
+            click.echo(error.ctx.get_help() if error.ctx else str(error), err=True)
+            sys.exit(_USER_ERROR)
+        except click.UsageError as error:
+            # What was given makes no sense to the parser; errors of a command's own say all there is to say.
+            words = error.format_message()
+            if error.ctx:
+                words += f"{'' if words.endswith(('.', '?', ')')) else '.'} See '{error.ctx.command_path} --help'."
+            self._fail(words)
+        except click.ClickException as error:
+            self._fail(error.format_message())
+        except LightFieldError as error:
+            self._fail(str(error))
+        except MemoryError:
+            self._fail("not enough memory for an image of this size")
+        except BrokenPipeError:
+            # The reader of our output has gone; without this Python complains again when it flushes at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            sys.exit(1)
+        except OSError as error:
+            self._fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        except (KeyboardInterrupt, click.Abort):
+            click.echo("interrupted", err=True)
+            sys.exit(130)
+        # Without this the interpreter looks through all objects of all libraries for garbage before it exits.
+        gc.freeze()
+        sys.exit(code if isinstance(code, int) else 0)
+
+    def _fail(self, message: str) -> None:
+        click.echo(f"{self.name or 'error'}: {' '.join(message.split())}", err=True)
+        sys.exit(_USER_ERROR)
+
+
+class Report:
+    """Progress and figures of one command.
+
+    Parameters
+    ----------
+    as_json : bool
+        Print the figures as one JSON object on stdout instead of as text.
+    quiet : bool
+        Print nothing but warnings; with `as_json`, nothing but the JSON object.
+    log_stages : bool
+        Print a line for each stage where there is no terminal to show it on: for long commands.
+    """
+
+    def __init__(self, as_json: bool = False, quiet: bool = False, log_stages: bool = False) -> None:
+        self.as_json = as_json
+        self.quiet = quiet
+        self.log_stages = log_stages
+        self.seconds: dict[str, float] = {}
+        self._announced = False
+        self._stage = ""
+        self._terminal = None if quiet or not sys.stderr.isatty() else Terminal()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time a stage; on a terminal, say that it is running."""
+        start = time.perf_counter()
+        self._stage = name
+        if self._terminal is not None:
+            with self._terminal.stage(name):
+                yield
+        else:
+            if self.log_stages and not (self.quiet or self.as_json):
+                click.echo(f"{name} ...")
+            yield
+        self.seconds[name] = time.perf_counter() - start
+        if _verbose():
+            click.echo(f"{name}: {self.seconds[name]:.3f} s", err=True)
+
+    @contextmanager
+    def progress(self, name: str, total: int | None, before: int = 0) -> Iterator[Callable[[str], None]]:
+        """Gives what is to be called after each of `total` steps, some of them done `before`, with a remark or "".
+
+        On a terminal a bar shows rate and remaining time; else only remarks are printed, on stderr.
+        """
+        if self._terminal is None:
+            yield lambda remark: click.echo(remark, err=True) if remark and not self.quiet else None
+            return
+        shown = name if self._stage in ("", name) else f"{self._stage}, {name}"
+        with self._terminal.bar(shown, total, before) as advance:
+            yield advance
+
+    @contextmanager
+    def counted(self, name: str) -> Iterator[Callable[[int, int], None]]:
+        """As `progress`, for work that tells how many steps are done, and out of how many, after the first of them."""
+        with ExitStack() as shown:
+            advance: list[Callable[[str], None]] = []
+
+            def told(done: int, count: int) -> None:
+                if not advance:
+                    advance.append(shown.enter_context(self.progress(name, count, done - 1)))
+                advance[0]("")
+
+            yield told
+
+    def announce_compilation(self, *packages: str) -> None:
+        """Say, once, that kernels are being compiled if these packages have none compiled so far."""
+        if self.quiet or self._announced or all(_has_compiled_kernels(name) for name in packages):
+            return
+        self._announced = True
+        if not self.as_json or sys.stderr.isatty():
+            click.echo("compiling kernels, once per installation ...", err=self.as_json)
+
+    def finish(self, figures: Mapping[str, Any]) -> None:
+        """Print the figures, with the seconds of all stages, and the warnings among them on stderr."""
+        figures = {**figures, "seconds": {name: round(value, 4) for name, value in self.seconds.items()}}
+        if self.as_json:
+            click.echo(json.dumps(_plain(figures)))
+            return
+        for warning in figures.get("warnings", ()):
+            click.echo(f"warning: {warning}", err=True)
+        if not self.quiet:
+            rows = _rows({name: value for name, value in figures.items() if name != "warnings"})
+            width = max(map(len, rows)) + 2
+            for name, value in rows.items():
+                click.echo(f"{name.replace('_', ' '):{width}}{value}")
+
+
+@contextmanager
+def about(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Make errors of this toolkit name the file they are about, where they do not yet."""
+    try:
+        yield
+    except LightFieldError as error:
+        if str(path) in str(error):
+            raise
+        raise type(error)(f"{path}: {error}") from error
+
+
+def report_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the options `--json`, `--quiet` and `--verbose`."""
+    verbose = click.option(
+        "--verbose",
+        is_flag=True,
+        expose_value=False,
+        callback=_note_verbose,
+        help="Print each stage on stderr, with its seconds, as soon as it has ended.",
+    )
+    command = verbose(command)
+    command = click.option("--quiet", is_flag=True, help="Print nothing but warnings.")(command)
+    return click.option("--json", "as_json", is_flag=True, help="Print the figures as one JSON object.")(command)
+
+
+def examples(*lines: str) -> str:
+    """The epilog of a command's help that shows how it is called."""
+    return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
+
+
+def _note_verbose(context: click.Context, _option: click.Parameter, wanted: bool) -> None:
+    context.meta[_VERBOSE] = wanted
+
+
+def _verbose() -> bool:
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(_VERBOSE))
+
+
+def _has_compiled_kernels(package: str) -> bool:
+    """Whether Numba's cache holds anything for a package, at any of the three places Numba may keep it."""
+    spec = sys.modules.get(package)
+    if spec is None or not spec.__file__:
+        return True
+    modules = Path(spec.__file__).parent.rglob("*.py")
+    folders = {file.parent for file in modules if "\n@njit" in file.read_text(encoding="utf-8")}
+    if not folders:
+        return True
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    places = [folder.glob("__pycache__/*.nbi") for folder in folders]
+    for cache in [Path(named)] if named else [Path.home() / ".cache/numba", Path.home() / "Library/Caches/numba"]:
+        places.extend(cache.glob(f"{folder.name}_*/*.nbi") for folder in folders)
+    return any(next(iter(place), None) for place in places)
+
+
+def _plain(value: Any) -> Any:
+    """`value` as JSON can hold it: NumPy to Python, NaN and infinity to null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, os.PathLike) else value
+
+
+def _rows(figures: Mapping[str, Any]) -> dict[str, str]:
+    """Name and text of each figure; a group of groups becomes one row for each of them."""
+    rows = {}
+    for name, value in figures.items():
+        if isinstance(value, Mapping) and any(isinstance(item, Mapping) for item in value.values()):
+            rows.update({f"{name}, {inner}": _text(item) for inner, item in value.items()})
+        else:
+            rows[name] = _text(value)
+    return rows
+
+
+def _text(value: Any) -> str:
+    value = _plain(value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key.replace('_', ' ')} {_text(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return "  ".join(_text(item) for item in value)
+    if value is None:
+        return "unknown"
+    return f"{value:.5g}" if isinstance(value, float) else str(value)

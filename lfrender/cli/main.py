@@ -1,0 +1,39 @@
+"""Command line of lfrender: analyse depth, render pictures, show what the toolkit does."""
+
+from __future__ import annotations
+
+import click
+
+from lfcal.runtime import console
+
+from .analyze import analyze
+from .pages import demo, report, view
+from .render import render
+from .sequence import batch
+from .views import refocus, views
+
+__all__ = ["main"]
+
+
+# What is looked for here and is found in another program.
+_ELSEWHERE = dict.fromkeys(("calibrate", "compare", "convert", "flatten", "info", "show"), "lfcal")
+
+
+@click.group(
+    cls=console.Program,
+    name="lfrender",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    elsewhere=_ELSEWHERE,
+    for_a_file="render {} -o picture.tif",
+)
+@click.version_option(package_name="lfrender", prog_name="lfrender")
+def main() -> None:
+    """Depth and full-resolution pictures from focused plenoptic captures."""
+
+
+for _command in (analyze, render, refocus, views, batch, view, report, demo):
+    main.add_command(_command)
+
+
+if __name__ == "__main__":
+    main()

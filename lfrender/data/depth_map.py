@@ -1,0 +1,223 @@
+"""The answer of the depth analysis: patch size, mode, magnification and confidence of every lens."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import LightFieldError, whole_file
+from lfcal.runtime.frozen import Frozen
+
+from .optics import Optics
+from .surface import Surface
+
+__all__ = ["BINOCULAR", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap"]
+
+TELESCOPIC, BINOCULAR, UNRESOLVED = 1, -1, 0
+#: Why a lens is unresolved, by the code in `DepthMap.reason`; 0 is resolved.
+REASONS = ("resolved", "too little texture", "ambiguous", "image plane on the microlenses", "not analysed")
+# Of version 1 the lenses of some arrays are in another order.
+_VERSION = 2
+
+
+class DepthFileError(LightFieldError, ValueError):
+    """A depth file is missing, damaged, or belongs to another camera."""
+
+
+def _finite(values: NDArray[np.float32]) -> bool:
+    """Whether all values are, none of which is so large that their sum is not: one that is not makes it another."""
+    with np.errstate(invalid="ignore"):
+        return bool(np.isfinite(values.sum()))
+
+
+@dataclass(frozen=True)
+class DepthMap(Frozen):
+    """Depth of every lens, in the order of `lattice.centres()`, and of every place of the picture.
+
+    Parameters
+    ----------
+    patch_size : (n,) float32 [px]
+        Signed patch size `s` of GEOMETRY.md: positive telescopic, negative binocular, NaN where unresolved.
+    standard_error : (n,) float32 [px]
+        Of `patch_size`, from the scatter of what the lens measures with each neighbour; inf where unknown. The lenses
+        of a scene that is one plane have one answer and one error together.
+    confidence : (n,) float32
+        0..1, the probability that `patch_size` is the right optimum of the match.
+    drawn : (n,) float32 [px]
+        `patch_size`, with unresolved lenses filled from their neighbours; finite.
+    surface : Surface
+        `drawn`, carried on to a regular grid of scene points with depth edges settled on the pixels.
+    pitch : float [px]
+    image_size : (int, int) [px]
+        Width and height of the flat.
+    preset : str
+        Preset it was analysed with.
+    reason : (n,) int8, optional
+        0 resolved, 1 too little texture, 2 ambiguous or periodic, 3 image plane on the microlenses, 4 not analysed.
+        By default unresolved lenses are 1 where their confidence is 0, else 2.
+    saved : dict of str to float
+        What each shortcut has saved, as a share of the whole work: the lenses it has left out, for `ranges` the
+        shifts it has left out. Empty where none was taken.
+    """
+
+    patch_size: NDArray[np.float32]
+    standard_error: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    drawn: NDArray[np.float32]
+    surface: Surface
+    pitch: float
+    image_size: tuple[int, int]
+    preset: str = field(default="balanced")
+    reason: NDArray[np.int8] = None  # type: ignore[assignment]
+    saved: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n = len(self.patch_size)
+        for name in ("patch_size", "standard_error", "confidence", "drawn"):
+            values = np.array(getattr(self, name), dtype=np.float32)
+            if values.shape != (n,):
+                raise ValueError(f"{name} must have one value per lens ({n}), got shape {values.shape}")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        reason = self.reason
+        if reason is None:
+            reason = np.where(np.isfinite(self.patch_size), 0, np.where(self.confidence > 0, 2, 1))
+        reason = np.array(reason, dtype=np.int8)
+        if reason.shape != (n,) or ((reason == 0) != np.isfinite(self.patch_size)).any():
+            raise ValueError("reason must be 0 for every lens with a patch size, and only for those")
+        reason.flags.writeable = False
+        object.__setattr__(self, "reason", reason)
+        if not _finite(self.drawn) or not _finite(self.surface.patch_size):
+            raise ValueError("drawn and surface must be finite")
+        object.__setattr__(self, "image_size", (int(self.image_size[0]), int(self.image_size[1])))
+
+    def __len__(self) -> int:
+        return len(self.patch_size)
+
+    @cached_property
+    def mode(self) -> NDArray[np.int8]:
+        """(n,) int8: 1 telescopic, -1 binocular, 0 unresolved."""
+        return np.sign(np.nan_to_num(self.patch_size)).astype(np.int8)
+
+    @cached_property
+    def magnification(self) -> NDArray[np.float32]:
+        """(n,) float32: `M = D / |s|` (Lumsdaine and Georgiev 2008, section 6); NaN where unresolved."""
+        with np.errstate(divide="ignore"):
+            return (self.pitch / np.abs(self.patch_size)).astype(np.float32)
+
+    @cached_property
+    def curvature(self) -> NDArray[np.float32]:
+        """(n,) float32 [1/px^2]: of the log likelihood at its peak, `1 / standard_error^2`; 0 where unknown.
+
+        How well the answer is conditioned: twice as much light, or twice as many pairs, double it.
+        """
+        with np.errstate(divide="ignore"):
+            return (1 / self.standard_error.astype(np.float64) ** 2).astype(np.float32)
+
+    @cached_property
+    def filled(self) -> NDArray[np.bool_]:
+        """(n,) bool: lenses that are drawn with their neighbours' depth since they have none of their own."""
+        return np.isnan(self.patch_size)
+
+    def distance(self, optics: Optics) -> NDArray[np.float64]:
+        """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where unresolved."""
+        return optics.distance(self.patch_size.astype(np.float64) / self.pitch)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the magnification over the scene, unresolved places filled, on a logarithmic colour scale.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            By default the current one (`pip install 'lfrender[plots]'`).
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        from .plots import plot_depth
+
+        return plot_depth(self, ax)
+
+    def _repr_html_(self) -> str:
+        from .plots import depth_card
+
+        return depth_card(self)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write as `.npz`; the file appears whole or not at all."""
+        with whole_file(Path(path)) as temporary, open(temporary, "wb") as stream:
+            np.savez(
+                stream,
+                version=np.int64(_VERSION),
+                patch_size=self.patch_size,
+                mode=self.mode,
+                magnification=self.magnification,
+                confidence=self.confidence,
+                standard_error=self.standard_error,
+                drawn=self.drawn,
+                filled=self.filled,
+                surface=self.surface.patch_size,
+                surface_first=np.array(self.surface.first, dtype=np.float64),
+                surface_spacing=np.float64(self.surface.spacing),
+                pitch=np.float64(self.pitch),
+                image_size=np.array(self.image_size, dtype=np.int64),
+                preset=np.array(self.preset),
+                reason=self.reason,
+                saved_by=np.array(list(self.saved), dtype=str),
+                saved=np.array(list(self.saved.values()), dtype=np.float64),
+            )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> DepthMap:
+        """Read a file written by `save`.
+
+        Raises
+        ------
+        DepthFileError
+            If the file is missing, is not such a file, or a field is wrong.
+        """
+        remedy = "make one with 'lfrender analyze'"
+        try:
+            # NumPy leaves a damaged file open that it opens itself.
+            with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as data:
+                version = int(data["version"])
+                if version != _VERSION:
+                    raise DepthFileError(f"{path}: version {version} is not known (this is {_VERSION}); {remedy}")
+                first = data["surface_first"]
+                reason: Any = data.get("reason")
+                return cls(
+                    patch_size=data["patch_size"],
+                    standard_error=data["standard_error"],
+                    confidence=data["confidence"],
+                    drawn=data["drawn"],
+                    surface=Surface(
+                        np.ascontiguousarray(data["surface"], np.float32),
+                        (float(first[0]), float(first[1])),
+                        float(data["surface_spacing"]),
+                    ),
+                    pitch=float(data["pitch"]),
+                    image_size=(int(data["image_size"][0]), int(data["image_size"][1])),
+                    preset=str(data["preset"]),
+                    reason=reason,
+                    saved={str(k): float(v) for k, v in zip(data["saved_by"], data["saved"], strict=True)}
+                    if "saved" in data
+                    else {},
+                )
+        except DepthFileError:
+            raise
+        except OSError as error:
+            raise DepthFileError(f"{path}: cannot be read as a depth file ({error.strerror or error})") from error
+        # Damaged bytes drive the readers of ZIP files and of array headers to whatever error there is.
+        except Exception as error:
+            raise DepthFileError(f"{path}: not a whole depth file ({_one_line(error)}); {remedy}") from error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -1,0 +1,133 @@
+"""Depth maps and pictures in a notebook, on Matplotlib axes, and in napari."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfcal import Calibration
+from lfcal.runtime import notebook
+
+from .depth_map import DepthMap
+from .rendering import Rendering
+
+__all__ = ["depth_card", "napari_layers", "plot_depth", "plot_rendering", "rendering_card"]
+
+
+def depth_card(depth: DepthMap) -> str:
+    """HTML with the magnification over the scene in colours, and the key figures of a depth map."""
+    import cv2
+
+    known = depth.magnification[np.isfinite(depth.magnification)]
+    shown, low, high = _magnification(depth)
+    share = np.log(shown / low) / np.log(high / low)
+    colours = cv2.applyColorMap(np.rint(255 * share).astype(np.uint8), cv2.COLORMAP_TURBO)[:, :, ::-1]
+    figures = {
+        "lenses": f"{len(depth)}, preset {depth.preset}",
+        "modes": ", ".join(
+            f"{name} {float(np.mean(depth.mode == code)):.1%}"
+            for code, name in ((1, "telescopic"), (-1, "binocular"), (0, "unresolved"))
+        ),
+    }
+    if known.size:
+        figures["magnification"] = f"{known.min():.2f} to {known.max():.2f}, median {np.median(known):.2f}"
+        figures["standard error of s"] = f"{np.median(depth.standard_error[depth.mode != 0]):.2g} px (median)"
+    if depth.saved:
+        figures["saved"] = ", ".join(f"{name} {part:.0%}" for name, part in depth.saved.items())
+    return notebook.card("DepthMap", figures, notebook.thumbnail(colours, "magnification over the scene"))
+
+
+def rendering_card(rendering: Rendering) -> str:
+    """HTML with a picture and its key figures."""
+    height, width = rendering.image.shape[:2]
+    figures = {
+        "picture": f"{width} x {height} px, {rendering.image.dtype}",
+        "scale": f"{rendering.scale:.2f} px per pitch",
+        "seen by lenses": f"{float(np.mean(rendering.valid)):.1%}",
+    }
+    return notebook.card("Rendering", figures, notebook.thumbnail(rendering.image, "rendered picture", rendering.white))
+
+
+def plot_depth(depth: DepthMap, ax: Any = None) -> Any:
+    """`DepthMap.plot`."""
+    ax = notebook.axes(ax)
+    from matplotlib.colors import LogNorm
+
+    shown, low, high = _magnification(depth)
+    surface = depth.surface
+    left, top = (first - surface.spacing / 2 for first in surface.first)
+    extent = (left, left + shown.shape[1] * surface.spacing, top + shown.shape[0] * surface.spacing, top)
+    drawn = ax.imshow(shown, extent=extent, norm=LogNorm(low, high), cmap="turbo", interpolation="nearest")
+    ax.figure.colorbar(drawn, ax=ax, label="magnification M")
+    ax.set(xlabel="x [flat px]", ylabel="y [flat px]", title="Magnification")
+    return ax
+
+
+def plot_rendering(rendering: Rendering, ax: Any = None) -> Any:
+    """`Rendering.plot`."""
+    ax = notebook.axes(ax)
+    image = rendering.image
+    if image.dtype.kind == "u":
+        image = image / np.float32(rendering.white or np.iinfo(image.dtype).max)
+    height, width = image.shape[:2]
+    corners = rendering.affine @ [[-0.5, width - 0.5], [-0.5, height - 0.5], [1.0, 1.0]]
+    extent = (corners[0, 0], corners[0, 1], corners[1, 1], corners[1, 0])
+    ax.imshow(np.clip(np.squeeze(image), 0, 1), extent=extent, cmap="gray", vmin=0, vmax=1)
+    ax.set(xlabel="x [flat px]", ylabel="y [flat px]", title=f"{rendering.scale:.1f} px per pitch")
+    return ax
+
+
+def napari_layers(
+    flat: ArrayLike | None = None,
+    calibration: Calibration | None = None,
+    depth: DepthMap | None = None,
+    rendering: Rendering | None = None,
+) -> list[tuple[Any, dict[str, Any], str]]:
+    """What is given, as layers that lie on each other in napari.
+
+    Add them by `for layer in napari_layers(...): viewer.add_layer(napari.layers.Layer.create(*layer))`.
+    All share the flat's pixels as coordinates, order `y, x`.
+
+    Parameters
+    ----------
+    flat : (H, W) or (H, W, 3) array_like, optional
+    calibration : Calibration, optional
+        Its centres become points.
+    depth : DepthMap, optional
+        Its magnification over the scene becomes an image.
+    rendering : Rendering, optional
+
+    Returns
+    -------
+    list of (data, keywords, type)
+        napari's layer data tuples; napari itself need not be installed.
+    """
+    layers: list[tuple[Any, dict[str, Any], str]] = []
+    if flat is not None:
+        pixels = np.asarray(flat)
+        layers.append((pixels, {"name": "flat", "rgb": pixels.ndim == 3}, "image"))
+    if rendering is not None:
+        image = np.squeeze(rendering.image)
+        place = {"scale": rendering.affine[[1, 0], [1, 0]], "translate": rendering.affine[[1, 0], 2]}
+        layers.append((image, {"name": "rendering", "rgb": image.ndim == 3, **place}, "image"))
+    if depth is not None:
+        shown, low, high = _magnification(depth)
+        surface = depth.surface
+        place = {"scale": np.full(2, surface.spacing), "translate": np.array(surface.first[::-1])}
+        looks = {"colormap": "turbo", "contrast_limits": (low, high), "opacity": 0.5}
+        layers.append((shown, {"name": "magnification", **looks, **place}, "image"))
+    if calibration is not None:
+        look = {"size": 3, "face_color": "cyan", "name": "centres"}
+        layers.append((calibration.lattice.centres()[:, ::-1], look, "points"))
+    return layers
+
+
+def _magnification(depth: DepthMap) -> tuple[NDArray[np.float32], float, float]:
+    """Magnification on the grid of the surface, clipped to the range of nearly all of it, and that range."""
+    size = np.abs(depth.surface.patch_size)
+    whole = depth.pitch / np.maximum(size, 1e-3 * depth.pitch)
+    low, high = (float(value) for value in np.percentile(whole, (1, 99)))
+    high = max(high, 1.2 * low)
+    return np.clip(whole, low, high), low, high

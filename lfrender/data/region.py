@@ -1,0 +1,125 @@
+"""A part of a flat analysed alone, and its answer put back among all lenses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Lattice
+
+from ..flat.grey_flat import GrayFlat
+from ..flat.lens_graph import lens_grid
+from ..runtime.cache import latest
+from .depth_map import DepthMap
+from .surface import Surface
+
+__all__ = ["check_region", "embed", "lattice_of", "lenses_in", "part_of", "scaled"]
+
+# Lenses this many pitches outside support those inside: as far as shading is taken to be common.
+_AROUND = 4.5
+# Parts end at multiples of so many pitches: that of the next frame is most often the same.
+_STEP = 1.0
+_NOT_ANALYSED = 4
+
+
+def check_region(roi: tuple[float, float, float, float], lattice: Lattice) -> tuple[float, float, float, float]:
+    """Four finite numbers `x0 < x1`, `y0 < y1` that overlap the flat, or a ValueError that says what is wrong."""
+    try:
+        x0, y0, x1, y1 = (float(v) for v in roi)
+    except (TypeError, ValueError):
+        raise ValueError(f"roi must be four numbers x0, y0, x1, y1 [px], got {roi!r}") from None
+    width, height = lattice.image_size
+    if not all(map(math.isfinite, (x0, y0, x1, y1))) or x0 >= x1 or y0 >= y1:
+        raise ValueError(f"roi must have x0 < x1 and y0 < y1, got {roi!r}")
+    if x1 < 0 or y1 < 0 or x0 >= width or y0 >= height:
+        raise ValueError(f"roi {roi!r} lies outside the flat of {width} x {height} px")
+    return x0, y0, x1, y1
+
+
+def lenses_in(roi: tuple[float, float, float, float], lattice: Lattice) -> NDArray[np.bool_]:
+    """(n,) bool: lenses with their centre inside `x0, y0, x1, y1` [px]; a ValueError where there is none."""
+    centres = lattice.centres()
+    inside = np.asarray(((centres >= roi[:2]) & (centres <= roi[2:])).all(1), bool)
+    if not inside.any():
+        raise ValueError(f"no microlens has its centre in roi {roi!r}: make it larger than the pitch")
+    return inside
+
+
+def part_of(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tuple[GrayFlat, Lattice]:
+    """The part of a flat that shows the lenses `inside` and those around them, and its lattice, in its own pixels."""
+    centres = lattice.centres()[inside]
+    size = np.array(lattice.image_size)
+    around, step = _AROUND * lattice.pitch, int(np.ceil(_STEP * lattice.pitch))
+    low = np.maximum(0, np.floor((centres.min(0) - around) / step) * step).astype(int)
+    high = np.minimum(size, np.ceil((centres.max(0) + around) / step) * step + 1).astype(int)
+    sub = latest(lattice, "part", (*low.tolist(), *high.tolist()), lambda: lattice_of(lattice, low, high))
+    image = np.ascontiguousarray(gray.image[low[1] : high[1], low[0] : high[0]])
+    kinds = None
+    if gray.kinds is not None:
+        grid, first = lens_grid(lattice)
+        i, j = (np.rint(lattice.to_index(sub.centres() + low)).astype(int) - first).T
+        kinds = gray.kinds[grid[j, i]]
+    return replace(gray, image=image, centres=sub.centres().astype(np.float32), kinds=kinds), sub
+
+
+def lattice_of(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int64]) -> Lattice:
+    """The lattice of the part of a flat from the pixel `low` (2,) to before `high` (2,), in its own pixels."""
+    distortion = lattice.distortion
+    if distortion is not None:
+        middle = None if distortion.middle is None else distortion.middle - low
+        distortion = replace(distortion, centre=distortion.centre - low, middle=middle)
+    width, height = (high - low).tolist()
+    return Lattice(lattice.origin - low, lattice.basis, (width, height), lattice.radius, distortion)
+
+
+def embed(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArray[np.bool_]) -> DepthMap:
+    """The depth of a part as that of the whole flat, whose lenses are not analysed but for those `inside`.
+
+    The surface stays that of the part: readers take its nearest value beyond its border.
+    """
+    n, rows = len(lattice), _rows_of(sub, lattice)
+    patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
+    confidence, reason = np.zeros(n, np.float32), np.full(n, _NOT_ANALYSED, np.int8)
+    chosen = inside[rows]
+    drawn = np.full(n, np.median(depth.drawn[chosen]), np.float32)
+    for whole, part in (
+        (patch_size, depth.patch_size),
+        (error, depth.standard_error),
+        (confidence, depth.confidence),
+        (reason, depth.reason),
+        (drawn, depth.drawn),
+    ):
+        whole[rows[chosen]] = part[chosen]
+    corner = lattice.origin - sub.origin
+    first = (depth.surface.first[0] + float(corner[0]), depth.surface.first[1] + float(corner[1]))
+    return DepthMap(
+        patch_size, error, confidence, drawn, Surface(depth.surface.patch_size, first, depth.surface.spacing),
+        lattice.pitch, lattice.image_size, depth.preset, reason, {**depth.saved, "roi": 1 - float(inside.mean())},
+    )  # fmt: skip
+
+
+def _rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
+    """(m,) rows in `lattice` of the lenses of a part of it."""
+    grid, low = lens_grid(lattice)
+    i, j = (sub.indices() - low).T
+    return grid[j, i]
+
+
+def scaled(depth: DepthMap, lattice: Lattice, factor: float, saved: dict[str, float] | None = None) -> DepthMap:
+    """The depth of the same lenses in pixels `factor` times as small, `lattice` being in those.
+
+    `saved` is what has been saved if that is something else.
+    """
+    first_x, first_y = ((x + 0.5) * factor - 0.5 for x in depth.surface.first)
+    surface = Surface(
+        (depth.surface.patch_size * np.float32(factor)), (first_x, first_y), depth.surface.spacing * factor
+    )
+    return replace(
+        depth, patch_size=depth.patch_size * np.float32(factor),
+        standard_error=depth.standard_error * np.float32(factor), drawn=depth.drawn * np.float32(factor),
+        surface=surface, pitch=lattice.pitch, image_size=lattice.image_size,
+        saved=depth.saved if saved is None else saved,
+    )  # fmt: skip

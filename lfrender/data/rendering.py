@@ -1,0 +1,57 @@
+"""A rendered picture and where its pixels lie on the microlens plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Rendering"]
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """A picture drawn from a flat.
+
+    Parameters
+    ----------
+    image : (h, w) or (h, w, C) array
+        Of the flat's dtype and number of channels; 0 where nothing was seen.
+    affine : (2, 3) float64
+        From output pixel `(u, v, 1)` to scene coordinates `X` of GEOMETRY.md [flat px].
+    valid : (h, w) bool
+        Pixels that at least one lens has seen.
+    scale : float
+        Output pixels per microlens pitch, `P`.
+    white : float, optional
+        What is white in whole numbers, where that is less than the largest that their type holds.
+    """
+
+    image: NDArray
+    affine: NDArray[np.float64]
+    valid: NDArray[np.bool_]
+    scale: float
+    white: float | None = None
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the picture over scene coordinates.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            By default the current one (`pip install 'lfrender[plots]'`).
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        from .plots import plot_rendering
+
+        return plot_rendering(self, ax)
+
+    def _repr_html_(self) -> str:
+        from .plots import rendering_card
+
+        return rendering_card(self)

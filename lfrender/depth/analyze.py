@@ -1,0 +1,110 @@
+"""Depth of a flat: signed patch size of every microlens, from nothing but its neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from numpy.typing import NDArray
+
+from lfcal import Calibration, Lattice
+
+from ..data.depth_map import DepthMap
+from ..data.region import check_region, embed, lenses_in, part_of, scaled
+from ..flat.grey_flat import GrayFlat, gray_flat, shrunk
+from ..flat.lens_graph import lens_halves
+from ..flat.texture import noise_of, quick_statistics, untouched_texture
+from ..flat.validation import check_flat
+from .level_depth import plane_scene
+from .matching.matcher import PRESETS
+from .matching.shortcuts import Shortcuts
+from .pipeline import lens_by_lens
+from .planes.detection import find_plane
+from .validity.textureless import skipped_lenses
+
+__all__ = ["PRESETS", "analyze", "analyzed", "working"]
+
+
+def analyze(
+    flat: NDArray,
+    calibration: Calibration,
+    preset: str = "balanced",
+    *,
+    skip: bool | Iterable[str] = True,
+    roi: tuple[float, float, float, float] | None = None,
+    previous: tuple[NDArray, DepthMap] | None = None,
+) -> DepthMap:
+    """Estimate the signed patch size, mode and magnification of every microlens.
+
+    Neighbouring microimages are correlated over all signed shifts at once (Lumsdaine and Georgiev
+    2008, sections 4 to 6: telescopic and binocular differ only in the sign), lenses support each
+    other along the lattice, and the best shift is refined on the pixels of every pair, to a plane through each lens.
+
+    Parameters
+    ----------
+    flat : (H, W) or (H, W, C) array
+        Raw capture; integers are taken relative to the `white_level` of the camera or the range of their type, floats
+        to 1.
+    calibration : Calibration
+        Of the same image size.
+    preset : {"fast", "balanced", "accurate"}
+        How much time to spend.
+    skip : bool or names
+        Shortcuts to take: True all, False none (the exhaustive search), or some of `"blank"`, `"ranges"`, `"plane"`,
+        `"still"`, `"steady"` (see `Shortcuts`). `DepthMap.saved` tells what they have saved.
+    roi : (x0, y0, x1, y1), optional [px]
+        Only lenses with their centre in this part of the flat are analysed; the others are unresolved.
+    previous : (flat, DepthMap), optional
+        An earlier frame of the same camera and exposure, and its answer with the same preset: lenses that show
+        the same there as now, and whose neighbours do, keep it; so do lenses that move, but still match at their
+        depth. Over many frames with slow changes give the frame that was analysed, not the last one, or changes
+        smaller than the noise add up.
+
+    Returns
+    -------
+    DepthMap
+
+    Raises
+    ------
+    FlatError
+        If `flat` is not a picture of finite numbers, or the earlier flat is of another kind.
+    CalibrationError
+        If `calibration` was made for another image size.
+    ValueError
+        If an option has no meaning, or no lens lies in `roi`.
+    """
+    if preset not in PRESETS:
+        raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
+    shortcuts = Shortcuts.of(skip)
+    flat = check_flat(flat, calibration)
+    lattice = calibration.lattice
+    inside = None if roi is None else lenses_in(check_region(roi, lattice), lattice)
+    if previous is not None and shortcuts.still:
+        if inside is not None:
+            raise ValueError("give either roi or previous, not both")
+        from .following import following
+
+        return following(flat, calibration, preset, shortcuts, *previous)
+    gray, small, factor = working(flat, calibration, preset)
+    if inside is None:
+        return scaled(analyzed(gray, small, preset, shortcuts), lattice, factor)
+    part, sub = part_of(gray, small, inside)
+    return scaled(embed(analyzed(part, sub, preset, shortcuts), sub, small, inside), lattice, factor)
+
+
+def working(flat: NDArray, calibration: Calibration, preset: str) -> tuple[GrayFlat, Lattice, int]:
+    """The flat as the preset analyses it, its lattice, and how many of its pixels each way have become one."""
+    factor = PRESETS[preset].factor(calibration.lattice.pitch)
+    return gray_flat(flat, calibration, factor), shrunk(calibration.lattice, factor), factor
+
+
+def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts) -> DepthMap:
+    """The depth of a flat of which nothing is known."""
+    plain = quick_statistics(gray)
+    raw_noise = noise_of(plain.roughness)
+    if shortcuts.plane:
+        texture = untouched_texture(gray, plain, raw_noise)
+        found = find_plane(texture, lattice.indices(), *lens_halves(lattice), PRESETS[preset])
+        if found is not None:
+            return plane_scene(found, gray, lattice, preset, {"plane": 1 - found.sampled})
+    blank = skipped_lenses(gray, lattice, plain, PRESETS[preset], raw_noise) if shortcuts.blank else None
+    return lens_by_lens(gray, lattice, preset, shortcuts, plain, blank)[0]

@@ -1,0 +1,270 @@
+"""The depth of a frame after another: what lenses that show the same, or the same depth, need not be asked again."""
+
+from __future__ import annotations
+
+import weakref
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration, FlatError, Lattice, OutputError, whole_file
+
+from ..data.depth_map import DepthMap
+from ..data.region import scaled
+from ..flat.grey_flat import GrayFlat
+from ..flat.lens_graph import beside, grown, lens_halves, neighbour_rows
+from ..flat.texture import LensStatistics, quick_statistics, untouched_texture
+from ..flat.validation import check_flat
+from ..runtime.cache import remembered
+from .matching.matcher import PRESETS, Matcher
+from .matching.shortcuts import Shortcuts
+from .pipeline import lens_by_lens
+from .sequence import changed_lenses
+from .validity.textureless import skipped_lenses
+
+__all__ = ["changed_since", "following", "load_comparison", "save_comparison"]
+
+# Brightness of flats of no more bytes than this is kept until the next frame.
+_MOST_KEPT = 1 << 25
+# A lens still shows its depth where it matches there no worse than it did, by this much, and the best match about it
+# has not moved to one side by the second number [px of the search] and so many standard errors of one pair, neither
+# there nor in so many lenses beside it.
+_WORSE, _MOVED, _SURELY, _TOGETHER = 0.15, 0.1, 4.0, 2
+# Beside one that may not, it is not asked again either where it is worse and has moved by less than this share of that.
+_HARDLY = 0.25
+
+
+def following(
+    flat: NDArray, calibration: Calibration, preset: str, shortcuts: Shortcuts, earlier: NDArray, before: DepthMap
+) -> DepthMap:
+    """The depth of a frame after another: only lenses that show something else, or whose neighbours do, are new.
+
+    Parameters
+    ----------
+    flat : (H, W, C) array
+        Checked already.
+    calibration, preset
+        As for `analyze`.
+    shortcuts : Shortcuts
+    earlier : array
+        The earlier frame.
+    before : DepthMap
+        Its depth.
+
+    Raises
+    ------
+    FlatError
+        If the frames are not of one kind.
+    ValueError
+        If the earlier depth is of another camera or preset.
+    """
+    # That module calls this one.
+    from .analyze import analyzed, working
+
+    lattice = calibration.lattice
+    earlier = check_flat(earlier, calibration)
+    if earlier.shape != flat.shape or earlier.dtype != flat.dtype:
+        kinds = " and ".join(f"{a.shape[2]} x {a.dtype}" for a in (earlier, flat))
+        raise FlatError(f"both frames must have the same channels and type, they have {kinds}")
+    if len(before) != len(lattice) or before.preset != preset:
+        raise ValueError("the earlier depth map was made with another camera or preset; analyze without previous")
+    neighbours = neighbour_rows(lattice, lattice.steps)
+    changed = changed_lenses(earlier, flat, calibration)
+    kept = ~grown(changed, neighbours)
+    saved = {"still": float(kept.mean())}
+    if kept.all():
+        after = _noted(replace(before, saved=saved), before, changed)
+        remembered(after, "kept probe", lambda: _kept_probe(before))
+        return after
+    gray, small, factor = working(flat, calibration, preset)
+    plain = quick_statistics(gray)
+    then = None
+    if shortcuts.steady:
+        then = remembered(
+            before, "probe", lambda: _first_probe(*_frame_of(before, earlier, calibration), small, before, factor)
+        )
+        # What shows the same matches as it did.
+        probe = _probe(gray, small, plain, before, factor, kept).but(then, kept)
+        told = (before.reason == 0) & probe.textured
+        unsteady, doubtful = _unsteady(then, probe, told, before.reason, neighbours)
+        unsteady &= ~kept
+        kept |= ~(unsteady | (doubtful & grown(unsteady, neighbours)))
+        saved["steady"] = float(kept.mean()) - saved["still"]
+        if kept.all():
+            return _noted(replace(before, saved=saved), before, changed, then)
+    if not kept.any():
+        return _noted(scaled(analyzed(gray, small, preset, shortcuts), lattice, factor), before, changed)
+    asked = grown(grown(~kept, neighbours), neighbours)
+    blank = skipped_lenses(gray, small, plain, PRESETS[preset], asked=asked) if shortcuts.blank else None
+    depth, _ = lens_by_lens(gray, small, preset, shortcuts, plain, blank, kept, scaled(before, small, 1 / factor))
+    after = scaled(depth, lattice, factor, {**depth.saved, **saved})
+    if gray.image.nbytes <= _MOST_KEPT:
+        # The strips that were cut out of it stay as well.
+        _latest_frame(calibration)[:] = [(weakref.ref(after), gray, plain)]
+    return _noted(after, before, changed, then, kept)
+
+
+def _latest_frame(calibration: Calibration) -> list[tuple[weakref.ref[DepthMap], GrayFlat, LensStatistics]]:
+    """Of the frame that was analysed last after another: its depth map, brightness and the statistics of that."""
+    return remembered(calibration, "latest frame", list)
+
+
+def _frame_of(depth: DepthMap, flat: NDArray, calibration: Calibration) -> tuple[GrayFlat, LensStatistics]:
+    """Brightness of the frame that a depth map belongs to, and the statistics of that."""
+    from .analyze import working
+
+    with suppress(IndexError):
+        # Frames mostly follow each other. No two threads may cut strips out of the same brightness.
+        of, gray, plain = _latest_frame(calibration).pop()
+        if of() is depth:
+            return gray, plain
+    gray = working(flat, calibration, depth.preset)[0]
+    return gray, quick_statistics(gray)
+
+
+@dataclass(frozen=True)
+class _Probe:
+    """How lenses match at and about the depth they had.
+
+    Parameters
+    ----------
+    cost : (n,) float32
+        At that depth.
+    offset : (n,) float32 [px of the search]
+        From there to the least cost.
+    error : (n,) float32 [px of the search]
+        Standard error of that for one pair.
+    clear, textured : (n,) bool
+        Lenses with texture, and with any that a match may tell from noise.
+    """
+
+    cost: NDArray[np.float32]
+    offset: NDArray[np.float32]
+    error: NDArray[np.float32]
+    clear: NDArray[np.bool_]
+    textured: NDArray[np.bool_]
+
+    def but(self, other: _Probe, where: NDArray[np.bool_]) -> _Probe:
+        """This one, but for some lenses, which are as in another."""
+        return _Probe(*(np.where(where, getattr(other, f.name), getattr(self, f.name)) for f in fields(_Probe)))
+
+
+def _first_probe(gray: GrayFlat, plain: LensStatistics, lattice: Lattice, depth: DepthMap, factor: int) -> _Probe:
+    """The probe of the frame that a depth belongs to.
+
+    Lenses that have kept their depth from a frame before are compared with that one for good, or many small changes
+    would pass.
+    """
+    then, kept = _kept_probe(depth)
+    probe = _probe(gray, lattice, plain, depth, factor, kept)
+    return probe if then is None or kept is None else probe.but(then, kept)
+
+
+def _kept_probe(depth: DepthMap) -> tuple[_Probe | None, NDArray[np.bool_] | None]:
+    """The probe that lenses are compared with which have kept their depth from a frame before, and which these are."""
+    return remembered(depth, "kept probe", lambda: (None, None))
+
+
+def save_comparison(depth: DepthMap, path: Path) -> None:
+    """Save what later frames are compared with where lenses have kept their `depth` from frame to frame.
+
+    Without it, changes that are small from one frame to the next would pass for good once that was loaded from a file.
+    """
+    then, kept = _kept_probe(depth)
+    if then is not None and kept is not None:
+        with whole_file(path) as temporary, temporary.open("wb") as file:
+            np.savez(file, kept=kept, **{f.name: getattr(then, f.name) for f in fields(_Probe)})
+
+
+def load_comparison(depth: DepthMap, path: Path) -> None:
+    """Have later frames compared with what was saved of a `depth` that comes from a file itself, if anything was.
+
+    Raises
+    ------
+    OutputError
+        If the file is damaged.
+    """
+    if not path.exists():
+        return
+    try:
+        with np.load(path) as file:
+            then = _Probe(*(file[f.name] for f in fields(_Probe)))
+            remembered(depth, "kept probe", lambda: (then, file["kept"]))
+    except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
+        raise OutputError(f"{path}: damaged ({error}); render everything anew (--overwrite)") from error
+
+
+def _probe(
+    gray: GrayFlat,
+    lattice: Lattice,
+    plain: LensStatistics,
+    depth: DepthMap,
+    factor: int,
+    known: NDArray[np.bool_] | None = None,
+) -> _Probe:
+    """Match every lens at what is drawn of it in `depth`, in pixels `factor` times as small.
+
+    Lenses that are `known` are matched for the others only.
+    """
+    texture = untouched_texture(gray, plain)
+    matcher = Matcher(texture, *lens_halves(lattice), PRESETS[depth.preset])
+    textured = texture.clear | texture.faint
+    about = (depth.drawn / np.float32(factor * matcher.factor)).astype(np.float32)
+    active = textured if known is None else textured & ~known
+    return _Probe(*matcher.probe(active, about), texture.clear, textured)
+
+
+def _unsteady(
+    then: _Probe,
+    now: _Probe,
+    told: NDArray[np.bool_],
+    reason: NDArray[np.int8],
+    neighbours: NDArray[np.int32],
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Lenses whose depth may be another one: they match worse there, or better beside it, together with others.
+
+    Of those without an answer, those that now carry texture, or match where they are drawn. And those that are in doubt
+    if one beside them is of these.
+    """
+    moved = now.offset - then.offset
+    found = told & (now.cost > then.cost + _WORSE)
+    found |= (reason == 0) & then.textured & ~now.textured
+    found |= (reason != 0) & now.textured & (now.cost < then.cost - _WORSE)
+    found |= (reason == 1) & now.clear & ~then.clear
+    least = np.maximum(_MOVED, np.float32(_SURELY) * np.hypot(then.error, now.error))
+    for side in (-1, 1):
+        found |= beside(told & (side * moved > least), neighbours) >= _TOGETHER
+    doubtful = ~told | (now.cost > then.cost + _HARDLY * _WORSE) | (np.abs(moved) > np.float32(_HARDLY) * least)
+    return np.asarray(found), np.asarray(doubtful)
+
+
+def _noted(
+    after: DepthMap,
+    before: DepthMap,
+    changed: NDArray[np.bool_],
+    then: _Probe | None = None,
+    kept: NDArray[np.bool_] | None = None,
+) -> DepthMap:
+    """`after`, with notes for `changed_since` and for the frame that follows it."""
+    reference = weakref.ref(before)
+    remembered(after, "changed", lambda: (reference, changed))
+    if then is not None and kept is None:
+        remembered(after, "probe", lambda: then)
+        kept = np.ones(len(changed), bool)
+    if then is not None:
+        remembered(after, "kept probe", lambda: (then, kept))
+    return after
+
+
+def changed_since(
+    before: DepthMap, after: DepthMap, earlier: NDArray, flat: NDArray, calibration: Calibration
+) -> NDArray[np.bool_]:
+    """(n,) bool: lenses that show something else in `flat` than in the `earlier` one, as known from the analysis."""
+    reference, changed = remembered(after, "changed", lambda: (None, None))
+    if reference is not None and changed is not None and reference() is before:
+        return changed
+    return changed_lenses(earlier, flat, calibration)

@@ -1,0 +1,175 @@
+"""Agreement between neighbouring lenses: semi-global matching on the lattice."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from lfcal.runtime.fastmath import FAST
+
+from ...runtime.cache import remembered
+
+__all__ = ["aggregate", "lens_costs"]
+
+# Vector loops take so many labels at a time.
+_LANES = 16
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _lens_costs(pair, forward, backward, lenses, out):
+    """Mean pair cost of each of the `lenses` over all neighbours that it has."""
+    half = forward.shape[1]
+    for n in prange(len(out)):
+        lens, count = lenses[n], 0
+        for k in range(out.shape[1]):
+            out[n, k] = 0.0
+        for d in range(half):
+            if forward[lens, d] >= 0:
+                count += 1
+                for k in range(out.shape[1]):
+                    out[n, k] += pair[lens, d, k]
+            other = backward[lens, d]
+            if other >= 0:
+                count += 1
+                for k in range(out.shape[1]):
+                    out[n, k] += pair[other, d, k]
+        for k in range(out.shape[1]):
+            out[n, k] = out[n, k] / count if count else 1.0
+
+
+def lens_costs(
+    pair: NDArray[np.float32],
+    forward: NDArray[np.int32],
+    backward: NDArray[np.int32],
+    wanted: NDArray[np.bool_] | None = None,
+) -> NDArray[np.float32]:
+    """(m, k) float32 cost of each of the `wanted` (n,) lenses, all by default, and shift: the mean over its pairs with
+    all neighbours."""
+    lenses = np.arange(len(pair)) if wanted is None else np.flatnonzero(wanted)
+    out = np.empty((len(lenses), pair.shape[2]), np.float32)
+    _lens_costs(pair, forward, backward, lenses, out)
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _nearer(message, other, places, shift, price):
+    """Each message, or what one that many labels beside it costs with the `price`, in `other`."""
+    here, left, right = np.uint64(_LANES), np.uint64(_LANES - shift), np.uint64(_LANES + shift)
+    for k in range(np.uint64(places)):
+        other[here + k] = min(message[here + k], min(message[left + k], message[right + k]) + price)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _walk(cost, chain, slope, jump, total):
+    """One path of semi-global matching along the lenses of `chain`, added to `total`.
+
+    The least of all messages with the slope to them is found in steps of 1, 2, 4, ... labels: all labels at once, where
+    one after the other each would wait for that before it.
+    """
+    labels, first = cost.shape[1], np.uint64(_LANES)
+    places = (labels + _LANES - 1) // _LANES * _LANES
+    # Beyond the labels nothing is near.
+    message, other = np.full(places + 2 * _LANES, np.inf, np.float32), np.full(places + 2 * _LANES, np.inf, np.float32)
+    lows = np.empty(_LANES, np.float32)
+    for k in range(np.uint64(labels)):
+        message[first + k] = 0.0
+    reach = min(labels - 1, int(jump / slope) + 1)
+    for step in range(len(chain)):
+        own, summed = cost[chain[step]], total[chain[step]]
+        for k in range(np.uint64(labels)):
+            message[first + k] += own[k]
+            summed[k] += message[first + k]
+        lows[:] = np.inf
+        for k in range(labels, places):
+            message[_LANES + k] = np.inf
+        for bunch in range(_LANES, _LANES + places, _LANES):
+            for k in range(first):
+                lows[k] = min(lows[k], message[np.uint64(bunch) + k])
+        low = lows[0]
+        for k in range(1, _LANES):
+            low = min(low, lows[k])
+        for k in range(np.uint64(places)):
+            message[first + k] = min(message[first + k] - low, jump)
+        covered, shift = 0, 1
+        while covered < reach:
+            _nearer(message, other, places, shift, np.float32(shift) * slope)
+            message, other = other, message
+            covered, shift = covered + shift, min(2 * shift, _LANES)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _walk_all(cost, chains, starts, slope, jump, wanted, total):
+    for c in prange(len(starts) - 1):
+        some = False
+        for k in range(starts[c], starts[c + 1]):
+            some = some or wanted[chains[k]]
+        if not some:
+            continue
+        _walk(cost, chains[starts[c] : starts[c + 1]], slope, jump, total)
+
+
+_Chains = tuple[NDArray[np.int32], NDArray[np.int64]]
+
+
+def _all_chains(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> list[_Chains]:
+    """`_chains` in all directions and their opposites."""
+    pairs = [(forward[:, d], backward[:, d]) for d in range(forward.shape[1])]
+    return [_chains(*turned) for pair in pairs for turned in (pair, pair[::-1])]
+
+
+@njit(cache=True, nogil=True)
+def _follow(following, before, order, starts):
+    """Fill `order` with all straight rows of lenses, one after the other, `starts` with where each begins."""
+    count = chains = 0
+    for first in range(len(following)):
+        if before[first] >= 0:
+            continue
+        starts[chains] = count
+        chains += 1
+        lens = first
+        while lens >= 0:
+            order[count] = lens
+            count += 1
+            lens = following[lens]
+    starts[chains] = count
+    return chains
+
+
+def _chains(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> _Chains:
+    """All straight rows of lenses in one lattice direction, one after the other, and where each starts."""
+    order, starts = np.empty(len(forward), np.int32), np.empty(len(forward) + 1, np.int64)
+    chains = _follow(np.ascontiguousarray(forward), np.ascontiguousarray(backward), order, starts)
+    return order, starts[: chains + 1].copy()
+
+
+def aggregate(
+    cost: NDArray[np.float32],
+    forward: NDArray[np.int32],
+    backward: NDArray[np.int32],
+    slope: float,
+    jump: float,
+    wanted: NDArray[np.bool_] | None = None,
+) -> NDArray[np.float32]:
+    """Sum of path costs from all lattice directions (Hirschmueller, Semi-Global Matching, 2008, section 2.2).
+
+    Parameters
+    ----------
+    cost : (n, k) float32
+        Cost of each lens at each of k evenly spaced shifts.
+    forward, backward : (n, d) int32
+        Neighbour rows in `d` directions and in their opposites, -1 where there is none.
+    slope : float
+        Price of a step of one shift between neighbours.
+    jump : float
+        Largest price between neighbours: a depth edge.
+    wanted : (n,) bool, optional
+        Lenses whose sums are asked for; those of others may lack paths.
+    """
+    wanted = np.ones(len(cost), bool) if wanted is None else wanted
+    total = np.zeros_like(cost)
+    # Rows of lenses belong to the lattice, and neighbour rows live as long as that.
+    found, other = remembered(forward, "chains", lambda: (_all_chains(forward, backward), backward))
+    for chains, starts in found if other is backward else _all_chains(forward, backward):
+        _walk_all(cost, chains, starts, np.float32(slope), np.float32(jump), wanted, total)
+    return total

@@ -1,0 +1,262 @@
+"""What each microimage pixel sees: the surface carried into every lens, nearer places hiding farther ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from threading import local
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from lfcal import Lattice
+from lfcal.runtime.fastmath import FAST, square
+
+from ...data.surface import Surface, mark_changes
+from ...runtime.buffers import scratch
+from ...runtime.scheduling import coprime_stride
+
+__all__ = ["lens_depths"]
+
+# A lattice, and what else is the same from frame to frame: `reach`, `edge` and `part`.
+_Settings = tuple[Lattice, float, float, tuple[int, int, int, int] | None]
+
+# Side of the squares of grid values whose range is known: where lenses see no edge in these, none looks at the values.
+_SQUARE = 4
+# What is left free between two lenses to each side [px]: more than rounding of their centres.
+_APART = 0.01
+# Height of the bands of a flat that one thread works on, one after the other, in pitches.
+_BAND = 2
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def nearness(s, pitch):
+    """Grows toward the camera: telescopic places first, then through the microlenses to binocular ones.
+
+    With the image at a = D * b / s in front of the microlenses (GEOMETRY.md), nearer objects have their
+    image farther back: s rises from 0 to D, goes on at -D behind the microlenses, and rises to 0 again.
+    """
+    return s if s > 0 else s + 2 * pitch
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _ranges(surface, lows, highs):
+    """Fill `lows` and `highs` with the least and largest value of each square of the surface."""
+    for v in prange(lows.shape[0]):
+        for u in range(lows.shape[1]):
+            square = surface[v * _SQUARE : (v + 1) * _SQUARE, u * _SQUARE : (u + 1) * _SQUARE]
+            low = high = square[0, 0]
+            for y in range(square.shape[0]):
+                for x in range(square.shape[1]):
+                    low, high = min(low, square[y, x]), max(high, square[y, x])
+            lows[v, u], highs[v, u] = low, high
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _level(lows, highs, low_v, high_v, low_u, high_u, edge):
+    """Whether the values of all squares that hold these rows and columns differ by less than an `edge`."""
+    low, high = np.float32(np.inf), np.float32(-np.inf)
+    for v in range(low_v // _SQUARE, high_v // _SQUARE + 1):
+        for u in range(low_u // _SQUARE, high_u // _SQUARE + 1):
+            low, high = min(low, lows[v, u]), max(high, highs[v, u])
+    return high - low < edge
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _enter(
+    surface, lows, highs, first_x, first_y, spacing, centres, lenses, radius, pitch, reach, edge, corner, edged, out
+):  # fmt: skip
+    """Set `out` to the depth of what is seen through some `lenses`, `edged` where they have a depth edge in reach."""
+    rows, columns = surface.shape
+    left, top = corner
+    right, bottom = left + out.shape[1], top + out.shape[0]
+    per_pitch = np.float32(1.0) / pitch
+    for lens in lenses:
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        low_u = max(0, int(np.ceil((cx - reach - first_x) / spacing)))
+        high_u = min(columns - 1, int(np.floor((cx + reach - first_x) / spacing)))
+        low_v = max(0, int(np.ceil((cy - reach - first_y) / spacing)))
+        high_v = min(rows - 1, int(np.floor((cy + reach - first_y) / spacing)))
+        if _level(lows, highs, low_v, high_v, low_u, high_u, edge):
+            edged[lens] = False
+            continue
+        lowest = highest = surface[min(low_v, rows - 1), min(low_u, columns - 1)]
+        farthest = nearness(lowest, pitch)
+        for v in range(low_v, high_v + 1):
+            for u in range(low_u, high_u + 1):
+                lowest = min(lowest, surface[v, u])
+                highest = max(highest, surface[v, u])
+                farthest = min(farthest, nearness(surface[v, u], pitch))
+        edged[lens] = highest - lowest >= edge
+        if not edged[lens]:
+            continue
+        for v in range(low_v, high_v + 1):
+            across_y = np.float32(first_y + v * spacing - cy)
+            for u in range(low_u, high_u + 1):
+                s = surface[v, u]
+                near = nearness(s, pitch)
+                # The farthest surface hides nothing.
+                if near <= farthest + edge:
+                    continue
+                tilt = s * per_pitch
+                dx, dy = -np.float32(first_x + u * spacing - cx) * tilt, -across_y * tilt
+                # The grid value stands for a square of this size in the microimage.
+                half = np.float32(0.5) * abs(tilt) * spacing + np.float32(0.25)
+                if dx * dx + dy * dy > square(radius + half):
+                    continue
+                for y in range(int(np.ceil(cy + dy - half)), int(np.floor(cy + dy + half)) + 1):
+                    for x in range(int(np.ceil(cx + dx - half)), int(np.floor(cx + dx + half)) + 1):
+                        if x < left or y < top or x >= right or y >= bottom:
+                            continue
+                        if (x - cx) * (x - cx) + (y - cy) * (y - cy) > radius * radius:
+                            continue
+                        # True where nothing is known as yet.
+                        if not nearness(out[y - top, x - left], pitch) >= near:
+                            out[y - top, x - left] = s
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _take_out(centres, lenses, radius, corner, edged, out):
+    """Make unknown again what was entered of some lenses that were `edged`."""
+    left, top = corner
+    for lens in lenses:
+        if not edged[lens]:
+            continue
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        first, end = max(int(np.ceil(cx - radius)), left), min(int(np.floor(cx + radius)) + 1, left + out.shape[1])
+        for y in range(max(int(np.ceil(cy - radius)), top), min(int(np.floor(cy + radius)) + 1, top + out.shape[0])):
+            for x in range(first, end):
+                if (x - cx) * (x - cx) + (y - cy) * (y - cy) <= radius * radius:
+                    out[y - top, x - left] = np.nan
+
+
+@njit(cache=True, nogil=True)
+def _banded(centres, chosen, top, tall, order, ends):
+    """Fill `order` with the `chosen` lenses of one band of `tall` rows after the other, each of which `ends` at a place
+    in it."""
+    band = np.empty(len(chosen), np.int64)
+    ends[:] = 0
+    for k in range(len(chosen)):
+        band[k] = min(max(int((centres[chosen[k], 1] - top) / tall), 0), len(ends) - 1)
+        ends[band[k]] += 1
+    for k in range(1, len(ends)):
+        ends[k] += ends[k - 1]
+    for k in range(len(chosen) - 1, -1, -1):
+        ends[band[k]] -= 1
+        order[ends[band[k]]] = chosen[k]
+    ends[:-1], ends[-1] = ends[1:], len(chosen)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _lens_depths(
+    surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, chosen, fresh, edged, out
+):  # fmt: skip
+    """Enter the lenses of rows `chosen` (m,) into `out`, which is filled first where it is `fresh`."""
+    # Depth edges come in clusters. What a thread has filled lies in its caches: there it enters lenses too.
+    tall = max(int(_BAND * pitch), 1)
+    bands = (out.shape[0] + tall - 1) // tall
+    stride = coprime_stride(max(bands, 1))
+    for number in prange(bands if fresh else 0):
+        first = number * stride % bands * tall
+        out[first : first + tall] = np.nan
+    rows, columns = (surface.shape[0] + _SQUARE - 1) // _SQUARE, (surface.shape[1] + _SQUARE - 1) // _SQUARE
+    lows, highs = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
+    _ranges(surface, lows, highs)
+    order, ends = np.empty(len(chosen), np.int64), np.empty(bands, np.int64)
+    _banded(centres, chosen, corner[1], tall, order, ends)
+    for number in prange(bands):
+        band = number * stride % bands
+        lenses = order[ends[band - 1] if band else 0 : ends[band]]
+        if not fresh:
+            _take_out(centres, lenses, radius, corner, edged, out)
+        _enter(
+            surface, lows, highs, first_x, first_y, spacing, centres, lenses, radius, pitch, reach, edge, corner, edged,
+            out,
+        )  # fmt: skip
+
+
+def lens_depths(
+    surface: Surface,
+    lattice: Lattice,
+    reach: float,
+    edge: float,
+    part: tuple[int, int, int, int] | None = None,
+    edged: NDArray[np.bool_] | None = None,
+    purpose: str | None = None,
+    following: bool = False,
+) -> NDArray[np.float32]:
+    """(H, W) float32 [px]: patch size of what each flat pixel sees through its lens.
+
+    NaN where that is unknown, or hides nothing: around lenses with no depth edge in reach, and on the farthest surface
+    that a lens shows.
+
+    Parameters
+    ----------
+    surface : Surface
+    lattice : Lattice
+    reach : float [px]
+        Scene points farther than this from a lens are not looked for in it.
+    edge : float [px]
+        Patch sizes that differ by less belong to one surface.
+    part : (left, top, right, bottom) [px], optional
+        Only these pixels of the flat.
+    edged : (n,) bool, optional
+        Set to whether lenses have a depth edge in reach, False for those that have no such pixel.
+    purpose : str, optional
+        The answer lies in `scratch` memory for this.
+    following : bool
+        Make it from the last answer for that purpose where only the surface is another: nobody has written into it.
+    """
+    left, top, right, bottom = part or (0, 0, *lattice.image_size)
+    shape = (bottom - top, right - left)
+    out = np.empty(shape, np.float32) if purpose is None else scratch(purpose, shape, np.float32)
+    # No two lenses share a pixel, unless the lattice is distorted.
+    radius = min(lattice.radius, float(np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min()) / 2 - _APART)
+    centres = lattice.centres()
+    inside: NDArray[np.bool_] = np.ones(len(centres), bool)
+    if part is not None:
+        near = np.array([left, top]) - radius - 1, np.array([right, bottom]) + radius + 1
+        inside = np.asarray(((centres >= near[0]) & (centres <= near[1])).all(1))
+        centres = centres[inside]
+    places = centres.astype(np.float32)
+    settings = lattice, reach, edge, part
+    before = None if purpose is None else _entered.__dict__.pop(purpose, None)
+    if before is None or not following or not before.leads_to(surface, settings, out):
+        chosen, fresh, found = np.arange(len(places)), True, np.empty(len(places), bool)
+    else:
+        differs = np.zeros(len(places), bool)
+        mark_changes(before.surface, surface, centres, reach + surface.spacing, differs)
+        chosen, fresh, found = np.flatnonzero(differs), False, before.edged
+    _lens_depths(
+        surface.patch_size, np.float32(surface.first[0]), np.float32(surface.first[1]), np.float32(surface.spacing),
+        places, np.float32(radius), np.float32(lattice.pitch), np.float32(reach), np.float32(edge), (left, top), chosen,
+        fresh, found, out,
+    )  # fmt: skip
+    # Lenses that share pixels could not be taken out one by one; what is no view is no scratch memory.
+    if purpose is not None and out.base is not None and lattice.distortion is None:
+        setattr(_entered, purpose, _Entered(surface, settings, found, out))
+    if edged is not None:
+        edged[:] = False
+        edged[inside] = found
+    return out
+
+
+@dataclass(frozen=True)
+class _Entered:
+    """What was entered into scratch memory last."""
+
+    surface: Surface
+    settings: _Settings
+    edged: NDArray[np.bool_]
+    out: NDArray[np.float32]
+
+    def leads_to(self, surface: Surface, settings: _Settings, out: NDArray[np.float32]) -> bool:
+        """Whether what follows, in the same memory, can go on from it."""
+        grids = [(of.patch_size.shape, of.first, of.spacing) for of in (self.surface, surface)]
+        memory = [(of.ctypes.data, of.shape) for of in (self.out, out)]
+        same = settings[0] is self.settings[0] and settings[1:] == self.settings[1:]
+        return same and grids[0] == grids[1] and memory[0] == memory[1]
+
+
+# Of the last frame; frames may be drawn in several threads at once.
+_entered = local()

@@ -1,0 +1,231 @@
+"""Microimages cut out of the flat, each in one strip of memory, and which of their pixels two of them share.
+
+A row of a microimage is too short for the vector instructions of a processor. Cut out with a common width, the rows of
+all lenses follow each other, so that a shift of one microimage against another is one offset along the strip, and one
+long loop compares them. Which pixels count is told by a mask that depends on the whole pixels of the shift alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from lfcal.runtime.fastmath import FAST
+
+from ..runtime.buffers import recycled
+from ..runtime.cache import remembered
+from .grey_flat import GrayFlat
+
+__all__ = ["BUNCH", "Masks", "Strips", "copy_box", "cut_out", "joint_masks", "shared_run"]
+
+# What `joint_masks` returns.
+Masks = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
+
+#: Vector loops take so many values at a time, masked to those that count. Interpolation reads one beyond.
+BUNCH = 64
+_SPARE = BUNCH + 16
+# Centres rounded to pixels lie so much off, on the average of both directions [px].
+_SLACK = 0.25
+
+
+@dataclass(frozen=True)
+class Strips:
+    """Microimages, as strips of one length.
+
+    Row `r` of a microimage is the row `r // step` of part `r % step` of its strip: rows that are read together, every
+    `step`-th of them, follow each other.
+
+    Parameters
+    ----------
+    values : (n * size + spare,) float32
+        Brightness less the mean of the lens, one strip after the other; 0 outside the flat, and after the last.
+    middle : (n, 2) int32 [px]
+        The pixel `x, y` in the middle of each.
+    whole : (n,) bool
+        Microimages that do not reach beyond the flat.
+    done : (n,) bool
+        Microimages that have been cut out.
+    half, width, rows, step, size : int
+        Pixels from the middle to the sides, and from row to row; rows of each part, number of parts, and pixels of all.
+    """
+
+    values: NDArray[np.float32]
+    middle: NDArray[np.int32]
+    whole: NDArray[np.bool_]
+    done: NDArray[np.bool_]
+    half: int
+    width: int
+    rows: int
+    step: int
+
+    @property
+    def size(self) -> int:
+        return self.rows * self.step * self.width
+
+    @property
+    def places(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Column and row of each value of the first part of a strip, from the middle [px]; far off after its end."""
+        return _places(self.half, self.width, self.rows, self.step)
+
+
+@lru_cache(maxsize=8)
+def _places(half: int, width: int, rows: int, step: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    at = np.arange(rows * width)
+    off = np.full(_SPARE, np.inf)
+    columns, lines = (np.append(place - half, off).astype(np.float32) for place in (at % width, at // width * step))
+    return columns, lines
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
+    """Every `step`-th row of the flat's pixels from (left, top) on, one after the other from place `begin` on.
+
+    What lies off the flat is any of its pixels. `pixels` are those of the flat in one line: to make one of it takes
+    longer than to copy the box.
+    """
+    beyond = len(pixels) - wide
+    for row in range(rows):
+        at = (top + row * step) * stride + left
+        into = np.uint64(begin + row * wide)
+        if at < 0 or at > beyond:
+            for k in range(wide):
+                out[into + np.uint64(k)] = pixels[min(max(at + k, 0), len(pixels) - 1)]
+        else:
+            for k in range(np.uint64(wide)):
+                out[into + k] = pixels[np.uint64(at) + k]
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
+def _cut_out(image, middle, whole, means, half, width, rows, step, wanted, done, values):
+    pixels, across = image.reshape(-1), image.shape[1]
+    size = rows * step * width
+    for lens in prange(len(middle)):
+        if done[lens] or not (wanted.size == 0 or wanted[lens]):
+            continue
+        done[lens] = True
+        strip = values[lens * size : (lens + 1) * size]
+        if not whole[lens]:
+            strip[:] = 0.0
+            continue
+        left, top = middle[lens, 0] - half, middle[lens, 1] - half
+        for part in range(step):
+            copy_box(pixels, across, left, top + part, rows, width, strip, part * rows * width, step)
+        mean = means[lens]
+        for k in range(np.uint64(size)):
+            strip[k] -= mean
+    # Vector loops go on into what lies after a strip: that must be some number.
+    for lens in prange(len(middle) if wanted.size > 0 else 0):
+        if wanted[lens]:
+            for k in range((lens + 1) * size, min((lens + 1) * size + _SPARE, len(middle) * size)):
+                if not done[k // size]:
+                    values[k] = 0.0
+
+
+def cut_out(gray: GrayFlat, means: NDArray[np.float32], step: int, wanted: NDArray[np.bool_] | None = None) -> Strips:
+    """Cut out the microimages of `gray`, less the `means` (n,) of each, for reading every `step`-th row.
+
+    Only those that are `wanted` (n,), all by default, and that have not been cut out of this flat for the same means
+    and step before: the same strips are handed out again.
+    """
+    kept: dict[int, tuple[NDArray[np.float32], Strips]] = remembered(gray, "strips", dict)
+    if step not in kept or kept[step][0] is not means:
+        kept[step] = means, _empty_strips(gray, step)
+    strips = kept[step][1]
+    _cut_out(
+        gray.image, strips.middle, strips.whole, means, strips.half, strips.width, strips.rows, step,
+        np.empty(0, bool) if wanted is None else wanted, strips.done, strips.values,
+    )  # fmt: skip
+    return strips
+
+
+def _empty_strips(gray: GrayFlat, step: int) -> Strips:
+    """Strips for all lenses, of which none is cut out."""
+    # Interpolation between pixels of the outermost reads one pixel beyond them, to all sides.
+    half = max(1, int(gray.radius - _SLACK)) + 2
+    width = 2 * half + 1
+    rows = -(-width // step)
+    middle = np.rint(gray.centres).astype(np.int32)
+    inside = (middle >= half) & (middle + half < np.array(gray.image.shape[::-1]))
+    values = recycled((len(middle) * rows * step * width + _SPARE,), np.float32)
+    values[-_SPARE:] = 0.0
+    return Strips(values, middle, inside[:, 0] & inside[:, 1], np.zeros(len(middle), bool), half, width, rows, step)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def shared_run(dx, dy, half, width, step, bunch):
+    """First of the places of a strip that another may show, which lies `dx, dy` pixels aside, and in whole bunches how
+    many there are, not above 0 if none."""
+    first = -(min(0, dy) // step) * width + max(0, -dx)
+    number = ((2 * half - 1 - max(0, dy)) // step + 1) * width - first
+    return first, (number + bunch - 1) // bunch * bunch
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _fill_masks(slots, reach, half, width, rows, step, radius2, masks, ends, counts):
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            slot = slots[dy + reach, dx + reach]
+            if slot < 0:
+                continue
+            start, stop, count = rows * width, 0, 0
+            for r in range(rows):
+                y = r * step - half
+                for c in range(width):
+                    x = c - half
+                    # The place is read from four pixels; their middle tells whether it lies in the other microimage.
+                    bx, by = x + dx + 0.5, y + dy + 0.5
+                    inside = x * x + y * y <= radius2 and bx * bx + by * by <= radius2
+                    masks[slot, r * width + c] = inside
+                    if inside:
+                        start, stop = min(start, r * width + c), r * width + c + 1
+                        count += 1
+            ends[slot, 0], ends[slot, 1] = start, (max(stop - start, 0) + BUNCH - 1) // BUNCH * BUNCH
+            # In a strip the pixel at this shift, and the one below that, follow so many values later.
+            ends[slot, 2] = ((dy % step) * rows + dy // step) * width + dx
+            ends[slot, 3] = (((dy + 1) % step) * rows + (dy + 1) // step) * width + dx
+            counts[slot] = count
+
+
+def joint_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> Masks:
+    """Which pixels of one microimage another shows too, when it is shifted by whole pixels.
+
+    Parameters
+    ----------
+    strips : Strips
+    radius : float [px]
+        Up to which microimages are trusted, about the pixel in their middle.
+    wanted : (m, 2) int
+        Shifts `x, y`, each read a fraction of a pixel farther.
+
+    Returns
+    -------
+    slots : (2 k + 1, 2 k + 1) int32
+        Row of the shift `x, y` in the other arrays at `[y + k, x + k]`, -1 for the others.
+    masks : (slots, rows * width + spare) float32
+        1 or 0 for the pixels of the first part of a strip, and 0 after them.
+    ends : (slots, 4) int32
+        The first of them that is 1, a whole number of what vector loops take that holds them all, and how much later in
+        a strip follow the pixel at this shift and the one below it.
+    counts : (slots,) int32
+    """
+    # The same for frame after frame; shared by all who ask, so that nobody may write into them.
+    return _masks_of(strips.half, strips.width, strips.rows, strips.step, radius, wanted.tobytes())
+
+
+@lru_cache(maxsize=8)
+def _masks_of(half: int, width: int, rows: int, step: int, radius: float, shifts: bytes) -> Masks:
+    wanted = np.frombuffer(shifts, np.int64).reshape(-1, 2)
+    reach = max(1, int(np.abs(wanted).max(initial=0)))
+    side = 2 * reach + 1
+    used = np.zeros((side, side), bool)
+    used[wanted[:, 1] + reach, wanted[:, 0] + reach] = True
+    slots = np.where(used, np.cumsum(used.ravel()).reshape(side, side) - 1, -1).astype(np.int32)
+    count = int(used.sum())
+    masks = np.zeros((count, rows * width + _SPARE), np.float32)
+    ends, counts = np.empty((count, 4), np.int32), np.empty(count, np.int32)
+    _fill_masks(slots, reach, half, width, rows, step, max(radius - _SLACK, 1.0) ** 2, masks, ends, counts)
+    return slots, masks, ends, counts

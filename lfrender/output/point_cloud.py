@@ -1,0 +1,102 @@
+"""The scene as points in virtual-depth units or metres, with the colours of the picture."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration, CalibrationError, check_output, whole_file
+
+from ..data.depth_map import DepthMap
+from ..data.optics import Optics
+from ..flat.grey_flat import white_level
+from ..rendering.dense import dense_depth
+from ..rendering.render import render
+from .metrics import nearest_lens
+
+__all__ = ["point_cloud", "write_points"]
+
+# Virtual depth has a pole at s = 0: places beyond this many pitches away are as good as infinitely far.
+_FARTHEST = 50.0
+# Points per pitch: as fine as the depth is known.
+_PER_PITCH = 7.0
+_VIRTUAL = "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s"
+_METRES = "metres; x right, y down, z in front of the main lens"
+_POINT = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")],
+)
+
+
+def point_cloud(flat: NDArray, calibration: Calibration, depth: DepthMap, optics: Optics | None = None) -> NDArray:
+    """Every resolved place of the scene as a point.
+
+    Parameters
+    ----------
+    flat : (H, W) or (H, W, C) array
+    calibration : Calibration
+    depth : DepthMap
+        Of this flat.
+    optics : Optics, optional
+        Gives positions in metres instead, the axis of the main lens in the middle of the flat.
+
+    Returns
+    -------
+    (n,) structured array
+        `x, y` scene coordinates over the pitch `D`, `z` the signed virtual depth `D / s` (positive: in
+        front of the microlenses), all float32; `red, green, blue` 0..255. Places without a resolved lens and those
+        farther than 50 are left out. With `optics`, `x` to the right, `y` down and `z` in front of the main lens [m];
+        places at infinity are left out.
+
+    Raises
+    ------
+    CalibrationError
+        If `depth` belongs to another camera.
+    """
+    lattice = calibration.lattice
+    if depth.image_size != lattice.image_size or len(depth) != len(lattice):
+        raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
+    scale = min(_PER_PITCH, depth.pitch)
+    picture = render(flat, calibration, depth, scale=scale)
+    dense = dense_depth(depth, scale)
+    v, u = np.nonzero(picture.valid & (np.abs(dense.patch_size) * _FARTHEST >= depth.pitch))
+    scene = np.column_stack([u, v, np.ones(len(u))]) @ dense.affine.T
+    resolved = depth.mode[nearest_lens(lattice, scene)] != 0
+    u, v, scene = u[resolved], v[resolved], scene[resolved]
+    points = np.empty(len(u), _POINT)
+    if optics is None:
+        points["x"], points["y"] = (scene / depth.pitch).T
+        points["z"] = depth.pitch / dense.patch_size[v, u]
+    else:
+        middle = (np.array(depth.image_size) - 1) / 2
+        places = optics.positions(scene, dense.patch_size[v, u] / depth.pitch, middle)
+        points["x"], points["y"], points["z"] = places.T
+    image = picture.image[..., None] if picture.image.ndim == 2 else picture.image
+    colours = image[v, u][:, [0, 1, 2] if image.shape[2] > 2 else [0, 0, 0]]
+    colours = np.clip(np.rint(colours * (255 / white_level(picture.image, calibration))), 0, 255)
+    points["red"], points["green"], points["blue"] = colours.T
+    return points[np.isfinite(points["z"])]
+
+
+def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = False) -> None:
+    """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY; whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        If the ending is not `.ply`, or the folder cannot be written.
+    """
+    check_output(path, {".ply"})
+    kinds = {"f": "float", "u": "uchar"}
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {_METRES if metres else _VIRTUAL}",
+        f"element vertex {len(points)}",
+        *(f"property {kinds[_POINT[name].kind]} {name}" for name in _POINT.names or ()),
+        "end_header\n",
+    ]
+    with whole_file(path) as temporary:
+        Path(temporary).write_bytes("\n".join(header).encode() + points.astype(_POINT).tobytes())

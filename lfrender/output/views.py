@@ -1,0 +1,144 @@
+"""Views as files: a folder of pictures, a stereo pair in one picture, an animation."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lfcal import OutputError, check_output, whole_file
+from lfcal.runtime.eight_bit import eight_bits
+
+from ..data.rendering import Rendering
+from .metadata import Embedded
+from .picture import PictureError, check_picture, write_picture
+
+__all__ = ["ANIMATIONS", "check_animation", "check_grid", "stereo_pair", "write_animation", "write_grid"]
+
+#: Endings of animations and what Pillow calls their formats.
+ANIMATIONS = {".gif": "GIF", ".png": "PNG", ".webp": "WEBP"}
+_NOTHING = Embedded()
+
+
+def check_grid(folder: str | os.PathLike[str], suffix: str, dtype: Any = None, inputs: Iterable[Any] = ()) -> None:
+    """Refuse a folder of views that could not be made, before the views are drawn.
+
+    Raises
+    ------
+    OutputError, PictureError
+        As `check_picture`; also if `folder` is a file.
+    """
+    if Path(folder).exists() and not Path(folder).is_dir():
+        raise OutputError(f"{folder}: is a file; a grid of views needs a folder")
+    inside = Path(folder) if Path(folder).is_dir() else Path(folder).parent
+    check_picture(inside / f"view{suffix}", dtype, inputs=inputs)
+
+
+def write_grid(
+    folder: str | os.PathLike[str],
+    pictures: Iterable[Rendering],
+    columns: int,
+    suffix: str = ".tif",
+    *,
+    settings: Mapping[str, Any] | None = None,
+    embedded: Embedded = _NOTHING,
+) -> list[Path]:
+    """Write views row by row as `row1_column1.tif` and so on.
+
+    Parameters
+    ----------
+    folder : path-like
+        Made where it is not there.
+    pictures : iterable of Rendering
+        As `views` yields them for `grid_offsets`; one at a time is held.
+    columns : int
+        Pictures per row.
+    suffix : str
+        Format of the pictures, as for `write_picture`.
+    settings, embedded
+        As for `write_picture`.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    OutputError, PictureError
+        If the folder or a picture cannot be written.
+    """
+    try:
+        Path(folder).mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    paths = []
+    for index, picture in enumerate(pictures):
+        row, column = divmod(index, columns)
+        paths.append(Path(folder) / f"row{row + 1}_column{column + 1}{suffix}")
+        write_picture(paths[-1], picture, settings=settings, embedded=embedded)
+    return paths
+
+
+def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
+    """Two views side by side, for parallel viewing: the left eye's on the left. The affine is that of the left one."""
+    image = np.concatenate([left.image, right.image], axis=1)
+    return replace(left, image=image, valid=np.concatenate([left.valid, right.valid], axis=1))
+
+
+def check_animation(
+    path: str | os.PathLike[str], dtype: Any = None, inputs: Iterable[str | os.PathLike[str] | None] = ()
+) -> None:
+    """Refuse an animation that could not be written, before its views are drawn.
+
+    Raises
+    ------
+    OutputError, PictureError
+        As `check_picture`. Pixels must be uint8 or uint16.
+    """
+    check_output(path, ANIMATIONS, inputs)
+    if dtype is not None and np.dtype(dtype).name not in ("uint8", "uint16"):
+        raise PictureError(f"{path}: animations cannot hold {np.dtype(dtype).name} pixels; write a grid of .tif")
+
+
+def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering], *, milliseconds: int = 80) -> None:
+    """Write views as GIF, animated PNG or animated WebP that repeats without end; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        The ending chooses the format.
+    pictures : iterable of Rendering
+        One per frame, uint8 or uint16, the latter written with 8 bits.
+    milliseconds : int
+        How long a frame is shown.
+
+    Raises
+    ------
+    OutputError, PictureError
+        As `check_animation`; also without any picture.
+    """
+    from PIL import Image
+
+    check_animation(path)
+    frames = []
+    for picture in pictures:
+        check_animation(path, picture.image.dtype)
+        frames.append(Image.fromarray(np.ascontiguousarray(eight_bits(picture.image, picture.white))))
+    if not frames:
+        raise PictureError(f"{path}: an animation needs at least one picture")
+    suffix = Path(path).suffix.lower()
+    options: dict[str, Any] = {"lossless": False, "quality": 90} if suffix == ".webp" else {}
+    if suffix == ".gif":
+        # One palette for all frames: with one each, colours would flicker.
+        colours = [frame.convert("RGB") for frame in frames]
+        palette = colours[0].quantize(256)
+        frames = [frame.quantize(palette=palette) for frame in colours]
+    with whole_file(path) as temporary:
+        frames[0].save(
+            temporary, ANIMATIONS[suffix], save_all=True, append_images=frames[1:], duration=milliseconds, loop=0,
+            **options,
+        )  # fmt: skip

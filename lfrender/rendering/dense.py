@@ -1,0 +1,117 @@
+"""The depth of every pixel of the picture, as a map of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from lfcal import check_output, whole_file
+
+from ..data.depth_map import DepthMap
+from ..data.surface import Surface
+from .mosaic import patch_size_at
+
+__all__ = ["DENSE_FORMATS", "DenseDepth", "dense_depth", "sampled", "write_dense"]
+
+DENSE_FORMATS = (".tif", ".tiff", ".pfm")
+
+
+@dataclass(frozen=True)
+class DenseDepth:
+    """Signed patch size on the grid of a picture.
+
+    Parameters
+    ----------
+    patch_size : (h, w) float32 [px of the flat]
+        Finite; unresolved places are filled from those around them.
+    affine : (2, 3) float64
+        From pixel `(u, v, 1)` to scene coordinates.
+    pitch : float [px]
+    """
+
+    patch_size: NDArray[np.float32]
+    affine: NDArray[np.float64]
+    pitch: float
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _sample(surface, grid_x, grid_y, cell, edge, first, spacing, out):
+    for v in prange(out.shape[0]):
+        y = np.float32(first + v * spacing)
+        for u in range(out.shape[1]):
+            out[v, u] = patch_size_at(surface, np.float32(first + u * spacing), y, grid_x, grid_y, cell, edge)
+
+
+def sampled(surface: Surface, pitch: float, shape: tuple[int, int], spacing: float) -> NDArray[np.float32]:
+    """Patch size [px] at every pixel of a picture of this shape, whose pixels are `spacing` apart on the flat."""
+    out = np.empty(shape, np.float32)
+    single = np.float32
+    _sample(
+        surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
+        single(max(0.5, 0.03 * pitch)), 0.5 * spacing - 0.5, spacing, out,
+    )  # fmt: skip
+    return out
+
+
+def dense_depth(depth: DepthMap, scale: float | None = None) -> DenseDepth:
+    """Patch size at every pixel of the picture that `render` draws at `scale`, as it draws it.
+
+    Between the grid values of `DepthMap.surface` it is linear on one surface, and the nearest across a depth edge.
+
+    Parameters
+    ----------
+    depth : DepthMap
+    scale : float, optional
+        Pixels per pitch; by default that of `render`.
+
+    Raises
+    ------
+    ValueError
+        If `scale` is not between 0 and four times the pitch.
+    """
+    from .render import default_scale
+
+    scale = default_scale(depth) if scale is None else float(scale)
+    pitch = depth.pitch
+    if not (np.isfinite(scale) and 0 < scale <= 4 * pitch):
+        raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * pitch:.0f}), got {scale}")
+    spacing = pitch / scale
+    width, height = depth.image_size
+    shape = (max(1, round(height / spacing)), max(1, round(width / spacing)))
+    first = 0.5 * spacing - 0.5
+    out = sampled(depth.surface, pitch, shape, spacing)
+    return DenseDepth(out, np.array([[spacing, 0.0, first], [0.0, spacing, first]]), pitch)
+
+
+def write_dense(path: str | os.PathLike[str], dense: DenseDepth) -> None:
+    """Write the patch sizes [px] as 32-bit TIFF, with the affine as JSON text, or as PFM; whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        If the ending is neither `.tif`, `.tiff` nor `.pfm`, or the folder cannot be written.
+    """
+    path = Path(path)
+    check_output(path, set(DENSE_FORMATS))
+    with whole_file(path) as temporary:
+        if path.suffix.lower() == ".pfm":
+            height, width = dense.patch_size.shape
+            # Rows from the bottom up; the negative scale says little-endian.
+            rows = np.ascontiguousarray(dense.patch_size[::-1], "<f4")
+            Path(temporary).write_bytes(f"Pf\n{width} {height}\n-1.0\n".encode() + rows.tobytes())
+            return
+        import tifffile
+
+        about = {
+            "software": "lfrender",
+            "content": "signed patch size [px]",
+            "pitch": dense.pitch,
+            "affine": dense.affine.tolist(),
+        }
+        tifffile.imwrite(temporary, dense.patch_size, description=json.dumps(about), metadata=None)

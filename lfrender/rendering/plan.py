@@ -1,0 +1,370 @@
+"""What a picture is drawn from, prepared once, and any part of the picture drawn from the part of the flat it needs.
+
+Kernels work in the coordinates of the whole flat and picture, so a picture is the same bit for bit in one part or many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numba import get_num_threads
+from numpy.typing import NDArray
+
+from lfcal import Calibration, Lattice
+
+from ..data.surface import Surface
+from ..depth.surface.occlusion import lens_depths
+from ..flat.distorted_lookup import lattice_bend
+from ..flat.grey_flat import gain_table, lens_by_lens, white_level
+from ..flat.lens_type_weights import focus_shares
+from ..flat.sharpness import packed_to_read, ready_to_read
+from ..runtime.cache import remembered
+from .fixed_patch import lay_patches, shows_all_patches
+from .mosaic import draw_rows
+from .row_blending import blend_rows
+from .warping import Viewpoint
+
+__all__ = ["Drawing", "Part", "as_stored", "lens_offsets"]
+
+#: Columns and rows `left, top, right, bottom` of a picture or a flat [px], the last two not included.
+Part = tuple[int, int, int, int]
+
+# Lenses at which the spacing of a distorted lattice is looked at: it changes slowly over the field.
+_PROBES = 500
+# Interpolation reads a pixel further than its place, and what is given back to it before another one.
+_BEYOND = 4
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A picture to be drawn.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    surface : Surface
+    scale : float
+        Output pixels per pitch.
+    blend : bool
+        The mean over all lenses that agree on a point, or the lens alone whose centre is nearest.
+    blur : float
+        As `sharpness.lens_blur`.
+    reach : float
+        Lenses farther than this many pitches from a scene point are not read.
+    agreement : float
+        Difference from the mean colour, as a share of white, at which a lens counts a quarter.
+    aperture : float
+        Part of the radius of microimages that is read.
+    viewpoint : Viewpoint
+    """
+
+    calibration: Calibration
+    surface: Surface
+    scale: float
+    blend: bool
+    blur: float
+    reach: float
+    agreement: float
+    aperture: float = 1.0
+    viewpoint: Viewpoint = field(default_factory=Viewpoint)
+
+    @property
+    def spacing(self) -> float:
+        """Distance between output pixels [px of the flat]."""
+        return self.calibration.lattice.pitch / self.scale
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows of the picture."""
+        width, height = self.calibration.image_size
+        return max(1, round(width / self.spacing)), max(1, round(height / self.spacing))
+
+    @property
+    def affine(self) -> NDArray[np.float64]:
+        """(2, 3) from output pixel to scene coordinates."""
+        first = 0.5 * self.spacing - 0.5
+        return np.array([[self.spacing, 0.0, first], [0.0, self.spacing, first]])
+
+    @cached_property
+    def halo(self) -> int:
+        """How far from the scene points of a part of the picture the flat is read [px]."""
+        lattice = self.calibration.lattice
+        aside = float(np.hypot(*self.viewpoint.offset)) + float(np.abs(self._moved).max())
+        return int(np.ceil(self.reach * lattice.pitch + lattice.radius + 2 * aside + self.spacing)) + _BEYOND
+
+    def needed(self, part: Part) -> Part:
+        """The part of the flat that a part of the picture is drawn from."""
+        width, height = self.calibration.image_size
+        first = 0.5 * self.spacing - 0.5
+        low = [int(first + self.spacing * k) - self.halo for k in part[:2]]
+        high = [int(np.ceil(first + self.spacing * (k - 1))) + self.halo + 1 for k in part[2:]]
+        return max(0, low[0]), max(0, low[1]), min(width, high[0]), min(height, high[1])
+
+    def part_in(self, roi: tuple[float, float, float, float]) -> Part:
+        """Columns and rows of the picture whose scene points lie in `x0, y0, x1, y1`, at least one of each."""
+        first = 0.5 * self.spacing - 0.5
+        low = [
+            min(max(int(np.ceil((at - first) / self.spacing)), 0), n - 1)
+            for at, n in zip(roi[:2], self.size, strict=True)
+        ]
+        high = [int(np.floor((at - first) / self.spacing)) + 1 for at in roi[2:]]
+        right, bottom = (min(max(end, start + 1), n) for start, end, n in zip(low, high, self.size, strict=True))
+        return low[0], low[1], right, bottom
+
+    def tiles(self, side: tuple[int, int]) -> Iterator[Part]:
+        """Parts of the picture of at most `side` (columns, rows), row by row."""
+        columns, rows = self.size
+        for top in range(0, rows, side[1]):
+            for left in range(0, columns, side[0]):
+                yield left, top, min(left + side[0], columns), min(top + side[1], rows)
+
+    def draw(
+        self, pixels: NDArray[Any], corner: tuple[int, int] = (0, 0), part: Part | None = None, stored: bool = False
+    ) -> tuple[NDArray, NDArray[np.bool_]]:
+        """Draw a part of the picture.
+
+        Parameters
+        ----------
+        pixels : (h, w, C) array
+            The part of the flat that is `needed`, or more, in colour.
+        corner : (int, int) [px]
+            Flat coordinates x, y of its first pixel.
+        part : (left, top, right, bottom), optional
+            Of the picture; by default all of it.
+        stored : bool
+            Round the picture to the type of `pixels`.
+
+        Returns
+        -------
+        image : (rows, columns, C) float32, or of the type of `pixels`
+            In the flat's units.
+        valid : (rows, columns) bool
+            Pixels that some lens has seen.
+        """
+        part = part or (0, 0, *self.size)
+        shape = (part[3] - part[1], part[2] - part[0], pixels.shape[2])
+        if not self._is_patches:
+            return self._rows(pixels, corner, part, np.empty(shape, pixels.dtype if stored else np.float32))
+        size, first = float(np.copysign(self.scale, self.surface.patch_size[0, 0])), 0.5 * self.spacing - 0.5
+        lattice = self.calibration.lattice
+        return lay_patches(pixels, corner, lattice, size, first, self.aperture * lattice.radius, *self._gains, part)
+
+    def redraw(
+        self, pixels: NDArray[Any], wanted: NDArray[np.bool_], image: NDArray[Any], valid: NDArray[np.bool_]
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """As `draw` of a whole picture that is stored, but for pixels that are not `wanted` (rows, columns).
+
+        Those are taken from an earlier picture: `image` (rows, columns, C) and what was `valid` of it.
+        """
+        image, valid = image.copy(), valid.copy()
+        if wanted.any():
+            self._rows(pixels, (0, 0), (0, 0, *self.size), image, valid, wanted)
+        return image, valid
+
+    def _rows(
+        self,
+        pixels: NDArray[Any],
+        corner: tuple[int, int],
+        part: Part,
+        image: NDArray[Any],
+        valid: NDArray[np.bool_] | None = None,
+        wanted: NDArray[np.bool_] | None = None,
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Fill `image` with a part of the picture from all lenses in reach of each pixel, rounded to its type."""
+        lattice, pitch, single = self.calibration.lattice, self.calibration.lattice.pitch, np.float32
+        valid = np.empty(image.shape[:2], bool) if valid is None else valid
+        wanted = np.empty((0, 0), bool) if wanted is None else wanted
+        whole = image.dtype.kind in "ui"
+        white = white_level(pixels, self.calibration)
+        edged = np.zeros(len(lattice), bool)
+        seen_depth = self._seen_depth(corner, pixels.shape, edged, wanted.size > 0)
+        gains, step = self._gains
+        lights = 1 / gains
+        if self._part_gain is not None:
+            gains = np.ones_like(gains)
+            pixels, unknown = self._part_gain.flatten(pixels, *corner)
+            if not seen_depth.size:
+                seen_depth = np.full(pixels.shape[:2], np.nan, single)
+            seen_depth[_beside(unknown)] = np.inf
+            edged[:] = True
+        drawn = self._seen_surface
+        marks, radius, reach = (0,) * pixels.shape[2], single(self.aperture * lattice.radius), self.reach * pitch
+        depths = (
+            single(pitch), drawn.patch_size, single(drawn.first[0]), single(drawn.first[1]), single(drawn.spacing),
+            single(self._edge), single(self.scale), 0.5 * self.spacing - 0.5 + self._moved, self.spacing,
+        )  # fmt: skip
+        tolerance = single(self.agreement * white if self.blend else 0.0)
+        view = np.array(self.viewpoint.offset, single)
+        place = np.array(corner), np.array(lattice.image_size), np.array(part[:2])
+        light = gains, lights, single(step)
+        stored = single(0.5 if whole else 0.0), single(np.iinfo(image.dtype).max if whole else np.inf), image, valid
+        # Only a mean over many lenses has the sharpness of the flat where what interpolation blurs is given back.
+        if self._read_once(pixels) and not view.any():
+            packed = packed_to_read(pixels)
+            order, centres, kinds = self._sorted_lenses
+            left = np.empty(image.shape[:2], bool)
+            blend_rows(
+                packed, marks, seen_depth, edged[order], *light, centres, kinds, self._shares[1], radius, *depths,
+                float(reach), tolerance, *place, wanted, *stored, left, get_num_threads(),
+            )  # fmt: skip
+            if not left.any():
+                return image, valid
+            ready, wanted = packed.view(pixels.dtype).reshape(*packed.shape, 4), left
+        else:
+            ready = ready_to_read(pixels) if self.blend else pixels
+        draw_rows(
+            ready, marks, seen_depth, *light, lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, *self._bend,
+            *self._offsets, *self._shares, radius, *depths, single((self.blur * self.scale) ** 2), single(reach),
+            tolerance, view, *place, wanted, *stored,
+        )  # fmt: skip
+        return image, valid
+
+    def _read_once(self, pixels: NDArray[Any]) -> bool:
+        """Whether most output pixels are the mean over single readings of whole numbers, as `blend_rows` wants it."""
+        # Its places in the flat are whole numbers of 31 bits.
+        small = pixels.shape[0] * pixels.shape[1] < 2**31
+        return self.blend and self.blur == 0 and pixels.dtype.kind == "u" and pixels.shape[2] <= 3 and small
+
+    @cached_property
+    def _shares(self) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+        camera = self.calibration
+        return remembered(camera, "focus shares", lambda: focus_shares(camera.lens_types))
+
+    @property
+    def _sorted_lenses(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+        return remembered(self.calibration, "sorted lenses", lambda: _sorted_lenses(self.calibration))
+
+    @property
+    def _is_patches(self) -> bool:
+        """Whether the picture consists of patches of the flat, pixel by pixel."""
+        lattice, sizes = self.calibration.lattice, self.surface.patch_size
+        if self.blend or sizes.size > 1 or lattice.distortion is not None or lens_by_lens(self.calibration):
+            return False
+        if np.float32(self.scale) != abs(sizes[0, 0]) or min(lattice.image_size) < 2:
+            return False
+        return shows_all_patches(lattice, self.scale, self.aperture * lattice.radius)
+
+    def _seen_depth(
+        self, corner: tuple[int, int], shape: tuple[int, ...], edged: NDArray[np.bool_], following: bool
+    ) -> NDArray[np.float32]:
+        """What each pixel of a part of the flat sees, (0, 0) where nothing can hide anything.
+
+        Sets the lenses that are `edged` (n,): of the others it tells nothing. A picture `following` another differs
+        from that in some places.
+        """
+        if not self.blend or self.surface.patch_size.size <= 1:
+            return np.empty((0, 0), np.float32)
+        lattice = self.calibration.lattice
+        reach = self.reach * lattice.pitch + self._parallax
+        part = (*corner, corner[0] + shape[1], corner[1] + shape[0])
+        whole = shape[:2] == self._shape
+        # Unlit pixels are entered into it as well where the light of the lenses differs.
+        purpose = "seen depth" if self._part_gain is None else "seen depth and light"
+        return lens_depths(
+            self.surface, lattice, reach, self._edge, None if whole else part, edged, purpose,
+            following and self._part_gain is None,
+        )  # fmt: skip
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return self.calibration.image_size[::-1]
+
+    @property
+    def _edge(self) -> float:
+        """Patch sizes that differ by less belong to one surface [px]."""
+        return max(0.5, 0.03 * self.calibration.lattice.pitch)
+
+    @cached_property
+    def _parallax(self) -> float:
+        return self.viewpoint.parallax(self.surface, self.calibration.lattice)
+
+    @cached_property
+    def _gains(self) -> tuple[NDArray[np.float32], float]:
+        camera = self.calibration
+        return remembered(camera, "gain table", lambda: gain_table(camera))
+
+    @cached_property
+    def _part_gain(self) -> Any:
+        return self.calibration.part_gain() if lens_by_lens(self.calibration) else None
+
+    @cached_property
+    def _bend(self) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        return lattice_bend(self.calibration.lattice)
+
+    @property
+    def _offsets(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        lattice, reach = self.calibration.lattice, self.reach
+        return remembered(lattice, ("offsets", reach), lambda: lens_offsets(lattice, reach * lattice.pitch))
+
+    @cached_property
+    def _seen_from(self) -> tuple[Surface, NDArray[np.float64]]:
+        return self.viewpoint.seen_from(self.surface, self.calibration.lattice, self._edge)
+
+    @property
+    def _seen_surface(self) -> Surface:
+        return self._seen_from[0]
+
+    @property
+    def _moved(self) -> NDArray[np.float64]:
+        return self._seen_from[1]
+
+
+def _sorted_lenses(calibration: Calibration) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    """Lenses by y, their centres in that order, and their types, 0 where all count alike."""
+    centres, cell = calibration.lattice.centres(), focus_shares(calibration.lens_types)[0]
+    order = np.argsort(centres[:, 1], kind="stable")
+    kinds = np.zeros(len(order), np.int64)
+    if cell.size:
+        i, j = (calibration.lattice.indices()[order] % len(cell)).T
+        kinds[:] = cell[i, j]
+    return order, np.ascontiguousarray(centres[order]), kinds
+
+
+def as_stored(image: NDArray, dtype: np.dtype) -> NDArray:
+    """Round and clip to the range of `dtype`, in place; a picture of that type is stored as it is."""
+    if dtype.kind == "f" or image.dtype == dtype:
+        return image.astype(dtype, copy=False)
+    # As the kernels do it, which cut off.
+    image += image.dtype.type(0.5)
+    return np.clip(image, 0, np.iinfo(dtype).max, out=image).astype(dtype)
+
+
+def _beside(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """These pixels and those beside them, which cannot be read without them."""
+    import cv2
+
+    return cv2.dilate(pixels.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool)
+
+
+def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """All lenses about one within `reach` and a pitch, the nearest first.
+
+    Returns
+    -------
+    offsets : (k, 3) float32 [px]
+        Offset `x, y` on the straight lattice, and the least distance that such two lenses have on the flat.
+    steps : (k, 2) int32
+        The same in lattice indices.
+    """
+    limit = reach + lattice.pitch
+    span = np.arange(-1, 2) if limit <= 0 else np.arange(-_span(lattice, limit), _span(lattice, limit) + 1)
+    steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
+    offsets = steps @ lattice.basis
+    distance = np.linalg.norm(offsets, axis=1)
+    if lattice.distortion is not None:
+        ij = lattice.indices()
+        some = ij[:: max(1, len(ij) // _PROBES)]
+        here = lattice.points(some)
+        distance = np.array([np.linalg.norm(lattice.points(some + step) - here, axis=1).min() for step in steps])
+    order = np.argsort(distance, kind="stable")
+    order = order[distance[order] <= limit]
+    return np.column_stack([offsets, distance])[order].astype(np.float32), steps[order].astype(np.int32)
+
+
+def _span(lattice: Lattice, limit: float) -> int:
+    """Largest lattice index of a point within `limit` of the origin."""
+    return int(np.ceil(limit * np.linalg.norm(np.linalg.inv(lattice.basis), axis=0).max()))

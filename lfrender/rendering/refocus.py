@@ -1,0 +1,169 @@
+"""Pictures in focus at one depth, as a camera with the aperture of the main lens would have taken them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration
+
+from ..data.depth_map import DepthMap
+from ..data.rendering import Rendering
+from ..data.surface import Surface
+from ..flat.sharpness import lens_blur
+from ..flat.validation import check_flat
+from .render import _draw, as_stored
+from .warping import virtual_depth
+
+__all__ = ["focal_stack", "refocus", "stack_depths"]
+
+# The widest blur takes in lenses up to so many pitches away: as many as the drawing kernel mixes.
+_REACH = 3.0
+# Colours differ where a picture is out of focus, and are to be mixed all the same.
+_ANY_COLOUR = 1e3
+# With less of the aperture, a place may lie between the parts of all microimages that are left.
+_LEAST_APERTURE = 0.05
+# A stack spans what lies between these shares of the lenses, the farthest and the nearest.
+_FARTHEST, _NEAREST = 0.02, 0.98
+# Least |D / s| that a depth can be told at (`analysis.py`): between it and its opposite, no picture is in focus.
+_LEAST_MAGNIFICATION = 4 / 3
+
+
+def refocus(
+    flat: NDArray,
+    calibration: Calibration,
+    patch_size: float | None = None,
+    *,
+    position: tuple[float, float] | None = None,
+    depth: DepthMap | None = None,
+    aperture: float = 1.0,
+    scale: float | None = None,
+) -> Rendering:
+    """Draw the scene in focus at one depth, out of focus in front of it and behind.
+
+    Every scene point is the mean over all lenses that show it, read at one patch size for all places (integral
+    photography: Lumsdaine and Georgiev 2008, section 5).
+
+    Parameters
+    ----------
+    flat : (H, W) or (H, W, C) array, uint8, uint16 or float
+    calibration : Calibration
+    patch_size : float, optional [px]
+        Signed patch size in focus.
+    position : (float, float), optional [px]
+        Scene coordinates `X` of a place to focus on, instead of `patch_size`.
+    depth : DepthMap, optional
+        Of this flat, for `position`; analysed where it is not given.
+    aperture : float
+        Part of the radius of the microimages, and so of the main lens' aperture, that takes part: 0.05 to 1. Less
+        gives more depth of field.
+    scale : float, optional
+        Output pixels per pitch; by default `|patch_size|`.
+
+    Raises
+    ------
+    FlatError, CalibrationError
+        As `render`.
+    ValueError
+        Unless one of `patch_size` and `position` is given, or if a number makes no picture.
+    """
+    pixels = check_flat(flat, calibration)
+    lattice = calibration.lattice
+    if (patch_size is None) == (position is None):
+        raise ValueError("give one of patch_size and position")
+    if position is not None:
+        patch_size = _depth_at(position, pixels, calibration, depth)
+    assert patch_size is not None
+    if not 0 < abs(patch_size) < lattice.pitch:
+        raise ValueError(f"patch_size must lie between 0 and the pitch {lattice.pitch:.1f} px, got {patch_size}")
+    if not _LEAST_APERTURE <= aperture <= 1:
+        raise ValueError(f"aperture must lie between {_LEAST_APERTURE} and 1, got {aperture}")
+    scale = abs(patch_size) if scale is None else scale
+    if not (np.isfinite(scale) and 0 < scale <= 4 * lattice.pitch):
+        raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * lattice.pitch:.0f}), got {scale}")
+    surface = Surface(np.full((1, 1), patch_size, np.float32), (0.0, 0.0), 1.0)
+    coarse = scale < abs(patch_size)
+    blur = lens_blur(pixels, calibration, np.full(len(lattice), patch_size, np.float32)) if coarse else 0.0
+    image, valid, affine = _draw(
+        pixels, calibration, surface, float(scale), True, blur, reach=_REACH, aperture=aperture,
+        agreement=_ANY_COLOUR, stored=True,
+    )  # fmt: skip
+    if np.ndim(flat) == 2 and pixels.shape[2] == 1:
+        image = image[:, :, 0]
+    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, valid, float(scale), calibration.white_level)
+
+
+def focal_stack(
+    flat: NDArray,
+    calibration: Calibration,
+    patch_sizes: Iterable[float],
+    *,
+    aperture: float = 1.0,
+    scale: float | None = None,
+) -> list[Rendering]:
+    """Draw the scene in focus at several depths, all pictures on one grid.
+
+    Parameters
+    ----------
+    flat, calibration, aperture
+        As for `refocus`.
+    patch_sizes : iterable of float [px]
+    scale : float, optional
+        Output pixels per pitch; by default the largest `|patch_size|`.
+
+    Raises
+    ------
+    FlatError, CalibrationError, ValueError
+        As `refocus`; ValueError also without any patch size.
+    """
+    sizes = [float(s) for s in patch_sizes]
+    if not sizes:
+        raise ValueError("patch_sizes must hold at least one number")
+    scale = max(map(abs, sizes)) if scale is None else scale
+    return [refocus(flat, calibration, s, aperture=aperture, scale=scale) for s in sizes]
+
+
+def stack_depths(depth: DepthMap, count: int) -> list[float]:
+    """Patch sizes for a focal stack through a scene, from far to near [px].
+
+    They are evenly spaced in the virtual depth `D / s`, as is the blur between one and the next.
+
+    Parameters
+    ----------
+    depth : DepthMap
+    count : int
+        How many, at least 1; one alone is in the middle.
+
+    Raises
+    ------
+    ValueError
+        If `count` is below 1, or no lens of the depth map is resolved.
+    """
+    if count < 1:
+        raise ValueError(f"a stack has at least one picture, got {count}")
+    resolved = depth.patch_size[np.isfinite(depth.patch_size)]
+    if not resolved.size:
+        raise ValueError("no lens is resolved, so nothing tells the depths of a stack; give patch sizes")
+    ratio = virtual_depth(resolved, depth.pitch).astype(float)
+    # Without the stretch about the microlenses where nothing is resolved, far telescopic places to near binocular ones.
+    far, near = -np.quantile(np.sign(ratio) * _LEAST_MAGNIFICATION - ratio, [_FARTHEST, _NEAREST])
+    steps = np.linspace(far, near, count) if count > 1 else np.array([(far + near) / 2])
+    signs = np.where(steps == 0, np.sign(np.median(ratio)), np.sign(steps))
+    return [float(depth.pitch / value) for value in steps + signs * _LEAST_MAGNIFICATION]
+
+
+def _depth_at(
+    position: tuple[float, float], pixels: NDArray, calibration: Calibration, depth: DepthMap | None
+) -> float:
+    """Patch size at a place of the scene [px]."""
+    place = np.array(position, dtype=float)
+    width, height = calibration.image_size
+    if place.shape != (2,) or not ((place >= -0.5) & (place <= (width - 0.5, height - 0.5))).all():
+        raise ValueError(f"position must be x, y on the flat of {width} x {height} px, got {position!r}")
+    if depth is None:
+        from ..depth.analyze import analyze
+
+        depth = analyze(pixels, calibration)
+    return float(depth.surface.at(place[None])[0])

@@ -1,0 +1,109 @@
+"""The traditional picture of a plenoptic camera: one pixel per microlens."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from lfcal import Calibration
+from lfcal.runtime.fastmath import FAST, square
+
+from ..data.rendering import Rendering
+from ..flat.grey_flat import gain_table, lens_by_lens
+from ..flat.lens_graph import lens_grid
+from ..flat.validation import check_flat
+from .render import as_stored
+
+__all__ = ["traditional"]
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+def _lens_means(flat, centres, radius, gains, gain_step, unlit, out, lit):
+    """Mean of each microimage over the pixels that are not `unlit` ((0, 0): all are lit), and how many those are."""
+    height, width, channels = flat.shape
+    last = len(gains) - 1
+    known = unlit.size > 0
+    for lens in prange(len(centres)):
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        count = 0
+        for k in range(channels):
+            out[lens, k] = 0.0
+        for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
+            half = np.sqrt(max(0.0, radius * radius - (y - cy) * (y - cy)))
+            for x in range(max(0, int(np.ceil(cx - half))), min(width - 1, int(np.floor(cx + half))) + 1):
+                if known and unlit[y, x]:
+                    continue
+                gain = gains[min(int((square(x - cx) + square(y - cy)) / gain_step), last)]
+                for k in range(channels):
+                    out[lens, k] += gain * np.float32(flat[y, x, k])
+                count += 1
+        for k in range(channels):
+            out[lens, k] /= max(count, 1)
+        lit[lens] = count
+
+
+def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
+    """One pixel per microlens: the mean of its microimage (Lumsdaine and Georgiev 2008, section 3).
+
+    On a lattice that is not the pixel grid, each pixel is interpolated between the lenses around it.
+
+    Parameters
+    ----------
+    flat : (H, W) or (H, W, C) array
+    calibration : Calibration
+
+    Returns
+    -------
+    Rendering
+        At one output pixel per pitch.
+    """
+    pixels = check_flat(flat, calibration)
+    lattice = calibration.lattice
+    gains, gain_step = gain_table(calibration)
+    unlit = np.empty((0, 0), bool)
+    if lens_by_lens(calibration):
+        unlit = np.isnan(calibration.gain())
+        pixels, gains = calibration.flatten(pixels), np.ones_like(gains)
+    means = np.empty((len(lattice), pixels.shape[2]), np.float32)
+    lit = np.empty(len(lattice), np.int64)
+    _lens_means(pixels, lattice.centres(), lattice.radius, gains, gain_step, unlit, means, lit)
+    width, height = lattice.image_size
+    pitch = lattice.pitch
+    columns, rows = max(1, round(width / pitch)), max(1, round(height / pitch))
+    first = 0.5 * pitch - 0.5
+    v, u = np.mgrid[:rows, :columns]
+    points = np.stack([u, v], -1).reshape(-1, 2) * pitch + first
+    image, known = _between_lenses(calibration, means, lit > 0, points)
+    image = image.reshape(rows, columns, -1)
+    if np.ndim(flat) == 2 and pixels.shape[2] == 1:
+        image = image[:, :, 0]
+    affine = np.array([[pitch, 0.0, first], [0.0, pitch, first]])
+    return Rendering(
+        as_stored(image, np.asarray(flat).dtype), affine, known.reshape(rows, columns), 1.0, calibration.white_level
+    )
+
+
+def _between_lenses(
+    calibration: Calibration, means: NDArray[np.float32], lit: NDArray[np.bool_], points: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Means of the `lit` lenses at scene points, linear between those of a lattice cell, the nearest at the border.
+
+    The second array tells where there is one.
+    """
+    grid, low = lens_grid(calibration.lattice)
+    index = calibration.lattice.to_index(points) - low
+    corner = np.floor(index).astype(int)
+    part = index - corner
+    total: NDArray[np.float32] = np.zeros((len(points), means.shape[1]), np.float32)
+    weights = np.zeros(len(points), np.float32)
+    for di, dj in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        i, j = corner[:, 0] + di, corner[:, 1] + dj
+        inside = (i >= 0) & (j >= 0) & (i < grid.shape[1]) & (j < grid.shape[0])
+        lens = np.where(inside, grid[np.where(inside, j, 0), np.where(inside, i, 0)], -1)
+        weight = np.abs(1 - di - part[:, 0]) * np.abs(1 - dj - part[:, 1]) + np.float32(1e-6)
+        weight = np.where((lens >= 0) & lit[lens], weight, 0).astype(np.float32)
+        total += weight[:, None] * means[lens]
+        weights += weight
+    total /= np.maximum(weights, np.float32(1e-9))[:, None]
+    return total, weights > 0

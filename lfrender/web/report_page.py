@@ -1,0 +1,231 @@
+"""The report of a flat: calibration, depth and pictures on one page that needs nothing else."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from html import escape
+from importlib.metadata import version
+from importlib.resources import files
+from string import Template
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration, show, whole_file
+
+from ..data.depth_map import REASONS, DepthMap
+from ..output.depth_picture import MODE_COLOURS
+from .report_charts import bars, magnification_histogram, magnification_limits, maps, table
+from .report_pictures import ReportPictures, data_urls, draw_pictures, png_url
+
+__all__ = ["write_report"]
+
+# Largest page [characters]: mail and browsers take that without complaint.
+_MOST = 14_500_000
+_SHORTCUTS = {
+    "blank": "lenses without texture, which were not matched",
+    "ranges": "shifts that occur in no lens of a sample, which were not tried",
+    "plane": "lenses of a scene that is one plane, which were only checked",
+    "still": "lenses that show the same as in the frame before",
+    "roi": "lenses outside the part that was asked for",
+}
+_SOURCES = {
+    "white": "a white image",
+    "scene": "the capture itself",
+    "published": "a published calibration",
+    "truth": "the simulation",
+}
+# Below this confidence of the calibration, and above this share of unresolved lenses, a reader should be told.
+_DOUBTFUL, _MUCH = 0.5, 0.5
+
+
+def write_report(
+    path: str | os.PathLike[str],
+    flat: NDArray,
+    calibration: Calibration,
+    depth: DepthMap,
+    pictures: ReportPictures | None = None,
+    *,
+    title: str = "Light field",
+    seconds: Mapping[str, float] | None = None,
+    compare: Mapping[str, NDArray] | None = None,
+    further: str = "",
+    command: str = "lfrender report",
+) -> None:
+    """Write the report of a flat as one HTML file of at most 15 MB that opens offline.
+
+    Parameters
+    ----------
+    path : path-like
+    flat : (H, W) or (H, W, C) array
+    calibration : Calibration
+    depth : DepthMap
+        Of this flat.
+    pictures : ReportPictures, optional
+        Drawn first where they are not given.
+    title : str
+    seconds : mapping of str to float, optional
+        Time per stage.
+    compare : mapping of str to array, optional
+        Further pictures to compare with, on the grid of the all-in-focus one, by what to call them.
+    further : str
+        Sections to add, as HTML.
+    command : str
+        What made the page.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    FlatError, CalibrationError
+        As `render`.
+    """
+    pictures = draw_pictures(flat, calibration, depth) if pictures is None else pictures
+    charts = {name: png_url(picture) for name, picture in maps(depth, calibration.lattice).items()}
+    shown = {
+        "all_in_focus": pictures.sharp.image,
+        **{name: picture.image for name, picture in pictures.fixed.items()},
+        "traditional": pictures.traditional.image,
+        **(compare or {}),
+        "calibration": show(calibration, flat),
+    }
+    room = _MOST - sum(map(len, charts.values())) - len(further)
+    urls, size = data_urls(shown, room, calibration.white_level)
+    web = files(__package__) / "assets"
+    limits = magnification_limits(depth)
+    names = {"all_in_focus": "all in focus", "traditional": "traditional"}
+    names |= {name: f"one patch size, {name}" for name in pictures.fixed} | {name: name for name in compare or {}}
+    height, width = pictures.sharp.image.shape[:2]
+    page = Template((web / "report.html").read_text(encoding="utf-8")).substitute(
+        charts,
+        title=escape(title),
+        style=(web / "report.css").read_text(encoding="utf-8"),
+        script=(web / "report.js").read_text(encoding="utf-8"),
+        summary=_summary(calibration, depth, pictures),
+        warnings=_warnings(calibration, depth, size),
+        cards=_cards(calibration, depth, pictures, seconds or {}),
+        sources="".join(_source(name, words, urls[name]) for name, words in names.items()),
+        choices=_choices(pictures, names),
+        width=round(size * width),
+        height=round(size * height),
+        histogram=magnification_histogram(depth),
+        low=f"{limits[0]:.2f}",
+        high=f"{limits[1]:.2f}",
+        modes_legend=_modes_legend(depth),
+        reasons=_reasons(depth),
+        calibration=urls["calibration"],
+        camera=_camera(calibration),
+        saved=_saved(depth),
+        times=bars(dict(seconds)) if seconds else "<p>Not measured.</p>",
+        further=further,
+        command=escape(command),
+        version=version("lfrender"),
+    )
+    with whole_file(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _summary(calibration: Calibration, depth: DepthMap, pictures: ReportPictures) -> str:
+    width, height = calibration.image_size
+    lattice = calibration.lattice
+    drawn = "{1} &times; {0}".format(*pictures.sharp.image.shape[:2])
+    return (
+        f"{width} &times; {height} px behind {len(lattice):,} microlenses of {lattice.pitch:.2f} px pitch, "
+        f"calibrated from {_SOURCES.get(calibration.source, escape(calibration.source))}. "
+        f"{np.mean(~depth.filled):.0%} of the lenses have a depth; the picture has {drawn} px."
+    )
+
+
+def _warnings(calibration: Calibration, depth: DepthMap, size: float) -> str:
+    words = list(calibration.warnings)
+    if calibration.confidence < _DOUBTFUL:
+        words.append(f"The calibration is doubtful (confidence {calibration.confidence:.2f}); try a white image.")
+    missing = float(np.mean(depth.filled))
+    if missing > _MUCH:
+        words.append(
+            f"{missing:.0%} of the lenses have no depth of their own. They are drawn with that of their neighbours."
+        )
+    if size < 1:
+        words.append(f"The pictures on this page are reduced to {size:.0%} of their width and height.")
+    if not words:
+        return ""
+    return (
+        '<section class="warnings" aria-label="Warnings"><h2>To beware of</h2><ul>'
+        + "".join(f"<li>{escape(w[:1].upper() + w[1:])}</li>" for w in words)
+        + "</ul></section>"
+    )
+
+
+def _cards(calibration: Calibration, depth: DepthMap, pictures: ReportPictures, seconds: Mapping[str, float]) -> str:
+    known = depth.magnification[np.isfinite(depth.magnification)]
+    cards = {
+        "lenses with a depth": f"{np.mean(~depth.filled):.1%}",
+        "telescopic": f"{np.mean(depth.mode == 1):.1%}",
+        "binocular": f"{np.mean(depth.mode == -1):.1%}",
+        "magnification M, median": f"{np.median(known):.2f}" if known.size else "unknown",
+        "calibration confidence": f"{calibration.confidence:.2f}",
+        "pixels per microlens pitch": f"{pictures.sharp.scale:.1f}",
+    }
+    if seconds:
+        cards["time"] = f"{sum(seconds.values()):.1f} s"
+    return "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in cards.items())
+
+
+def _choices(pictures: ReportPictures, names: Mapping[str, str]) -> str:
+    # The comparison that tells most comes first.
+    order = [*pictures.fixed, *(name for name in names if name not in pictures.fixed and name != "all_in_focus")]
+    return "".join(
+        f'<button type="button" data-choice="{name}" aria-pressed="{"true" if n == 0 else "false"}">'
+        f"{escape(_described(names[name], pictures.patch_size.get(name)))}</button>"
+        for n, name in enumerate(order)
+    )
+
+
+def _source(name: str, words: str, url: str) -> str:
+    return f'<img data-name="{name}" data-words="{escape(words)}" alt="{escape(words)}" hidden src="{url}">'
+
+
+def _described(name: str, size: float | None) -> str:
+    return name if size is None else f"{name} ({size:+.2f} px)"
+
+
+def _modes_legend(depth: DepthMap) -> str:
+    return "".join(
+        f'<span><i style="background:rgb{MODE_COLOURS[code]}"></i>{name} {np.mean(depth.mode == code):.1%}</span>'
+        for code, name in ((1, "telescopic"), (-1, "binocular"), (0, "unresolved"))
+    )
+
+
+def _reasons(depth: DepthMap) -> str:
+    found = {REASONS[code]: float(np.mean(depth.reason == code)) for code in np.unique(depth.reason) if code}
+    if not found:
+        return "<p>Every lens has a depth of its own.</p>"
+    return bars(dict(sorted(found.items(), key=lambda item: -item[1])), "{:.2%} of the lenses")
+
+
+def _camera(calibration: Calibration) -> str:
+    lattice = calibration.lattice
+    turned = float(np.degrees(np.arctan2(lattice.basis[0, 1], lattice.basis[0, 0])))
+    facts = [
+        ("Measured on", _SOURCES.get(calibration.source, calibration.source)),
+        ("Neighbours of a lens", "six (hexagonal)" if len(lattice.steps) == 6 else "four"),
+        ("Pitch", f"{lattice.pitch:.4f} px"),
+        ("First lattice vector", f"{turned:+.3f} degrees from the rows"),
+        ("Usable radius", f"{lattice.radius:.2f} px"),
+        ("Distortion", "none found" if lattice.distortion is None else "corrected"),
+        ("Lens types", "one" if calibration.lens_types is None else str(calibration.lens_types.count)),
+        ("Confidence", f"{calibration.confidence:.2f}"),
+    ]
+    if not np.isnan(calibration.residual_rms):
+        facts.insert(5, ("Residual of single lenses", f"{calibration.residual_rms:.4f} px RMS"))
+    if calibration.mosaic:
+        facts.append(("Colour mosaic", calibration.mosaic))
+    return table(facts)
+
+
+def _saved(depth: DepthMap) -> str:
+    if not depth.saved:
+        return "<p>Nothing was skipped: every lens was matched at every shift.</p>"
+    # A shortcut that found nothing to leave out is told as well.
+    return bars({_SHORTCUTS.get(name, name): share for name, share in depth.saved.items()}, "{:.1%} of the work")

@@ -1,0 +1,250 @@
+"""What the viewer's shader needs of a capture: the flat in tiles, and the tables that the drawing kernel reads too."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfcal import Calibration, CalibrationError, LightFieldError
+from lfcal.runtime.eight_bit import eight_bits
+
+from ..data.depth_map import DepthMap
+from ..depth.surface.occlusion import lens_depths
+from ..flat.distorted_lookup import lattice_bend
+from ..flat.grey_flat import gain_table, lens_by_lens, white_level
+from ..flat.lens_type_weights import focus_shares
+from ..flat.sharpness import lens_blur
+from ..flat.validation import check_flat
+from ..output.metrics import nearest_lens
+from ..rendering.plan import _beside, lens_offsets
+from ..rendering.refocus import _REACH as _WIDE_REACH
+from ..rendering.render import _AGREEMENT, _COARSE, _REACH, default_scale
+from ..rendering.warping import Viewpoint, virtual_depth
+
+__all__ = ["viewer_scene"]
+
+# Side of a tile that every WebGL 2 takes.
+_TILE = 2048
+# Rows and columns that neighbours share, one of them before their own part: each is read alone, and sharpened before.
+_SHARED, _BEFORE = 3, 1
+# Layers of a texture that every WebGL 2 takes.
+_MOST_TILES = 256
+# Patch sizes of flat pixels go into 16 bits: 0 is unknown, the last code infinitely far, the others -D to D.
+_CODES = 65535
+# Share of the lenses between the ends of the slider, and what is added to both ends of their range.
+_WITHIN, _MORE = (0.01, 0.99), 0.15
+# Patches smaller than this share of the pitch are not found in any capture.
+_SMALLEST = 0.04
+
+
+def viewer_scene(
+    flat: NDArray, calibration: Calibration, depth: DepthMap, title: str, *, tile: int = _TILE, compression: int = 1
+) -> Iterator[tuple[str, bytes]]:
+    """The data of the viewer: one JSON object, and pictures and arrays beside it.
+
+    Parameters
+    ----------
+    flat : (H, W) or (H, W, C) array
+        Shown with 8 bits per channel.
+    calibration : Calibration
+    depth : DepthMap
+        Of this flat.
+    title : str
+    tile : int [px]
+        Largest side of a texture.
+    compression : int
+        Of the PNG files, 0 to 9.
+
+    Returns
+    -------
+    iterator of (str, bytes)
+        Names and contents: `scene.json`, `surface.f32`, `resolved.u8`, `flat-COLUMN-ROW.png`, `seen-COLUMN-ROW.png`.
+
+    Raises
+    ------
+    FlatError, CalibrationError
+        As `render`.
+    LightFieldError
+        If the flat needs more tiles than browsers take.
+    """
+    pixels = check_flat(flat, calibration)
+    if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):
+        raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
+    height, width = pixels.shape[:2]
+    tiles = _tiles((width, height), tile)
+    if len(tiles) > _MOST_TILES:
+        raise LightFieldError(
+            f"a flat of {width} x {height} px needs {len(tiles)} textures, browsers take {_MOST_TILES}; "
+            "view a part of it, or a smaller copy"
+        )
+    edge = max(0.5, 0.03 * calibration.lattice.pitch)
+    even, gains, lights, step = _light(pixels, calibration)
+    seen, from_middle = _seen(calibration, depth, edge)
+    described = _tables(calibration, depth, edge, pixels)
+    described |= {"title": title, "size": [width, height]}
+    described["rings"] = {"step": step, "values": _base64(np.column_stack([gains, lights]), np.float32)}
+    with_seen, white = [], white_level(pixels, calibration)
+    for name, (x, y, side) in tiles.items():
+        part = _cut(seen, x, y, side)
+        if part.any():
+            with_seen.append(name)
+            coded = np.dstack([part >> 8, part & 255, _cut(from_middle, x, y, side)]).astype(np.uint8)
+            yield f"seen-{name}.png", _png(coded, compression)
+        yield f"flat-{name}.png", _png(eight_bits(_shown(_cut(even, x, y, side)), white), compression)
+    last = list(tiles)[-1].split("-")
+    described["tiles"] = {
+        "side": next(iter(tiles.values()))[2], "columns": int(last[0]) + 1, "rows": int(last[1]) + 1, "seen": with_seen,
+    }  # fmt: skip
+    surface = depth.surface
+    yield "surface.f32", np.ascontiguousarray(surface.patch_size, "<f4").tobytes()
+    yield "resolved.u8", _resolved(calibration, depth).tobytes()
+    yield "scene.json", json.dumps(described).encode()
+
+
+def _tiles(size: tuple[int, int], largest: int) -> dict[str, tuple[int, int, int]]:
+    """Left, top and side [px] of every tile by its name `COLUMN-ROW`."""
+    side = min(largest, max(*size, 2) + _SHARED - 1)
+    step = side - _SHARED
+    columns, rows = (max(1, -(-(n - 1) // step)) for n in size)
+    return {f"{i}-{j}": (i * step - _BEFORE, j * step - _BEFORE, side) for j in range(rows) for i in range(columns)}
+
+
+def _cut(pixels: NDArray, left: int, top: int, side: int) -> NDArray:
+    """A tile, as far as the flat reaches and one pixel beyond, where the last one is repeated."""
+    ends = [(k, min(k + side, n + 1), n) for k, n in ((top, pixels.shape[0]), (left, pixels.shape[1]))]
+    part = pixels[tuple(slice(max(low, 0), high) for low, high, _ in ends)]
+    beyond = [(max(-low, 0), max(high - n, 0)) for low, high, n in ends]
+    return np.pad(part, [*beyond, (0, 0)][: pixels.ndim], "edge") if np.any(beyond) else part
+
+
+def _light(
+    pixels: NDArray, calibration: Calibration
+) -> tuple[NDArray, NDArray[np.float32], NDArray[np.float32], float]:
+    """The flat, evenly lit where its lenses differ; over the squared distance from a centre its gain and its light."""
+    gains, step = gain_table(calibration)
+    lights = (1 / gains).astype(np.float32)
+    if lens_by_lens(calibration):
+        pixels, gains = calibration.flatten(pixels), np.ones_like(gains)
+    return pixels, gains, lights, step
+
+
+def _seen(calibration: Calibration, depth: DepthMap, edge: float) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """(H, W) codes of the patch size of what each flat pixel sees from aside, and of what it sees from the middle.
+
+    From aside, lenses are asked for places farther from them. The second code is 0 for unknown, 255 for the same as
+    from aside, else -D to D.
+    """
+    lattice = calibration.lattice
+    farthest = Viewpoint((lattice.radius, 0.0)).parallax(depth.surface, lattice)
+    middle = lens_depths(depth.surface, lattice, _REACH * lattice.pitch, edge)
+    aside = lens_depths(depth.surface, lattice, _REACH * lattice.pitch + farthest, edge)
+    coded = _coded(aside, lattice.pitch, _CODES).astype(np.uint16)
+    from_middle = _coded(middle, lattice.pitch, 255).astype(np.uint8)
+    from_middle[np.abs(middle - aside) < 0.5 * edge] = 255
+    if lens_by_lens(calibration):
+        unlit = _beside(np.isnan(calibration.gain()))
+        coded[unlit], from_middle[unlit] = _CODES, 255
+    return coded, from_middle
+
+
+def _coded(patch_size: NDArray[np.float32], pitch: float, last: int) -> NDArray[np.float32]:
+    """Whole numbers: 0 for NaN, 1 to `last - 1` for -D to D."""
+    share = (np.clip(np.nan_to_num(patch_size) / pitch, -1, 1) + 1) / 2
+    return np.where(np.isnan(patch_size), 0, np.rint(1 + share * (last - 2))).astype(np.float32)
+
+
+def _resolved(calibration: Calibration, depth: DepthMap) -> NDArray[np.uint8]:
+    """(h, w): 1 where the surface lies over a lens with a depth of its own."""
+    surface = depth.surface
+    v, u = np.indices(surface.patch_size.shape)
+    points = np.column_stack([u.ravel(), v.ravel()]) * surface.spacing + surface.first
+    own = ~depth.filled[nearest_lens(calibration.lattice, points)]
+    return own.reshape(surface.patch_size.shape).astype(np.uint8)
+
+
+def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDArray) -> dict[str, Any]:
+    """What goes into the JSON object as numbers."""
+    lattice, surface = calibration.lattice, depth.surface
+    offsets, _ = lens_offsets(lattice, _WIDE_REACH * lattice.pitch)
+    bend, low = lattice_bend(lattice)
+    cell, shares = focus_shares(calibration.lens_types)
+    virtual = virtual_depth(surface.patch_size, lattice.pitch)
+    # Blur is measured as a share of the patch size; one patch size for all lenses gives its width in the flat.
+    unit = np.full(len(lattice), 2.0, np.float32)
+    ends, middle = _planes(depth)
+    return {
+        "pitch": lattice.pitch,
+        "radius": lattice.radius,
+        "origin": lattice.origin.tolist(),
+        "basis": lattice.basis.tolist(),
+        "inverse": np.linalg.inv(lattice.basis).tolist(),
+        "offsets": _base64(offsets, np.float32),
+        "bend": {"shape": list(bend.shape[:2]), "low": low.tolist(), "values": _base64(bend, np.float32)},
+        "types": {"side": len(cell), "cell": cell.ravel().tolist(), "shares": _base64(shares, np.float32)},
+        "surface": {
+            "shape": list(surface.patch_size.shape),
+            "first": list(surface.first),
+            "spacing": surface.spacing,
+            "edge": edge,
+            "virtual": [float(virtual.min()), float(virtual.max())],
+        },
+        "blur": {
+            "width": 2 * lens_blur(pixels, calibration, unit),
+            "share": lens_blur(pixels, calibration, depth.patch_size),
+        },
+        "scale": default_scale(depth),
+        "reach": {"sharp": _REACH, "wide": _WIDE_REACH},
+        "agreement": _AGREEMENT,
+        "coarse": _COARSE,
+        "planes": ends,
+        "plane": middle,
+        "overlay": _overlay(depth),
+    }
+
+
+def _planes(depth: DepthMap) -> tuple[list[float], float]:
+    """Ends of the range of depth as nearness, which grows toward the camera, and the patch size in its middle."""
+    known = depth.patch_size[np.isfinite(depth.patch_size)].astype(float)
+    known = known if known.size else depth.drawn.astype(float)
+    pitch = depth.pitch
+    near = np.sort(np.where(known > 0, known, known + 2 * pitch))
+    low, middle, high = np.quantile(near, (_WITHIN[0], 0.5, _WITHIN[1]), method="nearest")
+    more = _MORE * max(high - low, 0.2 * pitch)
+    least = _SMALLEST * pitch
+    ends = [max(float(low - more), least), min(float(high + more), 2 * pitch - least)]
+    middle = min(max(float(middle), ends[0]), ends[1])
+    return ends, middle if middle < pitch else middle - 2 * pitch
+
+
+def _overlay(depth: DepthMap) -> dict[str, Any]:
+    """Colours of the magnification and the ends of their scale."""
+    import cv2
+
+    known = depth.magnification[np.isfinite(depth.magnification)]
+    low, high = np.percentile(known, [1, 99]) if known.size else (1.0, 10.0)
+    ramp = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], cv2.COLORMAP_TURBO)[0, :, ::-1]
+    return {"limits": [float(low), float(max(high, 1.2 * low))], "ramp": _base64(ramp, np.uint8)}
+
+
+def _shown(pixels: NDArray) -> NDArray:
+    """The first three channels, or the first alone."""
+    return pixels[:, :, :3] if pixels.shape[2] >= 3 else pixels[:, :, :1]
+
+
+def _png(pixels: NDArray[np.uint8], compression: int) -> bytes:
+    import cv2
+
+    picture = cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_RGB2BGR) if pixels.shape[2] == 3 else pixels
+    done, data = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, compression])
+    if not done:
+        raise LightFieldError(f"{pixels.shape[1]} x {pixels.shape[0]} px cannot be written as PNG")
+    return bytes(data.tobytes())
+
+
+def _base64(values: ArrayLike, dtype: Any) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, np.dtype(dtype).newbyteorder("<")).tobytes()).decode()

@@ -1,0 +1,178 @@
+"""The lfcal command: what it writes and prints, and how it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from click.testing import CliRunner
+
+import lfcal
+from lfcal.cli.main import main
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments], catch_exceptions=False)
+
+
+def assert_refused(result, *words):
+    assert result.exit_code == 2, result.output
+    assert result.stderr.count("\n") == 1
+    assert "Traceback" not in result.output
+    for word in words:
+        assert word in result.stderr
+
+
+def test_white_image_becomes_a_camera_file_near_the_truth(house, house_files, tmp_path):
+    result = run("calibrate", house_files / "white.png", "--kind", "white", "-o", tmp_path / "camera.json", "--json")
+    assert result.exit_code == 0, result.output
+    figures = json.loads(result.stdout)
+    truth = house.truth.calibration
+    assert figures["pitch"] == pytest.approx(truth.lattice.pitch, abs=0.02)
+    assert figures["lattice"] == "hexagonal"
+    assert figures["size"] == list(truth.image_size)
+    assert set(figures["seconds"]) == {"read", "calibrate"}
+    camera = lfcal.load(tmp_path / "camera.json")
+    assert camera.lattice.pitch == figures["pitch"]
+    assert os.listdir(tmp_path) == ["camera.json"]
+
+
+def test_info_names_the_lens_types_of_a_camera(house, tmp_path):
+    types = lfcal.LensTypes([[0, 1], [1, 0]], True, [-0.4, float("nan")], 0.9)
+    replace(house.truth.calibration, lens_types=types).save(tmp_path / "camera.json")
+    figures = json.loads(run("info", tmp_path / "camera.json", "--json").stdout)["lens_types"]
+    expected = {"count": 2, "by_focus": True, "confidence": 0.9, "focus": [-0.4, None], "cell": [[0, 1], [1, 0]]}
+    assert figures == expected
+    assert "count 2, by focus True" in run("info", tmp_path / "camera.json").stdout
+
+
+def test_several_images_make_one_camera_and_the_mosaic_is_kept(house, house_files, tmp_path):
+    white = house_files / "white.png"
+    result = run("calibrate", white, white, "--mosaic", "rggb", "-o", tmp_path / "camera.json", "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["mosaic"] == "RGGB"
+    assert lfcal.load(tmp_path / "camera.json").mosaic == "RGGB"
+
+
+def test_images_of_different_sizes_are_refused_by_name(house_files, tmp_path):
+    cv2.imwrite(str(tmp_path / "other.png"), np.zeros((300, 310), np.uint8))
+    result = run("calibrate", house_files / "white.png", tmp_path / "other.png", "-o", tmp_path / "camera.json")
+    assert_refused(result, "other.png", "310 x 300 px", "520 x 400 px")
+    assert not (tmp_path / "camera.json").exists()
+
+
+def test_info_says_what_calibrate_said(house_files):
+    result = run("info", house_files / "camera.json", "--json")
+    assert result.exit_code == 0
+    figures = json.loads(result.stdout)
+    assert figures["pitch"] == pytest.approx(20.3)
+    assert figures["source"] == "truth"
+    text = run("info", house_files / "camera.json").stdout
+    assert "20.3" in text and "hexagonal" in text
+
+
+@pytest.mark.parametrize(
+    ("basis", "words", "rotation"),
+    [
+        ([[20, 0], [10, 300**0.5]], ("hexagonal", "horizontal"), 0.0),
+        ([[0, 20], [300**0.5, 10]], ("hexagonal", "vertical"), 0.0),
+        ([[20, 0.3], [-0.3, 20]], ("square", "both ways"), 0.859),
+        ([[20, 0], [0, 25]], ("rectangular", "both ways"), 0.0),
+        ([[20, 0], [4, 20]], ("oblique", "both ways"), 0.0),
+    ],
+)
+def test_info_names_the_shape_of_the_lattice_and_its_rotation(tmp_path, basis, words, rotation):
+    lfcal.Calibration(lfcal.Lattice([100, 100], basis, (300, 200), 9)).save(tmp_path / "camera.json")
+    figures = json.loads(run("info", tmp_path / "camera.json", "--json").stdout)
+    assert (figures["lattice"], figures["rows"]) == words
+    assert figures["rotation_degrees"] == pytest.approx(rotation, abs=0.001)
+
+
+def test_quiet_prints_nothing(house_files):
+    result = run("info", house_files / "camera.json", "--quiet")
+    assert (result.exit_code, result.output) == (0, "")
+
+
+@pytest.fixture
+def bad_images(tmp_path, house):
+    """Files that are no flats, by what is wrong with them."""
+    folder = tmp_path / "bad"
+    folder.mkdir()
+    png = cv2.imencode(".png", house.white)[1].tobytes()
+    (folder / "empty.png").touch()
+    (folder / "truncated.png").write_bytes(png[: len(png) // 2])
+    (folder / "text.png").write_text("no picture\n")
+    nan = house.white.astype(np.float32)
+    nan[7, 9] = np.nan
+    tifffile.imwrite(folder / "nan.tif", nan)
+    cv2.imwrite(str(folder / "tiny.png"), house.white[:30, :30])
+    y, x = np.mgrid[:300, :400]
+    noise = np.random.default_rng(1).normal(0, 3, (300, 400))
+    photograph = 120 + 60 * np.sin(x / 70 + 1) * np.cos(y / 55) + noise + 40 * (x > 200)
+    cv2.imwrite(str(folder / "photograph.png"), np.clip(photograph, 0, 255).astype(np.uint8))
+    cv2.imwrite(str(folder / "constant.png"), np.full((300, 400), 90, np.uint8))
+    return folder
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "missing.png",
+        "empty.png",
+        "truncated.png",
+        "text.png",
+        "nan.tif",
+        "tiny.png",
+        "photograph.png",
+        "constant.png",
+        "",
+    ],
+)
+def test_bad_images_are_one_line_and_leave_no_file(bad_images, tmp_path, name):
+    assert_refused(run("calibrate", bad_images / name, "-o", tmp_path / "camera.json"), str(bad_images / name))
+    assert not (tmp_path / "camera.json").exists()
+    assert os.listdir(tmp_path) == ["bad"]
+
+
+def test_decoders_say_nothing_of_their_own(tmp_path, house):
+    tifffile.imwrite(tmp_path / "damaged.tif", house.white, metadata=None)
+    data = bytearray((tmp_path / "damaged.tif").read_bytes())
+    data[60:90] = bytes(range(60, 90))
+    (tmp_path / "damaged.tif").write_bytes(data)
+    command = [sys.executable, "-m", "lfcal.cli.main", "calibrate", "damaged.tif", "-o", "camera.json"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "damaged.tif" in result.stderr
+
+
+def test_bad_outputs_are_refused_before_the_image_is_read(tmp_path):
+    for output, word in [("camera.txt", ".json"), ("nowhere/camera.json", "does not exist"), (".", "")]:
+        assert_refused(run("calibrate", tmp_path / "missing.png", "-o", tmp_path / output), word)
+
+
+def test_damaged_camera_files_are_refused(tmp_path):
+    for content in ("", "{", "[]", '{"schema": "lfcal-camera", "version": 1}', "\x00\xff"):
+        (tmp_path / "camera.json").write_text(content)
+        assert_refused(run("info", tmp_path / "camera.json"), "camera.json")
+    assert_refused(run("info", tmp_path / "missing.json"), "missing.json")
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\nfrom lfcal.cli.main import main\n"
+        "try: main(['--help'])\nexcept SystemExit as end: assert end.code == 0\n"
+        "print([m for m in ('numba', 'scipy', 'cv2', 'PIL', 'tifffile', 'skimage', 'rich') if m in sys.modules])"
+    )
+    start = time.perf_counter()
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip().endswith("[]")
+    assert time.perf_counter() - start < 5

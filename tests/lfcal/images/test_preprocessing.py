@@ -1,0 +1,51 @@
+"""Features and folds are what their definitions say, at borders and with several threads too."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+from scipy.ndimage import uniform_filter
+
+from lfcal.detection.folding import fold_tiles
+from lfcal.images.preprocessing import level_locally
+
+
+@pytest.mark.parametrize(
+    ("shape", "window"), [((70, 90), 7.9), ((300, 41), 18.6), ((41, 300), 200.0), ((9, 12), 60.0), ((2, 3), 3.0)]
+)
+def test_pictures_are_levelled_by_mean_and_spread_about_each_pixel(shape, window):
+    picture = np.random.default_rng(2).gamma(4, 0.25, shape).astype(np.float32)
+    side, exact = max(3, int(window) | 1), picture.astype(float)
+    # That mode is SciPy's name for mirrored ends that are not repeated.
+    mean, square = (uniform_filter(values, side, mode="mirror") for values in (exact, exact**2))
+    expected = (exact - mean) / (np.sqrt(np.maximum(square - mean**2, 0)) + 0.02)
+    levelled = level_locally(picture, window)
+    np.testing.assert_allclose(levelled, np.clip(expected, -3, 3), atol=2e-5)
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        np.testing.assert_array_equal(level_locally(picture, window), levelled)
+    finally:
+        numba.set_num_threads(threads)
+
+
+def test_folds_hold_every_pixel_of_a_tile_in_the_bin_of_its_place():
+    rng, bins = np.random.default_rng(3), 12
+    picture = rng.standard_normal((130, 170)).astype(np.float32)
+    basis = np.array([[18.6, 0.3], [9.1, 16.2]])
+    (folds,) = fold_tiles([picture], basis, 50, bins)
+    first, second = fold_tiles([-picture, picture], basis, 50, bins)
+    y, x = np.mgrid[: folds.side, : folds.side].reshape(2, -1)
+    place = np.column_stack([x + folds.side, y]) @ np.linalg.inv(basis)
+    column, row = (((place - np.floor(place)) * bins).astype(int) % bins).T
+    total, count = np.zeros((2, bins, bins))
+    np.add.at(total, (row, column), picture[y, x + folds.side])
+    np.add.at(count, (row, column), 1)
+    # The second tile of the first row.
+    np.testing.assert_array_equal(folds.count[1], count)
+    np.testing.assert_allclose(folds.total[1], total, atol=1e-4)
+    assert folds.count.sum() == picture.size
+    # Two pictures at once are folded as each by itself.
+    for both, single in ((first.total, -folds.total), (second.total, folds.total), (second.count, folds.count)):
+        np.testing.assert_array_equal(both, single)

@@ -1,0 +1,325 @@
+"""Reading flats: pixels as stored for every format, and a clear refusal for everything that is not whole."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from lfcal import FlatError
+from lfcal.images.read import MAX_PIXELS, read_flat
+
+
+@pytest.fixture
+def rgb8():
+    """A smooth picture whose three channels differ, so that a swapped order shows."""
+    y, x = np.mgrid[:48, :64]
+    return np.stack([x * 4, y * 5, 255 - x * 2], -1).astype(np.uint8)
+
+
+@pytest.fixture
+def rgb16(rgb8):
+    return rgb8.astype(np.uint16) * 257 + np.uint16(1)
+
+
+def png_bytes(pixels):
+    bgr = pixels[..., ::-1] if pixels.ndim == 3 else pixels
+    return cv2.imencode(".png", np.ascontiguousarray(bgr))[1].tobytes()
+
+
+def encoded(pixels, extension):
+    """A lossless or nearly lossless file of `pixels` in the format of `extension`, made without the toolkit."""
+    bgr = np.ascontiguousarray(pixels[..., ::-1])
+    settings = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 100], ".webp": [cv2.IMWRITE_WEBP_QUALITY, 101]}
+    return cv2.imencode(extension, bgr, settings.get(extension, []))[1].tobytes()
+
+
+@pytest.mark.parametrize("extension", [".png", ".tif", ".webp", ".bmp", ".ppm"])
+def test_rgb_comes_back_exactly_and_in_rgb_order(tmp_path, rgb8, extension):
+    path = tmp_path / f"flat{extension}"
+    path.write_bytes(encoded(rgb8, extension))
+    flat = read_flat(path)
+    assert flat.dtype == np.uint8
+    assert flat.flags.c_contiguous
+    np.testing.assert_array_equal(flat, rgb8)
+
+
+def test_jpeg_is_rgb_and_close(tmp_path, rgb8):
+    path = tmp_path / "flat.jpg"
+    path.write_bytes(encoded(rgb8, ".jpg"))
+    assert np.abs(read_flat(path).astype(int) - rgb8).mean() < 2
+
+
+@pytest.mark.parametrize("extension", [".png", ".tif", ".bmp", ".pgm", ".jpg", ".webp"])
+def test_the_name_does_not_decide_the_format(tmp_path, rgb8, extension):
+    path = tmp_path / f"flat{extension}"
+    path.write_bytes(png_bytes(rgb8))
+    np.testing.assert_array_equal(read_flat(path), rgb8)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("extension", [".png", ".tif", ".pgm"])
+def test_grey_stays_two_dimensional_with_its_type(tmp_path, rgb16, dtype, extension):
+    grey = rgb16[..., 0].astype(dtype)
+    path = tmp_path / f"flat{extension}"
+    path.write_bytes(cv2.imencode(extension, grey)[1].tobytes())
+    flat = read_flat(path)
+    assert flat.dtype == dtype
+    np.testing.assert_array_equal(flat, grey)
+
+
+@pytest.mark.parametrize("extension", [".png", ".tif", ".ppm"])
+def test_sixteen_bit_colours_keep_all_bits(tmp_path, rgb16, extension):
+    path = tmp_path / f"flat{extension}"
+    path.write_bytes(encoded(rgb16, extension))
+    flat = read_flat(path)
+    assert flat.dtype == np.uint16
+    np.testing.assert_array_equal(flat, rgb16)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_alpha_is_dropped_without_blending(tmp_path, rgb16, dtype):
+    rgb = rgb16.astype(dtype)
+    alpha = np.zeros(rgb.shape[:2], dtype)
+    path = tmp_path / "flat.png"
+    path.write_bytes(cv2.imencode(".png", np.dstack([rgb[..., ::-1], alpha]))[1].tobytes())
+    np.testing.assert_array_equal(read_flat(path), rgb)
+
+
+def test_grey_with_alpha_is_grey(tmp_path, rgb8):
+    grey = rgb8[..., 0]
+    Image.merge("LA", [Image.fromarray(grey), Image.new("L", grey.shape[::-1], 7)]).save(tmp_path / "flat.png")
+    np.testing.assert_array_equal(read_flat(tmp_path / "flat.png"), grey)
+
+
+def test_palette_becomes_colours(tmp_path):
+    indices = np.arange(64, dtype=np.uint8).reshape(8, 8) % 4
+    palette = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [10, 20, 30]], np.uint8)
+    image = Image.fromarray(indices, "P")
+    image.putpalette(palette.ravel().tolist())
+    image.save(tmp_path / "flat.png", transparency=bytes([0, 128, 255, 255]))
+    np.testing.assert_array_equal(read_flat(tmp_path / "flat.png"), palette[indices])
+
+
+def test_one_bit_png_is_black_and_white(tmp_path):
+    bits = np.indices((9, 9)).sum(0) % 2 == 0
+    Image.fromarray(bits).save(tmp_path / "flat.png")
+    np.testing.assert_array_equal(read_flat(tmp_path / "flat.png"), bits * np.uint8(255))
+
+
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize("options", [{}, {"tile": (16, 16)}, {"bigtiff": True}, {"rowsperstrip": 5}])
+def test_tiff_layouts(tmp_path, rgb16, compression, options):
+    path = tmp_path / "flat.tif"
+    tifffile.imwrite(path, rgb16, photometric="rgb", compression=compression, **options)
+    np.testing.assert_array_equal(read_flat(path), rgb16)
+
+
+def test_tiff_with_separate_planes(tmp_path, rgb8):
+    path = tmp_path / "flat.tif"
+    tifffile.imwrite(path, np.moveaxis(rgb8, -1, 0), photometric="rgb", planarconfig="separate")
+    flat = read_flat(path)
+    assert flat.flags.c_contiguous
+    np.testing.assert_array_equal(flat, rgb8)
+
+
+def test_tiff_with_lzw_compression(tmp_path, rgb16):
+    path = tmp_path / "flat.tif"
+    assert cv2.imwrite(str(path), rgb16[..., ::-1], [cv2.IMWRITE_TIFF_COMPRESSION, 5])
+    np.testing.assert_array_equal(read_flat(path), rgb16)
+
+
+def test_tiff_big_endian_comes_in_native_order(tmp_path, rgb16):
+    path = tmp_path / "flat.tif"
+    tifffile.imwrite(path, rgb16, byteorder=">", photometric="rgb")
+    flat = read_flat(path)
+    assert flat.dtype.isnative
+    np.testing.assert_array_equal(flat, rgb16)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_float_tiff_is_float32(tmp_path, rgb8, dtype):
+    path = tmp_path / "flat.tif"
+    tifffile.imwrite(path, (rgb8 / 256).astype(dtype), photometric="rgb")
+    flat = read_flat(path)
+    assert flat.dtype == np.float32
+    np.testing.assert_array_equal(flat, (rgb8 / 256).astype(np.float32))
+
+
+def test_white_is_zero_tiff_is_turned_over(tmp_path, rgb8):
+    path = tmp_path / "flat.tif"
+    tifffile.imwrite(path, rgb8[..., 0], photometric="miniswhite")
+    np.testing.assert_array_equal(read_flat(path), 255 - rgb8[..., 0])
+
+
+def test_thumbnail_in_a_tiff_is_passed_over_and_a_second_picture_refused(tmp_path, rgb8):
+    with tifffile.TiffWriter(tmp_path / "thumb.tif") as tiff:
+        tiff.write(rgb8[::4, ::4].copy(), subfiletype=1, photometric="rgb")
+        tiff.write(rgb8, photometric="rgb")
+    np.testing.assert_array_equal(read_flat(tmp_path / "thumb.tif"), rgb8)
+    tifffile.imwrite(tmp_path / "stack.tif", np.stack([rgb8[..., 0]] * 3), photometric="minisblack")
+    with pytest.raises(FlatError, match="3 pictures"):
+        read_flat(tmp_path / "stack.tif")
+
+
+@pytest.mark.parametrize("maximum", [255, 1023, 65535])
+@pytest.mark.parametrize("ascii_", [True, False])
+def test_netpbm_values_are_not_rescaled(tmp_path, maximum, ascii_):
+    values = np.arange(12).reshape(3, 4) * (maximum // 12)
+    if ascii_:
+        body = " ".join(map(str, values.ravel())).encode()
+    else:
+        body = values.astype(np.uint8 if maximum < 256 else ">u2").tobytes()
+    kind = b"P2" if ascii_ else b"P5"
+    (tmp_path / "flat.pgm").write_bytes(kind + b"\n# made by hand\n4 3\n%d\n" % maximum + body)
+    flat = read_flat(tmp_path / "flat.pgm")
+    assert flat.dtype == (np.uint8 if maximum < 256 else np.uint16)
+    np.testing.assert_array_equal(flat, values)
+
+
+def test_orientation_tag_is_not_obeyed(tmp_path, rgb8):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(rgb8).save(tmp_path / "flat.jpg", exif=exif, quality=100, subsampling=0)
+    assert read_flat(tmp_path / "flat.jpg").shape == rgb8.shape
+
+
+def test_nan_and_infinity_are_refused_with_their_number(tmp_path):
+    pixels = np.zeros((8, 8), np.float32)
+    pixels[1, 2], pixels[3, 4] = np.nan, -np.inf
+    tifffile.imwrite(tmp_path / "flat.tif", pixels)
+    with pytest.raises(FlatError, match="2 values are NaN or infinite"):
+        read_flat(tmp_path / "flat.tif")
+
+
+def test_float64_beyond_float32_is_refused(tmp_path):
+    tifffile.imwrite(tmp_path / "flat.tif", np.full((8, 8), 1e300))
+    with pytest.raises(FlatError, match="infinite"):
+        read_flat(tmp_path / "flat.tif")
+
+
+def test_what_is_no_image_file_is_named(tmp_path):
+    (tmp_path / "empty.png").touch()
+    (tmp_path / "text.png").write_text("this is not a picture\n" * 9)
+    for name, reason in [
+        ("nowhere.png", "No such file"),
+        ("empty.png", "is empty"),
+        ("text.png", "no image"),
+        ("", "folder"),
+    ]:
+        with pytest.raises(FlatError, match=reason) as caught:
+            read_flat(tmp_path / name)
+        assert str(tmp_path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("extension", [".png", ".jpg", ".bmp", ".ppm"])
+def test_header_promising_too_many_pixels_is_refused_before_decoding(tmp_path, rgb8, extension):
+    data = bytearray(encoded(rgb8, extension))
+    big = 65500 if extension == ".jpg" else 40000
+    if extension == ".png":
+        data[16:24] = struct.pack(">II", big, big)
+        data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    elif extension == ".jpg":
+        at = data.index(b"\xff\xc0")
+        data[at + 5 : at + 9] = struct.pack(">HH", big, big)
+    elif extension == ".bmp":
+        data[18:26] = struct.pack("<ii", big, big)
+    else:
+        data = bytearray(b"P6\n%d %d\n255\n" % (big, big) + bytes(100))
+    assert big * big > MAX_PIXELS
+    path = tmp_path / f"bomb{extension}"
+    path.write_bytes(data)
+    with pytest.raises(FlatError, match="more than"):
+        read_flat(path)
+
+
+def test_png_with_sound_checksums_but_missing_rows_is_refused(tmp_path, rgb8, rgb16):
+    for pixels in (rgb8, rgb16):
+        data = png_bytes(pixels)
+        at = data.index(b"IDAT")
+        length = struct.unpack(">I", data[at - 4 : at])[0]
+        half = zlib.decompress(data[at + 4 : at + 4 + length])[: pixels[:20].nbytes]
+        body = b"IDAT" + zlib.compress(half)
+        chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
+        path = tmp_path / "flat.png"
+        path.write_bytes(data[: at - 4] + chunk + data[at + 8 + length :])
+        with pytest.raises(FlatError):
+            read_flat(path)
+
+
+def lossless_files(rgb8, rgb16, tmp_path):
+    yield "flat.png", png_bytes(rgb8), rgb8
+    yield "flat.png", png_bytes(rgb16), rgb16
+    yield "flat.webp", encoded(rgb8, ".webp"), rgb8
+    yield "flat.bmp", encoded(rgb8, ".bmp"), rgb8
+    yield "flat.ppm", encoded(rgb8, ".ppm"), rgb8
+    for compression in (None, "zlib"):
+        tifffile.imwrite(tmp_path / "whole.tif", rgb16, photometric="rgb", compression=compression, metadata=None)
+        yield "flat.tif", (tmp_path / "whole.tif").read_bytes(), rgb16
+    cv2.imwrite(str(tmp_path / "lzw.tif"), rgb16[..., ::-1], [cv2.IMWRITE_TIFF_COMPRESSION, 5])
+    yield "flat.tif", (tmp_path / "lzw.tif").read_bytes(), rgb16
+
+
+def test_truncated_files_are_refused_or_read_right(tmp_path, rgb8, rgb16):
+    refused = 0
+    for name, data, pixels in lossless_files(rgb8, rgb16, tmp_path):
+        for end in {*np.linspace(1, len(data) - 1, 40).astype(int), len(data) // 2, len(data) - 1}:
+            (tmp_path / name).write_bytes(data[:end])
+            try:
+                flat = read_flat(tmp_path / name)
+            except FlatError as error:
+                refused += 1
+                assert "\n" not in str(error)
+            else:
+                np.testing.assert_array_equal(flat, pixels, err_msg=f"{name} cut at {end} of {len(data)}")
+    assert refused > 250
+
+
+def test_truncated_jpeg_is_refused_or_read_right(tmp_path, rgb8):
+    rng = np.random.default_rng(5)
+    noisy = (rgb8 // 2 + rng.integers(0, 100, rgb8.shape)).astype(np.uint8)
+    data = encoded(noisy, ".jpg")
+    path = tmp_path / "flat.jpg"
+    path.write_bytes(data)
+    whole = read_flat(path)
+    for end in np.linspace(4, len(data) - 8, 60).astype(int):
+        path.write_bytes(data[:end])
+        with pytest.raises(FlatError):
+            read_flat(path)
+    path.write_bytes(data[:-2])
+    # All pixels are there when only the end marker is missing: reading them is fine, reading others is not.
+    with contextlib.suppress(FlatError):
+        np.testing.assert_array_equal(read_flat(path), whole)
+
+
+def test_flipped_bits_never_escape_as_another_error(tmp_path, rgb8, rgb16, capfd):
+    rng = np.random.default_rng(11)
+    files = [*lossless_files(rgb8, rgb16, tmp_path), ("flat.jpg", encoded(rgb8, ".jpg"), rgb8)]
+    for name, data, pixels in files:
+        for _ in range(60):
+            broken = bytearray(data)
+            # Headers carry the dangerous fields, so half of the flips go there.
+            at = rng.integers(0, 200 if rng.random() < 0.5 else len(data))
+            broken[at % len(data)] ^= 1 << rng.integers(8)
+            (tmp_path / name).write_bytes(broken)
+            try:
+                flat = read_flat(tmp_path / name)
+            except FlatError as error:
+                assert "\n" not in str(error)
+            else:
+                assert flat.dtype in (np.uint8, np.uint16, np.float32)
+                assert flat.ndim == 2 or flat.shape[2] == 3
+                if name == "flat.png":
+                    np.testing.assert_array_equal(flat, pixels)
+    assert capfd.readouterr().err == ""
+
+
+def test_large_sensor_is_below_the_limit():
+    assert MAX_PIXELS >= 25_000 * 22_000

@@ -1,0 +1,95 @@
+"""Lattices: reduction to one canonical basis, neighbours, and the lenses on a flat."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfcal import Lattice
+from lfcal.lattice.distortion import Distortion
+from lfcal.lattice.lattice import reduce_basis
+
+_UNIMODULAR = st.sampled_from(
+    [[[1, 0], [0, 1]], [[2, 1], [1, 1]], [[1, -3], [0, 1]], [[0, 1], [1, 0]], [[-1, 0], [5, 1]]]
+)
+
+
+def _turn(basis, degrees):
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.asarray(basis) @ np.array([[c, s], [-s, c]])
+
+
+@given(
+    st.floats(0, 360),
+    st.floats(-0.5, 0.5),
+    st.floats(0.8, 3.0),
+    st.floats(3.0, 200.0),
+    _UNIMODULAR,
+)
+def test_reduced_basis_spans_the_same_lattice_at_60_to_90_degrees(degrees, lean, height, pitch, mixture):
+    basis = _turn([[pitch, 0], [lean * pitch, height * pitch]], degrees)
+    reduced = reduce_basis(np.array(mixture) @ basis)
+    index = reduced @ np.linalg.inv(basis)
+    assert np.abs(index - np.rint(index)).max() < 1e-6
+    assert np.linalg.det(reduced) == pytest.approx(abs(np.linalg.det(basis)), rel=1e-9)
+    cosine = reduced[0] @ reduced[1] / np.prod(np.hypot(*reduced.T))
+    assert -1e-3 < cosine < 0.51
+
+
+@pytest.mark.parametrize("basis", [[[1, 0], [2, 0]], [[0, 0], [1, 1]], [[1, np.nan], [0, 1]]])
+def test_degenerate_basis_is_refused(basis):
+    with pytest.raises(ValueError, match="basis"):
+        reduce_basis(basis)
+
+
+@given(st.floats(0, 90))
+def test_hexagons_have_six_neighbours_and_squares_four(degrees):
+    for basis, count in (([[20, 0], [10, 20 * np.sqrt(0.75)]], 6), ([[20, 0], [0, 20]], 4)):
+        lattice = Lattice((3, 4), reduce_basis(_turn(basis, degrees)), (100, 100), 9)
+        assert len(lattice.steps) == count
+        assert lattice.pitch == pytest.approx(20)
+
+
+def test_every_lens_on_the_flat_is_listed_once():
+    lattice = Lattice((50.2, 40.1), _turn([[10, 0], [5, 9]], 20), (100, 80), 4)
+    centres = lattice.centres()
+    wide = lattice.origin + np.array([(i, j) for i in range(-30, 31) for j in range(-30, 31)]) @ lattice.basis
+    inside = ((wide >= -0.5) & (wide < [99.5, 79.5])).all(1)
+    assert len(lattice) == len(centres) == inside.sum()
+    np.testing.assert_allclose(lattice.to_index(centres), lattice.indices(), atol=1e-9)
+
+
+def test_a_shrunken_lattice_has_the_same_lenses_in_larger_pixels():
+    distortion = Distortion((300.0, 250.0), 0.01, -0.004, 400.0, np.full((2, 7), 0.3), (320.0, 240.0))
+    lattice = Lattice((301.2, 233.7), [[23.2, 0.4], [11.3, 20.1]], (641, 479), 11.0, distortion)
+    small = lattice.shrunk(3)
+    assert small.image_size == (213, 159)
+    assert (small.indices() == lattice.indices()).all()
+    # Pixel 0 of three covers pixels 0 to 2 of the flat, and its centre is that of pixel 1.
+    np.testing.assert_allclose(small.centres() * 3 + 1, lattice.centres(), atol=1e-9)
+    assert small.pitch == pytest.approx(lattice.pitch / 3)
+
+
+@pytest.mark.parametrize("distortion", [None, Distortion([390.0, 310.0], 0.01, 0.0, 500.0)])
+def test_a_grid_of_lenses_lies_where_each_of_them_does(distortion):
+    lattice = Lattice([100.0, 90.0], [[14.3, 0.2], [6.9, 12.4]], (800, 600), 6.0, distortion)
+    i, j = np.arange(-3, 5), np.arange(2, 9)
+    across, down = np.meshgrid(i, j)
+    expected = lattice.points(np.stack([across, down], -1).reshape(-1, 2)).reshape(len(j), len(i), 2)
+    np.testing.assert_array_equal(lattice.grid(i, j), expected)
+
+
+@pytest.mark.parametrize("basis", [[[20.1, 11.6], [0.0, 23.2]], [[23.2, 0.3], [11.9, 20.0]]])
+def test_lenses_come_from_top_to_bottom_each_once(basis):
+    lattice = Lattice([301.3, 222.2], basis, (640, 480), 9.0)
+    indices, centres = lattice.indices(), lattice.centres()
+    np.testing.assert_allclose(centres, lattice.points(indices))
+    i, j = np.mgrid[-60:60, -60:60].reshape(2, -1)
+    all_centres = lattice.points(np.column_stack([i, j]))
+    inside = ((all_centres >= -0.5) & (all_centres < [639.5, 479.5])).all(1)
+    assert {*map(tuple, indices.tolist())} == {*zip(i[inside].tolist(), j[inside].tolist(), strict=True)}
+    assert len(indices) == inside.sum()
+    # Lenses of one row may differ by what the lattice is turned.
+    assert np.diff(centres[:, 1]).min() > -lattice.pitch

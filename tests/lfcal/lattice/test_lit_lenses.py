@@ -1,0 +1,66 @@
+"""Lenses that get light: found once for lattices that hardly differ, dark ones and those beside them left out."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from lfcal import Lattice
+from lfcal.lattice import lit_lenses
+from lfcal.lattice.lens_subset import Parts
+from lfcal.lattice.lit_lenses import LitLenses
+
+_PITCH = 10.0
+
+
+def _flat() -> tuple[Parts, Lattice]:
+    """400 x 300 px of round microimages, those left of x = 150 px without light."""
+    lattice = Lattice([5.0, 5.0], [[_PITCH, 0.0], [0.0, _PITCH]], (400, 300), 4.0)
+    y, x = np.mgrid[:300, :400]
+    far = np.hypot((x - 5 + 5) % _PITCH - 5, (y - 5 + 5) % _PITCH - 5)
+    light = np.where((far < 4) & (x > 150), 1.0, 0.02)
+    return Parts.whole(np.sqrt(light).astype(np.float32)), lattice
+
+
+def test_dark_lenses_and_those_beside_them_are_left_out():
+    tones, lattice = _flat()
+    lit = LitLenses.on(tones, lattice, 7.0, 0.2, None)
+    # The first lit column is at 155 px, the one beside the dark ones.
+    assert lattice.points(lit.indices)[:, 0].min() == 165
+    assert len(lit.indices) == 23 * 28
+
+
+def test_lenses_are_looked_for_again_only_where_the_lattice_has_moved_by_a_fiftieth_of_the_pitch():
+    tones, lattice = _flat()
+    before = LitLenses.on(tones, lattice, 7.0, 0.2, None)
+    near = replace(lattice, origin=lattice.origin + 0.015 * _PITCH)
+    assert LitLenses.on(tones, near, 7.0, 0.2, before) is not before
+    near = replace(lattice, origin=lattice.origin + np.array([0.015 * _PITCH, 0]))
+    assert LitLenses.on(tones, near, 7.0, 0.2, before) is before
+    # The step adds up over 40 lenses.
+    stretched = replace(lattice, basis=lattice.basis * 1.001)
+    assert LitLenses.on(tones, stretched, 7.0, 0.2, before) is not before
+
+
+def _many(dark: float) -> tuple[Parts, Lattice]:
+    """1200 x 1000 px of 12000 round microimages, those left of x = `dark` px without light."""
+    lattice = Lattice([5.0, 5.0], [[_PITCH, 0.0], [0.0, _PITCH]], (1200, 1000), 4.0)
+    y, x = np.mgrid[:1000, :1200]
+    far = np.hypot(x % _PITCH - 5, y % _PITCH - 5)
+    return Parts.whole(np.sqrt(np.where((far < 4) & (x > dark), 1.0, 0.02)).astype(np.float32)), lattice
+
+
+def test_light_is_looked_for_in_a_sample_of_many_lenses_and_in_all_where_it_shows_dark_ones(monkeypatch):
+    looked = []
+    original = lit_lenses.lit_lenses
+    monkeypatch.setattr(lit_lenses, "lit_lenses", lambda *of: (looked.append(len(of[2])), original(*of))[1])
+    tones, lattice = _many(dark=0)
+    lit = LitLenses.on(tones, lattice, 7.0, 0.2, None)
+    assert len(lit.indices) == 12_000
+    assert sum(looked) < 5500
+    # Those at the border are left out when some are chosen.
+    assert len(lit.some(tones, lattice, 7.0, np.ones(12_000, bool)).indices) == 118 * 98
+    tones, lattice = _many(dark=20)
+    lit = LitLenses.on(tones, lattice, 7.0, 0.2, None)
+    # Two columns of 120 are dark, and those beside them are left out.
+    assert lattice.points(lit.indices)[:, 0].min() == 35
+    assert len(lit.indices) == 116 * 98

@@ -1,0 +1,34 @@
+"""What a camera file holds cannot be written to, wherever it comes from."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+import lfcal
+from lfcal.camera.lens_types import LensTypes
+
+
+def arrays(frozen):
+    return {f.name: v for f in fields(frozen) if isinstance(v := getattr(frozen, f.name), np.ndarray)}
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))])
+@pytest.mark.parametrize(
+    "frozen",
+    [
+        lfcal.Lattice((20.0, 30.0), [(12.0, 0.5), (6.0, 10.4)], (640, 480), 5.5),
+        LensTypes([[0, 2, 1], [1, 0, 2], [2, 1, 0]], True, [-0.2, 0.1, 0.3]),
+    ],
+)
+def test_arrays_stay_read_only_in_copies_and_out_of_pickles(frozen, again):
+    there = again(frozen)
+    assert len(arrays(there)) >= 2
+    for name, values in arrays(there).items():
+        np.testing.assert_array_equal(values, getattr(frozen, name))
+        assert not values.flags.writeable
+        assert values.flags.c_contiguous

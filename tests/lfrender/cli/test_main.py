@@ -1,0 +1,362 @@
+"""The lfrender command: whole chains, the figures it prints, and how it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from click.testing import CliRunner
+from PIL import Image, ImageCms
+
+import lfcal
+from lfrender.cli.main import main
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments], catch_exceptions=False)
+
+
+def figures_of(*arguments):
+    result = run(*arguments, "--json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def assert_refused(result, *words):
+    assert result.exit_code == 2, result.output
+    assert result.stderr.count("\n") == 1
+    for word in words:
+        assert word in result.stderr
+
+
+def test_analyze_then_render_with_its_depth(house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    analysed = figures_of("analyze", flat, "-c", camera, "-o", tmp_path / "depth.npz", "--preset", "fast")
+    assert analysed["modes"]["telescopic"] > 0.3
+    assert analysed["modes"]["binocular"] > 0.1
+    assert sum(analysed["modes"].values()) == pytest.approx(1)
+    drawn = figures_of("render", flat, "-c", camera, "--depth", tmp_path / "depth.npz", "-o", tmp_path / "picture.tif")
+    assert set(drawn["seconds"]) == {"read", "calibrate", "analyze", "render", "write"}
+    picture = lfcal.read_flat(tmp_path / "picture.tif")
+    assert list(picture.shape[1::-1]) == drawn["size"]
+    assert picture.dtype == np.uint8
+    assert picture.std() > 20
+    with tifffile.TiffFile(tmp_path / "picture.tif") as tiff:
+        description = json.loads(tiff.pages[0].description)
+    assert description["affine"] == drawn["affine"]
+    assert (description["rendering"], description["preset"]) == ("all in focus", "fast")
+    assert sorted(os.listdir(tmp_path)) == ["depth.npz", "picture.tif"]
+
+
+def test_render_without_a_depth_file_gives_the_same_picture(house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    figures_of("analyze", flat, "-c", camera, "-o", tmp_path / "depth.npz")
+    figures_of("render", flat, "-c", camera, "--depth", tmp_path / "depth.npz", "-o", tmp_path / "two.png")
+    figures_of("render", flat, "-c", camera, "-o", tmp_path / "one.png")
+    np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "one.png"), lfcal.read_flat(tmp_path / "two.png"))
+
+
+def test_render_calibrates_from_the_flat_or_a_white_image(house, house_files, tmp_path):
+    flat = house_files / "flat.png"
+    for options, source in [((), "scene"), (("--white", house_files / "white.png"), "white")]:
+        drawn = figures_of("render", flat, *options, "-o", tmp_path / "picture.png")
+        assert drawn["camera_source"] == source
+        assert drawn["pitch"] == pytest.approx(house.camera.pitch, abs=0.1)
+
+
+def test_a_flat_in_which_no_lens_has_a_depth_is_asked_about(house_files, tmp_path):
+    found = figures_of(
+        "analyze", house_files / "white.png", "-c", house_files / "camera.json", "-o", tmp_path / "d.npz"
+    )
+    assert found["modes"]["unresolved"] > 0.95
+    assert "is this a capture of a scene" in found["warnings"][-1]
+    roi = ("--roi", 200, 150, 260, 210)
+    part = figures_of(
+        "analyze", house_files / "flat.png", *roi, "-c", house_files / "camera.json", "-o", tmp_path / "p.npz"
+    )
+    assert part["modes"]["unresolved"] > 0.95
+    assert part["warnings"] == []
+
+
+def test_depth_needs_nothing_but_the_flat(house_files, tmp_path):
+    flat = house_files / "flat.png"
+    found = figures_of("analyze", flat, "-o", tmp_path / "depth.npz", "--preset", "fast")
+    assert found["camera_source"] == "scene"
+    assert found["modes"]["telescopic"] > 0.3
+    assert_refused(
+        run("analyze", flat, "-c", "a.json", "--white", "b.png", "-o", tmp_path / "d.npz"), "exclude each other"
+    )
+
+
+def test_scale_is_the_number_of_pixels_per_pitch(house, house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    drawn = figures_of(
+        "render", flat, "-c", camera, "--patch-size", "5", "--scale", "10", "-o", tmp_path / "picture.png"
+    )
+    assert drawn["scale"] == pytest.approx(10)
+    width, height = house.camera.width, house.camera.height
+    assert drawn["size"] == pytest.approx([width / house.camera.pitch * 10, height / house.camera.pitch * 10], rel=0.1)
+
+
+def test_traditional_picture_has_one_pixel_per_lens(house, house_files, tmp_path):
+    drawn = figures_of(
+        "render", house_files / "flat.png", "-c", house_files / "camera.json", "--traditional", "-o", tmp_path / "t.png"
+    )
+    assert drawn["scale"] == pytest.approx(1, rel=0.1)
+    assert np.prod(drawn["size"]) == pytest.approx(len(house.truth.mode), rel=0.35)
+
+
+def test_refocus_draws_one_depth_and_blend_is_its_mean_over_lenses(house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    refocused = figures_of("refocus", flat, "-c", camera, "-o", tmp_path / "a.tif", "--patch-size", 6)
+    assert refocused["scale"] == 6
+    for name, options in (("crisp.tif", []), ("blend.tif", ["--blend"])):
+        figures_of("render", flat, "-c", camera, "-o", tmp_path / name, "--patch-size", 6, *options)
+    picture, crisp, blend = (tifffile.imread(tmp_path / name) for name in ("a.tif", "crisp.tif", "blend.tif"))
+    # Mixing lenses that see a place out of focus takes detail from the picture.
+    detail = [np.abs(np.diff(image.astype(float), axis=1)).mean() for image in (picture, blend, crisp)]
+    assert detail[0] < 0.95 * detail[1] < 0.9 * detail[2]
+    assert_refused(run("refocus", flat, "-c", camera, "-o", tmp_path / "b.tif"), "--patch-size, --at and --stack")
+    assert_refused(run("render", flat, "-c", camera, "-o", tmp_path / "b.tif", "--blend"), "--blend needs")
+
+
+def test_a_focal_stack_is_written_from_far_to_near_with_the_profile_of_the_flat(house_files, tmp_path):
+    camera, profile = house_files / "camera.json", ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    flat, depth = tmp_path / "flat.png", tmp_path / "depth.npz"
+    with Image.open(house_files / "flat.png") as image:
+        image.save(flat, icc_profile=profile)
+    figures_of("analyze", flat, "-c", camera, "-o", depth, "--preset", "fast")
+    common = ["refocus", flat, "-c", camera, "--depth", depth, "--scale", 5]
+    found = figures_of(*common, "-o", tmp_path / "stack.tif", "--stack", 4)
+    ratios = 1 / np.array(found["patch_sizes"])
+    # The house has a telescopic background and binocular branches in front of it.
+    assert ratios[0] > 0 > ratios[-1] and (np.diff(ratios) < 0).all()
+    with tifffile.TiffFile(tmp_path / "stack.tif") as tiff:
+        assert len(tiff.pages) == 4
+        assert [json.loads(page.description)["patch_size"] for page in tiff.pages] == found["patch_sizes"]
+        assert bytes(tiff.pages[3].tags[34675].value) == profile
+        pages = tiff.asarray()
+    sizes = [word for size in found["patch_sizes"][:2] for word in ("--patch-size", size)]
+    given = figures_of(*common, "-o", tmp_path / "s.png", *sizes)
+    assert given["pictures"] == [str(tmp_path / "s_01.png"), str(tmp_path / "s_02.png")]
+    for path, page in zip(given["pictures"], pages, strict=False):
+        with Image.open(path) as image:
+            np.testing.assert_array_equal(np.asarray(image), page)
+    at = figures_of(*common, "-o", tmp_path / "at.png", "--at", 200, 150)
+    assert at["picture"] == str(tmp_path / "at.png")
+    assert_refused(run(*common, "-o", tmp_path / "b.tif", "--at", 200, 150, "--stack", 3), "exclude each other")
+
+
+def test_alpha_marks_the_pixels_nothing_has_seen(house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    drawn = figures_of("render", flat, "-c", camera, "--patch-size", "-6", "--alpha", "-o", tmp_path / "picture.tif")
+    alpha = tifffile.imread(tmp_path / "picture.tif")[..., 3]
+    assert np.mean(alpha == 255) == pytest.approx(drawn["valid"])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--traditional", "--patch-size", "5"),
+        ("--traditional", "--depth", "depth.npz"),
+        ("--traditional", "--scale", "4"),
+        ("--camera", "a.json", "--white", "b.png"),
+        ("--scale", "0"),
+        ("--scale", "-3"),
+        ("--patch-size", "much"),
+        ("--preset", "best"),
+    ],
+)
+def test_options_that_make_no_sense_are_one_line(house_files, tmp_path, options):
+    assert_refused(run("render", house_files / "flat.png", *options, "-o", tmp_path / "picture.png"))
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("scale", ["nan", "inf", "1e9"])
+def test_impossible_scales_and_patch_sizes_are_refused(house_files, tmp_path, scale):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    assert_refused(run("render", flat, "-c", camera, "--patch-size", "5", "--scale", scale, "-o", tmp_path / "p.png"))
+    if scale != "1e9":
+        assert_refused(run("render", flat, "-c", camera, "--patch-size", scale, "-o", tmp_path / "p.png"))
+    assert os.listdir(tmp_path) == []
+
+
+def test_camera_of_another_image_size_is_refused(house, house_files, tmp_path):
+    cv2.imwrite(str(tmp_path / "part.png"), house.flat[:-10, :-20])
+    for command in (("analyze", "-o", tmp_path / "d.npz"), ("render", "-o", tmp_path / "p.png")):
+        arguments = (command[0], tmp_path / "part.png", "-c", house_files / "camera.json", *command[1:])
+        assert_refused(run(*arguments), "520 x 400", "500 x 390")
+    assert_refused(
+        run("render", tmp_path / "part.png", "--white", house_files / "white.png", "-o", tmp_path / "p.png"), "one size"
+    )
+    assert os.listdir(tmp_path) == ["part.png"]
+
+
+def test_depth_of_another_camera_or_no_depth_at_all_is_refused(house, house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    (tmp_path / "text.npz").write_text("no depth")
+    (tmp_path / "empty.npz").touch()
+    for name in ("text.npz", "empty.npz", "missing.npz", ""):
+        assert_refused(run("render", flat, "-c", camera, "--depth", tmp_path / name, "-o", tmp_path / "p.png"))
+    figures_of("analyze", flat, "-c", camera, "-o", tmp_path / "depth.npz", "--preset", "fast")
+    cv2.imwrite(str(tmp_path / "part.png"), house.flat[:-10, :-20])
+    lattice = house.truth.calibration.lattice
+    part = lfcal.Calibration(lfcal.Lattice(lattice.origin, lattice.basis, (500, 390), lattice.radius))
+    part.save(tmp_path / "part.json")
+    assert_refused(
+        run(
+            "render", tmp_path / "part.png", "-c", tmp_path / "part.json",
+            "--depth", tmp_path / "depth.npz", "-o", tmp_path / "p.png",
+        )
+    )  # fmt: skip
+    assert not (tmp_path / "p.png").exists()
+
+
+@pytest.mark.parametrize("name", ["missing.png", "empty.png", "truncated.png", "text.png", "nan.tif", "tiny.png", ""])
+def test_bad_flats_are_one_line_and_leave_no_file(house, house_files, tmp_path, name):
+    data = (house_files / "flat.png").read_bytes()
+    (tmp_path / "empty.png").touch()
+    (tmp_path / "truncated.png").write_bytes(data[: len(data) // 2])
+    (tmp_path / "text.png").write_text("no picture\n")
+    tifffile.imwrite(tmp_path / "nan.tif", np.full(house.flat.shape, np.inf, np.float32), photometric="rgb")
+    cv2.imwrite(str(tmp_path / "tiny.png"), house.flat[:40, :40])
+    before = sorted(os.listdir(tmp_path))
+    assert_refused(run("render", tmp_path / name, "-o", tmp_path / "picture.png"))
+    assert_refused(run("analyze", tmp_path / name, "-c", house_files / "camera.json", "-o", tmp_path / "depth.npz"))
+    assert sorted(os.listdir(tmp_path)) == before
+
+
+def test_bad_outputs_are_refused_before_the_flat_is_read(tmp_path):
+    for output in ("picture.gif", "picture", "nowhere/picture.png", "."):
+        assert_refused(run("render", tmp_path / "missing.png", "-o", tmp_path / output))
+        assert_refused(run("analyze", tmp_path / "missing.png", "-c", "c.json", "-o", tmp_path / output))
+    assert_refused(run("render", tmp_path / "missing.png", "--alpha", "-o", tmp_path / "picture.jpg"), "alpha")
+
+
+def test_inputs_are_never_replaced(house, tmp_path):
+    for name in ("flat.png", "white.png"):
+        cv2.imwrite(str(tmp_path / name), house.flat)
+    before = (tmp_path / "flat.png").read_bytes()
+    os.symlink(tmp_path / "flat.png", tmp_path / "link.png")
+    for output in ("flat.png", "white.png", "link.png"):
+        assert_refused(
+            run("render", tmp_path / "flat.png", "--white", tmp_path / "white.png", "-o", tmp_path / output), "input"
+        )
+    assert (tmp_path / "flat.png").read_bytes() == before
+
+
+def test_sixteen_bits_do_not_go_into_jpeg(house, tmp_path):
+    cv2.imwrite(str(tmp_path / "flat.png"), house.flat.astype(np.uint16) * 257)
+    assert_refused(run("render", tmp_path / "flat.png", "-o", tmp_path / "picture.jpg"), "uint16")
+
+
+def test_published_calibrations_are_accepted(shared, tmp_path):
+    flat = shared("captures", "Fujita2.png")
+    for name in ("Fujita2.published.xml", "Fujita2.published.cfg"):
+        camera = shared("captures", name)
+        drawn = figures_of("render", flat, "-c", camera, "--patch-size", "-7", "-o", tmp_path / "picture.tif")
+        assert drawn["camera_source"] == "published"
+        assert drawn["pitch"] == pytest.approx(23.2, abs=0.3)
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\nfrom lfrender.cli.main import main\n"
+        "try: main(['render', '--help'])\nexcept SystemExit as end: assert end.code == 0\n"
+        "print([m for m in ('numba', 'scipy', 'cv2', 'PIL', 'tifffile', 'skimage', 'rich') if m in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip().endswith("[]")
+
+
+def test_a_mosaic_flat_is_rendered_in_colour_when_its_filters_are_named(house_files, tmp_path):
+    colour = lfcal.read_flat(house_files / "flat.png")
+    raw = colour[:, :, 1].copy()
+    raw[::2, ::2], raw[1::2, 1::2] = colour[::2, ::2, 0], colour[1::2, 1::2, 2]
+    cv2.imwrite(str(tmp_path / "raw.png"), raw)
+    camera = house_files / "camera.json"
+    figures_of("render", tmp_path / "raw.png", "-c", camera, "--mosaic", "RGGB", "-o", tmp_path / "picture.png")
+    figures_of("render", house_files / "flat.png", "-c", camera, "-o", tmp_path / "wanted.png")
+    picture, wanted = (lfcal.read_flat(tmp_path / f"{name}.png") for name in ("picture", "wanted"))
+    inner = np.s_[10:-10, 10:-10]
+    np.testing.assert_allclose(picture[inner].mean((0, 1)), wanted[inner].mean((0, 1)), rtol=0.02)
+    refused = run("render", house_files / "flat.png", "-c", camera, "--mosaic", "RGGB", "-o", tmp_path / "refused.png")
+    assert refused.exit_code == 2
+    assert "in colour already" in refused.stderr
+
+
+@pytest.fixture
+def everything_is_large(monkeypatch):
+    from lfrender.cli import large as large_cli
+
+    monkeypatch.setattr(large_cli, "_LARGE", 1000)
+
+
+def as_tiff(house_files, tmp_path):
+    path = tmp_path / "flat.tif"
+    tifffile.imwrite(path, lfcal.read_flat(house_files / "flat.png"), photometric="rgb")
+    return path
+
+
+def test_a_large_flat_is_rendered_in_tiles_to_the_same_picture(house_files, tmp_path, everything_is_large):
+    flat, camera = as_tiff(house_files, tmp_path), house_files / "camera.json"
+    options = ("-c", camera, "--patch-size", "7.5")
+    large = figures_of("render", flat, *options, "-o", tmp_path / "large.tif", "--tile", "60")
+    small = figures_of("render", house_files / "flat.png", *options, "-o", tmp_path / "small.tif")
+    assert large["tiles"] > 4
+    assert {name: large[name] for name in ("size", "affine", "scale")} == {
+        name: small[name] for name in ("size", "affine", "scale")
+    }
+    assert (tmp_path / "large.tif").read_bytes() == (tmp_path / "small.tif").read_bytes()
+    assert sorted(os.listdir(tmp_path)) == ["flat.tif", "large.tif", "small.tif"]
+
+
+def test_a_large_flat_goes_through_the_whole_chain_and_a_second_run_goes_on(
+    house_files, tmp_path, everything_is_large, monkeypatch
+):
+    from lfrender.large import render as large_rendering
+
+    flat, camera = as_tiff(house_files, tmp_path), house_files / "camera.json"
+    ask = ("render", flat, "-c", camera, "-o", tmp_path / "picture.tif", "--preset", "fast", "--tile", "60")
+    monkeypatch.setattr(large_rendering, "_SYNC", 0.0)
+    written = large_rendering._Run._store
+
+    def stopped(self, tile, image, valid):
+        if tile[:2] != (0, 0):
+            raise lfcal.OutputError("the disk is full")
+        written(self, tile, image, valid)
+
+    monkeypatch.setattr(large_rendering._Run, "_store", stopped)
+    assert_refused(run(*ask), "the disk is full")
+    assert not (tmp_path / "picture.tif").exists()
+    monkeypatch.setattr(large_rendering._Run, "_store", written)
+    import lfrender.large.analyze
+
+    monkeypatch.setattr(lfrender.large.analyze, "_by_tiles", None)
+    figures = figures_of(*ask)
+    assert figures["tiles_kept"] == 1
+    assert figures["modes"]["telescopic"] > 0.3
+    assert lfcal.read_flat(tmp_path / "picture.tif").std() > 20
+    assert sorted(os.listdir(tmp_path)) == ["flat.tif", "picture.tif"]
+
+
+def test_depth_of_a_large_flat_needs_nothing_but_the_flat(house_files, tmp_path, everything_is_large):
+    flat = as_tiff(house_files, tmp_path)
+    found = figures_of("analyze", flat, "-o", tmp_path / "depth.npz", "--preset", "fast")
+    assert found["camera_source"] == "scene"
+    assert found["modes"]["telescopic"] > 0.3
+
+
+def test_refusals_in_tiles_leave_nothing_behind(house_files, tmp_path):
+    flat, camera = as_tiff(house_files, tmp_path), house_files / "camera.json"
+    ask = ("render", flat, "-c", camera, "--tile", "60", "--patch-size")
+    assert_refused(run(*ask, "900", "-o", tmp_path / "a.tif"), "patch_size must lie between")
+    assert_refused(run(*ask, "7", "-o", flat), "is an input")
+    assert_refused(run(*ask, "7", "-o", tmp_path / "a.gif"), "unknown output format")
+    assert os.listdir(tmp_path) == ["flat.tif"]

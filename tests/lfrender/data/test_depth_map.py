@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+
+from lfrender import DepthMap
+from lfrender.data.depth_map import DepthFileError
+from lfrender.data.surface import Surface
+
+
+@pytest.fixture
+def depth():
+    s = np.array([4.0, -5.0, np.nan], np.float32)
+    grid = np.linspace(-5, 4, 12, dtype=np.float32).reshape(3, 4)
+    surface = Surface(grid, (-0.5, -0.5), 2.5)
+    return DepthMap(s, np.array([0.1, 0.2, np.inf]), np.array([1, 0.9, 0]), np.nan_to_num(s), surface, 20.0, (40, 30))
+
+
+def test_mode_and_magnification_follow_from_the_signed_patch_size(depth):
+    assert depth.mode.tolist() == [1, -1, 0]
+    assert depth.mode.dtype == np.int8
+    np.testing.assert_allclose(depth.magnification, [5, 4, np.nan])
+    assert depth.filled.tolist() == [False, False, True]
+
+
+def test_the_peak_is_the_sharper_the_smaller_the_standard_error(depth):
+    np.testing.assert_allclose(depth.curvature, [100, 25, 0], rtol=1e-5)
+
+
+def test_save_and_load_give_the_same_map(depth, tmp_path):
+    depth.save(tmp_path / "d.npz")
+    again = DepthMap.load(tmp_path / "d.npz")
+    for name in ("patch_size", "standard_error", "confidence", "drawn", "mode"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(depth, name))
+    np.testing.assert_array_equal(again.surface.patch_size, depth.surface.patch_size)
+    assert (again.pitch, again.image_size, again.preset) == (20.0, (40, 30), "balanced")
+    assert (again.surface.first, again.surface.spacing) == ((-0.5, -0.5), 2.5)
+
+
+def test_the_file_can_be_read_without_this_package(depth, tmp_path):
+    depth.save(tmp_path / "d.npz")
+    with np.load(tmp_path / "d.npz", allow_pickle=False) as data:
+        assert data["mode"].tolist() == [1, -1, 0]
+        np.testing.assert_allclose(data["magnification"], [5, 4, np.nan])
+
+
+@pytest.mark.parametrize("content", [b"", b"not a zip", b"PK\x03\x04 cut"])
+def test_a_damaged_file_is_refused_by_name(content, tmp_path):
+    path = tmp_path / "bad.npz"
+    path.write_bytes(content)
+    with pytest.raises(DepthFileError, match=r"bad\.npz"):
+        DepthMap.load(path)
+
+
+def test_every_truncation_of_a_file_is_refused(depth, tmp_path):
+    depth.save(tmp_path / "d.npz")
+    whole = (tmp_path / "d.npz").read_bytes()
+    for size in range(0, len(whole), 97):
+        (tmp_path / "cut.npz").write_bytes(whole[:size])
+        with pytest.raises(DepthFileError):
+            DepthMap.load(tmp_path / "cut.npz")
+
+
+def test_a_missing_field_is_named(depth, tmp_path):
+    np.savez(tmp_path / "d.npz", version=2)
+    with pytest.raises(DepthFileError, match="not a file in the archive"):
+        DepthMap.load(tmp_path / "d.npz")
+
+
+def test_a_file_whose_lenses_may_be_in_another_order_is_refused(depth, tmp_path):
+    depth.save(tmp_path / "d.npz")
+    with np.load(tmp_path / "d.npz") as data:
+        np.savez(tmp_path / "old.npz", **{**data, "version": 1})
+    with pytest.raises(DepthFileError, match="version 1 is not known"):
+        DepthMap.load(tmp_path / "old.npz")
+
+
+def test_per_lens_arrays_of_different_length_are_refused(depth):
+    with pytest.raises(ValueError, match="confidence"):
+        DepthMap(depth.patch_size, depth.standard_error, [1.0], depth.drawn, depth.surface, 20.0, (40, 30))

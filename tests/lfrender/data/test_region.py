@@ -1,0 +1,46 @@
+"""Parts of a flat that are analysed alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lfcal import Lattice
+from lfrender.data.region import part_of
+from lfrender.flat.grey_flat import GrayFlat
+from lfrender.runtime.cache import latest
+
+
+def test_the_next_frame_has_the_lattice_of_the_same_part_and_another_part_its_own():
+    lattice = Lattice(np.array([5.0, 6.0]), np.array([[20.0, 0.0], [10.0, 17.3]]), (400, 300), 9.0)
+    centres = lattice.centres()
+    gray = GrayFlat(np.zeros((300, 400), np.float32), centres.astype(np.float32), 9.0, 20.0)
+    left, right = centres[:, 0] < 60, centres[:, 0] > 340
+    part, sub = part_of(gray, lattice, left)
+    assert part_of(gray, lattice, left)[1] is sub
+    other, beside = part_of(gray, lattice, right)
+    assert beside is not sub
+    assert part.image.shape[::-1] == sub.image_size
+    assert other.image.shape[::-1] == beside.image_size
+    assert set(map(tuple, centres[left].round(6))) <= set(map(tuple, sub.centres().round(6)))
+
+
+def test_lenses_of_a_part_keep_their_types():
+    lattice = Lattice(np.array([5.0, 6.0]), np.array([[20.0, 0.0], [10.0, 17.3]]), (400, 300), 9.0)
+    centres, (i, j) = lattice.centres(), lattice.indices().T
+    kinds = ((i - j) % 3).astype(np.int8)
+    gray = GrayFlat(np.zeros((300, 400), np.float32), centres.astype(np.float32), 9.0, 20.0, kinds)
+    part, sub = part_of(gray, lattice, (centres[:, 0] > 150) & (centres[:, 1] > 110))
+    low = np.array([400, 300]) - sub.image_size
+    found = {tuple(place): kind for place, kind in zip((sub.centres() + low).round(3), part.kinds, strict=True)}
+    known = {tuple(place): kind for place, kind in zip(centres.round(3), kinds, strict=True)}
+    assert len(found) > 50 and found.items() <= known.items()
+
+
+def test_only_the_latest_value_of_a_name_is_kept():
+    owner, made = Lattice(np.zeros(2), np.eye(2) * 9, (50, 50), 4.0), []
+
+    def make():
+        made.append(len(made))
+        return made[-1]
+
+    assert [latest(owner, "part", key, make) for key in ("a", "a", "b", "b", "a")] == [0, 0, 1, 1, 2]

@@ -1,0 +1,66 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lfrender.depth.matching.cost_volume import pair_costs
+from lfrender.depth.matching.probing import FARTHEST, probe
+from lfrender.depth.matching.sgm import lens_costs
+from lfrender.flat.lens_graph import lens_halves
+from lfrender.flat.microimages import cut_out
+from lfrender.flat.texture import FIXED_SHADING, lens_statistics
+
+NOISE = 0.004
+
+
+def probed(drawn_flat, patch_size, expected, row_step):
+    gray, lattice, _, inner = drawn_flat(patch_size, noise=NOISE, detail=0.8)
+    statistics, active = lens_statistics(gray), np.ones(len(lattice), bool)
+    halves = lens_halves(lattice)
+    about = np.full(len(lattice), expected, np.float32)
+    strips = cut_out(gray, statistics.mean, row_step)
+    return gray, lattice, inner, probe(gray, *halves, statistics, active, about, NOISE, strips)
+
+
+# At -14 px of 23 neighbours share little more than their rims.
+@pytest.mark.parametrize("row_step", [1, 2])
+@pytest.mark.parametrize("patch_size", [7.0, 1.5, -6.0, -14.0])
+@pytest.mark.parametrize("off", [-0.4, 0.0, 0.3])
+def test_one_look_tells_how_far_beside_the_best_shift_lies(drawn_flat, patch_size, off, row_step):
+    _, _, inner, (_, offset, _) = probed(drawn_flat, patch_size, patch_size + off, row_step)
+    # Between pixels a step may stop half-way.
+    assert np.median(offset[inner]) == pytest.approx(-off, abs=max(0.1, 0.65 * abs(off)))
+
+
+def test_the_error_of_the_offset_is_that_which_noise_makes(drawn_flat):
+    gray, lattice, _, inner = drawn_flat(7.0, noise=0.0, detail=0.8)
+    active, halves = np.ones(len(lattice), bool), lens_halves(lattice)
+    # Of pairs in one direction each lens has two.
+    one = [np.ascontiguousarray(rows[:, :1]) for rows in halves]
+    about, rng, offsets = np.full(len(lattice), 7.0, np.float32), np.random.default_rng(3), []
+    for _ in range(24):
+        noisy = replace(gray, image=gray.image + rng.normal(0, NOISE, gray.image.shape).astype(np.float32))
+        statistics = lens_statistics(noisy)
+        strips = cut_out(noisy, statistics.mean, 1)
+        _, offset, error = probe(noisy, *one, statistics, active, about, NOISE, strips)
+        offsets.append(offset)
+    measured = np.std(offsets, axis=0)[inner]
+    assert np.median(measured / error[inner]) == pytest.approx(np.sqrt(0.5), rel=0.25)
+
+
+def test_far_from_the_best_shift_its_side_is_told(drawn_flat):
+    _, _, inner, (cost, offset, _) = probed(drawn_flat, 7.0, 8.2, 1)
+    assert np.median(offset[inner]) == -FARTHEST
+    assert (offset[inner] < 0).mean() > 0.95
+    assert np.median(cost[inner]) > 0.1
+
+
+@pytest.mark.parametrize("patch_size", [7.0, -14.0])
+def test_its_cost_is_that_of_the_search(drawn_flat, patch_size):
+    gray, lattice, _, (cost, _, _) = probed(drawn_flat, patch_size, patch_size, 2)
+    statistics, halves = lens_statistics(gray), lens_halves(lattice)
+    pairs = pair_costs(
+        gray, halves[0], statistics.mean, statistics.contrast, np.ones(len(lattice), bool),
+        np.array([patch_size], np.float32), NOISE, FIXED_SHADING, 2,
+    )  # fmt: skip
+    np.testing.assert_allclose(cost, lens_costs(pairs, *halves)[:, 0], atol=2e-4)

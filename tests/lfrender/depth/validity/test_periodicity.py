@@ -1,0 +1,90 @@
+"""Textures that repeat: told from the scene itself, where the shifts within reach do not tell."""
+
+import numpy as np
+import pytest
+
+import lfrender
+from benchmarks.stress.outcome import depth_of_plane
+from benchmarks.stress.plane_flats import PlaneFlat
+from lfrender.depth.validity.periodicity import autocorrelation, recurring, repeats
+
+
+def _wave(period, side=61):
+    y, x = np.mgrid[:side, :side]
+    return np.sin(2 * np.pi * x / period) + np.sin(2 * np.pi * y / period)
+
+
+def test_a_wave_laid_over_itself_comes_again_after_its_period():
+    seen = np.ones((61, 61), bool)
+    seen[40:, :20] = False
+    found = autocorrelation(5 + _wave(12.0), seen, 20, 100.0)
+    assert found.shape == (41, 41)
+    assert found[20, 20] == pytest.approx(1)
+    assert found[20, 32] > 0.99 and found[32, 20] > 0.99
+    assert found[26, 26] < -0.95
+    assert repeats(found, 10.0) == (True, True)
+    # Of less than three microimages nobody can tell.
+    assert repeats(found, 2.0) == (False, False)
+
+
+def test_lags_at_which_too_little_is_seen_or_all_is_even_do_not_count():
+    seen = np.zeros((61, 61), bool)
+    seen[:, :15] = seen[:, 46:] = True
+    picture = np.random.default_rng(0).standard_normal((61, 61))
+    assert autocorrelation(picture, seen, 25, 20.0)[25, 45] == -1
+    picture[:, 46:] = 0
+    assert autocorrelation(picture, np.ones((61, 61), bool), 50, 20.0)[50, 98] == -1
+
+
+def test_random_texture_does_not_repeat():
+    picture = np.random.default_rng(1).standard_normal((61, 61))
+    assert repeats(autocorrelation(picture, np.ones((61, 61), bool), 20, 100.0), 10.0) == (False, False)
+
+
+# The wrong depths within reach matched as well as any right one: all lenses were sure of them.
+@pytest.mark.parametrize(
+    "plane",
+    [
+        PlaneFlat(1.0, cell="square", pitch=9.4, degrees=0.0, size=(174, 173), contrast=0.15, period=0.86, fill=0.93),
+        PlaneFlat(-1.0, cell="sheared", pitch=13.4, degrees=1.0, size=(245, 148), period=0.73, fill=0.99),
+        PlaneFlat(2.4, cell="sheared", pitch=12.7, degrees=9.0, size=(139, 77), period=0.52),
+    ],
+)
+def test_waves_beyond_reach_are_not_taken_for_planes_nearer_by(plane):
+    found = depth_of_plane(plane)
+    assert found.off == 0
+    assert found.answered < 0.1
+
+
+@pytest.mark.parametrize("ratio", [-0.3, 0.15, 0.5])
+def test_planes_of_rich_texture_do_not_repeat(ratio):
+    plane = PlaneFlat(ratio, pitch=14.0, size=(260, 200))
+    depth = lfrender.analyze(plane.flat(), plane.calibration)
+    assert (depth.mode != 0).mean() > 0.95
+    assert np.median(depth.confidence) > 0.9
+
+
+def test_a_wave_on_half_of_a_flat_is_found_on_that_half():
+    left = PlaneFlat(-0.3, pitch=12.0, degrees=0.0, size=(640, 160), cell="square")
+    right = PlaneFlat(-0.3, pitch=12.0, degrees=0.0, size=(640, 160), cell="square", period=0.9)
+    flat = np.where(np.arange(640) < 320, left.flat(), right.flat()).astype(np.float32) / 65535
+    lattice = left.lattice
+    gray = lfrender.flat.grey_flat.gray_flat(flat[..., None], left.calibration)
+    sizes = np.full(len(lattice), -0.3 * 12.0)
+    again, _ = recurring(gray, lattice.indices(), sizes, np.ones(len(lattice), bool))
+    x = lattice.centres()[:, 0]
+    assert again[(x > 400) & (x < 560)].mean() > 0.9
+    assert again[x < 300].mean() < 0.1
+
+
+def test_a_wave_on_half_of_a_plane_is_found_with_shortcuts():
+    size = (900, 420)
+    rich = PlaneFlat(-0.3, pitch=14.0, degrees=0.0, size=size, cell="square")
+    wave = PlaneFlat(-0.3, pitch=14.0, degrees=0.0, size=size, cell="square", period=0.9)
+    flat = np.where(np.arange(900) < 450, rich.flat(), wave.flat()).astype(np.uint16)
+    depth = lfrender.analyze(flat, rich.calibration)
+    assert "plane" in depth.saved
+    x = rich.lattice.centres()[:, 0]
+    # Around the parts that are looked at; the exhaustive search leaves all of that half unresolved.
+    assert (depth.mode[x > 500] == 0).mean() > 0.5
+    assert (depth.mode[x < 400] != 0).mean() > 0.9

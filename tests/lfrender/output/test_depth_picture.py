@@ -1,0 +1,53 @@
+"""Pictures of depth maps: the right colour at the right lens."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lfcal import Lattice
+from lfrender.output.depth_picture import MODE_COLOURS, magnification_picture, mode_picture
+
+SHAPE = (240, 320)
+AFFINE = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+
+
+@pytest.fixture
+def lattice():
+    return Lattice((20.0, 20.0), [[40.0, 0.0], [0.0, 40.0]], (320, 240), 18.0)
+
+
+def test_each_pixel_shows_the_mode_of_its_nearest_lens(lattice):
+    mode = np.array([1, -1, 0])[lattice.indices().sum(1) % 3]
+    picture = mode_picture(mode, lattice, AFFINE, SHAPE)
+    for (x, y), code in zip(lattice.centres().astype(int), mode, strict=True):
+        assert tuple(picture[y + 15, x - 15]) == MODE_COLOURS[code]
+
+
+def test_magnification_runs_from_blue_to_red_and_unresolved_is_grey(lattice):
+    x = lattice.centres()[:, 0]
+    size = np.where(x < 160, -20.0, 4.0)
+    mode = np.where(lattice.centres()[:, 1] < 40, 0, np.sign(size))
+    picture = magnification_picture(size, mode, lattice, AFFINE, SHAPE, limits=(2.5, 9)).astype(int)
+    low, high = picture[200, 100], picture[200, 250]
+    assert low[2] > low[0]
+    assert high[0] > high[2]
+    assert tuple(picture[10, 100]) == MODE_COLOURS[0]
+
+
+def test_legend_is_added_below_and_leaves_the_map_alone(lattice):
+    mode = np.ones(len(lattice))
+    for picture in (
+        mode_picture(mode, lattice, AFFINE, SHAPE),
+        magnification_picture(np.full(len(lattice), 5.0), mode, lattice, AFFINE, SHAPE),
+    ):
+        assert picture.dtype == np.uint8
+        assert picture.shape == (SHAPE[0] + 56, SHAPE[1], 3)
+        assert len(np.unique(picture[: SHAPE[0]].reshape(-1, 3), axis=0)) == 1
+        assert len(np.unique(picture[SHAPE[0] :].reshape(-1, 3), axis=0)) > 2
+
+
+def test_a_map_without_any_resolved_lens_is_grey(lattice):
+    nothing = np.full(len(lattice), np.nan)
+    picture = magnification_picture(nothing, np.zeros(len(lattice)), lattice, AFFINE, SHAPE)
+    assert (picture[: SHAPE[0]] == MODE_COLOURS[0]).all()

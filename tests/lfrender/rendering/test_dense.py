@@ -1,0 +1,100 @@
+"""Further forms of a depth map: dense maps, pictures and point clouds, whole files that other programs read."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from click.testing import CliRunner
+
+import lfcal
+import lfrender
+from lfcal import OutputError
+from lfrender.cli.main import main
+from lfrender.output.point_cloud import point_cloud
+from lfrender.rendering.dense import dense_depth, write_dense
+
+
+@pytest.fixture(scope="module")
+def depth(house):
+    return lfrender.analyze(house.flat, house.truth.calibration, "fast")
+
+
+def test_dense_depth_lies_on_the_grid_of_the_picture(house, depth):
+    dense = dense_depth(depth)
+    picture = lfrender.render(house.flat, house.truth.calibration, depth)
+    assert dense.patch_size.shape == picture.image.shape[:2]
+    np.testing.assert_allclose(dense.affine, picture.affine)
+    wanted = house.truth.reference_patch_size
+    fine = dense_depth(depth, 23.0 if depth.pitch > 23 else depth.pitch)
+    v, u = np.mgrid[: fine.patch_size.shape[0], : fine.patch_size.shape[1]]
+    scene = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ fine.affine.T
+    to_reference = np.linalg.inv(np.vstack([house.truth.reference_affine, [0, 0, 1]]))
+    x, y = np.rint(np.column_stack([scene, np.ones(len(scene))]) @ to_reference[:2].T).astype(int).T
+    inside = (x >= 0) & (y >= 0) & (x < wanted.shape[1]) & (y < wanted.shape[0])
+    error = np.abs(fine.patch_size.ravel()[inside] - wanted[y[inside], x[inside]])
+    assert np.median(error) < 0.1
+
+
+@pytest.mark.parametrize("ending", ["tif", "pfm"])
+def test_dense_files_hold_the_numbers_as_they_are(depth, tmp_path, ending):
+    dense = dense_depth(depth, 5)
+    write_dense(tmp_path / f"d.{ending}", dense)
+    if ending == "tif":
+        with tifffile.TiffFile(tmp_path / "d.tif") as tiff:
+            read = tiff.asarray()
+            assert json.loads(tiff.pages[0].description)["affine"] == dense.affine.tolist()
+    else:
+        read = cv2.imread(str(tmp_path / "d.pfm"), cv2.IMREAD_UNCHANGED)
+    assert read.dtype == np.float32
+    np.testing.assert_array_equal(read, dense.patch_size)
+
+
+def test_dense_files_of_another_kind_are_refused(depth, tmp_path):
+    with pytest.raises(OutputError, match=r"\.pfm"):
+        write_dense(tmp_path / "d.jpg", dense_depth(depth, 2))
+    with pytest.raises(ValueError, match="scale"):
+        dense_depth(depth, 0)
+
+
+def test_points_lie_at_their_signed_virtual_depth_with_the_colours_of_the_scene(house, depth):
+    points = point_cloud(house.flat, house.truth.calibration, depth)
+    assert len(points) > 5000
+    far, near = points["z"] > 0, points["z"] < 0
+    assert far.mean() > 0.3
+    assert near.mean() > 0.1
+    assert np.median(points["z"][far]) == pytest.approx(1 / 0.3, rel=0.05)
+    width, height = depth.image_size
+    assert points["x"].min() >= 0
+    assert points["x"].max() < width / depth.pitch
+    assert points["y"].max() < height / depth.pitch
+    assert points["red"].std() > 10
+
+
+def test_analyze_writes_every_form_that_is_asked_for(house_files, tmp_path):
+    arguments = ["analyze", house_files / "flat.png", "-c", house_files / "camera.json", "-o", tmp_path / "d.npz"]
+    more = ["--dense", tmp_path / "d.pfm", "--picture", tmp_path / "d.png", "--ply", tmp_path / "d.ply", "--json"]
+    result = CliRunner().invoke(main, [str(a) for a in arguments + more], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    figures = json.loads(result.stdout)
+    assert set(figures["saved"]) == {"blank", "ranges"}
+    assert sum(figures["unresolved"].values()) == pytest.approx(figures["modes"]["unresolved"])
+    assert lfcal.read_flat(tmp_path / "d.png").shape[2] == 3
+    data = (tmp_path / "d.ply").read_bytes()
+    header, body = data.split(b"end_header\n", 1)
+    count = int(header.split(b"element vertex ")[1].split(b"\n")[0])
+    assert count > 5000
+    assert len(body) == 15 * count
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["d.npz", "d.pfm", "d.ply", "d.png"]
+
+
+def test_forms_with_a_wrong_ending_are_refused_before_any_work(house_files, tmp_path):
+    for option, name in (("--dense", "d.png"), ("--picture", "d.tif"), ("--ply", "d.obj")):
+        arguments = ["analyze", "missing.png", "-c", "c.json", "-o", tmp_path / "d.npz", option, tmp_path / name]
+        result = CliRunner().invoke(main, [str(a) for a in arguments], catch_exceptions=False)
+        assert result.exit_code == 2
+        assert name in result.stderr
+    assert list(tmp_path.iterdir()) == []

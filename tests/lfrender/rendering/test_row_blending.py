@@ -1,0 +1,93 @@
+"""Pictures of whole numbers are blended lens by lens; the answer is that of asking every pixel for its lenses."""
+
+import functools
+
+import numba
+import numpy as np
+import pytest
+
+import lfrender
+from data_synth import SCENES, Camera, simulate
+from lfrender.rendering.plan import Drawing
+from lfrender.rendering.render import drawing_of
+
+
+@functools.cache
+def capture():
+    camera = Camera.design(size=(300, 220), pitch=17.3, rotation=2.1)
+    shot = simulate(SCENES["house"](camera), camera, samples=24, seed=2)
+    return shot.flat, shot.truth.calibration, lfrender.analyze(shot.flat, shot.truth.calibration, "fast")
+
+
+def shorts(flat):
+    """The same in 16 bits, with something in the lower ones."""
+    return flat * np.uint16(257) - np.random.default_rng(3).integers(0, 200, flat.shape, np.uint16) % (
+        flat + np.uint16(1)
+    )
+
+
+def without_shortcut(monkeypatch):
+    monkeypatch.setattr(Drawing, "_read_once", lambda *_: False)
+
+
+# At the larger scale a lens shows more pixels of a row than are worked on together.
+@pytest.mark.parametrize(("made", "equal"), [(np.asarray, 0.999), (shorts, 0.99)])
+@pytest.mark.parametrize(("channels", "scale"), [(1, None), (3, None), (3, 30.0)])
+def test_blended_rows_are_those_of_the_kernel_that_asks_every_pixel_within_one_level(
+    channels, scale, made, equal, monkeypatch
+):
+    flat, camera, depth = capture()
+    flat = made(flat.reshape(*flat.shape[:2], -1)[:, :, :1].repeat(channels, 2))
+    rows = lfrender.render(flat, camera, depth, scale=scale)
+    without_shortcut(monkeypatch)
+    pixels = lfrender.render(flat, camera, depth, scale=scale)
+    apart = np.abs(rows.image.astype(int) - pixels.image)
+    assert (rows.valid == pixels.valid).all()
+    # Sums in another order may round another way, and rims of reach end a hair aside.
+    assert (apart == 0).mean() > equal
+    assert (apart > 1).mean() < 1e-4
+
+
+@pytest.mark.parametrize("made", [np.asarray, shorts])
+def test_blended_rows_are_the_kernel_that_draws_whole_pictures(made, monkeypatch):
+    import lfrender.rendering.plan as tile_drawing
+
+    flat, camera, depth = capture()
+    asked = []
+    draw_rows = tile_drawing.draw_rows
+    monkeypatch.setattr(tile_drawing, "draw_rows", lambda *args: asked.append(args[-5].mean()) or draw_rows(*args))
+    lfrender.render(made(flat), camera, depth)
+    # Only pixels larger than one of the flat are left to the other kernel.
+    assert sum(asked) < 0.1
+
+
+@pytest.mark.parametrize("made", [np.asarray, shorts])
+def test_blended_rows_have_the_same_bits_on_one_thread_and_two_and_in_a_part(made):
+    flat, camera, depth = capture()
+    flat = made(flat)
+    threads = numba.get_num_threads()
+    whole = lfrender.render(flat, camera, depth)
+    try:
+        numba.set_num_threads(1)
+        alone = lfrender.render(flat, camera, depth)
+    finally:
+        numba.set_num_threads(threads)
+    np.testing.assert_array_equal(alone.image, whole.image)
+    part = lfrender.render(flat, camera, depth, roi=(61.0, 50.0, 191.0, 140.0))
+    left, top = np.rint((part.affine[:, 2] - whole.affine[:, 2]) / whole.affine[0, 0]).astype(int)
+    rows, columns = part.valid.shape
+    np.testing.assert_array_equal(part.image, whole.image[top : top + rows, left : left + columns])
+
+
+@pytest.mark.parametrize("made", [np.asarray, shorts])
+def test_wanted_pixels_are_those_of_the_whole_picture_wherever_they_lie(made):
+    flat, camera, depth = capture()
+    flat = made(flat)
+    whole = lfrender.render(flat, camera, depth)
+    drawing = drawing_of(lambda part: flat[part[1] : part[3], part[0] : part[2]], camera, depth, None, None, None)
+    wanted = np.random.default_rng(4).random(whole.valid.shape) < 0.3
+    # Whole rows and long runs without any, too.
+    wanted[10:20] = wanted[:, 40:90] = False
+    image, valid = drawing.redraw(flat, wanted, np.zeros_like(whole.image), np.zeros_like(whole.valid))
+    np.testing.assert_array_equal(image, whole.image * wanted[:, :, None])
+    np.testing.assert_array_equal(valid, whole.valid & wanted)

@@ -1,0 +1,252 @@
+"""Sequences: frames of all kinds are rendered once, resumed, and steady where nothing moves."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from itertools import islice
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from click.testing import CliRunner
+from PIL import Image, ImageCms
+
+import lfcal
+import lfrender
+from lfcal import read_flat
+from lfrender.cli.main import main
+from lfrender.sequence import batch
+from lfrender.sequence.film_file import FilmFile
+
+
+@pytest.fixture(scope="module")
+def sequence(house, tmp_path_factory):
+    """Five frames, in the last two of which a part of the flat shows something else; the camera."""
+    rng = np.random.default_rng(1)
+    flats = [house.flat.copy() for _ in range(5)]
+    for flat in flats[3:]:
+        flat[:120, :150] = flat[200:320, 200:350]
+    folder = tmp_path_factory.mktemp("frames")
+    for k, flat in enumerate(flats):
+        noisy = np.clip(flat.astype(int) + rng.integers(-1, 2, flat.shape), 0, np.iinfo(flat.dtype).max)
+        cv2.imwrite(str(folder / f"f{k + 8}.png"), noisy.astype(flat.dtype)[..., ::-1])
+    return folder, house.truth.calibration
+
+
+def _pictures(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.tif"))}
+
+
+def _run(sequence, folder, **options):
+    frames, camera = sequence
+    return list(lfrender.render_frames(lfrender.open_frames([frames]), folder, camera, preset="fast", **options))
+
+
+@pytest.fixture(scope="module")
+def whole(sequence, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "STRETCH", 3)
+        patch.setattr(batch, "GROUP", 2)
+        return folder, _run(sequence, folder)
+
+
+def test_frames_come_in_the_order_of_their_numbers_and_keep_depth_where_nothing_moves(whole):
+    folder, results = whole
+    assert [r.name for r in results] == ["f8", "f9", "f10", "f11", "f12"]
+    assert {r.outcome for r in results} == {"rendered"} and len(_pictures(folder)) == 5
+    assert results[1].still > 0.95 and 0.3 < results[3].still < 0.95 and results[4].still > 0.95
+    sizes = {tifffile.imread(r.path).shape for r in results}
+    assert len(sizes) == 1
+
+
+def test_pictures_do_not_flicker_where_nothing_moves(whole):
+    pictures = [tifffile.imread(result.path) for result in whole[1]]
+    for before, after in ((0, 1), (1, 2), (3, 4)):
+        np.testing.assert_array_equal(pictures[after], pictures[before])
+    assert (pictures[3] != pictures[2]).any()
+
+
+def test_pictures_keep_the_colour_profile_and_camera_data_of_their_frames(house, tmp_path):
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    exif = Image.Exif()
+    exif[0x010F] = "maker"
+    Image.fromarray(house.flat).save(tmp_path / "a.png", icc_profile=profile, exif=exif)
+    frames = lfrender.open_frames([tmp_path / "a.png"])
+    options = {"preset": "fast", "suffix": ".png"}
+    (result,) = lfrender.render_frames(frames, tmp_path / "out", house.truth.calibration, **options)
+    with Image.open(result.path) as image:
+        assert image.info["icc_profile"] == profile
+        assert image.getexif()[0x010F] == "maker"
+
+
+def test_a_run_that_was_stopped_goes_on_with_the_same_pictures(sequence, whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(batch, "STRETCH", 3)
+    monkeypatch.setattr(batch, "GROUP", 2)
+    frames, camera = sequence
+    started = lfrender.render_frames(lfrender.open_frames([frames]), tmp_path, camera, preset="fast")
+    # Two more are on their way by then.
+    list(islice(started, 2))
+    started.close()
+    (tmp_path / "f9.tif").unlink()
+    results = _run(sequence, tmp_path)
+    assert [r.outcome for r in results] == ["kept", "rendered", "kept", "kept", "rendered"]
+    assert _pictures(tmp_path) == _pictures(whole[0])
+
+
+def test_frames_are_analysed_against_what_lies_in_the_folder_as_in_a_later_run(sequence, tmp_path, monkeypatch):
+    monkeypatch.setattr(batch, "STRETCH", 4)
+    monkeypatch.setattr(batch, "GROUP", 2)
+    flats, against = [], []
+
+    def analyze(flat, *arguments, previous=None):
+        flats.append(flat)
+        against.append(previous)
+        made.append(lfrender.analyze(flat, *arguments, previous=previous))
+        return made[-1]
+
+    made = []
+    monkeypatch.setattr("lfrender.sequence.job.analyze", analyze)
+    results = _run(sequence, tmp_path)
+    order = [read_flat(sequence[0] / f"{r.name}.png") for r in results]
+
+    def number(flat):
+        return next(k for k, other in enumerate(order) if np.array_equal(flat, other))
+
+    found = {number(flat): before and number(before[0]) for flat, before in zip(flats, against, strict=True)}
+    # Of two stretches the first has two groups.
+    assert found == {0: None, 1: 0, 2: 0, 3: 2, 4: 0}
+    assert not any(previous[1] is depth for previous in against if previous for depth in made)
+
+
+def test_a_depth_that_changes_little_from_key_to_key_is_followed(drawn_flat, tmp_path, monkeypatch):
+    monkeypatch.setattr(batch, "STRETCH", 1)
+    sizes, inputs = 7.0 + 0.08 * np.arange(14), tmp_path / "in"
+    inputs.mkdir()
+    for k, s in enumerate(sizes):
+        gray, lattice, _, inner = drawn_flat(s, noise=0.003, detail=0.7)
+        cv2.imwrite(str(inputs / f"f{k:02d}.png"), np.clip(np.rint(255 * gray.image), 0, 255).astype(np.uint8))
+    frames, out = lfrender.open_frames([inputs]), tmp_path / "out"
+    list(lfrender.render_frames(frames, out, lfcal.Calibration(lattice), preset="fast"))
+    depth = lfrender.DepthMap.load(out / ".lfrender" / f"depth_{len(sizes) - 1:06d}.npz")
+    assert abs(np.nanmedian(depth.patch_size[inner]) - sizes[-1]) < 0.5
+
+
+def test_other_settings_are_refused_until_everything_is_rendered_anew(sequence, whole):
+    with pytest.raises(lfcal.OutputError, match="overwrite"):
+        _run(sequence, whole[0], scale=3.0)
+    frames, camera = sequence
+    one = lfrender.open_frames([frames / "f8.png"])
+    list(lfrender.render_frames(one, whole[0], camera, preset="fast", scale=3.0, overwrite=True))
+    assert tifffile.imread(whole[0] / "f8.tif").shape[1] == pytest.approx(3.0 * 520 / 20.3, abs=1)
+
+
+def test_depths_left_by_another_version_are_refused_until_everything_is_rendered_anew(sequence, tmp_path):
+    frames, camera = sequence
+    one = lfrender.open_frames([frames / "f8.png"])
+    list(lfrender.render_frames(one, tmp_path, camera, preset="fast"))
+    file = tmp_path / ".lfrender" / "depth_000000.npz"
+    with np.load(file) as data:
+        np.savez(file, **{**data, "version": np.int64(1)})
+    (tmp_path / "f8.tif").unlink()
+    with pytest.raises(lfcal.OutputError, match=r"depth_000000.*--overwrite"):
+        list(lfrender.render_frames(one, tmp_path, camera, preset="fast"))
+    list(lfrender.render_frames(one, tmp_path, camera, preset="fast", overwrite=True))
+    assert (tmp_path / "f8.tif").exists()
+
+
+def test_bad_frame_is_reported_and_the_others_are_rendered(sequence, tmp_path):
+    frames, camera = sequence
+    inputs = tmp_path / "in"
+    inputs.mkdir()
+    for k in (8, 9):
+        (inputs / f"f{k}.png").write_bytes((frames / f"f{k}.png").read_bytes())
+    (inputs / "f7.png").write_bytes((frames / "f8.png").read_bytes()[:5000])
+    cv2.imwrite(str(inputs / "f10.png"), np.zeros((40, 50), np.uint8))
+    camera.save(tmp_path / "camera.json")
+    arguments = ["batch", str(inputs), "-o", str(tmp_path / "out"), "--preset", "fast", "--format", "png", "--json"]
+    result = CliRunner().invoke(main, [*arguments, "-c", str(tmp_path / "camera.json")], catch_exceptions=False)
+    figures = json.loads(result.stdout)
+    assert result.exit_code == 1 and figures["rendered"] == 2 and figures["failed"] == 2
+    assert "truncated" in figures["warnings"][0] and "f10" in figures["warnings"][1]
+    assert sorted(path.name for path in (tmp_path / "out").glob("*.png")) == ["f8.png", "f9.png"]
+
+
+def test_pages_of_a_tiff_and_a_video_are_frames(house, tmp_path):
+    pages = np.stack([house.flat, house.flat[::-1], house.flat[:, ::-1]])
+    tifffile.imwrite(tmp_path / "stack.tif", pages, photometric="rgb")
+    frames = list(lfrender.open_frames([tmp_path / "stack.tif"]))
+    assert [f.name for f in frames] == ["stack_00000", "stack_00001", "stack_00002"]
+    np.testing.assert_array_equal(frames[1].read(), pages[1])
+
+    av = pytest.importorskip("av")
+    with av.open(str(tmp_path / "film.mkv"), "w") as film:
+        stream = film.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 520, 400, "bgr0"
+        for page in pages:
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(page.astype(np.uint8), format="rgb24")))
+        film.mux(stream.encode())
+    read = [frame.read() for frame in lfrender.open_frames([tmp_path / "film.mkv"])]
+    np.testing.assert_array_equal(np.stack(read), pages)
+
+
+@pytest.mark.parametrize("make", ["nothing", "missing", "twice"])
+def test_inputs_that_are_no_sequence_are_refused(tmp_path, make):
+    (tmp_path / "a").mkdir()
+    inputs = {"nothing": [tmp_path / "a"], "missing": [tmp_path / "b.png"]}.get(make)
+    if inputs is None:
+        for name in ("c.png", "c.jpg"):
+            (tmp_path / "a" / name).write_bytes(b"x")
+        inputs = [tmp_path / "a"]
+    with pytest.raises(lfcal.FlatError):
+        lfrender.open_frames(inputs)
+
+
+def _outcomes(*inputs):
+    """What reading each frame gives: its pixels, or the message of the error."""
+    found = []
+    for frame in lfrender.open_frames(inputs):
+        try:
+            found.append(frame.read())
+        except lfcal.FlatError as error:
+            found.append(str(error))
+    return found
+
+
+def test_damaged_frames_of_videos_are_told_from_whole_ones_and_do_not_stop_the_rest(tmp_path):
+    av = pytest.importorskip("av")
+    pictures = np.random.default_rng(0).integers(0, 256, (4, 40, 56, 3), dtype=np.uint8)
+    path = tmp_path / "film.mkv"
+    with FilmFile(path, Fraction(25), "") as film:
+        for picture in pictures:
+            film.add(picture)
+    with av.open(str(path)) as film:
+        middles = [packet.pos + packet.size // 2 for packet in film.demux(video=0) if packet.size]
+    whole = path.read_bytes()
+    damaged = bytearray(whole)
+    damaged[middles[1]] ^= 255
+    path.write_bytes(damaged)
+    (tmp_path / "torn.mkv").write_bytes(whole[: middles[2]])
+    (tmp_path / "none.mp4").write_bytes(b"no video at all")
+    found = _outcomes(path, tmp_path / "torn.mkv", tmp_path / "none.mp4")
+    assert [type(f) for f in found] == [np.ndarray, str, *[np.ndarray] * 4, str, str]
+    assert "film.mkv: frame 1: slice CRC" in found[1]
+    np.testing.assert_array_equal(np.stack([found[k] for k in (0, 2, 3, 4, 5)]), pictures[[0, 2, 3, 0, 1]])
+    assert "torn.mkv: ends after 2 of" in found[6] and "none.mp4" in found[7]
+
+
+def test_page_that_is_damaged_and_a_list_of_pages_that_is_cut_off_are_reported(tmp_path):
+    pages = np.random.default_rng(0).integers(0, 256, (4, 30, 40), dtype=np.uint8)
+    path = tmp_path / "stack.tif"
+    tifffile.imwrite(path, pages, photometric="minisblack", compression="zlib", metadata=None)
+    with tifffile.TiffFile(path) as tiff:
+        start, last = tiff.pages[1].dataoffsets[0], tiff.pages[3].offset
+    damaged = bytearray(path.read_bytes())
+    damaged[start + 20 : start + 60] = bytes(40)
+    path.write_bytes(damaged[: last + 4])
+    found = _outcomes(path)
+    assert [type(f) for f in found] == [np.ndarray, str, np.ndarray, str]
+    np.testing.assert_array_equal(found[2], pages[2])
+    assert "stack.tif: damaged" in found[1] and "cut off after 3" in found[3]

@@ -1,0 +1,197 @@
+"""Films of a sequence: the pictures of its frames at the right rate, whole or not there, and runs that go on."""
+
+from __future__ import annotations
+
+import json
+import sys
+from fractions import Fraction
+from itertools import islice
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from click.testing import CliRunner
+
+import lfcal
+import lfrender
+from lfrender.cli.main import main
+from lfrender.sequence import films
+from lfrender.sequence.film_file import FilmFile, film_pixels
+
+av = pytest.importorskip("av")
+
+
+@pytest.fixture(scope="module")
+def frames(house, tmp_path_factory):
+    """Five frames that differ, the first and the fourth of which cannot be read."""
+    folder = tmp_path_factory.mktemp("frames")
+    for k in range(5):
+        flat = np.rint(house.flat * (1 - 0.1 * k)).astype(np.uint8)
+        cv2.imwrite(str(folder / f"f{k}.png"), flat[..., ::-1])
+    for k in (0, 3):
+        damaged = folder / f"f{k}.png"
+        damaged.write_bytes(damaged.read_bytes()[:3000])
+    return lfrender.open_frames([folder])
+
+
+@pytest.fixture(scope="module")
+def pictures(frames, house, tmp_path_factory):
+    """What the frames that can be read look like, one by one."""
+    folder = tmp_path_factory.mktemp("pictures")
+    results = list(lfrender.render_frames(frames, folder, house.truth.calibration, preset="fast"))
+    return [tifffile.imread(r.path) for r in results if r.outcome == "rendered"]
+
+
+def shown(path):
+    with av.open(str(path)) as film:
+        stream = film.streams.video[0]
+        return Fraction(stream.average_rate), [frame.to_ndarray(format="rgb24") for frame in film.decode(stream)]
+
+
+def test_film_shows_every_picture_and_in_place_of_bad_frames_the_one_before(frames, pictures, house, tmp_path):
+    path = tmp_path / "film.mkv"
+    results = list(lfrender.render_film(frames, path, house.truth.calibration, preset="fast", rate=29.97))
+    assert [r.outcome for r in results] == ["failed", "rendered", "rendered", "failed", "rendered"]
+    rate, found = shown(path)
+    assert rate == pytest.approx(29.97, abs=1e-3)
+    # The first one has none before it.
+    np.testing.assert_array_equal(np.stack(found), np.stack([pictures[k] for k in (0, 0, 1, 1, 2)]))
+    assert [p.name for p in tmp_path.iterdir()] == ["film.mkv"]
+
+
+def test_stopped_run_leaves_no_film_and_goes_on_with_the_pictures_it_has(frames, house, tmp_path):
+    path, camera = tmp_path / "film.mkv", house.truth.calibration
+    started = lfrender.render_film(frames, path, camera, preset="fast")
+    # The next one is on its way by then.
+    list(islice(started, 2))
+    started.close()
+    assert not path.exists()
+    results = list(lfrender.render_film(frames, path, camera, preset="fast"))
+    assert [r.outcome for r in results] == ["failed", "kept", "kept", "failed", "rendered"]
+    assert len(shown(path)[1]) == 5
+    with pytest.raises(lfcal.OutputError, match="there already"):
+        next(lfrender.render_film(frames, path, camera, preset="fast"))
+
+
+def test_pictures_made_with_other_settings_are_not_taken_for_a_film(frames, house, tmp_path):
+    path, camera = tmp_path / "film.mkv", house.truth.calibration
+    started = lfrender.render_film(frames, path, camera, preset="fast")
+    # The next one is on its way by then.
+    list(islice(started, 2))
+    started.close()
+    results = list(lfrender.render_film(frames, path, camera, preset="fast", scale=5.0))
+    assert "kept" not in [r.outcome for r in results]
+    assert shown(path)[1][0].shape[1] == pytest.approx(5.0 * 520 / 20.3, abs=1)
+
+
+def test_sequence_without_a_frame_that_can_be_rendered_makes_no_film(frames, house, tmp_path):
+    bad = lfrender.open_frames(frames.files[:1])
+    run = lfrender.render_film(bad, tmp_path / "film.mkv", house.truth.calibration, preset="fast")
+    assert next(run).outcome == "failed"
+    with pytest.raises(lfcal.FlatError, match="none of the frames"):
+        next(run)
+    assert not (tmp_path / "film.mkv").exists()
+
+
+def test_command_makes_a_film_that_plays_everywhere_at_the_rate_of_its_input(frames, pictures, house, tmp_path):
+    with FilmFile(tmp_path / "in.mkv", Fraction(12), "") as film:
+        for file in (frames.files[1], frames.files[2]):
+            film.add(lfcal.read_flat(file))
+    house.truth.calibration.save(tmp_path / "camera.json")
+    command = ["batch", str(tmp_path / "in.mkv"), "-o", str(tmp_path / "out.mp4"), "--preset", "fast", "--json"]
+    result = CliRunner().invoke(main, [*command, "-c", str(tmp_path / "camera.json")], catch_exceptions=False)
+    assert result.exit_code == 0 and json.loads(result.stdout)["rendered"] == 2
+    with av.open(str(tmp_path / "out.mp4")) as film:
+        stream = film.streams.video[0]
+        assert (stream.format.name, stream.average_rate) == ("yuv420p", 12)
+    rows, columns = pictures[0].shape[:2]
+    for picture, frame in zip(pictures, lfrender.open_frames([tmp_path / "out.mp4"]), strict=False):
+        # Colours have half the resolution, and frames an even number of rows and columns.
+        there = frame.read()
+        assert there.shape[:2] == (rows + rows % 2, columns + columns % 2)
+        apart = there[:rows, :columns].astype(float) - picture
+        assert np.std(apart @ [0.2126, 0.7152, 0.0722]) < 1.6
+
+
+def test_even_areas_keep_their_colours_to_a_grey_level_through_a_film_and_back(tmp_path):
+    colours = np.random.default_rng(1).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+    picture = np.repeat(np.repeat(colours, 16, 0), 16, 1)
+    with FilmFile(tmp_path / "film.mp4", Fraction(25), "") as film:
+        film.add(picture)
+    (frame,) = lfrender.open_frames([tmp_path / "film.mp4"])
+    middles = frame.read()[8::16, 8::16].astype(int)
+    assert np.abs(middles - colours).max() <= 3
+    assert np.abs((middles - colours).mean((0, 1))).max() < 0.35
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_lossless_film_holds_pixels_of_all_kinds_bit_for_bit(tmp_path, kind, channels):
+    values = np.random.default_rng(0).random((3, 31, 45, *channels))
+    whole = values.astype(np.float32) if kind == np.float32 else (values * np.iinfo(kind).max).astype(kind)
+    stored = film_pixels(whole)
+    with FilmFile(tmp_path / "film.mkv", Fraction(25), "") as film:
+        for picture in stored:
+            film.add(picture)
+    name = {1: "gray", 2: "gray16le"} if not channels else {1: "rgb24", 2: "rgb48le"}
+    with av.open(str(tmp_path / "film.mkv")) as film:
+        found = [f.to_ndarray(format=name[stored.dtype.itemsize]) for f in film.decode(video=0)]
+    np.testing.assert_array_equal(np.stack(found), stored)
+    if kind == np.float32:
+        assert np.abs(stored / 65535 - whole).max() < 1e-5
+
+
+def test_film_of_8_bits_is_as_bright_as_the_flats_whatever_bits_they_have(house, tmp_path):
+    for name, flat in (("bytes", house.flat), ("twelve", house.flat.astype(np.uint16) << 4)):
+        tifffile.imwrite(tmp_path / f"{name}.tif", flat)
+        frames = lfrender.open_frames([tmp_path / f"{name}.tif"])
+        list(lfrender.render_film(frames, tmp_path / f"{name}.mp4", preset="fast", scale=5.0))
+    ((of_bytes,), (of_twelve,)) = (shown(tmp_path / f"{name}.mp4")[1] for name in ("bytes", "twelve"))
+    np.testing.assert_allclose(of_twelve.mean((0, 1)), of_bytes.mean((0, 1)), atol=1.0)
+
+
+def test_pictures_of_a_film_take_the_kind_of_the_first_one_and_must_have_its_size(tmp_path):
+    gray = np.full((20, 30), 100, np.uint8)
+    with FilmFile(tmp_path / "film.mkv", Fraction(25), "") as film:
+        film.add(np.full((20, 30, 3), 50, np.uint8))
+        film.add(gray)
+        film.add(gray.astype(np.uint16) * np.uint16(257))
+        with pytest.raises(lfcal.LightFieldError, match="30 x 20 and 31 x 20"):
+            film.add(np.zeros((20, 31), np.uint8))
+    assert [int(p.mean()) for p in shown(tmp_path / "film.mkv")[1]] == [50, 100, 100]
+
+
+def test_films_need_a_package_a_known_ending_and_room(frames, house, tmp_path, monkeypatch):
+    run = CliRunner().invoke
+    flat = str(frames.files[1])
+    assert "unknown output format" in run(main, ["batch", flat, "-o", str(tmp_path / "film.avi")]).stderr
+    assert "--format" in run(main, ["batch", flat, "-o", str(tmp_path / "film.mp4"), "--format", "png"]).stderr
+    assert "--fps" in run(main, ["batch", flat, "-o", str(tmp_path / "folder"), "--fps", "3"]).stderr
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(FilmFile, "_frame", full)
+        with pytest.raises(lfcal.OutputError, match="No space left"):
+            list(lfrender.render_film(frames, tmp_path / "film.mkv", house.truth.calibration, preset="fast"))
+    assert not (tmp_path / "film.mkv").exists()
+    monkeypatch.setitem(sys.modules, "av", None)
+    found = run(main, ["batch", flat, "-o", str(tmp_path / "film.mp4")])
+    assert found.exit_code == 2 and "pip install 'lfrender[video]'" in found.stderr
+
+
+def test_a_cluster_is_handed_on(frames, house, tmp_path, monkeypatch):
+    """Pictures come from `render_frames_on` where there is a client; what that does is tested beside it."""
+    asked = []
+    here = lfrender.render_frames
+
+    def there(client, frames, folder, calibration, *, threads, **options):
+        asked.append((client, threads))
+        return here(frames, folder, calibration, **options)
+
+    monkeypatch.setattr("lfrender.sequence.cluster.render_frames_on", there)
+    some = lfrender.open_frames(frames.files[1:2])
+    list(films.render_film(some, tmp_path / "film.mkv", house.truth.calibration, preset="fast", client="c", threads=1))
+    assert asked == [("c", 1)] and len(shown(tmp_path / "film.mkv")[1]) == 1

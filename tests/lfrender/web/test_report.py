@@ -1,0 +1,195 @@
+"""The report: whole, self-contained, below 15 MB, and telling what the depth map and the calibration say."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import lfrender
+from lfrender.cli.main import main
+from lfrender.output.metrics import nearest_lens
+from lfrender.web.report_charts import magnification_histogram, map_grid, maps
+from lfrender.web.report_page import write_report
+from lfrender.web.report_pictures import data_urls, draw_pictures
+
+from ._browser import errors, start_browser, wait_for
+
+
+class Page(HTMLParser):
+    """Collects what a page refers to, its text, and the numbers that its elements carry."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.sources, self.text, self.nameless, self.titles = [], "", [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        self.sources += [value for name, value in attrs if name in ("src", "href")]
+        if tag == "img" and "alt" not in attributes:
+            self.nameless.append(attributes)
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def captured(house):
+    camera = house.truth.calibration
+    return house.flat, camera, lfrender.analyze(house.flat, camera)
+
+
+@pytest.fixture(scope="module")
+def pictures(captured):
+    return draw_pictures(*captured)
+
+
+@pytest.fixture(scope="module")
+def report(captured, pictures, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    flat, camera, depth = captured
+    camera = replace(camera, warnings=("the lamp <flickers>",))
+    write_report(path, flat, camera, depth, pictures, title="A & B.png", seconds={"read": 0.25, "analyze": 1.5})
+    return path
+
+
+def test_the_page_is_small_and_needs_nothing_but_itself(report):
+    text = report.read_text(encoding="utf-8")
+    page = Page(text)
+    assert len(text) < 15_000_000
+    assert len(page.sources) >= 8
+    assert all(source.startswith("data:") for source in page.sources)
+    assert "url(http" not in text
+    assert page.nameless == []
+
+
+def test_the_page_tells_warnings_times_and_shares_in_words(report, captured):
+    text = report.read_text(encoding="utf-8")
+    page, depth = Page(text), captured[2]
+    assert "The lamp <flickers>" in page.text
+    assert "<flickers>" not in text
+    assert "A & B.png" in page.text
+    assert "1.50 s" in page.text
+    assert f"telescopic {np.mean(depth.mode == 1):.1%}" in page.text
+    assert f"{depth.saved['ranges']:.1%} of the work" in page.text
+    assert f"{np.mean(depth.reason == 1):.2%} of the lenses" in page.text
+
+
+def test_modes_that_do_not_occur_are_not_compared_with(captured, pictures):
+    flat, camera, depth = captured
+    assert sorted(pictures.fixed) == ["binocular", "telescopic"]
+    assert pictures.patch_size["telescopic"] == pytest.approx(6.1, abs=0.2)
+    one = np.where(depth.mode == 1, depth.patch_size, np.nan)
+    alone = draw_pictures(flat, camera, replace(depth, patch_size=one, reason=None))
+    assert list(alone.fixed) == ["telescopic"]
+
+
+def test_the_histogram_counts_every_resolved_lens_once(captured):
+    depth = captured[2]
+    counts = [
+        int(n.replace(",", "")) for n in re.findall(r"<title>([\d,]+) \w+ lenses", magnification_histogram(depth))
+    ]
+    assert sum(counts) == np.sum(depth.mode != 0)
+
+
+def test_a_depth_map_without_any_depth_has_a_report_too(captured, tmp_path):
+    flat, camera, depth = captured
+    blank = replace(depth, patch_size=np.full(len(depth), np.nan, np.float32), reason=None, saved={})
+    write_report(tmp_path / "report.html", flat, replace(camera, confidence=0.2), blank)
+    text = Page((tmp_path / "report.html").read_text(encoding="utf-8")).text
+    assert "100% of the lenses have no depth of their own" in text
+    assert "Nothing was skipped" in text
+    assert "doubtful (confidence 0.20)" in text
+
+
+def test_confidence_is_dark_where_it_is_nothing_and_light_where_it_is_one(captured):
+    _, camera, depth = captured
+    some = np.where(np.arange(len(depth)) % 2, 1.0, 0.0).astype(np.float32)
+    found = maps(replace(depth, confidence=some), camera.lattice)["confidence"].reshape(-1, 3)
+    affine, shape = map_grid(camera.lattice)
+    colours, counts = np.unique(found, axis=0, return_counts=True)
+    assert len(colours) == 2
+    assert colours.sum(1).max() > 3 * colours.sum(1).min()
+    light = found.sum(1).reshape(shape) > colours.sum(1).mean()
+    lens = nearest_lens(camera.lattice, np.array([[100.0, 100.0], [300.0, 250.0]]))
+    for point, sure in zip(((100, 100), (300, 250)), some[lens], strict=True):
+        column, row = np.rint((np.array(point) - affine[:, 2]) / affine[0, 0]).astype(int)
+        assert light[row, column] == (sure == 1)
+    assert counts.min() > 0.4 * counts.sum()
+
+
+def test_pictures_that_do_not_fit_lose_quality_first_and_size_then():
+    noise = np.random.default_rng(1).integers(0, 256, (600, 800, 3), np.uint8)
+    pictures = {"all": noise, "traditional": noise[:20, :30]}
+    best, size = data_urls(pictures, 10**9)
+    room = sum(map(len, best.values()))
+    assert size == 1
+    coarser, size = data_urls(pictures, room - 1)
+    assert (size, sum(map(len, coarser.values())) < room) == (1, True)
+    small, size = data_urls(pictures, room // 8)
+    assert size < 1
+    assert sum(map(len, small.values())) <= room // 8
+    # What is small already stays.
+    assert len(small["traditional"]) > 0.5 * len(best["traditional"])
+
+
+def test_sixteen_bits_and_one_channel_are_shown(captured):
+    grey = np.full((40, 50), 40000, np.uint16)
+    urls, _ = data_urls({"grey": grey}, 10**6)
+    import base64
+
+    import cv2
+
+    data = np.frombuffer(base64.b64decode(urls["grey"].split(",")[1]), np.uint8)
+    np.testing.assert_allclose(cv2.imdecode(data, cv2.IMREAD_COLOR), 40000 / 257, atol=1.5)
+
+
+def test_the_command_writes_a_report_and_its_figures(house_files, captured, tmp_path):
+    captured[2].save(tmp_path / "depth.npz")
+    output = tmp_path / "report.html"
+    arguments = ["report", str(house_files / "flat.png"), "-c", str(house_files / "camera.json"), "-o", str(output)]
+    result = CliRunner().invoke(main, [*arguments, "--depth", str(tmp_path / "depth.npz"), "--json"])
+    assert result.exit_code == 0, result.output
+    figures = json.loads(result.stdout)
+    assert figures["modes"]["telescopic"] == pytest.approx(np.mean(captured[2].mode == 1))
+    assert output.exists()
+    refused = CliRunner().invoke(main, [*arguments[:-1], str(tmp_path / "report.pdf")])
+    assert refused.exit_code == 2
+    assert ".html" in refused.stderr
+
+
+def test_the_line_moves_and_the_picture_zooms_to_its_own_pixels(report):
+    browser = start_browser()
+    try:
+        browser.get(report.as_uri())
+        wait_for(browser, "document.getElementById('left').complete && document.getElementById('right').complete")
+        size = browser.execute_script(
+            "const i = document.querySelector('#sources img');"
+            "return i.decode().then(() => [i.naturalWidth, i.naturalHeight])"
+        )
+        line = browser.find_element("id", "line")
+        cut = "return parseFloat(getComputedStyle(document.getElementById('right')).clipPath.split(' ')[3])"
+        assert browser.execute_script(cut) == pytest.approx(50, abs=0.2)
+        browser.execute_script("arguments[0].value = 20; arguments[0].dispatchEvent(new Event('input'))", line)
+        assert browser.execute_script(cut) == pytest.approx(20, abs=0.2)
+        browser.find_element("id", "full").click()
+        assert (
+            browser.execute_script("const s = document.getElementById('sheet'); return [s.clientWidth, s.clientHeight]")
+            == size
+        )
+        browser.find_element("css selector", "[data-choice=traditional]").click()
+        assert browser.find_element("id", "name").text == "traditional"
+        # No sideways scrolling on a narrow screen.
+        browser.execute_cdp_cmd(
+            "Emulation.setDeviceMetricsOverride", {"width": 400, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+        )
+        assert browser.execute_script("return document.documentElement.scrollWidth") <= 400
+        assert errors(browser) == []
+    finally:
+        browser.quit()

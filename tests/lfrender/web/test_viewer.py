@@ -1,0 +1,377 @@
+"""The viewer draws what the renderer draws, and does what mouse and keys ask for."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import urllib.request
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import lfcal
+import lfrender
+from lfcal.lattice.distortion import Distortion
+from lfrender.cli.main import main
+from lfrender.data.depth_map import DepthMap
+from lfrender.data.surface import Surface
+from lfrender.flat.sharpness import ready_to_read
+from lfrender.web.viewer_page import viewer_files, write_viewer
+from lfrender.web.viewer_server import PageServer
+
+from ._browser import errors, pixels, start_browser, wait_for
+
+# Patch sizes of the house and of the branches in front of it [px].
+FAR, NEAR = 6.09, -6.0
+READY = "window.lightField"
+RESTS = "lightField.pending === undefined && !lightField.moving"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    driver = start_browser()
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(scope="module")
+def captured(house):
+    """Flat, camera and depth of the house."""
+    camera = house.truth.calibration
+    return house.flat, camera, lfrender.analyze(house.flat, camera)
+
+
+@pytest.fixture(scope="module")
+def served(captured):
+    """The viewer of the house on a server, in several tiles."""
+    server = PageServer(dict(viewer_files(*captured, "house.png", tile=256)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield server
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.fixture
+def page(browser, served):
+    if browser.current_url != served.url:
+        browser.get(served.url)
+        wait_for(browser, READY)
+    browser.execute_script(
+        "lightField.set({ mode: 'focus', plane: lightField.scene.plane, q: [0, 0], aperture: 1, overlay: 0 });"
+        "lightField.fit()"
+    )
+    yield browser
+    assert errors(browser) == []
+
+
+def off(browser, picture, **settings):
+    """Difference [grey levels] of the viewer's picture from one of the renderer's, where that shows something."""
+    found = pixels(browser, picture.image.shape[:2], picture.affine, **settings).astype(int)
+    return np.abs(found - picture.image)[picture.valid].max(-1)
+
+
+@pytest.mark.parametrize("aperture", [1.0, 0.4])
+@pytest.mark.parametrize(("plane", "scale"), [(FAR, None), (FAR, 4.0), (NEAR, None)])
+def test_a_plane_in_focus_is_that_of_the_renderer(page, captured, plane, aperture, scale):
+    flat, camera, _ = captured
+    picture = lfrender.refocus(flat, camera, plane, aperture=aperture, scale=scale)
+    difference = off(page, picture, mode="focus", plane=plane, aperture=aperture)
+    # At the rim of the aperture rounding decides whether a lens takes part at all.
+    assert np.mean(difference <= 2) > 0.9995
+    assert difference.mean() < 0.01
+
+
+def test_everything_in_focus_and_tiles_are_those_of_the_renderer(page, captured):
+    flat, camera, depth = captured
+    for scale in (None, 4.0):
+        assert np.mean(off(page, lfrender.render(flat, camera, depth, scale=scale), mode="sharp") <= 2) > 0.9995
+    page.execute_script("lightField.set({ mode: 'tiles' })")
+    wait_for(page, "lightField.renderer.textures.plainTiles")
+    crisp = lfrender.render(flat, camera, patch_size=FAR)
+    assert np.mean(off(page, crisp, mode="tiles", plane=FAR) <= 2) > 0.9995
+    # Not the flat that blended pictures read.
+    sharpened = lfrender.render(ready_to_read(flat), camera, patch_size=FAR)
+    assert np.mean(off(page, sharpened, mode="tiles", plane=FAR) <= 2) < 0.9
+
+
+def test_a_view_from_aside_is_that_of_the_renderer(page, captured):
+    flat, camera, depth = captured
+    q = (0.5 * camera.lattice.radius, -0.3 * camera.lattice.radius)
+    picture = next(lfrender.views(flat, camera, depth, offsets=[q], still=FAR))
+    # Steps of the ray to the surface and what lenses see at depth edges differ in a few pixels.
+    assert np.mean(off(page, picture, mode="sharp", plane=FAR, q=list(q)) <= 2) > 0.998
+
+
+def test_a_flat_with_distortion_lens_types_and_sixteen_bits_is_drawn_as_the_renderer_draws_it(browser, house, tmp_path):
+    width, height = house.flat.shape[1::-1]
+    bend = Distortion(np.array([250.0, 190.0]), 0.02, 0.0, float(np.hypot(width, height)) / 2)
+    camera = house.truth.calibration
+    types = lfcal.LensTypes([[0, 2, 1], [1, 0, 2], [2, 1, 0]], True, np.array([0.5, 0.3, 0.15]))
+    camera = replace(camera, lattice=replace(camera.lattice, distortion=bend), lens_types=types)
+    flat = (house.flat.astype(np.uint16) * 257).astype(np.uint16)
+    depth = two_planes(camera)
+    write_viewer(tmp_path, flat, camera, depth)
+    # From a disk, where browsers refuse to fetch files.
+    browser.get((tmp_path / "index.html").as_uri())
+    wait_for(browser, READY)
+    for picture, settings in (
+        (lfrender.refocus(flat, camera, FAR), {"mode": "focus", "plane": FAR}),
+        (lfrender.render(flat, camera, depth), {"mode": "sharp"}),
+    ):
+        eight = replace(picture, image=picture.image / 257)
+        assert np.mean(off(browser, eight, **settings) <= 2) > 0.9995
+    assert errors(browser) == []
+
+
+def two_planes(camera):
+    """A depth map with its edge in the middle."""
+    lattice = camera.lattice
+    size = np.where(lattice.centres()[:, 0] < lattice.image_size[0] / 2, FAR, NEAR).astype(np.float32)
+    spacing = lattice.pitch / 7
+    columns, rows = (int(np.ceil(n / spacing)) + 1 for n in lattice.image_size)
+    surface = np.full((rows, columns), FAR, np.float32)
+    surface[:, columns // 2 :] = NEAR
+    one = np.ones(len(size), np.float32)
+    return DepthMap(
+        size, one, one, size, Surface(surface, (-0.5, -0.5), spacing), lattice.pitch, lattice.image_size
+    )  # fmt: skip
+
+
+def place_of(page, wanted, depth, lattice):
+    """Scene point and canvas position of a place far from depth edges with a patch size near `wanted`."""
+    surface = depth.surface
+    alike = (np.abs(surface.patch_size - wanted) < 1.2).astype(np.uint8)
+    alike = cv2.copyMakeBorder(alike[12:-12, 12:-12], 12, 12, 12, 12, cv2.BORDER_CONSTANT, value=0)
+    inside = cv2.distanceTransform(alike, cv2.DIST_L2, 3)
+    v, u = np.unravel_index(np.argmax(inside), inside.shape)
+    x, y = np.array([u, v]) * surface.spacing + surface.first
+    on_page = page.execute_script(
+        "const v = lightField, [x, y] = arguments, f = v.frame.first(v.width, v.height);"
+        "return [(x - f[0]) / v.frame.spacing / devicePixelRatio, (y - f[1]) / v.frame.spacing / devicePixelRatio]",
+        x, y,
+    )  # fmt: skip
+    return (float(x), float(y)), on_page
+
+
+def mouse(page, *steps):
+    """Press at the first position on the canvas, move over the others, and release."""
+    from selenium.webdriver import ActionChains
+
+    canvas = page.find_element("id", "picture")
+    middle = canvas.size["width"] / 2, canvas.size["height"] / 2
+    chain = ActionChains(page, duration=20)
+    chain.move_to_element_with_offset(canvas, *(round(p - m) for p, m in zip(steps[0], middle, strict=True)))
+    chain.click_and_hold()
+    for before, after in pairwise(steps):
+        chain.move_by_offset(*(round(b - a) for a, b in zip(before, after, strict=True)))
+    chain.release().perform()
+
+
+def around(page, place, side, spacing, **settings):
+    """The picture about a scene point."""
+    first = np.array(place) - spacing * (side - 1) / 2
+    return pixels(page, (side, side), np.column_stack([np.eye(2) * spacing, first]), **settings)
+
+
+def blur(page, place):
+    """RMS difference [grey levels] about a scene point from the picture that is sharp everywhere."""
+    sharp, now = (around(page, place, 14, 2.0, **settings).astype(float) for settings in ({"mode": "sharp"}, {}))
+    return np.sqrt(np.mean((now - sharp) ** 2))
+
+
+@pytest.mark.parametrize(("wanted", "other"), [(FAR, NEAR), (NEAR, FAR)])
+def test_a_click_focuses_there(page, captured, wanted, other):
+    _, camera, depth = captured
+    place, on_page = place_of(page, wanted, depth, camera.lattice)
+    page.execute_script("lightField.set({ plane: arguments[0] })", other)
+    before, piece = blur(page, place), around(page, place, 14, 2.0)
+    mouse(page, on_page)
+    plane = page.execute_script("return lightField.settings.plane")
+    assert plane == pytest.approx(float(depth.surface.at(np.array([place]))[0]), abs=0.3)
+    assert blur(page, place) < 0.5 * before
+    assert ("telescopic" if wanted > 0 else "binocular") in page.find_element("id", "plane-value").text
+    if wanted == FAR:
+        # The branches have no texture of their own that could become sharper.
+        detail = [cv2.Laplacian(p.astype(np.float32), cv2.CV_32F).std() for p in (piece, around(page, place, 14, 2.0))]
+        assert detail[1] > 1.3 * detail[0]
+
+
+def test_dragging_moves_near_and_far_apart(page, captured):
+    _, camera, depth = captured
+    page.execute_script("lightField.set({ mode: 'sharp', plane: arguments[0] })", FAR)
+    wait_for(page, RESTS)
+    start = (200, 200)
+    mouse(page, start, (160, 200), (150, 200))
+    q = page.execute_script("return lightField.settings.q")
+    assert q[0] > 0.3 * camera.lattice.radius
+    assert abs(q[1]) < 1e-6
+    spacing = 2.0
+    for wanted in (FAR, NEAR):
+        place, _ = place_of(page, wanted, depth, camera.lattice)
+        s = float(depth.surface.at(np.array([place]))[0])
+        moved = q[0] * (camera.lattice.pitch / s - camera.lattice.pitch / FAR)
+        piece = around(page, place, 20, spacing, q=[0, 0])
+        wider = around(page, place, 20 + 2 * 30, spacing)
+        score = cv2.matchTemplate(wider, piece, cv2.TM_CCOEFF_NORMED)
+        y, x = np.unravel_index(np.argmax(score), score.shape)
+        # Places with s = FAR stay, those in front of them move against q.
+        assert (x - 30) * spacing == pytest.approx(moved, abs=2 * spacing)
+        assert (y - 30) * spacing == pytest.approx(0, abs=2 * spacing)
+
+
+def test_keys_do_what_the_mouse_does(page):
+    from selenium.webdriver.common.keys import Keys
+
+    canvas = page.find_element("id", "picture")
+    before = page.execute_script(
+        "return [lightField.settings.plane, lightField.frame.spacing, lightField.frame.middle]"
+    )
+    canvas.send_keys(Keys.ARROW_RIGHT, "a", "m", ",", "+", Keys.SHIFT + Keys.ARROW_LEFT + Keys.NULL, Keys.PAGE_UP)
+    state = page.execute_script("const { settings: s, frame: f } = lightField; return [s, f.spacing, f.middle]")
+    settings, spacing, middle = state
+    assert settings["q"][0] > 0
+    assert settings["mode"] == "sharp"
+    assert settings["overlay"] > 0
+    assert settings["aperture"] == pytest.approx(0.95)
+    assert settings["plane"] != before[0]
+    assert spacing == pytest.approx(before[1] / 1.25)
+    assert middle[0] < before[2][0]
+    assert page.find_element("id", "legend").is_displayed()
+    canvas.send_keys("a", "m", "c", "0")
+    settings, spacing, middle = page.execute_script(
+        "const { settings: s, frame: f } = lightField; return [s, f.spacing, f.middle]"
+    )
+    assert (settings["mode"], settings["overlay"], settings["q"]) == ("focus", 0, [0, 0])
+    assert [spacing, middle] == before[1:]
+
+
+def test_the_canvas_shows_the_picture_and_every_control_has_a_name(page):
+    page.execute_script("lightField.set({ mode: 'sharp' })")
+    wait_for(page, RESTS)
+    page.execute_script("lightField.draw()")
+    shot = cv2.imdecode(np.frombuffer(page.find_element("id", "picture").screenshot_as_png, np.uint8), cv2.IMREAD_COLOR)
+    assert shot.std() > 25
+    nameless = page.execute_script(
+        "return [...document.querySelectorAll('button, input, canvas')].filter(e => "
+        "!(e.ariaLabel || e.textContent.trim() || (e.labels && e.labels.length))).map(e => e.outerHTML)"
+    )
+    assert nameless == []
+
+
+def test_a_card_that_is_slow_draws_coarser_while_something_moves_and_in_full_at_rest(page):
+    page.execute_script("lightField.coarse = 1; lightField.set({ mode: 'sharp' })")
+    # Without a graphics card no picture of this size takes 15 ms.
+    wait_for(page, f"{RESTS} && lightField.coarse > 1.2")
+    page.execute_script(
+        "globalThis.least = Infinity; const turn = n => { lightField.look(0.01, 0); least = Math.min(least, "
+        "lightField.canvas.width); if (n) setTimeout(turn, 30, n - 1); }; turn(30)"
+    )
+    wait_for(page, "least < 0.8 * lightField.width")
+    wait_for(page, f"{RESTS} && lightField.canvas.width === lightField.width")
+
+
+def test_nothing_is_drawn_beyond_the_flat(page, captured):
+    flat = captured[0]
+    height, width = flat.shape[:2]
+    affine = np.array([[1.0, 0.0, -20.0], [0.0, 1.0, -20.0]])
+    shown = pixels(page, (height + 40, width + 40), affine, mode="sharp", background=[1, 0, 1]) == [255, 0, 255]
+    beyond = np.ones(shown.shape[:2], bool)
+    beyond[20 : 20 + height, 20 : 20 + width] = False
+    np.testing.assert_array_equal(shown.all(-1)[beyond], True)
+    assert shown.all(-1)[~beyond].mean() < 0.01
+
+
+def test_wheel_zooms_about_the_pointer(page):
+    at = page.execute_script("return lightField.frame.at(300, 200, lightField.width, lightField.height)")
+    spacing = page.execute_script("return lightField.frame.spacing")
+    page.execute_script(
+        "const c = document.getElementById('picture'), r = c.getBoundingClientRect();"
+        "c.dispatchEvent(new WheelEvent('wheel', "
+        "{ deltaY: -250, clientX: r.x + 300, clientY: r.y + 200, cancelable: true }))"
+    )
+    assert page.execute_script("return lightField.frame.spacing") == pytest.approx(spacing * np.exp(-0.5), rel=1e-3)
+    after = page.execute_script("return lightField.frame.at(300, 200, lightField.width, lightField.height)")
+    assert after == pytest.approx(at, abs=0.5)
+
+
+def test_tiles_cover_the_flat_and_share_what_reading_them_needs(captured):
+    flat, camera, depth = captured
+    side = 200
+    files = dict(viewer_files(flat, camera, depth, tile=side))
+    around = np.pad(flat, ((1, 1), (1, 1), (0, 0)), "edge")
+    for row in range(2):
+        for column in range(3):
+            tile = handed_over(files[f"data/flat-{column}-{row}.png.js"])
+            x, y = column * (side - 3), row * (side - 3)
+            np.testing.assert_array_equal(tile, around[y : y + side, x : x + side])
+    assert "data/flat-3-0.png.js" not in files
+
+
+def handed_over(script):
+    import base64
+
+    text = script.decode().split('"')[3]
+    return cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+
+
+def test_a_depth_map_of_another_flat_is_refused(captured):
+    flat, camera, depth = captured
+    other = replace(depth, image_size=(100, 100))
+    with pytest.raises(lfcal.CalibrationError, match="another camera"):
+        list(viewer_files(flat, camera, other))
+
+
+def test_a_flat_of_more_tiles_than_browsers_take_is_refused(captured):
+    with pytest.raises(lfcal.LightFieldError, match="browsers take 256"):
+        list(viewer_files(*captured, tile=20))
+
+
+def test_view_serves_until_it_is_interrupted(house_files, captured, tmp_path):
+    captured[2].save(tmp_path / "depth.npz")
+    command = [
+        sys.executable,
+        "-m",
+        "lfrender.cli.main",
+        "view",
+        str(house_files / "flat.png"),
+        "--no-browser",
+        "--json",
+    ]
+    command += ["-c", str(house_files / "camera.json"), "--depth", str(tmp_path / "depth.npz")]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, cwd=Path(lfrender.__file__).parents[1],
+        # Where the tests run in the background, interruptions are ignored, by their children too.
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
+    ) as process:  # fmt: skip
+        try:
+            url = json.loads(process.stdout.readline())["page"]
+            assert url.startswith("http://127.0.0.1:")
+            with urllib.request.urlopen(url, timeout=10) as page:
+                assert b"<title>flat.png" in page.read()
+            process.send_signal(signal.SIGINT)
+            assert process.wait(timeout=60) == 0
+        finally:
+            process.kill()
+
+
+def test_view_exports_from_the_command_line(house_files, captured, tmp_path):
+    captured[2].save(tmp_path / "depth.npz")
+    arguments = ["view", str(house_files / "flat.png"), "-c", str(house_files / "camera.json")]
+    arguments += ["--depth", str(tmp_path / "depth.npz"), "--export", str(tmp_path / "page")]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+    page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+    assert "<title>flat.png" in page
+    # Nothing from elsewhere.
+    assert 'src="http' not in page
+    assert 'href="http' not in page
+    assert (tmp_path / "page" / "data" / "scene.json.js").exists()

@@ -1,0 +1,49 @@
+"""The viewer's server serves the files of the page, to this machine, and nothing else."""
+
+from __future__ import annotations
+
+import http.client
+import threading
+
+import pytest
+
+from lfrender.web.viewer_server import PageServer, ServerError
+
+
+def answer(server, path, host=None, method="GET"):
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=5)
+    connection.putrequest(method, path, skip_host=True)
+    connection.putheader("Host", host or f"127.0.0.1:{server.server_port}")
+    connection.endheaders()
+    response = connection.getresponse()
+    content = response.read()
+    connection.close()
+    return response, content
+
+
+@pytest.fixture
+def small_server():
+    server = PageServer({"index.html": b"page", "data/a.js": b"data"})
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield server
+    server.shutdown()
+    server.server_close()
+
+
+def test_the_server_gives_its_own_files_to_this_machine_only(small_server):
+    assert small_server.server_address[0] == "127.0.0.1"
+    response, content = answer(small_server, "/")
+    assert (response.status, content) == (200, b"page")
+    assert response.getheader("Content-Security-Policy").startswith("default-src 'none'")
+    assert answer(small_server, "/data/a.js")[1] == b"data"
+    head, content = answer(small_server, "/index.html", method="HEAD")
+    assert (head.status, content, head.getheader("Content-Length")) == (200, b"", "4")
+    for path in ("/etc/passwd", "/../pyproject.toml", "//etc/passwd", "/data/", "/data/%2e%2e/index.html"):
+        assert answer(small_server, path)[0].status == 404
+    assert answer(small_server, "/", host="elsewhere.example")[0].status == 403
+    assert answer(small_server, "/", method="POST")[0].status == 501
+
+
+def test_a_port_that_is_taken_is_refused_by_name(small_server):
+    with pytest.raises(ServerError, match=f"port {small_server.server_port}"):
+        PageServer({"index.html": b""}, small_server.server_port)
