@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 import lfcal
 import lfrender
-from lfrender.output.metrics import PictureMerit, compare_pictures, resample
+from lfrender.output.metrics import PictureQuality, compare_pictures, resample
 
 from .depth_edges import RESOLVABLE, edge_share
 
@@ -27,7 +27,7 @@ SCALES = (0.15, 0.3)
 _BLANK = 2
 
 
-def merit(picture: lfrender.Rendering, folder: Path, pitch: float) -> PictureMerit:
+def merit(picture: lfrender.Rendering, folder: Path, pitch: float) -> PictureQuality:
     """PSNR and SSIM over resolvable pixels, a pitch off the border."""
     reference = lfcal.read_flat(folder / "reference.png")
     patch_size = np.load(folder / "reference_depth.npz")["disparity_px"]

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from .rendering.viewpoints import circle_offsets, grid_offsets, views
     from .sequence.batch import render_frames
     from .sequence.cluster import render_frames_on
-    from .sequence.films import render_film
+    from .sequence.film import render_film
     from .sequence.frames import Frames, open_frames
     from .sequence.job import FrameResult
-    from .web.report_page import write_report
-    from .web.viewer_page import write_viewer
+    from .web.report import write_report
+    from .web.viewer import write_viewer
 
 __all__ = [
     "DepthMap",
@@ -80,7 +80,7 @@ _HOMES = {
     "refocus": "rendering.refocus",
     "refocus_fourier": "rendering.fourier_slice",
     "render": "rendering.render",
-    "render_film": "sequence.films",
+    "render_film": "sequence.film",
     "render_frames": "sequence.batch",
     "render_frames_on": "sequence.cluster",
     "render_large": "large.render",
@@ -91,9 +91,9 @@ _HOMES = {
     "write_animation": "output.views",
     "write_grid": "output.views",
     "write_picture": "output.picture",
-    "write_report": "web.report_page",
+    "write_report": "web.report",
     "write_stack": "output.picture",
-    "write_viewer": "web.viewer_page",
+    "write_viewer": "web.viewer",
 }
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lfcal import Calibration, FlatSource
 
     from ..data.depth_map import DepthMap
-    from ..output.resume import Unfinished
+    from ..output.resume import Checkpoint
 
 __all__ = ["Asked", "Cluster", "analyze", "is_large", "render", "wanted"]
 
@@ -96,16 +96,16 @@ def is_large(flat: Path) -> bool:
 def render(report: Any, asked: Asked) -> None:
     """Calibrate, analyse and render in tiles, keeping what is finished."""
     from .. import render_large
-    from ..large.render import check_output_of
-    from ..output.resume import Unfinished
+    from ..large.render import check_large_picture
+    from ..output.resume import Checkpoint
 
     with report.stage("read"):
         from lfcal import open_flat
 
         source = open_flat(asked.flat)
         inputs = [asked.flat, asked.camera, asked.white, asked.depth_file]
-        check_output_of(asked.output, source.dtype, asked.alpha, inputs)
-        unfinished = Unfinished(asked.output)
+        check_large_picture(asked.output, source.dtype, asked.alpha, inputs)
+        unfinished = Checkpoint(asked.output)
     with source, asked.on.options() as workers:
         with report.stage("calibrate"):
             calibration = _camera(report, asked, source, unfinished)
@@ -157,16 +157,16 @@ def analyze(
     return depth, calibration
 
 
-def _camera(report: Any, asked: Asked, source: FlatSource, unfinished: Unfinished) -> Calibration:
+def _camera(report: Any, asked: Asked, source: FlatSource, unfinished: Checkpoint) -> Calibration:
     """The camera of a file, or calibrated, which an earlier run may have done."""
     from lfcal import load, read_flat
 
-    from ..output.resume import fingerprint, stamp
+    from ..output.resume import file_identity, fingerprint
 
     if asked.camera is not None and asked.camera.suffix.lower() not in (".xml", ".cfg"):
         shape: Any = source
         return camera_of(report, asked.flat, shape, asked.camera, None, asked.mosaic)
-    key = fingerprint(stamp(asked.flat), stamp(asked.white), stamp(asked.camera), asked.mosaic)
+    key = fingerprint(file_identity(asked.flat), file_identity(asked.white), file_identity(asked.camera), asked.mosaic)
     file = unfinished.folder / "camera.json"
     if unfinished.find("camera", key) and file.exists():
         return load(file)
@@ -184,17 +184,17 @@ def _depth(
     asked: Asked,
     source: FlatSource,
     calibration: Calibration,
-    unfinished: Unfinished,
+    unfinished: Checkpoint,
     workers: dict[str, Any],
 ) -> DepthMap:
     """The depth of a file, or analysed, which an earlier run may have done."""
     from .. import analyze_large
     from ..data.depth_map import DepthMap
-    from ..output.resume import fingerprint, stamp
+    from ..output.resume import file_identity, fingerprint
 
     if asked.depth_file is not None:
         return DepthMap.load(asked.depth_file)
-    key = fingerprint(stamp(asked.flat), calibration.to_dict(), asked.preset)
+    key = fingerprint(file_identity(asked.flat), calibration.to_dict(), asked.preset)
     file = unfinished.folder / "depth.npz"
     if unfinished.find("depth", key) and file.exists():
         return DepthMap.load(file)

@@ -47,7 +47,7 @@ def view(
 
     The page is served to this machine alone until Ctrl-C. It needs a browser with WebGL 2.
     """
-    from ..web.viewer_page import viewer_files, write_viewer
+    from ..web.viewer import viewer_files, write_viewer
 
     report = console.Report(as_json, quiet)
     pixels, calibration, depth = _capture(report, flat, camera, depth_file)
@@ -95,7 +95,7 @@ def report(
     quiet: bool,
 ) -> None:
     """Write calibration, depth and pictures of FLAT on one page that opens offline."""
-    from ..web.report_page import write_report
+    from ..web.report import write_report
     from ..web.report_pictures import draw_pictures
 
     progress = console.Report(as_json, quiet)

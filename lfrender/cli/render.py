@@ -10,7 +10,7 @@ import click
 from lfcal import LightFieldError
 from lfcal.runtime import console
 
-from ..output.metadata import read_embedded
+from ..output.metadata import read_metadata
 from ..output.picture import check_picture, write_picture
 from ..runtime.lazy_imports import import_meanwhile
 from .figures import camera_figures, depth_figures, picture_figures, settings_of
@@ -148,7 +148,7 @@ def render(
         picture = _render(report, pixels, calibration, depth, traditional, options)
     with report.stage("write"):
         write_picture(
-            output, picture, alpha=alpha, settings=settings_of(depth, patch_size, width), embedded=read_embedded(flat),
+            output, picture, alpha=alpha, settings=settings_of(depth, patch_size, width), embedded=read_metadata(flat),
             compress=compress,
         )  # fmt: skip
     figures = {**camera_figures(calibration, depth), **(depth_figures(depth) if depth else {})}

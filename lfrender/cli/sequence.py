@@ -75,13 +75,13 @@ def batch(
     cannot be read is reported and does not stop the others (exit code 1).
     """
     from .. import open_frames
-    from ..sequence.frames import is_film
+    from ..sequence.frames import is_video
 
     report = console.Report(as_json, quiet)
     at_most_one("--camera", camera, "--white", white)
     at_most_one("--workers", workers, "--scheduler", scheduler)
     options = {"preset": preset, "scale": scale, "overwrite": overwrite}
-    if film := is_film(output):
+    if film := is_video(output):
         if suffix is not None:
             raise click.UsageError(f"{output} is a film: leave out --format")
         from ..sequence.film_file import check_film

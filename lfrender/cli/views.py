@@ -11,7 +11,7 @@ import click
 from lfcal import LightFieldError
 from lfcal.runtime import console
 
-from ..output.metadata import read_embedded
+from ..output.metadata import read_metadata
 from ..output.picture import check_picture, write_picture
 from .figures import camera_figures, depth_figures, picture_figures
 from .inputs import analysed, camera_of, in_colour, read_depth
@@ -100,9 +100,9 @@ def refocus(
         if len(pictures) > 1:
             from .. import write_stack
 
-            paths = write_stack(output, pictures, settings=settings, embedded=read_embedded(flat))
+            paths = write_stack(output, pictures, settings=settings, embedded=read_metadata(flat))
         else:
-            write_picture(output, pictures[0], settings=settings[0], embedded=read_embedded(flat))
+            write_picture(output, pictures[0], settings=settings[0], embedded=read_metadata(flat))
             paths = [output]
     written = {"picture": str(output)} if len(paths) == 1 else {"pictures": [str(path) for path in paths]}
     figures = {**picture_figures(pictures[0]), **camera_figures(calibration, depth)}
@@ -190,9 +190,9 @@ def views(
             if animation:
                 write_animation(output, shown)
             elif stereo:
-                write_picture(output, stereo_pair(*shown), settings=settings, embedded=read_embedded(flat))
+                write_picture(output, stereo_pair(*shown), settings=settings, embedded=read_metadata(flat))
             else:
-                write_grid(output, shown, columns, suffix, settings=settings, embedded=read_embedded(flat))
+                write_grid(output, shown, columns, suffix, settings=settings, embedded=read_metadata(flat))
     report.finish(
         {"views": str(output), "offsets": offsets, **camera_figures(calibration, depth), **depth_figures(depth)}
     )

@@ -34,9 +34,9 @@ from ..flat.grey_flat import GrayFlat, gray_flat
 from ..flat.grey_flat import lens_by_lens as uneven_lenses
 from ..flat.lens_graph import lens_grid, lens_halves, neighbour_rows
 from ..flat.texture import find_texture, noise_of, quick_statistics, untouched_texture
-from .flat_parts import FlatParts
-from .lens_tiles import LensPart, lens_tiles, lens_windows
-from .workers import ClusterWorkers, Here, PartWorkers
+from .flat_parts import PartReader
+from .tiles import LensTile, lens_tiles, lens_windows
+from .workers import ClusterWorkers, LocalWorkers, Workers
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -85,8 +85,8 @@ def analyze_large(
     if preset not in PRESETS:
         raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
     shortcuts = Shortcuts.of(skip)
-    parts = FlatParts(source, calibration)
-    workers = Here(parts) if client is None else ClusterWorkers(client, source, threads)
+    parts = PartReader(source, calibration)
+    workers = LocalWorkers(parts) if client is None else ClusterWorkers(client, source, threads)
     whole = _Whole(calibration, preset, shortcuts)
     pixel_bytes = parts.channels * source.dtype.itemsize
     tiles = list(lens_tiles(calibration.lattice, whole.factor, PRESETS[preset], pixel_bytes))
@@ -122,7 +122,7 @@ class _Whole:
     def _gain(self) -> Any:
         return self.calibration.part_gain() if uneven_lenses(self.calibration) else None
 
-    def gray(self, part: LensPart, pixels: NDArray[Any]) -> GrayFlat:
+    def gray(self, part: LensTile, pixels: NDArray[Any]) -> GrayFlat:
         """A part of the flat as it is analysed, its light corrected as that of the whole."""
         height, width = pixels.shape[:2]
         light = None if self._gain is None else self._gain.at(*part.rectangle[:2], width, height)
@@ -130,7 +130,7 @@ class _Whole:
 
 
 def _seen(
-    whole: _Whole, part: LensPart, pixels: NDArray[Any]
+    whole: _Whole, part: LensTile, pixels: NDArray[Any]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
     """Roughness of the lenses of a window, with and without what they have in common; which clearly have texture."""
     gray = whole.gray(part, pixels)
@@ -141,7 +141,7 @@ def _seen(
 
 
 def _depths(
-    whole: _Whole, part: LensPart, pixels: NDArray[Any]
+    whole: _Whole, part: LensTile, pixels: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
     """Place, patch size and confidence of the lenses of a window that are resolved."""
     depth, single = _part_depth(whole, part, pixels)
@@ -150,7 +150,7 @@ def _depths(
     return part.lattice.centres()[found] + part.corner, sizes, depth.confidence[found]
 
 
-def _part_depth(whole: _Whole, part: LensPart, pixels: NDArray[Any]) -> tuple[DepthMap, Single]:
+def _part_depth(whole: _Whole, part: LensTile, pixels: NDArray[Any]) -> tuple[DepthMap, Single]:
     """The depth of the lenses of a part, and of those around them; what single ones say."""
     gray = whole.gray(part, pixels)
     plain = quick_statistics(gray)
@@ -161,7 +161,7 @@ def _part_depth(whole: _Whole, part: LensPart, pixels: NDArray[Any]) -> tuple[De
 
 
 def _plane_evidence(
-    whole: _Whole, item: tuple[LensPart, Plane], pixels: NDArray[Any]
+    whole: _Whole, item: tuple[LensTile, Plane], pixels: NDArray[Any]
 ) -> tuple[NDArray[np.float32], NDArray[Any]] | None:
     """How well the lenses of a part match on a plane, and how much of their texture that explains; None where some show
     something else."""
@@ -178,7 +178,7 @@ def _plane_evidence(
     return found[part.inside], explained[part.inside & texture.clear]
 
 
-def _overview(whole: _Whole, workers: PartWorkers) -> tuple[Overview, Plane | None, float]:
+def _overview(whole: _Whole, workers: Workers) -> tuple[Overview, Plane | None, float]:
     """What windows of the flat tell of all of it; the plane that it may be, and how sure its lenses are."""
     windows = list(lens_windows(whole.calibration.lattice, whole.factor))
     rectangles = [part.rectangle for part in windows]
@@ -195,7 +195,7 @@ def _overview(whole: _Whole, workers: PartWorkers) -> tuple[Overview, Plane | No
 
 
 def _by_tiles(
-    whole: _Whole, workers: PartWorkers, tiles: list[LensPart], progress: Callable[[int, int], None] | None
+    whole: _Whole, workers: Workers, tiles: list[LensTile], progress: Callable[[int, int], None] | None
 ) -> DepthMap:
     """The answers of all tiles put together."""
     lattice, preset = whole.lattice, whole.preset
@@ -242,7 +242,7 @@ def _by_tiles(
     )  # fmt: skip
 
 
-def _paste(whole: NDArray[np.float32], surface: Surface, part: LensPart, spacing: float) -> None:
+def _paste(whole: NDArray[np.float32], surface: Surface, part: LensTile, spacing: float) -> None:
     """Take the places of a tile from its own surface."""
     rows, columns = surface.patch_size.shape
     u, v = np.rint(part.corner / spacing).astype(int).tolist()
@@ -258,7 +258,7 @@ def _paste(whole: NDArray[np.float32], surface: Surface, part: LensPart, spacing
 
 
 def _checked_plane(
-    whole: _Whole, workers: PartWorkers, tiles: list[LensPart], plane: Plane, sure: float
+    whole: _Whole, workers: Workers, tiles: list[LensTile], plane: Plane, sure: float
 ) -> DepthMap | None:
     """The plane as the depth of the flat, None where some lens shows something else."""
     lattice = whole.lattice

@@ -13,12 +13,12 @@ from lfcal import Calibration, CalibrationError, FlatSource
 
 from ..flat.demosaicing import REACH, demosaic
 
-__all__ = ["FlatParts"]
+__all__ = ["PartReader"]
 
 _Part = tuple[int, int, int, int]
 
 
-class FlatParts:
+class PartReader:
     """A flat in a file with the camera that took it.
 
     Parameters

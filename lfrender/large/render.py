@@ -18,14 +18,14 @@ from lfcal import Calibration, FlatSource
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
-from ..output.metadata import read_embedded
+from ..output.metadata import read_metadata
 from ..output.picture import PictureError, check_picture, describe, with_alpha, write_picture
-from ..output.picture_file import PartWriter, move_into_place, new_writer, written_in_parts
-from ..output.resume import Unfinished, fingerprint, stamp
+from ..output.resume import Checkpoint, file_identity, fingerprint
+from ..output.tiled_picture import PartWriter, move_into_place, new_writer, written_in_parts
 from ..rendering.plan import Drawing, Part
 from ..rendering.render import drawing_of
-from .flat_parts import FlatParts
-from .workers import ClusterWorkers, Here, PartWorkers
+from .flat_parts import PartReader
+from .workers import ClusterWorkers, LocalWorkers, Workers
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -114,26 +114,28 @@ def render_large(
         As `render` and `write_picture`.
     """
     output = Path(path)
-    parts = FlatParts(source, calibration)
+    parts = PartReader(source, calibration)
     if depth is None and patch_size is None:
         raise ValueError("give depth (analyze_large makes it) or patch_size")
-    check_output_of(output, source.dtype, alpha)
+    check_large_picture(output, source.dtype, alpha)
     drawing = drawing_of(parts.read, calibration, depth, patch_size, scale, blend)
-    workers = Here(parts) if client is None else ClusterWorkers(client, source, threads)
-    side = drawing_tile(drawing, parts, tile, 1 if isinstance(workers, Here) else _TILES_EACH * workers.count)
+    workers = LocalWorkers(parts) if client is None else ClusterWorkers(client, source, threads)
+    side = choose_tile_size(
+        drawing, parts, tile, 1 if isinstance(workers, LocalWorkers) else _TILES_EACH * workers.count
+    )
     text = describe(Rendering(np.empty(0), drawing.affine, np.empty(0, bool), drawing.scale), settings)
     channels = parts.channels + alpha
     shape = (*drawing.size[::-1], channels) if channels > 1 else drawing.size[::-1]
     depth_key = [patch_size] if depth is None else [fingerprint(depth.patch_size, depth.surface.patch_size)]
     key = fingerprint(
-        stamp(source.path), calibration.to_dict(), depth_key, drawing.scale, drawing.blend, drawing.blur, side, text,
-        [alpha, compress, output.suffix.lower(), str(source.dtype)],
+        file_identity(source.path), calibration.to_dict(), depth_key, drawing.scale, drawing.blend, drawing.blur, side,
+        text, [alpha, compress, output.suffix.lower(), str(source.dtype)],
     )  # fmt: skip
-    unfinished = Unfinished(output)
+    unfinished = Checkpoint(output)
     direct = written_in_parts(output)
     writer = new_writer(
         output if direct else output.with_suffix(".tif"), unfinished.open(), shape, source.dtype, side,
-        json.dumps(text), icc=read_embedded(source.path).icc, compress=compress and direct,
+        json.dumps(text), icc=read_metadata(source.path).icc, compress=compress and direct,
     )  # fmt: skip
     run = _Run(drawing, parts, workers, writer, unfinished, key, alpha)
     kept, seen = run.all(list(drawing.tiles(side)), progress)
@@ -147,7 +149,7 @@ def render_large(
     return LargePicture(output, drawing.size, drawing.affine, drawing.scale, valid, count, kept)
 
 
-def check_output_of(output: Path, dtype: Any, alpha: bool, inputs: Any = ()) -> None:
+def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ()) -> None:
     """Refuse a picture that could not be written."""
     if output.suffix.lower() != ".zarr":
         check_picture(output, dtype, alpha, inputs)
@@ -158,7 +160,7 @@ def check_output_of(output: Path, dtype: Any, alpha: bool, inputs: Any = ()) -> 
         raise PictureError(f"{output}: is an input of this command; give another output")
 
 
-def drawing_tile(drawing: Drawing, parts: FlatParts, tile: int | None, least: int = 1) -> tuple[int, int]:
+def choose_tile_size(drawing: Drawing, parts: PartReader, tile: int | None, least: int = 1) -> tuple[int, int]:
     """Columns and rows of the tiles: as asked for, or nearly square ones that fit the memory, `least` or more."""
     columns, rows = drawing.size
     if tile is not None:
@@ -185,7 +187,7 @@ class _Run:
     """Tiles being drawn, written and remembered."""
 
     def __init__(
-        self, drawing: Drawing, parts: FlatParts, workers: PartWorkers, writer: PartWriter, unfinished: Unfinished,
+        self, drawing: Drawing, parts: PartReader, workers: Workers, writer: PartWriter, unfinished: Checkpoint,
         key: str, alpha: bool,
     ) -> None:  # fmt: skip
         self.drawing, self.parts, self.workers, self.writer = drawing, parts, workers, writer
@@ -239,7 +241,7 @@ def _drawn(drawing: Drawing, tile: Part, pixels: NDArray[Any]) -> tuple[NDArray[
 
 def _encode(
     writer: PartWriter,
-    unfinished: Unfinished,
+    unfinished: Checkpoint,
     output: Path,
     drawing: Drawing,
     settings: Mapping[str, Any] | None,
@@ -257,5 +259,5 @@ def _encode(
     picture = Rendering(np.asarray(colours), drawing.affine, valid, drawing.scale)
     # In there it is removed by the next run if this one is killed.
     encoded = unfinished.folder / f"encoded{output.suffix}"
-    write_picture(encoded, picture, alpha=alpha, settings=settings, embedded=read_embedded(source.path))
+    write_picture(encoded, picture, alpha=alpha, settings=settings, embedded=read_metadata(source.path))
     move_into_place(encoded, output)

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatError, FlatSource, LightFieldError, open_flat
 
-from ..output.resume import stamp
-from .flat_parts import FlatParts
+from ..output.resume import file_identity
+from .flat_parts import PartReader
 
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["ClusterWorkers", "Here", "PartWorkers", "Shared"]
+__all__ = ["ClusterWorkers", "LocalWorkers", "Shared", "Workers"]
 
 _Rectangle = tuple[int, int, int, int]
 
@@ -34,7 +34,7 @@ class Shared(Protocol):
     def calibration(self) -> Calibration: ...
 
 
-class PartWorkers(Protocol):
+class Workers(Protocol):
     """Those who work on parts of one flat."""
 
     def each(
@@ -52,14 +52,14 @@ class PartWorkers(Protocol):
         shared : Shared
         items : iterable
         rectangles : iterable of (left, top, right, bottom) [px]
-            Of the part of the flat that belongs to each item; `pixels` (h, w, C) are as `FlatParts.read` gives them.
+            Of the part of the flat that belongs to each item; `pixels` (h, w, C) are as `PartReader.read` gives them.
         """
 
 
-class Here:
+class LocalWorkers:
     """This process; the file is read for the next part meanwhile."""
 
-    def __init__(self, parts: FlatParts) -> None:
+    def __init__(self, parts: PartReader) -> None:
         self._parts = parts
 
     def each(
@@ -89,7 +89,7 @@ class ClusterWorkers:
         self._client, self._threads = client, threads
         self._path = str(source.path.absolute())
         # Copies on the disks of several machines differ in their times.
-        self._size = stamp(source.path)[1]
+        self._size = file_identity(source.path)[1]
 
     @property
     def count(self) -> int:
@@ -103,7 +103,7 @@ class ClusterWorkers:
         items: Iterable[Any],
         rectangles: Iterable[_Rectangle],
     ) -> Iterator[Any]:
-        from ..sequence.cluster import taken
+        from ..sequence.cluster import task_result
 
         # Kept by the scheduler as a task, it is there again when all workers that had it are lost.
         known = self._client.submit(_same, shared, pure=False, retries=_RETRIES)
@@ -115,9 +115,9 @@ class ClusterWorkers:
                     self._client.submit(_work, flat, task, known, item, rectangle, pure=False, retries=_RETRIES)
                 )
                 while len(waiting) > _AHEAD * self.count:
-                    yield _result(taken(waiting.popleft()))
+                    yield _result(task_result(waiting.popleft()))
             while waiting:
-                yield _result(taken(waiting.popleft()))
+                yield _result(task_result(waiting.popleft()))
         finally:
             self._client.cancel([*waiting, known])
 
@@ -133,7 +133,7 @@ class _Worker:
 
     lock = Lock()
     flat: Any = None
-    parts: FlatParts | None = None
+    parts: PartReader | None = None
     given: Shared | None = None
     shared: Shared | None = None
 
@@ -145,7 +145,7 @@ class _Worker:
         return cls.shared
 
     @classmethod
-    def parts_of(cls, flat: tuple[str, int, int | None], calibration: Calibration) -> FlatParts:
+    def parts_of(cls, flat: tuple[str, int, int | None], calibration: Calibration) -> PartReader:
         path, size, threads = flat
         if threads is not None:
             from ..sequence.cluster import limit_threads
@@ -154,12 +154,12 @@ class _Worker:
         if cls.parts is None or cls.flat != flat:
             cls.flat = cls.parts = None
             source = open_flat(path)
-            if stamp(source.path)[1] != size:
+            if file_identity(source.path)[1] != size:
                 source.close()
                 raise FlatError(f"{path}: is another file where the workers are, or was changed meanwhile")
-            cls.parts, cls.flat = FlatParts(source, calibration), flat
+            cls.parts, cls.flat = PartReader(source, calibration), flat
         elif cls.parts.calibration is not calibration:
-            cls.parts = FlatParts(cls.parts.source, calibration)
+            cls.parts = PartReader(cls.parts.source, calibration)
         return cls.parts
 
 

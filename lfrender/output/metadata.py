@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Embedded", "embed_in_jpeg", "embed_in_png", "read_embedded"]
+__all__ = ["EmbeddedMetadata", "embed_in_jpeg", "embed_in_png", "read_metadata"]
 
 _ICC_TAG = 34675
 _EXIF_IFD = 0x8769
@@ -22,7 +22,7 @@ _SEGMENT = 65519
 
 
 @dataclass(frozen=True)
-class Embedded:
+class EmbeddedMetadata:
     """What a file says of its colours and of how it was taken.
 
     Parameters
@@ -37,7 +37,7 @@ class Embedded:
     exif: bytes = b""
 
 
-def read_embedded(path: str | os.PathLike[str]) -> Embedded:
+def read_metadata(path: str | os.PathLike[str]) -> EmbeddedMetadata:
     """Colour profile and EXIF data of an image file.
 
     PNG, JPEG and WebP may hold both, of TIFF the profile is read. What cannot be read is left out: the pixels matter
@@ -52,19 +52,19 @@ def read_embedded(path: str | os.PathLike[str]) -> Embedded:
         return _of_image(source)
     # Readers raise whatever damaged data drive them to.
     except Exception:
-        return Embedded()
+        return EmbeddedMetadata()
 
 
-def _of_tiff(source: Path) -> Embedded:
+def _of_tiff(source: Path) -> EmbeddedMetadata:
     import tifffile
 
     with tifffile.TiffFile(source) as tiff:
         page: Any = tiff.pages[0]
         tag = page.tags.get(_ICC_TAG)
-        return Embedded(b"" if tag is None else bytes(tag.value))
+        return EmbeddedMetadata(b"" if tag is None else bytes(tag.value))
 
 
-def _of_image(source: Path) -> Embedded:
+def _of_image(source: Path) -> EmbeddedMetadata:
     from PIL import JpegImagePlugin, PngImagePlugin, WebPImagePlugin
 
     kinds: dict[str, Any] = {
@@ -75,7 +75,7 @@ def _of_image(source: Path) -> Embedded:
     }
     kind = kinds.get(source.suffix.lower())
     if kind is None:
-        return Embedded()
+        return EmbeddedMetadata()
     # The format's own class is used, not Image.open: that one refuses sensors above 179 megapixels.
     with kind(str(source)) as image:
         exif = image.getexif()
@@ -84,10 +84,10 @@ def _of_image(source: Path) -> Embedded:
             exif.pop(tag, None)
             inner.pop(tag, None)
         block = exif.tobytes() if len(exif) else b""
-        return Embedded(image.info.get("icc_profile") or b"", block.removeprefix(_EXIF_HEAD))
+        return EmbeddedMetadata(image.info.get("icc_profile") or b"", block.removeprefix(_EXIF_HEAD))
 
 
-def embed_in_png(data: bytes, text: str, embedded: Embedded) -> bytes:
+def embed_in_png(data: bytes, text: str, embedded: EmbeddedMetadata) -> bytes:
     """A PNG file with a description, the profile and EXIF data put in after its header."""
     after_header = 8 + 12 + 13
     chunks = _chunk(b"tEXt", b"Description\0" + text.encode("ascii"))
@@ -102,7 +102,7 @@ def _chunk(kind: bytes, body: bytes) -> bytes:
     return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
 
-def embed_in_jpeg(data: bytes, text: str, embedded: Embedded) -> bytes:
+def embed_in_jpeg(data: bytes, text: str, embedded: EmbeddedMetadata) -> bytes:
     """A JPEG file with a comment, the profile and EXIF data put in at its start; what does not fit is left out."""
     segments = b""
     if embedded.exif and len(embedded.exif) <= _SEGMENT:

@@ -15,18 +15,18 @@ from numpy.typing import ArrayLike, NDArray
 from lfcal import Lattice
 
 __all__ = [
-    "PictureMerit",
+    "PictureQuality",
     "centre_error",
     "compare_pictures",
     "magnification_error",
-    "mode_share",
+    "mode_accuracy",
     "nearest_lens",
     "resample",
 ]
 
 
 @dataclass(frozen=True)
-class PictureMerit:
+class PictureQuality:
     """How like its reference a picture is.
 
     Parameters
@@ -49,7 +49,7 @@ class PictureMerit:
 
 def compare_pictures(
     picture: NDArray[Any], reference: NDArray[Any], where: NDArray[np.bool_] | None = None
-) -> PictureMerit:
+) -> PictureQuality:
     """PSNR and SSIM of a picture against a reference on the same grid, with one free gain per channel.
 
     The gain stands for what calibration cannot know, the exposure and the light a microlens loses. The peak is the
@@ -79,7 +79,7 @@ def compare_pictures(
     error = float(np.mean((p * gain - t) ** 2))
     psnr = float("inf") if error == 0 else float(-10 * np.log10(error))
     levelled = np.where(mask[..., None], seen * gain, truth)
-    return PictureMerit(psnr, _ssim(levelled, truth, mask), int(mask.sum()), gain)
+    return PictureQuality(psnr, _ssim(levelled, truth, mask), int(mask.sum()), gain)
 
 
 def resample(
@@ -151,7 +151,7 @@ def nearest_lens(lattice: Lattice, points: ArrayLike) -> NDArray[np.int64]:
     return np.asarray(cKDTree(lattice.centres()).query(np.asarray(points, dtype=float))[1], dtype=np.int64)
 
 
-def mode_share(mode: ArrayLike, truth: ArrayLike, where: NDArray[np.bool_]) -> float:
+def mode_accuracy(mode: ArrayLike, truth: ArrayLike, where: NDArray[np.bool_]) -> float:
     """Share of the lenses in `where` (n,) whose mode (1, -1, 0) is the true one; NaN if there are none."""
     right = (np.asarray(mode) == np.asarray(truth))[where]
     return float(right.mean()) if right.size else float("nan")

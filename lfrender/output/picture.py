@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lfcal import LightFieldError, check_output, whole_file
 
-from .metadata import Embedded, embed_in_jpeg, embed_in_png
+from .metadata import EmbeddedMetadata, embed_in_jpeg, embed_in_png
 
 __all__ = ["PictureError", "check_picture", "describe", "tiff_tags", "with_alpha", "write_picture", "write_stack"]
 
@@ -33,7 +33,7 @@ _JPEG_QUALITY = 95
 _TILE = (256, 256)
 # Plain TIFF counts bytes with 32 bits; 32 MB are left for what stands beside the pixels.
 _LARGEST_TIFF = 2**32 - 2**25
-_NOTHING = Embedded()
+_NOTHING = EmbeddedMetadata()
 
 
 class PictureError(LightFieldError, ValueError):
@@ -82,7 +82,7 @@ def write_picture(
     *,
     alpha: bool = False,
     settings: Mapping[str, Any] | None = None,
-    embedded: Embedded = _NOTHING,
+    embedded: EmbeddedMetadata = _NOTHING,
     compress: bool = False,
 ) -> None:
     """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP or OpenEXR; the file appears whole or not at all.
@@ -135,7 +135,7 @@ def write_stack(
     pictures: Sequence[Any],
     *,
     settings: Sequence[Mapping[str, Any]] | None = None,
-    embedded: Embedded = _NOTHING,
+    embedded: EmbeddedMetadata = _NOTHING,
     compress: bool = False,
 ) -> list[Path]:
     """Write several pictures: as pages of one TIFF, or in other formats as numbered files, `NAME_01.png` and so on.
@@ -227,7 +227,7 @@ def tiff_tags(shape: tuple[int, ...], text: str, icc: bytes) -> dict[str, Any]:
     }
 
 
-def _encode(pixels: NDArray[Any], suffix: str, text: str, embedded: Embedded) -> bytes:
+def _encode(pixels: NDArray[Any], suffix: str, text: str, embedded: EmbeddedMetadata) -> bytes:
     import cv2
 
     if suffix == ".webp" and (embedded.icc or embedded.exif) and pixels.ndim == 3 and pixels.shape[2] != 2:
@@ -250,7 +250,7 @@ def _encode(pixels: NDArray[Any], suffix: str, text: str, embedded: Embedded) ->
     return embed_in_jpeg(data.tobytes(), text, embedded) if suffix != ".webp" else bytes(data.tobytes())
 
 
-def _webp(pixels: NDArray[Any], embedded: Embedded) -> bytes:
+def _webp(pixels: NDArray[Any], embedded: EmbeddedMetadata) -> bytes:
     from PIL import Image
 
     stream = io.BytesIO()

@@ -14,10 +14,10 @@ import numpy as np
 
 from lfcal import OutputError, whole_file
 
-__all__ = ["Unfinished", "fingerprint", "stamp"]
+__all__ = ["Checkpoint", "file_identity", "fingerprint"]
 
 
-class Unfinished:
+class Checkpoint:
     """A hidden folder beside an output with the finished parts of a run; it goes when the output is there.
 
     Parameters
@@ -63,7 +63,7 @@ class Unfinished:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def stamp(path: Path | None) -> list[Any]:
+def file_identity(path: Path | None) -> list[Any]:
     """Place, size and time of an input, by which another one in its place is told."""
     if path is None:
         return []

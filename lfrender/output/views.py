@@ -14,14 +14,14 @@ from lfcal import OutputError, check_output, whole_file
 from lfcal.runtime.eight_bit import eight_bits
 
 from ..data.rendering import Rendering
-from .metadata import Embedded
+from .metadata import EmbeddedMetadata
 from .picture import PictureError, check_picture, write_picture
 
 __all__ = ["ANIMATIONS", "check_animation", "check_grid", "stereo_pair", "write_animation", "write_grid"]
 
 #: Endings of animations and what Pillow calls their formats.
 ANIMATIONS = {".gif": "GIF", ".png": "PNG", ".webp": "WEBP"}
-_NOTHING = Embedded()
+_NOTHING = EmbeddedMetadata()
 
 
 def check_grid(folder: str | os.PathLike[str], suffix: str, dtype: Any = None, inputs: Iterable[Any] = ()) -> None:
@@ -45,7 +45,7 @@ def write_grid(
     suffix: str = ".tif",
     *,
     settings: Mapping[str, Any] | None = None,
-    embedded: Embedded = _NOTHING,
+    embedded: EmbeddedMetadata = _NOTHING,
 ) -> list[Path]:
     """Write views row by row as `row1_column1.tif` and so on.
 

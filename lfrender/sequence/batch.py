@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration, LightFieldError, OutputError
 
 from .frames import Frame
-from .job import GROUP, STRETCH, FrameResult, Job, Key
+from .job import GROUP_LENGTH, SEGMENT_LENGTH, FrameResult, Job, KeyFrame
 
 __all__ = ["render_frames"]
 
@@ -87,27 +87,27 @@ def _given(
     job: Job, frames: Iterable[Frame], workers: ThreadPoolExecutor, overwrite: bool
 ) -> Iterator[FrameResult | Future[FrameResult]]:
     """What becomes of each frame, or will: those to be rendered are given to the workers."""
-    earlier: Key | None = None
-    key: Key | None = None
-    first: Key | None = None
+    earlier: KeyFrame | None = None
+    key: KeyFrame | None = None
+    first: KeyFrame | None = None
     wanted = None if overwrite else job.is_missing
     for number, (frame, reading) in enumerate(_read_ahead(frames, wanted)):
-        if number % STRETCH == 0:
+        if number % SEGMENT_LENGTH == 0:
             earlier, key = key or earlier, None
-        if number % STRETCH % GROUP == 0:
+        if number % SEGMENT_LENGTH % GROUP_LENGTH == 0:
             first = None
         if reading is None:
-            key, first = key or Key(number, frame), first or Key(number, frame)
+            key, first = key or KeyFrame(number, frame), first or KeyFrame(number, frame)
             yield FrameResult(frame.name, job.path_of(frame), "kept")
             continue
         try:
             flat = job.in_colour(reading.result())
             if key is None or key.depth is None:
-                key = job.with_depth(key or Key(number, frame, flat), earlier)
+                key = job.with_depth(key or KeyFrame(number, frame, flat), earlier)
                 # Its flat is as large as this one's.
                 earlier = None
             if first is None or first.depth is None:
-                first = job.first_of_group(first or Key(number, frame, flat), key)
+                first = job.first_of_group(first or KeyFrame(number, frame, flat), key)
         except OutputError:
             raise
         except LightFieldError as error:

@@ -17,12 +17,12 @@ import numpy as np
 from lfcal import Calibration, LightFieldError, OutputError
 
 from .frames import Frame
-from .job import GROUP, STRETCH, FrameResult, Job, Key
+from .job import GROUP_LENGTH, SEGMENT_LENGTH, FrameResult, Job, KeyFrame
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-__all__ = ["connect", "limit_threads", "render_frames_on", "taken"]
+__all__ = ["connect", "limit_threads", "render_frames_on", "task_result"]
 
 # Groups in flight for each thread of the cluster: enough to keep all busy, few enough to hold videos in memory.
 _AHEAD = 2
@@ -100,8 +100,8 @@ class _Group:
 
     known: list[FrameResult | None] = field(default_factory=list)
     asked: list[tuple[int, Frame]] = field(default_factory=list)
-    first: Key | None = None
-    key: Key | None = None
+    first: KeyFrame | None = None
+    key: KeyFrame | None = None
     ready: Future | None = None
 
     def submitted(self, client: Client, settings: tuple[Any, ...]) -> tuple[list[FrameResult | None], Future | None]:
@@ -116,19 +116,19 @@ def _groups(
     client: Client, job: Job, settings: tuple[Any, ...], frames: Iterable[Frame], overwrite: bool
 ) -> Iterator[_Group]:
     """The groups of a sequence; the depth of keys is asked of the workers, or made here where it tells the settings."""
-    earlier: tuple[Key, Future | None] | None = None
-    key: Key | None = None
+    earlier: tuple[KeyFrame, Future | None] | None = None
+    key: KeyFrame | None = None
     ready: Future | None = None
     known = False
     group = _Group()
     for number, frame in enumerate(frames):
-        if number % STRETCH == 0:
+        if number % SEGMENT_LENGTH == 0:
             earlier, key, ready, known = (key, ready) if key else earlier, None, None, False
-        if number % STRETCH % GROUP == 0 and group.known:
+        if number % SEGMENT_LENGTH % GROUP_LENGTH == 0 and group.known:
             yield group
             group = _Group()
         if not overwrite and not job.is_missing(frame):
-            key, group.first = key or Key(number, frame), group.first or Key(number, frame)
+            key, group.first = key or KeyFrame(number, frame), group.first or KeyFrame(number, frame)
             group.known.append(FrameResult(frame.name, job.path_of(frame), "kept"))
             continue
         try:
@@ -182,23 +182,23 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
         yield client
 
 
-def _readable(job: Job, number: int, frame: Frame) -> Key:
+def _readable(job: Job, number: int, frame: Frame) -> KeyFrame:
     """The frame as a key; LightFieldError where it can be none."""
     flat = job.in_colour(frame.read())
     size = job.camera(flat).image_size
     if (flat.shape[1], flat.shape[0]) != size:
         raise LightFieldError(f"is {flat.shape[1]} x {flat.shape[0]} px, the camera is for {size[0]} x {size[1]} px")
-    return Key(number, frame, flat)
+    return KeyFrame(number, frame, flat)
 
 
 def _results(known: list[FrameResult | None], others: Future | None) -> Iterator[FrameResult]:
     """What has become of the frames of a group, in their order."""
-    rendered = iter([] if others is None else taken(others))
+    rendered = iter([] if others is None else task_result(others))
     for result in known:
         yield next(rendered) if result is None else result
 
 
-def taken(future: Future) -> Any:
+def task_result(future: Future) -> Any:
     """The result of a task; an OutputError where no worker could be found that lived long enough to finish it."""
     from distributed.client import FutureCancelledError
     from distributed.scheduler import KilledWorker
@@ -228,7 +228,7 @@ class _Worker:
     lock = Lock()
     settings: tuple[Any, ...] | None = None
     job: Job | None = None
-    key: Key | None = None
+    key: KeyFrame | None = None
 
     @classmethod
     def job_of(cls, settings: tuple[Any, ...]) -> Job:
@@ -240,13 +240,13 @@ class _Worker:
         return cls.job
 
     @classmethod
-    def key_of(cls, job: Job, key: Key, earlier: Key | None) -> Key:
+    def key_of(cls, job: Job, key: KeyFrame, earlier: KeyFrame | None) -> KeyFrame:
         if cls.key is None or cls.key.number != key.number:
             cls.key = job.with_depth(key, earlier)
         return cls.key
 
 
-def _prepare(settings: tuple[Any, ...], key: Key, earlier: Key | None, _after: object) -> None:
+def _prepare(settings: tuple[Any, ...], key: KeyFrame, earlier: KeyFrame | None, _after: object) -> None:
     """Make the depth map of a key frame, once that of the earlier key is there."""
     with _Worker.lock:
         job = _Worker.job_of(settings)
@@ -254,7 +254,7 @@ def _prepare(settings: tuple[Any, ...], key: Key, earlier: Key | None, _after: o
 
 
 def _draw(
-    settings: tuple[Any, ...], asked: list[tuple[int, Frame]], first: Key | None, key: Key, _after: object
+    settings: tuple[Any, ...], asked: list[tuple[int, Frame]], first: KeyFrame | None, key: KeyFrame, _after: object
 ) -> list[FrameResult]:
     """Render some frames of a group, once the depth map of the key of their stretch is there."""
     with _Worker.lock:
@@ -266,7 +266,7 @@ def _draw(
             try:
                 flat = job.in_colour(frame.read())
                 if first is None or first.depth is None:
-                    first = job.first_of_group(first or Key(number, frame, flat), _Worker.key_of(job, key, None))
+                    first = job.first_of_group(first or KeyFrame(number, frame, flat), _Worker.key_of(job, key, None))
             except OutputError:
                 raise
             except LightFieldError as error:

@@ -15,7 +15,7 @@ from lfcal import OutputError, check_output
 from lfcal.runtime.eight_bit import eight_bits
 
 from ..output.picture import PictureError
-from .frames import exact
+from .frames import convert_pixels
 
 __all__ = ["FILMS", "FilmFile", "check_film", "film_pixels"]
 
@@ -162,7 +162,7 @@ class FilmFile:
             odd = [(0, n % 2) for n in pixels.shape[:2]]
             pixels = np.pad(pixels, [*odd, (0, 0)][: pixels.ndim], mode="edge")
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=self._layout[0])
-            frame = exact(frame, "yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+            frame = convert_pixels(frame, "yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
         else:
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=self._layout[0])
             frame = frame.reformat(format=self._layout[1])

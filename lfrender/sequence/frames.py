@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lfcal import FlatError, count_pages, read_flat
 
-__all__ = ["Frame", "Frames", "exact", "is_film", "open_frames"]
+__all__ = ["Frame", "Frames", "convert_pixels", "is_video", "open_frames"]
 
 _IMAGES = {".png", ".tif", ".tiff", ".webp", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm"}
 # Raw streams have no header that names their codec.
@@ -113,7 +113,7 @@ def open_frames(inputs: Iterable[str | os.PathLike[str]]) -> Frames:
     return Frames(tuple(parts))
 
 
-def is_film(path: Path) -> bool:
+def is_video(path: Path) -> bool:
     """Whether a name ends as those of videos do."""
     return path.suffix.lower() in _VIDEOS and not path.is_dir()
 
@@ -259,7 +259,7 @@ def _video_pixels(path: Path, number: int, picture: Any) -> Callable[[], NDArray
         return partial(_refuse, f"{path}: frame {number} is damaged")
     deep = _DEEP.search(picture.format.name) is not None
     try:
-        pixels = _deep_pixels(picture) if deep else exact(picture, "rgb24").to_ndarray()
+        pixels = _deep_pixels(picture) if deep else convert_pixels(picture, "rgb24").to_ndarray()
     except Exception as error:
         return partial(_refuse, f"{path}: frame {number}: {_said(error)}")
     return partial(np.ascontiguousarray, pixels)
@@ -272,7 +272,7 @@ def _deep_pixels(picture: Any) -> NDArray[np.uint16]:
     return rows[:, : 3 * plane.width].reshape(plane.height, plane.width, 3).astype(np.uint16, copy=False)
 
 
-def exact(picture: Any, name: str, **options: Any) -> Any:
+def convert_pixels(picture: Any, name: str, **options: Any) -> Any:
     """A frame of PyAV in another pixel format, rounded to the nearest value."""
     from av.video.reformatter import Interpolation
 

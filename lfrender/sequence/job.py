@@ -26,15 +26,17 @@ from ..data.rendering import Rendering
 from ..depth.analyze import analyze
 from ..depth.following import load_comparison, save_comparison
 from ..flat.demosaicing import demosaic
-from ..output.metadata import Embedded, read_embedded
+from ..output.metadata import EmbeddedMetadata, read_metadata
 from ..output.picture import check_picture, write_picture
 from ..rendering.render import default_scale, render
 from .frames import Frame
 
-__all__ = ["GROUP", "STRETCH", "FrameResult", "Job", "Key", "camera_of"]
+__all__ = ["GROUP_LENGTH", "SEGMENT_LENGTH", "FrameResult", "Job", "KeyFrame", "load_camera"]
 
-#: Frames from one key to the next, and from the first of a group to that of the next.
-STRETCH, GROUP = 30, 5
+#: Number of frames from one key frame to the next.
+SEGMENT_LENGTH = 30
+#: Number of frames of a segment that are compared with the same frame, the first of them.
+GROUP_LENGTH = 5
 # Pictures of keys that are kept, those used last: of a stretch, of the first of a group, and of the next.
 _PICTURES = 3
 _STATE = ".lfrender"
@@ -68,7 +70,7 @@ class FrameResult:
 
 
 @dataclass(frozen=True)
-class Key:
+class KeyFrame:
     """A frame that others of its stretch or group are analysed against; flat and depth are there once needed.
 
     Where nothing has changed since the frame `before` in its stretch, if any, it shows the picture of that.
@@ -78,10 +80,10 @@ class Key:
     frame: Frame
     flat: NDArray[Any] | None = None
     depth: DepthMap | None = None
-    before: Key | None = None
+    before: KeyFrame | None = None
 
 
-def camera_of(folder: Path) -> Calibration:
+def load_camera(folder: Path) -> Calibration:
     """The camera of the pictures in a folder, once there are some."""
     return load(folder / _STATE / "camera.json")
 
@@ -129,7 +131,7 @@ class Job:
 
     def _resume(self, state: Path) -> None:
         """Take over the camera and the scale of an earlier run."""
-        camera = camera_of(self.folder)
+        camera = load_camera(self.folder)
         try:
             settings = json.loads((state / "settings.json").read_text(encoding="utf-8"))
             same = settings["preset"] == self.preset and self.scale in (None, settings["scale"])
@@ -143,7 +145,7 @@ class Job:
             )
         self.calibration = camera
 
-    def result(self, number: int, frame: Frame, flat: Callable[[], NDArray[Any]], key: Key) -> FrameResult:
+    def result(self, number: int, frame: Frame, flat: Callable[[], NDArray[Any]], key: KeyFrame) -> FrameResult:
         """Analyse and draw one frame; `flat` gives its pixels in colour, `key`, the first of its group, has flat and
         depth."""
         path, start = self.path_of(frame), perf_counter()
@@ -155,7 +157,7 @@ class Job:
                 depth = self.depth_after(key, pixels)
                 picture = self._picture_after(key, pixels, depth)
             assert depth is not None
-            self.write(path, picture, Embedded() if frame.source is None else read_embedded(frame.source))
+            self.write(path, picture, EmbeddedMetadata() if frame.source is None else read_metadata(frame.source))
         except OutputError:
             raise
         except LightFieldError as error:
@@ -166,11 +168,11 @@ class Job:
     def failure(self, frame: Frame, error: LightFieldError, seconds: float = 0.0) -> FrameResult:
         return FrameResult(frame.name, self.path_of(frame), "failed", f"{frame.name}: {error}", seconds)
 
-    def depth_file(self, key: Key) -> Path:
+    def depth_file(self, key: KeyFrame) -> Path:
         """Where the depth map of a key frame is kept."""
         return self.folder / _STATE / f"depth_{key.number:06d}.npz"
 
-    def _comparison_file(self, key: Key) -> Path:
+    def _comparison_file(self, key: KeyFrame) -> Path:
         """Where is kept what frames after a key frame are compared with."""
         return self.folder / _STATE / f"comparison_{key.number:06d}.npz"
 
@@ -193,7 +195,7 @@ class Job:
             self.calibration = calibrate(pixels)
         return self.calibration
 
-    def with_depth(self, key: Key, earlier: Key | None) -> Key:
+    def with_depth(self, key: KeyFrame, earlier: KeyFrame | None) -> KeyFrame:
         """The key of a stretch with flat and depth, which is in the hidden folder or analysed against another key."""
         if earlier is None or self.depth_file(key).exists():
             return self._analysed(key, None, self._comparison_file(key))
@@ -203,11 +205,11 @@ class Job:
         load_comparison(depth, self._comparison_file(earlier))
         return self._analysed(key, replace(earlier, depth=depth), self._comparison_file(key))
 
-    def first_of_group(self, first: Key, key: Key) -> Key:
+    def first_of_group(self, first: KeyFrame, key: KeyFrame) -> KeyFrame:
         """The first frame of a group with flat and depth; it may be the key of its stretch itself."""
         return key if first.number == key.number else replace(self._analysed(first, key), before=key)
 
-    def _analysed(self, key: Key, earlier: Key | None, comparison: Path | None = None) -> Key:
+    def _analysed(self, key: KeyFrame, earlier: KeyFrame | None, comparison: Path | None = None) -> KeyFrame:
         """A frame with flat and depth, which is in the hidden folder or analysed against an earlier one; what later
         ones are compared with is kept in the file `comparison`."""
         flat = self.in_colour(key.frame.read()) if key.flat is None else key.flat
@@ -232,7 +234,7 @@ class Job:
             what = "left by another version, or damaged; render everything anew (--overwrite)"
             raise OutputError(f"{file}: {what}") from error
 
-    def depth_after(self, key: Key, flat: NDArray[Any]) -> DepthMap:
+    def depth_after(self, key: KeyFrame, flat: NDArray[Any]) -> DepthMap:
         """Depth of a frame whose still parts keep that of a key frame."""
         assert key.flat is not None and key.depth is not None
         return analyze(flat, self.camera(flat), self.preset, previous=(key.flat, key.depth))
@@ -245,7 +247,7 @@ class Job:
         with whole_file(state / "settings.json") as temporary:
             temporary.write_text(json.dumps({"preset": self.preset, "scale": self.scale}), encoding="utf-8")
 
-    def key_picture(self, key: Key) -> Rendering:
+    def key_picture(self, key: KeyFrame) -> Rendering:
         """The picture of a key frame, whose pixels are kept where nothing has changed since."""
         # The last frames of one group and the first of the next may be worked on at once.
         with self._drawing:
@@ -259,12 +261,12 @@ class Job:
             self._pictures = {**dict(list(self._pictures.items())[1 - _PICTURES :]), key.number: picture}
             return picture
 
-    def _picture_after(self, key: Key, flat: NDArray[Any], depth: DepthMap) -> Rendering:
+    def _picture_after(self, key: KeyFrame, flat: NDArray[Any], depth: DepthMap) -> Rendering:
         """The picture of a frame, which keeps pixels of that of a key frame."""
         assert key.flat is not None and key.depth is not None
         return render(flat, self.camera(flat), depth, previous=(key.flat, key.depth, self.key_picture(key)))
 
-    def write(self, path: Path, picture: Rendering, embedded: Embedded) -> None:
+    def write(self, path: Path, picture: Rendering, embedded: EmbeddedMetadata) -> None:
         """Write the picture of a frame, with what its file says of its colours and of how it was taken."""
         check_picture(path, np.asarray(picture.image).dtype)
         settings = {"rendering": "all in focus", "preset": self.preset}

@@ -19,10 +19,10 @@ from .. import analyze
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
 from ..output.depth_picture import magnification_picture, mode_picture
-from ..output.metrics import centre_error, compare_pictures, magnification_error, mode_share, nearest_lens, resample
+from ..output.metrics import centre_error, compare_pictures, magnification_error, mode_accuracy, nearest_lens, resample
 from ..output.picture import write_picture
 from .demo_page import truth_section
-from .report_page import write_report
+from .report import write_report
 from .report_pictures import ReportPictures, data_urls, draw_pictures, png_url
 
 __all__ = ["run_demo"]
@@ -147,12 +147,12 @@ def _measure(capture: Capture, results: _Results) -> tuple[dict[str, Any], NDArr
             for kind, c in (("scene", results.from_scene), ("white", results.from_white))
         },
         "mode_right": {
-            "all": mode_share(mode, truth.mode, resolvable),
-            "one_depth": mode_share(mode, truth.mode, one_depth),
+            "all": mode_accuracy(mode, truth.mode, resolvable),
+            "one_depth": mode_accuracy(mode, truth.mode, one_depth),
         },
         "mode_wrong": {
-            "all": mode_share(-mode, truth.mode, resolvable),
-            "one_depth": mode_share(-mode, truth.mode, one_depth),
+            "all": mode_accuracy(-mode, truth.mode, resolvable),
+            "one_depth": mode_accuracy(-mode, truth.mode, one_depth),
         },
         "magnification_error": {
             "all": magnification_error(size, truth.patch_size, resolvable),

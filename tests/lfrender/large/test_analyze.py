@@ -17,7 +17,7 @@ from lfrender.depth.matching.shortcuts import Shortcuts
 from lfrender.depth.planes import plane_fit as plane
 from lfrender.flat.grey_flat import gray_flat
 from lfrender.large import analyze as large_analysis
-from lfrender.large import lens_tiles
+from lfrender.large import tiles as lens_tiles
 
 
 @functools.cache

@@ -136,7 +136,7 @@ def test_notes_of_tiles_that_are_gone_are_not_believed(tmp_path, monkeypatch, na
     monkeypatch.setattr(large_rendering, "_SYNC", 0.0)
     flat, camera, _, _ = capture()
     with monkeypatch.context() as patch:
-        patch.setattr("lfrender.output.resume.Unfinished.remove", lambda self: None)
+        patch.setattr("lfrender.output.resume.Checkpoint.remove", lambda self: None)
         drawn_in_tiles(tmp_path, flat, camera, 31, name=name, patch_size=6.5)
     assert (tmp_path / f".{name}.unfinished" / "state.json").exists()
     with lfcal.open_flat(tmp_path / "flat.tif") as source:

@@ -12,7 +12,7 @@ from lfrender.output.metrics import (
     centre_error,
     compare_pictures,
     magnification_error,
-    mode_share,
+    mode_accuracy,
     nearest_lens,
     resample,
 )
@@ -138,8 +138,8 @@ def test_nearest_lens_of_each_centre_is_itself():
 
 def test_mode_share_and_magnification_error():
     where = np.array([True, True, True, True, False])
-    assert mode_share([1, -1, 0, 1, 1], [1, -1, 1, 1, -1], where) == 0.75
-    assert np.isnan(mode_share([1], [1], np.array([False])))
+    assert mode_accuracy([1, -1, 0, 1, 1], [1, -1, 1, 1, -1], where) == 0.75
+    assert np.isnan(mode_accuracy([1], [1], np.array([False])))
     truth = np.array([4.0, -5.0, 8.0, 2.0, 1.0])
     assert magnification_error(truth / 1.1, truth, where) == pytest.approx(0.1)
     assert magnification_error(np.full(5, np.nan), truth, where) == 1

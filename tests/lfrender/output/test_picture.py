@@ -12,7 +12,7 @@ import tifffile
 from PIL import Image, ImageCms
 
 from lfcal import OutputError, read_flat
-from lfrender.output.metadata import Embedded, read_embedded
+from lfrender.output.metadata import EmbeddedMetadata, read_metadata
 from lfrender.output.picture import PictureError, check_picture, write_picture, write_stack
 
 AFFINE = np.array([[2.5, 0.0, 1.25], [0.0, 2.5, -3.0]])
@@ -121,7 +121,7 @@ def test_profile_and_camera_data_of_the_flat_are_kept(tmp_path, rendering, exten
     flat = tmp_path / f"flat{extension}"
     pixels = Image.fromarray(np.zeros((40, 50, 3), np.uint8))
     pixels.save(flat, icc_profile=profile, **({} if extension == ".tif" else {"exif": exif}))
-    found = read_embedded(flat)
+    found = read_metadata(flat)
     write_picture(tmp_path / f"picture{extension}", rendering, embedded=found)
     with Image.open(tmp_path / f"picture{extension}") as written:
         assert written.info["icc_profile"] == profile
@@ -131,7 +131,7 @@ def test_profile_and_camera_data_of_the_flat_are_kept(tmp_path, rendering, exten
 
 def test_damaged_and_absent_camera_data_leave_the_picture_without(tmp_path):
     (tmp_path / "flat.jpg").write_bytes(b"\xff\xd8\xff\xe1\x00\x10Exif\0\0damaged")
-    assert read_embedded(tmp_path / "flat.jpg") == Embedded() == read_embedded(tmp_path / "none.png")
+    assert read_metadata(tmp_path / "flat.jpg") == EmbeddedMetadata() == read_metadata(tmp_path / "none.png")
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])

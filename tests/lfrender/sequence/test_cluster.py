@@ -19,8 +19,8 @@ import lfcal
 import lfrender
 from lfcal import OutputError
 from lfrender.cli.main import main
-from lfrender.large import lens_tiles
-from lfrender.sequence.cluster import connect, taken
+from lfrender.large import tiles as lens_tiles
+from lfrender.sequence.cluster import connect, task_result
 
 pytest.importorskip("distributed")
 
@@ -53,8 +53,8 @@ def frames(house, tmp_path_factory):
 
 def test_pictures_are_those_of_one_machine_although_a_worker_is_killed(frames, house, client, tmp_path, monkeypatch):
     for module in ("batch", "cluster"):
-        monkeypatch.setattr(f"lfrender.sequence.{module}.STRETCH", 4)
-        monkeypatch.setattr(f"lfrender.sequence.{module}.GROUP", 2)
+        monkeypatch.setattr(f"lfrender.sequence.{module}.SEGMENT_LENGTH", 4)
+        monkeypatch.setattr(f"lfrender.sequence.{module}.GROUP_LENGTH", 2)
     camera = house.truth.calibration
     here = list(lfrender.render_frames(frames, tmp_path / "here", camera, preset="fast"))
     running = lfrender.render_frames_on(client, frames, tmp_path / "there", camera, preset="fast", threads=1)
@@ -148,7 +148,7 @@ def test_work_that_kills_every_worker_is_given_up_in_one_line(client):
             raise KilledWorker("part", SimpleNamespace(address="tcp://host:1"), 3)
 
     with pytest.raises(OutputError, match="given up a part of the work"):
-        taken(Given())
+        task_result(Given())
 
 
 def test_scheduler_that_does_not_answer_is_one_line(frames, tmp_path, monkeypatch):

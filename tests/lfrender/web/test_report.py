@@ -14,8 +14,8 @@ from click.testing import CliRunner
 import lfrender
 from lfrender.cli.main import main
 from lfrender.output.metrics import nearest_lens
+from lfrender.web.report import write_report
 from lfrender.web.report_charts import magnification_histogram, map_grid, maps
-from lfrender.web.report_page import write_report
 from lfrender.web.report_pictures import data_urls, draw_pictures
 
 from ._browser import errors, start_browser, wait_for

@@ -25,7 +25,7 @@ from lfrender.cli.main import main
 from lfrender.data.depth_map import DepthMap
 from lfrender.data.surface import Surface
 from lfrender.flat.sharpness import ready_to_read
-from lfrender.web.viewer_page import viewer_files, write_viewer
+from lfrender.web.viewer import viewer_files, write_viewer
 from lfrender.web.viewer_server import PageServer
 
 from ._browser import errors, pixels, start_browser, wait_for

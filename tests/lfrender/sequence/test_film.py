@@ -16,7 +16,7 @@ from click.testing import CliRunner
 import lfcal
 import lfrender
 from lfrender.cli.main import main
-from lfrender.sequence import films
+from lfrender.sequence.film import render_film
 from lfrender.sequence.film_file import FilmFile, film_pixels
 
 av = pytest.importorskip("av")
@@ -193,5 +193,5 @@ def test_a_cluster_is_handed_on(frames, house, tmp_path, monkeypatch):
 
     monkeypatch.setattr("lfrender.sequence.cluster.render_frames_on", there)
     some = lfrender.open_frames(frames.files[1:2])
-    list(films.render_film(some, tmp_path / "film.mkv", house.truth.calibration, preset="fast", client="c", threads=1))
+    list(render_film(some, tmp_path / "film.mkv", house.truth.calibration, preset="fast", client="c", threads=1))
     assert asked == [("c", 1)] and len(shown(tmp_path / "film.mkv")[1]) == 1

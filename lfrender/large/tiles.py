@@ -18,7 +18,7 @@ from ..data.region import lattice_of
 from ..depth.matching.matcher import Preset
 from ..depth.surface.densify import grid_shape
 
-__all__ = ["LensPart", "lens_tiles", "lens_windows"]
+__all__ = ["LensTile", "lens_tiles", "lens_windows"]
 
 # Lenses so many pitches around a tile are analysed with it: shading is averaged over 4.2, support fades over the rest.
 _HALO = 8.0
@@ -34,7 +34,7 @@ _CELLS = 40
 
 
 @dataclass(frozen=True)
-class LensPart:
+class LensTile:
     """A part of the flat to be analysed alone: its lattice, the lenses it answers for, and where both are in the whole.
 
     All places are in pixels of the flat as it is analysed, of which each is the mean of `factor` x `factor`.
@@ -63,7 +63,7 @@ class LensPart:
     @classmethod
     def of(
         cls, whole: Lattice, factor: int, low: Iterable[int], high: Iterable[int], core: NDArray[np.float64]
-    ) -> LensPart:
+    ) -> LensTile:
         """The part from the pixel `low` to before `high` of the flat with the lattice `whole`, which is as read."""
         corner = np.array(list(low), np.int64)
         end = np.minimum(np.array(list(high), np.int64) * factor, whole.image_size)
@@ -81,7 +81,7 @@ class LensPart:
         return x, y, x + width, y + height
 
 
-def lens_windows(whole: Lattice, factor: int) -> Iterator[LensPart]:
+def lens_windows(whole: Lattice, factor: int) -> Iterator[LensTile]:
     """Windows evenly spread from border to border."""
     size = _size(whole, factor)
     pitch = whole.pitch / factor
@@ -99,10 +99,10 @@ def lens_windows(whole: Lattice, factor: int) -> Iterator[LensPart]:
             # The border of the flat is none of the window's making.
             low = np.array([at + margin if at > 0 else -np.inf for at in (x, y)])
             high = np.array([at - margin if at < n else np.inf for at, n in zip(end, size, strict=True)])
-            yield LensPart.of(whole, factor, (x, y), end, np.stack([low, high]))
+            yield LensTile.of(whole, factor, (x, y), end, np.stack([low, high]))
 
 
-def lens_tiles(whole: Lattice, factor: int, setting: Preset, pixel_bytes: int = 3) -> Iterator[LensPart]:
+def lens_tiles(whole: Lattice, factor: int, setting: Preset, pixel_bytes: int = 3) -> Iterator[LensTile]:
     """The flat cut into tiles that fit the memory, each with its halo; its pixels have so many bytes."""
     size = _size(whole, factor)
     pitch = whole.pitch / factor
@@ -120,7 +120,7 @@ def lens_tiles(whole: Lattice, factor: int, setting: Preset, pixel_bytes: int = 
             core = np.array([(left, top), (right, bottom)]) - 0.5
             # Beyond the last whole pixel of the flat as it is analysed a lens may still have its centre.
             core[1] = np.where(np.array([right, bottom]) == size, np.inf, core[1])
-            yield LensPart.of(whole, factor, low, high, core)
+            yield LensTile.of(whole, factor, low, high, core)
 
 
 def _size(whole: Lattice, factor: int) -> tuple[int, int]:

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 from lfcal import Calibration, FlatError, OutputError, read_flat
 
-from ..output.picture_file import move_into_place
-from ..output.resume import Unfinished, fingerprint, stamp
+from ..output.resume import Checkpoint, file_identity, fingerprint
+from ..output.tiled_picture import move_into_place
 from .film_file import FilmFile, check_film, film_pixels
 from .frames import Frames
-from .job import FrameResult, camera_of
+from .job import FrameResult, load_camera
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -81,9 +81,9 @@ def render_film(
     check_film(output, frames.files)
     if output.exists() and not overwrite:
         raise OutputError(f"{path}: is there already; give another output, or render it anew (--overwrite)")
-    unfinished = Unfinished(output)
+    unfinished = Checkpoint(output)
     camera = None if calibration is None else calibration.to_dict()
-    key = fingerprint([stamp(file) for file in frames.files], camera, preset, scale)
+    key = fingerprint([file_identity(file) for file in frames.files], camera, preset, scale)
     if overwrite or unfinished.find("film", key) is None:
         unfinished.remove()
         unfinished.keep("film", key)
@@ -103,7 +103,7 @@ def render_film(
                 if waiting is not None:
                     waiting.result()
                 if waiting is None:
-                    white = camera_of(unfinished.folder).white_level
+                    white = load_camera(unfinished.folder).white_level
                 waiting = encoder.submit(_add, film, shown, times, white)
                 times = 0
             yield replace(result, path=output)
