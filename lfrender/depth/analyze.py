@@ -19,7 +19,7 @@ from .matching.matcher import PRESETS
 from .matching.shortcuts import Shortcuts
 from .pipeline import lens_by_lens
 from .planes.detection import find_plane
-from .validity.textureless import skipped_lenses
+from .validity.textureless import find_textureless
 
 __all__ = ["PRESETS", "analyze", "analyzed", "working"]
 
@@ -106,5 +106,5 @@ def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts
         found = find_plane(texture, lattice.indices(), *lens_halves(lattice), PRESETS[preset])
         if found is not None:
             return plane_scene(found, gray, lattice, preset, {"plane": 1 - found.sampled})
-    blank = skipped_lenses(gray, lattice, plain, PRESETS[preset], raw_noise) if shortcuts.blank else None
+    blank = find_textureless(gray, lattice, plain, PRESETS[preset], raw_noise) if shortcuts.blank else None
     return lens_by_lens(gray, lattice, preset, shortcuts, plain, blank)[0]

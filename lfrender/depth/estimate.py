@@ -14,12 +14,22 @@ from ..flat.lens_graph import both_ways, rows_among
 from ..flat.texture import Texture
 from .matching.matcher import Found, Matcher, Preset, search
 from .refinement.lens_plane import LensFits
-from .refinement.neighbour_prior import measure
-from .refinement.quadratic_fit import fit_bent
-from .refinement.smoothing import pooled, pooled_afar
-from .validity.classify import RESOLVABLE, SURE, credible, judged, moving, populated, possible, shaded, staying
-from .validity.periodicity import hardly_seen, recurring
-from .validity.uncertainty import misled, signal_share, unexplained, widened
+from .refinement.neighbour_prior import refine_patch_sizes
+from .refinement.quadratic_fit import fit_quadratic
+from .refinement.smoothing import smooth_fits, smooth_fits_far
+from .validity.classify import (
+    RESOLVABLE,
+    SURE,
+    classify_lenses,
+    looks_like_shading,
+    match_proves_texture,
+    match_suggests_texture,
+    occurs_among,
+    shift_exceeds_shading,
+    shift_may_be_zero,
+)
+from .validity.periodicity import find_periodic_texture, sees_little_of_scene
+from .validity.uncertainty import correlates_poorly, inflate_errors, signal_share, systematic_error
 
 __all__ = ["UNTOLD", "Answers", "Earlier", "Lenses", "ask"]
 
@@ -118,7 +128,7 @@ class Earlier:
         return Earlier(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def recurring(self, resolved: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], bool] | None:
-        """As `recurrence.recurring` of lenses that are `resolved` (n,) now, where that is known from before.
+        """As `find_periodic_texture` of lenses that are `resolved` (n,) now, where that is known from before.
 
         Where most of them have been asked before, and nothing repeated in what they saw, nothing does.
         """
@@ -178,7 +188,7 @@ class Answers:
         wanted = self.resolved if kept is None else self.resolved & ~kept
         flat, neighbours = lenses.texture.flat, lenses.neighbours
         where = flat.centres, lenses.pitch, flat.radius, neighbours
-        pool = partial(pooled, *where)
+        pool = partial(smooth_fits, *where)
         # Those that are kept have been freed of what they show of bends.
         freed = (~wanted).astype(np.float32)
         joint = pool(self.alone, wanted, freed)
@@ -186,9 +196,9 @@ class Answers:
         if bends and flat.kinds is None:
             doubted = wanted & (np.abs(self.alone.patch_size) < _SHARING * lenses.pitch)
             asked = np.where(doubted, np.clip(joint.bent / _BENT - 1, 0, 1), 0).astype(np.float32)
-            alone, centred = fit_bent(flat, neighbours, self.alone, asked, _usual_contrast(lenses.texture))
+            alone, centred = fit_quadratic(flat, neighbours, self.alone, asked, _usual_contrast(lenses.texture))
             joint = pool(alone, wanted, np.maximum(freed, centred)) if centred.any() else joint
-        fits = pooled_afar(*where, joint, wanted)
+        fits = smooth_fits_far(*where, joint, wanted)
         known = wanted & np.isfinite(fits.standard_error)
         return replace(
             self,
@@ -223,31 +233,35 @@ def ask(
     known = None if earlier is None else np.where(near, np.nan, earlier.drawn).astype(np.float32)
     matcher = Matcher(texture, lenses.forward, lenses.backward, setting)
     found = search(matcher, lenses.active, texture.clear, lenses.sample, known, sizes)
-    like_shading = shaded(texture.clear & near, found, texture.statistics.contrast, pitch)
+    like_shading = looks_like_shading(texture.clear & near, found, texture.statistics.contrast, pitch)
     doubtful = texture.faint | like_shading
-    textured = near & ((texture.clear & ~doubtful) | (doubtful & credible(found, pitch)))
-    maybe = near & doubtful & ~textured & possible(found)
+    textured = near & ((texture.clear & ~doubtful) | (doubtful & match_proves_texture(found, pitch)))
+    maybe = near & doubtful & ~textured & match_suggests_texture(found)
     wanted = textured | maybe
     telling = (wanted | ~near) & (np.minimum(found.confidence, found.rivals) >= SURE)
     occurring = found.patch_size[telling] if sizes is None else sizes
     alone, refined, error, found = _refined(lenses, setting, found, wanted, occurring)
-    textured |= maybe & moving(refined, error, pitch)
-    textured &= ~(like_shading & staying(refined, error))
+    textured |= maybe & shift_exceeds_shading(refined, error, pitch)
+    textured &= ~(like_shading & shift_may_be_zero(refined, error))
     signal = signal_share(texture)
     explained = found.explained / signal
-    astray = misled(error, explained)
-    reason, error, sure = judged(textured, found, refined, error, signal, texture.flat.centres, neighbours, pitch)
+    astray = systematic_error(error, explained)
+    reason, error, sure = classify_lenses(
+        textured, found, refined, error, signal, texture.flat.centres, neighbours, pitch
+    )
     depths, shown, told = refined, reason == 0, None
     if earlier is not None:
         # Those that keep their answer see the same scene.
         told = earlier.recurring(shown)
         depths, shown = np.where(earlier.kept, earlier.drawn, refined), shown | (earlier.kept & (earlier.reason == 0))
-    again, perhaps = told or recurring(texture.flat, lenses.indices, depths, shown)
-    little = hardly_seen(texture.flat.centres, depths, shown, pitch)
-    perhaps = perhaps or unexplained(explained, signal, reason == 0, little)
+    again, perhaps = told or find_periodic_texture(texture.flat, lenses.indices, depths, shown)
+    little = sees_little_of_scene(texture.flat.centres, depths, shown, pitch)
+    perhaps = perhaps or correlates_poorly(explained, signal, reason == 0, little)
     reason[again] = 2
     sure = SURE * sure if perhaps else sure
-    alone = replace(alone, standard_error=np.where(reason == 0, widened(alone.standard_error, explained), np.inf))
+    alone = replace(
+        alone, standard_error=np.where(reason == 0, inflate_errors(alone.standard_error, explained), np.inf)
+    )
     guess = found.patch_size
     if earlier is not None and known is not None:
         refined = np.where(earlier.kept, earlier.drawn, refined)
@@ -280,9 +294,9 @@ def _refined(
     # Where one lens is more blurred than the next, finer detail than this tells the difference and not the depth.
     factor = max(1, round(lenses.pitch / _BLURRED_PITCH)) if texture.flat.kinds is not None else 1
     first = np.where(wanted, found.patch_size / factor, np.nan).astype(np.float32)
-    like = wanted & populated(found.second, occurring, _OCCURRING * lenses.pitch)
+    like = wanted & occurs_among(found.second, occurring, _OCCURRING * lenses.pitch)
     second = np.where(like & (found.second_explained >= _AS_WELL * found.explained), found.second, np.nan)
-    found_by = measure(
+    found_by = refine_patch_sizes(
         shrink(texture.flat, factor),
         lenses.forward,
         lenses.backward,

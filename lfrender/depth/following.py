@@ -24,7 +24,7 @@ from .matching.matcher import PRESETS, Matcher
 from .matching.shortcuts import Shortcuts
 from .pipeline import lens_by_lens
 from .sequence import changed_lenses
-from .validity.textureless import skipped_lenses
+from .validity.textureless import find_textureless
 
 __all__ = ["changed_since", "following", "load_comparison", "save_comparison"]
 
@@ -99,7 +99,7 @@ def following(
     if not kept.any():
         return _noted(scaled(analyzed(gray, small, preset, shortcuts), lattice, factor), before, changed)
     asked = grown(grown(~kept, neighbours), neighbours)
-    blank = skipped_lenses(gray, small, plain, PRESETS[preset], asked=asked) if shortcuts.blank else None
+    blank = find_textureless(gray, small, plain, PRESETS[preset], asked=asked) if shortcuts.blank else None
     depth, _ = lens_by_lens(gray, small, preset, shortcuts, plain, blank, kept, scaled(before, small, 1 / factor))
     after = scaled(depth, lattice, factor, {**depth.saved, **saved})
     if gray.image.nbytes <= _MOST_KEPT:

@@ -19,7 +19,7 @@ from .planes.detection import PlaneScene, find_plane
 from .planes.plane_fit import TEXTURED, Plane, fit_plane, strays
 from .surface.densify import grid_shape
 from .validity.classify import AGREED, LEAST_EVIDENCE, RESOLVABLE, SURE
-from .validity.periodicity import recurring
+from .validity.periodicity import find_periodic_texture
 
 __all__ = ["confirmed", "few_on_plane", "on_one_plane", "plane_scene", "regular_plane"]
 
@@ -35,7 +35,7 @@ def plane_scene(found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str
     usual = shown & (found.evidence >= _TYPICAL * np.median(found.evidence[shown]))
     shown &= usual | (around(usual, neighbour_rows(lattice, lattice.steps)) >= 2)
     sizes = found.plane.at(lattice.centres())
-    again, perhaps = recurring(gray, lattice.indices(), sizes, shown)
+    again, perhaps = find_periodic_texture(gray, lattice.indices(), sizes, shown)
     sure = found.confidence * (SURE if perhaps else 1.0)
     reason = np.where(shown, np.where(again, 2, 0), 1)
     return on_one_plane(found.plane, lattice, preset, reason, sure * shown, saved)

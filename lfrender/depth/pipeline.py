@@ -20,10 +20,10 @@ from .matching.matcher import PRESETS, Found, Preset
 from .matching.peaks import fill
 from .matching.shortcuts import Shortcuts, sample_lenses
 from .planes.detection import FEWEST
-from .surface.densify import spread
-from .surface.second_layer import remainder_depths
-from .surface.thin_structures import thin_depths
-from .validity.classify import SHADED_REACH, SURE, populated
+from .surface.densify import densify
+from .surface.second_layer import find_second_layer
+from .surface.thin_structures import find_thin_structures
+from .validity.classify import SHADED_REACH, SURE, occurs_among
 
 __all__ = ["Overview", "Single", "lens_by_lens"]
 
@@ -240,7 +240,7 @@ def _spread_out(
     old = None if asked.before is None else asked.before.surface
     settled = None if kept is None else ~grown(~kept, neighbour_rows(lattice, lattice.steps))
     texture = asked.texture
-    surface = spread(texture.flat, lattice, drawn, seconds, trust, texture.noise, setting.cells, settled, old)
+    surface = densify(texture.flat, lattice, drawn, seconds, trust, texture.noise, setting.cells, settled, old)
     # A lens that sees two depths answers with the one in its middle.
     middle = surface.at(lattice.centres())
     crossed = resolved & (np.abs(middle - drawn) > gap) & (np.abs(middle[:, None] - seconds) <= gap).any(1)
@@ -293,18 +293,18 @@ def _seconds(
     shortcuts: Shortcuts,
     gap: float,
 ) -> NDArray[np.float32]:
-    """(n, 2) [px] other patch sizes that lenses may show beside `drawn`, of those that occur, as for `spread`."""
-    second = np.where(populated(answers.second, occurring, gap), answers.second, np.nan)
+    """(n, 2) [px] other patch sizes that lenses may show beside `drawn`, of those that occur, as for `densify`."""
+    second = np.where(occurs_among(answers.second, occurring, gap), answers.second, np.nan)
     others = np.stack([second, np.full(len(drawn), np.nan)], 1).astype(np.float32)
     if not setting.remainder:
         return others
     evidence = np.where(lenses.near, answers.found.evidence, 1)
     around = occurring if shortcuts.ranges else None
-    rest = remainder_depths(lenses.texture, lenses.forward, lenses.backward, drawn, evidence, setting, around)
+    rest = find_second_layer(lenses.texture, lenses.forward, lenses.backward, drawn, evidence, setting, around)
     # Shading matches itself near zero: a depth there must occur by itself.
-    rest[(np.abs(rest) < SHADED_REACH * lenses.pitch) & ~populated(rest, occurring, gap)] = np.nan
+    rest[(np.abs(rest) < SHADED_REACH * lenses.pitch) & ~occurs_among(rest, occurring, gap)] = np.nan
     others[:, 1] = rest
-    thin = thin_depths(lenses.texture, lenses.forward, lenses.backward, drawn, others, lenses.near, gap)
+    thin = find_thin_structures(lenses.texture, lenses.forward, lenses.backward, drawn, others, lenses.near, gap)
     # Its place is that of the second best, which is false more often, but where the other one is free.
     told, place = np.isfinite(thin), np.where(np.isfinite(second) & np.isnan(rest), 1, 0)
     others[told, place[told]] = thin[told]

@@ -29,7 +29,7 @@ from ..depth.planes.detection import explained_by_plane, plane_evidence, with_mi
 from ..depth.planes.plane_fit import TEXTURED, Plane, fit_plane
 from ..depth.surface.densify import grid_shape
 from ..depth.validity.classify import LEAST_EVIDENCE
-from ..depth.validity.textureless import skipped_lenses
+from ..depth.validity.textureless import find_textureless
 from ..flat.grey_flat import GrayFlat, gray_flat
 from ..flat.grey_flat import lens_by_lens as uneven_lenses
 from ..flat.lens_graph import lens_grid, lens_halves, neighbour_rows
@@ -156,7 +156,7 @@ def _part_depth(whole: _Whole, part: LensTile, pixels: NDArray[Any]) -> tuple[De
     plain = quick_statistics(gray)
     blank = None
     if whole.shortcuts.blank:
-        blank = skipped_lenses(gray, part.lattice, plain, PRESETS[whole.preset], whole.overview.raw_noise)
+        blank = find_textureless(gray, part.lattice, plain, PRESETS[whole.preset], whole.overview.raw_noise)
     return lens_by_lens(gray, part.lattice, whole.preset, whole.shortcuts, plain, blank, overview=whole.overview)
 
 

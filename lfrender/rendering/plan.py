@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration, Lattice
 
 from ..data.surface import Surface
-from ..depth.surface.occlusion import lens_depths
+from ..depth.surface.occlusion import project_surface
 from ..flat.distorted_lookup import lattice_bend
 from ..flat.grey_flat import gain_table, lens_by_lens, white_level
 from ..flat.lens_type_weights import focus_shares
@@ -264,7 +264,7 @@ class Drawing:
         whole = shape[:2] == self._shape
         # Unlit pixels are entered into it as well where the light of the lenses differs.
         purpose = "seen depth" if self._part_gain is None else "seen depth and light"
-        return lens_depths(
+        return project_surface(
             self.surface, lattice, reach, self._edge, None if whole else part, edged, purpose,
             following and self._part_gain is None,
         )  # fmt: skip

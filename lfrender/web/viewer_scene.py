@@ -14,7 +14,7 @@ from lfcal import Calibration, CalibrationError, LightFieldError
 from lfcal.runtime.eight_bit import eight_bits
 
 from ..data.depth_map import DepthMap
-from ..depth.surface.occlusion import lens_depths
+from ..depth.surface.occlusion import project_surface
 from ..flat.distorted_lookup import lattice_bend
 from ..flat.grey_flat import gain_table, lens_by_lens, white_level
 from ..flat.lens_type_weights import focus_shares
@@ -141,8 +141,8 @@ def _seen(calibration: Calibration, depth: DepthMap, edge: float) -> tuple[NDArr
     """
     lattice = calibration.lattice
     farthest = Viewpoint((lattice.radius, 0.0)).parallax(depth.surface, lattice)
-    middle = lens_depths(depth.surface, lattice, _REACH * lattice.pitch, edge)
-    aside = lens_depths(depth.surface, lattice, _REACH * lattice.pitch + farthest, edge)
+    middle = project_surface(depth.surface, lattice, _REACH * lattice.pitch, edge)
+    aside = project_surface(depth.surface, lattice, _REACH * lattice.pitch + farthest, edge)
     coded = _coded(aside, lattice.pitch, _CODES).astype(np.uint16)
     from_middle = _coded(middle, lattice.pitch, 255).astype(np.uint8)
     from_middle[np.abs(middle - aside) < 0.5 * edge] = 255

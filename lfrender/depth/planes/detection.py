@@ -14,9 +14,9 @@ from ...runtime.quantiles import median
 from ..matching.matcher import MISFIT, Matcher, Preset
 from ..matching.peaks import confidence, parabola_peak
 from ..matching.shortcuts import sample_lenses
-from ..refinement.lens_plane import fit_lenses
+from ..refinement.lens_plane import fit_lens_planes
 from ..refinement.pair_fit import PairFits, fit_pairs
-from ..validity.uncertainty import misled, signal_share
+from ..validity.uncertainty import signal_share, systematic_error
 from .plane_fit import TEXTURED, Plane, fit_plane, nearly_planar, strays
 
 __all__ = ["FEWEST", "PlaneScene", "explained_by_plane", "find_plane", "plane_evidence", "with_misled"]
@@ -246,7 +246,7 @@ def plane_evidence(
         doubtful |= (doubtful[rows] & (rows >= 0)).any(1)
         start = np.where(doubtful, about, np.nan).astype(np.float32)
         pairs = _pairs(texture, matcher.forward, start, setting)
-        lenses = fit_lenses(texture.flat, matcher.forward, matcher.backward, pairs, start)
+        lenses = fit_lens_planes(texture.flat, matcher.forward, matcher.backward, pairs, start)
         if strays((lenses.patch_size - about).astype(float), lenses.standard_error.astype(float), rows):
             return None
     return 1 - cost
@@ -288,4 +288,6 @@ def explained_by_plane(
 
 def with_misled(plane: Plane, explained: NDArray) -> Plane:
     """The plane with what the texture that its matches leave unexplained may have done to the lenses (m,) of it."""
-    return replace(plane, misled=float(misled(plane.scatter, np.median(explained)))) if explained.size else plane
+    return (
+        replace(plane, misled=float(systematic_error(plane.scatter, np.median(explained)))) if explained.size else plane
+    )

@@ -14,9 +14,9 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from .pair_pixels import NOWHERE, corner, cut, lay_over, raster
+from .pair_pixels import NO_STEP, cut_smoothed, first_pixel, pixel_raster, resample_shifted
 
-__all__ = ["NO_BLUR", "FocusBlur", "add_curve", "focus_blur", "some_of"]
+__all__ = ["NO_DIFFERENCE", "DefocusDifference", "add_tone_curve", "estimate_defocus_difference", "sample_start_values"]
 
 # About so many lenses tell it, by no fewer than so many pairs of two types.
 _SAMPLE, _FEWEST = 120, 12
@@ -31,7 +31,7 @@ _TURNS = 4
 
 
 @dataclass(frozen=True)
-class FocusBlur:
+class DefocusDifference:
     """What the lenses of one type blur more than those of another.
 
     Parameters
@@ -51,10 +51,12 @@ class FocusBlur:
 
 
 #: For lenses that all blur alike.
-NO_BLUR = FocusBlur(np.empty(0, np.int8), np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), np.float32(0.0))
+NO_DIFFERENCE = DefocusDifference(
+    np.empty(0, np.int8), np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), np.float32(0.0)
+)
 
 
-def some_of(start: NDArray[np.float32]) -> NDArray[np.float32]:
+def sample_start_values(start: NDArray[np.float32]) -> NDArray[np.float32]:
     """First values [px] of a sample of the lenses that have any, NaN for the others."""
     rows = np.flatnonzero(np.isfinite(start))
     some = np.full_like(start, np.nan)
@@ -64,7 +66,7 @@ def some_of(start: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def add_curve(own, slope_x, slope_y, curve, bend):
+def add_tone_curve(own, slope_x, slope_y, curve, bend):
     """Add so much of the squared slope over brightness to the Laplacian `bend`."""
     for k in range(len(bend)):
         bend[k] += curve * (slope_x[k] * slope_x[k] + slope_y[k] * slope_y[k]) / max(own[k], _DARK)
@@ -105,7 +107,7 @@ def _products(own, slope_x, slope_y, bend, other, columns, rows, placed, scale2,
 def _compare(image, centres, radius, pitch, rows, sizes, scale2, lenses, out):
     """Fill `out` (m, d, 5, 5) with the `_products` of the pairs of `lenses` (m,) with known `sizes` (n, d), 0 for the
     others."""
-    side, wide, size, column, line = raster(radius)
+    side, wide, size, column, line = pixel_raster(radius)
     height, width = image.shape
     pixels = image.reshape(-1)
     for number in prange(len(lenses)):
@@ -115,14 +117,14 @@ def _compare(image, centres, radius, pitch, rows, sizes, scale2, lenses, out):
         there, lines, between = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
         bend, at = np.zeros(size, np.float32), np.empty(2, np.int64)
         ax, ay = centres[lens, 0], centres[lens, 1]
-        left, top = corner(ax, radius, side, width), corner(ay, radius, side, height)
-        cut(pixels, height, width, left, top, side, wide, there, lines, own, slope_x, slope_y, bend)
+        left, top = first_pixel(ax, radius, side, width), first_pixel(ay, radius, side, height)
+        cut_smoothed(pixels, height, width, left, top, side, wide, there, lines, own, slope_x, slope_y, bend)
         for d in range(rows.shape[1]):
             other = rows[lens, d]
             if other < 0 or np.isnan(sizes[lens, d]):
                 continue
-            at[0] = at[1] = NOWHERE
-            placed = lay_over(
+            at[0] = at[1] = NO_STEP
+            placed = resample_shifted(
                 pixels, height, width, ax, ay, centres[other, 0], centres[other, 1], radius, sizes[lens, d], pitch,
                 left, top, side, wide, at, there, lines, between,
             )  # fmt: skip
@@ -130,7 +132,7 @@ def _compare(image, centres, radius, pitch, rows, sizes, scale2, lenses, out):
             _products(own, slope_x, slope_y, bend, between, column, line, placed, limit, out[number, d])
 
 
-def focus_blur(
+def estimate_defocus_difference(
     image: NDArray[np.float32],
     centres: NDArray[np.float32],
     radius: float,
@@ -140,7 +142,7 @@ def focus_blur(
     scale: NDArray[np.float32],
     noise: float,
     kinds: NDArray[np.int8],
-) -> FocusBlur:
+) -> DefocusDifference:
     """What lenses of each type blur more than those of the others, as pairs of them tell.
 
     Parameters
@@ -170,7 +172,7 @@ def focus_blur(
     weight = 1 / (np.maximum(known[:, 4, 4], 0) / known[:, 0, 0] + noise**2)
     likely = np.array([_LIKELY * pitch**2, _LIKELY_GROWTH * pitch])
     between = np.stack([kinds[lens], kinds[rows[lens, d]]])
-    return FocusBlur(
+    return DefocusDifference(
         kinds, *_solved(known, weight, sizes[lens, d].astype(np.float64), between, likely, int(kinds.max()) + 1)
     )
 
@@ -230,7 +232,7 @@ def _solved(
     likely: NDArray[np.float64],
     count: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], np.float32]:
-    """Blurs, growths and curve of `FocusBlur` from pairs.
+    """Blurs, growths and curve of `DefocusDifference` from pairs.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from lfcal.runtime.fastmath import FAST, square
 from ...flat.grey_flat import GrayFlat
 from .pair_fit import PairFits
 
-__all__ = ["LensFits", "fit_lenses"]
+__all__ = ["LensFits", "fit_lens_planes"]
 
 _ROUNDS = 4
 # Systematic error of one pair [px]: interpolation, sampling and lattice errors do not average out over its pixels.
@@ -214,7 +214,7 @@ def _standard_errors(forward, backward, sizes, pitch, gap, spreads, out, slant_e
         slant_errors[lens] = unseen * np.sqrt(spreads[lens, 1] * scatter)
 
 
-def fit_lenses(
+def fit_lens_planes(
     gray: GrayFlat,
     forward: NDArray[np.int32],
     backward: NDArray[np.int32],

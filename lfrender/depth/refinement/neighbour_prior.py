@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from lfcal.runtime.fastmath import FAST, square
 
 from ...flat.grey_flat import GrayFlat
-from .lens_plane import LensFits, fit_lenses
+from .lens_plane import LensFits, fit_lens_planes
 from .pair_fit import LAST_STEP, fit_pairs
 
-__all__ = ["measure"]
+__all__ = ["refine_patch_sizes"]
 
 # Lenses with a larger standard error [px] expect nothing of others; those above the second number are doubtful
 # where they also differ from what is expected by more than the third.
@@ -100,7 +100,7 @@ def _expected(
     return means, np.hypot(spreads, _LEAST_SPREAD)
 
 
-def measure(
+def refine_patch_sizes(
     gray: GrayFlat,
     forward: NDArray[np.int32],
     backward: NDArray[np.int32],
@@ -140,7 +140,7 @@ def measure(
 
     def fit(start: NDArray[np.float32]) -> LensFits:
         pairs = fit_pairs(gray, forward, start, scale, noise, iterations, last_step)
-        return fit_lenses(gray, forward, backward, pairs, start)
+        return fit_lens_planes(gray, forward, backward, pairs, start)
 
     first = fit(start)
     expected, _ = _expected(gray, forward, backward, first, start, _OFFSET * gray.pitch)

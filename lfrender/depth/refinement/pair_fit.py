@@ -13,8 +13,14 @@ from lfcal.runtime.fastmath import FAST, square
 from ...flat.grey_flat import GrayFlat
 from ...runtime.cache import remembered
 from ...runtime.scheduling import stretches
-from .defocus_difference import NO_BLUR, FocusBlur, add_curve, focus_blur, some_of
-from .pair_pixels import MORE, NOWHERE, corner, cut, lay_over, raster
+from .defocus_difference import (
+    NO_DIFFERENCE,
+    DefocusDifference,
+    add_tone_curve,
+    estimate_defocus_difference,
+    sample_start_values,
+)
+from .pair_pixels import NO_STEP, SPLINE_MARGIN, cut_smoothed, first_pixel, pixel_raster, resample_shifted
 
 __all__ = ["LAST_STEP", "PairFits", "fit_pairs", "usable_radius"]
 
@@ -120,7 +126,7 @@ def _fit(
     x = y = np.float32(0.0)
     two, tiny = np.float32(2.0), np.float32(1e-12)
     for _ in range(iterations):
-        placed = lay_over(
+        placed = resample_shifted(
             pixels, height, width, ax, ay, bx, by, radius, s, pitch, left, top, side, wide, at, there, lines, between
         )
         if len(bend) > 0:
@@ -171,7 +177,7 @@ def _fit_pairs(
     image, centres, radius, pitch, rows, start, scale2, noise2, iterations, last_step, kinds, blurs, growths, curve,
     sizes, variances, places,
 ):  # fmt: skip  # fmt: skip
-    side, wide, size, column, line = raster(radius)
+    side, wide, size, column, line = pixel_raster(radius)
     height, width = image.shape
     pixels = image.reshape(-1)
     parts, each, stride = stretches(len(centres))
@@ -183,7 +189,7 @@ def _fit_pairs(
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
             ax, ay = centres[lens, 0], centres[lens, 1]
-            left, top = corner(ax, radius, side, width), corner(ay, radius, side, height)
+            left, top = first_pixel(ax, radius, side, width), first_pixel(ay, radius, side, height)
             ready = False
             for d in range(rows.shape[1]):
                 other = rows[lens, d]
@@ -194,9 +200,11 @@ def _fit_pairs(
                 if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
                     continue
                 if not ready:
-                    cut(pixels, height, width, left, top, side, wide, there, lines, own, slope_x, slope_y, bend)
+                    cut_smoothed(
+                        pixels, height, width, left, top, side, wide, there, lines, own, slope_x, slope_y, bend
+                    )
                     if len(bend) > 0:
-                        add_curve(own, slope_x, slope_y, curve, bend)
+                        add_tone_curve(own, slope_x, slope_y, curve, bend)
                     ready = True
                 blur = growth = np.float32(0.0)
                 if len(bend) > 0:
@@ -208,7 +216,7 @@ def _fit_pairs(
                         variances[lens, d, 1] = variances[lens, d, 0]
                         places[lens, d, 1, 0], places[lens, d, 1, 1] = places[lens, d, 0, 0], places[lens, d, 0, 1]
                         break
-                    at[0] = at[1] = NOWHERE
+                    at[0] = at[1] = NO_STEP
                     s, variance, x, y = _fit(
                         pixels, height, width, ax, ay, centres[other, 0], centres[other, 1], radius,
                         first if k == 0 else second, pitch, max(scale2[lens], scale2[other]), noise2, iterations,
@@ -255,13 +263,13 @@ def fit_pairs(
     radius = usable_radius(gray)
     image = gray.image
     # Microimages are cut out with what lies about them.
-    missing = [max(0, int(2 * radius) + 2 * MORE - n) for n in image.shape]
+    missing = [max(0, int(2 * radius) + 2 * SPLINE_MARGIN - n) for n in image.shape]
     if any(missing):
         image = np.pad(image, [(0, n) for n in missing], "edge")
     image, start = np.ascontiguousarray(image), start.astype(np.float32)
     shape = (*rows.shape, 2)
 
-    def fit(start: NDArray[np.float32], blur: FocusBlur) -> PairFits:
+    def fit(start: NDArray[np.float32], blur: DefocusDifference) -> PairFits:
         fits = PairFits(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32))
         _fit_pairs(
             image, gray.centres, np.float32(radius), np.float32(gray.pitch), rows, start,
@@ -270,10 +278,10 @@ def fit_pairs(
         )  # fmt: skip
         return fits
 
-    def found_blur(kinds: NDArray[np.int8]) -> FocusBlur:
-        some = some_of(start)
-        sizes = fit(some, NO_BLUR).patch_size[:, :, 0]
-        return focus_blur(image, gray.centres, radius, gray.pitch, rows, sizes, scale, noise, kinds)
+    def found_blur(kinds: NDArray[np.int8]) -> DefocusDifference:
+        some = sample_start_values(start)
+        sizes = fit(some, NO_DIFFERENCE).patch_size[:, :, 0]
+        return estimate_defocus_difference(image, gray.centres, radius, gray.pitch, rows, sizes, scale, noise, kinds)
 
     kinds = gray.kinds
-    return fit(start, NO_BLUR if kinds is None else remembered(gray, "blur", lambda: found_blur(kinds)))
+    return fit(start, NO_DIFFERENCE if kinds is None else remembered(gray, "blur", lambda: found_blur(kinds)))

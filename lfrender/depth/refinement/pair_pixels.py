@@ -9,26 +9,34 @@ from lfcal.runtime.fastmath import FAST
 
 from ...flat.microimages import copy_box
 
-__all__ = ["MORE", "NOWHERE", "corner", "cut", "lay_over", "raster", "spline"]
+__all__ = [
+    "NO_STEP",
+    "SPLINE_MARGIN",
+    "bspline_weights",
+    "cut_smoothed",
+    "first_pixel",
+    "pixel_raster",
+    "resample_shifted",
+]
 
 # Vector loops take up to so many pixels at a time. Places are unsigned: signed ones are looked at for being counted
 # from the end.
 _WHOLE = 64
 #: Between columns, three more pixels are read than there are places.
-MORE = 3
+SPLINE_MARGIN = 3
 # Slopes are taken between the pixels on both sides, and smoothing reads one further [px].
 _BEYOND = 2
 #: No whole step between two microimages.
-NOWHERE = 2**40
+NO_STEP = 2**40
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def spline(f):
+def bspline_weights(f):
     """Weights of the four pixels at -1, 0, 1, 2 in the cubic B-spline at `f`.
 
-    It smooths as much at any fraction as at 0, where its weights are those of `cut`; compared with a picture so
-    smoothed it shifts a detail of w radians per pixel by less than w^5 / 1000 px. Linear interpolation shifts it
-    by up to w^2 / 60 px, and so does Keys's cubic: by the same amount over the whole flat.
+    It smooths equally at every fraction; at 0 its weights are those of `cut_smoothed`. Compared with a picture smoothed
+    that way it shifts a detail of w radians per pixel by less than w^5 / 1000 px; linear interpolation and Keys's cubic
+    shift it by up to w^2 / 60 px, by the same amount over the whole flat.
     """
     one, sixth, half = np.float32(1.0), np.float32(1 / 6), np.float32(0.5)
     g = one - f
@@ -47,12 +55,12 @@ def _whole(count):
 
 
 @njit(cache=True, nogil=True)
-def raster(radius):
+def pixel_raster(radius):
     """Side of the square that holds a microimage, pixels from row to row of one that is cut out, how many they are with
     what vector loops read beyond, and the column and line of each."""
     side = int(2 * radius) + 1
-    wide = side + MORE
-    size = max((side + MORE) * (wide + MORE), (side + 2 * _BEYOND) ** 2) + 2 * _WHOLE
+    wide = side + SPLINE_MARGIN
+    size = max((side + SPLINE_MARGIN) * (wide + SPLINE_MARGIN), (side + 2 * _BEYOND) ** 2) + 2 * _WHOLE
     columns, lines = np.empty(size, np.float32), np.empty(size, np.float32)
     for k in range(size):
         columns[k], lines[k] = k % wide, k // wide
@@ -60,7 +68,7 @@ def raster(radius):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def corner(centre, radius, side, size):
+def first_pixel(centre, radius, side, size):
     """First of `side` pixels that hold a microimage, so that these and those beside them lie on the flat."""
     return min(max(int(np.ceil(centre - radius)), 1), size - side - 1)
 
@@ -68,7 +76,7 @@ def corner(centre, radius, side, size):
 # Without fast math: sums whose order it is free to choose would have other bits where the kernel is compiled than where
 # it is loaded.
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def cut(pixels, height, width, left, top, side, wide, box, smooth, own, slope_x, slope_y, bend):
+def cut_smoothed(pixels, height, width, left, top, side, wide, box, smooth, own, slope_x, slope_y, bend):
     """A microimage smoothed by 1, 4, 1 over 6 in both directions, its slopes, and its Laplacian where there is room for
     it in `bend`, row after row.
 
@@ -116,7 +124,7 @@ def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def lay_over(
+def resample_shifted(
     pixels, height, width, ax, ay, bx, by, radius, s, pitch, left, top, side, wide, at, there, lines, other
 ):  # fmt: skip
     """What the second of two microimages shows at the pixels of the first, which is cut out from (left, top) on.
@@ -128,8 +136,8 @@ def lay_over(
     ux, uy = (bx - ax) / pitch, (by - ay) / pitch
     tx, ty = bx - ax + s * ux, by - ay + s * uy
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
-    cx0, cx1, cx2, cx3 = spline(np.float32(tx - x0))
-    cy0, cy1, cy2, cy3 = spline(np.float32(ty - y0))
+    cx0, cx1, cx2, cx3 = bspline_weights(np.float32(tx - x0))
+    cy0, cy1, cy2, cy3 = bspline_weights(np.float32(ty - y0))
     qx, qy = bx - tx, by - ty
     begin = max(int(np.ceil(max(ay, qy) - radius)), max(1, 1 - y0), top)
     end = min(int(np.floor(min(ay, qy) + radius)), min(height - 2, height - 3 - y0), top + side - 1)
@@ -137,7 +145,7 @@ def lay_over(
     if end >= begin:
         # Most steps stay between the same pixels.
         if at[0] != x0 or at[1] != y0:
-            copy_box(pixels, width, left + x0 - 1, top + y0 - 1, side + MORE, wide, there)
+            copy_box(pixels, width, left + x0 - 1, top + y0 - 1, side + SPLINE_MARGIN, wide, there)
             at[0], at[1] = x0, y0
         count = _whole((end + 1 - begin) * wide)
         _mean_of_four(there, start, 1, _whole((end + 4 - begin) * wide), cx0, cx1, cx2, cx3, lines)

@@ -19,9 +19,9 @@ from ...runtime.normal_equations import back, solve
 from ...runtime.scheduling import stretches
 from .lens_plane import LensFits
 from .pair_fit import usable_radius
-from .pair_pixels import MORE, corner, cut, raster, spline
+from .pair_pixels import SPLINE_MARGIN, bspline_weights, cut_smoothed, first_pixel, pixel_raster
 
-__all__ = ["fit_bent"]
+__all__ = ["fit_quadratic"]
 
 _ITERATIONS = 4
 # A step that moves no coefficient by more than this [px] was the last.
@@ -52,8 +52,8 @@ def _look(pixels, width, count, x, y, sizes, ux, uy, cx, cy, last_x, last_y, r2,
         share[k] = one if inside else np.float32(0.0)
         px, py = min(max(px, one), last_x), min(max(py, one), last_y)
         left, top = np.int32(px), np.int32(py)
-        a0, a1, a2, a3 = spline(px - np.float32(left))
-        b0, b1, b2, b3 = spline(py - np.float32(top))
+        a0, a1, a2, a3 = bspline_weights(px - np.float32(left))
+        b0, b1, b2, b3 = bspline_weights(py - np.float32(top))
         at = np.uint32((top - 1) * np.int32(width) + left - 1)
         first = (a0 * pixels[at] + a1 * pixels[at + np.uint32(1)]) + (
             a2 * pixels[at + np.uint32(2)] + a3 * pixels[at + np.uint32(3)]
@@ -205,7 +205,7 @@ def _fit_bent(
     image, centres, radius, pitch, neighbours, sizes, slants, scale2, wanted, known, places, out, errors, out_slants,
     slant_errors,
 ):  # fmt: skip
-    side, wide, size, columns, lines = raster(radius)
+    side, wide, size, columns, lines = pixel_raster(radius)
     height, width = image.shape
     pixels = image.reshape(-1)
     last_x, last_y = np.float32(width) - np.float32(3.001), np.float32(height) - np.float32(3.001)
@@ -227,8 +227,8 @@ def _fit_bent(
             if not wanted[lens]:
                 continue
             ax, ay = centres[lens, 0], centres[lens, 1]
-            first, top = corner(ax, radius, side, width), corner(ay, radius, side, height)
-            cut(pixels, height, width, first, top, side, wide, box, smooth, smoothed, along_x, along_y, none)
+            first, top = first_pixel(ax, radius, side, width), first_pixel(ay, radius, side, height)
+            cut_smoothed(pixels, height, width, first, top, side, wide, box, smooth, smoothed, along_x, along_y, none)
             count = _inside(
                 columns, lines, side, wide, first, top, ax, ay, radius, smoothed, along_x, along_y, about, own, slopes
             )
@@ -277,7 +277,7 @@ def _places_of_products() -> NDArray[np.int64]:
     return np.array([[monomials.index((a + c, b + d)) for c, d in terms] for a, b in terms])
 
 
-def fit_bent(
+def fit_quadratic(
     gray: GrayFlat,
     neighbours: NDArray[np.int32],
     fits: LensFits,
@@ -299,7 +299,7 @@ def fit_bent(
         Difference of brightness beyond which two pixels hardly count as the same point.
     """
     radius = usable_radius(gray)
-    if not wanted.any() or min(gray.image.shape) < 2 * radius + 2 * MORE:
+    if not wanted.any() or min(gray.image.shape) < 2 * radius + 2 * SPLINE_MARGIN:
         return fits, np.zeros(len(wanted), np.float32)
     sizes, slants, slant_errors = fits.patch_size.copy(), fits.slant.copy(), fits.slant_error.copy()
     errors = np.empty_like(sizes)

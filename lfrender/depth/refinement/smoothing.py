@@ -12,7 +12,7 @@ from ...flat.rings import afar, around
 from ...runtime.scheduling import stretches
 from .lens_plane import LensFits
 
-__all__ = ["Pooled", "pooled", "pooled_afar"]
+__all__ = ["SmoothedFits", "smooth_fits", "smooth_fits_far"]
 
 # Lenses farther apart than this many standard deviations hardly count as one surface, and from the second number on not
 # at all: one that knows itself far better than those about it would else draw them to another surface.
@@ -281,7 +281,7 @@ def _pool(
 
 
 @dataclass(frozen=True)
-class Pooled:
+class SmoothedFits:
     """What lenses measure together.
 
     Parameters
@@ -298,7 +298,7 @@ class Pooled:
     agreed: NDArray[np.float32]
 
 
-def pooled(
+def smooth_fits(
     centres: NDArray[np.float32],
     pitch: float,
     radius: float,
@@ -306,7 +306,7 @@ def pooled(
     fits: LensFits,
     wanted: NDArray[np.bool_],
     centred: NDArray[np.float32],
-) -> Pooled:
+) -> SmoothedFits:
     """Patch sizes, slants and their errors of lenses together with those in two rings around them.
 
     A lens is weighed with what a plane through the others expects of it. Others count as far as they agree with it,
@@ -332,15 +332,15 @@ def pooled(
     return _together(centres, pitch, radius, around(neighbours), fits, wanted, centred, trust)
 
 
-def pooled_afar(
+def smooth_fits_far(
     centres: NDArray[np.float32],
     pitch: float,
     radius: float,
     neighbours: NDArray[np.int32],
-    near: Pooled,
+    near: SmoothedFits,
     wanted: NDArray[np.bool_],
 ) -> LensFits:
-    """What lenses have `pooled` together with those farther off: planes of many lenses come out as planes.
+    """What lenses have `smooth_fits` together with those farther off: planes of many lenses come out as planes.
 
     Lenses count as far as those about them agree. Beside a depth edge they see a little of both sides, and err toward
     the other one together.
@@ -362,12 +362,12 @@ def _together(
     wanted: NDArray[np.bool_],
     centred: NDArray[np.float32],
     trust: NDArray[np.float32],
-) -> Pooled:
-    """As `pooled`, with the lenses `rows` (n, m) of each, which count as far as they and it have `trust` (n,)."""
+) -> SmoothedFits:
+    """As `smooth_fits`, with the lenses `rows` (n, m) of each, which count as far as they and it have `trust` (n,)."""
     sizes, errors, slant_errors, bent, agreed = (np.empty(len(centres), np.float32) for _ in range(5))
     slants = np.empty((len(centres), 2), np.float32)
     _pool(
         centres, pitch, radius, rows, fits.patch_size.astype(np.float32), fits.standard_error.astype(np.float32),
         fits.slant, fits.slant_error, wanted, centred, trust, sizes, errors, slants, slant_errors, bent, agreed,
     )  # fmt: skip
-    return Pooled(LensFits(sizes, errors, slants, slant_errors), bent, agreed)
+    return SmoothedFits(LensFits(sizes, errors, slants, slant_errors), bent, agreed)

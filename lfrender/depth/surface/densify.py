@@ -15,10 +15,10 @@ from ...flat.grey_flat import GrayFlat
 from ...flat.lens_graph import lens_grid, neighbour_rows
 from ...runtime.buffers import scratch
 from ...runtime.cache import remembered
-from .hypotheses import MOST_CANDIDATES, calm_lenses, propose
-from .update_mask import mark_unsettled
+from .hypotheses import MAX_HYPOTHESES, find_agreeing_lenses, propose_hypotheses
+from .update_mask import mark_changed_points
 
-__all__ = ["grid_shape", "spread"]
+__all__ = ["densify", "grid_shape"]
 
 # Lenses within this many pitches vote for depths, those within the second number look at them.
 _VOTING, _LOOKING = 1.45, 2.1
@@ -137,7 +137,7 @@ def _steps_nearby(lattice: Lattice) -> NDArray[np.int64]:
     return steps[np.argsort(distance, kind="stable")[: int((distance < _LOOKING * lattice.pitch).sum())]]
 
 
-def spread(
+def densify(
     gray: GrayFlat,
     lattice: Lattice,
     values: NDArray[np.float32],
@@ -180,7 +180,7 @@ def spread(
     ring = remembered(lattice, "looking", lambda: _steps_nearby(lattice))
     gap = np.float32(max(0.75, 0.04 * pitch))
     inverse, bend, indices = np.linalg.inv(lattice.basis), lattice_bend(lattice), lattice.indices()
-    calm = calm_lenses(values, seconds, trust, indices, grid, low, ring, gap)
+    calm = find_agreeing_lenses(values, seconds, trust, indices, grid, low, ring, gap)
     old = np.empty((0, 0), np.float32)
     if before is not None and before.patch_size.shape == shape and before.first == start:
         old = before.patch_size
@@ -193,15 +193,15 @@ def spread(
         shape: tuple[int, int], part: float, old: NDArray[np.float32], coarse: NDArray[np.float32], purpose: str
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         depths, costs, totals = (
-            scratch(name, (MOST_CANDIDATES, *shape), np.float32) for name in ("depths", "costs", "totals")
+            scratch(name, (MAX_HYPOTHESES, *shape), np.float32) for name in ("depths", "costs", "totals")
         )
         around, unsettled = neighbour_rows(lattice, ring), scratch("unsettled", old.shape, np.bool_)
         if old.size:
-            mark_unsettled(
+            mark_changed_points(
                 settled, gray.centres, indices, around, ring, lattice.origin, lattice.basis, inverse, *bend, start[0],
                 spacing / part, unsettled,
             )  # fmt: skip
-        propose(
+        propose_hypotheses(
             gray.image, table, around, np.float32(gray.radius), np.float32(pitch), calm, grid, low, lattice.origin,
             inverse, *bend, ring, gap, np.float32(4 * noise * noise), start[0], spacing / part,
             np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), unsettled, old, coarse, depths, costs,

@@ -9,12 +9,12 @@ from lfcal.runtime.fastmath import FAST
 
 from ...flat.distorted_lookup import nearest_index
 from ...runtime.scheduling import coprime_stride
-from .occlusion import nearness
-from .photoconsistency import MOST_VIEWS, UNKNOWN, WORK, look, mismatch
+from .occlusion import depth_order
+from .photoconsistency import MOST_VIEWS, UNKNOWN, WORK, sample_views, view_mismatch
 
-__all__ = ["MOST_CANDIDATES", "calm_lenses", "propose"]
+__all__ = ["MAX_HYPOTHESES", "find_agreeing_lenses", "propose_hypotheses"]
 
-MOST_CANDIDATES = 5
+MAX_HYPOTHESES = 5
 # A place behind another may match as well, past the edge of the nearer one; so each candidate pays this many times
 # what a nearer one stays below that mismatch.
 _HIDDEN, _MATCHED = np.float32(2.0), np.float32(0.5)
@@ -34,7 +34,7 @@ _X, _Y, _TRUST, _SIZE = 0, 1, 2, 3
 _VOTES = (np.float32(1.0), np.float32(0.1), np.float32(1.0))
 # Lenses below this trust say nothing about the places around them where others do.
 _TRUSTED = np.float32(0.1)
-# How `calm_lenses` marks lenses far from any that is trusted: whatever is drawn there, nothing shows it.
+# How `find_agreeing_lenses` marks lenses far from any that is trusted: whatever is drawn there, nothing shows it.
 _ALONE = np.int8(2)
 
 
@@ -46,7 +46,7 @@ def _hide(depths, costs, pitch, evidence):
     for k in range(len(depths)):
         hidden = np.float32(0.0)
         for q in range(len(depths)):
-            if nearness(depths[q], pitch) > nearness(depths[k], pitch):
+            if depth_order(depths[q], pitch) > depth_order(depths[k], pitch):
                 hidden = max(hidden, evidence[q])
         costs[k] += _HIDDEN * hidden
 
@@ -60,7 +60,7 @@ def _lens_at(grid, low, i, j):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def calm_lenses(values, seconds, trust, indices, grid, low, ring, gap):
+def find_agreeing_lenses(values, seconds, trust, indices, grid, low, ring, gap):
     """(n,) int8: 1 for lenses that agree with all trusted lenses of `ring` about them to within one `gap`.
 
     2 where none of them is trusted, nor the lens itself; 0 elsewhere.
@@ -264,14 +264,14 @@ def _compete(
     nearest = 0
     # All are read before the first is judged: what is written by single values cannot be read as vectors at once.
     for k in range(len(depths)):
-        views[k] = look(
+        views[k] = sample_views(
             image, pixels, near_x, near_y, count, x, y, depths[k] / pitch, radius, step, work, np.uint64(k) * part
         )
-        if nearness(depths[k], pitch) > nearness(depths[nearest], pitch):
+        if depth_order(depths[k], pitch) > depth_order(depths[nearest], pitch):
             nearest = k
     for k in range(len(depths)):
         share = costs[k] / everyone
-        least = mismatch(
+        least = view_mismatch(
             image, near_x, near_y, x, y, depths[k] / pitch, step, floor, k == nearest, views[k], work,
             np.uint64(k) * part,
         )  # fmt: skip
@@ -290,10 +290,10 @@ def _nudged(
 ):  # fmt: skip
     """The patch size among `s`, of mismatch `least`, and those a `nudge` beside it that matches best; its mismatch."""
     low, high, other = (s - nudge) / pitch, (s + nudge) / pitch, base + np.uint64(WORK)
-    views_low = look(image, pixels, near_x, near_y, count, x, y, low, radius, step, work, base)
-    views_high = look(image, pixels, near_x, near_y, count, x, y, high, radius, step, work, other)
-    below = _NUDGED + mismatch(image, near_x, near_y, x, y, low, step, floor, nearest, views_low, work, base)
-    above = _NUDGED + mismatch(image, near_x, near_y, x, y, high, step, floor, nearest, views_high, work, other)
+    views_low = sample_views(image, pixels, near_x, near_y, count, x, y, low, radius, step, work, base)
+    views_high = sample_views(image, pixels, near_x, near_y, count, x, y, high, radius, step, work, other)
+    below = _NUDGED + view_mismatch(image, near_x, near_y, x, y, low, step, floor, nearest, views_low, work, base)
+    above = _NUDGED + view_mismatch(image, near_x, near_y, x, y, high, step, floor, nearest, views_high, work, other)
     if above < min(least, below):
         return s + nudge, above
     if below < least:
@@ -302,7 +302,7 @@ def _nudged(
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def propose(
+def propose_hypotheses(
     image, table, around, radius, pitch, calm, grid, low, origin, inverse, bend, bend_low, ring, gap, floor, first,
     spacing, vote2, step, unsettled, old, coarse, depths, costs,
 ):  # fmt: skip

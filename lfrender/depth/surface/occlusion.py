@@ -16,7 +16,7 @@ from ...data.surface import Surface, mark_changes
 from ...runtime.buffers import scratch
 from ...runtime.scheduling import coprime_stride
 
-__all__ = ["lens_depths"]
+__all__ = ["project_surface"]
 
 # A lattice, and what else is the same from frame to frame: `reach`, `edge` and `part`.
 _Settings = tuple[Lattice, float, float, tuple[int, int, int, int] | None]
@@ -30,7 +30,7 @@ _BAND = 2
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def nearness(s, pitch):
+def depth_order(s, pitch):
     """Grows toward the camera: telescopic places first, then through the microlenses to binocular ones.
 
     With the image at a = D * b / s in front of the microlenses (GEOMETRY.md), nearer objects have their
@@ -81,12 +81,12 @@ def _enter(
             edged[lens] = False
             continue
         lowest = highest = surface[min(low_v, rows - 1), min(low_u, columns - 1)]
-        farthest = nearness(lowest, pitch)
+        farthest = depth_order(lowest, pitch)
         for v in range(low_v, high_v + 1):
             for u in range(low_u, high_u + 1):
                 lowest = min(lowest, surface[v, u])
                 highest = max(highest, surface[v, u])
-                farthest = min(farthest, nearness(surface[v, u], pitch))
+                farthest = min(farthest, depth_order(surface[v, u], pitch))
         edged[lens] = highest - lowest >= edge
         if not edged[lens]:
             continue
@@ -94,7 +94,7 @@ def _enter(
             across_y = np.float32(first_y + v * spacing - cy)
             for u in range(low_u, high_u + 1):
                 s = surface[v, u]
-                near = nearness(s, pitch)
+                near = depth_order(s, pitch)
                 # The farthest surface hides nothing.
                 if near <= farthest + edge:
                     continue
@@ -111,7 +111,7 @@ def _enter(
                         if (x - cx) * (x - cx) + (y - cy) * (y - cy) > radius * radius:
                             continue
                         # True where nothing is known as yet.
-                        if not nearness(out[y - top, x - left], pitch) >= near:
+                        if not depth_order(out[y - top, x - left], pitch) >= near:
                             out[y - top, x - left] = s
 
 
@@ -175,7 +175,7 @@ def _lens_depths(
         )  # fmt: skip
 
 
-def lens_depths(
+def project_surface(
     surface: Surface,
     lattice: Lattice,
     reach: float,

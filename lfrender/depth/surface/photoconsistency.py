@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["MOST_VIEWS", "UNKNOWN", "WORK", "look", "mismatch"]
+__all__ = ["MOST_VIEWS", "UNKNOWN", "WORK", "sample_views", "view_mismatch"]
 
 #: The most central lenses, so many of them, are asked what they show.
 MOST_VIEWS = 6
@@ -153,7 +153,7 @@ def _within(px, py, step, width, height):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def look(image, pixels, near_x, near_y, count, x, y, slope, radius, step, work, base):
+def sample_views(image, pixels, near_x, near_y, count, x, y, slope, radius, step, work, base):
     """Put what the lenses around (x, y) show of it if it had the depth `slope`, s / D, into `work`.
 
     The `count` lenses have their centres at `near_x`, `near_y`, the nearest first; `pixels` are those of the image in
@@ -174,8 +174,8 @@ def look(image, pixels, near_x, near_y, count, x, y, slope, radius, step, work, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def mismatch(image, near_x, near_y, x, y, slope, step, floor, nearest, views, work, base):
-    """How badly the better share of the views of (x, y) that `look` has found agrees with one of the most central."""
+def view_mismatch(image, near_x, near_y, x, y, slope, step, floor, nearest, views, work, base):
+    """Mean mismatch of the better part of the views of (x, y) found by `sample_views` with one of the most central."""
     height, width = image.shape
     if views < 2:
         return UNKNOWN

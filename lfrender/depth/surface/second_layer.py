@@ -21,9 +21,9 @@ from ...runtime.scheduling import stretches
 from ..matching.matcher import Matcher, Preset
 from ..matching.peaks import confidence, parabola_peak
 from ..matching.sgm import aggregate
-from .place_differences import differences, variance_about
+from .window_differences import window_differences, window_variance
 
-__all__ = ["remainder_depths"]
+__all__ = ["find_second_layer"]
 
 # Pitch [px] it is matched at, where the flat's is larger: a rod a tenth of a pitch wide is four pixels wide there.
 _PITCH = 40
@@ -125,7 +125,7 @@ def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, f
             for k in range(most):
                 other = rows[lens, k]
                 if other >= 0:
-                    differences(
+                    window_differences(
                         pixels, height, width, ax, ay, centres[other, 0], centres[other, 1], radius, sizes[lens],
                         pitch, left, top, wide, begin_row, row_step, own, there, squares, lines, views, seen * size,
                     )  # fmt: skip
@@ -147,7 +147,7 @@ def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, f
                         continue
                     difference = _better_half(views, size, seen, at, values)
                     # What is below the least need not be compared with the variance about it.
-                    if difference > least and difference > _SHARE * variance_about(image, x, y) + least:
+                    if difference > least and difference > _SHARE * window_variance(image, x, y) + least:
                         mask[y, x] = 1
                         unexplained += 1
             shares[lens] = unexplained / max(total, 1)
@@ -251,7 +251,7 @@ def _costs(image, mask, centres, radius, pitch, rows, means, wanted, shifts, flo
                     out[lens, k] = values[:better].sum() / better
 
 
-def remainder_depths(
+def find_second_layer(
     texture: Texture,
     forward: NDArray[np.int32],
     backward: NDArray[np.int32],

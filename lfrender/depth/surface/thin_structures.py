@@ -17,9 +17,9 @@ from ...flat.grey_flat import shrink
 from ...flat.lens_graph import both_ways
 from ...flat.microimages import copy_box
 from ...flat.texture import Texture
-from .place_differences import differences, variance_about
+from .window_differences import window_differences, window_variance
 
-__all__ = ["thin_depths"]
+__all__ = ["find_thin_structures"]
 
 # Lenses beyond this share of the pitch share too little with others.
 _SHARING_LITTLE = 0.4
@@ -64,7 +64,7 @@ def _confirm(
     for k in range(rows.shape[1]):
         other = rows[lens, k]
         if other >= 0:
-            differences(
+            window_differences(
                 pixels, height, width, centres[lens, 0], centres[lens, 1], centres[other, 0], centres[other, 1], radius,
                 s, pitch, left, top, wide, 1, 1, own, there, squares, lines, view, 0,
             )  # fmt: skip
@@ -92,7 +92,7 @@ def _set_limits(image, ax, ay, radius, left, top, wide, floor, limits):
         half = np.sqrt(half)
         for x in range(max(1, int(np.ceil(ax - half))), min(width - 2, int(np.floor(ax + half))) + 1):
             total += 1
-            varied = variance_about(image, x, y)
+            varied = window_variance(image, x, y)
             if varied >= _TEXTURED * floor:
                 limits[(v - 1) * wide + x - left] = 9 * (_CONFIRMED * varied + floor)
     return total
@@ -170,7 +170,7 @@ def _best_of_each(lens: NDArray[np.int64], share: NDArray[np.float32]) -> NDArra
     return order[last]
 
 
-def thin_depths(
+def find_thin_structures(
     texture: Texture,
     forward: NDArray[np.int32],
     backward: NDArray[np.int32],

@@ -7,7 +7,7 @@ from numba import njit, prange
 
 from ...flat.distorted_lookup import nearest_index
 
-__all__ = ["mark_unsettled"]
+__all__ = ["mark_changed_points"]
 
 # Scene points of a lens are sought in a box so many times as large as a cell of the lattice.
 _CELL = 1.2
@@ -27,7 +27,7 @@ def _mark_place(i, j, centre_x, centre_y, half_x, half_y, origin, inverse, bend,
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def mark_unsettled(
+def mark_changed_points(
     settled, centres, indices, around, ring, origin, basis, inverse, bend, bend_low, first, spacing, out
 ):
     """Set `out` (rows, columns) to the scene points of lenses that are not `settled` (n,), and to those beyond the last

@@ -9,11 +9,29 @@ from numpy.typing import NDArray
 from ...flat.lens_graph import alike
 from ...flat.shading import SHADING
 from ..matching.matcher import Found
-from .uncertainty import certainty, confirmed, echoing, repeated, showing_the_same, widened
+from .uncertainty import (
+    combine_confidence,
+    confirmed_by_neighbours,
+    has_secondary_peak,
+    inflate_errors,
+    repeats_with_neighbours,
+    sees_same_content,
+)
 
 __all__ = [
-    "AGREED", "LEAST_EVIDENCE", "RESOLVABLE", "SHADED_REACH", "SURE", "credible", "judged", "moving", "populated",
-    "possible", "reasons", "shaded", "staying",
+    "AGREED",
+    "LEAST_EVIDENCE",
+    "RESOLVABLE",
+    "SHADED_REACH",
+    "SURE",
+    "classify_lenses",
+    "initial_reasons",
+    "looks_like_shading",
+    "match_proves_texture",
+    "match_suggests_texture",
+    "occurs_among",
+    "shift_exceeds_shading",
+    "shift_may_be_zero",
 ]  # fmt: skip
 
 # Beyond this share of the pitch neighbouring microimages share too little to tell (GEOMETRY.md).
@@ -43,7 +61,7 @@ _BY_CHANCE, _ALIKE = 0.4, 0.06
 _HARDLY_SHARED, AGREED = 0.6, 0.02
 
 
-def judged(
+def classify_lenses(
     textured: NDArray[np.bool_],
     found: Found,
     refined: NDArray,
@@ -57,22 +75,22 @@ def judged(
 
     `signal` (n,) is the share of the contrast squared that is no noise: what a right match may correlate at best.
     """
-    reason = reasons(textured, found, refined, _agreed(refined, error, neighbours, pitch), pitch)
+    reason = initial_reasons(textured, found, refined, _agreed(refined, error, neighbours, pitch), pitch)
     reason[(reason == 0) & _unmeasured(refined, error, neighbours, pitch)] = 2
     reason[_by_chance(reason == 0, found, refined, signal, neighbours, pitch)] = 3
     explained = found.explained / signal
-    beside = confirmed(reason == 0, refined, explained, neighbours, pitch)
+    beside = confirmed_by_neighbours(reason == 0, refined, explained, neighbours, pitch)
     reason[(reason > 1) & beside & (np.abs(refined) <= RESOLVABLE * pitch)] = 0
-    same = showing_the_same(centres, refined, reason == 0, pitch)
-    echoes = echoing(found.matched, found.echo, signal, same)
+    same = sees_same_content(centres, refined, reason == 0, pitch)
+    echoes = has_secondary_peak(found.matched, found.echo, signal, same)
     single = (reason == 0) & (found.rivals >= SURE) & ~echoes
-    occurring = populated(refined, refined[single], 0.5 * _ALIKE * pitch)
-    reason[repeated(reason == 0, found.rivals, echoes, occurring, neighbours)] = 2
+    occurring = occurs_among(refined, refined[single], 0.5 * _ALIKE * pitch)
+    reason[repeats_with_neighbours(reason == 0, found.rivals, echoes, occurring, neighbours)] = 2
     faint = (reason > 1) & (found.evidence < _SHARED) & (signal < _FAINT_SIGNAL)
     reason[faint] = 1
-    error = widened(error, explained)
+    error = inflate_errors(error, explained)
     sure = np.where(textured & ~faint, np.minimum(found.confidence, found.rivals), 0)
-    return reason, error, certainty(sure, refined, error, explained, neighbours, pitch)
+    return reason, error, combine_confidence(sure, refined, error, explained, neighbours, pitch)
 
 
 def _agreed(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pitch: float) -> NDArray[np.bool_]:
@@ -113,13 +131,13 @@ def _by_chance(
     """
     sure = resolved & (found.evidence >= _BY_CHANCE)
     if 2 * sure.sum() > resolved.sum():
-        resolved = resolved & ~populated(refined, refined[sure], 0.5 * _ALIKE * pitch)
+        resolved = resolved & ~occurs_among(refined, refined[sure], 0.5 * _ALIKE * pitch)
     better = resolved & (found.evidence >= _SHARED * signal)
     like = alike(better, refined, neighbours, _ALIKE * pitch)
     return np.asarray(resolved & (found.evidence < _BY_CHANCE) & (like < 2))
 
 
-def reasons(
+def initial_reasons(
     textured: NDArray[np.bool_], found: Found, refined: NDArray, agreed: NDArray[np.bool_], pitch: float
 ) -> NDArray[np.int8]:
     """(n,) int8: as `DepthMap.reason`, 0 where the lens is resolved."""
@@ -138,7 +156,7 @@ def _have_like(values, ordered, gap, least, out):
         out[k] = last < len(ordered) and ordered[last] < values[k] + gap
 
 
-def populated(values: NDArray[np.float32], known: NDArray[np.float32], gap: float) -> NDArray[np.bool_]:
+def occurs_among(values: NDArray[np.float32], known: NDArray[np.float32], gap: float) -> NDArray[np.bool_]:
     """Which `values` have their like among `known`, within `gap`; the false matches of a periodic texture have not."""
     ordered = np.sort(known)
     like = np.empty(len(values), bool)
@@ -147,19 +165,21 @@ def populated(values: NDArray[np.float32], known: NDArray[np.float32], gap: floa
     return like
 
 
-def moving(refined: NDArray, error: NDArray, pitch: float) -> NDArray[np.bool_]:
+def shift_exceeds_shading(refined: NDArray, error: NDArray, pitch: float) -> NDArray[np.bool_]:
     """Lenses whose pairs agree on a shift that shading, which stays with its lens, cannot have."""
     size = np.abs(refined)
-    agreed = (error <= _FIRM * pitch) & ~staying(refined, error)
+    agreed = (error <= _FIRM * pitch) & ~shift_may_be_zero(refined, error)
     return np.asarray(agreed & (size >= _STILL * pitch))
 
 
-def staying(refined: NDArray, error: NDArray) -> NDArray[np.bool_]:
+def shift_may_be_zero(refined: NDArray, error: NDArray) -> NDArray[np.bool_]:
     """Lenses whose shift may be none, for all that their pairs tell."""
     return np.asarray(np.abs(refined) < _BEYOND_ERRORS * error)
 
 
-def shaded(clear: NDArray[np.bool_], found: Found, contrast: NDArray[np.float32], pitch: float) -> NDArray[np.bool_]:
+def looks_like_shading(
+    clear: NDArray[np.bool_], found: Found, contrast: NDArray[np.float32], pitch: float
+) -> NDArray[np.bool_]:
     """Those of the `clear` lenses that show no more than shading may: little contrast (white = 1), near zero.
 
     Toward the border of a flat the main lens cuts microimages, each a little differently, so that no average of others
@@ -167,16 +187,16 @@ def shaded(clear: NDArray[np.bool_], found: Found, contrast: NDArray[np.float32]
     """
     size = found.patch_size
     little = clear & (contrast <= SHADING) & (np.abs(size) < SHADED_REACH * pitch)
-    return np.asarray(little & ~populated(size, size[clear & ~little], 0.5 * _ALIKE * pitch))
+    return np.asarray(little & ~occurs_among(size, size[clear & ~little], 0.5 * _ALIKE * pitch))
 
 
-def credible(found: Found, pitch: float) -> NDArray[np.bool_]:
+def match_proves_texture(found: Found, pitch: float) -> NDArray[np.bool_]:
     """Lenses whose match alone proves that they carry texture."""
     near_zero = np.abs(found.patch_size) < SHADED_REACH * pitch
     enough = np.where(near_zero, _EVIDENCE_NEAR_ZERO, LEAST_EVIDENCE)
     return (found.confidence >= _PROVEN) & (found.evidence >= enough)
 
 
-def possible(found: Found) -> NDArray[np.bool_]:
+def match_suggests_texture(found: Found) -> NDArray[np.bool_]:
     """Lenses whose match is as sure as one that proves texture, if not as near."""
     return (found.confidence >= _PROVEN) & (found.evidence >= LEAST_EVIDENCE)

@@ -18,7 +18,7 @@ from lfcal.runtime.fastmath import FAST
 from ...flat.grey_flat import GrayFlat
 from ...runtime.quantiles import median
 
-__all__ = ["autocorrelation", "hardly_seen", "recurring", "repeats"]
+__all__ = ["autocorrelation", "find_periodic_texture", "is_periodic", "sees_little_of_scene"]
 
 # Pixels of the scene over one pitch of a microimage, at most: periods of a quarter of it keep their shape.
 _FINE = 18.0
@@ -213,7 +213,7 @@ def _comes_again(correlation):
     return first, second
 
 
-def repeats(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool]:
+def is_periodic(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool]:
     """Whether a texture comes again along two directions, and whether it may.
 
     Parameters
@@ -239,7 +239,7 @@ class _Part:
     middle: int
 
 
-def recurring(
+def find_periodic_texture(
     gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, resolved: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], bool]:
     """Lenses (n,) that see a part of the scene whose texture repeats, and whether that of most parts may.
@@ -283,7 +283,7 @@ def recurring(
     return certain | (resolved & most[0]), bool(most[1])
 
 
-def hardly_seen(centres: NDArray, sizes: NDArray, resolved: NDArray[np.bool_], pitch: float) -> bool:
+def sees_little_of_scene(centres: NDArray, sizes: NDArray, resolved: NDArray[np.bool_], pitch: float) -> bool:
     """Whether all lenses together see so little more of the scene than one that it hardly shows if it repeats.
 
     Of lenses at `centres` (n, 2) [px] those that are `resolved` (n,) count, with their patch `sizes` (n,) [px].
@@ -336,10 +336,10 @@ def _parts_repeat(
 def _drawing_repeats(
     light: NDArray[np.float32], weight: NDArray[np.float32], limit: float, area: float, reach: int
 ) -> tuple[bool, bool]:
-    """`repeats` for a drawing, of which is seen what has more than this weight; a microimage is so large on it."""
+    """`is_periodic` for a drawing, of which is seen what has more than this weight; a microimage is so large on it."""
     seen = weight > limit
     if seen.sum() < max(1.0, _AGAIN[-1][0] * area):
         return False, False
     least = max(_SHARE * float(seen.sum()), _LAID * area)
     picture = light / np.where(seen, weight, 1)
-    return repeats(autocorrelation(picture, seen, reach, least), float(seen.sum()) / area)
+    return is_periodic(autocorrelation(picture, seen, reach, least), float(seen.sum()) / area)

@@ -14,7 +14,7 @@ from ..matching.matcher import Matcher, Preset
 from ..matching.shortcuts import sample_lenses
 from .classify import LEAST_EVIDENCE, SHADED_REACH
 
-__all__ = ["skipped_lenses"]
+__all__ = ["find_textureless"]
 
 # About so many of the lenses that seem to show nothing but noise are matched. So many of them that correlate like faint
 # texture show some: of noise hardly one in a hundred correlates half as much.
@@ -23,7 +23,7 @@ _SAMPLE, _ENOUGH = 32, 3
 _FINE, _FALLEN = 3.0, 0.5
 
 
-def skipped_lenses(
+def find_textureless(
     gray: GrayFlat,
     lattice: Lattice,
     plain: LensStatistics,

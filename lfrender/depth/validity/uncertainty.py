@@ -7,11 +7,18 @@ from numpy.typing import NDArray
 
 from ...flat.lens_graph import alike, around
 from ...flat.texture import Texture
-from .periodicity import hardly_seen
+from .periodicity import sees_little_of_scene
 
 __all__ = [
-    "certainty", "confirmed", "echoing", "misled", "repeated", "showing_the_same", "signal_share",
-    "unexplained", "widened",
+    "combine_confidence",
+    "confirmed_by_neighbours",
+    "correlates_poorly",
+    "has_secondary_peak",
+    "inflate_errors",
+    "repeats_with_neighbours",
+    "sees_same_content",
+    "signal_share",
+    "systematic_error",
 ]  # fmt: skip
 
 # The part of the texture that a match leaves unexplained misleads all pairs of a lens together, which their scatter
@@ -54,7 +61,7 @@ def signal_share(texture: Texture) -> NDArray:
     return np.asarray(np.maximum(1 - noise**2, _LEAST_SIGNAL))
 
 
-def widened(error: NDArray, explained: NDArray) -> NDArray:
+def inflate_errors(error: NDArray, explained: NDArray) -> NDArray:
     """(n,) standard errors [px] that include what misleads all pairs of a lens together.
 
     Parameters
@@ -64,16 +71,16 @@ def widened(error: NDArray, explained: NDArray) -> NDArray:
     explained : (n,)
         Share of the texture that the match explains, noise apart.
     """
-    return np.hypot(_EXPLAINED * error, misled(error, explained))
+    return np.hypot(_EXPLAINED * error, systematic_error(error, explained))
 
 
-def misled(error: NDArray | float, explained: NDArray) -> NDArray:
-    """(n,) the part [px] of `widened` errors that pairs do not show, and that all lenses of a surface may share."""
+def systematic_error(error: NDArray | float, explained: NDArray) -> NDArray:
+    """(n,) [px] the part of standard errors that all lenses of a surface may share, unseen in the scatter of pairs."""
     # Nothing is known of infinite errors, even where all is explained.
     return np.asarray(_MISLED * (1 - np.clip(explained, 0, 0.999)) * error)
 
 
-def certainty(
+def combine_confidence(
     confidence: NDArray, sizes: NDArray, error: NDArray, explained: NDArray, rows: NDArray[np.int32], pitch: float
 ) -> NDArray:
     """(n,) `confidence` in the optimum, less where the pairs of a lens or the lenses around it do not bear it out.
@@ -83,9 +90,9 @@ def certainty(
     confidence : (n,)
         Of the search: that no other shift is the right one, given that one of them is.
     sizes, error : (n,) [px]
-        Patch sizes and their `widened` standard errors.
+        Patch sizes and their `inflate_errors` standard errors.
     explained : (n,)
-        As for `widened`.
+        As for `inflate_errors`.
     rows : (n, k) int32
         Neighbour rows, -1 where there is none.
     pitch : float [px]
@@ -96,13 +103,13 @@ def certainty(
     return np.asarray(confidence * share * np.where(alone & (explained < _DOUBTFUL), _HALF, 1))
 
 
-def unexplained(explained: NDArray, signal: NDArray, resolved: NDArray[np.bool_], alike: bool) -> bool:
+def correlates_poorly(explained: NDArray, signal: NDArray, resolved: NDArray[np.bool_], alike: bool) -> bool:
     """Whether most lenses of little noise match far worse than they could: at depths that are not theirs.
 
     Parameters
     ----------
     explained, signal : (n,)
-        As for `widened` and `echoing`.
+        As for `inflate_errors` and `has_secondary_peak`.
     resolved : (n,) bool
     alike : bool
         All lenses see nearly the same.
@@ -112,7 +119,7 @@ def unexplained(explained: NDArray, signal: NDArray, resolved: NDArray[np.bool_]
     return bool(2 * clear.sum() >= max(resolved.sum(), 1) and np.median(explained[clear]) < least)
 
 
-def confirmed(
+def confirmed_by_neighbours(
     resolved: NDArray[np.bool_], sizes: NDArray, explained: NDArray, rows: NDArray[np.int32], pitch: float
 ) -> NDArray[np.bool_]:
     """(n,) bool: lenses with the depth of two resolved ones beside them that match well themselves.
@@ -123,7 +130,7 @@ def confirmed(
     return np.asarray(alike(good, sizes, rows, 2 * _ALIKE * pitch) >= _CONFIRMING)
 
 
-def echoing(matched: NDArray, echo: NDArray, signal: NDArray, same: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def has_secondary_peak(matched: NDArray, echo: NDArray, signal: NDArray, same: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(n,) bool: lenses whose texture repeats, as far as they can tell.
 
     What a lens sees of two depths shares its contrast between them, so that the correlations add up to one at most.
@@ -135,13 +142,13 @@ def echoing(matched: NDArray, echo: NDArray, signal: NDArray, same: NDArray[np.b
     signal : (n,)
         What a right match may correlate at best.
     same : (n,) bool
-        Lenses as `showing_the_same`.
+        Lenses as `sees_same_content`.
     """
     loud = echo > np.where(same, _ECHO_ALIKE, _ECHO) * matched
     return np.asarray(loud & (matched + echo > _MORE_THAN_ALL * signal))
 
 
-def showing_the_same(centres: NDArray, sizes: NDArray, resolved: NDArray[np.bool_], pitch: float) -> NDArray[np.bool_]:
+def sees_same_content(centres: NDArray, sizes: NDArray, resolved: NDArray[np.bool_], pitch: float) -> NDArray[np.bool_]:
     """(n,) bool: lenses with a patch size near zero, where all together see little more of the scene than one.
 
     Parameters
@@ -152,10 +159,10 @@ def showing_the_same(centres: NDArray, sizes: NDArray, resolved: NDArray[np.bool
     pitch : float [px]
     """
     near_zero = np.abs(sizes) <= _NEAR_ZERO * pitch
-    return near_zero & (near_zero.any() and hardly_seen(centres, sizes, resolved, pitch))
+    return near_zero & (near_zero.any() and sees_little_of_scene(centres, sizes, resolved, pitch))
 
 
-def repeated(
+def repeats_with_neighbours(
     resolved: NDArray[np.bool_],
     rivals: NDArray,
     echoes: NDArray[np.bool_],
@@ -173,7 +180,7 @@ def repeated(
     rivals : (n,)
         Probability of each answer among those that correlate as well.
     echoes : (n,) bool
-        Lenses as `echoing`.
+        Lenses as `has_secondary_peak`.
     occurring : (n,) bool
         Lenses whose depth occurs among those without a rival. It tells for the others where most have none.
     rows : (n, k) int32

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from data_synth import SCENES, Camera, simulate
-from lfrender.depth.refinement.defocus_difference import NO_BLUR, focus_blur, some_of
-from lfrender.depth.refinement.neighbour_prior import measure
+from lfrender.depth.refinement.defocus_difference import NO_DIFFERENCE, estimate_defocus_difference, sample_start_values
+from lfrender.depth.refinement.neighbour_prior import refine_patch_sizes
 from lfrender.flat.grey_flat import GrayFlat, gray_flat
 from lfrender.flat.lens_graph import lens_halves
 from lfrender.runtime.cache import remembered
@@ -31,7 +31,7 @@ def measured(kinds: bool, gamma: bool = True) -> tuple[np.ndarray, GrayFlat, np.
     gray = replace(gray, kinds=shot.truth.lens_type.astype(np.int8) if kinds else None)
     start = (shot.truth.patch_size + 0.2).astype(np.float32)
     halves = lens_halves(shot.truth.calibration.lattice)
-    alone, _ = measure(gray, *halves, start, np.full(len(start), np.nan), np.full(len(start), 0.1), 0.004, 5)
+    alone, _ = refine_patch_sizes(gray, *halves, start, np.full(len(start), np.nan), np.full(len(start), 0.1), 0.004, 5)
     inner = (np.abs(gray.centres - np.array([209.5, 179.5])) < np.array([150, 120])).all(1)
     return (alone.patch_size - shot.truth.patch_size)[inner], gray, shot.truth.lens_type
 
@@ -41,13 +41,13 @@ def test_pairs_of_unlike_lenses_scatter_less_once_their_blur_is_known(gamma):
     before, *_ = measured(kinds=False, gamma=gamma)
     after, gray, _ = measured(kinds=True, gamma=gamma)
     assert np.sqrt(np.mean(after**2)) < 0.6 * np.sqrt(np.mean(before**2))
-    blur = remembered(gray, "blur", lambda: NO_BLUR)
+    blur = remembered(gray, "blur", lambda: NO_DIFFERENCE)
     assert (blur.curve > 1) if gamma else (blur.curve < 0.5)
 
 
 def test_lenses_focused_farther_from_the_scene_blur_more():
     _, gray, _ = measured(kinds=True)
-    blur = remembered(gray, "blur", lambda: NO_BLUR)
+    blur = remembered(gray, "blur", lambda: NO_DIFFERENCE)
     more = blur.blurs + blur.growths * np.float32(RATIO * gray.pitch)
     np.testing.assert_array_equal(more, -more.T)
     # The first type is the sharpest: its Laplacian is taken away to make it like the others.
@@ -60,7 +60,7 @@ def test_types_of_which_no_pair_is_known_count_as_like_the_others():
     forward, _ = lens_halves(flat().truth.calibration.lattice)
     some = (kinds != 2) & (kinds[forward[:, 0]] != 2) & (forward[:, 0] >= 0)
     sizes[some, 0] = RATIO * gray.pitch
-    blur = focus_blur(
+    blur = estimate_defocus_difference(
         gray.image,
         gray.centres,
         gray.radius - 1,
@@ -73,7 +73,7 @@ def test_types_of_which_no_pair_is_known_count_as_like_the_others():
     )
     assert blur.blurs.shape == (3, 3) and blur.blurs[0, 1] != 0
     assert (blur.blurs[2] == 0).all() and (blur.growths[2] == 0).all()
-    nothing = focus_blur(
+    nothing = estimate_defocus_difference(
         gray.image, gray.centres, gray.radius - 1, gray.pitch, forward, np.full_like(sizes, np.nan),
         np.full(len(kinds), 0.1), 0.004, gray.kinds,
     )  # fmt: skip
@@ -82,7 +82,7 @@ def test_types_of_which_no_pair_is_known_count_as_like_the_others():
 
 def test_a_sample_is_spread_over_the_lenses_with_a_first_value():
     start = np.where(np.arange(5000) % 2, np.float32(3.0), np.float32(np.nan))
-    some = np.flatnonzero(np.isfinite(some_of(start)))
+    some = np.flatnonzero(np.isfinite(sample_start_values(start)))
     assert 100 < len(some) < 300 and (some % 2 == 1).all()
     assert np.histogram(some, 10, (0, 5000))[0].min() > 8
-    np.testing.assert_array_equal(some_of(start[:40]), start[:40])
+    np.testing.assert_array_equal(sample_start_values(start[:40]), start[:40])

@@ -1,6 +1,6 @@
 import numpy as np
 
-from lfrender.depth.refinement.neighbour_prior import measure
+from lfrender.depth.refinement.neighbour_prior import refine_patch_sizes
 from lfrender.flat.lens_graph import neighbour_rows
 
 
@@ -9,7 +9,9 @@ def measured(gray, lattice, start, second=np.nan):
     half = rows.shape[1] // 2
     scale = np.full(len(start), 0.1, np.float32)
     second = np.broadcast_to(np.float32(second), len(start))
-    return measure(gray, rows[:, :half], rows[:, half:], start.astype(np.float32), second, scale, 0.005, 6)[1]
+    return refine_patch_sizes(gray, rows[:, :half], rows[:, half:], start.astype(np.float32), second, scale, 0.005, 6)[
+        1
+    ]
 
 
 def test_a_lens_that_starts_far_off_is_brought_back_by_its_neighbours(drawn_flat):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import correlate1d
 
-from lfrender.depth.refinement.lens_plane import fit_lenses
+from lfrender.depth.refinement.lens_plane import fit_lens_planes
 from lfrender.depth.refinement.pair_fit import PairFits, fit_pairs
-from lfrender.depth.refinement.pair_pixels import cut
+from lfrender.depth.refinement.pair_pixels import cut_smoothed
 from lfrender.flat.lens_graph import neighbour_rows
 
 
@@ -15,7 +15,7 @@ def measure(gray, lattice, start, noise=0.005, iterations=8, scale=0.1):
     half = rows.shape[1] // 2
     scale = np.full(len(start), scale, np.float32)
     pairs = fit_pairs(gray, rows[:, :half], start.astype(np.float32), scale, noise, iterations)
-    return pairs, fit_lenses(gray, rows[:, :half], rows[:, half:], pairs, start.astype(np.float32))
+    return pairs, fit_lens_planes(gray, rows[:, :half], rows[:, half:], pairs, start.astype(np.float32))
 
 
 def test_pairs_of_a_plane_have_no_common_error_at_any_fraction_of_a_pixel(drawn_flat):
@@ -98,7 +98,7 @@ def test_pairs_that_scatter_by_more_than_their_noise_widen_the_error_beyond_thei
         sizes = np.repeat(6.0 + scatter * rng.standard_normal((len(rows), half, 1)), 2, 2).astype(np.float32)
         sizes[rows[:, :half] < 0] = np.nan
         pairs = PairFits(sizes, np.full(sizes.shape, 0.02**2, np.float32), np.zeros((*sizes.shape, 2), np.float32))
-        lenses = fit_lenses(gray, rows[:, :half], rows[:, half:], pairs, start)
+        lenses = fit_lens_planes(gray, rows[:, :half], rows[:, half:], pairs, start)
         median.append(np.median(lenses.standard_error[inner]))
     # Three times the scatter, less what the robust fit takes for outliers (2.7), and up to 1.4 times that.
     assert median[1] / median[0] > 3
@@ -109,7 +109,7 @@ def test_microimages_are_cut_out_smoothed_with_their_slopes(left, top):
     height, width, side, wide = 18, 21, 9, 12
     image = np.random.default_rng(2).random((height, width)).astype(np.float32)
     box, smooth, own, slope_x, slope_y, bend = np.full((6, 400), np.nan, np.float32)
-    cut(image.ravel(), height, width, left, top, side, wide, box, smooth, own, slope_x, slope_y, bend)
+    cut_smoothed(image.ravel(), height, width, left, top, side, wide, box, smooth, own, slope_x, slope_y, bend)
     kernel = np.array([1, 4, 1]) / 6
     expected = correlate1d(correlate1d(image.astype(float), kernel, 0, mode="nearest"), kernel, 1, mode="nearest")
     slopes = [correlate1d(expected, [-0.5, 0, 0.5], axis, mode="nearest") for axis in (1, 0)]

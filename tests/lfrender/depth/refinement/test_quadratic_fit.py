@@ -10,7 +10,7 @@ import lfrender
 from data_synth import SCENES, Camera, Scene, Sphere, simulate
 from lfrender.depth.matching.matcher import PRESETS
 from lfrender.depth.refinement.lens_plane import LensFits
-from lfrender.depth.refinement.quadratic_fit import fit_bent
+from lfrender.depth.refinement.quadratic_fit import fit_quadratic
 from lfrender.flat.lens_graph import neighbour_rows
 
 PITCH = 36.0
@@ -47,13 +47,13 @@ def test_lenses_on_a_ball_are_measured_at_their_centres(monkeypatch):
 
 
 def bent(gray, lattice, sizes):
-    """What `fit_bent` makes of lenses that measure these sizes, and no slants."""
+    """What `fit_quadratic` makes of lenses that measure these sizes, and no slants."""
     n = len(sizes)
     fits = LensFits(
         sizes.astype(np.float32), np.full(n, 0.02, np.float32), np.zeros((n, 2), np.float32), np.ones(n, np.float32)
     )
     neighbours = neighbour_rows(lattice, lattice.steps)
-    return fit_bent(gray, neighbours, fits, np.ones(n, np.float32), np.full(n, 0.1, np.float32))
+    return fit_quadratic(gray, neighbours, fits, np.ones(n, np.float32), np.full(n, 0.1, np.float32))
 
 
 @pytest.mark.parametrize("slant", [(0.0, 0.0), (0.04, -0.03)])

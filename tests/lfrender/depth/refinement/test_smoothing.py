@@ -5,7 +5,7 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfrender.depth.estimate import Answers
 from lfrender.depth.refinement.lens_plane import LensFits
-from lfrender.depth.refinement.smoothing import pooled, pooled_afar
+from lfrender.depth.refinement.smoothing import smooth_fits, smooth_fits_far
 from lfrender.flat.lens_graph import neighbour_rows
 
 NOISE, RADIUS = 0.05, 8.5
@@ -28,7 +28,7 @@ def fits(sizes, noise=NOISE, seed=0):
 def together(centres, neighbours, own, wanted=None):
     """Sizes and errors of lenses pooled, of which those that are not wanted measure at their centres."""
     wanted = np.ones(len(centres), bool) if wanted is None else wanted
-    joint = pooled(centres, 20.0, RADIUS, neighbours, own, wanted, (~wanted).astype(np.float32))
+    joint = smooth_fits(centres, 20.0, RADIUS, neighbours, own, wanted, (~wanted).astype(np.float32))
     return joint.fits.patch_size, joint.fits.standard_error
 
 
@@ -71,8 +71,8 @@ def test_a_doubtful_lens_between_two_depths_keeps_its_doubt():
 def together_afar(centres, neighbours, own):
     """As `together`, with those afar."""
     wanted = np.ones(len(centres), bool)
-    near = pooled(centres, 20.0, RADIUS, neighbours, own, wanted, (~wanted).astype(np.float32))
-    fits = pooled_afar(centres, 20.0, RADIUS, neighbours, near, wanted)
+    near = smooth_fits(centres, 20.0, RADIUS, neighbours, own, wanted, (~wanted).astype(np.float32))
+    fits = smooth_fits_far(centres, 20.0, RADIUS, neighbours, near, wanted)
     return fits.patch_size, fits.standard_error
 
 
@@ -158,11 +158,16 @@ def test_a_bend_shows_where_there_is_one_and_hardly_elsewhere():
     wanted = np.ones(len(centres), bool)
     *_, own, inner = bowl(centres, 0.02)
     assert (
-        np.mean(pooled(centres, 20.0, RADIUS, neighbours, own, wanted, (~wanted).astype(np.float32)).bent[inner] > 3)
+        np.mean(
+            smooth_fits(centres, 20.0, RADIUS, neighbours, own, wanted, (~wanted).astype(np.float32)).bent[inner] > 3
+        )
         > 0.95
     )
     flat = fits(np.full(len(centres), -9.0))
-    assert np.mean(pooled(centres, 20.0, RADIUS, neighbours, flat, wanted, (~wanted).astype(np.float32)).bent > 3) < 0.1
+    assert (
+        np.mean(smooth_fits(centres, 20.0, RADIUS, neighbours, flat, wanted, (~wanted).astype(np.float32)).bent > 3)
+        < 0.1
+    )
 
 
 def test_lenses_that_were_freed_of_a_bend_before_count_as_such():

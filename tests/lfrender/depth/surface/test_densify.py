@@ -9,7 +9,7 @@ import pytest
 
 import lfrender
 from benchmarks.stress.plane_flats import PlaneFlat
-from lfrender.depth.surface.densify import spread
+from lfrender.depth.surface.densify import densify
 
 NEAR, FAR, EDGE, CELLS = 9.0, 5.0, 214.0, 7
 
@@ -38,7 +38,7 @@ def _edges(surface):
 def test_a_depth_edge_lies_where_the_pixels_have_it(edged_flat):
     gray, lattice, values = edged_flat
     nothing = np.full((len(values), 2), np.nan, np.float32)
-    found = spread(gray, lattice, values, nothing, np.ones_like(values), 0.001, CELLS)
+    found = densify(gray, lattice, values, nothing, np.ones_like(values), 0.001, CELLS)
     # The lenses alone put it anywhere within half a pitch, values of twice the spacing within a whole cell.
     assert np.median(np.abs(_edges(found) - EDGE)) <= 0.5 * found.spacing
     assert np.mean(np.abs(_edges(found) - EDGE) > 1.5 * found.spacing) < 0.1
@@ -47,7 +47,7 @@ def test_a_depth_edge_lies_where_the_pixels_have_it(edged_flat):
 def test_no_depth_lies_between_those_of_two_surfaces(edged_flat):
     gray, lattice, values = edged_flat
     nothing = np.full((len(values), 2), np.nan, np.float32)
-    found = spread(gray, lattice, values, nothing, np.ones_like(values), 0.001, CELLS).patch_size
+    found = densify(gray, lattice, values, nothing, np.ones_like(values), 0.001, CELLS).patch_size
     apart = np.minimum(np.abs(found - NEAR), np.abs(found - FAR))
     assert apart.max() < 1.0
 
@@ -56,7 +56,7 @@ def test_values_far_from_an_edge_are_those_of_the_lenses_about_them(edged_flat):
     gray, lattice, _ = edged_flat
     values = (6 + 0.004 * lattice.centres()[:, 0]).astype(np.float32)
     nothing = np.full((len(values), 2), np.nan, np.float32)
-    found = spread(gray, lattice, values, nothing, np.ones_like(values), 0.001, CELLS)
+    found = densify(gray, lattice, values, nothing, np.ones_like(values), 0.001, CELLS)
     inside = slice(2 * CELLS, -2 * CELLS)
     x = found.first[0] + found.spacing * np.arange(found.patch_size.shape[1])
     assert np.abs(found.patch_size - (6 + 0.004 * x))[inside, inside].max() < 0.02

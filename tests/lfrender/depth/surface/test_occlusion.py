@@ -7,7 +7,7 @@ import pytest
 
 from lfcal import Lattice
 from lfrender.data.surface import Surface
-from lfrender.depth.surface.occlusion import lens_depths
+from lfrender.depth.surface.occlusion import project_surface
 
 NEAR, FAR, EDGE, REACH = 9.0, 5.0, 199.0, 30.0
 
@@ -24,7 +24,7 @@ def stepped():
 
 def test_the_nearer_surface_is_seen_up_to_its_edge(stepped):
     lattice, surface = stepped
-    seen = lens_depths(surface, lattice, REACH, 0.7)
+    seen = project_surface(surface, lattice, REACH, 0.7)
     y, x = np.mgrid[:380, :420].astype(float)
     points = np.column_stack([x.ravel(), y.ravel()])
     own = lattice.origin + np.rint(lattice.to_index(points)) @ lattice.basis
@@ -33,7 +33,7 @@ def test_the_nearer_surface_is_seen_up_to_its_edge(stepped):
     inside = (np.linalg.norm(delta, axis=1) < 9).reshape(x.shape)
     inside &= (np.abs(at - own[:, 0].reshape(x.shape)) < REACH - 4) & (x > 40) & (x < 380) & (y > 40) & (y < 340)
     edged = np.zeros(len(lattice), bool)
-    lens_depths(surface, lattice, REACH, 0.7, edged=edged)
+    project_surface(surface, lattice, REACH, 0.7, edged=edged)
     of_edged = np.isin(own[:, 0].round(3), lattice.centres()[edged, 0].round(3)).reshape(x.shape)
     hidden, open_ = inside & of_edged & (at > EDGE + 7), inside & of_edged & (at < EDGE - 7)
     assert hidden.sum() > 1000 and (seen[hidden] == NEAR).mean() > 0.99
@@ -43,11 +43,11 @@ def test_the_nearer_surface_is_seen_up_to_its_edge(stepped):
 def test_only_lenses_within_reach_of_a_step_are_edged(stepped):
     lattice, surface = stepped
     edged = np.zeros(len(lattice), bool)
-    lens_depths(surface, lattice, REACH, 0.7, edged=edged)
+    project_surface(surface, lattice, REACH, 0.7, edged=edged)
     away = np.abs(lattice.centres()[:, 0] - EDGE)
     assert edged[away < REACH - 3.25].all()
     assert not edged[away > REACH + 3.25].any()
-    lens_depths(surface, lattice, REACH, NEAR - FAR + 0.1, edged=edged)
+    project_surface(surface, lattice, REACH, NEAR - FAR + 0.1, edged=edged)
     assert not edged.any()
 
 
@@ -59,13 +59,13 @@ def test_what_follows_another_surface_is_as_made_anew(stepped):
     edged = np.zeros((2, len(lattice)), bool)
 
     def entered(surface, lattice=lattice, part=None, following=True):
-        return lens_depths(surface, lattice, REACH, 0.7, part, edged[0], "test", following)
+        return project_surface(surface, lattice, REACH, 0.7, part, edged[0], "test", following)
 
     entered(surfaces[0], following=False)
     before = edged[0].copy()
     for number, after in enumerate(surfaces[1:]):
         seen = entered(after)
-        assert np.array_equal(seen, lens_depths(after, lattice, REACH, 0.7, edged=edged[1]), equal_nan=True)
+        assert np.array_equal(seen, project_surface(after, lattice, REACH, 0.7, edged=edged[1]), equal_nan=True)
         assert np.array_equal(edged[0], edged[1])
         assert (number == 1) == np.array_equal(edged[0], before)
     # Only what may differ is entered anew: what lies elsewhere in that memory stays as it is.
@@ -77,4 +77,4 @@ def test_what_follows_another_surface_is_as_made_anew(stepped):
     entered(surfaces[1], part=(100, 50, 420, 380))
     turned = Lattice(lattice.origin, np.asarray(lattice.basis)[::-1], lattice.image_size, lattice.radius)
     entered(surfaces[1], turned)
-    assert np.array_equal(entered(surface), lens_depths(surface, lattice, REACH, 0.7), equal_nan=True)
+    assert np.array_equal(entered(surface), project_surface(surface, lattice, REACH, 0.7), equal_nan=True)

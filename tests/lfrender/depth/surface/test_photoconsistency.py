@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from lfrender.depth.surface.photoconsistency import MOST_VIEWS, UNKNOWN, WORK, look, mismatch
+from lfrender.depth.surface.photoconsistency import MOST_VIEWS, UNKNOWN, WORK, sample_views, view_mismatch
 
 RNG = np.random.default_rng(4)
 IMAGE = RNG.random((60, 70)).astype(np.float32)
@@ -38,10 +38,10 @@ def _tried(x_of, y_of, x, y, slope, radius, step, nearest, base=0):
     work = np.zeros(3 * WORK, np.float32)
     place = np.float32(x), np.float32(y), np.float32(slope)
     near = np.array(x_of, np.float32), np.array(y_of, np.float32)
-    views = look(
+    views = sample_views(
         IMAGE, IMAGE.reshape(-1), *near, len(x_of), *place, np.float32(radius), np.float32(step), work, np.uint64(base)
     )
-    return views, mismatch(IMAGE, *near, *place, np.float32(step), FLOOR, nearest, views, work, np.uint64(base))
+    return views, view_mismatch(IMAGE, *near, *place, np.float32(step), FLOOR, nearest, views, work, np.uint64(base))
 
 
 @pytest.mark.parametrize("nearest", [True, False])

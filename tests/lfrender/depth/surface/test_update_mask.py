@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lfcal import Lattice
-from lfrender.depth.surface.update_mask import mark_unsettled
+from lfrender.depth.surface.update_mask import mark_changed_points
 from lfrender.flat.distorted_lookup import lattice_bend, nearest_index
 from lfrender.flat.lens_graph import neighbour_rows
 
@@ -27,7 +27,7 @@ def test_points_of_unsettled_lenses_and_beside_the_last_ones_are_marked(basis, s
     inverse, bend = np.linalg.inv(lattice.basis), lattice_bend(lattice)
     found = np.empty((int(230 / spacing), int(310 / spacing)), bool)
     centres = lattice.centres().astype(np.float32)
-    mark_unsettled(
+    mark_changed_points(
         settled, centres, indices, around, RING, lattice.origin, lattice.basis, inverse, *bend, -0.5, spacing, found
     )
     place = {tuple(index): row for row, index in enumerate(indices.tolist())}

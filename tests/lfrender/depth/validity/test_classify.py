@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lfrender.depth.matching.matcher import Found
-from lfrender.depth.validity.classify import judged, reasons
+from lfrender.depth.validity.classify import classify_lenses, initial_reasons
 
 
 def test_unresolved_lenses_say_why():
@@ -26,7 +26,7 @@ def test_unresolved_lenses_say_why():
         0.0,
     )
     textured = np.array([True, False, True, True, True])
-    assert reasons(textured, found, sizes, np.ones(5, bool), 23.0).tolist() == [0, 1, 2, 3, 3]
+    assert initial_reasons(textured, found, sizes, np.ones(5, bool), 23.0).tolist() == [0, 1, 2, 3, 3]
 
 
 def test_little_contrast_that_matches_nothing_is_too_little_texture():
@@ -35,6 +35,6 @@ def test_little_contrast_that_matches_nothing_is_too_little_texture():
     # Contrast four and ten times the noise.
     signal = np.repeat(np.float32([1 - 1 / 16, 1 - 1 / 100]), 2)
     centres, alone = 23 * np.arange(8, dtype=np.float32).reshape(4, 2), np.full((4, 6), -1, np.int32)
-    reason, _, sure = judged(np.ones(4, bool), found, sizes, np.full(4, 9.0), signal, centres, alone, 23.0)
+    reason, _, sure = classify_lenses(np.ones(4, bool), found, sizes, np.full(4, 9.0), signal, centres, alone, 23.0)
     assert reason.tolist() == [1, 1, 3, 3]
     assert (sure[:2] == 0).all() and (sure[2:] > 0).all()

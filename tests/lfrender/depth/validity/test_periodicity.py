@@ -6,7 +6,7 @@ import pytest
 import lfrender
 from benchmarks.stress.outcome import depth_of_plane
 from benchmarks.stress.plane_flats import PlaneFlat
-from lfrender.depth.validity.periodicity import autocorrelation, recurring, repeats
+from lfrender.depth.validity.periodicity import autocorrelation, find_periodic_texture, is_periodic
 
 
 def _wave(period, side=61):
@@ -22,9 +22,9 @@ def test_a_wave_laid_over_itself_comes_again_after_its_period():
     assert found[20, 20] == pytest.approx(1)
     assert found[20, 32] > 0.99 and found[32, 20] > 0.99
     assert found[26, 26] < -0.95
-    assert repeats(found, 10.0) == (True, True)
+    assert is_periodic(found, 10.0) == (True, True)
     # Of less than three microimages nobody can tell.
-    assert repeats(found, 2.0) == (False, False)
+    assert is_periodic(found, 2.0) == (False, False)
 
 
 def test_lags_at_which_too_little_is_seen_or_all_is_even_do_not_count():
@@ -38,7 +38,7 @@ def test_lags_at_which_too_little_is_seen_or_all_is_even_do_not_count():
 
 def test_random_texture_does_not_repeat():
     picture = np.random.default_rng(1).standard_normal((61, 61))
-    assert repeats(autocorrelation(picture, np.ones((61, 61), bool), 20, 100.0), 10.0) == (False, False)
+    assert is_periodic(autocorrelation(picture, np.ones((61, 61), bool), 20, 100.0), 10.0) == (False, False)
 
 
 # The wrong depths within reach matched as well as any right one: all lenses were sure of them.
@@ -71,7 +71,7 @@ def test_a_wave_on_half_of_a_flat_is_found_on_that_half():
     lattice = left.lattice
     gray = lfrender.flat.grey_flat.gray_flat(flat[..., None], left.calibration)
     sizes = np.full(len(lattice), -0.3 * 12.0)
-    again, _ = recurring(gray, lattice.indices(), sizes, np.ones(len(lattice), bool))
+    again, _ = find_periodic_texture(gray, lattice.indices(), sizes, np.ones(len(lattice), bool))
     x = lattice.centres()[:, 0]
     assert again[(x > 400) & (x < 560)].mean() > 0.9
     assert again[x < 300].mean() < 0.1

@@ -10,14 +10,20 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfrender.depth.matching.ambiguity import without_rivals
 from lfrender.depth.planes.plane_fit import fit_plane
-from lfrender.depth.validity.uncertainty import certainty, confirmed, echoing, repeated, widened
+from lfrender.depth.validity.uncertainty import (
+    combine_confidence,
+    confirmed_by_neighbours,
+    has_secondary_peak,
+    inflate_errors,
+    repeats_with_neighbours,
+)
 
 # Lens 0 in the middle of a hexagon of six; the others look at it alone.
 _ROWS = np.array([[1, 2, 3, 4, 5, 6], *([[0, -1, -1, -1, -1, -1]] * 6)], np.int32)
 
 
 def test_an_error_grows_with_the_texture_that_a_match_leaves_unexplained():
-    wide = widened(np.full(3, 0.1), np.array([1.0, 0.7, 0.4]))
+    wide = inflate_errors(np.full(3, 0.1), np.array([1.0, 0.7, 0.4]))
     assert abs(wide[0] - 0.1) < 0.01
     assert 1.2 < wide[1] / wide[0] < 1.4
     assert 1.7 < wide[2] / wide[0] < 2.2
@@ -26,10 +32,10 @@ def test_an_error_grows_with_the_texture_that_a_match_leaves_unexplained():
 def test_scattered_pairs_and_lenses_that_stand_alone_take_confidence():
     sizes = np.array([-6.0, *[-6.1] * 6])
     explained = np.full(7, 0.5)
-    firm = certainty(np.ones(7), sizes, np.full(7, 0.05), explained, _ROWS, 23.0)[0]
-    loose = certainty(np.ones(7), sizes, np.full(7, 0.9), explained, _ROWS, 23.0)[0]
-    alone = certainty(np.ones(7), np.array([4.0, *[-6.1] * 6]), np.full(7, 0.05), explained, _ROWS, 23.0)[0]
-    unmeasured = certainty(np.ones(7), sizes, np.full(7, np.inf), explained, _ROWS, 23.0)[0]
+    firm = combine_confidence(np.ones(7), sizes, np.full(7, 0.05), explained, _ROWS, 23.0)[0]
+    loose = combine_confidence(np.ones(7), sizes, np.full(7, 0.9), explained, _ROWS, 23.0)[0]
+    alone = combine_confidence(np.ones(7), np.array([4.0, *[-6.1] * 6]), np.full(7, 0.05), explained, _ROWS, 23.0)[0]
+    unmeasured = combine_confidence(np.ones(7), sizes, np.full(7, np.inf), explained, _ROWS, 23.0)[0]
     assert firm > 0.98
     assert loose < 0.5
     assert alone < 0.51
@@ -40,21 +46,21 @@ def test_a_faint_lens_is_confirmed_by_two_good_ones_beside_it_and_not_by_one():
     sizes = np.array([-6.0, -6.2, -5.9, -9.0, -9.0, 3.0, 3.0])
     resolved = np.array([False, *[True] * 6])
     good = np.array([0.1, *[0.8] * 6])
-    assert confirmed(resolved, sizes, good, _ROWS, 23.0)[0]
+    assert confirmed_by_neighbours(resolved, sizes, good, _ROWS, 23.0)[0]
     good[1] = 0.1
-    assert not confirmed(resolved, sizes, good, _ROWS, 23.0)[0]
+    assert not confirmed_by_neighbours(resolved, sizes, good, _ROWS, 23.0)[0]
 
 
 def test_lenses_torn_between_two_depths_are_ambiguous_together_unless_one_depth_occurs_elsewhere():
     torn = np.full(7, 0.3)
-    assert repeated(np.ones(7, bool), torn, np.zeros(7, bool), np.zeros(7, bool), _ROWS).all()
+    assert repeats_with_neighbours(np.ones(7, bool), torn, np.zeros(7, bool), np.zeros(7, bool), _ROWS).all()
     # One in three of a larger flat is torn: the lens in the middle with half of its neighbours.
     rivals = np.array([*torn[:4], *np.ones(8)])
     rows = np.vstack([[[1, 2, 3, 4, 5, 6]], np.full((11, 6), -1)]).astype(np.int32)
     resolved, nowhere, quiet = np.ones(12, bool), np.zeros(12, bool), np.zeros(12, bool)
-    assert repeated(resolved, rivals, quiet, nowhere, rows).tolist() == [True, *[False] * 11]
-    assert not repeated(resolved, rivals, quiet, ~nowhere, rows).any()
-    assert not repeated(resolved, np.where(np.arange(12) == 3, 1.0, rivals), quiet, nowhere, rows).any()
+    assert repeats_with_neighbours(resolved, rivals, quiet, nowhere, rows).tolist() == [True, *[False] * 11]
+    assert not repeats_with_neighbours(resolved, rivals, quiet, ~nowhere, rows).any()
+    assert not repeats_with_neighbours(resolved, np.where(np.arange(12) == 3, 1.0, rivals), quiet, nowhere, rows).any()
 
 
 def test_texture_that_explains_itself_at_two_shifts_repeats_and_two_depths_in_one_lens_do_not():
@@ -62,14 +68,14 @@ def test_texture_that_explains_itself_at_two_shifts_repeats_and_two_depths_in_on
     # Of the third half is noise: what is left matches twice over.
     signal = np.array([1.0, 1.0, 0.5, 1.0])
     apart = np.zeros(4, bool)
-    assert echoing(matched, echo, signal, apart).tolist() == [True, False, True, False]
+    assert has_secondary_peak(matched, echo, signal, apart).tolist() == [True, False, True, False]
     # What all lenses show alike they match by chance alike, but not as well as what repeats.
-    assert echoing(matched, echo, signal, ~apart).tolist() == [False, False, True, False]
+    assert has_secondary_peak(matched, echo, signal, ~apart).tolist() == [False, False, True, False]
     # Where most lenses repeat, those between them do too, whatever they match by chance.
     most = np.array([False, True, True, True, True, False, False])
     sure = np.ones(7)
-    assert repeated(np.ones(7, bool), sure, most, np.zeros(7, bool), _ROWS)[:5].all()
-    assert not repeated(np.ones(7, bool), sure, np.arange(7) == 0, np.zeros(7, bool), _ROWS).any()
+    assert repeats_with_neighbours(np.ones(7, bool), sure, most, np.zeros(7, bool), _ROWS)[:5].all()
+    assert not repeats_with_neighbours(np.ones(7, bool), sure, np.arange(7) == 0, np.zeros(7, bool), _ROWS).any()
 
 
 def test_an_optimum_that_matches_as_well_over_fewer_pixels_is_a_rival():

@@ -9,7 +9,7 @@ from lfcal.runtime.fastmath import FAST
 
 from ...flat.microimages import copy_box
 
-__all__ = ["differences", "variance_about"]
+__all__ = ["window_differences", "window_variance"]
 
 
 # Python's error model checks every division, which no vector loop can.
@@ -37,7 +37,7 @@ def _sums_of_squares(squares, v, wide, begin, end, lines, out, at):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def differences(
+def window_differences(
     pixels, height, width, ax, ay, bx, by, radius, s, pitch, left, top, wide, begin_row, row_step, own, there, squares,
     lines, out, at,
 ):  # fmt: skip
@@ -68,7 +68,7 @@ def differences(
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def variance_about(image, x, y):
+def window_variance(image, x, y):
     """Variance of the 3 x 3 pixels about (x, y)."""
     mean = squares = np.float32(0.0)
     for v in range(-1, 2):
