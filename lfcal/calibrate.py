@@ -78,33 +78,39 @@ def calibrate(
     # Compiled code is loaded only when a flat is there to be calibrated.
     from threadpoolctl import threadpool_limits
 
-    from .detection.capture_kind import checked_flats, white_level_of
+    from .detection.capture_kind import check_flats, estimate_white_level
 
-    flats = checked_flats(image)
+    flats = check_flats(image)
     for flat in flats:
         check_mosaic(mosaic, flat)
     # The equations are too small for more threads, which would only wait busily for each other.
     with threadpool_limits(1, "blas"):
-        return replace(_calibrated(flats, kind, mosaic), white_level=white_level_of(flats))
+        return replace(_calibrated(flats, kind, mosaic), white_level=estimate_white_level(flats))
 
 
 def _calibrated(
     flats: list[NDArray[Any]], kind: Literal["auto", "white", "scene"], mosaic: Mosaic | None
 ) -> Calibration:
-    from .detection.downscale import block_size, enlarged, reduced, remains_large, sought_in_a_piece
+    from .detection.downscale import (
+        average_blocks,
+        choose_block_size,
+        is_large_after_averaging,
+        is_searched_in_pieces,
+        upscale_calibration,
+    )
     from .images.preprocessing import luminance
 
     filtered = mosaic is not None or all(flat.ndim == 2 and has_mosaic(flat) for flat in flats)
     size = flats[0].shape[1], flats[0].shape[0]
     found: _Found | None = None
-    block = block_size(flats[0])
+    block = choose_block_size(flats[0])
     alone = len(flats) == 1 and kind != "scene"
-    if alone and remains_large(size, block):
+    if alone and is_large_after_averaging(size, block):
         found = _found_in_parts(flats[0], kind, filtered)
     if found is None and block > 1:
-        camera = _calibrated([reduced(flat, block) for flat in flats], kind, None)
-        return replace(enlarged(camera, block, size), mosaic=mosaic)
-    if found is None and alone and not filtered and sought_in_a_piece(size):
+        camera = _calibrated([average_blocks(flat, block) for flat in flats], kind, None)
+        return replace(upscale_calibration(camera, block, size), mosaic=mosaic)
+    if found is None and alone and not filtered and is_searched_in_pieces(size):
         found = _found_on_large(flats[0], kind)
 
     def lights() -> list[NDArray[np.float32]]:
@@ -120,7 +126,7 @@ def _calibrated(
     if not found.white and _may_be_misled(found):
         found, others = _without_glare(found, others, lights(), filtered)
     camera, found = _first_measured(found, others)
-    warnings = (*camera.warnings, *_warnings(camera, found.fit.halves_differ, filtered and mosaic is None))
+    warnings = (*camera.warnings, *_warnings(camera, found.fit.half_difference, filtered and mosaic is None))
     return replace(camera, mosaic=mosaic, warnings=warnings)
 
 
@@ -160,7 +166,7 @@ class _Found:
 
 def _found_in_parts(flat: NDArray[Any], kind: str, filtered: bool) -> _Found | None:
     """The lattice of a white image from parts of it; None where it is none."""
-    from .lattice_fit import fit_on_white
+    from .lattice_fit import fit_lattice_to_white_image
     from .white_fit.large import first_of_white, look_at, some_parts
 
     look = look_at(flat, filtered)
@@ -168,7 +174,7 @@ def _found_in_parts(flat: NDArray[Any], kind: str, filtered: bool) -> _Found | N
     if start is None:
         return None
     parts, look = some_parts(look, start.lattice)
-    return _Found(parts, True, start, fit_on_white(parts, start), look)
+    return _Found(parts, True, start, fit_lattice_to_white_image(parts, start), look)
 
 
 def _is_scene(found: _Found) -> bool:
@@ -211,19 +217,19 @@ def _softer(found: _Found, others: Iterator[_Found]) -> Iterator[_Found]:
 def _found_on_large(flat: NDArray[Any], kind: str) -> _Found | None:
     """The lattice of a large white image, followed outwards from its middle; None where it is none."""
     from .images.preprocessing import tone
-    from .lattice_fit import fit_on_white
+    from .lattice_fit import fit_lattice_to_white_image
     from .white_fit.large import first_of_all
 
     picture = tone(flat)
     start = first_of_all(picture, kind == "white")
-    return None if start is None else _Found(picture, True, start, fit_on_white(picture, start))
+    return None if start is None else _Found(picture, True, start, fit_lattice_to_white_image(picture, start))
 
 
 def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) -> Iterator[_Found]:
     """The lattice from whole flats, the likeliest first; CalibrationError where there is none."""
-    from .detection.capture_kind import white_or_scene
+    from .detection.capture_kind import choose_white_or_scene
     from .images.preprocessing import tone
-    from .lattice_fit import fit_on_scenes, fit_on_white
+    from .lattice_fit import fit_lattice_to_scenes, fit_lattice_to_white_image
 
     single = tone(lights[0]) if len(lights) == 1 else None
     if len(lights) > 1:
@@ -232,15 +238,15 @@ def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) 
     none = True
     for start in _starts(lights, filtered, single):
         try:
-            white, some = white_or_scene(lights, start, kind)
+            white, some = choose_white_or_scene(lights, start, kind)
             if white:
                 picture = tone(_white_sum(some)) if single is None else single
-                found = _Found(picture, True, start, fit_on_white(picture, start))
+                found = _Found(picture, True, start, fit_lattice_to_white_image(picture, start))
             else:
                 some = [without_mosaic(light) for light in some] if filtered else some
                 picture = tone(_mean_scene(some)) if single is None or filtered else single
                 one = None if len(some) == 1 else tone(some[0])
-                found = _Found(picture, False, start, fit_on_scenes(some, picture, start), single=one)
+                found = _Found(picture, False, start, fit_lattice_to_scenes(some, picture, start), single=one)
         except CalibrationError as failure:
             error = error or start.doubt or failure
             continue
@@ -261,7 +267,7 @@ def _measured(found: _Found) -> Calibration:
 
     fit, picture, white = found.fit, found.picture, found.white
     pitch = fit.lattice.pitch
-    if not fit.halves_differ < _SCATTERED * pitch:
+    if not fit.half_difference < _SCATTERED * pitch:
         raise CalibrationError(
             f"two halves of the microimages of {pitch:.1f} px pitch disagree about the lattice; "
             "give a sharper flat or a white image"
@@ -272,7 +278,7 @@ def _measured(found: _Found) -> Calibration:
     # Half of the pixels beside the model leave no trust in where it puts the centres.
     confidence = min(
         found.start.repeatability,
-        1 - max(fit.halves_differ, fit.strays) / (_SCATTERED * pitch),
+        1 - max(fit.half_difference, fit.displacement) / (_SCATTERED * pitch),
         1 - 2 * seen.unlike,
         _UNPROVEN if doubt else 1,
     )
@@ -294,17 +300,17 @@ def _measured(found: _Found) -> Calibration:
 
 def _doubt(found: _Found, lattice: Lattice) -> str | None:
     """Why what repeats on the flat may be no microimages, None where it proves to be; CalibrationError if it cannot."""
-    from .detection.aperture import aperture_doubt
-    from .detection.parallax_test import check_neighbours
+    from .detection.aperture import find_shape_doubt
+    from .detection.parallax_test import check_parallax
 
     picture, several = found.picture, found.single is not None
     compared = picture if found.softened is None else found.softened
-    if isinstance(compared, np.ndarray) and check_neighbours(compared, lattice, found.white, not several):
+    if isinstance(compared, np.ndarray) and check_parallax(compared, lattice, found.white, not several):
         return None
     if found.start.doubt is not None:
         raise found.start.doubt
-    doubt = aperture_doubt(picture, lattice)
-    if doubt is not None and found.single is not None and check_neighbours(found.single, lattice, False):
+    doubt = find_shape_doubt(picture, lattice)
+    if doubt is not None and found.single is not None and check_parallax(found.single, lattice, False):
         return None
     return doubt and (
         f"nothing on the flat proves that microimages are what repeats on it: {doubt}, and no neighbours are seen to "
@@ -362,8 +368,8 @@ def _starts(
     """
     import cv2
 
-    from .detection.downscale import sought_at_half_size
-    from .detection.first_lattice import NO_MICROIMAGES, REPEATS, first_lattices, first_lattices_of_large
+    from .detection.downscale import is_searched_at_half_size
+    from .detection.first_lattice import NO_MICROIMAGES, REPEATS, find_first_lattices, find_first_lattices_at_half_size
     from .images.preprocessing import tone
 
     error: CalibrationError | None = None
@@ -377,8 +383,8 @@ def _starts(
                 raise CalibrationError(
                     "the image is one even grey; give a flat with light on it and without saturation"
                 )
-            large = sought_at_half_size((picture.shape[1], picture.shape[0]))
-            for start in (first_lattices_of_large if large else first_lattices)(picture):
+            large = is_searched_at_half_size((picture.shape[1], picture.shape[0]))
+            for start in (find_first_lattices_at_half_size if large else find_first_lattices)(picture):
                 # Two halves of a flat with microimages show the same average one.
                 if start.repeatability < REPEATS:
                     raise CalibrationError(NO_MICROIMAGES)

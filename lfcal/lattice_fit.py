@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .white_fit.fit import DiscFit
     from .white_fit.parameters import CatEye
 
-__all__ = ["FinalLattice", "fit_on_scenes", "fit_on_white"]
+__all__ = ["FinalLattice", "fit_lattice_to_scenes", "fit_lattice_to_white_image"]
 
 # Window, in pitches, in which breaks are levelled: wider than a rim, narrower than what the scene shows in a lens.
 _RIM = 0.5
@@ -43,7 +43,7 @@ class FinalLattice:
     residual_rms : float [px]
         Robust RMS distance of single microimages from the lattice.
     lenses_used : int
-    halves_differ : float [px]
+    half_difference : float [px]
         RMS distance over the flat between lattices of two independent halves of the microimages.
     errors : LatticeErrors or None
         None where the lattice is the first one.
@@ -58,14 +58,14 @@ class FinalLattice:
     lattice: Lattice
     residual_rms: float
     lenses_used: int
-    halves_differ: float
+    half_difference: float
     errors: LatticeErrors | None = None
     cat_eye: CatEye | None = None
     residuals: Residuals | None = None
-    strays: float = 0.0
+    displacement: float = 0.0
 
 
-def fit_on_white(picture: NDArray[np.float32] | Parts, start: FirstLattice) -> FinalLattice:
+def fit_lattice_to_white_image(picture: NDArray[np.float32] | Parts, start: FirstLattice) -> FinalLattice:
     """Fit the `tone` picture of a white image, or parts of it."""
     from .lattice.lens_subset import Parts
     from .white_fit.fit import fit_discs
@@ -87,12 +87,12 @@ def fit_on_white(picture: NDArray[np.float32] | Parts, start: FirstLattice) -> F
     near = discs.lattice if found.distortion is not None else replace(discs.lattice, distortion=None)
     apart = near.points(np.rint(near.to_index(found.points(index)))) - found.points(index)
     if not np.sqrt((apart**2).sum(1).mean()) < _FOLLOWED * found.pitch:
-        return FinalLattice(found, discs.residual_rms, discs.lenses_used, start.halves_differ)
+        return FinalLattice(found, discs.residual_rms, discs.lenses_used, start.half_difference)
     return FinalLattice(
         discs.lattice,
         discs.residual_rms,
         discs.lenses_used,
-        discs.halves_differ,
+        discs.half_difference,
         discs.errors,
         discs.cat_eye,
         discs.residuals,
@@ -101,7 +101,7 @@ def fit_on_white(picture: NDArray[np.float32] | Parts, start: FirstLattice) -> F
 
 
 def _strays(found: Lattice, discs: DiscFit, places: NDArray[np.float64]) -> float:
-    """`FinalLattice.strays` of a fit at `places` (n, 2) [px], centres on the first lattice.
+    """`FinalLattice.displacement` of a fit at `places` (n, 2) [px], centres on the first lattice.
 
     That is the straight lattice through what is seen of the microimages: of cut ones the middle lies off the centre by
     up to half of the cut.
@@ -118,7 +118,9 @@ def _strays(found: Lattice, discs: DiscFit, places: NDArray[np.float64]) -> floa
     return float(np.sqrt(((apart + part * cut) ** 2).sum() / len(places)))
 
 
-def fit_on_scenes(lights: list[NDArray[np.float32]], picture: NDArray[np.float32], start: FirstLattice) -> FinalLattice:
+def fit_lattice_to_scenes(
+    lights: list[NDArray[np.float32]], picture: NDArray[np.float32], start: FirstLattice
+) -> FinalLattice:
     """Fit the lights (h, w) of one or several scenes; `picture` is the `tone` of their mean.
 
     Only the breaks at the rims are what the lattice predicts: brightness also shows the scene, gaps that cut
@@ -134,9 +136,9 @@ def fit_on_scenes(lights: list[NDArray[np.float32]], picture: NDArray[np.float32
     if len(lights) > 1:
         rims /= np.float32(len(lights))
     fit = fit_scene(rims, found)
-    if fit.residual_rms > _FAINT * found.pitch and not fit.halves_differ < start.halves_differ:
+    if fit.residual_rms > _FAINT * found.pitch and not fit.half_difference < start.half_difference:
         # Rims too faint for single lenses: what whole tiles have in common is the better measure.
-        return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.halves_differ)
+        return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
     lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius, fit.distortion)
     errors = errors_of_even_fit(lattice, fit.uncertainty)
-    return FinalLattice(lattice, fit.residual_rms, fit.lenses_used, fit.halves_differ, errors)
+    return FinalLattice(lattice, fit.residual_rms, fit.lenses_used, fit.half_difference, errors)

@@ -17,9 +17,9 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import Parts, some_lenses
 from ..runtime.errors import CalibrationError
 from ..runtime.interpolation import at_places
-from .cell_shape import explained_by, lengths_of
+from .cell_tests import explained_by, lengths_of
 
-__all__ = ["Aperture", "aperture_doubt", "average_aperture"]
+__all__ = ["AverageCell", "find_shape_doubt", "measure_average_cell"]
 
 # So many lenses, evenly spread, tell; fewer than the least do not.
 _LENSES, _FEWEST = 200, 4
@@ -47,7 +47,7 @@ _SURE = 2.0
 
 
 @dataclass(frozen=True)
-class Aperture:
+class AverageCell:
     """The light in an average cell.
 
     Parameters
@@ -75,7 +75,7 @@ class Aperture:
     two_kinds: float
 
 
-def aperture_doubt(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> str | None:
+def find_shape_doubt(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> str | None:
     """Why it is in doubt that what repeats on a flat are microimages, judged by their shape; None where it is not.
 
     Parameters
@@ -89,7 +89,7 @@ def aperture_doubt(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> st
     CalibrationError
         If the dark places have the very shape of the light ones.
     """
-    found = average_aperture(picture, lattice)
+    found = measure_average_cell(picture, lattice)
     if found is None:
         return "too few of them are there to tell their shape"
     if found.opposite + _SURE * found.error < _OPPOSITE:
@@ -108,7 +108,7 @@ def aperture_doubt(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> st
     return None
 
 
-def average_aperture(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> Aperture | None:
+def measure_average_cell(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> AverageCell | None:
     """Measure the average cell on a `tone` picture (h, w) or parts; None where there are too few lenses."""
     offsets = _offsets(lattice.basis)
     steps = lattice.steps @ lattice.basis
@@ -132,7 +132,7 @@ def average_aperture(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> 
     common = float(a @ b)
     alike = common / max(float(np.sqrt((a @ a) * (b @ b))), 1e-30)
     if alike <= 0:
-        return Aperture(alike, 1.0, -1.0, 1.0, float("inf"), 0.0)
+        return AverageCell(alike, 1.0, -1.0, 1.0, float("inf"), 0.0)
     both = np.column_stack([a, b])
     left = both - explained_by(both, lengths_of(lattice.basis, offsets))
     unexplained = float(left.prod(1).sum()) / common
@@ -144,11 +144,11 @@ def average_aperture(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> 
     joint = max(float((at_places(picture, centres + step / 2) ** 2 / level).mean()) for step in steps)
     # Noise is as many independent values as a cell has pixels.
     error = (1 - alike) / alike / np.sqrt(min(abs(np.linalg.det(lattice.basis)), _ACROSS**2))
-    return Aperture(alike, unexplained, opposite, joint / core, float(error), _two_kinds(cells, centres))
+    return AverageCell(alike, unexplained, opposite, joint / core, float(error), _two_kinds(cells, centres))
 
 
 def _two_kinds(cells: NDArray[np.float64], centres: NDArray[np.float64]) -> float:
-    """`Aperture.two_kinds` of cells (n, places) at `centres` (n, 2) [px], without what changes evenly over the flat."""
+    """`AverageCell.two_kinds` of cells (n, places) at `centres` (n, 2) [px], without a linear trend over the flat."""
     middle = centres - centres.mean(0)
     trend = np.column_stack([np.ones(len(cells)), middle / max(float(np.abs(middle).max()), 1e-12)])
     left = cells - trend @ np.linalg.lstsq(trend, cells, rcond=None)[0]

@@ -12,9 +12,9 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import Parts
 from ..runtime.errors import FlatError
 from .first_lattice import FirstLattice
-from .radial_profile import RadialProfile, radial_profile
+from .radial_profile import RadialProfile, measure_radial_profile
 
-__all__ = ["checked_flats", "evenly_lit", "white_level_of", "white_or_scene"]
+__all__ = ["check_flats", "choose_white_or_scene", "estimate_white_level", "is_evenly_lit"]
 
 # Squares of sums of larger values leave the range of single precision.
 _LARGEST = 1e30
@@ -27,7 +27,7 @@ _EVEN_INSIDE = 0.15
 _DOUBTLESS = 0.06
 
 
-def checked_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
+def check_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
     """The flats given, one or several, each checked."""
     given: Any = image
     several = isinstance(given, (list, tuple)) and len(given) > 0 and np.ndim(given[0]) >= 2
@@ -46,7 +46,7 @@ def checked_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
     return flats
 
 
-def white_level_of(flats: Sequence[NDArray[Any]]) -> float | None:
+def estimate_white_level(flats: Sequence[NDArray[Any]]) -> float | None:
     """Largest value of so many bits as the flats use, where their type has more; None otherwise.
 
     Cameras of 10, 12 and 14 bits store them in files of 16.
@@ -80,7 +80,7 @@ def _checked(image: ArrayLike, name: str) -> NDArray[Any]:
     return flat
 
 
-def white_or_scene(
+def choose_white_or_scene(
     lights: list[NDArray[np.float32]], start: FirstLattice, kind: str
 ) -> tuple[bool, list[NDArray[np.float32]]]:
     """Whether to calibrate on white images, and the lights to do it on."""
@@ -91,23 +91,23 @@ def white_or_scene(
     from ..images.preprocessing import level_locally, tone
 
     window = _LEVEL * start.lattice.pitch
-    whites = [light for light in lights if evenly_lit(level_locally(tone(light), window), light, start.lattice)]
+    whites = [light for light in lights if is_evenly_lit(level_locally(tone(light), window), light, start.lattice)]
     return (True, whites) if whites else (False, lights)
 
 
 def _evenly_lit_at(start: FirstLattice, light: NDArray[np.float32]) -> bool:
-    """`evenly_lit` at the size at which the lattice of a light was found."""
+    """`is_evenly_lit` at the size at which the lattice of a light was found."""
     factor = light.shape[0] // start.brightness.shape[0]
     if factor == 1:
-        return evenly_lit(start.brightness, light, start.lattice)
+        return is_evenly_lit(start.brightness, light, start.lattice)
     import cv2
 
     height, width = start.brightness.shape
     small: Any = cv2.resize(light[: factor * height, : factor * width], (width, height), interpolation=cv2.INTER_AREA)
-    return evenly_lit(start.brightness, small, start.lattice.shrunk(factor))
+    return is_evenly_lit(start.brightness, small, start.lattice.shrunk(factor))
 
 
-def evenly_lit(brightness: NDArray[np.float32] | Parts, light: NDArray[np.float32], lattice: Lattice) -> bool:
+def is_evenly_lit(brightness: NDArray[np.float32] | Parts, light: NDArray[np.float32], lattice: Lattice) -> bool:
     """Whether the insides of lit microimages vary by little against the depth of the gaps between them.
 
     Parameters
@@ -119,9 +119,9 @@ def evenly_lit(brightness: NDArray[np.float32] | Parts, light: NDArray[np.float3
     lattice : Lattice [px]
     """
     return (
-        _scatter_inside(radial_profile(brightness, lattice), lattice) < _EVEN_INSIDE
+        _scatter_inside(measure_radial_profile(brightness, lattice), lattice) < _EVEN_INSIDE
         # Scenes have dark places too: lenses are left out only where the others are beyond doubt.
-        or _scatter_inside(radial_profile(brightness, lattice, light=light), lattice) < _DOUBTLESS
+        or _scatter_inside(measure_radial_profile(brightness, lattice, light=light), lattice) < _DOUBTLESS
     )
 
 

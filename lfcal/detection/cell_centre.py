@@ -11,11 +11,11 @@ from ..lattice.lattice import reduce_basis
 
 __all__ = [
     "CentreGuess",
-    "is_board",
-    "lens_centre",
-    "nearest_distance",
-    "round_centres",
-    "true_cell",
+    "choose_lens_centre",
+    "distance_to_lattice",
+    "find_primitive_cell",
+    "find_round_centres",
+    "is_checkerboard",
 ]
 
 # Lens types of one outline put up to a fifth of the energy beside the harmonics of the single lens; lenses and gaps
@@ -51,7 +51,7 @@ class CentreGuess:
     roundness: float
 
 
-def true_cell(
+def find_primitive_cell(
     cells: list[NDArray[np.float64]], basis: NDArray[np.float64], again: list[NDArray[np.float64]] | None = None
 ) -> NDArray[np.float64]:
     """Smallest lattice on which the average cells already repeat, `basis` itself or a finer one.
@@ -92,7 +92,7 @@ def _against(power: NDArray[np.float64], shift: tuple[int, int], index: int) -> 
     return float(power[phase % index != 0].sum()) / changing if changing > _NOTHING else 1.0
 
 
-def is_board(brightness: NDArray[np.float64], edges: NDArray[np.float64]) -> bool:
+def is_checkerboard(brightness: NDArray[np.float64], edges: NDArray[np.float64]) -> bool:
     """Whether dark places have the very shape of light ones, as on a checkerboard, in average cells (bins, bins).
 
     Gaps between round microimages are never round microimages themselves.
@@ -118,7 +118,7 @@ def _span(generators: list[tuple[int, int]]) -> NDArray[np.float64]:
     return np.array([(x, y % rest), (0, rest)], dtype=np.float64)
 
 
-def nearest_distance(basis: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
+def distance_to_lattice(basis: NDArray[np.float64], bins: int) -> NDArray[np.float64]:
     """(bins, bins) distance [px] of each bin corner `[row / bins, column / bins]` to the nearest lattice point."""
     column, row = np.meshgrid(np.arange(bins) / bins, np.arange(bins) / bins)
     place = np.column_stack([column.ravel(), row.ravel()])
@@ -127,7 +127,9 @@ def nearest_distance(basis: NDArray[np.float64], bins: int) -> NDArray[np.float6
     return np.hypot(steps[..., 0], steps[..., 1]).min(1).reshape(bins, bins)
 
 
-def lens_centre(guesses: list[CentreGuess], light: NDArray[np.float64], basis: NDArray[np.float64]) -> CentreGuess:
+def choose_lens_centre(
+    guesses: list[CentreGuess], light: NDArray[np.float64], basis: NDArray[np.float64]
+) -> CentreGuess:
     """The guess that is a lens and no gap: the roundest, unless one nearly as round gets clearly more light.
 
     Gaps of a square array are as round as the lenses, and no lens is darker than the gaps around it; only cameras
@@ -142,7 +144,7 @@ def lens_centre(guesses: list[CentreGuess], light: NDArray[np.float64], basis: N
     basis : (2, 2) float64 [px]
     """
     bins = light.shape[0]
-    inside = nearest_distance(basis, bins) < _CORE * np.sqrt(abs(np.linalg.det(basis)))
+    inside = distance_to_lattice(basis, bins) < _CORE * np.sqrt(abs(np.linalg.det(basis)))
 
     def brightness(guess: CentreGuess) -> float:
         column, row = np.floor(guess.position * bins).astype(int)
@@ -153,7 +155,7 @@ def lens_centre(guesses: list[CentreGuess], light: NDArray[np.float64], basis: N
     return brightest if brightness(guesses[0]) < _DARKER * brightness(brightest) else guesses[0]
 
 
-def round_centres(
+def find_round_centres(
     cells: list[NDArray[np.float64]], weights: list[float], basis: NDArray[np.float64]
 ) -> list[CentreGuess]:
     """Points around which the average cells are round, roundest first; they are at least 0.2 pitch apart.
@@ -167,7 +169,7 @@ def round_centres(
     basis : (2, 2) float64 [px]
     """
     bins = cells[0].shape[0]
-    distance = nearest_distance(basis, bins)
+    distance = distance_to_lattice(basis, bins)
     ring = np.minimum((distance / (distance.max() + 1e-9) * _RINGS).astype(int), _RINGS - 1)
     roundness = np.zeros((bins, bins))
     for cell, weight in zip(cells, weights, strict=True):

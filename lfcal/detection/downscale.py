@@ -16,7 +16,14 @@ from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CalibrationError
 
-__all__ = ["block_size", "enlarged", "reduced", "remains_large", "sought_at_half_size", "sought_in_a_piece"]
+__all__ = [
+    "average_blocks",
+    "choose_block_size",
+    "is_large_after_averaging",
+    "is_searched_at_half_size",
+    "is_searched_in_pieces",
+    "upscale_calibration",
+]
 
 # Flats with more pixels than this are reduced, down to about so many, as long as the pitch stays this long [px].
 _LARGE = 4.8e7
@@ -34,7 +41,7 @@ _PLACES = ((0.5, 0.5), (0.2, 0.5), (0.8, 0.5), (0.5, 0.2), (0.5, 0.8))
 _ROWS = 32
 
 
-def block_size(flat: NDArray[Any]) -> int:
+def choose_block_size(flat: NDArray[Any]) -> int:
     """Side [px] of the blocks that a flat (h, w) or (h, w, 3) is to be averaged in: 1 where it is not large.
 
     Raises
@@ -55,7 +62,7 @@ def block_size(flat: NDArray[Any]) -> int:
 def _pitch(flat: NDArray[Any]) -> float:
     """Pitch [px] in the first part of a flat that shows one; the array need not fill the sensor."""
     from ..images.preprocessing import luminance, tone
-    from .first_lattice import first_lattice
+    from .first_lattice import find_first_lattice
 
     height, width = flat.shape[:2]
     error: CalibrationError | None = None
@@ -63,7 +70,7 @@ def _pitch(flat: NDArray[Any]) -> float:
     left, top = max(0, width - _SMALL_PART) // 2, max(0, height - _SMALL_PART) // 2
     small = np.ascontiguousarray(flat[top : top + _SMALL_PART, left : left + _SMALL_PART])
     try:
-        pitch = first_lattice(tone(luminance(small))).lattice.pitch
+        pitch = find_first_lattice(tone(luminance(small))).lattice.pitch
         if pitch * _PERIODS < _SMALL_PART:
             return pitch
     except CalibrationError:
@@ -72,29 +79,29 @@ def _pitch(flat: NDArray[Any]) -> float:
         left, top = int(across * max(0, width - _PART)), int(down * max(0, height - _PART))
         part = np.ascontiguousarray(flat[top : top + _PART, left : left + _PART])
         try:
-            return first_lattice(tone(luminance(part))).lattice.pitch
+            return find_first_lattice(tone(luminance(part))).lattice.pitch
         except CalibrationError as failure:
             error = error or failure
     assert error is not None
     raise error
 
 
-def sought_in_a_piece(size: tuple[int, int]) -> bool:
+def is_searched_in_pieces(size: tuple[int, int]) -> bool:
     """Whether the lattice of a white image of `size` (width, height) is sought in a piece of it first."""
     return size[0] * size[1] >= _PIECEWISE
 
 
-def remains_large(size: tuple[int, int], block: int) -> bool:
+def is_large_after_averaging(size: tuple[int, int], block: int) -> bool:
     """Whether a flat of `size` (width, height) is large even when reduced."""
     return size[0] * size[1] / block**2 >= _LARGE
 
 
-def sought_at_half_size(size: tuple[int, int]) -> bool:
+def is_searched_at_half_size(size: tuple[int, int]) -> bool:
     """Whether the first lattice of a flat of `size` (width, height) is sought where that is half as large."""
     return size[0] * size[1] >= _HALVED
 
 
-def reduced(flat: NDArray[Any], block: int) -> NDArray[np.float32]:
+def average_blocks(flat: NDArray[Any], block: int) -> NDArray[np.float32]:
     """(h // block, w // block) mean luminance of the blocks of a flat, in strips that need little memory."""
     import cv2
 
@@ -109,7 +116,7 @@ def reduced(flat: NDArray[Any], block: int) -> NDArray[np.float32]:
     return out
 
 
-def enlarged(camera: Calibration, block: int, image_size: tuple[int, int]) -> Calibration:
+def upscale_calibration(camera: Calibration, block: int, image_size: tuple[int, int]) -> Calibration:
     """The calibration of a flat from that of its reduction.
 
     Parameters

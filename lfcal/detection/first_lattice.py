@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from ..images.preprocessing import breaks, level_locally
 from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.errors import CalibrationError
-from .cell_centre import is_board, lens_centre, round_centres, true_cell
-from .cell_shape import check_cell, check_waves
+from .cell_centre import choose_lens_centre, find_primitive_cell, find_round_centres, is_checkerboard
+from .cell_tests import check_cell, check_waves
 from .folding import TileFolds, fold_tiles
 from .period_refinement import refine_basis
-from .spectrum import NARROW, candidate_bases, spectra_of, spectrum_of
+from .spectrum import NARROW, compute_spectra, compute_spectrum, find_candidate_bases
 from .tile_harmonics import fit_harmonics
 
-__all__ = ["REPEATS", "FirstLattice", "first_lattice", "first_lattices", "first_lattices_of_large"]
+__all__ = ["REPEATS", "FirstLattice", "find_first_lattice", "find_first_lattices", "find_first_lattices_at_half_size"]
 
 _BINS = 36
 # Support of a candidate by the spectrum above which longer periods are not looked for, and below which it is none.
@@ -85,7 +85,7 @@ class FirstLattice:
         Share of the harmonics' energy that all tiles have in common, 0..1.
     roundness : float
         Share of the variance of the average microimage that the distance to its centre explains, 0..1.
-    halves_differ, tile_rms : float [px]
+    half_difference, tile_rms : float [px]
         Agreement of independent halves of the tiles, and of single tiles, with the lattice.
     support : float
         Share of the tiles that agree with the lattice, 0..1.
@@ -101,7 +101,7 @@ class FirstLattice:
     breaks: NDArray[np.float32]
     coherence: float
     roundness: float
-    halves_differ: float
+    half_difference: float
     tile_rms: float
     support: float
     repeatability: float
@@ -115,10 +115,10 @@ def _bases(picture: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
     """
     best, known = None, []
     for reduction in _REDUCTIONS:
-        spectrum = spectrum_of(picture, reduction)
+        spectrum = compute_spectrum(picture, reduction)
         if spectrum is None:
             break
-        known.append(candidate_bases(spectrum, _CANDIDATES))
+        known.append(find_candidate_bases(spectrum, _CANDIDATES))
         for candidate in known[-1][:1]:
             if best is None or candidate.support > best.support:
                 best = candidate
@@ -131,8 +131,8 @@ def _bases(picture: NDArray[np.float32]) -> Iterator[NDArray[np.float64]]:
         )
     tried = [best.basis]
     yield best.basis
-    spectra = [spectrum for reduction in _REDUCTIONS for spectrum in spectra_of(picture, reduction, NARROW)]
-    narrow = [candidate for spectrum in spectra for candidate in candidate_bases(spectrum, _CANDIDATES)]
+    spectra = [spectrum for reduction in _REDUCTIONS for spectrum in compute_spectra(picture, reduction, NARROW)]
+    narrow = [candidate for spectrum in spectra for candidate in find_candidate_bases(spectrum, _CANDIDATES)]
     narrow.sort(key=lambda one: -one.support)
     wide = [one for rank in zip_longest(*known) for one in rank if one is not None]
     for candidate in narrow + wide:
@@ -148,7 +148,7 @@ def _same_lattice(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
     return bool(abs(abs(np.linalg.det(whole)) - 1) < 0.5 and np.abs(steps - whole).max() < _SAME)
 
 
-def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
+def find_first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
     """Lattice from the best supported periods of the spectrum, made coherent, its origin on the round centres, fitted
     to all tiles.
 
@@ -165,19 +165,19 @@ def first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
     return _lattice_from(next(_bases(picture)), picture, breaks(picture))
 
 
-def first_lattices(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
-    """`first_lattice`, and where that leaves doubt or proves to be wrong, others that leave none, the roundest first.
+def find_first_lattices(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
+    """`find_first_lattice`, then, where that is doubtful or wrong, others without doubt, the roundest first.
 
     Raises
     ------
     CalibrationError
-        As `first_lattice`, if there is none at all.
+        As `find_first_lattice`, if there is none at all.
     """
     yield from _lattices_from(_bases(picture), picture)
 
 
 def _lattices_from(bases: Iterator[NDArray[np.float64]], picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
-    """`first_lattices` from bases of the spectrum."""
+    """`find_first_lattices` from bases of the spectrum."""
     edges = breaks(picture)
     error: CalibrationError | None = None
     unsure: FirstLattice | None = None
@@ -212,11 +212,11 @@ def _lattices_from(bases: Iterator[NDArray[np.float64]], picture: NDArray[np.flo
 
 def _is_sure(found: FirstLattice) -> bool:
     """Whether two halves of the flat agree about a lattice and about what its microimages look like."""
-    return found.repeatability >= REPEATS and found.halves_differ <= _SURE * found.lattice.pitch
+    return found.repeatability >= REPEATS and found.half_difference <= _SURE * found.lattice.pitch
 
 
 def _lattice_from(basis: NDArray[np.float64], picture: NDArray[np.float32], edges: NDArray[np.float32]) -> FirstLattice:
-    """`first_lattice` from a basis of the spectrum; CalibrationError where that is none of microimages."""
+    """`find_first_lattice` from a basis of the spectrum; CalibrationError where that is none of microimages."""
     height, width = picture.shape
     coherence, window = 0.0, 0.0
     for _ in range(3):
@@ -241,10 +241,10 @@ def _lattice_from(basis: NDArray[np.float64], picture: NDArray[np.float32], edge
         raise CalibrationError(NO_MICROIMAGES)
     (tone,) = fold_tiles([picture], basis, side, 4 * _BINS, _FEW_TILES)
     check_waves(tone)
-    if is_board(*cells):
+    if is_checkerboard(*cells):
         raise CalibrationError("a checkerboard repeats on the image, not microimages; give a raw flat from the sensor")
     light = tone.mean().reshape(_BINS, 4, _BINS, 4).mean((1, 3)) ** 2
-    centre = lens_centre(round_centres(cells, [1.0, 1.0], basis), light, basis)
+    centre = choose_lens_centre(find_round_centres(cells, [1.0, 1.0], basis), light, basis)
     repeatability = _repeatability(folds)
     doubt = check_cell(cells, light, tone, centre.position, repeatability)
     if doubt is not None and (centre.roundness < _ROUND or repeatability > _EXACT):
@@ -261,7 +261,7 @@ def _lattice_from(basis: NDArray[np.float64], picture: NDArray[np.float32], edge
         levelled[1],
         coherence,
         centre.roundness,
-        fit.halves_differ,
+        fit.half_difference,
         fit.tile_rms,
         fit.support,
         repeatability,
@@ -269,8 +269,8 @@ def _lattice_from(basis: NDArray[np.float64], picture: NDArray[np.float32], edge
     )
 
 
-def first_lattices_of_large(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
-    """`first_lattices` of a picture (h, w) of many pixels, at half its size where that leaves no doubt.
+def find_first_lattices_at_half_size(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
+    """`find_first_lattices` of a picture (h, w) of many pixels, at half its size where that leaves no doubt.
 
     The features are then of half the size; the lattice is in px of the picture.
     """
@@ -288,12 +288,12 @@ def first_lattices_of_large(picture: NDArray[np.float32]) -> Iterator[FirstLatti
             starts = _lattices_from(chain([first], bases), half)
             start = next(starts)
     if start is None or start.lattice.pitch < _HALVED_PITCH or start.doubt is not None:
-        yield from first_lattices(picture)
+        yield from find_first_lattices(picture)
         return
     for found in chain([start], starts):
         small = found.lattice
         lattice = Lattice(2 * small.origin + 0.5, 2 * small.basis, picture.shape[::-1], 2 * small.radius)
-        yield replace(found, lattice=lattice, halves_differ=2 * found.halves_differ, tile_rms=2 * found.tile_rms)
+        yield replace(found, lattice=lattice, half_difference=2 * found.half_difference, tile_rms=2 * found.tile_rms)
 
 
 def _kept(refined: NDArray[np.float64], basis: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -315,7 +315,7 @@ def _right_cell(
         wide = basis * multiple
         folds = fold_tiles(levelled, wide, side, _BINS, _FEW_TILES)
         first, second = zip(*(fold.halves() for fold in folds), strict=True)
-        found = true_cell(list(first), wide, list(second))
+        found = find_primitive_cell(list(first), wide, list(second))
         if abs(abs(np.linalg.det(found) / np.linalg.det(basis)) - 1) > 0.1:
             return found, True
     return basis, False

@@ -14,25 +14,25 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["HIGHEST_HARMONIC", "RUN", "TileFolds", "bins_along", "fold_tiles"]
+__all__ = ["HIGHEST_HARMONIC", "VECTOR_LENGTH", "TileFolds", "compute_cell_bins", "fold_tiles"]
 
 # Finer structure of a microimage than a sixth of the pitch says little about where it lies.
 HIGHEST_HARMONIC = 6
 #: Pixels of a line that are worked on together: rows of microimages are too short for loops of any length.
-RUN = 16
+VECTOR_LENGTH = 16
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def bins_along(u, v, step_u, step_v, bins, begin, count, out):
+def compute_cell_bins(u, v, step_u, step_v, bins, begin, count, out):
     """Set `out` from `begin` on to the bins of a cell, row by row, of `count` pixels of a line that starts at lattice
-    coordinates (u, v). Whole runs of `RUN` are set: `out` has room for as many more."""
+    coordinates (u, v). Whole runs of `VECTOR_LENGTH` are set: `out` has room for as many more."""
     # A cell is 2**32 units each way, so that places in it wrap around by themselves.
     whole, half, many = 4294967296.0, np.uint32(16), np.uint32(bins)
     across, down = np.uint32(np.int64(step_u * whole)), np.uint32(np.int64(step_v * whole))
     first, upper = np.uint32(np.int64(u * whole)), np.uint32(np.int64(v * whole))
-    for start in range(np.uint32(0), np.uint32(count), np.uint32(RUN)):
+    for start in range(np.uint32(0), np.uint32(count), np.uint32(VECTOR_LENGTH)):
         begun = np.uint64(begin) + np.uint64(start)
-        for lane in range(RUN):
+        for lane in range(VECTOR_LENGTH):
             k = np.uint32(start + np.uint32(lane))
             a, b = np.uint32(first + np.uint32(across * k)), np.uint32(upper + np.uint32(down * k))
             column, row = np.uint32(np.uint32(a >> half) * many) >> half, np.uint32(np.uint32(b >> half) * many) >> half
@@ -48,11 +48,11 @@ def _fold(first, second, inverse, side, columns, bins, tiles, totals, count):
         tile = tiles[place]
         y0, x0 = (tile // columns) * side, (tile % columns) * side
         across = max(min(side, width - x0), 0)
-        at = np.empty(across + RUN, np.uint32)
+        at = np.empty(across + VECTOR_LENGTH, np.uint32)
         cells = np.zeros((bins * bins, 4), np.float32)
         for y in range(y0, min(y0 + side, height)):
             u, v = x0 * inverse[0, 0] + y * inverse[1, 0], x0 * inverse[0, 1] + y * inverse[1, 1]
-            bins_along(u, v, inverse[0, 0], inverse[0, 1], bins, 0, across, at)
+            compute_cell_bins(u, v, inverse[0, 0], inverse[0, 1], bins, 0, across, at)
             row, other = first[y, x0 : x0 + across], second[y, x0 : x0 + across]
             for k in range(across):
                 n = np.uint64(at[k])

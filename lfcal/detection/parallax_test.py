@@ -18,7 +18,7 @@ from ..lattice.lens_subset import some_lenses
 from ..runtime.errors import CalibrationError
 from ..runtime.interpolation import at_places
 
-__all__ = ["Neighbours", "check_neighbours", "compare_neighbours", "shows_scene"]
+__all__ = ["NeighbourComparison", "check_parallax", "compare_neighbours", "shows_scene"]
 
 # So many lenses, evenly spread, tell; fewer than the least do not.
 _LENSES, _FEWEST = 450, 24
@@ -54,7 +54,7 @@ _RAW = "give a raw flat from the sensor, of a camera with a microlens array"
 
 
 @dataclass(frozen=True)
-class Neighbours:
+class NeighbourComparison:
     """How neighbouring microimages are alike.
 
     Parameters
@@ -85,7 +85,7 @@ class Neighbours:
     across: float
 
 
-def check_neighbours(picture: NDArray[np.float32], lattice: Lattice, white: bool, single: bool = True) -> bool:
+def check_parallax(picture: NDArray[np.float32], lattice: Lattice, white: bool, single: bool = True) -> bool:
     """Whether neighbours are seen to show the same, shifted, as nothing but microimages does.
 
     Where lenses show next to nothing, or noise hides it, that is not seen.
@@ -127,7 +127,7 @@ def check_neighbours(picture: NDArray[np.float32], lattice: Lattice, white: bool
 def shows_scene(picture: NDArray[np.float32], lattice: Lattice) -> bool:
     """Whether a flat taken for a white image is one of a scene: neighbours are seen to show the same, shifted.
 
-    `picture` and `lattice` are those of `check_neighbours`.
+    `picture` and `lattice` are those of `check_parallax`.
     """
     found = compare_neighbours(picture, lattice, _SHOWS_WHITE)
     if found is None or not found.inside > _SHOWS_WHITE:
@@ -136,13 +136,13 @@ def shows_scene(picture: NDArray[np.float32], lattice: Lattice) -> bool:
     return _alike(found, _ALIKE if _shows(found, True) else _SURELY)
 
 
-def _shows(found: Neighbours, white: bool) -> bool:
+def _shows(found: NeighbourComparison, white: bool) -> bool:
     """Whether microimages show more than noise."""
     shown, noise = (_SHOWS_WHITE, found.rough) if white else (_SHOWS_SCENE, found.noise)
     return found.inside > max(shown, _OVER_NOISE * noise / _MEAN_DISTANCE)
 
 
-def _alike(found: Neighbours, factor: float = _ALIKE) -> bool:
+def _alike(found: NeighbourComparison, factor: float = _ALIKE) -> bool:
     """Whether neighbours moved by the disparity are so many times better alike than any others."""
     # Noise is not alike in any microimages.
     moved = max(found.moved**2 - found.noise**2, 0)
@@ -150,7 +150,9 @@ def _alike(found: Neighbours, factor: float = _ALIKE) -> bool:
     return other >= factor**2 * moved
 
 
-def compare_neighbours(picture: NDArray[np.float32], lattice: Lattice, shown: float = 0.0) -> Neighbours | None:
+def compare_neighbours(
+    picture: NDArray[np.float32], lattice: Lattice, shown: float = 0.0
+) -> NeighbourComparison | None:
     """Compare lenses of a `tone` picture (h, w) with their neighbours; None where there are too few.
 
     The lattice's radius is that of the usable part of the microimages. What these show is compared only where they vary
@@ -183,7 +185,7 @@ def compare_neighbours(picture: NDArray[np.float32], lattice: Lattice, shown: fl
     shifted = (float("nan"),) * 5
     if inside > shown:
         shifted = _shifted(picture, centres, near, _PART * min(lattice.radius, nearest / 2))
-    return Neighbours(float(np.median(apart)), inside, border, *shifted)
+    return NeighbourComparison(float(np.median(apart)), inside, border, *shifted)
 
 
 def _kinds(indices: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -207,7 +209,7 @@ def _spread(bend: NDArray[np.float64], kinds: NDArray[np.int64]) -> float:
 def _shifted(
     picture: NDArray[np.float32], centres: NDArray[np.float64], steps: list[NDArray[np.float64]], radius: float
 ) -> tuple[float, float, float, float, float]:
-    """The last five figures of `Neighbours`, on lines along each of the `steps` to neighbours."""
+    """The last five figures of `NeighbourComparison`, on lines along each of the `steps` to neighbours."""
     along = np.linspace(-radius, radius, _PLACES)
     spacing = float(along[1] - along[0])
     by_step, within, noise = [], [], []

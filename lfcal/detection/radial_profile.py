@@ -21,7 +21,7 @@ from ..lattice.lens_subset import Parts, whole_lenses
 from ..lattice.lit_lenses import lit_lenses
 from ..runtime.errors import CalibrationError
 
-__all__ = ["LatticeFit", "RadialProfile", "fit_lattice", "radial_profile"]
+__all__ = ["LatticeFit", "RadialProfile", "fit_lattice", "measure_radial_profile"]
 
 # Distance between samples of a radial profile [px]: edges of discs are about one pixel wide.
 _STEP = 0.25
@@ -155,7 +155,7 @@ class LatticeFit:
         Standard error of a centre, RMS over the flat, as the scatter of the microimages implies.
     lenses_used : int
         Microimages with a say.
-    halves_differ : float [px]
+    half_difference : float [px]
         RMS distance over the flat between lattices fitted to two independent halves of the microimages.
     distortion : Distortion or None
         None where the lattice is straight.
@@ -166,11 +166,11 @@ class LatticeFit:
     residual_rms: float
     uncertainty: float
     lenses_used: int
-    halves_differ: float
+    half_difference: float
     distortion: Distortion | None = None
 
 
-def radial_profile(
+def measure_radial_profile(
     picture: NDArray[np.float32] | Parts,
     lattice: Lattice,
     lenses: int = 1000,
@@ -285,7 +285,7 @@ def _lens_steps(
             f"at least {_FEWEST_LENSES} are needed; give the whole sensor"
         )
     normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
-    profile = radial_profile(picture, lattice)
+    profile = measure_radial_profile(picture, lattice)
     _accumulate_steps(
         picture, centres, faces, inner_radius(faces), profile.first, reach, profile.step, profile.mean, profile.slope,
         1 / profile.variance, _OUTLIER, normal, right,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..images.preprocessing import breaks, level_locally
 from ..lattice.lattice import reduce_basis
 
-__all__ = ["NARROW", "Candidate", "Spectrum", "candidate_bases", "spectra_of", "spectrum_of"]
+__all__ = ["NARROW", "Candidate", "Spectrum", "compute_spectra", "compute_spectrum", "find_candidate_bases"]
 
 _WINDOW = 1024
 # Shortest period that leaves a microimage anything to see, and fewest periods across a window.
@@ -88,13 +88,13 @@ def _windows(height: int, width: int, size: int) -> list[tuple[int, int]]:
     return list(dict.fromkeys([middle, (rows[0], columns[0]), (rows[1], columns[1])]))
 
 
-def spectrum_of(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | None:
-    """The wide one of `spectra_of`, None where the reduced flat is too small."""
-    spectra = spectra_of(picture, reduction, (_BACKGROUND,))
+def compute_spectrum(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | None:
+    """The wide one of `compute_spectra`, None where the reduced flat is too small."""
+    spectra = compute_spectra(picture, reduction, (_BACKGROUND,))
     return spectra[0] if spectra else None
 
 
-def spectra_of(picture: NDArray[np.float32], reduction: int, backgrounds: tuple[int, ...]) -> list[Spectrum]:
+def compute_spectra(picture: NDArray[np.float32], reduction: int, backgrounds: tuple[int, ...]) -> list[Spectrum]:
     """Average log power spectrum of brightness and breaks over a few windows, whitened in one way or another.
 
     Parameters
@@ -245,7 +245,7 @@ def _lowest_nodes(reciprocal: NDArray[np.float64], count: int) -> NDArray[np.flo
     return np.take_along_axis(nodes, order[..., None], axis=1)
 
 
-def candidate_bases(spectrum: Spectrum, count: int = 6) -> list[Candidate]:
+def find_candidate_bases(spectrum: Spectrum, count: int = 6) -> list[Candidate]:
     """Lattices whose harmonics explain the peaks, best supported first.
 
     Support is the share of peaks on the nodes of the candidate (a fraction of the true period misses most) times

@@ -35,7 +35,7 @@ class HarmonicFit:
     origin, basis : (2,), (2, 2) float64 [px]
     tile_rms : float [px]
         Robust RMS distance of single tiles from the lattice, per axis.
-    halves_differ : float [px]
+    half_difference : float [px]
         RMS distance over the flat between lattices through two independent halves of the tiles; infinite where
         there are too few tiles to tell.
     support : float
@@ -45,7 +45,7 @@ class HarmonicFit:
     origin: NDArray[np.float64]
     basis: NDArray[np.float64]
     tile_rms: float
-    halves_differ: float
+    half_difference: float
     support: float
 
 

@@ -245,15 +245,15 @@ class _Region:
             fit = fit_lattice(self.rims, start, passes=_PASSES)
         except (CalibrationError, np.linalg.LinAlgError):
             return nothing
-        if not fit.halves_differ < _SCATTERED * given.pitch:
+        if not fit.half_difference < _SCATTERED * given.pitch:
             return nothing
         index = (middle - given.origin) @ np.linalg.inv(given.basis)
-        return fit.origin + index @ fit.basis - middle, fit.halves_differ
+        return fit.origin + index @ fit.basis - middle, fit.half_difference
 
 
 def _elsewhere(regions: list[_Region]) -> NDArray[np.float64]:
     """From the given centres to those of the lenses in all regions together (2,) [cells], 0 where that is near."""
-    from ..detection.cell_centre import lens_centre, round_centres
+    from ..detection.cell_centre import choose_lens_centre, find_round_centres
 
     cells = [np.zeros((_BINS, _BINS)) for _ in range(2)]
     for region in regions:
@@ -263,7 +263,7 @@ def _elsewhere(regions: list[_Region]) -> NDArray[np.float64]:
     basis = regions[0].lattice.basis
     if not all(cell.std() > 0 for cell in cells):
         return np.zeros(2)
-    guess = lens_centre(round_centres(cells, [1.0, 1.0], basis), cells[0] ** 2, basis)
+    guess = choose_lens_centre(find_round_centres(cells, [1.0, 1.0], basis), cells[0] ** 2, basis)
     index = guess.position - np.rint(guess.position)
     steps = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
     vectors = (index - steps) @ basis

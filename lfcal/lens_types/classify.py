@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import Parts
-from .coarse_disparity import coarse_disparity
-from .focus_order import focus_order
-from .lens_sample import LensFeatures, LensSample, lens_features, sample_lenses
+from .coarse_disparity import estimate_coarse_disparity
+from .focus_order import find_focus_order
+from .lens_sample import LensFeatures, LensSample, measure_lens_features, sample_lenses
 
 __all__ = ["find_lens_types"]
 
@@ -77,11 +77,11 @@ def find_lens_types(picture: NDArray[np.float32] | Parts, lattice: Lattice, whit
     parts = Parts.of(picture)
     picture = parts.picture
     sample = sample_lenses(lattice, parts)
-    features = lens_features(picture, sample)
-    sharpness = sample.against_neighbours(features.sharpness)
+    features = measure_lens_features(picture, sample)
+    sharpness = sample.subtract_neighbours(features.sharpness)
     if np.isfinite(sharpness).sum() < _FEWEST:
         return None
-    disparity = np.full(len(sharpness), np.nan) if white else coarse_disparity(picture, sample)
+    disparity = np.full(len(sharpness), np.nan) if white else estimate_coarse_disparity(picture, sample)
     if len(_other_patterns(lattice)) < _FEWEST_PATTERNS:
         return None
     evidence = _Evidence.of(sample, features, disparity, white)
@@ -93,9 +93,9 @@ def find_lens_types(picture: NDArray[np.float32] | Parts, lattice: Lattice, whit
     found = [m[1:] for m, power in zip(_MOSAICS, strength, strict=True) if power > 0 and m[0] == period]
     cell = _cell(period, found if period == 2 else [_MOSAICS[strongest][1:]])
     beats = _beats(_VECTORS[[strongest]], lattice, 1.0, _IN_STEP)[0]
-    droop = sample.against_neighbours(features.droop)
-    spill = droop if beats else sample.against_neighbours(features.spill)
-    order = focus_order(sample, cell, sharpness, disparity, spill, droop, features.falls)
+    droop = sample.subtract_neighbours(features.droop)
+    spill = droop if beats else sample.subtract_neighbours(features.spill)
+    order = find_focus_order(sample, cell, sharpness, disparity, spill, droop, features.falls)
     types = np.argsort(order.sequence)[cell]
     return LensTypes(types.astype(np.int8), order.known, order.focus[order.sequence], 1 - 1 / float(strength.max()))
 
@@ -149,15 +149,15 @@ class _Evidence:
         regular = np.any([_beats(_VECTORS, lattice, step, 2.0) for step in (1.0, 0.5)], axis=0)
         feigned = regular & [period == 2 for period, _, _ in _MOSAICS]
         measures = [
-            (_clipped(sample.against_neighbours(features.spill)), np.where(beats, *_LEAST_SPILL[::-1]), ~feigned),
+            (_clipped(sample.subtract_neighbours(features.spill)), np.where(beats, *_LEAST_SPILL[::-1]), ~feigned),
             # Where lattice and pixels beat, an edge cut by the pixel grid looks like types.
-            (_clipped(sample.against_neighbours(features.droop)), np.full(len(beats), _LEAST_DROOP), beats & ~feigned),
+            (_clipped(sample.subtract_neighbours(features.droop)), np.full(len(beats), _LEAST_DROOP), beats & ~feigned),
         ]
         if white:
-            level = _clipped(sample.against_neighbours(features.level))
+            level = _clipped(sample.subtract_neighbours(features.level))
             measures.append((level, np.full(len(beats), _LEAST_LEVEL), ~feigned))
         else:
-            sharpness = _clipped(sample.against_neighbours(features.sharpness))
+            sharpness = _clipped(sample.subtract_neighbours(features.sharpness))
             least = np.where(beats, *_LEAST_CONTRAST[::-1])
             measures.append((sharpness, least, ~feigned))
             if np.isfinite(disparity).sum() >= _FEWEST and np.nanstd(disparity) > _LEAST_SPREAD:
@@ -165,7 +165,7 @@ class _Evidence:
                 depth = np.clip(np.nan_to_num((disparity - np.nanmean(disparity)) / np.nanstd(disparity)), -2, 2)
                 measures.append((sharpness * depth, least, ~feigned))
         values = np.array([m[0] for m in measures])
-        tilt = np.array([_clipped(sample.against_neighbours(one)) for one in features.tilt])
+        tilt = np.array([_clipped(sample.subtract_neighbours(one)) for one in features.tilt])
         seen = np.zeros(len(_MOSAICS)) if white else _power(tilt, waves[:, : len(_MOSAICS)]).max(0)
         usable = np.array([m[2] for m in measures])
         least = np.array([m[1] for m in measures])

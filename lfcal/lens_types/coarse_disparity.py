@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..runtime.fastmath import FAST
 from .lens_sample import LensSample
 
-__all__ = ["coarse_disparity"]
+__all__ = ["estimate_coarse_disparity"]
 
 # Signed patch sizes over the pitch that are tried: beyond these neighbours share too little.
 _RATIOS = np.linspace(-0.6, 0.6, 25)
@@ -84,7 +84,7 @@ def _correlate(picture, centres, steps, ratios, radius, spacing, common, total):
                 total[lens, k] += 0.5 * (aa + bb - (a * a + b * b) / number) / number
 
 
-def coarse_disparity(picture: NDArray[np.float32], sample: LensSample) -> NDArray[np.float64]:
+def estimate_coarse_disparity(picture: NDArray[np.float32], sample: LensSample) -> NDArray[np.float64]:
     """Signed patch size over the pitch of the inner lenses of a sample.
 
     Parameters

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .lens_sample import LensSample
 
-__all__ = ["FocusOrder", "focus_order"]
+__all__ = ["FocusOrder", "find_focus_order"]
 
 # Neighbours in an order must differ by so many standard errors, so that a wrong order is a chance of 1 in 10,000; by
 # fewer where three foci are seen too, which lie in that order in one of six cases by chance.
@@ -53,7 +53,7 @@ class FocusOrder:
     focus: NDArray[np.float64]
 
 
-def focus_order(
+def find_focus_order(
     sample: LensSample,
     cell: NDArray[np.int64],
     sharpness: NDArray[np.float64],

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import Parts
 
-__all__ = ["LensFeatures", "LensSample", "lens_features", "sample_lenses"]
+__all__ = ["LensFeatures", "LensSample", "measure_lens_features", "sample_lenses"]
 
 # Lenses along a block without its border; whole periods of 2, 3 and 4 lenses.
 _SIDE = 12
@@ -65,7 +65,7 @@ class LensSample:
         """(m * side**2, 2) lattice indices of the lenses that are no border."""
         return self.index[:, 1:-1, 1:-1].reshape(-1, 2)
 
-    def against_neighbours(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def subtract_neighbours(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """(m * side**2,) of `values` (m, side + 2, side + 2): value of a lens minus the mean of its neighbours.
 
         NaN where one of them is NaN.
@@ -178,7 +178,7 @@ def _look(picture, centres, radius, inside, lag, rows, energy, tilt, light, coun
         tilt[0, lens], tilt[1, lens] = across / max(pairs, 1), down / max(pairs, 1)
 
 
-def lens_features(picture: NDArray[np.float32], sample: LensSample) -> LensFeatures:
+def measure_lens_features(picture: NDArray[np.float32], sample: LensSample) -> LensFeatures:
     """Measure the lenses of a sample.
 
     Parameters

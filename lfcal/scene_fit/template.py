@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from ..detection.folding import RUN, bins_along
+from ..detection.folding import VECTOR_LENGTH, compute_cell_bins
 from ..lattice.cell import cell_reach, cell_sides, row_in_cell
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
@@ -35,7 +35,7 @@ _MOST_CONTRAST = 2.0
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _places(picture, cx, cy, lens, sides, inverse, stride, bins, place, values):
-    """Bins and values of the pixels of a cell, as many as the number returned; `RUN` more may be overwritten."""
+    """Bins and values of the pixels of a cell, and their number; up to `VECTOR_LENGTH` more may be overwritten."""
     height, width = picture.shape
     number = np.uint64(0)
     for y in range(int(np.ceil(cy + sides[6, 0])) + lens % stride, int(np.floor(cy + sides[6, 1])) + 1, stride):
@@ -49,12 +49,12 @@ def _places(picture, cx, cy, lens, sides, inverse, stride, bins, place, values):
         count = (last - first) // stride + 1
         u = dx * inverse[0, 0] + dy * inverse[1, 0] + 0.5 / bins
         v = dx * inverse[0, 1] + dy * inverse[1, 1] + 0.5 / bins
-        bins_along(u, v, inverse[0, 0] * stride, inverse[0, 1] * stride, bins, number, count, place)
+        compute_cell_bins(u, v, inverse[0, 0] * stride, inverse[0, 1] * stride, bins, number, count, place)
         pixels = picture[y]
         # What lies beyond the last row is not to be read.
-        if stride == 1 and (y + 1 < height or first + count + RUN <= width):
-            for start in range(0, count, RUN):
-                for lane in range(RUN):
+        if stride == 1 and (y + 1 < height or first + count + VECTOR_LENGTH <= width):
+            for start in range(0, count, VECTOR_LENGTH):
+                for lane in range(VECTOR_LENGTH):
                     at = np.uint64(start) + np.uint64(lane)
                     values[number + at] = pixels[np.uint64(first) + at]
         else:
@@ -210,7 +210,7 @@ def average_cell(
 
 def _room(faces: NDArray[np.float64], stride: int) -> int:
     """Room for the pixels of a cell, and for what is worked on beyond them."""
-    return (int(2 * cell_reach(faces)) // stride + 3) ** 2 + 2 * RUN
+    return (int(2 * cell_reach(faces)) // stride + 3) ** 2 + 2 * VECTOR_LENGTH
 
 
 def _bins(lattice: Lattice) -> int:

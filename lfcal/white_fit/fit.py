@@ -71,7 +71,7 @@ class DiscFit:
     errors : LatticeErrors
         As the scatter of the microimages implies.
     lenses_used : int
-    halves_differ : float [px]
+    half_difference : float [px]
         RMS distance over the flat between the steps of two independent halves of the microimages.
     residuals : Residuals [px]
         Of the single microimages that took part.
@@ -82,7 +82,7 @@ class DiscFit:
     residual_rms: float
     errors: LatticeErrors
     lenses_used: int
-    halves_differ: float
+    half_difference: float
     residuals: Residuals
 
 

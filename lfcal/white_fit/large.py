@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..detection.capture_kind import evenly_lit
-from ..detection.first_lattice import FirstLattice, first_lattice
+from ..detection.capture_kind import is_evenly_lit
+from ..detection.first_lattice import FirstLattice, find_first_lattice
 from ..images.mosaic import equalise
 from ..images.preprocessing import level_locally, luminance
 from ..lattice.lattice import Lattice
@@ -173,12 +173,12 @@ def _found(look: Look, size: tuple[int, int], sure: bool, tries: int) -> tuple[F
             continue
         picture = picture / np.float32(mean)
         try:
-            start = first_lattice(picture)
+            start = find_first_lattice(picture)
         except CalibrationError:
             continue
         if start.repeatability < _REPEATS or start.lattice.pitch * _PERIODS > side:
             continue
-        if not sure and not evenly_lit(start.brightness, picture**2, start.lattice):
+        if not sure and not is_evenly_lit(start.brightness, picture**2, start.lattice):
             return None
         own = start.lattice
         origin = own.origin + np.array([piece.x, piece.y])
@@ -196,4 +196,4 @@ def _even(look: Look, size: tuple[int, int], lattice: Lattice) -> bool:
     side = max(int(_WHOLE * lattice.pitch), _FOLLOW[1])
     parts = grid_parts(look, size, side, max(_EVENLY * _FOLLOW[1] ** 2, _FEWEST_PARTS * side**2))
     levelled = np.concatenate([level_locally(parts.part(k), _WIDE * lattice.pitch) for k in range(len(parts))])
-    return evenly_lit(replace(parts, picture=levelled), parts.picture**2, lattice)
+    return is_evenly_lit(replace(parts, picture=levelled), parts.picture**2, lattice)

@@ -14,13 +14,13 @@ def _threads() -> set[int]:
 
 def test_calibrate_works_with_one_blas_thread_and_leaves_two(monkeypatch):
     seen = []
-    block_size = reduction.block_size
+    block_size = reduction.choose_block_size
 
     def noting(image):
         seen.append(_threads())
         return block_size(image)
 
-    monkeypatch.setattr(reduction, "block_size", noting)
+    monkeypatch.setattr(reduction, "choose_block_size", noting)
     with threadpool_limits(2, "blas"):
         if _threads() != {2}:
             pytest.skip("no BLAS here whose threads can be set")

@@ -18,7 +18,7 @@ def small_is_large(monkeypatch):
 def test_large_white_image_is_placed_within_a_hundredth_pixel(whites, small_is_large):
     basis = whites.turned(whites.HEXAGON, 45.3, 17)
     image, origin = whites.white_image(basis, (1103, 905))
-    assert reduction.block_size(image) == 3
+    assert reduction.choose_block_size(image) == 3
     camera = lfcal.calibrate(image)
     assert camera.image_size == (1103, 905)
     assert whites.rms(whites.centre_errors(camera.lattice, origin, basis)) < 0.01
@@ -30,10 +30,10 @@ def test_distortion_and_gain_of_a_reduction_belong_to_the_flat():
 
     bend = Distortion([150.0, 120.0], 0.01, 0.0, 200.0)
     small = lfcal.Calibration(lfcal.Lattice([100.0, 90.0], [[20.0, 0.3], [10.0, 17.0]], (320, 240), 9.0, bend))
-    large = reduction.enlarged(small, 4, (1283, 961))
+    large = reduction.upscale_calibration(small, 4, (1283, 961))
     index = small.lattice.indices()
     np.testing.assert_allclose(large.lattice.points(index), 4 * small.lattice.points(index) + 1.5, atol=1e-9)
 
 
 def test_small_flat_is_not_reduced():
-    assert reduction.block_size(np.zeros((1000, 1000), np.uint8)) == 1
+    assert reduction.choose_block_size(np.zeros((1000, 1000), np.uint8)) == 1

@@ -12,8 +12,8 @@ import lfcal
 from data_synth import SCENES, Camera, simulate
 from lfcal.images.preprocessing import tone
 from lfcal.lens_types.classify import find_lens_types
-from lfcal.lens_types.focus_order import focus_order
-from lfcal.lens_types.lens_sample import lens_features, sample_lenses
+from lfcal.lens_types.focus_order import find_focus_order
+from lfcal.lens_types.lens_sample import measure_lens_features, sample_lenses
 
 _FOCI = (-0.5, -0.35, -0.22)
 _MOSAIC = np.array([[0, 1, 2], [2, 0, 1], [1, 2, 0]])
@@ -70,7 +70,7 @@ def test_focus_of_each_type_is_read_from_how_sharpness_changes_with_depth(whites
     sharpness = -np.log1p(((disparity - np.array(foci)[types]) / 0.15) ** 2) + 0.3 * rng.standard_normal(types.shape)
     inner = disparity[:, 1:-1, 1:-1].ravel()
     nothing = np.full(len(inner), np.nan)
-    order = focus_order(sample, _MOSAIC, sample.against_neighbours(sharpness), inner, nothing, nothing, 1.0)
+    order = find_focus_order(sample, _MOSAIC, sample.subtract_neighbours(sharpness), inner, nothing, nothing, 1.0)
     assert order.known
     np.testing.assert_array_equal(order.sequence, [0, 1, 2])
     assert order.focus == pytest.approx(foci, abs=0.02)
@@ -86,7 +86,9 @@ def test_faint_order_that_the_foci_confirm_is_told_and_never_wrong(whites):
     orders = []
     for seed in range(40):
         noisy = sharpness + 4 * np.random.default_rng(seed).standard_normal(types.shape)
-        orders.append(focus_order(sample, _MOSAIC, sample.against_neighbours(noisy), inner, nothing, nothing, 1.0))
+        orders.append(
+            find_focus_order(sample, _MOSAIC, sample.subtract_neighbours(noisy), inner, nothing, nothing, 1.0)
+        )
     told = [order.sequence.tolist() for order in orders if order.known]
     # Four standard errors would tell 22 of them.
     assert 24 <= len(told) < 40
@@ -101,7 +103,7 @@ def test_order_is_not_told_from_a_scene_far_from_all_foci(whites):
     sharpness = -np.log1p(((disparity - np.array(_FOCI)[types]) / 0.03) ** 2)
     inner = disparity[:, 1:-1, 1:-1].ravel()
     nothing = np.full(len(inner), np.nan)
-    order = focus_order(sample, _MOSAIC, sample.against_neighbours(sharpness), inner, nothing, nothing, 1.0)
+    order = find_focus_order(sample, _MOSAIC, sample.subtract_neighbours(sharpness), inner, nothing, nothing, 1.0)
     assert not order.known and np.isnan(order.focus).all()
 
 
@@ -132,8 +134,8 @@ def test_scene_that_repeats_with_every_third_lens_is_not_taken_for_types(whites)
     scene = 1 + 0.4 * np.sin(2 * np.pi * (within + (index[..., 0] - index[..., 1]) / 3))
     lattice = lfcal.Lattice(origin, basis, size, 10.3)
     assert search(image * scene, lattice) is None
-    features, sample = lens_features(tone(image * scene), sample_lenses(lattice)), sample_lenses(lattice)
-    contrast = sample.against_neighbours(features.sharpness)
+    features, sample = measure_lens_features(tone(image * scene), sample_lenses(lattice)), sample_lenses(lattice)
+    contrast = sample.subtract_neighbours(features.sharpness)
     third = (sample.inner[:, 0] - sample.inner[:, 1]) % 3
     assert np.ptp([np.nanmean(contrast[third == kind]) for kind in range(3)]) > 0.2
 
@@ -180,11 +182,11 @@ def test_measures_of_lenses_do_not_depend_on_the_number_of_threads(house):
     threads = numba.get_num_threads()
     try:
         numba.set_num_threads(1)
-        one = lens_features(picture, sample)
+        one = measure_lens_features(picture, sample)
     finally:
         numba.set_num_threads(threads)
     for name in ("sharpness", "spill", "droop", "level", "tilt"):
-        np.testing.assert_array_equal(getattr(lens_features(picture, sample), name), getattr(one, name))
+        np.testing.assert_array_equal(getattr(measure_lens_features(picture, sample), name), getattr(one, name))
 
 
 def test_lenses_far_outside_the_flat_have_a_type_too():

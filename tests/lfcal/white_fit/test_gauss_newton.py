@@ -10,7 +10,7 @@ import pytest
 import lfcal
 from benchmarks.calibration_speed import drawn
 from benchmarks.white_images import WhiteImage
-from lfcal.detection.first_lattice import first_lattice, first_lattices_of_large
+from lfcal.detection.first_lattice import find_first_lattice, find_first_lattices_at_half_size
 from lfcal.gain.kernel import light
 from lfcal.illumination.gain_terms import monomials
 from lfcal.illumination.light_of_many import cut_table, light_of_any, light_of_round
@@ -179,13 +179,13 @@ def test_terms_of_the_field_are_its_powers():
 def test_first_lattices_of_large_microimages_is_found_at_half_size(pitch, half):
     truth = WhiteImage("hexagonal", pitch, 7.0, 26.0, size=(701, 520))
     picture = tone(drawn(truth, 1))
-    start = next(first_lattices_of_large(picture))
+    start = next(find_first_lattices_at_half_size(picture))
     assert start.brightness.shape == (520 // half, 701 // half)
     found = start.lattice.centres()
     assert start.lattice.image_size == truth.size
     assert np.sqrt(((found - truth.centres(truth.index_of(found))) ** 2).sum(1).mean()) < 0.02 * pitch
     if half == 1:
-        np.testing.assert_array_equal(start.lattice.basis, first_lattice(picture).lattice.basis)
+        np.testing.assert_array_equal(start.lattice.basis, find_first_lattice(picture).lattice.basis)
 
 
 def test_lenses_that_agreed_before_are_asked_again():
