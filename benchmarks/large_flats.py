@@ -22,7 +22,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from lfcal import Calibration, Lattice, Vignetting
+from lfcal import Calibration, Lattice
+from lfcal.gain.vignetting import Vignetting
 
 __all__ = ["main", "write_flat"]
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfcal import Calibration, Lattice, Vignetting
+from lfcal import Calibration, Lattice
+from lfcal.gain.vignetting import Vignetting
 
 __all__ = ["LATTICES", "Camera"]
 

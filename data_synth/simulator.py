@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Vignetting
+from lfcal.gain.vignetting import Vignetting
 
 from .camera import Camera
 from .capture import Capture, Truth

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .camera.calibration import Calibration
-from .images.mosaic import Mosaic, check_mosaic, equalise, has_mosaic, without_mosaic
+from .images.mosaic import Mosaic, check_mosaic, equalise_mosaic, has_mosaic, remove_mosaic
 from .runtime.errors import CalibrationError
 
 if TYPE_CHECKING:
     from .detection.first_lattice import FirstLattice
     from .lattice.lattice import Lattice
-    from .lattice.lens_subset import Look, Parts
+    from .lattice.lens_subset import ReadCrop, StackedCrops
     from .lattice_fit import FinalLattice
 
 __all__ = ["calibrate"]
@@ -114,7 +114,7 @@ def _calibrated(
         found = _found_on_large(flats[0], kind)
 
     def lights() -> list[NDArray[np.float32]]:
-        return [equalise(flat) if filtered else luminance(flat) for flat in flats]
+        return [equalise_mosaic(flat) if filtered else luminance(flat) for flat in flats]
 
     others: Iterator[_Found] = iter(())
     if found is None:
@@ -149,17 +149,17 @@ def _first_measured(found: _Found, others: Iterator[_Found]) -> tuple[Calibratio
 
 @dataclass(frozen=True)
 class _Found:
-    """The lattice of a camera, and what it was found on: the `tone` of a flat, or parts of it and a look at all.
+    """The lattice of a camera, and what it was found on: the picture of a flat, or parts of it and a look at all.
 
-    `single` is the tone of one of several scenes, where the picture is their mean. `softened` is the picture with less
+    `single` is one of several scenes, where the picture is their mean. `softened` is the picture with less
     contrast, where that is what the lattice was found on.
     """
 
-    picture: NDArray[np.float32] | Parts
+    picture: NDArray[np.float32] | StackedCrops
     white: bool
     start: FirstLattice
     fit: FinalLattice
-    look: Look | None = None
+    look: ReadCrop | None = None
     single: NDArray[np.float32] | None = None
     softened: NDArray[np.float32] | None = None
 
@@ -216,11 +216,11 @@ def _softer(found: _Found, others: Iterator[_Found]) -> Iterator[_Found]:
 
 def _found_on_large(flat: NDArray[Any], kind: str) -> _Found | None:
     """The lattice of a large white image, followed outwards from its middle; None where it is none."""
-    from .images.preprocessing import tone
+    from .images.preprocessing import sqrt_luminance
     from .lattice_fit import fit_lattice_to_white_image
     from .white_fit.large import first_of_all
 
-    picture = tone(flat)
+    picture = sqrt_luminance(flat)
     start = first_of_all(picture, kind == "white")
     return None if start is None else _Found(picture, True, start, fit_lattice_to_white_image(picture, start))
 
@@ -228,10 +228,10 @@ def _found_on_large(flat: NDArray[Any], kind: str) -> _Found | None:
 def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) -> Iterator[_Found]:
     """The lattice from whole flats, the likeliest first; CalibrationError where there is none."""
     from .detection.capture_kind import choose_white_or_scene
-    from .images.preprocessing import tone
+    from .images.preprocessing import sqrt_luminance
     from .lattice_fit import fit_lattice_to_scenes, fit_lattice_to_white_image
 
-    single = tone(lights[0]) if len(lights) == 1 else None
+    single = sqrt_luminance(lights[0]) if len(lights) == 1 else None
     if len(lights) > 1:
         lights = _telling(lights)
     error: CalibrationError | None = None
@@ -240,12 +240,12 @@ def _found_on_all(lights: list[NDArray[np.float32]], kind: str, filtered: bool) 
         try:
             white, some = choose_white_or_scene(lights, start, kind)
             if white:
-                picture = tone(_white_sum(some)) if single is None else single
+                picture = sqrt_luminance(_white_sum(some)) if single is None else single
                 found = _Found(picture, True, start, fit_lattice_to_white_image(picture, start))
             else:
-                some = [without_mosaic(light) for light in some] if filtered else some
-                picture = tone(_mean_scene(some)) if single is None or filtered else single
-                one = None if len(some) == 1 else tone(some[0])
+                some = [remove_mosaic(light) for light in some] if filtered else some
+                picture = sqrt_luminance(_mean_scene(some)) if single is None or filtered else single
+                one = None if len(some) == 1 else sqrt_luminance(some[0])
                 found = _Found(picture, False, start, fit_lattice_to_scenes(some, picture, start), single=one)
         except CalibrationError as failure:
             error = error or start.doubt or failure
@@ -342,21 +342,21 @@ def _warnings(camera: Calibration, differ: float, unknown_mosaic: bool) -> list[
 
 def _telling(lights: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
     """The lights that show something."""
-    from .images.stack import telling
+    from .images.stack import select_contrasted
 
-    return [lights[k] for k in telling(lights)]
+    return [lights[k] for k in select_contrasted(lights)]
 
 
 def _white_sum(lights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-    from .images.stack import white_sum
+    from .images.stack import combine_whites
 
-    return white_sum(lights)
+    return combine_whites(lights)
 
 
 def _mean_scene(lights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-    from .images.stack import mean_scene
+    from .images.stack import average_scenes
 
-    return mean_scene(lights) if len(lights) > 1 else lights[0]
+    return average_scenes(lights) if len(lights) > 1 else lights[0]
 
 
 def _starts(
@@ -364,19 +364,21 @@ def _starts(
 ) -> Iterator[FirstLattice]:
     """First lattices on the mean of the lights, or on the first of them that shows one by itself.
 
-    `single` is the tone of the only one.
+    `single` is the sqrt_luminance of the only one.
     """
     import cv2
 
     from .detection.downscale import is_searched_at_half_size
     from .detection.first_lattice import NO_MICROIMAGES, REPEATS, find_first_lattices, find_first_lattices_at_half_size
-    from .images.preprocessing import tone
+    from .images.preprocessing import sqrt_luminance
 
     error: CalibrationError | None = None
     found = False
     tries = [lambda: _mean_scene(lights)] + [lambda light=light: light for light in lights] * (len(lights) > 1)
     for light in tries:
-        picture = tone(without_mosaic(light()) if filtered else light()) if single is None or filtered else single
+        picture = (
+            sqrt_luminance(remove_mosaic(light()) if filtered else light()) if single is None or filtered else single
+        )
         try:
             mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(picture))
             if mean == 0 or deviation < _EVEN * mean:

@@ -1,4 +1,4 @@
-"""Final lattice of a camera: every pixel of a white image, or the breaks between microimages of scenes."""
+"""Final lattice of a camera: every pixel of a white image, or the edge_strength between microimages of scenes."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 from .lattice.lattice import Lattice
 from .lattice.residuals import Residuals
-from .lattice.standard_errors import LatticeErrors, errors_of_even_fit
+from .lattice.standard_errors import LatticeErrors, equal_weight_errors
 from .runtime.errors import CalibrationError
 
 if TYPE_CHECKING:
     from .detection.first_lattice import FirstLattice
-    from .lattice.lens_subset import Parts
+    from .lattice.lens_subset import StackedCrops
     from .white_fit.fit import DiscFit
     from .white_fit.parameters import CatEye
 
 __all__ = ["FinalLattice", "fit_lattice_to_scenes", "fit_lattice_to_white_image"]
 
-# Window, in pitches, in which breaks are levelled: wider than a rim, narrower than what the scene shows in a lens.
+# Window, in pitches, in which edges are levelled: wider than a rim, narrower than what the scene shows in a lens.
 _RIM = 0.5
 # A fit that leaves the first lattice by more than this share of the pitch (RMS) has followed something else.
 _FOLLOWED = 0.2
@@ -65,9 +65,9 @@ class FinalLattice:
     displacement: float = 0.0
 
 
-def fit_lattice_to_white_image(picture: NDArray[np.float32] | Parts, start: FirstLattice) -> FinalLattice:
-    """Fit the `tone` picture of a white image, or parts of it."""
-    from .lattice.lens_subset import Parts
+def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, start: FirstLattice) -> FinalLattice:
+    """Fit the `sqrt_luminance` picture of a white image, or parts of it."""
+    from .lattice.lens_subset import StackedCrops
     from .white_fit.fit import fit_discs
 
     found = start.lattice
@@ -80,7 +80,7 @@ def fit_lattice_to_white_image(picture: NDArray[np.float32] | Parts, start: Firs
         raise CalibrationError(
             "the microimages do not keep to one lattice; give a white image with more of them or with less noise"
         ) from error
-    parts = Parts.of(picture)
+    parts = StackedCrops.of(picture)
     index = found.indices() if parts.size == found.image_size else parts.lenses(found, 0.0)[0]
     index = index[:: max(1, len(index) // _TELLING)]
     # What the distortion moves counts only where the start knew of it.
@@ -121,18 +121,20 @@ def _strays(found: Lattice, discs: DiscFit, places: NDArray[np.float64]) -> floa
 def fit_lattice_to_scenes(
     lights: list[NDArray[np.float32]], picture: NDArray[np.float32], start: FirstLattice
 ) -> FinalLattice:
-    """Fit the lights (h, w) of one or several scenes; `picture` is the `tone` of their mean.
+    """Fit the lights (h, w) of one or several scenes; `picture` is the `sqrt_luminance` of their mean.
 
-    Only the breaks at the rims are what the lattice predicts: brightness also shows the scene, gaps that cut
+    Only the edge_strength at the rims are what the lattice predicts: brightness also shows the scene, gaps that cut
     microimages have moved, and where a camera has flattened its pictures with another white image.
     """
-    from .images.preprocessing import breaks, level_locally, tone
+    from .images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
     from .scene_fit.fit import fit_scene
 
     found = start.lattice
-    rims = level_locally(breaks(picture if len(lights) == 1 else tone(lights[0])), _RIM * found.pitch)
+    rims = normalise_locally(
+        edge_strength(picture if len(lights) == 1 else sqrt_luminance(lights[0])), _RIM * found.pitch
+    )
     for light in lights[1:]:
-        rims += level_locally(breaks(tone(light)), _RIM * found.pitch)
+        rims += normalise_locally(edge_strength(sqrt_luminance(light)), _RIM * found.pitch)
     if len(lights) > 1:
         rims /= np.float32(len(lights))
     fit = fit_scene(rims, found)
@@ -140,5 +142,5 @@ def fit_lattice_to_scenes(
         # Rims too faint for single lenses: what whole tiles have in common is the better measure.
         return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
     lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius, fit.distortion)
-    errors = errors_of_even_fit(lattice, fit.uncertainty)
+    errors = equal_weight_errors(lattice, fit.uncertainty)
     return FinalLattice(lattice, fit.residual_rms, fit.lenses_used, fit.half_difference, errors)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 import re
 from importlib import import_module
 from pathlib import Path
@@ -17,6 +18,14 @@ def test_the_reference_lists_every_public_name_and_no_other(package):
     part = text.partition(f".. currentmodule:: {package}\n")[2].partition(".. currentmodule::")[0]
     listed = re.findall(r"^   (\w+)$", part, re.MULTILINE)
     assert sorted(listed) == sorted(import_module(package).__all__)
+
+
+@pytest.mark.parametrize("package", ["lfcal", "lfrender", "data_synth"])
+def test_names_of_sub_packages_in_the_reference_exist(package):
+    text = (DOCS / "api.rst").read_text(encoding="utf-8")
+    part = text.partition(f".. currentmodule:: {package}\n")[2].partition(".. currentmodule::")[0]
+    for dotted in re.findall(r"^   (\w+(?:\.\w+)+)$", part, re.MULTILINE):
+        assert pkgutil.resolve_name(f"{package}.{dotted}").__doc__
 
 
 def test_every_page_is_in_a_table_of_contents():

@@ -19,6 +19,7 @@ import tifffile
 
 import lfcal
 import lfrender
+from lfcal.camera_files.read_write import convert, read_camera
 from lfrender.sequence.film_file import FilmFile
 from lfrender.sequence.frames import open_frames
 
@@ -72,7 +73,7 @@ def whole_files(folder: Path) -> dict[str, bytes]:
     camera = lfcal.calibrate(PlaneFlat(size=_SIZE, pitch=12.0, contrast=0.0, noise=0.01, fill=0.95).flat())
     camera.save(folder / "camera.json")
     for suffix in (".xml", ".cfg", ".csv"):
-        lfcal.convert(camera, folder / f"camera{suffix}")
+        convert(camera, folder / f"camera{suffix}")
     for suffix in (".mp4", ".mkv") if find_spec("av") else ():
         with FilmFile(folder / f"film{suffix}", Fraction(25), "") as film:
             for step in range(4):
@@ -131,7 +132,7 @@ def _reader(name: str) -> Callable[[Path], Any]:
         # A camera is of use only where its lenses can be counted.
         return lambda path: len(lfcal.load(path, None if suffix == ".json" else _SIZE).lattice)
     if suffix == ".csv":
-        return lambda path: len(lfcal.read_camera(path, _SIZE).lattice)
+        return lambda path: len(read_camera(path, _SIZE).lattice)
     return lambda path: (lfcal.count_pages(path), lfcal.read_flat(path))
 
 

@@ -20,7 +20,7 @@ from ..lattice.lattice import Lattice
 from ..lattice.residuals import Residuals
 from ..lattice.standard_errors import LatticeErrors
 from ..runtime.errors import CalibrationError, CameraFileError, FlatError
-from ..runtime.output_file import whole_file
+from ..runtime.output_file import atomic_write
 from .lens_types import LensTypes
 
 __all__ = ["Calibration", "load"]
@@ -272,7 +272,7 @@ class Calibration:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the camera as JSON; the file appears whole or not at all."""
-        with whole_file(path) as temporary:
+        with atomic_write(path) as temporary:
             temporary.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
 
 

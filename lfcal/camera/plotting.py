@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..lattice.orientation import orientation
-from ..runtime.notebook import axes, card, lattice_drawing
+from ..lattice.orientation import describe_orientation
+from ..runtime.notebook import get_axes, html_card, lattice_svg
 
 if TYPE_CHECKING:
     from .calibration import Calibration
@@ -21,7 +21,7 @@ _RECTANGLES = (12, 9)
 def calibration_card(calibration: Calibration) -> str:
     """HTML with a drawing of the lattice and the key figures of a camera."""
     lattice = calibration.lattice
-    shape, rows, turned = orientation(lattice)
+    shape, rows, turned = describe_orientation(lattice)
     width, height = calibration.image_size
     figures = {
         "lattice": f"{shape}, rows {rows}, turned by {turned:+.4f}°",
@@ -33,13 +33,13 @@ def calibration_card(calibration: Calibration) -> str:
     }
     if np.isfinite(calibration.residual_rms):
         figures["residual"] = f"{calibration.residual_rms:.3f} px RMS of {calibration.lenses_used} lenses"
-    drawing = lattice_drawing(lattice, calibration.lens_types)
-    return card("Calibration", figures, drawing, calibration.warnings)
+    drawing = lattice_svg(lattice, calibration.lens_types)
+    return html_card("Calibration", figures, drawing, calibration.warnings)
 
 
 def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
     """`Calibration.plot`."""
-    ax = axes(ax)
+    ax = get_axes(ax)
     lattice = calibration.lattice
     width, height = calibration.image_size
     if calibration.residuals is None:
@@ -47,7 +47,7 @@ def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
         ax.scatter(*centres.T, s=2, linewidths=0)
         ax.set_title("Centres of the microimages")
     else:
-        places, mean, error = calibration.residuals.over_field(lattice, *_RECTANGLES)
+        places, mean, error = calibration.residuals.mean_over_grid(lattice, *_RECTANGLES)
         arrows = ax.quiver(*places.T, *mean.T, np.hypot(*mean.T) / error, angles="xy", cmap="viridis")
         ax.figure.colorbar(arrows, ax=ax, label="length over its standard error")
         longest = float(np.hypot(*mean.T).max(initial=0.0))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..camera.calibration import Calibration
 from ..runtime.errors import CameraFileError
-from .fields import number, point, positive, published_camera
+from .xml_fields import make_camera, read_number, read_point, require_positive
 
 __all__ = ["parse_published", "read_published"]
 
@@ -72,9 +72,9 @@ def _from_xml(text: str, image_size: tuple[int, int] | None, where: str) -> Cali
 
         return parse_raytrix(root, image_size, where)
     if root.tag == "TSPCCalibData":
-        corners = [point(root, f"centers/{name}", where) for name in ("ltop", "rtop", "lbot", "rbot")]
-        upright = abs(np.sin(number(root, "rotation", where))) > np.sqrt(0.5)
-        return _from_corners(corners, number(root, "diameter", where), upright, image_size, where)
+        corners = [read_point(root, f"centers/{name}", where) for name in ("ltop", "rtop", "lbot", "rbot")]
+        upright = abs(np.sin(read_number(root, "rotation", where))) > np.sqrt(0.5)
+        return _from_corners(corners, read_number(root, "diameter", where), upright, image_size, where)
     raise CameraFileError(f"{where}: <{root.tag}> is no known camera file; known are RayCalibData and TSPCCalibData")
 
 
@@ -102,7 +102,7 @@ def _from_pairs(text: str, image_size: tuple[int, int] | None, where: str) -> Ca
         raise CameraFileError(
             f"{where}: is for flats of {size[0]} x {size[1]} px, not of {image_size[0]} x {image_size[1]} px"
         )
-    pitch = positive(get("MIDiameter"), "MIDiameter", where)
+    pitch = require_positive(get("MIDiameter"), "MIDiameter", where)
     upright = get("MLADirection") == 1
     if "LeftTopMICenterX" in pairs:
         names = ("LeftTop", "RightTop", "LeftBottom", "RightBottom")
@@ -111,14 +111,14 @@ def _from_pairs(text: str, image_size: tuple[int, int] | None, where: str) -> Ca
     origin = (np.array(size) - 1) / 2 + np.array([get("CentralMIOffsetX"), -get("CentralMIOffsetY")])
     basis = _HEXAGON[:, ::-1] if upright else _HEXAGON
     warnings = ["the file gives no angle finer than upright or level rows"]
-    return published_camera(origin, basis * pitch, size, pitch / 2, warnings)
+    return make_camera(origin, basis * pitch, size, pitch / 2, warnings)
 
 
 def _from_corners(
     corners: list[NDArray[np.float64]], pitch: float, upright: bool, image_size: tuple[int, int], where: str
 ) -> Calibration:
     """Hexagonal lattice through the outermost centres: left top, right top, left bottom, right bottom."""
-    pitch = positive(pitch, "diameter", where)
+    pitch = require_positive(pitch, "diameter", where)
     left_top, right_top, left_low, right_low = corners
     down = ((left_low - left_top) + (right_low - right_top)) / 2
     across = ((right_top - left_top) + (right_low - left_low)) / 2
@@ -134,4 +134,4 @@ def _from_corners(
         slip = np.sign(float((sideways - square) @ along)) or 1.0
         sideways = sideways - slip * 0.5 * along / rows
     first = np.mean(corners, axis=0) - (down + across) / 2
-    return published_camera(first, np.array([along, sideways + along / 2]), image_size, pitch / 2, [_COARSE])
+    return make_camera(first, np.array([along, sideways + along / 2]), image_size, pitch / 2, [_COARSE])

@@ -13,9 +13,9 @@ from ..camera.calibration import Calibration
 from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
-from .fields import number, point, positive, published_camera
+from .xml_fields import make_camera, read_number, read_point, require_positive
 
-__all__ = ["parse_raytrix", "raytrix_xml"]
+__all__ = ["parse_raytrix", "write_raytrix"]
 
 _SIXTH = np.pi / 3
 # Angles in files are given to six digits or more; a degree apart is no rounding.
@@ -28,9 +28,9 @@ _NEAREST, _FARTHEST = 1.0, 100.0
 
 def parse_raytrix(root: Any, image_size: tuple[int, int], where: str) -> Calibration:
     """The camera in a `RayCalibData` element; errors begin with `where`."""
-    pitch = positive(number(root, "diameter", where), "diameter", where)
-    rotation = number(root, "rotation", where)
-    base = np.array([point(root, "lens_base_x", where), point(root, "lens_base_y", where)])
+    pitch = require_positive(read_number(root, "diameter", where), "diameter", where)
+    rotation = read_number(root, "rotation", where)
+    base = np.array([read_point(root, "lens_base_x", where), read_point(root, "lens_base_y", where)])
     if abs(np.linalg.det(base)) < 1e-3:
         raise CameraFileError(f"{where}: lens_base_x and lens_base_y do not span a lattice")
     warnings = []
@@ -46,14 +46,14 @@ def parse_raytrix(root: Any, image_size: tuple[int, int], where: str) -> Calibra
             warnings.append("lens_base and rotation name two different angles; both were applied, check on a flat")
     cos, sin = np.cos(turn), np.sin(turn)
     up = base @ np.array([[cos, sin], [-sin, cos]]) * pitch
-    offset = point(root, "offset", where)
+    offset = read_point(root, "offset", where)
     origin = (np.array(image_size) - 1) / 2 + offset * [1, -1]
     border = root.find("lens_border")
-    radius = pitch / 2 - (number(root, "lens_border", where) if border is not None else 0.0)
+    radius = pitch / 2 - (read_number(root, "lens_border", where) if border is not None else 0.0)
     if _distorted(root):
         warnings.append("the file names a lens distortion, which is left out; calibrate on a flat for better")
-    camera = published_camera(origin, up * [1, -1], image_size, positive(radius, "radius", where), warnings)
-    offsets = [point(element, "offset", where) for element in root.findall("lens_type")]
+    camera = make_camera(origin, up * [1, -1], image_size, require_positive(radius, "radius", where), warnings)
+    offsets = [read_point(element, "offset", where) for element in root.findall("lens_type")]
     if len(offsets) < 2:
         return camera
     types = _types_at(np.array(offsets) @ np.array([[cos, sin], [-sin, cos]]) * [pitch, -pitch], camera.lattice)
@@ -96,7 +96,7 @@ def _apart(a: float, b: float) -> float:
     return min(difference, _SIXTH - difference)
 
 
-def raytrix_xml(calibration: Calibration) -> str:
+def write_raytrix(calibration: Calibration) -> str:
     """A camera as `RayCalibData`: the basis lies along x before the rotation turns it.
 
     Lens types are kept where there are three in a hexagonal array; their ranges of depth where their focus is known.

@@ -11,9 +11,9 @@ import numpy as np
 from ..camera.calibration import Calibration, load
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
-from ..runtime.output_file import check_output, whole_file
+from ..runtime.output_file import atomic_write, check_output
 from .published import parse_published
-from .raytrix import raytrix_xml
+from .raytrix import write_raytrix
 
 __all__ = ["convert", "read_camera"]
 
@@ -43,13 +43,13 @@ def convert(calibration: Calibration, path: str | os.PathLike[str]) -> None:
         calibration.save(path)
         return
     text = (
-        raytrix_xml(calibration)
+        write_raytrix(calibration)
         if suffix == ".xml"
         else {".cfg": _as_pairs, ".csv": _as_table}[suffix](calibration.lattice)
     )
     if suffix != ".csv":
         _check_kept(calibration.lattice, parse_published(text, calibration.image_size, str(path)).lattice, str(path))
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 

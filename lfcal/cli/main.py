@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from ..runtime.console import Input, Program, Report, about, examples, report_options, several_inputs
-from ..runtime.output_file import check_output
+from ..runtime.console import (
+    CommandGroup,
+    InputPath,
+    Report,
+    help_examples,
+    name_file_in_errors,
+    report_options,
+    several_inputs,
+)
+from ..runtime.output_file import atomic_write, check_output
 
 if TYPE_CHECKING:
     from ..camera.calibration import Calibration
@@ -16,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-_INPUT, _OUTPUT = Input(), click.Path(path_type=Path)
+_INPUT, _OUTPUT = InputPath(), click.Path(path_type=Path)
 
 
 # What is looked for here and is found in another program.
@@ -24,11 +32,11 @@ _ELSEWHERE = dict.fromkeys(("analyze", "batch", "demo", "refocus", "render", "re
 
 
 @click.group(
-    cls=Program,
+    cls=CommandGroup,
     name="lfcal",
     context_settings={"help_option_names": ["-h", "--help"]},
-    elsewhere=_ELSEWHERE,
-    for_a_file="calibrate {} -o camera.json",
+    other_programs=_ELSEWHERE,
+    file_command="calibrate {} -o camera.json",
 )
 @click.version_option(package_name="lfrender", prog_name="lfcal")
 def main() -> None:
@@ -36,7 +44,7 @@ def main() -> None:
 
 
 @main.command(
-    epilog=examples(
+    epilog=help_examples(
         "lfcal calibrate white.png -o camera.json",
         "lfcal calibrate white1.png white2.png -o camera.json",
         "lfcal calibrate scene.tif --kind scene --mosaic rggb -o camera.json",
@@ -83,7 +91,7 @@ def calibrate(
                     f"{flats[0].shape[0]} px; give flats of one camera"
                 )
     report.announce_compilation("lfcal")
-    with report.stage("calibrate"), about(images[0] if len(images) == 1 else f"{images[0]} ..."):
+    with report.stage("calibrate"), name_file_in_errors(images[0] if len(images) == 1 else f"{images[0]} ..."):
         camera = run(flats if len(flats) > 1 else flats[0], kind=kind, mosaic=mosaic)
     camera.save(output)
     report.finish({"camera": str(output), **describe(camera)})
@@ -97,7 +105,7 @@ def _sized(command: Any) -> Any:
     )(command)
 
 
-@main.command(epilog=examples("lfcal info camera.json", "lfcal info calibration.xml --image flat.png"))
+@main.command(epilog=help_examples("lfcal info camera.json", "lfcal info calibration.xml --image flat.png"))
 @click.argument("camera", type=_INPUT)
 @_sized
 @report_options
@@ -107,7 +115,7 @@ def info(camera: Path, size: str | None, image: Path | None, as_json: bool, quie
     Report(as_json, quiet).finish({"camera": str(camera), **describe(calibration)})
 
 
-@main.command(epilog=examples("lfcal show camera.json --image white.png -o show.png"))
+@main.command(epilog=help_examples("lfcal show camera.json --image white.png -o show.png"))
 @click.argument("camera", type=_INPUT)
 @click.option("--image", type=_INPUT, required=True, help="A white image or scene capture of that camera.")
 @click.option("-o", "--output", type=_OUTPUT, required=True, metavar="SHOW.png", help="Picture to write.")
@@ -117,7 +125,7 @@ def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) ->
     report = Report(as_json, quiet)
     check_output(output, {".png"}, [camera, image])
     with report.stage("read"):
-        from .. import read_flat, whole_file
+        from .. import read_flat
 
         flat = read_flat(image)
         calibration = _read(camera, (flat.shape[1], flat.shape[0]))
@@ -128,12 +136,12 @@ def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) ->
         from .. import show as run
 
         picture = Image.fromarray(run(calibration, flat))
-    with report.stage("write"), whole_file(output) as temporary:
+    with report.stage("write"), atomic_write(output) as temporary:
         picture.save(temporary, compress_level=4)
     report.finish({"picture": str(output), **describe(calibration)})
 
 
-@main.command(epilog=examples("lfcal flatten flat.png -c camera.json -o even.tif"))
+@main.command(epilog=help_examples("lfcal flatten flat.png -c camera.json -o even.tif"))
 @click.argument("flat", type=_INPUT)
 @click.option("-c", "--camera", type=_INPUT, required=True, help="Camera file with a gain map.")
 @click.option("-o", "--output", type=_OUTPUT, required=True, metavar="FLAT.tif", help="Flattened flat to write.")
@@ -143,21 +151,21 @@ def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) 
     report = Report(as_json, quiet)
     check_output(output, {".tif", ".tiff"}, [flat, camera])
     with report.stage("read"):
-        from .. import read_flat, whole_file
+        from .. import read_flat
 
         pixels = read_flat(flat)
         calibration = _read(camera, (pixels.shape[1], pixels.shape[0]))
     report.announce_compilation("lfcal")
-    with report.stage("flatten"), about(flat):
+    with report.stage("flatten"), name_file_in_errors(flat):
         even = calibration.flatten(pixels)
-    with report.stage("write"), whole_file(output) as temporary:
+    with report.stage("write"), atomic_write(output) as temporary:
         import tifffile
 
         tifffile.imwrite(temporary, even, photometric="rgb" if even.ndim == 3 else "minisblack")
     report.finish({"written": str(output), "size": [even.shape[1], even.shape[0]], "type": str(even.dtype)})
 
 
-@main.command(epilog=examples("lfcal compare monday.json friday.json"))
+@main.command(epilog=help_examples("lfcal compare monday.json friday.json"))
 @click.argument("a", type=_INPUT)
 @click.argument("b", type=_INPUT)
 @_sized
@@ -187,7 +195,7 @@ def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: boo
 
 
 @main.command(
-    epilog=examples(
+    epilog=help_examples(
         "lfcal convert camera.json -o calibration.xml", "lfcal convert calibration.xml --image flat.png -o camera.json"
     )
 )
@@ -197,7 +205,7 @@ def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: boo
 @report_options
 def convert(camera: Path, output: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
     """Write CAMERA in a form that other programs read, or theirs in ours."""
-    from .. import convert as run
+    from ..camera_files.read_write import convert as run
 
     check_output(output, {".xml", ".cfg", ".csv", ".json"}, [camera, image])
     calibration = _read(camera, _size(size, image))
@@ -255,10 +263,10 @@ def _read_pair(a: Path, b: Path, size: tuple[int, int] | None) -> tuple[Calibrat
 
 def describe(camera: Calibration) -> dict[str, Any]:
     """The figures of a calibration a person asks for, in words and pixels."""
-    from ..lattice.orientation import orientation
+    from ..lattice.orientation import describe_orientation
 
     lattice = camera.lattice
-    shape, rows, rotation = orientation(lattice)
+    shape, rows, rotation = describe_orientation(lattice)
     return {
         "size": list(camera.image_size),
         "lattice": shape,

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import Parts, some_lenses
+from ..lattice.lens_subset import StackedCrops, sample_lenses
 from ..runtime.errors import CalibrationError
-from ..runtime.interpolation import at_places
+from ..runtime.interpolation import interpolate_linear
 from .cell_tests import explained_by, lengths_of
 
 __all__ = ["AverageCell", "find_shape_doubt", "measure_average_cell"]
@@ -75,7 +75,7 @@ class AverageCell:
     two_kinds: float
 
 
-def find_shape_doubt(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> str | None:
+def find_shape_doubt(picture: NDArray[np.float32] | StackedCrops, lattice: Lattice) -> str | None:
     """Why it is in doubt that what repeats on a flat are microimages, judged by their shape; None where it is not.
 
     Parameters
@@ -108,20 +108,20 @@ def find_shape_doubt(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> 
     return None
 
 
-def measure_average_cell(picture: NDArray[np.float32] | Parts, lattice: Lattice) -> AverageCell | None:
+def measure_average_cell(picture: NDArray[np.float32] | StackedCrops, lattice: Lattice) -> AverageCell | None:
     """Measure the average cell on a `tone` picture (h, w) or parts; None where there are too few lenses."""
     offsets = _offsets(lattice.basis)
     steps = lattice.steps @ lattice.basis
     reach = float(np.hypot(*np.vstack([offsets, steps]).T).max()) + 1
-    if isinstance(picture, Parts):
+    if isinstance(picture, StackedCrops):
         _, centres, part = picture.lenses(lattice, reach)
         chosen = np.linspace(0, len(centres) - 1, min(_LENSES, len(centres))).astype(int)
         centres, picture = (centres - picture.offsets[part])[chosen], picture.picture
     else:
-        _, centres = some_lenses(lattice, reach, _LENSES)
+        _, centres = sample_lenses(lattice, reach, _LENSES)
     if len(centres) < _FEWEST:
         return None
-    cells = at_places(picture, centres[:, None] + offsets) ** 2
+    cells = interpolate_linear(picture, centres[:, None] + offsets) ** 2
     level = cells.mean(1)
     lit = level > _DARK * np.quantile(level, 0.95)
     if lit.sum() < _FEWEST:
@@ -141,7 +141,7 @@ def measure_average_cell(picture: NDArray[np.float32] | Parts, lattice: Lattice)
     opposite = min(float(a @ np.roll(square, tuple(move), (0, 1)).ravel()) / common for move in moves)
     middle = np.hypot(*offsets.T) < _CORE * np.hypot(*steps.T).min()
     core = cells[:, middle].mean()
-    joint = max(float((at_places(picture, centres + step / 2) ** 2 / level).mean()) for step in steps)
+    joint = max(float((interpolate_linear(picture, centres + step / 2) ** 2 / level).mean()) for step in steps)
     # Noise is as many independent values as a cell has pixels.
     error = (1 - alike) / alike / np.sqrt(min(abs(np.linalg.det(lattice.basis)), _ACROSS**2))
     return AverageCell(alike, unexplained, opposite, joint / core, float(error), _two_kinds(cells, centres))

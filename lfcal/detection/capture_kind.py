@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import Parts
+from ..lattice.lens_subset import StackedCrops
 from ..runtime.errors import FlatError
 from .first_lattice import FirstLattice
 from .radial_profile import RadialProfile, measure_radial_profile
@@ -88,10 +88,14 @@ def choose_white_or_scene(
         return kind == "white", lights
     if len(lights) == 1:
         return _evenly_lit_at(start, lights[0]), lights
-    from ..images.preprocessing import level_locally, tone
+    from ..images.preprocessing import normalise_locally, sqrt_luminance
 
     window = _LEVEL * start.lattice.pitch
-    whites = [light for light in lights if is_evenly_lit(level_locally(tone(light), window), light, start.lattice)]
+    whites = [
+        light
+        for light in lights
+        if is_evenly_lit(normalise_locally(sqrt_luminance(light), window), light, start.lattice)
+    ]
     return (True, whites) if whites else (False, lights)
 
 
@@ -104,10 +108,10 @@ def _evenly_lit_at(start: FirstLattice, light: NDArray[np.float32]) -> bool:
 
     height, width = start.brightness.shape
     small: Any = cv2.resize(light[: factor * height, : factor * width], (width, height), interpolation=cv2.INTER_AREA)
-    return is_evenly_lit(start.brightness, small, start.lattice.shrunk(factor))
+    return is_evenly_lit(start.brightness, small, start.lattice.downscaled(factor))
 
 
-def is_evenly_lit(brightness: NDArray[np.float32] | Parts, light: NDArray[np.float32], lattice: Lattice) -> bool:
+def is_evenly_lit(brightness: NDArray[np.float32] | StackedCrops, light: NDArray[np.float32], lattice: Lattice) -> bool:
     """Whether the insides of lit microimages vary by little against the depth of the gaps between them.
 
     Parameters

@@ -61,7 +61,7 @@ def choose_block_size(flat: NDArray[Any]) -> int:
 
 def _pitch(flat: NDArray[Any]) -> float:
     """Pitch [px] in the first part of a flat that shows one; the array need not fill the sensor."""
-    from ..images.preprocessing import luminance, tone
+    from ..images.preprocessing import luminance, sqrt_luminance
     from .first_lattice import find_first_lattice
 
     height, width = flat.shape[:2]
@@ -70,7 +70,7 @@ def _pitch(flat: NDArray[Any]) -> float:
     left, top = max(0, width - _SMALL_PART) // 2, max(0, height - _SMALL_PART) // 2
     small = np.ascontiguousarray(flat[top : top + _SMALL_PART, left : left + _SMALL_PART])
     try:
-        pitch = find_first_lattice(tone(luminance(small))).lattice.pitch
+        pitch = find_first_lattice(sqrt_luminance(luminance(small))).lattice.pitch
         if pitch * _PERIODS < _SMALL_PART:
             return pitch
     except CalibrationError:
@@ -79,7 +79,7 @@ def _pitch(flat: NDArray[Any]) -> float:
         left, top = int(across * max(0, width - _PART)), int(down * max(0, height - _PART))
         part = np.ascontiguousarray(flat[top : top + _PART, left : left + _PART])
         try:
-            return find_first_lattice(tone(luminance(part))).lattice.pitch
+            return find_first_lattice(sqrt_luminance(luminance(part))).lattice.pitch
         except CalibrationError as failure:
             error = error or failure
     assert error is not None

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..images.preprocessing import breaks, level_locally
+from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.errors import CalibrationError
 from .cell_centre import choose_lens_centre, find_primitive_cell, find_round_centres, is_checkerboard
@@ -79,7 +79,7 @@ class FirstLattice:
     ----------
     lattice : Lattice [px]
         Its radius is half the distance to the nearest neighbour.
-    brightness, breaks : (h, w) float32
+    brightness, edge_strength : (h, w) float32
         Locally levelled features, of half the size where the lattice was found at that.
     coherence : float
         Share of the harmonics' energy that all tiles have in common, 0..1.
@@ -98,7 +98,7 @@ class FirstLattice:
 
     lattice: Lattice
     brightness: NDArray[np.float32]
-    breaks: NDArray[np.float32]
+    edge_strength: NDArray[np.float32]
     coherence: float
     roundness: float
     half_difference: float
@@ -162,7 +162,7 @@ def find_first_lattice(picture: NDArray[np.float32]) -> FirstLattice:
     CalibrationError
         If nothing repeats in two directions, or no microimages do.
     """
-    return _lattice_from(next(_bases(picture)), picture, breaks(picture))
+    return _lattice_from(next(_bases(picture)), picture, edge_strength(picture))
 
 
 def find_first_lattices(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
@@ -178,7 +178,7 @@ def find_first_lattices(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
 
 def _lattices_from(bases: Iterator[NDArray[np.float64]], picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
     """`find_first_lattices` from bases of the spectrum."""
-    edges = breaks(picture)
+    edges = edge_strength(picture)
     error: CalibrationError | None = None
     unsure: FirstLattice | None = None
     given: list[FirstLattice] = []
@@ -223,7 +223,7 @@ def _lattice_from(basis: NDArray[np.float64], picture: NDArray[np.float32], edge
         pitch = float(np.sqrt(abs(np.linalg.det(basis))))
         if not 1 / _LEVEL_AGAIN <= _LEVEL * pitch / max(window, 1e-9) <= _LEVEL_AGAIN:
             window = _LEVEL * pitch
-            levelled = [level_locally(feature, window) for feature in (picture, edges)]
+            levelled = [normalise_locally(feature, window) for feature in (picture, edges)]
         side = int(max(_LEAST_TILE * pitch, min(_TILE * pitch, min(height, width) / _TILES)))
         refined, coherence = refine_basis(_lit_folds(picture, levelled, basis, side))
         basis = _kept(refined, basis)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import some_lenses
+from ..lattice.lens_subset import sample_lenses
 from ..runtime.errors import CalibrationError
-from ..runtime.interpolation import at_places
+from ..runtime.interpolation import interpolate_linear
 
 __all__ = ["NeighbourComparison", "check_parallax", "compare_neighbours", "shows_scene"]
 
@@ -160,13 +160,13 @@ def compare_neighbours(
     """
     steps = lattice.steps @ lattice.basis
     nearest, reach = float(np.hypot(*steps.T).min()), float(np.hypot(*steps.T).max())
-    indices, centres = some_lenses(lattice, 1.5 * reach + 1, _LENSES)
+    indices, centres = sample_lenses(lattice, 1.5 * reach + 1, _LENSES)
     if len(centres) < _FEWEST:
         return None
     grid = np.linspace(-1, 1, _ACROSS)
     core = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
     core = core[np.hypot(*core.T) < 1 + 1e-9] * min(_CORE * nearest / 2, _WELL_INSIDE * lattice.radius)
-    values = at_places(picture, centres[:, None] + core)
+    values = interpolate_linear(picture, centres[:, None] + core)
     tones = values.mean(1)
     lit = tones > _DARK * np.quantile(tones, 0.95)
     indices, centres, values, tones = indices[lit], centres[lit], values[lit], tones[lit]
@@ -174,12 +174,12 @@ def compare_neighbours(
         return None
     shape = values / tones[:, None]
     inside = float(np.sqrt(np.median(((shape - np.median(shape, axis=0)) ** 2).mean(1))))
-    border = float(np.median([np.median(at_places(picture, centres + step / 2) / tones) for step in steps]))
+    border = float(np.median([np.median(interpolate_linear(picture, centres + step / 2) / tones) for step in steps]))
     forward = [k for k, (i, j) in enumerate(lattice.steps.tolist()) if (i, j) > (0, 0)]
     kinds = _kinds(indices)
     apart = []
     for k in forward:
-        both = (at_places(picture, (centres + side * steps[k])[:, None] + core).mean(1) for side in (-1, 1))
+        both = (interpolate_linear(picture, (centres + side * steps[k])[:, None] + core).mean(1) for side in (-1, 1))
         apart.append(_spread(sum(np.log(np.maximum(tone, 1e-6) / tones) for tone in both), kinds))
     near = [steps[k] for k in forward if np.hypot(*steps[k]) < _NEAR * nearest]
     shifted = (float("nan"),) * 5
@@ -218,7 +218,7 @@ def _shifted(
         ahead = step / length
         aside = np.array([-ahead[1], ahead[0]])
         offset = along[:, None, None] * ahead + radius * np.array(_LINES)[:, None] * aside
-        own, other = (at_places(picture, (centres + far)[:, None, None] + offset) for far in (0 * step, step))
+        own, other = (interpolate_linear(picture, (centres + far)[:, None, None] + offset) for far in (0 * step, step))
         common = np.median(own, axis=0)
         common /= common.mean()
         own, other = own / common, other / common

@@ -14,11 +14,11 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from ..lattice.cell import cell_faces, inner_radius, outside
+from ..lattice.cell import cell_inradius, cell_normals, is_outside_cell
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import Parts, whole_lenses
-from ..lattice.lit_lenses import lit_lenses
+from ..lattice.lens_subset import StackedCrops, select_whole_lenses
+from ..lattice.lit_lenses import find_lit_lenses
 from ..runtime.errors import CalibrationError
 
 __all__ = ["LatticeFit", "RadialProfile", "fit_lattice", "measure_radial_profile"]
@@ -54,7 +54,7 @@ def _accumulate_profile(picture, centres, faces, inner, reach, step, chunks, tot
                 for x in range(int(np.ceil(cx - half)), int(np.floor(cx + half)) + 1):
                     dx = x - cx
                     rho = np.sqrt(dx * dx + dy * dy)
-                    if rho > inner and outside(dx, dy, faces):
+                    if rho > inner and is_outside_cell(dx, dy, faces):
                         continue
                     place = rho / step
                     ring = int(place)
@@ -86,7 +86,7 @@ def _accumulate_steps(picture, centres, faces, inner, first, reach, step, level,
                 for x in range(low, high):
                     dx = x - cx
                     rho = np.sqrt(dx * dx + dy * dy)
-                    if rho > inner and outside(dx, dy, faces):
+                    if rho > inner and is_outside_cell(dx, dy, faces):
                         continue
                     place = rho / step
                     ring = int(place)
@@ -171,7 +171,7 @@ class LatticeFit:
 
 
 def measure_radial_profile(
-    picture: NDArray[np.float32] | Parts,
+    picture: NDArray[np.float32] | StackedCrops,
     lattice: Lattice,
     lenses: int = 1000,
     light: NDArray[np.float32] | None = None,
@@ -180,17 +180,17 @@ def measure_radial_profile(
 
     Where `light` (h, w) of the flat or of its parts is given, lenses that are dark on it are left out.
     """
-    parts = Parts.of(picture)
+    parts = StackedCrops.of(picture)
     picture = parts.picture
-    faces, reach = cell_faces(lattice)
+    faces, reach = cell_normals(lattice)
     indices, centres, part = parts.lenses(lattice, reach + 1)
     places = centres - parts.offsets[part]
     if light is not None:
-        places = places[lit_lenses(light, lattice, indices, places, _DARK)]
+        places = places[find_lit_lenses(light, lattice, indices, places, _DARK)]
     centres = np.ascontiguousarray(places[:: max(1, len(places) // lenses)])
     rings = int(reach / _STEP) + 3
     total, square, count = (np.zeros((_CHUNKS, rings)) for _ in range(3))
-    _accumulate_profile(picture, centres, faces, inner_radius(faces), reach, _STEP, _CHUNKS, total, square, count)
+    _accumulate_profile(picture, centres, faces, cell_inradius(faces), reach, _STEP, _CHUNKS, total, square, count)
     summed, squares, number = total.sum(0), square.sum(0), count.sum(0)
     filled = number > 1e-6
     if filled.sum() < 2:
@@ -274,8 +274,8 @@ def _lens_steps(
     picture: NDArray[np.float32], lattice: Lattice, stride: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Indices (n, 2), normal matrices (n, 2, 2) and right sides (n, 2) of the steps of one lens in `stride`."""
-    faces, reach = cell_faces(lattice)
-    indices, centres = whole_lenses(lattice, reach + 1)
+    faces, reach = cell_normals(lattice)
+    indices, centres = select_whole_lenses(lattice, reach + 1)
     # Multiples of the golden ratio spread the chosen lenses evenly, where every n-th one would favour some columns.
     chosen = np.arange(len(centres)) * _GOLDEN % 1 < 1 / stride
     indices, centres = indices[chosen], np.ascontiguousarray(centres[chosen])
@@ -287,7 +287,7 @@ def _lens_steps(
     normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
     profile = measure_radial_profile(picture, lattice)
     _accumulate_steps(
-        picture, centres, faces, inner_radius(faces), profile.first, reach, profile.step, profile.mean, profile.slope,
+        picture, centres, faces, cell_inradius(faces), profile.first, reach, profile.step, profile.mean, profile.slope,
         1 / profile.variance, _OUTLIER, normal, right,
     )  # fmt: skip
     return indices, normal, right

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..images.preprocessing import breaks, level_locally
+from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import reduce_basis
 
 __all__ = ["NARROW", "Candidate", "Spectrum", "compute_spectra", "compute_spectrum", "find_candidate_bases"]
@@ -126,8 +126,8 @@ def compute_spectra(picture: NDArray[np.float32], reduction: int, backgrounds: t
     windows = _windows(height, width, size)
     for y, x in windows:
         window = np.ascontiguousarray(picture[y : y + size, x : x + size])
-        for feature in (window, breaks(window)):
-            levelled = level_locally(feature, size / 10)
+        for feature in (window, edge_strength(window)):
+            levelled = normalise_locally(feature, size / 10)
             levelled *= taper[:, None]
             levelled *= taper
             log_power += _log_power(levelled)

@@ -19,7 +19,7 @@ from ..runtime.errors import CalibrationError, FlatError
 if TYPE_CHECKING:
     from ..detection.folding import TileFolds
 
-__all__ = ["Agreement", "agreement"]
+__all__ = ["FitCheck", "check_fit"]
 
 # A region of so many pitches holds enough lenses for a fit, and a slightly wrong angle does not smear it out.
 _REGION = 13
@@ -55,7 +55,7 @@ _NAMES = (
 
 
 @dataclass(frozen=True)
-class Agreement:
+class FitCheck:
     """Where the pixels put the microimages, against a given lattice.
 
     Parameters
@@ -80,7 +80,7 @@ class Agreement:
     pitch: float
 
     @property
-    def worst(self) -> float:
+    def max_offset(self) -> float:
         """Longest offset of the trend [px], NaN where the pixels do not tell."""
         return float(np.linalg.norm(self.trend, axis=-1).max())
 
@@ -89,13 +89,13 @@ class Agreement:
         """One phrase where the lattice is further off than a picture can hide, else None."""
         rest = np.linalg.norm(self.offset - self.trend, axis=-1)
         limit = _HARMLESS * self.pitch
-        if np.isnan(self.worst) or not self.worst > max(limit, _SIGNIFICANT * float(np.nanmedian(rest))):
+        if np.isnan(self.max_offset) or not self.max_offset > max(limit, _SIGNIFICANT * float(np.nanmedian(rest))):
             return None
         row, column = np.unravel_index(int(np.linalg.norm(self.trend, axis=-1).argmax()), (3, 3))
-        return f"the lattice is off by up to {self.worst:.1f} px in the {_NAMES[row][column]}"
+        return f"the lattice is off by up to {self.max_offset:.1f} px in the {_NAMES[row][column]}"
 
 
-def agreement(calibration: Calibration, image: ArrayLike) -> Agreement:
+def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
     """Measure on nine regions of a flat how far the centres of `calibration` are from those the pixels show.
 
     Parameters
@@ -133,7 +133,7 @@ def agreement(calibration: Calibration, image: ArrayLike) -> Agreement:
         trend = _Trend.through(places, offset, scatter, trend)
     known = np.isfinite(scatter).sum() >= _FEWEST_REGIONS
     common = trend.at(places) if known else np.full((9, 2), np.nan)
-    return Agreement(
+    return FitCheck(
         places.reshape(3, 3, 2), offset.reshape(3, 3, 2), scatter.reshape(3, 3), common.reshape(3, 3, 2), lattice.pitch
     )
 
@@ -199,15 +199,15 @@ class _Region:
     @classmethod
     def of(cls, pixels: NDArray[Any], whole: Lattice, x: int, y: int) -> _Region:
         """The region whose `pixels` (h, w) or (h, w, 3) begin at `x, y` of the flat."""
-        from ..images.preprocessing import breaks, level_locally, tone
+        from ..images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
 
         down, across = pixels.shape[:2]
         middle = np.array([x + (across - 1) / 2, y + (down - 1) / 2])
         index, right, low = whole.to_index(middle + np.array([[0, 0], [1, 0], [0, 1]]))
         basis = np.linalg.inv(np.array([right - index, low - index]))
         origin = middle + (np.rint(index) - index) @ basis - [x, y]
-        picture = tone(pixels)
-        rims = level_locally(breaks(picture), _RIM * whole.pitch)
+        picture = sqrt_luminance(pixels)
+        rims = normalise_locally(edge_strength(picture), _RIM * whole.pitch)
         return cls(picture, rims, Lattice(origin, basis, (across, down), whole.radius))
 
     @cached_property

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..camera.calibration import Calibration
-from ..lattice.orientation import orientation
-from .fit_check import Agreement, agreement
+from ..lattice.orientation import describe_orientation
+from .fit_check import FitCheck, check_fit
 
 __all__ = ["show"]
 
@@ -57,7 +57,7 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     """
     flat = np.asarray(image)
     width, height = calibration.image_size
-    fit = agreement(calibration, flat)
+    fit = check_fit(calibration, flat)
     pitch = calibration.lattice.pitch
     zoom = float(np.clip(_PANEL / (_PITCHES[1] * pitch), *_ZOOM))
     zoom = min(zoom, _PANEL / (_PITCHES[0] * pitch))
@@ -89,17 +89,21 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     return canvas
 
 
-def _headline(calibration: Calibration, fit: Agreement) -> list[str]:
+def _headline(calibration: Calibration, fit: FitCheck) -> list[str]:
     """What the calibration says of itself, and what the flat says of it."""
     lattice = calibration.lattice
-    shape, rows, turned = orientation(lattice)
+    shape, rows, turned = describe_orientation(lattice)
     words = f"{shape}, rows {rows}" if rows != "both ways" else shape
     first = (
         f"{words}, pitch {lattice.pitch:.4f} px, rotation {turned:+.4f} deg, usable radius {lattice.radius:.2f} px, "
         f"{len(lattice)} lenses"
     )
     residual = "" if np.isnan(calibration.residual_rms) else f", residual {calibration.residual_rms:.3f} px RMS"
-    off = "the flat does not tell how well it fits" if np.isnan(fit.worst) else f"off this flat by {fit.worst:.2f} px"
+    off = (
+        "the flat does not tell how well it fits"
+        if np.isnan(fit.max_offset)
+        else f"off this flat by {fit.max_offset:.2f} px"
+    )
     size = "{} x {} px".format(*calibration.image_size)
     types = "" if calibration.lens_types is None else f"{calibration.lens_types.count} lens types, "
     second = f"{size}, {types}from {calibration.source}{residual}, confidence {calibration.confidence:.2f}; {off}"
@@ -170,7 +174,7 @@ def _stretched(piece: NDArray[Any]) -> NDArray[np.uint8]:
     return np.rint(255 * scaled ** (1 / 1.4)).astype(np.uint8)
 
 
-def _figures(calibration: Calibration, fit: Agreement, height: int) -> NDArray[np.uint8]:
+def _figures(calibration: Calibration, fit: FitCheck, height: int) -> NDArray[np.uint8]:
     """Panel with the misfit over the field above and the light over the radius below."""
     panel = np.empty((height, _PANEL, 3), np.uint8)
     panel[:] = _PAPER
@@ -184,7 +188,7 @@ def _figures(calibration: Calibration, fit: Agreement, height: int) -> NDArray[n
     return panel
 
 
-def _draw_misfit(panel: NDArray[np.uint8], calibration: Calibration, fit: Agreement) -> None:
+def _draw_misfit(panel: NDArray[np.uint8], calibration: Calibration, fit: FitCheck) -> None:
     """Arrows from the centres of the lattice to those the pixels show.
 
     Thick ones, with numbers, for nine regions of this flat; thin ones for the residuals of the fit over the field.
@@ -224,7 +228,7 @@ def _draw_residuals(
     if calibration.residuals is None:
         _text(panel, "no residuals: single microimages of a scene do not show them", (14, height - 30), _FAINT, 0.44)
         return
-    places, mean, error = calibration.residuals.over_field(calibration.lattice, *_RECTANGLES)
+    places, mean, error = calibration.residuals.mean_over_grid(calibration.lattice, *_RECTANGLES)
     length = np.hypot(*mean.T)
     clear = length > _CLEAR * error
     room = 0.5 * scale * min(np.array(calibration.image_size) / _RECTANGLES)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.frozen import Frozen
-from ..runtime.text_arrays import pack, unpack
+from ..runtime.text_arrays import decode_array, encode_array
 
 __all__ = ["Defects"]
 
@@ -39,9 +39,11 @@ class Defects(Frozen):
 
     def to_dict(self) -> dict[str, Any]:
         """Two packed blocks."""
-        return {"pixels": pack(self.pixels.astype("<i4")), "lenses": pack(self.lenses.astype("<i4"))}
+        return {"pixels": encode_array(self.pixels.astype("<i4")), "lenses": encode_array(self.lenses.astype("<i4"))}
 
     @classmethod
     def from_dict(cls, data: Any) -> Defects:
         """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
-        return cls(unpack(data["pixels"], "<i4").reshape(-1, 2), unpack(data["lenses"], "<i4").reshape(-1, 2))
+        return cls(
+            decode_array(data["pixels"], "<i4").reshape(-1, 2), decode_array(data["lenses"], "<i4").reshape(-1, 2)
+        )

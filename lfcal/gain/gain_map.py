@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
 from ..runtime.frozen import Frozen
-from ..runtime.text_arrays import pack, unpack
+from ..runtime.text_arrays import decode_array, encode_array
 from .part_gain import PartGain
 
 __all__ = ["GainMap", "frame", "terms"]
@@ -138,11 +138,11 @@ class GainMap(Frozen):
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings; `own` as a packed block."""
         return {
-            "profile": pack(self.profile.astype("<f4")),
+            "profile": encode_array(self.profile.astype("<f4")),
             "step": self.step,
             "radius": self.radius,
             "level": self.level.tolist(),
-            "own": pack(self.own.astype("<f2")),
+            "own": encode_array(self.own.astype("<f2")),
             "shade": self.shade.tolist(),
             "rim": self.rim.tolist(),
             "cut": self.cut.tolist(),
@@ -153,8 +153,8 @@ class GainMap(Frozen):
     def from_dict(cls, data: Any) -> GainMap:
         """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
         return cls(
-            unpack(data["profile"], "<f4"), data["step"], data["radius"], data["level"], unpack(data["own"], "<f2"),
-            data["shade"], data["rim"], data["cut"], data["dark"],
+            decode_array(data["profile"], "<f4"), data["step"], data["radius"], data["level"],
+            decode_array(data["own"], "<f2"), data["shade"], data["rim"], data["cut"], data["dark"],
         )  # fmt: skip
 
 

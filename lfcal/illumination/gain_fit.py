@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap, frame
-from ..lattice.cell import cell_faces, inner_radius
+from ..lattice.cell import cell_inradius, cell_normals
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import Parts
+from ..lattice.lens_subset import StackedCrops
 from ..white_fit.parameters import CatEye
 from ..white_fit.rim_cut import find_rim_cut
 from .gain_terms import cut_terms, rim_terms, shade_terms
@@ -60,7 +60,7 @@ class GainFit:
 
 
 def fit_gain(
-    picture: NDArray[np.float32] | Parts, lattice: Lattice, scene: bool, cat_eye: CatEye | None = None
+    picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, scene: bool, cat_eye: CatEye | None = None
 ) -> GainFit:
     """Shape of the microimages of a flat.
 
@@ -74,11 +74,11 @@ def fit_gain(
     cat_eye : CatEye or None
         The cutting disc where one is known.
     """
-    parts = Parts.of(picture)
+    parts = StackedCrops.of(picture)
     picture = parts.picture
     sample = lens_sample(lattice, _SCENE_PIXELS if scene else _PIXELS, parts)
     limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
-    rings = int(cell_faces(lattice)[1] / _STEP) + 3
+    rings = int(cell_normals(lattice)[1] / _STEP) + 3
     cut: tuple[float, ...] = ()
     if cat_eye is not None:
         cut = (*cat_eye.shift, cat_eye.growth.sum(), cat_eye.radius, cat_eye.soft)
@@ -116,8 +116,8 @@ def fit_gain(
 
 def _with_cut(gain: GainMap, left: Left, sample: Sample, lattice: Lattice) -> GainMap:
     """The map with a cutting disc where rims are as such a disc leaves them, else as it is."""
-    faces = cell_faces(lattice)[0]
-    inner = inner_radius(faces)
+    faces = cell_normals(lattice)[0]
+    inner = cell_inradius(faces)
     dark = gain.dark
     bright = np.flatnonzero(gain.profile > 0.5 * (1 + dark))
     if len(bright) == 0 or bright[-1] >= len(gain.profile) - 2:

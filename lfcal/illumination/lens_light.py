@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap, frame, terms
 from ..gain.kernel import describe, field_level
-from ..lattice.cell import cell_faces, cell_sides, row_in_cell
+from ..lattice.cell import cell_normals, cell_row_bounds, row_interval
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import Look
+from ..lattice.lens_subset import ReadCrop
 from ..runtime.fastmath import FAST
 from .gain_fit import GainFit
 from .gain_terms import monomials
@@ -113,7 +113,7 @@ def _pixels(picture, cx, cy, sides, across, down, pixels):
     count = 0
     for y in range(max(0, math.ceil(cy + sides[6, 0])), min(height - 1, math.floor(cy + sides[6, 1])) + 1, down):
         dy = y - cy
-        low, high = row_in_cell(dy, sides)
+        low, high = row_interval(dy, sides)
         start = max(0, math.ceil(cx + low))
         stop = min(min(width - 1, math.floor(cx + high)) + 1, start + across * _ACROSS)
         if across == 1 and stop + _AT_ONCE <= width:
@@ -211,10 +211,10 @@ def _look(
 
 
 def _looked(
-    picture: NDArray[np.float32] | Look, lattice: Lattice, gain: GainMap, centres: NDArray[np.float64],
+    picture: NDArray[np.float32] | ReadCrop, lattice: Lattice, gain: GainMap, centres: NDArray[np.float64],
     noise: NDArray[np.float32],
 ) -> NDArray[np.float32]:  # fmt: skip
-    sides = cell_sides(cell_faces(lattice)[0])
+    sides = cell_row_bounds(cell_normals(lattice)[0])
     cell = abs(float(np.linalg.det(lattice.basis)))
     out = np.zeros((7, len(centres)), np.float32)
     each = cell / (_SAMPLES if len(centres) < _MANY else _FEW_SAMPLES)
@@ -236,7 +236,7 @@ def _looked(
     return out
 
 
-def lens_lights(picture: NDArray[np.float32] | Look, lattice: Lattice, fit: GainFit) -> LensLights:
+def lens_lights(picture: NDArray[np.float32] | ReadCrop, lattice: Lattice, fit: GainFit) -> LensLights:
     """Light of all lenses of a white image, given the shape of its microimages.
 
     Parameters

@@ -12,7 +12,7 @@ from ..gain.gain_map import GainMap
 from ..gain.kernel import mean_light
 from ..gain.vignetting import Vignetting
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import Look, Parts
+from ..lattice.lens_subset import ReadCrop, StackedCrops
 from ..runtime.errors import CalibrationError
 from ..white_fit.parameters import CatEye
 from .defect_search import MOST, find_defects
@@ -51,11 +51,11 @@ class Illumination:
 
 
 def measure_illumination(
-    picture: NDArray[np.float32] | Parts,
+    picture: NDArray[np.float32] | StackedCrops,
     lattice: Lattice,
     white: bool,
     cat_eye: CatEye | None = None,
-    look: Look | None = None,
+    look: ReadCrop | None = None,
 ) -> Illumination:
     """Gain map, vignetting and defects from a flat.
 
@@ -75,7 +75,7 @@ def measure_illumination(
     fit = fit_gain(picture, lattice, not white, cat_eye)
     warnings: tuple[str, ...] = ()
     unlike = 0.0
-    if isinstance(picture, Parts):
+    if isinstance(picture, StackedCrops):
         assert look is not None
         lights = lens_lights(look, lattice, fit)
         gain = lights.gain

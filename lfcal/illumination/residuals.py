@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap
 from ..gain.kernel import describe, light
-from ..lattice.cell import cell_faces, inner_radius, outside
+from ..lattice.cell import cell_inradius, cell_normals, is_outside_cell
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import Parts, evenly_chosen, some_lenses
+from ..lattice.lens_subset import StackedCrops, sample_lenses, sample_mask
 from ..runtime.fastmath import FAST
 
 __all__ = ["DIRECTIONS", "OUTLIER", "Left", "Sample", "compare", "lens_sample"]
@@ -141,7 +141,7 @@ def _compare(
                 for x in range(math.ceil(px - half) + (n // stride) % stride, math.floor(px + half) + 1, stride):
                     dx = x - px
                     r = math.sqrt(dx * dx + dy * dy)
-                    if r > inner and outside(dx, dy, faces):
+                    if r > inner and is_outside_cell(dx, dy, faces):
                         continue
                     s, stretched, through = light(dx, dy, lens, profile, step, cut)
                     plane = max(1 + gx * dx + gy * dy, 0.2)
@@ -222,19 +222,19 @@ class Sample:
         )
 
 
-def lens_sample(lattice: Lattice, pixels: float, parts: Parts | None = None) -> Sample:
+def lens_sample(lattice: Lattice, pixels: float, parts: StackedCrops | None = None) -> Sample:
     """Sample of lenses, of those in parts if given, with about so many pixels to be compared, but never too few."""
     cell = abs(float(np.linalg.det(lattice.basis)))
     stride = max(1, int(math.sqrt(cell / _LENS_PIXELS)))
-    margin = cell_faces(lattice)[1] + 1
+    margin = cell_normals(lattice)[1] + 1
     wanted = max(pixels * stride**2 / cell, _LENSES)
     if parts is None or parts.size == lattice.image_size:
-        centres = some_lenses(lattice, margin, wanted)[1]
+        centres = sample_lenses(lattice, margin, wanted)[1]
         places = centres
     else:
         _, centres, part = parts.lenses(lattice, margin)
         places = centres - parts.offsets[part]
-        chosen = evenly_chosen(len(centres), wanted / max(len(centres), 1))
+        chosen = sample_mask(len(centres), wanted / max(len(centres), 1))
         centres, places = centres[chosen], places[chosen]
     shrink = min(1.0, math.sqrt(len(centres) / (_FEWEST * _WINDOWS[0] * _WINDOWS[1])))
     shape = max(1, int(_WINDOWS[1] * shrink)), max(1, int(_WINDOWS[0] * shrink))
@@ -308,7 +308,7 @@ def compare(
     terms : bool
         Whether rim, cut and shading are asked for; else these are zero.
     """
-    faces, reach = cell_faces(lattice)
+    faces, reach = cell_normals(lattice)
     parts, rings = len(sample.first) - 1, len(gain.profile)
     sums = np.zeros((4, parts, rings))
     normal, right = np.zeros((parts, _SHADES, _SHADES)), np.zeros((parts, _SHADES))
@@ -316,7 +316,7 @@ def compare(
     dark, cut_normal, cut_right = np.zeros((parts, 2)), np.zeros((parts, _CUTS, _CUTS)), np.zeros((parts, _CUTS))
     kernel: Any = _compare
     kernel(
-        picture, sample.centres, sample.places, sample.first, sample.stride, faces, inner_radius(faces), reach, core,
+        picture, sample.centres, sample.places, sample.first, sample.stride, faces, cell_inradius(faces), reach, core,
         scene, brightest, limit**2, *gain.shape(lattice), np.gradient(gain.profile, gain.step), terms, sums,
         normal, right, rims, sector, dark, cut_normal, cut_right,
     )  # fmt: skip

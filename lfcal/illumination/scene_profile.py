@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap
 from ..gain.kernel import describe, light
-from ..lattice.cell import cell_faces, inner_radius, outside
+from ..lattice.cell import cell_inradius, cell_normals, is_outside_cell
 from ..lattice.lattice import Lattice
 from .residuals import lens_sample
 
@@ -51,7 +51,7 @@ def _sums(picture, centres, first, stride, faces, inner, reach, brightest, field
                 half = math.sqrt(max(reach * reach - dy * dy, 0.0))
                 for x in range(math.ceil(cx - half) + (n // stride) % stride, math.floor(cx + half) + 1, stride):
                     dx = x - cx
-                    if dx * dx + dy * dy > inner * inner and outside(dx, dy, faces):
+                    if dx * dx + dy * dy > inner * inner and is_outside_cell(dx, dy, faces):
                         continue
                     _, stretched, through = light(dx, dy, lens, profile, step, cut)
                     if through < 0.5:
@@ -86,12 +86,12 @@ def scene_profile(
     brightest : float
         Light that has been clipped where many pixels of a lens share it.
     """
-    faces, reach = cell_faces(lattice)
+    faces, reach = cell_normals(lattice)
     sample = lens_sample(lattice, _PIXELS)
     up, down = np.zeros((2, len(sample.first) - 1, len(gain.profile)))
     kernel: Any = _sums
     kernel(
-        picture, sample.centres, sample.first, sample.stride, faces, inner_radius(faces), reach, brightest,
+        picture, sample.centres, sample.first, sample.stride, faces, cell_inradius(faces), reach, brightest,
         *gain.shape(lattice), up, down,
     )  # fmt: skip
     rings = np.arange(len(gain.profile))

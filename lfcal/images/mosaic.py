@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
 
-__all__ = ["Mosaic", "check_mosaic", "equalise", "has_mosaic", "without_mosaic"]
+__all__ = ["Mosaic", "check_mosaic", "equalise_mosaic", "has_mosaic", "remove_mosaic"]
 
 #: Colour filters of the top left 2 x 2 pixels, row by row.
 Mosaic = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
@@ -64,7 +64,7 @@ def has_mosaic(flat: NDArray[Any]) -> bool:
     return bool(((found > [_STRONG, _STRONG, _VISIBLE]) & (found > _SURE * error)).any())
 
 
-def equalise(flat: NDArray[Any]) -> NDArray[np.float32]:
+def equalise_mosaic(flat: NDArray[Any]) -> NDArray[np.float32]:
     """(h, w) float32 light of a mosaic `flat` (h, w), its four phases with the same local mean."""
     import cv2
 
@@ -84,7 +84,7 @@ def equalise(flat: NDArray[Any]) -> NDArray[np.float32]:
     return light
 
 
-def without_mosaic(light: NDArray[np.float32]) -> NDArray[Any]:
+def remove_mosaic(light: NDArray[np.float32]) -> NDArray[Any]:
     """`light` (h, w) without anything that repeats every two pixels: weights 1, 2, 1 each way."""
     import cv2
 

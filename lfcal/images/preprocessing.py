@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["breaks", "level_locally", "luminance", "tone"]
+__all__ = ["edge_strength", "luminance", "normalise_locally", "sqrt_luminance"]
 
 # Contrast below this share of the mean tone is taken for noise and not blown up.
 _NOISE_FLOOR = 0.02
@@ -55,7 +55,7 @@ def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
     return grey
 
 
-def tone(image: NDArray[Any]) -> NDArray[np.float32]:
+def sqrt_luminance(image: NDArray[Any]) -> NDArray[np.float32]:
     """Square root of the luminance, scaled to mean 1, which makes photon noise alike in light and shade.
 
     Parameters
@@ -103,8 +103,8 @@ def _steepness(picture, steepness):
         line[width - 1] = _steep(above, here, below, width - 2, width - 1, width - 2)
 
 
-def breaks(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(h, w) float32 square root of the gradient magnitude (Sobel) of a `tone` picture, at least 2 x 2 px."""
+def edge_strength(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(h, w) float32 square root of the gradient magnitude (Sobel) of a `sqrt_luminance` picture, at least 2 x 2 px."""
     # Not OpenCV's magnitude, whose last bit depends on where in memory a picture lies.
     steepness = np.empty_like(picture)
     _steepness(picture, steepness)
@@ -179,7 +179,7 @@ def _level_row(row, sums, squares, side, floor, clip, out):
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _level(picture, half, together, floor, clip, out):
-    """Fill `out` with what `level_locally` returns, `together` rows after each other."""
+    """Fill `out` with what `normalise_locally` returns, `together` rows after each other."""
     height, width = picture.shape
     side = 2 * half + 1
     for part in prange((height + together - 1) // together):
@@ -197,7 +197,7 @@ def _level(picture, half, together, floor, clip, out):
             _level_row(picture[y], running, running_squares, side, floor, clip, out[y])
 
 
-def level_locally(picture: NDArray[np.float32], window: float) -> NDArray[np.float32]:
+def normalise_locally(picture: NDArray[np.float32], window: float) -> NDArray[np.float32]:
     """Picture minus its local mean over its local standard deviation, clipped.
 
     Parameters

@@ -25,8 +25,15 @@ from ..runtime.errors import FlatError
 from .zarr_flat import is_zarr, open_zarr
 
 __all__ = [
-    "MAX_PIXELS", "as_flat", "checked_page", "count_pages", "one_line", "opened_tiff", "read_flat", "tiff_pixels",
-    "translated",
+    "MAX_PIXELS",
+    "checked_pixels",
+    "convert_tiff_pixels",
+    "count_pages",
+    "file_errors",
+    "one_line_message",
+    "open_tiff",
+    "read_flat",
+    "select_tiff_page",
 ]  # fmt: skip
 
 #: Largest flat that is read [px]. Twice a 25,000 x 22,000 sensor, and what OpenCV accepts out of the box.
@@ -64,24 +71,24 @@ def read_flat(path: str | os.PathLike[str], page: int | None = None) -> NDArray[
         has no such page.
     """
     source = Path(path)
-    with translated(source):
-        return as_flat(_decode(source, page))
+    with file_errors(source):
+        return checked_pixels(_decode(source, page))
 
 
 @contextmanager
-def translated(source: Path) -> Iterator[None]:
+def file_errors(source: Path) -> Iterator[None]:
     """Whatever goes wrong with a file as a FlatError that names it."""
     try:
         yield
     except FlatError as error:
         raise FlatError(f"{source}: {error}") from error
     except OSError as error:
-        raise FlatError(f"{source}: cannot be read ({error.strerror or one_line(error)})") from error
+        raise FlatError(f"{source}: cannot be read ({error.strerror or one_line_message(error)})") from error
     except MemoryError as error:
         raise FlatError(f"{source}: the image does not fit into memory") from error
     # Decoders raise whatever damaged bytes drive them to: IndexError, struct.error, zlib.error, cv2.error, ...
     except Exception as error:
-        raise FlatError(f"{source}: damaged image file ({one_line(error)})") from error
+        raise FlatError(f"{source}: damaged image file ({one_line_message(error)})") from error
 
 
 def count_pages(path: str | os.PathLike[str]) -> int:
@@ -98,13 +105,13 @@ def count_pages(path: str | os.PathLike[str]) -> int:
         with open(path, "rb") as stream:
             if stream.read(4) not in _TIFF:
                 return 1
-        with opened_tiff(Path(path)) as tiff:
+        with open_tiff(Path(path)) as tiff:
             return len(_full_pages(tiff)) + _is_cut_off(tiff)
     except OSError as error:
-        raise FlatError(f"{path}: cannot be read ({error.strerror or one_line(error)})") from error
+        raise FlatError(f"{path}: cannot be read ({error.strerror or one_line_message(error)})") from error
     # As in `read_flat`.
     except Exception as error:
-        raise FlatError(f"{path}: damaged image file ({one_line(error)})") from error
+        raise FlatError(f"{path}: damaged image file ({one_line_message(error)})") from error
 
 
 def _decode(source: Path, page: int | None) -> NDArray[Any]:
@@ -136,7 +143,7 @@ def _decode(source: Path, page: int | None) -> NDArray[Any]:
     raise FlatError(f"is no image this toolkit reads; give a {_READABLE} file")
 
 
-def as_flat(pixels: NDArray[Any]) -> NDArray[Any]:
+def checked_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
     """Bring decoded pixels to one of the three types and two shapes a flat may have."""
     native = pixels.dtype.newbyteorder("=")
     if native == np.bool_:
@@ -257,7 +264,7 @@ def _read_pnm(data: bytes) -> NDArray[Any]:
     return values.reshape((height, width, 3) if channels == 3 else (height, width))
 
 
-def opened_tiff(source: Path) -> Any:
+def open_tiff(source: Path) -> Any:
     import tifffile
 
     # What tifffile remarks on damaged files is in our error; without a handler Python would print it as well.
@@ -296,7 +303,7 @@ def _is_cut_off(tiff: Any) -> bool:
     return offset != 0 and offset not in offsets
 
 
-def checked_page(tiff: Any, number: int | None) -> Any:
+def select_tiff_page(tiff: Any, number: int | None) -> Any:
     """The page of a TIFF that is the flat, its pixels all there and of a kind that is read, or a FlatError."""
     pages = _full_pages(tiff)
     if number is None and _is_cut_off(tiff):
@@ -321,8 +328,8 @@ def checked_page(tiff: Any, number: int | None) -> Any:
 
 
 def _read_tiff(source: Path, number: int | None) -> NDArray[Any]:
-    with opened_tiff(source) as tiff:
-        page = checked_page(tiff, number)
+    with open_tiff(source) as tiff:
+        page = select_tiff_page(tiff, number)
         _check_size(page.imagewidth, page.imagelength)
         try:
             pixels = page.asarray()
@@ -334,10 +341,10 @@ def _read_tiff(source: Path, number: int | None) -> NDArray[Any]:
             # Compressions that tifffile leaves to an optional package; libtiff inside OpenCV knows the common ones.
             grey = page.samplesperpixel < 3 and page.photometric.name != "PALETTE"
             return _from_opencv(source.read_bytes(), grey=grey)
-        return tiff_pixels(pixels, page)
+        return convert_tiff_pixels(pixels, page)
 
 
-def tiff_pixels(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
+def convert_tiff_pixels(pixels: NDArray[Any], page: Any) -> NDArray[Any]:
     """Decoded pixels of a page, or of a part of it, as grey or colours along the last axis."""
     if page.axes == "SYX":
         pixels = np.moveaxis(pixels, 0, -1)
@@ -393,6 +400,6 @@ def _from_pillow(image: Any) -> NDArray[Any]:
     return pixels
 
 
-def one_line(error: BaseException) -> str:
+def one_line_message(error: BaseException) -> str:
     """The message of an error, cut to one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__

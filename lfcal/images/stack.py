@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["clipped_from", "mean_scene", "telling", "white_sum"]
+__all__ = ["average_scenes", "clipping_level", "combine_whites", "select_contrasted"]
 
 # A flat with less than this share of the contrast of the best one is dark, saturated or blank.
 _TELLING = 0.05
@@ -21,13 +21,13 @@ _SAMPLES = 200_000
 _FEWEST = 1000
 
 
-def telling(lights: Sequence[NDArray[np.float32]]) -> list[int]:
+def select_contrasted(lights: Sequence[NDArray[np.float32]]) -> list[int]:
     """Indices of the flats that have contrast, of `lights` (h, w) in one scale."""
     contrast = [float(light.std(dtype=np.float64)) for light in lights]
     return [k for k, value in enumerate(contrast) if value >= _TELLING * max(contrast)]
 
 
-def white_sum(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+def combine_whites(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
     """Light of all white images together, each weighted as its exposure asks.
 
     Parameters
@@ -42,7 +42,7 @@ def white_sum(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
     """
     if len(lights) == 1:
         return lights[0]
-    tops = [clipped_from(light) for light in lights]
+    tops = [clipping_level(light) for light in lights]
     step = max(1, int(np.sqrt(lights[0].size / _SAMPLES)))
     # Odd steps, so that both rows and columns of a mosaic have their say.
     few = [light[:: step | 1, :: step | 1].ravel().astype(np.float64) for light in lights]
@@ -69,7 +69,7 @@ def white_sum(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
     return np.maximum(combined, np.float32(0))
 
 
-def mean_scene(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+def average_scenes(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
     """(h, w) mean light of the frames of scenes, each scaled to mean 1."""
     total = np.zeros(lights[0].shape, np.float32)
     for light in lights:
@@ -77,7 +77,7 @@ def mean_scene(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
     return total
 
 
-def clipped_from(light: NDArray[np.float32]) -> float:
+def clipping_level(light: NDArray[np.float32]) -> float:
     """Light from which on pixels of an array of any shape are clipped, infinite where none are."""
     top = _AT_TOP * float(light.max())
     return top if float((light >= top).mean()) > _CLIPPED else float("inf")

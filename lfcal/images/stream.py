@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
-from .read import MAX_PIXELS, as_flat, checked_page, opened_tiff, read_flat, tiff_pixels, translated
+from .read import MAX_PIXELS, checked_pixels, convert_tiff_pixels, file_errors, open_tiff, read_flat, select_tiff_page
 from .zarr_flat import is_zarr, open_zarr
 
 __all__ = ["FlatSource", "open_flat"]
@@ -47,8 +47,8 @@ class FlatSource:
         self.path, self._reader, self._file = path, reader, file
         self.in_parts = not isinstance(reader, _Memory)
         self._size = shape[0], shape[1]
-        with translated(path):
-            corner = as_flat(reader.read(slice(0, 1), slice(0, 1)))
+        with file_errors(path):
+            corner = checked_pixels(reader.read(slice(0, 1), slice(0, 1)))
         self.shape: tuple[int, ...] = (*self._size, *corner.shape[2:])
         self.dtype = corner.dtype
 
@@ -74,8 +74,8 @@ class FlatSource:
         height, width = self._size
         if not (0 <= left < right <= width and 0 <= top < bottom <= height):
             raise ValueError(f"part {left, top, right, bottom} is not on a flat of {width} x {height} px")
-        with translated(self.path):
-            return as_flat(self._reader.read(slice(top, bottom), slice(left, right)))
+        with file_errors(self.path):
+            return checked_pixels(self._reader.read(slice(top, bottom), slice(left, right)))
 
     def close(self) -> None:
         """Close the file; no part can be read any more."""
@@ -110,7 +110,7 @@ def open_flat(path: str | os.PathLike[str], page: int | None = None) -> FlatSour
     """
     source = Path(path)
     if source.is_dir() and is_zarr(source):
-        with translated(source):
+        with file_errors(source):
             array = open_zarr(source, MAX_PIXELS)
         return FlatSource(source, array, array.shape)
     if source.suffix.lower() in (".tif", ".tiff") and source.is_file():
@@ -123,10 +123,10 @@ def open_flat(path: str | os.PathLike[str], page: int | None = None) -> FlatSour
 
 def _open_tiff(source: Path, number: int | None) -> FlatSource | None:
     """A TIFF to be read in parts, None where it is none or its compression is not known here."""
-    with translated(source):
-        tiff = opened_tiff(source)
+    with file_errors(source):
+        tiff = open_tiff(source)
         try:
-            page = checked_page(tiff, number)
+            page = select_tiff_page(tiff, number)
             reader = _Rows(page) if _plain(page) else _Segments(tiff, page)
             if isinstance(reader, _Rows) or reader.segment_bytes <= _LARGEST_SEGMENT:
                 return FlatSource(source, reader, (page.imagelength, page.imagewidth), tiff)
@@ -172,7 +172,7 @@ class _Rows:
             start += columns.start * row_bytes // self._row[0]
             for number, row in enumerate(out):
                 self._fill(row, start + number * row_bytes)
-        return tiff_pixels(out, self._page)
+        return convert_tiff_pixels(out, self._page)
 
     def _fill(self, into: NDArray[Any], start: int) -> None:
         view = into.reshape(-1).view(np.uint8).data
@@ -212,7 +212,7 @@ class _Segments:
         with ThreadPoolExecutor(min(len(wanted), os.cpu_count() or 1)) as pool:
             for _ in pool.map(lambda number: self._decode(number, rows, columns, out), wanted):
                 pass
-        return tiff_pixels(out, page)
+        return convert_tiff_pixels(out, page)
 
     def _decode(self, number: int, rows: slice, columns: slice, out: NDArray[Any]) -> None:
         """Decode one strip or tile, and copy what is wanted of it."""

@@ -95,7 +95,7 @@ class Distortion(Frozen):
             straight = self.centre + (bent - self._general(straight) - self.centre) / (1 + self._stretch(offset))
         return straight
 
-    def shrunk(self, factor: int) -> Distortion:
+    def downscaled(self, factor: int) -> Distortion:
         """The same distortion of a flat of which `factor` x `factor` pixels each have become one."""
         return Distortion(
             (self.centre + 0.5) / factor - 0.5,
@@ -123,7 +123,7 @@ class Distortion(Frozen):
             found += [("general", powers[:, [k]] * unit[axis]) for axis in range(2) for k in range(len(_POWERS))]
         return found
 
-    def moved(self, change: Mapping[str, NDArray[np.float64]]) -> Distortion:
+    def updated(self, change: Mapping[str, NDArray[np.float64]]) -> Distortion:
         """The distortion after steps of the parameters named in `derivatives`."""
         most = _FURTHEST * self.reach
         general = self.general

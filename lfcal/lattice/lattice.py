@@ -214,7 +214,7 @@ class Lattice(Frozen):
                 other.__dict__[name] = self.__dict__[name]
         return other
 
-    def shrunk(self, factor: int) -> Lattice:
+    def downscaled(self, factor: int) -> Lattice:
         """The same lenses on a flat of which `factor` x `factor` pixels each have become one."""
         distortion = self.distortion
         width, height = (max(1, n // factor) for n in self.image_size)
@@ -223,7 +223,7 @@ class Lattice(Frozen):
             self.basis / factor,
             (width, height),
             self.radius / factor,
-            None if distortion is None else distortion.shrunk(factor),
+            None if distortion is None else distortion.downscaled(factor),
         )
         # Lenses at the border are the same, whichever way their places are rounded.
         small.__dict__["_indices"] = self._indices

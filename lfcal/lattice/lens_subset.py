@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from .lattice import Lattice
 
-__all__ = ["Look", "Parts", "evenly_chosen", "some_lenses", "whole_lenses"]
+__all__ = ["ReadCrop", "StackedCrops", "sample_lenses", "sample_mask", "select_whole_lenses"]
 
 #: Picture of a rectangle of a flat, (height, width) float32, given its x, y, width and height [px].
-Look = Callable[[int, int, int, int], NDArray[np.float32]]
+ReadCrop = Callable[[int, int, int, int], NDArray[np.float32]]
 
 # Points along each side of a part by which a distorted lattice is followed.
 _ALONG = 5
@@ -23,7 +23,7 @@ _GOLDEN = 0.6180339887498949
 _MANY = 60_000
 
 
-def whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def select_whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Indices (n, 2) and centres (n, 2) of lenses at least `margin` px inside the flat."""
     centres, indices = lattice.centres(), lattice.indices()
     width, height = lattice.image_size
@@ -33,10 +33,10 @@ def whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int64], ND
     return indices.take(keep, 0), centres.take(keep, 0)
 
 
-def some_lenses(lattice: Lattice, margin: float, wanted: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """About so many of `whole_lenses`, evenly spread; fewer by those at the border where the flat has very many."""
+def sample_lenses(lattice: Lattice, margin: float, wanted: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """About so many of `select_whole_lenses`, evenly spread; fewer by those at the border of very large flats."""
     if len(lattice) <= _MANY:
-        indices, centres = whole_lenses(lattice, margin)
+        indices, centres = select_whole_lenses(lattice, margin)
         rows = _chosen(len(indices), wanted)
         return indices[rows], centres[rows]
     indices = lattice.indices()
@@ -46,7 +46,7 @@ def some_lenses(lattice: Lattice, margin: float, wanted: float) -> tuple[NDArray
     return indices[keep], centres[keep]
 
 
-def evenly_chosen(number: int, share: float) -> NDArray[np.bool_]:
+def sample_mask(number: int, share: float) -> NDArray[np.bool_]:
     """(n,) which of so many lenses are this share of them, evenly spread."""
     place = np.arange(number) * _GOLDEN
     # A remainder takes NumPy twenty times as long.
@@ -56,11 +56,11 @@ def evenly_chosen(number: int, share: float) -> NDArray[np.bool_]:
 
 def _chosen(number: int, wanted: float) -> NDArray[np.int64]:
     """Rows of so many, evenly spread."""
-    return np.flatnonzero(evenly_chosen(number, wanted / max(number, 1)))
+    return np.flatnonzero(sample_mask(number, wanted / max(number, 1)))
 
 
 @dataclass(frozen=True)
-class Parts:
+class StackedCrops:
     """Parts of a flat, all of one size and none upon another, below each other in one picture.
 
     Parameters
@@ -77,14 +77,14 @@ class Parts:
     size: tuple[int, int]
 
     @classmethod
-    def whole(cls, picture: NDArray[np.float32]) -> Parts:
+    def whole(cls, picture: NDArray[np.float32]) -> StackedCrops:
         """A flat as its only part."""
         return cls(picture, np.zeros((1, 2), np.int64), (picture.shape[1], picture.shape[0]))
 
     @classmethod
-    def of(cls, picture: NDArray[np.float32] | Parts) -> Parts:
+    def of(cls, picture: NDArray[np.float32] | StackedCrops) -> StackedCrops:
         """Parts as they are, or a whole flat."""
-        return picture if isinstance(picture, Parts) else cls.whole(picture)
+        return picture if isinstance(picture, StackedCrops) else cls.whole(picture)
 
     def __len__(self) -> int:
         return len(self.corners)
@@ -113,7 +113,7 @@ class Parts:
             That they are in; places of the flat lie at `offsets[part]` less in the picture.
         """
         if self.size == lattice.image_size:
-            whole = whole_lenses(lattice, margin)
+            whole = select_whole_lenses(lattice, margin)
             return (*whole, np.zeros(len(whole[0]), np.int64))
         found = [
             _inside(lattice, corner + margin, corner + np.array(self.size) - 1 - margin) for corner in self.corners

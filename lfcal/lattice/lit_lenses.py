@@ -9,9 +9,9 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from .lattice import Lattice, reduce_basis
-from .lens_subset import Parts, some_lenses
+from .lens_subset import StackedCrops, sample_lenses
 
-__all__ = ["LitLenses", "lit_lenses"]
+__all__ = ["LitLenses", "find_lit_lenses"]
 
 # Gaps are seen where they are darker than lenses by this share of the light; else dark lenses are told by their middle.
 _GAPS = 0.3
@@ -45,22 +45,24 @@ class LitLenses:
     part: NDArray[np.int64]
 
     @classmethod
-    def on(cls, tones: Parts, lattice: Lattice, margin: float, dark: float, before: LitLenses | None) -> LitLenses:
-        """Lenses at least `margin` px inside a part; `before` where the lattice is still that one. See `lit_lenses`."""
+    def on(
+        cls, tones: StackedCrops, lattice: Lattice, margin: float, dark: float, before: LitLenses | None
+    ) -> LitLenses:
+        """Lenses at least `margin` px inside a part; `before` where the lattice is the same still."""
         if before is not None and before._still_on(lattice):
             return before
         if len(tones) == 1 and len(lattice) > 2 * _ASKED:
-            indices, centres = some_lenses(lattice, margin, _ASKED)
-            if lit_lenses(tones.picture, lattice, indices, centres - tones.offsets, dark).all():
+            indices, centres = sample_lenses(lattice, margin, _ASKED)
+            if find_lit_lenses(tones.picture, lattice, indices, centres - tones.offsets, dark).all():
                 # Those at the border are left out where some are chosen.
                 return cls(lattice, lattice.indices(), np.zeros(len(lattice), np.int64))
         indices, centres, part = tones.lenses(lattice, margin)
         places = centres - (tones.offsets[part] if len(tones) > 1 else tones.offsets)
         if len(tones) > 1 and len(places) > 2 * _ASKED:
             few = slice(None, None, len(places) // _ASKED)
-            if lit_lenses(tones.picture, lattice, indices[few], places[few], dark).all():
+            if find_lit_lenses(tones.picture, lattice, indices[few], places[few], dark).all():
                 return cls(lattice, indices, part)
-        alight = lit_lenses(tones.picture, lattice, indices, places, dark)
+        alight = find_lit_lenses(tones.picture, lattice, indices, places, dark)
         return cls(lattice, indices, part) if alight.all() else cls(lattice, indices[alight], part[alight])
 
     def _still_on(self, lattice: Lattice) -> bool:
@@ -69,7 +71,7 @@ class LitLenses:
         apart = lattice.points(index) - self.lattice.points(index)
         return bool((np.hypot(*apart.T) < _SAME * lattice.pitch).all())
 
-    def some(self, tones: Parts, lattice: Lattice, margin: float, chosen: NDArray[np.bool_]) -> LitLenses:
+    def some(self, tones: StackedCrops, lattice: Lattice, margin: float, chosen: NDArray[np.bool_]) -> LitLenses:
         """The chosen (n,) ones that are still `margin` px inside their part."""
         indices, part = self.indices[chosen], self.part[chosen]
         place = lattice.points(indices) - tones.corners[part]
@@ -97,7 +99,7 @@ def _measure(picture, centres, corners, core, gaps):
         gaps[lens] = total / len(corners)
 
 
-def lit_lenses(
+def find_lit_lenses(
     picture: NDArray[np.float32],
     lattice: Lattice,
     indices: NDArray[np.int64],

@@ -6,13 +6,13 @@ import numpy as np
 
 from .lattice import Lattice
 
-__all__ = ["orientation"]
+__all__ = ["describe_orientation"]
 
 # Sides that differ by less than this share, and angles this near to 90 degrees (as a cosine), count as square.
 _SQUARE_TOLERANCE = 0.03
 
 
-def orientation(lattice: Lattice) -> tuple[str, str, float]:
+def describe_orientation(lattice: Lattice) -> tuple[str, str, float]:
     """Shape, which way the rows of nearest neighbours run, and how far they are turned from there [degrees]."""
     a1, a2 = lattice.basis
     lengths = np.hypot(*a1), np.hypot(*a2)

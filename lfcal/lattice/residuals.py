@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.frozen import Frozen
-from ..runtime.text_arrays import pack, unpack
+from ..runtime.text_arrays import decode_array, encode_array
 from .lattice import Lattice
 
 __all__ = ["Residuals"]
@@ -44,7 +44,7 @@ class Residuals(Frozen):
         object.__setattr__(self, "indices", indices)
         object.__setattr__(self, "offset", offset)
 
-    def over_field(
+    def mean_over_grid(
         self, lattice: Lattice, across: int, down: int
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Mean residuals in equal rectangles of the flat, without outliers.
@@ -80,10 +80,10 @@ class Residuals(Frozen):
     def to_dict(self) -> dict[str, Any]:
         """Two packed blocks; offsets to a thousandth of a pixel."""
         steps = np.clip(np.rint(self.offset / _UNIT), -32767, 32767)
-        return {"indices": pack(self.indices.T.astype("<i2")), "offset": pack(steps.T.astype("<i2"))}
+        return {"indices": encode_array(self.indices.T.astype("<i2")), "offset": encode_array(steps.T.astype("<i2"))}
 
     @classmethod
     def from_dict(cls, data: Any) -> Residuals:
         """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
-        indices, steps = (unpack(data[name], "<i2").reshape(2, -1).T for name in ("indices", "offset"))
+        indices, steps = (decode_array(data[name], "<i2").reshape(2, -1).T for name in ("indices", "offset"))
         return cls(indices.astype(np.int32), steps.astype(np.float32) * np.float32(_UNIT))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..runtime.frozen import Frozen
 from .lattice import Lattice
 
-__all__ = ["LatticeErrors", "errors_of_even_fit"]
+__all__ = ["LatticeErrors", "equal_weight_errors"]
 
 _STRAIGHT = ("origin", "origin", "a1", "a1", "a2", "a2")
 _BENDS = ("k1", "k2", "centre", "general")
@@ -98,7 +98,7 @@ class LatticeErrors(Frozen):
         return cls(tuple(str(name) for name in data["names"]), np.array(data["covariance"], dtype=np.float64))
 
 
-def errors_of_even_fit(lattice: Lattice, uncertainty: float) -> LatticeErrors:
+def equal_weight_errors(lattice: Lattice, uncertainty: float) -> LatticeErrors:
     """Errors of a straight lattice whose lenses all say as much about it.
 
     Parameters

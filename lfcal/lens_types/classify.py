@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import Parts
+from ..lattice.lens_subset import StackedCrops
 from .coarse_disparity import estimate_coarse_disparity
 from .focus_order import find_focus_order
 from .lens_sample import LensFeatures, LensSample, measure_lens_features, sample_lenses
@@ -52,7 +52,7 @@ _MOSAICS: tuple[tuple[int, ...], ...] = ((3, 1, -1), (3, 1, 1), (3, 1, 0), (3, 0
 _VECTORS = np.array([(p / period, q / period) for period, p, q in _MOSAICS])
 
 
-def find_lens_types(picture: NDArray[np.float32] | Parts, lattice: Lattice, white: bool) -> LensTypes | None:
+def find_lens_types(picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, white: bool) -> LensTypes | None:
     """Tell whether an array is made of several lens types and which lens is of which.
 
     Mosaics with a period of three lenses (three types, as in hexagonal multi-focus arrays) and of two lenses (two or
@@ -74,7 +74,7 @@ def find_lens_types(picture: NDArray[np.float32] | Parts, lattice: Lattice, whit
     """
     if lattice.radius < _LEAST_RADIUS:
         return None
-    parts = Parts.of(picture)
+    parts = StackedCrops.of(picture)
     picture = parts.picture
     sample = sample_lenses(lattice, parts)
     features = measure_lens_features(picture, sample)

@@ -15,7 +15,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import Parts
+from ..lattice.lens_subset import StackedCrops
 
 __all__ = ["LensFeatures", "LensSample", "measure_lens_features", "sample_lenses"]
 
@@ -101,7 +101,7 @@ class LensFeatures:
     falls: float
 
 
-def sample_lenses(lattice: Lattice, parts: Parts | None = None) -> LensSample:
+def sample_lenses(lattice: Lattice, parts: StackedCrops | None = None) -> LensSample:
     """Blocks of 12 x 12 lenses, evenly spread over the flat or its parts; all lenses of a small flat."""
     if parts is not None and len(parts) > 1:
         return _sample_of_parts(lattice, parts)
@@ -128,7 +128,7 @@ def _blocks(indices: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.i
     return np.column_stack(np.divmod(key, columns)) + low, count
 
 
-def _sample_of_parts(lattice: Lattice, parts: Parts) -> LensSample:
+def _sample_of_parts(lattice: Lattice, parts: StackedCrops) -> LensSample:
     """The fullest blocks of each part."""
     reach = _BEYOND[1] * lattice.radius
     indices, _, part = parts.lenses(lattice, reach)

@@ -17,43 +17,54 @@ from typing import Any
 import click
 
 from .errors import LightFieldError
-from .path_arguments import Input, hints_on_names, several_inputs, single_input
+from .path_arguments import InputPath, several_inputs, single_input, suggest_similar_names
 from .terminal import Terminal
 
-__all__ = ["Input", "Program", "Report", "about", "examples", "report_options", "several_inputs", "single_input"]
+__all__ = [
+    "CommandGroup",
+    "InputPath",
+    "Report",
+    "help_examples",
+    "name_file_in_errors",
+    "report_options",
+    "several_inputs",
+    "single_input",
+]
 
 _USER_ERROR = 2
 # Where a command keeps whether `--verbose` was given.
 _VERBOSE = "lfcal.verbose"
 
 
-class Program(click.Group):
+class CommandGroup(click.Group):
     """A command group whose user errors are one line on stderr and exit code 2.
 
     Parameters
     ----------
-    elsewhere : mapping of str to str, optional
-        Commands of other programs that are looked for here, and those programs.
-    for_a_file : str, optional
-        Command that does what is meant where a file is given in the place of a command, with `{}` for the file.
+    other_programs : mapping of str to str, optional
+        Commands of other programs that users look for here, and the program that has each: named in the error.
+    file_command : str, optional
+        Command to propose where a file is given in the place of a command, with `{}` for the file.
     """
 
-    def __init__(self, *args: Any, elsewhere: Mapping[str, str] | None = None, for_a_file: str = "", **kwargs: Any):
+    def __init__(
+        self, *args: Any, other_programs: Mapping[str, str] | None = None, file_command: str = "", **kwargs: Any
+    ):
         super().__init__(*args, **kwargs)
-        self.elsewhere = dict(elsewhere or {})
-        self.for_a_file = for_a_file
+        self.other_programs = dict(other_programs or {})
+        self.file_command = file_command
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         name = args[0]
         if self.get_command(ctx, name) is None and not ctx.resilient_parsing:
-            if name in self.elsewhere:
-                ctx.fail(f"No such command {name!r}. Did you mean '{self.elsewhere[name]} {name}'?")
-            if self.for_a_file and Path(name).is_file():
-                ctx.fail(f"No such command {name!r}. Did you mean '{self.name} {self.for_a_file.format(name)}'?")
+            if name in self.other_programs:
+                ctx.fail(f"No such command {name!r}. Did you mean '{self.other_programs[name]} {name}'?")
+            if self.file_command and Path(name).is_file():
+                ctx.fail(f"No such command {name!r}. Did you mean '{self.name} {self.file_command.format(name)}'?")
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
-        with hints_on_names(ctx):
+        with suggest_similar_names(ctx):
             return super().invoke(ctx)
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
@@ -149,7 +160,7 @@ class Report:
             yield advance
 
     @contextmanager
-    def counted(self, name: str) -> Iterator[Callable[[int, int], None]]:
+    def counted_progress(self, name: str) -> Iterator[Callable[[int, int], None]]:
         """As `progress`, for work that tells how many steps are done, and out of how many, after the first of them."""
         with ExitStack() as shown:
             advance: list[Callable[[str], None]] = []
@@ -185,7 +196,7 @@ class Report:
 
 
 @contextmanager
-def about(path: str | os.PathLike[str]) -> Iterator[None]:
+def name_file_in_errors(path: str | os.PathLike[str]) -> Iterator[None]:
     """Make errors of this toolkit name the file they are about, where they do not yet."""
     try:
         yield
@@ -209,7 +220,7 @@ def report_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--json", "as_json", is_flag=True, help="Print the figures as one JSON object.")(command)
 
 
-def examples(*lines: str) -> str:
+def help_examples(*lines: str) -> str:
     """The epilog of a command's help that shows how it is called."""
     return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
 

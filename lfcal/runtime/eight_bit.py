@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["eight_bits"]
+__all__ = ["to_eight_bits"]
 
 
-def eight_bits(pixels: NDArray, white: float | None = None) -> NDArray[np.uint8]:
+def to_eight_bits(pixels: NDArray, white: float | None = None) -> NDArray[np.uint8]:
     """Pixels of any shape as uint8, in which 255 is white.
 
     Parameters

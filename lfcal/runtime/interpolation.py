@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["at_places"]
+__all__ = ["interpolate_linear"]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -21,7 +21,7 @@ def _read(picture, places, out):
         out[k] = above * (1 - low) + below * low
 
 
-def at_places(picture: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float64]:
+def interpolate_linear(picture: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float64]:
     """(...,) the picture at `places` (..., 2) [px], linear between its pixels."""
     values = np.empty(places.shape[:-1])
     _read(picture, places.reshape(-1, 2), values.reshape(-1))

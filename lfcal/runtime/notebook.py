@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice
-from ..lattice.orientation import orientation
-from .eight_bit import eight_bits
+from ..lattice.orientation import describe_orientation
+from .eight_bit import to_eight_bits
 
-__all__ = ["axes", "card", "lattice_drawing", "thumbnail"]
+__all__ = ["get_axes", "html_card", "lattice_svg", "thumbnail"]
 
 # Height of a picture in a card, and side of the drawing of a lattice [CSS px].
 _HEIGHT, _SIDE = 240, 200
@@ -27,7 +27,7 @@ _NEIGHBOURS = 6
 _TYPE_COLOURS = ("#2d7dd2", "#e6721a", "#3a9d5d", "#8e5bb5")
 
 
-def card(title: str, figures: Mapping[str, str], picture: str, warnings: Sequence[str] = ()) -> str:
+def html_card(title: str, figures: Mapping[str, str], picture: str, warnings: Sequence[str] = ()) -> str:
     """A picture beside a table.
 
     Parameters
@@ -36,7 +36,7 @@ def card(title: str, figures: Mapping[str, str], picture: str, warnings: Sequenc
     figures : mapping of str to str
         Rows of the table, as they are to be read.
     picture : str
-        HTML of the picture, as `thumbnail` and `lattice_drawing` give it.
+        HTML of the picture, as `thumbnail` and `lattice_svg` give it.
     warnings : sequence of str, optional
         Lines below.
 
@@ -67,12 +67,12 @@ def thumbnail(image: NDArray, name: str, white: float | None = None) -> str:
     name : str
         What it shows, for readers who cannot see it.
     white : float, optional
-        As for `eight_bits`.
+        As for `to_eight_bits`.
     """
     from PIL import Image
 
     pixels = image[:, :, 0] if image.ndim == 3 and image.shape[2] == 1 else image
-    picture = Image.fromarray(np.ascontiguousarray(eight_bits(pixels, white)))
+    picture = Image.fromarray(np.ascontiguousarray(to_eight_bits(pixels, white)))
     # Twice the size on the page, for dense screens.
     picture.thumbnail((4 * _HEIGHT, 2 * _HEIGHT))
     stream = BytesIO()
@@ -81,7 +81,7 @@ def thumbnail(image: NDArray, name: str, white: float | None = None) -> str:
     return f"<img alt='{escape(name)}' style='height:{_HEIGHT}px' src='data:image/png;base64,{data}'>"
 
 
-def lattice_drawing(lattice: Lattice, types: LensTypes | None = None) -> str:
+def lattice_svg(lattice: Lattice, types: LensTypes | None = None) -> str:
     """Inline SVG of the lenses about the middle of a flat: usable circles, and the basis as two arrows.
 
     Parameters
@@ -109,11 +109,11 @@ def lattice_drawing(lattice: Lattice, types: LensTypes | None = None) -> str:
     )
     return (
         f"<svg width='{_SIDE}' height='{_SIDE}' viewBox='0 0 {_SIDE} {_SIDE}' role='img' "
-        f"aria-label='{orientation(lattice)[0]} lattice, {_ACROSS:.0f} pitches wide'>{circles}{arrows}</svg>"
+        f"aria-label='{describe_orientation(lattice)[0]} lattice, {_ACROSS:.0f} pitches wide'>{circles}{arrows}</svg>"
     )
 
 
-def axes(given: Any) -> Any:
+def get_axes(given: Any) -> Any:
     """Matplotlib axes to draw on: those given, or the current ones.
 
     Raises

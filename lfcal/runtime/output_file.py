@@ -10,7 +10,7 @@ from pathlib import Path
 
 from .errors import LightFieldError
 
-__all__ = ["OutputError", "check_output", "whole_file"]
+__all__ = ["OutputError", "atomic_write", "check_output"]
 
 
 class OutputError(LightFieldError, OSError):
@@ -18,7 +18,7 @@ class OutputError(LightFieldError, OSError):
 
 
 @contextmanager
-def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a new file in the folder of `path` to write into, and move it there if nothing went wrong.
 
     The new file has the suffix of `path`, for writers that choose the format by it, and the permissions any other

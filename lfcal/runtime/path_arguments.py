@@ -14,13 +14,13 @@ import click
 
 from .errors import LightFieldError
 
-__all__ = ["Input", "hints_on_names", "several_inputs", "single_input"]
+__all__ = ["InputPath", "several_inputs", "single_input", "suggest_similar_names"]
 
 # Where a command keeps the inputs it was given.
 _INPUTS = "lfcal.inputs"
 
 
-class Input(click.Path):
+class InputPath(click.Path):
     """A file or folder to be read; a pattern that the shell has left as it is stands for the one path that matches."""
 
     name = "path"
@@ -64,7 +64,7 @@ def several_inputs(name: str, metavar: str) -> Callable[[Any], Any]:
 
 
 @contextmanager
-def hints_on_names(ctx: click.Context) -> Iterator[None]:
+def suggest_similar_names(ctx: click.Context) -> Iterator[None]:
     """Let errors about inputs that are not there name the files that are called like them."""
     try:
         yield

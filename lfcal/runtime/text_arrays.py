@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["pack", "unpack"]
+__all__ = ["decode_array", "encode_array"]
 
 
-def pack(values: NDArray[Any]) -> str:
+def encode_array(values: NDArray[Any]) -> str:
     """Numbers as text: bytes in little-endian order, deflated, base64."""
     return base64.b64encode(zlib.compress(values.tobytes(), 9)).decode("ascii")
 
 
-def unpack(text: str, kind: str) -> NDArray[Any]:
-    """Numbers from `pack`; ValueError where the text is damaged."""
+def decode_array(text: str, kind: str) -> NDArray[Any]:
+    """Numbers from `encode_array`; ValueError where the text is damaged."""
     try:
         return np.frombuffer(zlib.decompress(base64.b64decode(text, validate=True)), kind)
     except zlib.error as error:

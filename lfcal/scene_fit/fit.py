@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detection.radial_profile import LatticeFit
-from ..lattice.cell import cell_faces
+from ..lattice.cell import cell_normals
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import whole_lenses
+from ..lattice.lens_subset import select_whole_lenses
 from ..runtime.errors import CalibrationError
 from .irls import SUREST, Steps, agreed, held_back, regular_ratio
 from .radial_distortion import RadialPull, radial_pull, unbent
@@ -232,8 +232,8 @@ def _moved(lattice: Lattice, change: NDArray[np.float64]) -> Lattice:
 
 def _chosen(lattice: Lattice, most: int) -> NDArray[np.int64]:
     """Indices of about `most` whole lenses, evenly spread."""
-    _, reach = cell_faces(lattice)
-    indices, _ = whole_lenses(lattice, reach + 1)
+    _, reach = cell_normals(lattice)
+    indices, _ = select_whole_lenses(lattice, reach + 1)
     indices = indices[np.arange(len(indices)) * _GOLDEN % 1 < most / max(len(indices), 1)]
     if len(indices) < _FEWEST_LENSES:
         raise CalibrationError(
@@ -252,7 +252,7 @@ def _trusted(variance: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 def _look(picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.int64], stride: int) -> _Seen:
     """What the lenses at `indices` (n, 2) show of their steps."""
-    faces, reach = cell_faces(lattice)
+    faces, reach = cell_normals(lattice)
     centres = lattice.points(indices)
     # Where the lattice has moved, so have lenses over the edge of the flat.
     whole = ((centres >= reach) & (centres <= np.array(picture.shape[::-1]) - 1 - reach)).all(1)

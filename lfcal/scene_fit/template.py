@@ -13,7 +13,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from ..detection.folding import VECTOR_LENGTH, compute_cell_bins
-from ..lattice.cell import cell_reach, cell_sides, row_in_cell
+from ..lattice.cell import cell_circumradius, cell_row_bounds, row_interval
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
 
@@ -40,7 +40,7 @@ def _places(picture, cx, cy, lens, sides, inverse, stride, bins, place, values):
     number = np.uint64(0)
     for y in range(int(np.ceil(cy + sides[6, 0])) + lens % stride, int(np.floor(cy + sides[6, 1])) + 1, stride):
         dy = y - cy
-        low, high = row_in_cell(dy, sides)
+        low, high = row_interval(dy, sides)
         first, last = int(np.ceil(cx + low)), int(np.floor(cx + high))
         first += (lens // stride - first) % stride
         if first > last:
@@ -196,7 +196,7 @@ def average_cell(
     bins = _bins(lattice)
     sums = np.zeros((_CHUNKS, bins * bins, 4), np.float32)
     inverse = np.linalg.inv(lattice.basis)
-    _fold(picture, centres, cell_sides(faces), _room(faces, stride), inverse, stride, bins, _CHUNKS, sums)
+    _fold(picture, centres, cell_row_bounds(faces), _room(faces, stride), inverse, stride, bins, _CHUNKS, sums)
     width = _SMOOTH * bins / lattice.pitch
     planes = sums.sum(0, dtype=np.float64).T[:3].reshape(3, bins, bins)
     total, square, count = (_turned(_smoothed(plane, width)) for plane in planes)
@@ -210,7 +210,7 @@ def average_cell(
 
 def _room(faces: NDArray[np.float64], stride: int) -> int:
     """Room for the pixels of a cell, and for what is worked on beyond them."""
-    return (int(2 * cell_reach(faces)) // stride + 3) ** 2 + 2 * VECTOR_LENGTH
+    return (int(2 * cell_circumradius(faces)) // stride + 3) ** 2 + 2 * VECTOR_LENGTH
 
 
 def _bins(lattice: Lattice) -> int:
@@ -254,7 +254,7 @@ def lens_steps(
     _accumulate(
         picture,
         centres,
-        cell_sides(faces),
+        cell_row_bounds(faces),
         _room(faces, stride),
         inverse,
         stride,

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numba import njit, prange
 
-from ..lattice.cell import rows_within
+from ..lattice.cell import clip_rows
 from ..runtime.errors import CalibrationError
 from ..runtime.fastmath import FAST
 from .cut_start import cut_starts, disc_radius
@@ -133,10 +133,10 @@ def _narrowings(light, corners, centres, field, gain, trust, tilt, inner, step, 
     for lens in prange(len(centres)):
         cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
         far = max(math.hypot(field[lens, 0], field[lens, 1]), 1e-6)
-        top, bottom = rows_within(cy, inner, 0, light.shape[1])
+        top, bottom = clip_rows(cy, inner, 0, light.shape[1])
         for y in range(top, bottom):
             dy = y - cy
-            first, last = rows_within(cx, math.sqrt(max(inner * inner - dy * dy, 0.0)), 0, light.shape[1])
+            first, last = clip_rows(cx, math.sqrt(max(inner * inner - dy * dy, 0.0)), 0, light.shape[1])
             for x in range(first, last):
                 dx = x - cx
                 rho = max(math.sqrt(dx * dx + dy * dy), 1e-6)
@@ -237,10 +237,10 @@ def _shading_moments(
         limit = _FAR * _FAR / trust[lens]
         # The last value is 1, so that sums are products too.
         values, products, count = np.ones((8, _TOGETHER + side)), np.zeros((8, 8)), 0
-        top, bottom = rows_within(cy, inside, 0, side)
+        top, bottom = clip_rows(cy, inside, 0, side)
         for y in range(top, bottom):
             dy = y - cy
-            first, last = rows_within(cx, math.sqrt(max(inside * inside - dy * dy, 0.0)), 0, side)
+            first, last = clip_rows(cx, math.sqrt(max(inside * inside - dy * dy, 0.0)), 0, side)
             for x in range(first, last):
                 dx = x - cx
                 ex, ey = dx - cut[lens, 0], dy - cut[lens, 1]

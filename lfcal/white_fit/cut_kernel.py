@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from ..lattice.cell import outside, rows_within
+from ..lattice.cell import clip_rows, is_outside_cell
 from ..runtime.fastmath import FAST
 from .whole_kernel import OUTLIER
 
@@ -83,10 +83,10 @@ def accumulate_cut(
             xx = xy = yy = xm = ym = mm = bx = by = bm = total = number = 0.0
             pull[:] = 0.0
             products[:] = 0.0
-            top, bottom = rows_within(cy, reach, 0, side)
+            top, bottom = clip_rows(cy, reach, 0, side)
             for y in range(top, bottom):
                 dy = y - cy
-                low_x, high_x = rows_within(cx, math.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
+                low_x, high_x = clip_rows(cx, math.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
                 for x in range(low_x, high_x):
                     dx = x - cx
                     square = max(dx * dx + dy * dy, 1e-12)
@@ -98,7 +98,7 @@ def accumulate_cut(
                         if (x + aside * y) & (thin - 1):
                             continue
                         share = float(thin)
-                    elif square > within and outside(dx, dy, faces):
+                    elif square > within and is_outside_cell(dx, dy, faces):
                         continue
                     over = 1 / math.sqrt(square)
                     place = square * over * per_step

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from ..lattice.cell import rows_within
+from ..lattice.cell import clip_rows
 from .gauss_newton import FitState
 from .model import Discs
 from .parameters import CatEye, DiscModel, field_of
@@ -36,10 +36,10 @@ def _left_over(light, corners, centres, gain, tilt, level, inner, step, out):
     directions = out.shape[1]
     for lens in prange(len(centres)):
         cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
-        top, bottom = rows_within(cy, inner, 0, light.shape[1])
+        top, bottom = clip_rows(cy, inner, 0, light.shape[1])
         for y in range(top, bottom):
             dy = y - cy
-            first, last = rows_within(cx, math.sqrt(max(inner * inner - dy * dy, 0.0)), 0, light.shape[1])
+            first, last = clip_rows(cx, math.sqrt(max(inner * inner - dy * dy, 0.0)), 0, light.shape[1])
             for x in range(first, last):
                 dx = x - cx
                 place = math.sqrt(dx * dx + dy * dy) / step

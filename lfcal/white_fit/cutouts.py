@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..images.stack import clipped_from
-from ..lattice.cell import cell_faces, inner_radius
+from ..images.stack import clipping_level
+from ..lattice.cell import cell_inradius, cell_normals
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import Parts, evenly_chosen
+from ..lattice.lens_subset import StackedCrops, sample_mask
 from ..lattice.lit_lenses import LitLenses
 from ..runtime.errors import CalibrationError
 from .gauss_newton import FitState, by_brightness, placed, weighted
@@ -32,25 +32,30 @@ _CORE = 0.4
 
 
 def open_lenses(
-    tones: Parts, model: DiscModel, pixels: float, fewest: int, known: Discs | None, before: LitLenses | None = None
+    tones: StackedCrops,
+    model: DiscModel,
+    pixels: float,
+    fewest: int,
+    known: Discs | None,
+    before: LitLenses | None = None,
 ) -> tuple[FitState, LitLenses]:
     """Lenses of about so many pixels in all, but at least so many, with gains from their cores; and all to choose from.
 
     `before` are those of a like lattice.
     """
     lattice = model.lattice
-    faces, reach = cell_faces(lattice)
+    faces, reach = cell_normals(lattice)
     margin = reach + 2
     alight = LitLenses.on(tones, lattice, margin, np.sqrt(_DARK), before)
     every = max(1.0, len(alight.indices) * abs(np.linalg.det(lattice.basis)) / pixels)
     every = max(1.0, min(every, len(alight.indices) / fewest))
-    taken = alight.some(tones, lattice, margin, evenly_chosen(len(alight.indices), 1 / every))
+    taken = alight.some(tones, lattice, margin, sample_mask(len(alight.indices), 1 / every))
     indices, offset = taken.indices, tones.offsets[taken.part]
     centres = lattice.points(indices)
     # Lenses of a known model hardly move any more.
     light, corners = cut_windows(tones.picture, centres - offset, margin if known is None else reach)
     corners += offset
-    inner = inner_radius(faces)
+    inner = cell_inradius(faces)
     core, middle = max(1, int(_CORE * inner)), light.shape[1] // 2
     gain = light[:, middle - core : middle + core + 1, middle - core : middle + core + 1].mean((1, 2)).astype(float)
     lit = gain > _DARK * np.quantile(gain, 0.95) if len(gain) else np.zeros(0, dtype=bool)
@@ -59,7 +64,7 @@ def open_lenses(
             f"only {lit.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the flat, "
             f"at least {FEWEST_LENSES} are needed; give the whole sensor"
         )
-    rings, full = int(reach / _STEP) + 3, clipped_from(light) if known is None else known.full
+    rings, full = int(reach / _STEP) + 3, clipping_level(light) if known is None else known.full
     if not lit.all():
         indices, centres, gain, corners, light = indices[lit], centres[lit], gain[lit], corners[lit], light[lit]
     none, tilt = np.zeros_like(centres), field_slope(centres, gain, lattice)

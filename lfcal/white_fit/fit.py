@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import Parts
+from ..lattice.lens_subset import StackedCrops
 from ..lattice.residuals import Residuals
 from ..lattice.standard_errors import LatticeErrors
 from ..runtime.errors import CalibrationError
@@ -86,7 +86,7 @@ class DiscFit:
     residuals: Residuals
 
 
-def fit_discs(tones: NDArray[np.float32] | Parts, lattice: Lattice, pixels: float = 3.2e6) -> DiscFit:
+def fit_discs(tones: NDArray[np.float32] | StackedCrops, lattice: Lattice, pixels: float = 3.2e6) -> DiscFit:
     """Fit a white image.
 
     Parameters
@@ -103,7 +103,7 @@ def fit_discs(tones: NDArray[np.float32] | Parts, lattice: Lattice, pixels: floa
     CalibrationError
         If fewer than a dozen whole microimages are on the flat, or they keep to no lattice.
     """
-    tones, known = Parts.of(tones), _known_orders(lattice)
+    tones, known = StackedCrops.of(tones), _known_orders(lattice)
     state, lit = open_lenses(tones, DiscModel(lattice, None), *_FEW, None)
     state, _ = converge(state, known, passes=_FIRST_PASSES)
     bent, bends = (state, known) if known else _better(state, (), _bent(state), ("k1",))
@@ -150,7 +150,7 @@ def _pixels(state: FitState) -> float:
     return len(state.indices) * abs(float(np.linalg.det(state.model.lattice.basis)))
 
 
-def followed(tones: Parts, lattice: Lattice) -> Lattice:
+def followed(tones: StackedCrops, lattice: Lattice) -> Lattice:
     """The lattice fitted to some lenses, with a distortion where they ask for one: a start for a larger part of a flat.
 
     Parameters

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from ..detection.capture_kind import is_evenly_lit
 from ..detection.first_lattice import FirstLattice, find_first_lattice
-from ..images.mosaic import equalise
-from ..images.preprocessing import level_locally, luminance
+from ..images.mosaic import equalise_mosaic
+from ..images.preprocessing import luminance, normalise_locally
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import Look, Parts
+from ..lattice.lens_subset import ReadCrop, StackedCrops
 from ..runtime.errors import CalibrationError
 from .fit import followed
 
@@ -55,12 +55,12 @@ class _Piece:
         )
 
 
-def look_at(flat: NDArray[Any], filtered: bool) -> Look:
+def look_at(flat: NDArray[Any], filtered: bool) -> ReadCrop:
     """A look at the square root of the light of a flat (h, w) or (h, w, 3) of raw values, `filtered` by a mosaic."""
 
     def look(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
         raw = np.ascontiguousarray(flat[y : y + height, x : x + width])
-        light = equalise(raw) if filtered else luminance(raw)
+        light = equalise_mosaic(raw) if filtered else luminance(raw)
         return np.sqrt(np.maximum(light, 0, out=light), out=light)
 
     return look
@@ -75,8 +75,8 @@ def first_of_all(tones: NDArray[np.float32], sure: bool) -> FirstLattice | None:
     return first_of_white(look, (tones.shape[1], tones.shape[0]), sure, tries=1)
 
 
-def some_parts(look: Look, lattice: Lattice) -> tuple[Parts, Look]:
-    """Parts of a flat, enough to measure a camera on, and a look at all of it, both of mean tone 1."""
+def some_parts(look: ReadCrop, lattice: Lattice) -> tuple[StackedCrops, ReadCrop]:
+    """StackedCrops of a flat, enough to measure a camera on, and a look at all of it, both of mean tone 1."""
     parts = grid_parts(look, lattice.image_size, _SIDE, _PIXELS)
     scale = np.float32(1 / max(float(parts.picture.mean(dtype=np.float64)), 1e-30))
     np.multiply(parts.picture, scale, out=parts.picture)
@@ -89,12 +89,12 @@ def some_parts(look: Look, lattice: Lattice) -> tuple[Parts, Look]:
     return parts, scaled
 
 
-def grid_parts(look: Look, size: tuple[int, int], side: int, pixels: float) -> Parts:
+def grid_parts(look: ReadCrop, size: tuple[int, int], side: int, pixels: float) -> StackedCrops:
     """Square parts of a flat, evenly spread from border to border.
 
     Parameters
     ----------
-    look : Look
+    look : ReadCrop
         At tones of the flat, in whatever scale.
     size : (int, int) [px]
         Width and height of the flat.
@@ -114,15 +114,15 @@ def grid_parts(look: Look, size: tuple[int, int], side: int, pixels: float) -> P
     picture = np.empty((len(corners) * side, side), np.float32)
     for number, (x, y) in enumerate(corners.tolist()):
         picture[number * side : (number + 1) * side] = look(x, y, side, side)
-    return Parts(picture, corners, (side, side))
+    return StackedCrops(picture, corners, (side, side))
 
 
-def first_of_white(look: Look, size: tuple[int, int], sure: bool, tries: int) -> FirstLattice | None:
+def first_of_white(look: ReadCrop, size: tuple[int, int], sure: bool, tries: int) -> FirstLattice | None:
     """First lattice of a white image, with its distortion; None where the flat is none, or it is not found this way.
 
     Parameters
     ----------
-    look : Look
+    look : ReadCrop
         At tones of the flat, in whatever scale.
     size : (int, int) [px]
         Width and height of the flat.
@@ -161,7 +161,7 @@ def first_of_white(look: Look, size: tuple[int, int], sure: bool, tries: int) ->
     return replace(start, lattice=lattice)
 
 
-def _found(look: Look, size: tuple[int, int], sure: bool, tries: int) -> tuple[FirstLattice, _Piece] | None:
+def _found(look: ReadCrop, size: tuple[int, int], sure: bool, tries: int) -> tuple[FirstLattice, _Piece] | None:
     """Lattice of the first piece that shows one, in px of the flat, and where it was."""
     side = min(_PIECE, *size)
     places = [(x, y) for x in (0.5, 0.2, 0.8) for y in (0.5, 0.2, 0.8)]
@@ -186,14 +186,14 @@ def _found(look: Look, size: tuple[int, int], sure: bool, tries: int) -> tuple[F
     return None
 
 
-def _parts(look: Look, pieces: list[_Piece], side: int) -> Parts:
+def _parts(look: ReadCrop, pieces: list[_Piece], side: int) -> StackedCrops:
     corners = np.array([(p.x, p.y) for p in pieces], dtype=np.int64)
-    return Parts(np.concatenate([look(p.x, p.y, side, side) for p in pieces]), corners, (side, side))
+    return StackedCrops(np.concatenate([look(p.x, p.y, side, side) for p in pieces]), corners, (side, side))
 
 
-def _even(look: Look, size: tuple[int, int], lattice: Lattice) -> bool:
+def _even(look: ReadCrop, size: tuple[int, int], lattice: Lattice) -> bool:
     """Whether microimages are evenly lit all over the field."""
     side = max(int(_WHOLE * lattice.pitch), _FOLLOW[1])
     parts = grid_parts(look, size, side, max(_EVENLY * _FOLLOW[1] ** 2, _FEWEST_PARTS * side**2))
-    levelled = np.concatenate([level_locally(parts.part(k), _WIDE * lattice.pitch) for k in range(len(parts))])
+    levelled = np.concatenate([normalise_locally(parts.part(k), _WIDE * lattice.pitch) for k in range(len(parts))])
     return is_evenly_lit(replace(parts, picture=levelled), parts.picture**2, lattice)

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from ..lattice.cell import outside, rows_within
+from ..lattice.cell import clip_rows, is_outside_cell
 from .cut_kernel import accumulate_cut
 from .edge_blur import edge_blur, edge_depths
 from .whole_kernel import accumulate_whole, by_ring, thinned
@@ -164,14 +164,14 @@ def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, 
     for chunk in prange(chunks):
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
-            top, bottom = rows_within(cy, reach, 0, side)
+            top, bottom = clip_rows(cy, reach, 0, side)
             for y in range(top, bottom):
                 dy = y - cy
-                left, right = rows_within(cx, np.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
+                left, right = clip_rows(cx, np.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
                 for x in range(left, right):
                     dx = x - cx
                     rho = np.sqrt(dx * dx + dy * dy)
-                    if rho > inner and outside(dx, dy, faces):
+                    if rho > inner and is_outside_cell(dx, dy, faces):
                         continue
                     place = rho / step
                     ring = int(place)

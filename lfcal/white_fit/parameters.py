@@ -145,7 +145,7 @@ def moved(model: DiscModel, change: NDArray[np.float64], names: list[str]) -> Di
     """The model after a step `change` (p,) of the parameters `names` of `design`."""
     by = {name: change[[k for k, other in enumerate(names) if other == name]] for name in names}
     old = model.lattice
-    bend = old.distortion if old.distortion is None else old.distortion.moved(by)
+    bend = old.distortion if old.distortion is None else old.distortion.updated(by)
     lattice = replace(
         old, origin=old.origin + by["origin"], basis=old.basis + np.array([by["a1"], by["a2"]]), distortion=bend
     )

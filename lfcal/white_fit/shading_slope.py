@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from ..lattice.cell import rows_within
+from ..lattice.cell import clip_rows
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
 from .model import Discs
@@ -77,10 +77,10 @@ def _slopes(light, corners, centres, gain, tilt, level, step, reach, out):
         over, tilt_x, tilt_y = 1 / gain[lens], tilt[lens, 0], tilt[lens, 1]
         cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
         across = down = square = 0.0
-        top, bottom = rows_within(cy, reach, 0, side)
+        top, bottom = clip_rows(cy, reach, 0, side)
         for y in range(top, bottom):
             dy = y - cy
-            left, right = rows_within(cx, math.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
+            left, right = clip_rows(cx, math.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
             for x in range(left, right):
                 dx = x - cx
                 place = math.sqrt(dx * dx + dy * dy) * per_step

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from ..lattice.cell import outside, rows_within
+from ..lattice.cell import clip_rows, is_outside_cell
 from ..runtime.fastmath import FAST
 
 __all__ = ["OUTLIER", "accumulate_whole", "by_ring", "thinned"]
@@ -45,10 +45,10 @@ def accumulate_whole(
             bright, belief, tilt_x, tilt_y = 1 / gain[lens], trust[lens], tilt[lens, 0], tilt[lens, 1]
             limit = most / belief
             xx = xy = yy = xm = ym = mm = bx = by = bm = far = number = 0.0
-            top, bottom = rows_within(cy, reach, 0, side)
+            top, bottom = clip_rows(cy, reach, 0, side)
             for y in range(top, bottom):
                 dy = y - cy
-                first, last = rows_within(cx, math.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
+                first, last = clip_rows(cx, math.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
                 for x in range(first, last):
                     dx = x - cx
                     square = max(dx * dx + dy * dy, 1e-12)
@@ -57,7 +57,7 @@ def accumulate_whole(
                         if (x + aside * y) & (thin - 1):
                             continue
                         w = float(thin)
-                    elif square > within and outside(dx, dy, faces):
+                    elif square > within and is_outside_cell(dx, dy, faces):
                         continue
                     # Divisions take longer than all the rest.
                     over = 1 / math.sqrt(square)

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lfcal import LightFieldError, check_output
+from lfcal import LightFieldError
 from lfcal.runtime import console
+from lfcal.runtime.output_file import check_output
 
 from ..runtime.lazy_imports import import_meanwhile
 from .figures import camera_figures, depth_figures, distance_figures
@@ -28,7 +29,7 @@ __all__ = ["analyze"]
 
 
 @click.command(
-    epilog=console.examples(
+    epilog=console.help_examples(
         "lfrender analyze flat.png -o depth.npz",
         "lfrender analyze flat.png -c camera.json -o depth.npz --dense depth.tif --picture depth.png",
         "lfrender analyze flat.png -c camera.json -o depth.npz --roi 400 300 900 700",

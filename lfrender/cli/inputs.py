@@ -38,7 +38,7 @@ def read_camera(path: Path, pixels: NDArray[np.generic]) -> Calibration:
             "'lfcal calibrate'"
         )
     if path.suffix.lower() in (".xml", ".cfg"):
-        from lfcal import read_published
+        from lfcal.camera_files.published import read_published
 
         return _checked(read_published(path, size), pixels)
     calibration = load(path)
@@ -52,9 +52,9 @@ def _checked(calibration: Calibration, pixels: NDArray[np.generic]) -> Calibrati
     """A published calibration, with a warning where the pixels contradict it."""
     from dataclasses import replace
 
-    from lfcal import agreement
+    from lfcal import check_fit
 
-    misfit = agreement(calibration, pixels).warning
+    misfit = check_fit(calibration, pixels).warning
     if misfit is None:
         return calibration
     warning = f"as published, {misfit}; calibrate on this flat instead: leave out -c"
@@ -76,14 +76,14 @@ def camera_of(
 
     if white is None:
         report.announce_compilation("lfcal")
-        with console.about(flat):
+        with console.name_file_in_errors(flat):
             return _of_scene(calibrate(pixels, mosaic=mosaic))
     white_pixels = read_flat(white)
     if white_pixels.shape[:2] != pixels.shape[:2]:
         sizes = " and ".join(f"{image.shape[1]} x {image.shape[0]}" for image in (white_pixels, pixels))
         raise FlatError(f"{white}: white image and flat must be of one size, they have {sizes} px")
     report.announce_compilation("lfcal")
-    with console.about(white):
+    with console.name_file_in_errors(white):
         return calibrate(white_pixels, kind="white", mosaic=mosaic if white_pixels.ndim == 2 else None)
 
 

@@ -114,7 +114,7 @@ def render(report: Any, asked: Asked) -> None:
             with report.stage("analyze"):
                 depth = _depth(report, asked, source, calibration, unfinished, workers)
         report.announce_compilation("lfrender")
-        with report.stage("render"), report.counted("tiles") as progress:
+        with report.stage("render"), report.counted_progress("tiles") as progress:
             try:
                 made = render_large(
                     source, asked.output, calibration, depth, patch_size=asked.patch_size, scale=asked.scale,
@@ -151,7 +151,7 @@ def analyze(
             calibration = camera_of(report, flat, pixels, camera, white, None)
             del pixels
         report.announce_compilation("lfrender")
-        with report.stage("analyze"), report.counted("tiles") as progress:
+        with report.stage("analyze"), report.counted_progress("tiles") as progress:
             depth = analyze_large(source, calibration, preset, skip=skip, progress=progress, **workers)
         depth.save(output)
     return depth, calibration
@@ -199,7 +199,7 @@ def _depth(
     if unfinished.find("depth", key) and file.exists():
         return DepthMap.load(file)
     report.announce_compilation("lfrender")
-    with report.counted("tiles") as progress:
+    with report.counted_progress("tiles") as progress:
         depth = analyze_large(source, calibration, asked.preset, progress=progress, **workers)
     unfinished.open()
     depth.save(file)

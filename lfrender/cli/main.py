@@ -20,11 +20,11 @@ _ELSEWHERE = dict.fromkeys(("calibrate", "compare", "convert", "flatten", "info"
 
 
 @click.group(
-    cls=console.Program,
+    cls=console.CommandGroup,
     name="lfrender",
     context_settings={"help_option_names": ["-h", "--help"]},
-    elsewhere=_ELSEWHERE,
-    for_a_file="render {} -o picture.tif",
+    other_programs=_ELSEWHERE,
+    file_command="render {} -o picture.tif",
 )
 @click.version_option(package_name="lfrender", prog_name="lfrender")
 def main() -> None:

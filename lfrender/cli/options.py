@@ -13,7 +13,7 @@ __all__ = [
     "CAMERA", "INPUT", "OUTPUT", "WITHOUT_CAMERA", "at_most_one", "cluster_options", "flat_argument", "preset_option",
 ]  # fmt: skip
 
-INPUT, OUTPUT = console.Input(), click.Path(path_type=Path)
+INPUT, OUTPUT = console.InputPath(), click.Path(path_type=Path)
 CAMERA = "Camera file of lfcal, or a published calibration (.xml, .cfg)."
 WITHOUT_CAMERA = " Without it, the camera is calibrated from FLAT."
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from lfcal import check_output
 from lfcal.runtime import console
+from lfcal.runtime.output_file import check_output
 
 from .figures import camera_figures, depth_figures
 from .inputs import analysed, camera_of, in_colour, read_depth
@@ -19,7 +19,7 @@ __all__ = ["demo", "report", "view"]
 
 
 @click.command(
-    epilog=console.examples(
+    epilog=console.help_examples(
         "lfrender view flat.png",
         "lfrender view flat.png -c camera.json --export page",
     )
@@ -72,7 +72,7 @@ def view(
 
 
 @click.command(
-    epilog=console.examples(
+    epilog=console.help_examples(
         "lfrender report flat.png -o report.html",
         "lfrender report flat.png -c camera.json -o report.html --preset accurate",
     )
@@ -109,7 +109,7 @@ def report(
     progress.finish({"report": str(output), **camera_figures(calibration, depth), **depth_figures(depth)})
 
 
-@click.command(epilog=console.examples("lfrender demo -o demo"))
+@click.command(epilog=console.help_examples("lfrender demo -o demo"))
 @click.option(
     "-o",
     "--output",

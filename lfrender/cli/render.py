@@ -33,7 +33,7 @@ __all__ = ["render"]
 
 
 @click.command(
-    epilog=console.examples(
+    epilog=console.help_examples(
         "lfrender render flat.png -o picture.tif",
         "lfrender render flat.png -c camera.json --depth depth.npz --scale 12 -o picture.png",
         "lfrender render flat.png --white white.png --patch-size -8.5 -o binocular.png",

@@ -24,7 +24,7 @@ __all__ = ["batch"]
 
 
 @click.command(
-    epilog=console.examples(
+    epilog=console.help_examples(
         "lfrender batch frames -o pictures",
         "lfrender batch film.mkv -c camera.json -o pictures --format png",
         "lfrender batch film.mkv -c camera.json -o sharp.mp4",
@@ -149,7 +149,7 @@ def _batch_camera(frames: Any, camera: Path | None, white: Path | None) -> Calib
     from lfcal import FlatError, calibrate, read_flat
 
     if white is not None:
-        with console.about(white):
+        with console.name_file_in_errors(white):
             return calibrate(read_flat(white), kind="white")
     assert camera is not None
     for frame in frames:

@@ -24,7 +24,7 @@ __all__ = ["refocus", "views"]
 
 
 @click.command(
-    epilog=console.examples(
+    epilog=console.help_examples(
         "lfrender refocus flat.png --at 700 420 -o picture.tif",
         "lfrender refocus flat.png -c camera.json -o stack.tif --stack 12",
     )
@@ -110,7 +110,7 @@ def refocus(
 
 
 @click.command(
-    epilog=console.examples(
+    epilog=console.help_examples(
         "lfrender views flat.png -o views --grid 5x5",
         "lfrender views flat.png -o pair.png --stereo",
         "lfrender views flat.png -o round.gif --animation 24",

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import LightFieldError, whole_file
+from lfcal import LightFieldError
 from lfcal.runtime.frozen import Frozen
+from lfcal.runtime.output_file import atomic_write
 
 from .optics import Optics
 from .surface import Surface
@@ -152,7 +153,7 @@ class DepthMap(Frozen):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as `.npz`; the file appears whole or not at all."""
-        with whole_file(Path(path)) as temporary, open(temporary, "wb") as stream:
+        with atomic_write(Path(path)) as temporary, open(temporary, "wb") as stream:
             np.savez(
                 stream,
                 version=np.int64(_VERSION),

@@ -36,7 +36,7 @@ def depth_card(depth: DepthMap) -> str:
         figures["standard error of s"] = f"{np.median(depth.standard_error[depth.mode != 0]):.2g} px (median)"
     if depth.saved:
         figures["saved"] = ", ".join(f"{name} {part:.0%}" for name, part in depth.saved.items())
-    return notebook.card("DepthMap", figures, notebook.thumbnail(colours, "magnification over the scene"))
+    return notebook.html_card("DepthMap", figures, notebook.thumbnail(colours, "magnification over the scene"))
 
 
 def rendering_card(rendering: Rendering) -> str:
@@ -47,12 +47,14 @@ def rendering_card(rendering: Rendering) -> str:
         "scale": f"{rendering.scale:.2f} px per pitch",
         "seen by lenses": f"{float(np.mean(rendering.valid)):.1%}",
     }
-    return notebook.card("Rendering", figures, notebook.thumbnail(rendering.image, "rendered picture", rendering.white))
+    return notebook.html_card(
+        "Rendering", figures, notebook.thumbnail(rendering.image, "rendered picture", rendering.white)
+    )
 
 
 def plot_depth(depth: DepthMap, ax: Any = None) -> Any:
     """`DepthMap.plot`."""
-    ax = notebook.axes(ax)
+    ax = notebook.get_axes(ax)
     from matplotlib.colors import LogNorm
 
     shown, low, high = _magnification(depth)
@@ -67,7 +69,7 @@ def plot_depth(depth: DepthMap, ax: Any = None) -> Any:
 
 def plot_rendering(rendering: Rendering, ax: Any = None) -> Any:
     """`Rendering.plot`."""
-    ax = notebook.axes(ax)
+    ax = notebook.get_axes(ax)
     image = rendering.image
     if image.dtype.kind == "u":
         image = image / np.float32(rendering.white or np.iinfo(image.dtype).max)

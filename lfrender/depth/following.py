@@ -11,7 +11,8 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, FlatError, Lattice, OutputError, whole_file
+from lfcal import Calibration, FlatError, Lattice, OutputError
+from lfcal.runtime.output_file import atomic_write
 
 from ..data.depth_map import DepthMap
 from ..data.region import scaled
@@ -176,7 +177,7 @@ def save_comparison(depth: DepthMap, path: Path) -> None:
     """
     then, kept = _kept_probe(depth)
     if then is not None and kept is not None:
-        with whole_file(path) as temporary, temporary.open("wb") as file:
+        with atomic_write(path) as temporary, temporary.open("wb") as file:
             np.savez(file, kept=kept, **{f.name: getattr(then, f.name) for f in fields(_Probe)})
 
 

@@ -273,7 +273,7 @@ def gray_flat(
 
 def shrunk(lattice: Lattice, factor: int) -> Lattice:
     """The lattice of a flat of which `factor` x `factor` pixels each have become one, the same object every time."""
-    return lattice if factor == 1 else remembered(lattice, ("shrunk", factor), lambda: lattice.shrunk(factor))
+    return lattice if factor == 1 else remembered(lattice, ("shrunk", factor), lambda: lattice.downscaled(factor))
 
 
 def _remembered_if_small(

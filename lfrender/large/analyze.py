@@ -116,7 +116,7 @@ class _Whole:
     def lattice(self) -> Lattice:
         """In pixels of the flat as it is analysed."""
         lattice = self.calibration.lattice
-        return lattice if self.factor == 1 else lattice.shrunk(self.factor)
+        return lattice if self.factor == 1 else lattice.downscaled(self.factor)
 
     @cached_property
     def _gain(self) -> Any:

@@ -68,7 +68,7 @@ class LensTile:
         corner = np.array(list(low), np.int64)
         end = np.minimum(np.array(list(high), np.int64) * factor, whole.image_size)
         full = lattice_of(whole, corner * factor, end)
-        small = full if factor == 1 else full.shrunk(factor)
+        small = full if factor == 1 else full.downscaled(factor)
         centres = small.centres() + corner
         inside = ((centres >= core[0]) & (centres < core[1])).all(1)
         return cls(factor, corner, full, small, inside, tuple(core.ravel().tolist()))
@@ -112,7 +112,7 @@ def lens_tiles(whole: Lattice, factor: int, setting: Preset, pixel_bytes: int = 
     each = _READ * pixel_bytes * factor**2 + _PER_PIXEL
     side = max(2 * halo, int(np.sqrt(_BUDGET / each)) - 2 * halo)
     edges = [np.linspace(0, length, -(-length // side) + 1).round().astype(int).tolist() for length in size]
-    spacing = grid_shape(whole if factor == 1 else whole.shrunk(factor), setting.cells)[2]
+    spacing = grid_shape(whole if factor == 1 else whole.downscaled(factor), setting.cells)[2]
     for top, bottom in zip(edges[1], edges[1][1:], strict=False):
         for left, right in zip(edges[0], edges[0][1:], strict=False):
             low = [_start(max(0, at - halo), spacing, block) for at in (left, top)]

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import LightFieldError, check_output, whole_file
+from lfcal import LightFieldError
+from lfcal.runtime.output_file import atomic_write, check_output
 
 from .metadata import EmbeddedMetadata, embed_in_jpeg, embed_in_png
 
@@ -121,7 +122,7 @@ def write_picture(
     if alpha:
         pixels = with_alpha(pixels, np.ones(pixels.shape[:2], bool) if valid is None else np.asarray(valid))
     suffix = Path(path).suffix.lower()
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         if suffix in (".tif", ".tiff"):
             _write_tiff(temporary, [(pixels, text)], embedded.icc, compress)
         elif suffix == ".exr":
@@ -170,7 +171,7 @@ def write_stack(
             pixels = np.asarray(getattr(picture, "image", picture))
             check_picture(target, pixels.dtype)
             pages.append((pixels, json.dumps(describe(picture, text))))
-        with whole_file(target) as temporary:
+        with atomic_write(target) as temporary:
             _write_tiff(temporary, pages, embedded.icc, compress)
         return [target]
     digits = max(2, len(str(len(pictures))))

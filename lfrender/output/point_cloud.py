@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, CalibrationError, check_output, whole_file
+from lfcal import Calibration, CalibrationError
+from lfcal.runtime.output_file import atomic_write, check_output
 
 from ..data.depth_map import DepthMap
 from ..data.optics import Optics
@@ -98,5 +99,5 @@ def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = F
         *(f"property {kinds[_POINT[name].kind]} {name}" for name in _POINT.names or ()),
         "end_header\n",
     ]
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         Path(temporary).write_bytes("\n".join(header).encode() + points.astype(_POINT).tobytes())

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from lfcal import OutputError, whole_file
+from lfcal import OutputError
+from lfcal.runtime.output_file import atomic_write
 
 __all__ = ["Checkpoint", "file_identity", "fingerprint"]
 
@@ -51,7 +52,7 @@ class Checkpoint:
         """Keep a value that JSON can hold; files that belong to it must be whole on the disk by now."""
         self.open()
         self._kept[name] = {"key": key, "value": value}
-        with whole_file(self._state) as temporary:
+        with atomic_write(self._state) as temporary:
             temporary.write_text(json.dumps(self._kept), encoding="utf-8")
 
     def remove(self) -> None:

@@ -10,7 +10,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import OutputError, whole_file
+from lfcal import OutputError
+from lfcal.runtime.output_file import atomic_write
 
 from .picture import PictureError, tiff_tags
 
@@ -124,7 +125,7 @@ class _TiffWriter:
         options: dict[str, Any] = {"tile": (_TILE, _TILE), "compression": "zlib", "compressionargs": {"level": 3}}
         # In the folder of unfinished work it is found again, and removed, by the next run if this one is killed.
         packed = self._path.with_name("packed.tif")
-        with whole_file(packed) as temporary:
+        with atomic_write(packed) as temporary:
             tifffile.imwrite(
                 temporary, self._tiles(), shape=self._shape, dtype=self._dtype, predictor=self._dtype.kind != "f",
                 **options, **self._tags,

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from lfcal import OutputError, check_output, whole_file
-from lfcal.runtime.eight_bit import eight_bits
+from lfcal import OutputError
+from lfcal.runtime.eight_bit import to_eight_bits
+from lfcal.runtime.output_file import atomic_write, check_output
 
 from ..data.rendering import Rendering
 from .metadata import EmbeddedMetadata
@@ -127,7 +128,7 @@ def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering],
     frames = []
     for picture in pictures:
         check_animation(path, picture.image.dtype)
-        frames.append(Image.fromarray(np.ascontiguousarray(eight_bits(picture.image, picture.white))))
+        frames.append(Image.fromarray(np.ascontiguousarray(to_eight_bits(picture.image, picture.white))))
     if not frames:
         raise PictureError(f"{path}: an animation needs at least one picture")
     suffix = Path(path).suffix.lower()
@@ -137,7 +138,7 @@ def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering],
         colours = [frame.convert("RGB") for frame in frames]
         palette = colours[0].quantize(256)
         frames = [frame.quantize(palette=palette) for frame in colours]
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         frames[0].save(
             temporary, ANIMATIONS[suffix], save_all=True, append_images=frames[1:], duration=milliseconds, loop=0,
             **options,

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from lfcal import check_output, whole_file
+from lfcal.runtime.output_file import atomic_write, check_output
 
 from ..data.depth_map import DepthMap
 from ..data.surface import Surface
@@ -99,7 +99,7 @@ def write_dense(path: str | os.PathLike[str], dense: DenseDepth) -> None:
     """
     path = Path(path)
     check_output(path, set(DENSE_FORMATS))
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         if path.suffix.lower() == ".pfm":
             height, width = dense.patch_size.shape
             # Rows from the bottom up; the negative scale says little-endian.

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import OutputError, check_output
-from lfcal.runtime.eight_bit import eight_bits
+from lfcal import OutputError
+from lfcal.runtime.eight_bit import to_eight_bits
+from lfcal.runtime.output_file import check_output
 
 from ..output.picture import PictureError
 from .frames import convert_pixels
@@ -55,9 +56,9 @@ def check_film(path: Path, inputs: Iterable[Path | None] = ()) -> None:
 
 
 def film_pixels(pixels: NDArray[Any], only_eight_bits: bool = False, white: float | None = None) -> NDArray[Any]:
-    """A picture as films hold it: with 8 bits as `eight_bits`, or as it is, but for floats: with 16 bits."""
+    """A picture as films hold it: with 8 bits as `to_eight_bits`, or as it is, but for floats: with 16 bits."""
     if only_eight_bits:
-        return eight_bits(pixels, white)
+        return to_eight_bits(pixels, white)
     if pixels.dtype.kind != "f":
         return pixels
     return np.rint(np.clip(pixels, 0, 1) * 65535).astype(np.uint16)

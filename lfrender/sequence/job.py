@@ -19,7 +19,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, LightFieldError, OutputError, load, whole_file
+from lfcal import Calibration, LightFieldError, OutputError, load
+from lfcal.runtime.output_file import atomic_write
 
 from ..data.depth_map import DepthFileError, DepthMap
 from ..data.rendering import Rendering
@@ -244,7 +245,7 @@ class Job:
         if (state / "settings.json").exists():
             return
         camera.save(state / "camera.json")
-        with whole_file(state / "settings.json") as temporary:
+        with atomic_write(state / "settings.json") as temporary:
             temporary.write_text(json.dumps({"preset": self.preset, "scale": self.scale}), encoding="utf-8")
 
     def key_picture(self, key: KeyFrame) -> Rendering:

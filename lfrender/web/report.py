@@ -12,7 +12,8 @@ from string import Template
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, show, whole_file
+from lfcal import Calibration, show
+from lfcal.runtime.output_file import atomic_write
 
 from ..data.depth_map import REASONS, DepthMap
 from ..output.depth_picture import MODE_COLOURS
@@ -122,7 +123,7 @@ def write_report(
         command=escape(command),
         version=version("lfrender"),
     )
-    with whole_file(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration
-from lfcal.runtime.eight_bit import eight_bits
+from lfcal.runtime.eight_bit import to_eight_bits
 
 from ..data.depth_map import BINOCULAR, TELESCOPIC, DepthMap
 from ..data.rendering import Rendering
@@ -86,7 +86,7 @@ def data_urls(pictures: Mapping[str, ArrayLike], most: int, white: float | None 
     """
     import cv2
 
-    shown = {name: eight_bits(_in_colour(np.asarray(picture)), white) for name, picture in pictures.items()}
+    shown = {name: to_eight_bits(_in_colour(np.asarray(picture)), white) for name, picture in pictures.items()}
     urls: dict[str, str] = {}
     for size, quality in _STEPS:
         if size * max(max(picture.shape[:2]) for picture in shown.values()) > _LONGEST:

@@ -14,7 +14,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from lfcal import Calibration, OutputError, whole_file
+from lfcal import Calibration, OutputError
+from lfcal.runtime.output_file import atomic_write
 
 from ..data.depth_map import DepthMap
 from .viewer_scene import viewer_scene
@@ -97,6 +98,6 @@ def write_viewer(
     except OSError as error:
         raise OutputError(f"{target}: cannot be made ({error.strerror})") from error
     for name, content in viewer_files(flat, calibration, depth, title, compression=_SMALL):
-        with whole_file(target / name) as temporary:
+        with atomic_write(target / name) as temporary:
             temporary.write_bytes(content)
     return target / "index.html"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Calibration, CalibrationError, LightFieldError
-from lfcal.runtime.eight_bit import eight_bits
+from lfcal.runtime.eight_bit import to_eight_bits
 
 from ..data.depth_map import DepthMap
 from ..depth.surface.occlusion import project_surface
@@ -95,7 +95,7 @@ def viewer_scene(
             with_seen.append(name)
             coded = np.dstack([part >> 8, part & 255, _cut(from_middle, x, y, side)]).astype(np.uint8)
             yield f"seen-{name}.png", _png(coded, compression)
-        yield f"flat-{name}.png", _png(eight_bits(_shown(_cut(even, x, y, side)), white), compression)
+        yield f"flat-{name}.png", _png(to_eight_bits(_shown(_cut(even, x, y, side)), white), compression)
     last = list(tiles)[-1].split("-")
     described["tiles"] = {
         "side": next(iter(tiles.values()))[2], "columns": int(last[0]) + 1, "rows": int(last[1]) + 1, "seen": with_seen,

@@ -213,13 +213,13 @@ def test_the_far_end_of_a_hundred_thousand_pixels_keeps_its_sub_pixels():
 
 
 def test_profiles_reach_to_the_corners_of_cells_that_have_grown():
-    from lfcal.images.preprocessing import tone
-    from lfcal.lattice.lens_subset import Parts
+    from lfcal.images.preprocessing import sqrt_luminance
+    from lfcal.lattice.lens_subset import StackedCrops
     from lfcal.white_fit.cutouts import open_lenses
     from lfcal.white_fit.parameters import DiscModel
 
     truth = WhiteImage(pitch=60.0, degrees=3.0, size=(500, 400))
-    tones = Parts.of(tone(truth.image()))
+    tones = StackedCrops.of(sqrt_luminance(truth.image()))
     small, large = (
         DiscModel(lfcal.Lattice(truth.origin, grown * truth.basis, truth.size, 28.0), None) for grown in (0.96, 1.0)
     )

@@ -201,7 +201,7 @@ class Matcher:
         """(k,) float32: share of a correlation that is believed at each shift, for the pixels that are shared there."""
         return shared_trust(self.gray, self.forward, self.shifts, half_trust(self.gray))
 
-    def shrunk(self, texture: Texture) -> Texture:
+    def downscaled(self, texture: Texture) -> Texture:
         """The texture it was made of, on the smaller flat that it matches."""
         return replace(texture, flat=self.gray, statistics=self.statistics, noise=self._noise)
 

@@ -99,7 +99,7 @@ def find_plane(
     if sample.sum() < _TOO_FEW:
         return None
     whole = Matcher(texture, forward, backward, setting)
-    few = _Few.of(whole.shrunk(texture), forward, backward, sample)
+    few = _Few.of(whole.downscaled(texture), forward, backward, sample)
     matcher = few.matcher(setting)
     cost = matcher.costs(matcher.pairs(few.asked), few.asked)
     best = cost.argmin(1)
@@ -232,7 +232,7 @@ def plane_evidence(
     if not inner.any() or misfits[inner].mean() > _DOUBTFUL:
         return None
     if misfits.any():
-        few = _Few.of(matcher.shrunk(texture), matcher.forward, matcher.backward, misfits)
+        few = _Few.of(matcher.downscaled(texture), matcher.forward, matcher.backward, misfits)
         elsewhere, far, misfits = _searched(few, matcher.factor, setting, misfits, about, limit)
         together = beside(elsewhere, rows)
         if (far & inner).any() or (elsewhere & inner & (together > 0)).any() or (together >= _TOGETHER).any():

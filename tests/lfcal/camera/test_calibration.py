@@ -10,12 +10,13 @@ import pytest
 
 import lfcal
 from lfcal.gain.gain_map import GainMap
+from lfcal.gain.vignetting import Vignetting
 
 
 @pytest.fixture
 def camera():
     lattice = lfcal.Lattice((10.25, 7.5), [[20.0, 0.5], [9.5, 17.0]], (200, 100), 9.5)
-    vignetting = lfcal.Vignetting([1.0, 0.9, 0.5], 4.0)
+    vignetting = Vignetting([1.0, 0.9, 0.5], 4.0)
     return lfcal.Calibration(lattice, vignetting, "white", 0.01, 40, 0.97, ("look",), white_level=4095.0)
 
 
@@ -62,10 +63,10 @@ def test_missing_file_is_a_camera_file_error(tmp_path):
 
 
 def test_camera_file_keeps_the_standard_errors(tmp_path):
-    from lfcal.lattice.standard_errors import errors_of_even_fit
+    from lfcal.lattice.standard_errors import equal_weight_errors
 
     lattice = lfcal.Lattice([10.0, 9.0], [[14.3, 0.2], [6.9, 12.4]], (300, 200), 6.0)
-    camera = lfcal.Calibration(lattice, errors=errors_of_even_fit(lattice, 0.02))
+    camera = lfcal.Calibration(lattice, errors=equal_weight_errors(lattice, 0.02))
     camera.save(tmp_path / "camera.json")
     kept = lfcal.load(tmp_path / "camera.json").errors.of_centres(lattice)
     np.testing.assert_allclose(np.sqrt((kept**2).mean()), 0.02, rtol=1e-9)
@@ -74,16 +75,16 @@ def test_camera_file_keeps_the_standard_errors(tmp_path):
 
 
 def test_the_condition_of_a_fit_tells_a_strip_from_a_field_whatever_the_unit():
-    from lfcal.lattice.standard_errors import LatticeErrors, errors_of_even_fit
+    from lfcal.lattice.standard_errors import LatticeErrors, equal_weight_errors
 
     def condition(size, origin):
-        return errors_of_even_fit(lfcal.Lattice(origin, [[10.0, 0.0], [0.0, 10.0]], size, 4.0), 0.02).condition
+        return equal_weight_errors(lfcal.Lattice(origin, [[10.0, 0.0], [0.0, 10.0]], size, 4.0), 0.02).condition
 
     assert 1 <= condition((300, 300), (150.0, 150.0)) < 1.2
     # Counted from a corner, place and basis are told apart less well.
     assert 4 < condition((300, 300), (5.0, 5.0)) < 6
     assert condition((900, 20), (455.0, 5.0)) > 2
-    errors = errors_of_even_fit(lfcal.Lattice((5.0, 5.0), [[10.0, 0.0], [0.0, 10.0]], (300, 300), 4.0), 0.02)
+    errors = equal_weight_errors(lfcal.Lattice((5.0, 5.0), [[10.0, 0.0], [0.0, 10.0]], (300, 300), 4.0), 0.02)
     assert errors.scaled(8.0).condition == pytest.approx(errors.condition)
     # All parameters are one and the same number.
     assert LatticeErrors(errors.names, np.full((6, 6), 1e-6)).condition > 1e6

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lfcal
+from lfcal.camera_files.published import read_published
 
 _RAYTRIX = """<RayCalibData version="1.0">
   <offset units="pix"><x>{x}</x><y>{y}</y></offset>
@@ -81,7 +82,7 @@ def test_pairs_and_xml_of_one_camera_agree(shared):
 
 def test_image_size_is_asked_for_where_the_file_does_not_say(written):
     with pytest.raises(lfcal.CameraFileError, match="image_size"):
-        lfcal.read_published(written(_raytrix()))
+        read_published(written(_raytrix()))
 
 
 def test_pairs_of_another_image_size_are_refused(written):

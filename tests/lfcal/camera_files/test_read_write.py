@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import lfcal
+from lfcal.camera_files.read_write import convert, read_camera
 from lfcal.cli.main import main
 
 _SIZE = (640, 480)
@@ -44,8 +45,8 @@ _ANY = {
 @given(shape=st.sampled_from([np.eye(2), _HEXAGON, [[1, 0], [0, 1.3]], [[1, 0], [0.2, 1.0]]]), **_ANY)
 def test_any_lattice_comes_back_to_a_thousandth_of_a_pixel(tmp_path, suffix, shape, pitch, degrees, x, y):
     camera = _camera(shape, pitch, degrees, x=x, y=y)
-    lfcal.convert(camera, tmp_path / f"camera{suffix}")
-    again = lfcal.read_camera(tmp_path / f"camera{suffix}", _SIZE)
+    convert(camera, tmp_path / f"camera{suffix}")
+    again = read_camera(tmp_path / f"camera{suffix}", _SIZE)
     assert lfcal.compare(camera, again).max < 1e-3
     if suffix != ".csv":
         assert again.lattice.radius == pytest.approx(camera.lattice.radius, abs=1e-6)
@@ -55,19 +56,19 @@ def test_any_lattice_comes_back_to_a_thousandth_of_a_pixel(tmp_path, suffix, sha
 @given(stretch=st.floats(0.999, 1.001), **_ANY)
 def test_hexagons_turned_by_any_angle_come_back_from_corner_centres(tmp_path, stretch, pitch, degrees, x, y):
     camera = _camera(_HEXAGON, pitch, degrees, stretch, x, y)
-    lfcal.convert(camera, tmp_path / "camera.cfg")
+    convert(camera, tmp_path / "camera.cfg")
     assert lfcal.compare(camera, lfcal.load(tmp_path / "camera.cfg")).max < 1e-3
 
 
 def test_square_lattice_is_refused_by_the_form_of_corner_centres(tmp_path):
     with pytest.raises(lfcal.CameraFileError, match="hexagonal"):
-        lfcal.convert(_camera(np.eye(2), 20, 3), tmp_path / "camera.cfg")
+        convert(_camera(np.eye(2), 20, 3), tmp_path / "camera.cfg")
     assert not list(tmp_path.iterdir())
 
 
 def test_table_lists_every_centre_on_the_flat(tmp_path):
     camera = _camera(_HEXAGON, 40, 2)
-    lfcal.convert(camera, tmp_path / "camera.csv")
+    convert(camera, tmp_path / "camera.csv")
     table = np.loadtxt(tmp_path / "camera.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(table[:, :2], camera.lattice.indices())
     np.testing.assert_allclose(table[:, 2:], camera.lattice.centres(), atol=1e-6)
@@ -80,7 +81,7 @@ def test_table_lists_every_centre_on_the_flat(tmp_path):
 def test_damaged_table_is_refused_with_its_name(tmp_path, text):
     (tmp_path / "camera.csv").write_text(text)
     with pytest.raises(lfcal.CameraFileError, match=r"camera\.csv"):
-        lfcal.read_camera(tmp_path / "camera.csv", _SIZE)
+        read_camera(tmp_path / "camera.csv", _SIZE)
 
 
 def test_table_of_bent_rows_is_read_with_a_warning(tmp_path):
@@ -88,7 +89,7 @@ def test_table_of_bent_rows_is_read_with_a_warning(tmp_path):
     x, y = (camera.lattice.centres() + 1e-4 * (camera.lattice.centres() - 300) ** 2).T
     rows = np.column_stack([camera.lattice.indices(), x, y])
     np.savetxt(tmp_path / "camera.csv", rows, fmt="%.9g", delimiter=",", header="i,j,x,y", comments="")
-    assert "off the straight lattice" in lfcal.read_camera(tmp_path / "camera.csv", _SIZE).warnings[0]
+    assert "off the straight lattice" in read_camera(tmp_path / "camera.csv", _SIZE).warnings[0]
 
 
 def test_entity_bomb_is_refused_at_once(tmp_path):
@@ -99,7 +100,7 @@ def test_entity_bomb_is_refused_at_once(tmp_path):
         f"<?xml version='1.0'?><!DOCTYPE x [{entities}]><RayCalibData>&e8;</RayCalibData>"
     )
     with pytest.raises(lfcal.CameraFileError, match=r"bomb\.xml: not valid XML"):
-        lfcal.read_camera(tmp_path / "bomb.xml", _SIZE)
+        read_camera(tmp_path / "bomb.xml", _SIZE)
 
 
 def _run(*arguments):
@@ -108,7 +109,7 @@ def _run(*arguments):
 
 def test_command_asks_for_the_size_that_the_file_does_not_say(tmp_path):
     camera = _camera(_HEXAGON, 40, 2)
-    lfcal.convert(camera, tmp_path / "camera.xml")
+    convert(camera, tmp_path / "camera.xml")
     refused = _run("info", tmp_path / "camera.xml")
     assert refused.exit_code == 2 and "--size WxH" in refused.stderr
     assert _run("info", tmp_path / "camera.xml", "--size", "640").exit_code == 2
@@ -135,8 +136,8 @@ def test_three_lens_types_and_their_depths_come_back_from_xml(tmp_path, upright)
     sort = (np.add if (camera.lattice.steps.sum(1) % 3 != 0).all() else np.subtract).outer(np.arange(3), np.arange(3))
     cell = np.array([2, 0, 1])[sort % 3]
     camera = replace(camera, lens_types=lfcal.LensTypes(cell, True, np.array([-0.4, -0.3, -0.2])))
-    lfcal.convert(camera, tmp_path / "camera.xml")
-    again = lfcal.read_camera(tmp_path / "camera.xml", _SIZE)
+    convert(camera, tmp_path / "camera.xml")
+    again = read_camera(tmp_path / "camera.xml", _SIZE)
     places = np.rint(again.lattice.to_index(camera.lattice.centres())).astype(int)
     np.testing.assert_array_equal(again.lens_types.of(places), camera.lens_types.of(camera.lattice.indices()))
     # Types part half way between their foci: 1 / 0.35 and 1 / 0.25.
@@ -156,7 +157,7 @@ def test_published_lens_types_are_told_apart_but_their_order_is_not_believed(sha
 
 def test_lens_types_off_the_lattice_are_left_out_with_a_warning(tmp_path):
     camera = replace(_camera(_HEXAGON, 20.0, 0.0), lens_types=lfcal.LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]]))
-    lfcal.convert(camera, tmp_path / "camera.xml")
+    convert(camera, tmp_path / "camera.xml")
     text = (tmp_path / "camera.xml").read_text()
     types = text.index("<lens_type id")
     (tmp_path / "camera.xml").write_text(text[:types] + text[types:].replace("1.0", "1.5").replace("0.5", "0.8"))

@@ -9,7 +9,7 @@ import pytest
 import lfcal
 from benchmarks.white_images import WhiteImage
 from lfcal.detection.aperture import find_shape_doubt, measure_average_cell
-from lfcal.images.preprocessing import tone
+from lfcal.images.preprocessing import sqrt_luminance
 
 
 def _turned(degrees, size=(300, 260)):
@@ -69,14 +69,14 @@ def test_threads_of_a_weave_are_two_kinds_of_cells(period, twill):
     cos, sin = np.cos(np.radians(9)), np.sin(np.radians(9))
     turn = np.array([[cos, sin], [-sin, cos]])
     lattice = lfcal.Lattice(8.5 * period * turn.sum(0), period * turn, (300, 260), period / 2)
-    found = measure_average_cell(tone(light), lattice)
+    found = measure_average_cell(sqrt_luminance(light), lattice)
     assert found.two_kinds > 0.15
-    assert find_shape_doubt(tone(light), lattice) is not None
+    assert find_shape_doubt(sqrt_luminance(light), lattice) is not None
 
 
 def _doubt_of(truth, exposure=1.0):
     lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, truth.pitch / 2)
-    return find_shape_doubt(tone(truth.image(exposure)), lattice)
+    return find_shape_doubt(sqrt_luminance(truth.image(exposure)), lattice)
 
 
 @pytest.mark.parametrize("shape", ["hexagonal", "square"])
@@ -98,7 +98,7 @@ def test_no_white_image_is_in_doubt_for_its_shape(shape, case):
 def test_share_of_the_cell_that_is_no_lens_is_told_apart_from_noise():
     truth = WhiteImage("square", 18.0, 8.0, 10.0, size=(320, 260), seed=2)
     lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, 9.0)
-    found = measure_average_cell(tone(truth.image(1.0)), lattice)
+    found = measure_average_cell(sqrt_luminance(truth.image(1.0)), lattice)
     assert found.alike > 0.9
     assert abs(found.unexplained) < 0.02
     # Each lens marked by a bar across it.
@@ -106,7 +106,7 @@ def test_share_of_the_cell_that_is_no_lens_is_told_apart_from_noise():
     cos, sin = np.cos(np.radians(8)), np.sin(np.radians(8))
     middle = cos * truth.origin[1] - sin * truth.origin[0]
     bar = np.abs((v - middle + 9) % 18 - 9) < 2.5
-    marked = measure_average_cell(tone(truth.image(1.0) * np.where(bar, 0.3, 1.0)), lattice)
+    marked = measure_average_cell(sqrt_luminance(truth.image(1.0) * np.where(bar, 0.3, 1.0)), lattice)
     assert marked.unexplained > 0.1
 
 

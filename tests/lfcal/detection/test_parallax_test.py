@@ -10,7 +10,7 @@ from skimage import data
 import lfcal
 from data_synth import SCENES, Camera, simulate
 from lfcal.detection.parallax_test import check_parallax, compare_neighbours, shows_scene
-from lfcal.images.preprocessing import tone
+from lfcal.images.preprocessing import sqrt_luminance
 
 _SIZE = (480, 360)
 
@@ -74,7 +74,7 @@ def test_cells_that_each_show_something_else_are_refused():
 
 
 def test_neighbours_in_a_scene_are_alike_when_moved_by_the_disparity(house):
-    found = compare_neighbours(tone(house.flat), house.camera.lattice)
+    found = compare_neighbours(sqrt_luminance(house.flat), house.camera.lattice)
     assert min(found.same, found.across) > 1.6 * found.moved
     assert found.apart < 0.6 * found.inside
 
@@ -83,7 +83,7 @@ def test_neighbours_in_a_scene_are_alike_when_moved_by_the_disparity(house):
 def test_noise_does_not_make_a_scene_a_pattern(house, decibels):
     flat = house.flat.astype(float)
     noise = np.sqrt((flat**2).mean()) * 10 ** (-decibels / 20) * np.random.default_rng(1).standard_normal(flat.shape)
-    check_parallax(tone(np.maximum(flat + noise, 0)), house.camera.lattice, white=False)
+    check_parallax(sqrt_luminance(np.maximum(flat + noise, 0)), house.camera.lattice, white=False)
 
 
 def test_lens_types_and_a_lamp_at_one_side_do_not_make_a_white_image_a_pattern(whites):
@@ -95,8 +95,8 @@ def test_lens_types_and_a_lamp_at_one_side_do_not_make_a_white_image_a_pattern(w
     light = image * np.array([1.0, 0.9, 0.8])[kind] * (0.05 + 0.95 / (1 + np.exp((x - 300) / 30)))
     light += 0.05 * light.max() * np.random.default_rng(4).standard_normal(light.shape)
     lattice = lfcal.Lattice(origin, basis, (600, 450), 8.0)
-    assert compare_neighbours(tone(np.maximum(light, 0)), lattice).apart < 0.03
-    check_parallax(tone(np.maximum(light, 0)), lattice, white=True)
+    assert compare_neighbours(sqrt_luminance(np.maximum(light, 0)), lattice).apart < 0.03
+    check_parallax(sqrt_luminance(np.maximum(light, 0)), lattice, white=True)
 
 
 @pytest.mark.parametrize(("pitch", "ratio", "contrast"), [(42.8, -0.6, 1.0), (28.8, -0.2, 0.5), (20.0, 0.35, 0.4)])

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lfcal
+from lfcal.camera_files.read_write import convert
 from lfcal.cli.main import main
 
 _SIZE = (900, 700)
@@ -56,7 +57,7 @@ def test_different_sizes_are_not_compared():
 
 def test_command_compares_our_file_with_a_published_one(tmp_path):
     _camera().save(tmp_path / "a.json")
-    lfcal.convert(_camera((450.5, 350)), tmp_path / "b.xml")
+    convert(_camera((450.5, 350)), tmp_path / "b.xml")
     result = CliRunner().invoke(main, ["compare", str(tmp_path / "a.json"), str(tmp_path / "b.xml"), "--json"])
     assert result.exit_code == 0, result.output
     figures = json.loads(result.stdout)

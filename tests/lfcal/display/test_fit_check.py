@@ -23,14 +23,14 @@ def _camera(origin, basis):
 
 def test_true_lattice_agrees_to_a_hundredth_of_a_pixel(white):
     image, origin, basis = white
-    found = lfcal.agreement(_camera(origin, basis), image)
+    found = lfcal.check_fit(_camera(origin, basis), image)
     assert np.linalg.norm(found.offset, axis=-1).max() < 0.01
-    assert found.worst < 0.01 and found.warning is None
+    assert found.max_offset < 0.01 and found.warning is None
 
 
 def test_shift_is_measured_in_all_nine_regions(white):
     image, origin, basis = white
-    found = lfcal.agreement(_camera(origin + np.array([-1.5, 0.8]), basis), image)
+    found = lfcal.check_fit(_camera(origin + np.array([-1.5, 0.8]), basis), image)
     np.testing.assert_allclose(found.offset.reshape(-1, 2), np.tile([1.5, -0.8], (9, 1)), atol=0.02)
     assert "1.7 px" in str(found.warning)
 
@@ -40,7 +40,7 @@ def test_wrong_rotation_is_largest_in_the_corners(white):
     angle = np.radians(0.3)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     middle = (np.array(_SIZE) - 1) / 2
-    found = lfcal.agreement(_camera(middle + (origin - middle) @ turn, basis @ turn), image)
+    found = lfcal.check_fit(_camera(middle + (origin - middle) @ turn, basis @ turn), image)
     expected = (found.places - middle) @ (np.eye(2) - turn)
     np.testing.assert_allclose(found.offset, expected, atol=0.05)
     assert "corner" in str(found.warning)
@@ -49,31 +49,31 @@ def test_wrong_rotation_is_largest_in_the_corners(white):
 def test_gaps_taken_for_lenses_are_told(white):
     image, origin, basis = white
     gap = (basis[0] + basis[1]) / (3 if abs(basis[0] @ basis[1]) > 1 else 2)
-    found = lfcal.agreement(_camera(origin + gap, basis), image)
-    assert found.worst == pytest.approx(np.hypot(*gap), abs=0.2)
+    found = lfcal.check_fit(_camera(origin + gap, basis), image)
+    assert found.max_offset == pytest.approx(np.hypot(*gap), abs=0.2)
 
 
 def test_regions_that_show_nothing_are_unknown(white):
     image, origin, basis = white
     dark = image.copy()
     dark[:, 450:] = 0
-    found = lfcal.agreement(_camera(origin, basis), dark)
+    found = lfcal.check_fit(_camera(origin, basis), dark)
     assert np.isnan(found.offset[:, 2]).all() and np.isfinite(found.offset[:, 0]).all()
     noise = np.random.default_rng(3).integers(0, 255, _SIZE[::-1]).astype(np.uint8)
-    nothing = lfcal.agreement(_camera(origin, basis), noise)
-    assert np.isnan(nothing.worst) and nothing.warning is None
+    nothing = lfcal.check_fit(_camera(origin, basis), noise)
+    assert np.isnan(nothing.max_offset) and nothing.warning is None
 
 
 def test_image_of_another_size_is_refused(white):
     image, origin, basis = white
     with pytest.raises(lfcal.FlatError, match="900 x 700"):
-        lfcal.agreement(_camera(origin, basis), image[:-1])
+        lfcal.check_fit(_camera(origin, basis), image[:-1])
 
 
 @pytest.mark.parametrize(("name", "wrong"), [("Fujita2.png", False), ("TempleBoatGiantR32.webp", True)])
 def test_published_file_that_contradicts_the_pixels_is_told(shared, name, wrong):
     flat = lfcal.read_flat(shared("captures", name))
     xml = shared("captures", name.split(".")[0] + ".published.xml")
-    found = lfcal.agreement(lfcal.load(xml, flat.shape[1::-1]), flat)
-    assert (found.worst > 1.5) is wrong
+    found = lfcal.check_fit(lfcal.load(xml, flat.shape[1::-1]), flat)
+    assert (found.max_offset > 1.5) is wrong
     assert (found.warning is not None) is wrong

@@ -137,11 +137,11 @@ def test_result_does_not_depend_on_the_number_of_threads(drawn):
     import numba
 
     from lfcal.illumination.measure import measure_illumination
-    from lfcal.images.preprocessing import tone
+    from lfcal.images.preprocessing import sqrt_luminance
 
     truth = drawn("hexagonal", 14.3, 3.0, 26.0, size=(500, 400), hot=20, dust=4)
     lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, 7.0)
-    picture = tone(truth.image())
+    picture = sqrt_luminance(truth.image())
     before = numba.get_num_threads()
     found = []
     try:
@@ -161,7 +161,7 @@ def test_result_does_not_depend_on_the_number_of_threads(drawn):
 def test_scene_with_much_contrast_gives_the_profile_to_a_percent():
     """Blobs of light 2 to 6 px wide, each microimage its own: levels of lenses differ by more than half."""
     from lfcal.illumination.measure import measure_illumination
-    from lfcal.images.preprocessing import tone
+    from lfcal.images.preprocessing import sqrt_luminance
 
     rng = np.random.default_rng(5)
     size, radius = (1000, 800), 9.0
@@ -176,7 +176,7 @@ def test_scene_with_much_contrast_gives_the_profile_to_a_percent():
     for step in [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]:
         far = np.minimum(far, np.hypot(*(points - lattice.points(index + step)).T))
     light = (np.clip(radius + 0.5 - far, 0.05, 1) * (1 - 0.1 * (far / radius) ** 2)).reshape(x.shape)
-    seen = measure_illumination(tone(scene * light), lattice, white=False)
+    seen = measure_illumination(sqrt_luminance(scene * light), lattice, white=False)
     gain = seen.gain_map.gain(lattice)
     core = far.reshape(x.shape) < 0.9 * radius
     ratio = gain[core] / light[core]

@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import uniform_filter
 
 from lfcal.detection.folding import fold_tiles
-from lfcal.images.preprocessing import level_locally
+from lfcal.images.preprocessing import normalise_locally
 
 
 @pytest.mark.parametrize(
@@ -20,12 +20,12 @@ def test_pictures_are_levelled_by_mean_and_spread_about_each_pixel(shape, window
     # That mode is SciPy's name for mirrored ends that are not repeated.
     mean, square = (uniform_filter(values, side, mode="mirror") for values in (exact, exact**2))
     expected = (exact - mean) / (np.sqrt(np.maximum(square - mean**2, 0)) + 0.02)
-    levelled = level_locally(picture, window)
+    levelled = normalise_locally(picture, window)
     np.testing.assert_allclose(levelled, np.clip(expected, -3, 3), atol=2e-5)
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
-        np.testing.assert_array_equal(level_locally(picture, window), levelled)
+        np.testing.assert_array_equal(normalise_locally(picture, window), levelled)
     finally:
         numba.set_num_threads(threads)
 

@@ -64,7 +64,7 @@ def test_every_lens_on_the_flat_is_listed_once():
 def test_a_shrunken_lattice_has_the_same_lenses_in_larger_pixels():
     distortion = Distortion((300.0, 250.0), 0.01, -0.004, 400.0, np.full((2, 7), 0.3), (320.0, 240.0))
     lattice = Lattice((301.2, 233.7), [[23.2, 0.4], [11.3, 20.1]], (641, 479), 11.0, distortion)
-    small = lattice.shrunk(3)
+    small = lattice.downscaled(3)
     assert small.image_size == (213, 159)
     assert (small.indices() == lattice.indices()).all()
     # Pixel 0 of three covers pixels 0 to 2 of the flat, and its centre is that of pixel 1.

@@ -6,19 +6,19 @@ import numpy as np
 
 from lfcal import Lattice
 from lfcal.lattice import lit_lenses
-from lfcal.lattice.lens_subset import Parts
+from lfcal.lattice.lens_subset import StackedCrops
 from lfcal.lattice.lit_lenses import LitLenses
 
 _PITCH = 10.0
 
 
-def _flat() -> tuple[Parts, Lattice]:
+def _flat() -> tuple[StackedCrops, Lattice]:
     """400 x 300 px of round microimages, those left of x = 150 px without light."""
     lattice = Lattice([5.0, 5.0], [[_PITCH, 0.0], [0.0, _PITCH]], (400, 300), 4.0)
     y, x = np.mgrid[:300, :400]
     far = np.hypot((x - 5 + 5) % _PITCH - 5, (y - 5 + 5) % _PITCH - 5)
     light = np.where((far < 4) & (x > 150), 1.0, 0.02)
-    return Parts.whole(np.sqrt(light).astype(np.float32)), lattice
+    return StackedCrops.whole(np.sqrt(light).astype(np.float32)), lattice
 
 
 def test_dark_lenses_and_those_beside_them_are_left_out():
@@ -41,17 +41,17 @@ def test_lenses_are_looked_for_again_only_where_the_lattice_has_moved_by_a_fifti
     assert LitLenses.on(tones, stretched, 7.0, 0.2, before) is not before
 
 
-def _many(dark: float) -> tuple[Parts, Lattice]:
+def _many(dark: float) -> tuple[StackedCrops, Lattice]:
     """1200 x 1000 px of 12000 round microimages, those left of x = `dark` px without light."""
     lattice = Lattice([5.0, 5.0], [[_PITCH, 0.0], [0.0, _PITCH]], (1200, 1000), 4.0)
     y, x = np.mgrid[:1000, :1200]
     far = np.hypot(x % _PITCH - 5, y % _PITCH - 5)
-    return Parts.whole(np.sqrt(np.where((far < 4) & (x > dark), 1.0, 0.02)).astype(np.float32)), lattice
+    return StackedCrops.whole(np.sqrt(np.where((far < 4) & (x > dark), 1.0, 0.02)).astype(np.float32)), lattice
 
 
 def test_light_is_looked_for_in_a_sample_of_many_lenses_and_in_all_where_it_shows_dark_ones(monkeypatch):
     looked = []
-    original = lit_lenses.lit_lenses
+    original = lit_lenses.find_lit_lenses
     monkeypatch.setattr(lit_lenses, "lit_lenses", lambda *of: (looked.append(len(of[2])), original(*of))[1])
     tones, lattice = _many(dark=0)
     lit = LitLenses.on(tones, lattice, 7.0, 0.2, None)

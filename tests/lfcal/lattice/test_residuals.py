@@ -40,7 +40,7 @@ def test_single_microimages_off_the_lattice_are_told(moved):
 
 def test_means_over_the_field_leave_outliers_out_and_state_their_errors(moved):
     _, camera, _ = moved
-    places, mean, error = camera.residuals.over_field(camera.lattice, 4, 3)
+    places, mean, error = camera.residuals.mean_over_grid(camera.lattice, 4, 3)
     assert len(places) == 12 and (np.hypot(*mean.T) < 4 * error).all() and (error < 0.02).all()
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import lfcal
 from data_synth import SCENES, Camera, simulate
-from lfcal.images.preprocessing import tone
+from lfcal.images.preprocessing import sqrt_luminance
 from lfcal.lens_types.classify import find_lens_types
 from lfcal.lens_types.focus_order import find_focus_order
 from lfcal.lens_types.lens_sample import measure_lens_features, sample_lenses
@@ -25,7 +25,7 @@ def capture(scene, focus, lattice="hex", pitch=18.2, size=(600, 560), rotation=0
 
 
 def search(picture, lattice, white=False):
-    return find_lens_types(tone(picture), lattice, white)
+    return find_lens_types(sqrt_luminance(picture), lattice, white)
 
 
 def white_of_types(whites, basis, cell, soft=None, gain=None, size=(580, 520)):
@@ -134,7 +134,10 @@ def test_scene_that_repeats_with_every_third_lens_is_not_taken_for_types(whites)
     scene = 1 + 0.4 * np.sin(2 * np.pi * (within + (index[..., 0] - index[..., 1]) / 3))
     lattice = lfcal.Lattice(origin, basis, size, 10.3)
     assert search(image * scene, lattice) is None
-    features, sample = measure_lens_features(tone(image * scene), sample_lenses(lattice)), sample_lenses(lattice)
+    features, sample = (
+        measure_lens_features(sqrt_luminance(image * scene), sample_lenses(lattice)),
+        sample_lenses(lattice),
+    )
     contrast = sample.subtract_neighbours(features.sharpness)
     third = (sample.inner[:, 0] - sample.inner[:, 1]) % 3
     assert np.ptp([np.nanmean(contrast[third == kind]) for kind in range(3)]) > 0.2
@@ -178,7 +181,7 @@ def test_types_that_differ_in_brightness_alone_are_told_apart_without_an_order(w
 
 
 def test_measures_of_lenses_do_not_depend_on_the_number_of_threads(house):
-    picture, sample = tone(house.flat), sample_lenses(house.truth.calibration.lattice)
+    picture, sample = sqrt_luminance(house.flat), sample_lenses(house.truth.calibration.lattice)
     threads = numba.get_num_threads()
     try:
         numba.set_num_threads(1)

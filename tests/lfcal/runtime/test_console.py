@@ -11,11 +11,11 @@ import pytest
 from click.testing import CliRunner
 
 from lfcal import FlatError
-from lfcal.runtime.console import Program, Report
+from lfcal.runtime.console import CommandGroup, Report
 
 
 def program_raising(error):
-    program = Program("tool")
+    program = CommandGroup("tool")
 
     @program.command()
     def work():

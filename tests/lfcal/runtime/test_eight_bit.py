@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lfcal.runtime.eight_bit import eight_bits
+from lfcal.runtime.eight_bit import to_eight_bits
 
 
 @pytest.mark.parametrize(
@@ -19,4 +19,4 @@ from lfcal.runtime.eight_bit import eight_bits
     ],
 )
 def test_black_middle_and_white_of_all_types(pixels, white):
-    np.testing.assert_array_equal(eight_bits(pixels, white), np.array([0, 128, 255], np.uint8))
+    np.testing.assert_array_equal(to_eight_bits(pixels, white), np.array([0, 128, 255], np.uint8))

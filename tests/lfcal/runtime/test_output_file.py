@@ -7,11 +7,12 @@ import stat
 
 import pytest
 
-from lfcal import OutputError, check_output, whole_file
+from lfcal import OutputError
+from lfcal.runtime.output_file import atomic_write, check_output
 
 
 def test_file_appears_with_its_content_and_ordinary_permissions(tmp_path):
-    with whole_file(tmp_path / "a.json") as temporary:
+    with atomic_write(tmp_path / "a.json") as temporary:
         assert temporary.suffix == ".json"
         assert not (tmp_path / "a.json").exists()
         temporary.write_text("42")
@@ -23,7 +24,7 @@ def test_file_appears_with_its_content_and_ordinary_permissions(tmp_path):
 
 def test_nothing_is_left_and_the_old_file_stays_when_writing_fails(tmp_path):
     (tmp_path / "a.json").write_text("old")
-    with pytest.raises(KeyError), whole_file(tmp_path / "a.json") as temporary:
+    with pytest.raises(KeyError), atomic_write(tmp_path / "a.json") as temporary:
         temporary.write_text("half of the n")
         raise KeyError
     assert os.listdir(tmp_path) == ["a.json"]
@@ -31,7 +32,7 @@ def test_nothing_is_left_and_the_old_file_stays_when_writing_fails(tmp_path):
 
 
 def test_operating_system_errors_name_the_file(tmp_path):
-    with pytest.raises(OutputError, match=r"a\.json: cannot be written"), whole_file(tmp_path / "no" / "a.json"):
+    with pytest.raises(OutputError, match=r"a\.json: cannot be written"), atomic_write(tmp_path / "no" / "a.json"):
         pass
 
 

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 import lfcal.cli.main
 import lfrender.cli.main
 from lfcal import FlatError
-from lfcal.runtime.console import Input, Program, several_inputs, single_input
+from lfcal.runtime.console import CommandGroup, InputPath, several_inputs, single_input
 
 
 @pytest.fixture
@@ -25,11 +25,11 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def tool():
-    program = Program("tool")
+    program = CommandGroup("tool")
 
     @program.command()
     @single_input("FLAT", "'tool many' takes several")
-    @click.option("--white", type=Input())
+    @click.option("--white", type=InputPath())
     def one(flat, white):
         for path in filter(None, (flat, white)):
             if not path.exists():
@@ -91,7 +91,7 @@ def test_commands_of_the_other_program_and_a_missing_command_are_recognised(fold
 def test_every_command_of_one_program_is_known_to_the_other():
     programs = {"lfcal": lfcal.cli.main.main, "lfrender": lfrender.cli.main.main}
     for name, other in (("lfcal", "lfrender"), ("lfrender", "lfcal")):
-        assert programs[name].elsewhere == dict.fromkeys(programs[other].commands, other)
+        assert programs[name].other_programs == dict.fromkeys(programs[other].commands, other)
 
 
 def test_images_and_cameras_are_not_taken_for_each_other(house_files, tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 import lfcal
-from lfcal.images.preprocessing import breaks, level_locally, tone
+from lfcal.images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
 from lfcal.lattice.distortion import Distortion
 from lfcal.lattice.lattice import Lattice
 from lfcal.scene_fit.fit import _field_rms, _standard_error, fit_scene
@@ -21,7 +21,7 @@ from lfcal.scene_fit.irls import Steps, _weighted_quantile, agreed, held_back
 def _fit(image, basis, origin, off=0.4):
     """Fit to the breaks of an image, started `off` px beside the truth."""
     start = Lattice(origin + off, basis, (image.shape[1], image.shape[0]), 5.0)
-    return fit_scene(level_locally(breaks(tone(image)), 0.5 * start.pitch), start)
+    return fit_scene(normalise_locally(edge_strength(sqrt_luminance(image)), 0.5 * start.pitch), start)
 
 
 def _rms(fit, basis, origin, size):
@@ -81,13 +81,13 @@ def test_breaks_are_the_same_bits_wherever_a_picture_lies_in_memory():
         space = np.empty(picture.size + 16, np.float32)
         copy = space[size % 16 : size % 16 + picture.size].reshape(picture.shape)
         copy[:] = picture
-        seen.add(breaks(copy).tobytes())
+        seen.add(edge_strength(copy).tobytes())
     assert len(seen) == 1
 
 
 def test_breaks_are_the_square_root_of_the_sobel_gradient():
     y, x = np.mgrid[:9, :12].astype(np.float32)
-    steep = breaks(np.ascontiguousarray(0.3 * x + 0.4 * y))
+    steep = edge_strength(np.ascontiguousarray(0.3 * x + 0.4 * y))
     # A slope of 0.5 per pixel, weighted 8 times; at the border the picture is mirrored.
     assert np.allclose(steep[1:-1, 1:-1], 2.0, atol=1e-5)
     assert np.allclose(steep[0, 1:-1] ** 2, 2.4, atol=1e-5)

@@ -31,7 +31,7 @@ def test_cut_microimages_are_placed_by_their_whole_discs_and_agree_with_their_fl
     camera = lfcal.calibrate(image)
     assert _error(camera, truth) < 0.02
     # Rims of cut microimages are up to half a pixel off the lattice, which the camera knows.
-    assert lfcal.agreement(camera, image).worst < 0.15
+    assert lfcal.check_fit(camera, image).worst < 0.15
 
 
 def test_distorted_lattice_is_followed(drawn):
@@ -84,15 +84,15 @@ def test_film_scanned_with_a_general_distortion_is_followed(drawn):
 
 
 def test_even_inside_of_a_large_microimage_is_seen_in_one_pixel_of_sixteen(drawn):
-    from lfcal.images.preprocessing import tone
-    from lfcal.lattice.lens_subset import Parts
+    from lfcal.images.preprocessing import sqrt_luminance
+    from lfcal.lattice.lens_subset import StackedCrops
     from lfcal.white_fit.cutouts import open_lenses
     from lfcal.white_fit.model import disc_steps
     from lfcal.white_fit.parameters import DiscModel
 
     truth = drawn("hexagonal", 60.3, 5.0, 26.0, size=(500, 450))
     lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, 25.0)
-    state, _ = open_lenses(Parts.whole(tone(truth.image())), DiscModel(lattice, None), 1e6, 12, None)
+    state, _ = open_lenses(StackedCrops.whole(sqrt_luminance(truth.image())), DiscModel(lattice, None), 1e6, 12, None)
     discs = state.discs
     steps = disc_steps(discs)
     light = discs.light.copy()

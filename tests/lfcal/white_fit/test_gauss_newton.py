@@ -14,8 +14,8 @@ from lfcal.detection.first_lattice import find_first_lattice, find_first_lattice
 from lfcal.gain.kernel import light
 from lfcal.illumination.gain_terms import monomials
 from lfcal.illumination.light_of_many import cut_table, light_of_any, light_of_round
-from lfcal.images.preprocessing import tone
-from lfcal.lattice.cell import cell_faces, cell_sides, outside, row_in_cell
+from lfcal.images.preprocessing import sqrt_luminance
+from lfcal.lattice.cell import cell_normals, cell_row_bounds, is_outside_cell, row_interval
 from lfcal.lattice.lattice import Lattice
 from lfcal.scene_fit.irls import Steps, agreed
 from lfcal.white_fit import gauss_newton as disc_newton
@@ -113,7 +113,7 @@ def test_step_of_a_known_profile_leaves_a_tenth_of_itself_at_most(white, monkeyp
     start = Lattice(truth.origin + 0.05, truth.basis * 1.00003, truth.size, 5.0)
     from lfcal.white_fit.fit import fit_discs
 
-    fit_discs(tone(image), start)
+    fit_discs(sqrt_luminance(image), start)
     # Of the first lenses the profile is still to be found.
     some = sorted({count for count, _ in moves})[1]
     first, second = [moved for count, moved in moves if count == some][:2]
@@ -126,14 +126,14 @@ def test_step_of_a_known_profile_leaves_a_tenth_of_itself_at_most(white, monkeyp
 )
 def test_rows_of_a_cell_end_where_its_sides_are(shape, degrees):
     truth = WhiteImage(shape, 13.7, degrees, size=(200, 200))
-    faces, reach = cell_faces(Lattice(truth.origin, truth.basis, truth.size, 6.0))
-    sides = cell_sides(faces)
+    faces, reach = cell_normals(Lattice(truth.origin, truth.basis, truth.size, 6.0))
+    sides = cell_row_bounds(faces)
     inside = 0
     for dy in np.arange(-reach - 1, reach + 1, 0.37):
-        low, high = row_in_cell(dy, sides)
+        low, high = row_interval(dy, sides)
         for dx in np.arange(-reach - 1, reach + 1, 0.37):
             here = sides[6, 0] <= dy <= sides[6, 1] and low <= dx <= high
-            assert here == (not outside(dx, dy, faces))
+            assert here == (not is_outside_cell(dx, dy, faces))
             inside += here
     assert inside * 0.37**2 == pytest.approx(abs(np.linalg.det(truth.basis)), rel=0.03)
 
@@ -178,7 +178,7 @@ def test_terms_of_the_field_are_its_powers():
 @pytest.mark.parametrize(("pitch", "half"), [(44.2, 2), (14.1, 1)])
 def test_first_lattices_of_large_microimages_is_found_at_half_size(pitch, half):
     truth = WhiteImage("hexagonal", pitch, 7.0, 26.0, size=(701, 520))
-    picture = tone(drawn(truth, 1))
+    picture = sqrt_luminance(drawn(truth, 1))
     start = next(find_first_lattices_at_half_size(picture))
     assert start.brightness.shape == (520 // half, 701 // half)
     found = start.lattice.centres()

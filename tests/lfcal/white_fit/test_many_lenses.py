@@ -9,7 +9,7 @@ import lfcal
 from benchmarks.calibration_speed import drawn
 from benchmarks.white_images import WhiteImage
 from lfcal.lattice.lattice import Lattice
-from lfcal.lattice.lens_subset import some_lenses, whole_lenses
+from lfcal.lattice.lens_subset import sample_lenses, select_whole_lenses
 from lfcal.white_fit import fit as disc_fit
 
 
@@ -41,8 +41,8 @@ def test_orders_are_chosen_on_8000_of_82000_lenses_and_a_missing_one_is_still_to
 @pytest.mark.parametrize("size", [(400, 300), (2400, 1800)])
 def test_some_lenses_are_whole_ones_of_every_period_alike(size):
     lattice = Lattice([3.0, 2.0], [[6.1, 0.2], [2.9, 5.4]], size, 3.0)
-    every, _ = whole_lenses(lattice, 5.0)
-    indices, centres = some_lenses(lattice, 5.0, 2400.0)
+    every, _ = select_whole_lenses(lattice, 5.0)
+    indices, centres = sample_lenses(lattice, 5.0, 2400.0)
     np.testing.assert_allclose(centres, lattice.points(indices), atol=1e-9)
     assert {tuple(ij) for ij in indices.tolist()} <= {tuple(ij) for ij in every.tolist()}
     assert len(indices) == pytest.approx(2400, rel=0.02)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lfcal import Calibration, Lattice, Vignetting
+from lfcal import Calibration, Lattice
+from lfcal.gain.vignetting import Vignetting
 from lfrender.flat.grey_flat import GrayFlat, gain_table, gray_flat, shrink
 
 BASES = [((20, 0), (0, 20)), ((20, 0), (10, 17.32)), ((0, 20), (17.32, 10)), ((19.5, 4.5), (5.85, 19.1))]

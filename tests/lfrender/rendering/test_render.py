@@ -6,7 +6,8 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfcal import Calibration, CalibrationError, Lattice, Vignetting
+from lfcal import Calibration, CalibrationError, Lattice
+from lfcal.gain.vignetting import Vignetting
 from lfrender.output.metrics import compare_pictures, resample
 
 

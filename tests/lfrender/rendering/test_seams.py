@@ -10,6 +10,7 @@ import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfcal.gain.gain_map import GainMap
+from lfcal.gain.vignetting import Vignetting
 
 SIZE = (520, 400)
 
@@ -82,7 +83,7 @@ def test_a_white_capture_drawn_without_correction_shows_the_lattice():
 def cut_camera():
     """A camera whose microimages are cut to cat's eyes, and a white image of it."""
     lattice = Camera.design(size=SIZE, pitch=23.2, rotation=1.3).lattice
-    round_lens = lfcal.Vignetting(1 / (1 + np.exp(3 * (np.arange(0, 16, 0.25) - 11.2))), 0.25)
+    round_lens = Vignetting(1 / (1 + np.exp(3 * (np.arange(0, 16, 0.25) - 11.2))), 0.25)
     # A second disc, 6 px aside in the corners, cuts microimages, and light falls off to exp(-0.4) there.
     light = GainMap.round(round_lens.profile, round_lens.step, lattice.radius, [0.0, 0.0, 6.0, 11.2, 0.4])
     light = dataclasses.replace(light, level=[0, 0, 0, -0.4, 0, -0.4])

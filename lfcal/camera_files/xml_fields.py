@@ -11,10 +11,10 @@ from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice, reduce_basis
 from ..runtime.errors import CameraFileError
 
-__all__ = ["number", "point", "positive", "published_camera"]
+__all__ = ["make_camera", "read_number", "read_point", "require_positive"]
 
 
-def number(root: Any, name: str, where: str) -> float:
+def read_number(root: Any, name: str, where: str) -> float:
     text = root.findtext(name)
     if text is None:
         raise CameraFileError(f"{where}: <{name}> is missing")
@@ -27,17 +27,17 @@ def number(root: Any, name: str, where: str) -> float:
     return value
 
 
-def point(root: Any, name: str, where: str) -> NDArray[np.float64]:
-    return np.array([number(root, f"{name}/x", where), number(root, f"{name}/y", where)])
+def read_point(root: Any, name: str, where: str) -> NDArray[np.float64]:
+    return np.array([read_number(root, f"{name}/x", where), read_number(root, f"{name}/y", where)])
 
 
-def positive(value: float, name: str, where: str) -> float:
+def require_positive(value: float, name: str, where: str) -> float:
     if value <= 0:
         raise CameraFileError(f"{where}: {name} must be positive, got {value}")
     return value
 
 
-def published_camera(
+def make_camera(
     origin: NDArray[np.float64],
     basis: NDArray[np.float64],
     image_size: tuple[int, int],
