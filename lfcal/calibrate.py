@@ -167,13 +167,13 @@ class _Found:
 def _found_in_parts(flat: NDArray[Any], kind: str, filtered: bool) -> _Found | None:
     """The lattice of a white image from parts of it; None where it is none."""
     from .lattice_fit import fit_lattice_to_white_image
-    from .white_fit.large import first_of_white, look_at, some_parts
+    from .white_fit.large import find_white_lattice, sample_parts, window_reader
 
-    look = look_at(flat, filtered)
-    start = first_of_white(look, (flat.shape[1], flat.shape[0]), kind == "white", tries=9)
+    look = window_reader(flat, filtered)
+    start = find_white_lattice(look, (flat.shape[1], flat.shape[0]), kind == "white", tries=9)
     if start is None:
         return None
-    parts, look = some_parts(look, start.lattice)
+    parts, look = sample_parts(look, start.lattice)
     return _Found(parts, True, start, fit_lattice_to_white_image(parts, start), look)
 
 
@@ -218,10 +218,10 @@ def _found_on_large(flat: NDArray[Any], kind: str) -> _Found | None:
     """The lattice of a large white image, followed outwards from its middle; None where it is none."""
     from .images.preprocessing import sqrt_luminance
     from .lattice_fit import fit_lattice_to_white_image
-    from .white_fit.large import first_of_all
+    from .white_fit.large import find_white_lattice_in_array
 
     picture = sqrt_luminance(flat)
-    start = first_of_all(picture, kind == "white")
+    start = find_white_lattice_in_array(picture, kind == "white")
     return None if start is None else _Found(picture, True, start, fit_lattice_to_white_image(picture, start))
 
 

@@ -16,8 +16,8 @@ from .runtime.errors import CalibrationError
 if TYPE_CHECKING:
     from .detection.first_lattice import FirstLattice
     from .lattice.lens_subset import StackedCrops
-    from .white_fit.fit import DiscFit
-    from .white_fit.parameters import CatEye
+    from .white_fit.fit import WhiteFit
+    from .white_fit.model import CatEye
 
 __all__ = ["FinalLattice", "fit_lattice_to_scenes", "fit_lattice_to_white_image"]
 
@@ -68,11 +68,11 @@ class FinalLattice:
 def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, start: FirstLattice) -> FinalLattice:
     """Fit the `sqrt_luminance` picture of a white image, or parts of it."""
     from .lattice.lens_subset import StackedCrops
-    from .white_fit.fit import fit_discs
+    from .white_fit.fit import fit_white
 
     found = start.lattice
     try:
-        discs = fit_discs(picture, found)
+        discs = fit_white(picture, found)
     except CalibrationError:
         raise
     except ValueError as error:
@@ -100,17 +100,18 @@ def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, star
     )
 
 
-def _strays(found: Lattice, discs: DiscFit, places: NDArray[np.float64]) -> float:
+def _strays(found: Lattice, discs: WhiteFit, places: NDArray[np.float64]) -> float:
     """`FinalLattice.displacement` of a fit at `places` (n, 2) [px], centres on the first lattice.
 
     That is the straight lattice through what is seen of the microimages: of cut ones the middle lies off the centre by
     up to half of the cut.
     """
-    from .white_fit.parameters import field_of
+    from .white_fit.model import field_position
 
     lattice = discs.lattice
     centres = lattice.points(np.rint(lattice.to_index(places)))
-    cut = np.zeros(places.shape) if discs.cat_eye is None else discs.cat_eye.displacement(field_of(centres, lattice))
+    field, eye = field_position(centres, lattice), discs.cat_eye
+    cut = np.zeros(places.shape) if eye is None else eye.displacement(field)
     middle = places - places.mean(0)
     base = np.linalg.qr(np.column_stack([np.ones(len(places)), middle / np.abs(middle).max()]))[0]
     apart, cut = base.T @ (centres - places), base.T @ cut

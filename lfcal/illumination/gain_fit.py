@@ -21,8 +21,8 @@ from ..gain.gain_map import GainMap, frame
 from ..lattice.cell import cell_inradius, cell_normals
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
-from ..white_fit.parameters import CatEye
-from ..white_fit.rim_cut import find_rim_cut
+from ..white_fit.model import CatEye
+from ..white_fit.rim_fit import fit_best_rim
 from .gain_terms import cut_terms, rim_terms, shade_terms
 from .residuals import OUTLIER, Left, Sample, compare, lens_sample
 from .scene_profile import scene_profile
@@ -128,7 +128,7 @@ def _with_cut(gain: GainMap, left: Left, sample: Sample, lattice: Lattice) -> Ga
     excess, area = left.sector[..., 0], left.sector[..., 1]
     square = edge**2 + excess * inner**2 / np.maximum(area * height, 1e-9)
     field = (sample.middle - frame(lattice)[:2]) / frame(lattice)[2]
-    found = find_rim_cut(np.sqrt(np.maximum(square, (0.2 * edge) ** 2)), area, field)
+    found = fit_best_rim(np.sqrt(np.maximum(square, (0.2 * edge) ** 2)), area, field)
     if found is None:
         return gain
     rim = np.zeros((3, 3))

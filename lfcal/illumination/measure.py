@@ -14,7 +14,7 @@ from ..gain.vignetting import Vignetting
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
 from ..runtime.errors import CalibrationError
-from ..white_fit.parameters import CatEye
+from ..white_fit.model import CatEye
 from .defect_search import MOST, find_defects
 from .gain_fit import fit_gain
 from .lens_light import dark_in_scene, lens_lights

@@ -17,9 +17,9 @@ from ..lattice.cell import cell_normals
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import select_whole_lenses
 from ..runtime.errors import CalibrationError
-from .irls import SUREST, Steps, agreed, held_back, regular_ratio
-from .radial_distortion import RadialPull, radial_pull, unbent
-from .template import lens_steps
+from .irls import SUREST, LensShifts, error_inflation, find_regular_ratio, solve_irls
+from .radial_distortion import RadialEstimate, estimate_radial, zero_distortion
+from .template import build_lens_equations
 
 __all__ = ["fit_scene"]
 
@@ -79,17 +79,17 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
     trusted = _trusted(seen.variance)
     indices, seen = indices[trusted], seen.of(trusted)
     fit = _bent(picture, _settled(picture, lattice, indices, stride, _PASSES, seen=seen), indices, stride)
-    regular = regular_ratio(fit.before.basis, fit.steps)
+    regular = find_regular_ratio(fit.before.basis, fit.steps)
     if regular is not None:
         fit = _settled(picture, fit.before, indices, stride, _PASSES, regular, fit.seen)
         fit = fit if fit.lattice.distortion is None else _bent(picture, fit, indices, stride, regular)
     lattice, steps, change, share = fit.lattice, fit.steps, fit.change, fit.share
-    error = _standard_error(steps, change, share) * held_back(steps, share)
+    error = _standard_error(steps, change, share) * error_inflation(steps, share)
     tile, colour = _tiles(steps, max(_FEWEST_TILES, len(share) // _LENSES_PER_TILE))
     sides = [colour[tile] == side for side in (0, 1)]
     if min(side.sum() for side in sides) < _FEWEST_IN_HALF:
         raise CalibrationError("the microimages show too little; give a brighter flat or a white image")
-    halves = [agreed(steps, side)[0] for side in sides]
+    halves = [solve_irls(steps, side)[0] for side in sides]
     miss = ((steps.step - steps.design @ change) ** 2).sum(1)
     scatter = float(np.sqrt(np.average(miss, weights=share)))
     differ = _field_rms(steps, halves[0] - halves[1])
@@ -102,7 +102,7 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
 class _Seen:
     """Steps of the lenses that show something, and the variance (n,) [px^2] of the place of each of all."""
 
-    steps: Steps
+    steps: LensShifts
     variance: NDArray[np.float64]
 
     def of(self, chosen: NDArray[np.bool_]) -> _Seen:
@@ -127,7 +127,7 @@ class _Settled:
     unsettled: float
 
     @property
-    def steps(self) -> Steps:
+    def steps(self) -> LensShifts:
         return self.seen.steps
 
 
@@ -154,13 +154,13 @@ def _settled(
         looked = seen if seen is not None and turn == 0 else _look(picture, lattice, indices, stride)
         steps, shown = replace(looked.steps, regular=regular), np.isfinite(looked.variance)
         before = None if weights is None else weights[shown]
-        change, share = agreed(steps, before=before if before is not None and before.any() else None)
+        change, share = solve_irls(steps, before=before if before is not None and before.any() else None)
         error = _standard_error(steps, change, share)
         leap = path.leap(lattice, change, steps.design)
         settled = max(_field_rms(steps, change), _field_rms(steps, leap)) < _SETTLED * error
         if settled and asked and before is not None:
             asked -= 1
-            other, others = agreed(steps)
+            other, others = solve_irls(steps)
             if _field_rms(steps, other - change) > _SETTLED * error:
                 change, share, path, settled = other, others, _Path([], []), False
                 leap = path.leap(lattice, change, steps.design)
@@ -186,7 +186,7 @@ def _bent(
     before, lattice, pull = fit, fit.lattice, _radial_pull(fit)
     if lattice.distortion is None and not pull.clear(lattice.pitch):
         return fit
-    bend = lattice.distortion or unbent(lattice)
+    bend = lattice.distortion or zero_distortion(lattice)
     for _ in range(_PASSES):
         bend = replace(bend, k1=bend.k1 + pull.k1)
         fit = _settled(picture, replace(lattice, distortion=bend), indices, stride, _SKETCH_PASSES, regular)
@@ -196,10 +196,10 @@ def _bent(
     return fit if replace(pull, k1=bend.k1).clear(lattice.pitch) else before
 
 
-def _radial_pull(fit: _Settled) -> RadialPull:
+def _radial_pull(fit: _Settled) -> RadialEstimate:
     """The distortion that the lenses of a fit ask for beyond the one it has."""
     tile = _tiles(fit.steps, _FEWEST_TILES)[0]
-    return radial_pull(fit.before, fit.steps.design, fit.steps.step, fit.share, tile)
+    return estimate_radial(fit.before, fit.steps.design, fit.steps.step, fit.share, tile)
 
 
 @dataclass
@@ -258,7 +258,7 @@ def _look(picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.in
     whole = ((centres >= reach) & (centres <= np.array(picture.shape[::-1]) - 1 - reach)).all(1)
     if whole.sum() < _FEWEST_LENSES:
         raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
-    found = lens_steps(picture, lattice, np.ascontiguousarray(centres[whole]), faces, stride)
+    found = build_lens_equations(picture, lattice, np.ascontiguousarray(centres[whole]), faces, stride)
     # Dark and blank lenses agree with whatever they are asked.
     told = np.trace(found.normal, axis1=1, axis2=2)
     clear = told > _SAYS * np.quantile(told, _GOOD)
@@ -275,15 +275,15 @@ def _look(picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.in
     design = np.column_stack([np.ones(count), indices[whole][clear]])
     variance = np.full(len(indices), np.inf)
     variance[np.flatnonzero(whole)[clear]] = known = found.noise[clear] * (xx + yy) / determinant / 2
-    return _Seen(Steps(design, step, known, lattice.basis), variance)
+    return _Seen(LensShifts(design, step, known, lattice.basis), variance)
 
 
-def _field_rms(steps: Steps, change: NDArray[np.float64]) -> float:
+def _field_rms(steps: LensShifts, change: NDArray[np.float64]) -> float:
     """RMS over the lenses of what a change (3, 2) of the lattice does to their centres [px]."""
     return float(np.sqrt(((steps.design @ change) ** 2).sum(1).mean()))
 
 
-def _standard_error(steps: Steps, change: NDArray[np.float64], share: NDArray[np.float64]) -> float:
+def _standard_error(steps: LensShifts, change: NDArray[np.float64], share: NDArray[np.float64]) -> float:
     """Standard error of a centre, RMS over the field [px], from how tiles of the flat pull at the lattice."""
     tile, colour = _tiles(steps, _FEWEST_TILES)
     pull = (share[:, None] * (steps.step - steps.design @ change))[:, :, None] * steps.design[:, None, :]
@@ -296,7 +296,7 @@ def _standard_error(steps: Steps, change: NDArray[np.float64], share: NDArray[np
     return float(np.sqrt(max(np.trace(covariance @ moments), 0.0) * tiles / max(tiles - 3, 1)))
 
 
-def _tiles(steps: Steps, number: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _tiles(steps: LensShifts, number: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Tile (n,) of each lens, at most about `number` squares of the flat, and the colour (t,) of each on a board."""
     places = steps.design[:, 1:] @ steps.basis
     number = min(number, max(len(places) // _FEWEST_IN_TILE, 1))

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["SUREST", "Steps", "agreed", "held_back", "regular_ratio"]
+__all__ = ["SUREST", "LensShifts", "error_inflation", "find_regular_ratio", "solve_irls"]
 
 # The best third of the lenses says how well lenses agree; those further off than this have no say. Where most of
 # a flat is dragged the same way the half would follow it.
@@ -36,7 +36,7 @@ _SIGNIFICANT = 6.0
 
 
 @dataclass(frozen=True)
-class Steps:
+class LensShifts:
     """Where single lenses ask the lattice to go, and what is known of it.
 
     Parameters
@@ -190,11 +190,11 @@ def _settle(design, step, spread, trust, basis, ratio, agreeing, outlier, turns,
 
 
 def _settled(
-    steps: Steps, starts: list[NDArray[np.float64]]
+    steps: LensShifts, starts: list[NDArray[np.float64]]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Changes (s, 3, 2) after robust least squares from starting weights (n,), weights (s, n), common variances (s,).
 
-    How far lenses lie off beside what `Steps.spread` says follows from the best share of them.
+    How far lenses lie off beside what `LensShifts.spread` says follows from the best share of them.
     """
     weights = np.array(starts)
     changes, commons = np.zeros((len(weights), 3, 2)), np.zeros(len(weights))
@@ -207,7 +207,7 @@ def _settled(
     return changes, weights, commons
 
 
-def _starts(steps: Steps) -> list[NDArray[np.float64]]:
+def _starts(steps: LensShifts) -> list[NDArray[np.float64]]:
     """Weights of all steps, and of those on either side of four lines."""
     weight = steps.trust
     place = steps.design[:, 1:] - np.median(steps.design[:, 1:], axis=0)
@@ -219,8 +219,8 @@ def _starts(steps: Steps) -> list[NDArray[np.float64]]:
     return starts
 
 
-def agreed(
-    steps: Steps, chosen: NDArray[np.bool_] | None = None, before: NDArray[np.float64] | None = None
+def solve_irls(
+    steps: LensShifts, chosen: NDArray[np.bool_] | None = None, before: NDArray[np.float64] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Change (3, 2) of origin and basis on which most lenses agree best, and the weights of the lenses [1/px^2].
 
@@ -232,7 +232,7 @@ def agreed(
     return _best(steps if chosen is None else _only(steps, chosen))[:2]
 
 
-def held_back(steps: Steps, weight: NDArray[np.float64]) -> float:
+def error_inflation(steps: LensShifts, weight: NDArray[np.float64]) -> float:
     """By what factor a change is less sure than least squares of these weights (n,), were they fixed, would have it.
 
     They follow from the change, and so yield to any error of it: Huber, Robust Statistics (1981), section 7.6.
@@ -246,7 +246,7 @@ def held_back(steps: Steps, weight: NDArray[np.float64]) -> float:
     return fixed / max(left, _LEAST_LEFT * fixed)
 
 
-def _best(steps: Steps) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _best(steps: LensShifts) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Change (3, 2) on which most lenses agree best, weights (n,) and the common variance.
 
     A dragged part of the flat may agree as well within itself, so the search starts from several parts of it.
@@ -262,17 +262,17 @@ def _best(steps: Steps) -> tuple[NDArray[np.float64], NDArray[np.float64], float
     return changes[best], weights[best], float(commons[best])
 
 
-def _only(steps: Steps, chosen: NDArray[np.bool_]) -> Steps:
+def _only(steps: LensShifts, chosen: NDArray[np.bool_]) -> LensShifts:
     return replace(steps, design=steps.design[chosen], step=steps.step[chosen], variance=steps.variance[chosen])
 
 
-def _misfit(steps: Steps, change: NDArray[np.float64], common: float) -> float:
+def _misfit(steps: LensShifts, change: NDArray[np.float64], common: float) -> float:
     """Squared distances of the lenses over their variances, bounded, each as far as it is trusted."""
     square = ((steps.step - steps.design @ change) ** 2).sum(1)
     return float((np.minimum(square / (steps.spread * common), _OUTLIER**2) * steps.trust).sum())
 
 
-def regular_ratio(basis: NDArray[np.float64], steps: Steps) -> complex | None:
+def find_regular_ratio(basis: NDArray[np.float64], steps: LensShifts) -> complex | None:
     """`a2 / a1` of the regular array that the lenses cannot tell from `basis`, None where there is none.
 
     Arrays are made regular to a part in ten thousand; scenes mislead by more. A scene has about a dozen places that

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 
-__all__ = ["RadialPull", "radial_pull", "unbent"]
+__all__ = ["RadialEstimate", "estimate_radial", "zero_distortion"]
 
 # Distortion must be known to so many standard errors, and move centres by this share of the pitch (RMS): scenes bend a
 # straight lattice by three standard errors and a thousandth of the pitch.
@@ -18,7 +18,7 @@ _SURE, _MATTERS = 8.0, 0.003
 
 
 @dataclass(frozen=True)
-class RadialPull:
+class RadialEstimate:
     """Change of `k1` that lenses ask for, its standard error, and by how many px (RMS) it moves centres.
 
     What a straight lattice can follow is left to the basis.
@@ -33,16 +33,16 @@ class RadialPull:
         return abs(self.k1) > _SURE * self.error and self.moves > _MATTERS * pitch
 
 
-def unbent(lattice: Lattice) -> Distortion:
+def zero_distortion(lattice: Lattice) -> Distortion:
     """A distortion of no strength about the middle of the flat."""
     middle, reach = (np.array(lattice.image_size) - 1) / 2, float(np.hypot(*lattice.image_size) / 2)
     return Distortion(middle, 0.0, 0.0, reach)
 
 
-def radial_pull(
+def estimate_radial(
     lattice: Lattice, design: NDArray[np.float64], step: NDArray[np.float64], share: NDArray[np.float64],
     tile: NDArray[np.int64],
-) -> RadialPull:  # fmt: skip
+) -> RadialEstimate:  # fmt: skip
     """The distortion that lenses ask for beside a straight change of the lattice.
 
     Parameters
@@ -56,7 +56,7 @@ def radial_pull(
     tile : (n,) int64
         Part of the flat each is in: lenses of one are misled alike, so the error follows from how parts differ.
     """
-    bend = lattice.distortion or unbent(lattice)
+    bend = lattice.distortion or zero_distortion(lattice)
     straight = design @ np.vstack([lattice.origin, lattice.basis])
     column = dict(bend.derivatives(straight))["k1"]
     root = np.sqrt(share)[:, None]
@@ -68,4 +68,4 @@ def radial_pull(
     freedom = len(pull) / max(len(pull) - 4, 1)
     error = float(np.sqrt((pull**2).sum() * freedom)) / max(information, 1e-300)
     whole = bend.k1 + k1
-    return RadialPull(k1, error, abs(whole) * float(np.sqrt((column**2).sum(1).mean())))
+    return RadialEstimate(k1, error, abs(whole) * float(np.sqrt((column**2).sum(1).mean())))

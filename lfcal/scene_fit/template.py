@@ -17,7 +17,7 @@ from ..lattice.cell import cell_circumradius, cell_row_bounds, row_interval
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
 
-__all__ = ["LensSteps", "Template", "average_cell", "lens_steps"]
+__all__ = ["LensEquations", "Template", "build_lens_equations", "build_template"]
 
 # Bins of the average cell per pixel, and the most that are worth their memory.
 _BINS_PER_PX = 3.0
@@ -170,7 +170,7 @@ class Template:
 
 
 @dataclass(frozen=True)
-class LensSteps:
+class LensEquations:
     """Least squares of each lens by itself: `normal @ step = right`.
 
     Parameters
@@ -185,7 +185,7 @@ class LensSteps:
     noise: NDArray[np.float64]
 
 
-def average_cell(
+def build_template(
     picture: NDArray[np.float32],
     lattice: Lattice,
     centres: NDArray[np.float64],
@@ -233,20 +233,20 @@ def _turned(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return values + np.roll(values[::-1, ::-1], (1, 1), axis=(0, 1))
 
 
-def lens_steps(
+def build_lens_equations(
     picture: NDArray[np.float32],
     lattice: Lattice,
     centres: NDArray[np.float64],
     faces: NDArray[np.float64],
     stride: int = 1,
-) -> LensSteps:
+) -> LensEquations:
     """Gauss-Newton steps of the lenses at `centres` (n, 2) [px] of a straight `lattice`, every pixel of their cells.
 
     Each lens has a contrast of its own, so blank or dark ones say nothing, and an offset. Of large microimages every
     `stride`-th pixel each way is enough, as what the scene shows is alike in neighbouring pixels.
     """
     few = np.ascontiguousarray(centres[:: max(1, len(centres) // _TEMPLATE_LENSES)])
-    template = average_cell(picture, lattice, few, faces, stride)
+    template = build_template(picture, lattice, few, faces, stride)
     normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
     noise = np.zeros(len(centres))
     inverse, bins = np.linalg.inv(lattice.basis), _bins(lattice)
@@ -267,4 +267,4 @@ def lens_steps(
         right,
         noise,
     )
-    return LensSteps(normal, right, noise)
+    return LensEquations(normal, right, noise)

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from ..lattice.cell import clip_rows
 from .gauss_newton import FitState
-from .model import Discs
-from .parameters import CatEye, DiscModel, field_of
-from .rim_cut import RimCut, rim_cuts
+from .model import CatEye, WhiteModel, field_position
+from .normal_equations import Microimages
+from .rim_fit import RimFit, fit_rims
 
-__all__ = ["cut_starts", "disc_radius"]
+__all__ = ["disc_radius", "initial_cuts"]
 
 # Columns and rows of parts of the field, and directions, in which rims are measured.
 _PARTS, _DIRECTIONS = (8, 6), 24
@@ -65,7 +65,7 @@ def _rims(state: FitState) -> tuple[NDArray[np.float64], NDArray[np.float64], ND
     None where the profile has no fall that a rim could be told by, as where the gaps are clipped too.
     """
     discs, lattice = state.discs, state.model.lattice
-    field = field_of(discs.centres, lattice)
+    field = field_position(discs.centres, lattice)
     share = (discs.centres + 0.5) / np.array(lattice.image_size) * _PARTS
     column, row = np.clip(share.astype(int), 0, np.array(_PARTS) - 1).T
     part, parts = row * _PARTS[0] + column, _PARTS[0] * _PARTS[1]
@@ -92,14 +92,14 @@ def _rims(state: FitState) -> tuple[NDArray[np.float64], NDArray[np.float64], ND
     return np.sqrt(square * (1 - np.sqrt(np.maximum(1 - 2 * falls * lit, 0))) / falls), out[..., 1], middle
 
 
-def disc_radius(discs: Discs) -> float:
+def disc_radius(discs: Microimages) -> float:
     """Distance from the centre [px] at which the profile falls through the middle between disc and gap."""
     level = discs.level
     half = 0.5 * (float(np.median(level[: max(2, len(level) // 2)])) + discs.dark)
     return max(int(np.argmax(level < half)), 1) * discs.step
 
 
-def cut_starts(plain: FitState) -> list[tuple[DiscModel, DiscModel]]:
+def initial_cuts(plain: FitState) -> list[tuple[WhiteModel, WhiteModel]]:
     """Models with a cut to start from, the likeliest first, and the same with microimage and cut in each other's place.
 
     Of the two the first one has the larger disc as the cut.
@@ -107,11 +107,11 @@ def cut_starts(plain: FitState) -> list[tuple[DiscModel, DiscModel]]:
     rims = _rims(plain)
     if rims is None:
         return []
-    found = rim_cuts(*rims)
+    found = fit_rims(*rims)
     return [_models(plain.model, cut) for cut in found if cut.left <= _RIVAL * found[0].left]
 
 
-def _models(plain: DiscModel, cut: RimCut) -> tuple[DiscModel, DiscModel]:
+def _models(plain: WhiteModel, cut: RimFit) -> tuple[WhiteModel, WhiteModel]:
     none = np.zeros(2)
     one = _model(plain, cut.own, none, CatEye(cut.shift, np.array([cut.growth - cut.own, 0, 0]), cut.radius, _SOFT))
     other = _model(
@@ -120,10 +120,10 @@ def _models(plain: DiscModel, cut: RimCut) -> tuple[DiscModel, DiscModel]:
     return (one, other) if cut.radius >= cut.whole else (other, one)
 
 
-def _model(plain: DiscModel, grown: float, shift: NDArray[np.float64], eye: CatEye) -> DiscModel:
+def _model(plain: WhiteModel, grown: float, shift: NDArray[np.float64], eye: CatEye) -> WhiteModel:
     """The model with centres moved by `shift`, and outwards by so many px in the corners."""
     lattice = plain.lattice
     middle, reach = (np.array(lattice.image_size) - 1) / 2, float(np.hypot(*lattice.image_size) / 2)
     scale = 1 + grown / reach
     origin = middle + (lattice.origin - middle) * scale + shift
-    return DiscModel(replace(lattice, origin=origin, basis=lattice.basis * scale), eye)
+    return WhiteModel(replace(lattice, origin=origin, basis=lattice.basis * scale), eye)

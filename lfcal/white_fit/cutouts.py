@@ -14,13 +14,13 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_mask
 from ..lattice.lit_lenses import LitLenses
 from ..runtime.errors import CalibrationError
-from .gauss_newton import FitState, by_brightness, placed, weighted
-from .model import Discs, edge_of, first_level
-from .parameters import DiscModel
-from .shading_slope import field_slope, shading_slope
+from .gauss_newton import FitState, median_by_brightness, update_positions, update_weights
+from .model import WhiteModel
+from .normal_equations import Microimages, find_edge, mean_profile
+from .shading import fit_field_slope, fit_shading_slope
 from .windows import cut_windows
 
-__all__ = ["FEWEST_LENSES", "open_lenses"]
+__all__ = ["FEWEST_LENSES", "cut_out_lenses"]
 
 FEWEST_LENSES = 12
 # Distance between samples of the profile [px]: edges of discs are about one pixel wide.
@@ -31,12 +31,12 @@ _DARK = 0.03
 _CORE = 0.4
 
 
-def open_lenses(
+def cut_out_lenses(
     tones: StackedCrops,
-    model: DiscModel,
+    model: WhiteModel,
     pixels: float,
     fewest: int,
-    known: Discs | None,
+    known: Microimages | None,
     before: LitLenses | None = None,
 ) -> tuple[FitState, LitLenses]:
     """Lenses of about so many pixels in all, but at least so many, with gains from their cores; and all to choose from.
@@ -67,19 +67,19 @@ def open_lenses(
     rings, full = int(reach / _STEP) + 3, clipping_level(light) if known is None else known.full
     if not lit.all():
         indices, centres, gain, corners, light = indices[lit], centres[lit], gain[lit], corners[lit], light[lit]
-    none, tilt = np.zeros_like(centres), field_slope(centres, gain, lattice)
-    discs = Discs(
+    none, tilt = np.zeros_like(centres), fit_field_slope(centres, gain, lattice)
+    discs = Microimages(
         light, corners, centres, none, gain, np.ones(len(gain)), tilt, 0.0, 0.0,
         faces, inner, reach, _STEP, np.zeros(rings), np.ones(rings),
         np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, full,
     )  # fmt: skip
     if known is None:
-        level = first_level(discs)
+        level = mean_profile(discs)
         discs = replace(
-            discs, level=level, weight=np.full(rings, 1 / max(float(np.var(level)), 1e-12)), edge=edge_of(level)
+            discs, level=level, weight=np.full(rings, 1 / max(float(np.var(level)), 1e-12)), edge=find_edge(level)
         )
-        state = placed(FitState(model, indices, discs))
-        return weighted(state, state.discs.steps), alight
+        state = update_positions(FitState(model, indices, discs))
+        return update_weights(state, state.discs.steps), alight
     discs = replace(
         discs,
         level=_of_length(known.level, rings),
@@ -92,21 +92,21 @@ def open_lenses(
     if model.cat_eye is None and not np.isfinite(full):
         return FitState(model, indices, _alike(discs, known, core, lattice)), alight
     # Profile and gains share a scale that the new gains settle: cores may be cut, or clipped.
-    state = placed(FitState(model, indices, discs))
+    state = update_positions(FitState(model, indices, discs))
     steps = state.discs.steps
     own = np.clip(steps.right[:, -1] / np.maximum(steps.normal[:, -1, -1], 1e-30), -0.5, 1)
     state = replace(state, discs=replace(state.discs, gain=state.discs.gain * (1 + own)))
-    return weighted(state, steps), alight
+    return update_weights(state, steps), alight
 
 
-def _alike(discs: Discs, known: Discs, core: int, lattice: Lattice) -> Discs:
+def _alike(discs: Microimages, known: Microimages, core: int, lattice: Lattice) -> Microimages:
     """The discs with gains in the scale of the known profile, and with the trust known ones of their light have."""
     square = np.arange(-core, core + 1)
     radii = np.hypot(*np.meshgrid(square, square))
     light = float(np.interp(radii, np.arange(len(discs.level)) * discs.step, discs.level).mean())
     gain = discs.gain / max(light, 1e-12)
-    discs = replace(discs, gain=gain, trust=np.interp(gain, *by_brightness(known.gain, known.trust)))
-    return replace(discs, tilt=shading_slope(discs, lattice))
+    discs = replace(discs, gain=gain, trust=np.interp(gain, *median_by_brightness(known.gain, known.trust)))
+    return replace(discs, tilt=fit_shading_slope(discs, lattice))
 
 
 def _of_length(values: NDArray[Any], rings: int) -> NDArray[Any]:

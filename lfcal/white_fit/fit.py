@@ -18,12 +18,12 @@ from ..lattice.lens_subset import StackedCrops
 from ..lattice.residuals import Residuals
 from ..lattice.standard_errors import LatticeErrors
 from ..runtime.errors import CalibrationError
-from .cat_eye import settled_roles, with_cut, without_idle_cut
-from .cutouts import FEWEST_LENSES, open_lenses
-from .gauss_newton import FitState, converge, finished, halves_differ, misfit, own_offsets, promise
-from .parameters import CatEye, DiscModel
+from .cutouts import FEWEST_LENSES, cut_out_lenses
+from .gauss_newton import FitState, compare_halves, converge, evaluate_cost, finish, measure_offsets, predict_shift
+from .mechanical_vignetting import drop_needless_cut, fit_cutting_disc, resolve_disc_roles
+from .model import CatEye, WhiteModel
 
-__all__ = ["DiscFit", "fit_discs", "followed"]
+__all__ = ["WhiteFit", "fit_white", "refine_on_parts"]
 
 # Pixels, and least number of lenses, with which a cutting disc is looked for, and with which the orders of the model
 # are chosen.
@@ -58,7 +58,7 @@ _NOT_OF_LATTICE = ("shift", "growth", "growth2", "growth3", "radius", "shared")
 
 
 @dataclass(frozen=True)
-class DiscFit:
+class WhiteFit:
     """A fitted lattice and how its microimages agree with it.
 
     Parameters
@@ -86,7 +86,7 @@ class DiscFit:
     residuals: Residuals
 
 
-def fit_discs(tones: NDArray[np.float32] | StackedCrops, lattice: Lattice, pixels: float = 3.2e6) -> DiscFit:
+def fit_white(tones: NDArray[np.float32] | StackedCrops, lattice: Lattice, pixels: float = 3.2e6) -> WhiteFit:
     """Fit a white image.
 
     Parameters
@@ -104,38 +104,38 @@ def fit_discs(tones: NDArray[np.float32] | StackedCrops, lattice: Lattice, pixel
         If fewer than a dozen whole microimages are on the flat, or they keep to no lattice.
     """
     tones, known = StackedCrops.of(tones), _known_orders(lattice)
-    state, lit = open_lenses(tones, DiscModel(lattice, None), *_FEW, None)
+    state, lit = cut_out_lenses(tones, WhiteModel(lattice, None), *_FEW, None)
     state, _ = converge(state, known, passes=_FIRST_PASSES)
     bent, bends = (state, known) if known else _better(state, (), _bent(state), ("k1",))
-    state = with_cut(state, bent, known)
+    state = fit_cutting_disc(state, bent, known)
     if state.model.cat_eye is None:
         state, known = bent, bends
     some, fewest = min(_SOME[0], _MANY * abs(float(np.linalg.det(lattice.basis)))), _SOME[1]
     if state.model.cat_eye is not None:
         some, fewest = float(np.clip(_pixels(state) * (state.uncertainty / _FINE_CUT) ** 2, *_CUT)), _FEWEST_CUT
-    state, lit = open_lenses(tones, state.model, some, fewest, state.discs, lit)
+    state, lit = cut_out_lenses(tones, state.model, some, fewest, state.discs, lit)
     state, summary = converge(state, known, known=True)
     first = state
     if state.model.cat_eye is not None:
-        state = settled_roles(state)
+        state = resolve_disc_roles(state)
     state, orders = _with_orders(state, known)
     if state.model.cat_eye is None and orders != known:
-        state = with_cut(state, state, orders)
+        state = fit_cutting_disc(state, state, orders)
     if orders != known:
-        state, orders = without_idle_cut(state, orders)
+        state, orders = drop_needless_cut(state, orders)
     if state.model.cat_eye is None:
         if _wanted(state, pixels) > _pixels(state):
-            state, _ = open_lenses(tones, state.model, _wanted(state, pixels), FEWEST_LENSES, state.discs, lit)
-        state, summary = finished(state, orders)
+            state, _ = cut_out_lenses(tones, state.model, _wanted(state, pixels), FEWEST_LENSES, state.discs, lit)
+        state, summary = finish(state, orders)
     elif state is not first:
         state, summary = converge(state, orders, known=True)
     own = [k for k, name in enumerate(summary.names) if name not in _NOT_OF_LATTICE]
     covariance = summary.covariance + np.outer(summary.by_shared, summary.by_shared) * _UNSURE_SHARED**2
     errors = LatticeErrors(tuple(summary.names[k] for k in own), covariance[np.ix_(own, own)])
-    return DiscFit(
+    return WhiteFit(
         state.model.lattice, state.model.cat_eye, summary.residual, errors, summary.used,
-        halves_differ(summary),
-        Residuals(state.indices.astype(np.int32), own_offsets(state, summary).astype(np.float32)),
+        compare_halves(summary),
+        Residuals(state.indices.astype(np.int32), measure_offsets(state, summary).astype(np.float32)),
     )  # fmt: skip
 
 
@@ -150,7 +150,7 @@ def _pixels(state: FitState) -> float:
     return len(state.indices) * abs(float(np.linalg.det(state.model.lattice.basis)))
 
 
-def followed(tones: StackedCrops, lattice: Lattice) -> Lattice:
+def refine_on_parts(tones: StackedCrops, lattice: Lattice) -> Lattice:
     """The lattice fitted to some lenses, with a distortion where they ask for one: a start for a larger part of a flat.
 
     Parameters
@@ -163,11 +163,11 @@ def followed(tones: StackedCrops, lattice: Lattice) -> Lattice:
     Raises
     ------
     CalibrationError
-        As for `fit_discs`.
+        As for `fit_white`.
     """
     known = _known_orders(lattice)
     few = min(_FEW[0], _FOLLOWS * abs(float(np.linalg.det(lattice.basis))))
-    state, _ = converge(open_lenses(tones, DiscModel(lattice, None), few, _FEW[1], None)[0], known)
+    state, _ = converge(cut_out_lenses(tones, WhiteModel(lattice, None), few, _FEW[1], None)[0], known)
     if not known:
         state, known = _better(state, (), _bent(state), ("k1",))
     if "general" not in known:
@@ -221,16 +221,16 @@ def _better(
     state: FitState, orders: tuple[str, ...], start: FitState, more: tuple[str, ...]
 ) -> tuple[FitState, tuple[str, ...]]:
     """`start` fitted with the parameters `more` where that is clearly better than `state` and matters, else `state`."""
-    if promise(start, more) < _PROMISING * _BENT:
+    if predict_shift(start, more) < _PROMISING * _BENT:
         return state, orders
     try:
         trial, _ = converge(start, more, known=True)
-        better = misfit(state, state) - misfit(trial, state)
+        better = evaluate_cost(state, state) - evaluate_cost(trial, state)
     except (CalibrationError, ValueError):
         return state, orders
     pixels = len(state.indices) * abs(np.linalg.det(state.model.lattice.basis))
     gain = better * pixels / (14 if "general" in more else 1)
     shift = trial.model.lattice.points(state.indices) - state.model.lattice.points(state.indices)
     matters = np.sqrt((shift**2).sum(1).mean()) > _BENT
-    sure = gain > max(_SURE**2, _GAIN * misfit(state, state) * pixels)
+    sure = gain > max(_SURE**2, _GAIN * evaluate_cost(state, state) * pixels)
     return (trial, more) if sure and matters else (state, orders)

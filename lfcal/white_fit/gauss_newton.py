@@ -9,14 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import CalibrationError
-from .model import Discs, DiscSteps, disc_steps, edge_of
-from .parameters import DiscModel, design, field_of, moved, step_limits
-from .schur_complement import Reduced, inverse_2x2, pooled, without_gain
-from .shading_slope import shading_of_field, shading_slope
+from .model import WhiteModel, apply_step, build_jacobian, field_position, step_limits
+from .normal_equations import Microimages, NormalEquations, build_normal_equations, find_edge
+from .schur_complement import ReducedEquations, eliminate_gains, invert_2x2, solve_robustly
+from .shading import field_shading, fit_shading_slope
 
 __all__ = [
-    "PASSES", "FitState", "FitSummary", "by_brightness", "converge", "finished", "halves_differ", "misfit",
-    "own_offsets", "placed", "promise", "weighted", "with_profile",
+    "PASSES",
+    "FitState",
+    "StepResult",
+    "compare_halves",
+    "converge",
+    "evaluate_cost",
+    "finish",
+    "fit_profile",
+    "measure_offsets",
+    "median_by_brightness",
+    "predict_shift",
+    "update_positions",
+    "update_weights",
 ]  # fmt: skip
 
 # Weights that fall with the residuals hold a step back: of normal residuals Tukey's biweight lets through their second
@@ -47,7 +58,7 @@ _FAR = 2.5
 _ANY = 1e-9
 _OWN_PASSES = 5
 _LONGEST = 0.5
-# What `Discs` holds of each lens.
+# What `Microimages` holds of each lens.
 _OF_LENSES = ("light", "corners", "centres", "cut", "gain", "trust", "tilt")
 
 
@@ -59,18 +70,18 @@ class FitState:
     have moved centres (n, 2) [px], and the weights (n,) of lenses in them.
     """
 
-    model: DiscModel
+    model: WhiteModel
     indices: NDArray[np.int64]
-    discs: Discs
+    discs: Microimages
     uncertainty: float = np.inf
-    solved: Reduced | None = None
+    solved: ReducedEquations | None = None
     asked: NDArray[np.float64] | None = None
     weight: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
-class FitSummary:
-    """What the last step says; see `DiscFit`.
+class StepResult:
+    """What the last step says; see `WhiteFit`.
 
     Parameters moved by `change` (p,), centres by `moved` (RMS) [px]; single microimages lie `miss` (n, 2) [px] off the
     lattice. Least squares alone, with lenses of a `weight` (n,), would have moved centres by `asked` (n, 2) [px].
@@ -86,34 +97,34 @@ class FitSummary:
     names: list[str]
     covariance: NDArray[np.float64]
     columns: NDArray[np.float64]
-    reduced: Reduced
+    reduced: ReducedEquations
     miss: NDArray[np.float64]
     asked: NDArray[np.float64]
     weight: NDArray[np.float64]
 
 
-def placed(state: FitState) -> FitState:
+def update_positions(state: FitState) -> FitState:
     """The lenses where the model has them now, with the cuts the cat-eye gives them."""
     lattice, eye = state.model.lattice, state.model.cat_eye
     centres = lattice.points(state.indices)
     if eye is None:
         discs = replace(state.discs, centres=centres)
     else:
-        cut = eye.displacement(field_of(centres, lattice))
+        cut = eye.displacement(field_position(centres, lattice))
         discs = replace(state.discs, centres=centres, cut=cut, radius=eye.radius, soft=eye.soft, shared=eye.shared)
     return replace(state, discs=discs)
 
 
-def weighted(state: FitState, steps: DiscSteps) -> FitState:
+def update_weights(state: FitState, steps: NormalEquations) -> FitState:
     """Weights of pixels by their radius and of lenses by their brightness, from the residuals of the present model."""
     floor = 1e-6 * float(np.var(state.discs.level)) + 1e-12
     weight = 1 / np.maximum(steps.variance, floor)
     return replace(state, discs=replace(state.discs, weight=weight, trust=_trust(state.discs, steps)))
 
 
-def _trust(discs: Discs, steps: DiscSteps) -> NDArray[np.float64]:
+def _trust(discs: Microimages, steps: NormalEquations) -> NDArray[np.float64]:
     """(n,) weights of lenses by their brightness."""
-    bright, typical = by_brightness(discs.gain, steps.scatter)
+    bright, typical = median_by_brightness(discs.gain, steps.scatter)
     spread = np.interp(discs.gain, bright, typical)
     trust = 1 / np.maximum(spread / np.median(typical), 0.1)
     # Half a microimage at the border of the array is unlike any other.
@@ -121,7 +132,7 @@ def _trust(discs: Discs, steps: DiscSteps) -> NDArray[np.float64]:
     return np.asarray(trust)
 
 
-def by_brightness(
+def median_by_brightness(
     gain: NDArray[np.float64], values: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Median gain and median value of the lenses in each of a few groups of like brightness, in its order."""
@@ -133,17 +144,17 @@ def by_brightness(
     return gain[order[:, middle]], np.partition(values[order], middle, axis=1)[:, middle]
 
 
-def with_profile(state: FitState) -> FitState:
+def fit_profile(state: FitState) -> FitState:
     """The state with the profile that fits it."""
     steps = state.discs.steps
     level = state.discs.level + np.linalg.solve(steps.profile, steps.force)
-    discs = replace(state.discs, level=level, edge=edge_of(level))
+    discs = replace(state.discs, level=level, edge=find_edge(level))
     if state.model.cat_eye is None:
         return replace(state, discs=discs)
-    return placed(replace(state, model=_blurred(state.model, discs), discs=discs))
+    return update_positions(replace(state, model=_blurred(state.model, discs), discs=discs))
 
 
-def _blurred(model: DiscModel, discs: Discs) -> DiscModel:
+def _blurred(model: WhiteModel, discs: Microimages) -> WhiteModel:
     """The model with the edge of the cut as soft as that of the microimages: the same lens and pixels blur both."""
     assert model.cat_eye is not None
     return replace(model, cat_eye=model.cat_eye.blurred(discs.blur[0])) if discs.blur else model
@@ -155,7 +166,7 @@ def _dark(level: NDArray[np.float64], edge: NDArray[np.bool_]) -> float:
     return float(max(np.median(beyond) if len(beyond) else level.min(), 0.0))
 
 
-def misfit(state: FitState, standard: FitState) -> float:
+def evaluate_cost(state: FitState, standard: FitState) -> float:
     """Mean squared residual with the weights of `standard`."""
     if state.discs is standard.discs:
         return state.discs.steps.cost
@@ -164,7 +175,7 @@ def misfit(state: FitState, standard: FitState) -> float:
 
 def converge(
     state: FitState, orders: tuple[str, ...], known: bool = False, passes: int = PASSES, settled: float = _SETTLED
-) -> tuple[FitState, FitSummary]:
+) -> tuple[FitState, StepResult]:
     """Gauss-Newton until steps are below so many standard errors; `known` where the profile is that of a fit."""
     start, before, bold, trust, last = state.model.lattice.basis, 0.0, True, 1.0, None
     weight = None
@@ -194,17 +205,17 @@ def converge(
     return replace(state, asked=summary.asked, weight=summary.weight), summary
 
 
-def finished(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, FitSummary]:
+def finish(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, StepResult]:
     """`converge` for lenses opened with the profile of a fit, which is not needed afterwards."""
     if state.discs.plain:
         summary = _solved(state, orders, learn=False)
         if _near(summary):
-            model = moved(state.model, summary.change, summary.names)
-            return placed(replace(state, model=model, uncertainty=summary.uncertainty)), summary
+            model = apply_step(state.model, summary.change, summary.names)
+            return update_positions(replace(state, model=model, uncertainty=summary.uncertainty)), summary
     return converge(state, orders, known=True)
 
 
-def _held(summary: FitSummary, limits: NDArray[np.float64]) -> FitSummary:
+def _held(summary: StepResult, limits: NDArray[np.float64]) -> StepResult:
     """The step with the part that least squares are least sure of held back, so far that none exceeds its limit (p,).
 
     Levenberg's damping, as much of it as keeps the step within a trust region (Moré 1978).
@@ -225,17 +236,18 @@ def _held(summary: FitSummary, limits: NDArray[np.float64]) -> FitSummary:
     return replace(summary, change=change, moved=float(np.sqrt((place**2).sum(1).mean())))
 
 
-def _near(summary: FitSummary) -> bool:
+def _near(summary: StepResult) -> bool:
     return summary.moved < min(_NEAR * summary.uncertainty, _SHORT)
 
 
 def _with_known(
-    known: int, step: float, columns: NDArray[np.float64], reduced: Reduced, weight: NDArray[np.float64]
+    known: int, step: float, columns: NDArray[np.float64], reduced: ReducedEquations, weight: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """`pooled` where the step of the parameter `known` is given: the others follow as if it were right already."""
+    """`solve_robustly` with the step of the parameter `known` given."""
     free = np.delete(np.arange(columns.shape[2]), known)
     change, covariance = np.full(columns.shape[2], step), np.zeros((columns.shape[2],) * 2)
-    change[free], covariance[np.ix_(free, free)], weight = pooled(columns[:, :, free], reduced, slice(None), weight)
+    free_columns = columns[:, :, free]
+    change[free], covariance[np.ix_(free, free)], weight = solve_robustly(free_columns, reduced, slice(None), weight)
     return change, covariance, weight
 
 
@@ -245,18 +257,18 @@ def _solved(
     learn: bool = True,
     bold: bool = True,
     before: NDArray[np.float64] | None = None,
-) -> FitSummary:
+) -> StepResult:
     """The next robust Gauss-Newton step of all global parameters, in full length where `bold`.
 
     `before` are the weights (n,) of lenses in the step before, if that was short.
     """
-    columns, names = design(state.model, state.indices, orders)
+    columns, names = build_jacobian(state.model, state.indices, orders)
     discs = state.discs
     try:
-        steps = discs.steps if learn else disc_steps(discs, learn=False)
+        steps = discs.steps if learn else build_normal_equations(discs, learn=False)
         say = _trust(discs, steps) / discs.trust if discs.whole else None
-        reduced = without_gain(steps, discs.level, say)
-        change, covariance, weight = pooled(columns, reduced, slice(None), before)
+        reduced = eliminate_gains(steps, discs.level, say)
+        change, covariance, weight = solve_robustly(columns, reduced, slice(None), before)
         by_shared = np.zeros(len(names))
         if state.model.cat_eye is not None:
             shared = names.index("shared")
@@ -269,11 +281,11 @@ def _solved(
     place = columns[:, :2]
     ridge = 1e-9 * np.trace(reduced.normal[:, :2, :2].sum(0)) / len(columns) * np.eye(2)
     left = reduced.right[:, :2] - np.einsum("nij,nj->ni", reduced.normal[:, :2], columns @ change)
-    miss = np.einsum("nij,nj->ni", inverse_2x2(reduced.normal[:, :2, :2] + ridge), left) / _HELD_BACK
+    miss = np.einsum("nij,nj->ni", invert_2x2(reduced.normal[:, :2, :2] + ridge), left) / _HELD_BACK
     asked = place @ change
     change, covariance = change / (_HELD_BACK if bold else 1.0), covariance / _HELD_BACK**2
     spread = (place.reshape(-1, place.shape[2]) @ covariance).reshape(place.shape)
-    return FitSummary(
+    return StepResult(
         change=change,
         by_shared=by_shared,
         moved=float(np.sqrt(((place @ change) ** 2).sum(1).mean())),
@@ -290,7 +302,7 @@ def _solved(
     )
 
 
-def _stepped(state: FitState, summary: FitSummary, frozen: bool = False) -> FitState:
+def _stepped(state: FitState, summary: StepResult, frozen: bool = False) -> FitState:
     """The state after a step of the global parameters, of the profile and of the gains.
 
     `frozen` leaves weights, the range of the edge and the light between microimages as they are.
@@ -311,38 +323,38 @@ def _stepped(state: FitState, summary: FitSummary, frozen: bool = False) -> FitS
     discs = replace(state.discs, level=level, gain=state.discs.gain * (1 + np.clip(gain, -0.5, 1)))
     discs = replace(discs, four=discs.four + steps.four)
     if not frozen:
-        edge, by = edge_of(level), weighted(state, steps).discs
+        edge, by = find_edge(level), update_weights(state, steps).discs
         # Behind a cutting disc hardly any pixel tells the light between microimages from that of the edge.
         dark = _dark(level, edge) if discs.whole else discs.dark
         discs = replace(discs, weight=by.weight, trust=by.trust, edge=edge, dark=dark)
         # Of two discs that cut each other, shading tells which one is the microimage: about its middle light is even.
-        slope = shading_slope if state.model.cat_eye is None else shading_of_field
+        slope = fit_shading_slope if state.model.cat_eye is None else field_shading
         discs = replace(discs, tilt=slope(discs, state.model.lattice))
-    model = moved(state.model, summary.change, summary.names)
+    model = apply_step(state.model, summary.change, summary.names)
     if model.cat_eye is not None:
         model = _blurred(model, discs)
-    return placed(FitState(model, state.indices, discs))
+    return update_positions(FitState(model, state.indices, discs))
 
 
-def halves_differ(summary: FitSummary) -> float:
+def compare_halves(summary: StepResult) -> float:
     """RMS distance over the flat between the last steps of every other microimage and of the others [px]."""
     parity = np.arange(len(summary.columns)) % 2
-    one, two = (pooled(summary.columns, summary.reduced, parity == half, summary.weight)[0] for half in (0, 1))
+    one, two = (solve_robustly(summary.columns, summary.reduced, parity == half, summary.weight)[0] for half in (0, 1))
     return float(np.sqrt(((summary.columns[:, :2] @ (one - two)) ** 2).sum(1).mean())) / _HELD_BACK
 
 
-def promise(state: FitState, more: tuple[str, ...]) -> float:
+def predict_shift(state: FitState, more: tuple[str, ...]) -> float:
     """RMS distance [px] by which centres would move if a converged state had the parameters `more` beside its own.
 
     As its last step would have moved them: that was short.
     """
     assert state.solved is not None and state.asked is not None
-    columns, _ = design(state.model, state.indices, more)
-    moves = columns[:, :2] @ pooled(columns, state.solved, slice(None), state.weight)[0]
+    columns, _ = build_jacobian(state.model, state.indices, more)
+    moves = columns[:, :2] @ solve_robustly(columns, state.solved, slice(None), state.weight)[0]
     return float(np.sqrt(((moves - state.asked) ** 2).sum(1).mean())) / _HELD_BACK
 
 
-def own_offsets(state: FitState, summary: FitSummary) -> NDArray[np.float64]:
+def measure_offsets(state: FitState, summary: StepResult) -> NDArray[np.float64]:
     """(n, 2) [px] from the centres on the lattice to those that the pixels of single microimages show."""
     offset = summary.miss.copy()
     far = np.flatnonzero(np.hypot(*offset.T) > _FAR * summary.residual)
@@ -354,7 +366,7 @@ def own_offsets(state: FitState, summary: FitSummary) -> NDArray[np.float64]:
     start = discs.centres
     for _ in range(_OWN_PASSES):
         steps = discs.steps
-        reduced = without_gain(steps, discs.level)
+        reduced = eliminate_gains(steps, discs.level)
         normal = reduced.normal[:, :2, :2]
         ridge = 1e-9 * np.trace(normal.sum(0)) / len(far) * np.eye(2)
         step = np.linalg.solve(normal + ridge, reduced.right[:, :2, None])[..., 0]

@@ -19,9 +19,9 @@ from ..images.preprocessing import luminance, normalise_locally
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
 from ..runtime.errors import CalibrationError
-from .fit import followed
+from .fit import refine_on_parts
 
-__all__ = ["first_of_all", "first_of_white", "grid_parts", "look_at", "some_parts"]
+__all__ = ["find_white_lattice", "find_white_lattice_in_array", "sample_grid", "sample_parts", "window_reader"]
 
 # Side of the piece in which the lattice is looked for [px]; at least so many pitches must be in it.
 _PIECE = 768
@@ -55,7 +55,7 @@ class _Piece:
         )
 
 
-def look_at(flat: NDArray[Any], filtered: bool) -> ReadCrop:
+def window_reader(flat: NDArray[Any], filtered: bool) -> ReadCrop:
     """A look at the square root of the light of a flat (h, w) or (h, w, 3) of raw values, `filtered` by a mosaic."""
 
     def look(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
@@ -66,18 +66,18 @@ def look_at(flat: NDArray[Any], filtered: bool) -> ReadCrop:
     return look
 
 
-def first_of_all(tones: NDArray[np.float32], sure: bool) -> FirstLattice | None:
-    """`first_of_white` of the tones (h, w) of a whole flat."""
+def find_white_lattice_in_array(tones: NDArray[np.float32], sure: bool) -> FirstLattice | None:
+    """`find_white_lattice` of the tones (h, w) of a whole flat."""
 
     def look(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
         return np.ascontiguousarray(tones[y : y + height, x : x + width])
 
-    return first_of_white(look, (tones.shape[1], tones.shape[0]), sure, tries=1)
+    return find_white_lattice(look, (tones.shape[1], tones.shape[0]), sure, tries=1)
 
 
-def some_parts(look: ReadCrop, lattice: Lattice) -> tuple[StackedCrops, ReadCrop]:
+def sample_parts(look: ReadCrop, lattice: Lattice) -> tuple[StackedCrops, ReadCrop]:
     """StackedCrops of a flat, enough to measure a camera on, and a look at all of it, both of mean tone 1."""
-    parts = grid_parts(look, lattice.image_size, _SIDE, _PIXELS)
+    parts = sample_grid(look, lattice.image_size, _SIDE, _PIXELS)
     scale = np.float32(1 / max(float(parts.picture.mean(dtype=np.float64)), 1e-30))
     np.multiply(parts.picture, scale, out=parts.picture)
 
@@ -89,7 +89,7 @@ def some_parts(look: ReadCrop, lattice: Lattice) -> tuple[StackedCrops, ReadCrop
     return parts, scaled
 
 
-def grid_parts(look: ReadCrop, size: tuple[int, int], side: int, pixels: float) -> StackedCrops:
+def sample_grid(look: ReadCrop, size: tuple[int, int], side: int, pixels: float) -> StackedCrops:
     """Square parts of a flat, evenly spread from border to border.
 
     Parameters
@@ -117,7 +117,7 @@ def grid_parts(look: ReadCrop, size: tuple[int, int], side: int, pixels: float) 
     return StackedCrops(picture, corners, (side, side))
 
 
-def first_of_white(look: ReadCrop, size: tuple[int, int], sure: bool, tries: int) -> FirstLattice | None:
+def find_white_lattice(look: ReadCrop, size: tuple[int, int], sure: bool, tries: int) -> FirstLattice | None:
     """First lattice of a white image, with its distortion; None where the flat is none, or it is not found this way.
 
     Parameters
@@ -152,7 +152,7 @@ def first_of_white(look: ReadCrop, size: tuple[int, int], sure: bool, tries: int
         if len(pieces) == known:
             break
         try:
-            lattice = followed(_parts(look, pieces[1:], side), lattice)
+            lattice = refine_on_parts(_parts(look, pieces[1:], side), lattice)
         except CalibrationError:
             # Nothing is lit so near: what is known may reach farther.
             continue
@@ -194,6 +194,6 @@ def _parts(look: ReadCrop, pieces: list[_Piece], side: int) -> StackedCrops:
 def _even(look: ReadCrop, size: tuple[int, int], lattice: Lattice) -> bool:
     """Whether microimages are evenly lit all over the field."""
     side = max(int(_WHOLE * lattice.pitch), _FOLLOW[1])
-    parts = grid_parts(look, size, side, max(_EVENLY * _FOLLOW[1] ** 2, _FEWEST_PARTS * side**2))
+    parts = sample_grid(look, size, side, max(_EVENLY * _FOLLOW[1] ** 2, _FEWEST_PARTS * side**2))
     levelled = np.concatenate([normalise_locally(parts.part(k), _WIDE * lattice.pitch) for k in range(len(parts))])
     return is_evenly_lit(replace(parts, picture=levelled), parts.picture**2, lattice)

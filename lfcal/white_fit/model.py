@@ -1,295 +1,166 @@
-"""Model of a white image: discs of one radial profile, each with its own gain, cut by a second disc (cat-eye).
-
-Away from the optical axis a stop in front of or behind the main lens' pupil cuts microimages to lens shapes. The cut
-is a disc too, and its place relative to the microimage changes with the place in the field.
-"""
+"""Global parameters of a white image's model: how the discs of all lenses follow lattice, distortion and cat-eye."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
-from ..lattice.cell import clip_rows, is_outside_cell
-from .cut_kernel import accumulate_cut
-from .edge_blur import edge_blur, edge_depths
-from .whole_kernel import accumulate_whole, by_ring, thinned
+from ..lattice.lattice import Lattice
+from .normal_equations import LOCAL_PARAMETERS
 
-__all__ = ["LOCAL", "DiscSteps", "Discs", "disc_steps", "edge_of", "first_level"]
+__all__ = ["CatEye", "WhiteModel", "apply_step", "build_jacobian", "field_position", "step_limits"]
 
-# Parameters of a single lens: place (2), displacement of the cutting disc (2), its radius, the blur both edges share,
-# the gain.
-LOCAL = 7
-# Those of a lens that nothing cuts: place and gain.
-_WHOLE = 3
-_CHUNKS = 64
-# Share of the steepest slope of the profile above which it is an edge.
-_STEEP = 0.1
-# Weights of steps and of bends of the profile against that of the pixels.
-_STIFF, _SMOOTH = 1e-4, 0.3
-# Share of the pixels of a ring that must see it before it moves freely.
-_SLOW = 0.01
-# The even inside of a microimage is thinned where its radius is at least this [px], up to so far [px] from its edge.
-_LARGE = 3.0
-_MARGIN = 0.5
+# No step moves a disc, or changes its radius, by more than this share of the radius.
+_LONGEST = 0.1
+# Nor the softness of the cut by more than this share, nor its correlation with the other edge by more than that.
+_SOFTENS, _SHARES = 0.3, 0.2
+# Softest edge of a cutting disc over its radius, and the sharpest edge that pixels of finite size show [px].
+_SOFTEST = 0.1
+_SHARPEST = 0.2
+# Variance of the place in a pixel along one of its sides [px^2].
+_PIXEL = 1 / 12
+# Edges that run alike are never blurred quite alike.
+_MOST_SHARED = 0.98
 
 
 @dataclass(frozen=True)
-class Discs:
-    """Lenses to be compared with the model, and the model.
+class CatEye:
+    """Disc that cuts the microimages, at `shift + field * (g1 + g2 * |field| + g3 * |field|**2)` from their centres.
+
+    `field` is the place in the field, of length 1 in the corners (`field_position`).
 
     Parameters
     ----------
-    light : (n, k, k) float32
-        Squares of the flat around the lenses.
-    corners : (n, 2) int64 [px]
-        Flat coordinates of the first pixel of each.
-    centres, cut : (n, 2) float64 [px]
-        Microimage centres and displacements of the cutting discs from them.
-    gain, trust : (n,) float64
-        Light of each lens over that of the profile, and its weight in the fit.
-    tilt : (n, 2) float64 [1/px]
-        Relative change of the gain within the microimage.
+    shift : (2,) float64 [px]
+        Displacement in the middle of the flat.
+    growth : (3,) float64 [px]
+        `g1, g2, g3`, positive outwards.
     radius, soft : float [px]
-        Of the cutting disc and of its edge (standard deviation); `soft` is 0 where there is no such disc.
-    faces : (k, 2) float64 [1/px]
-        `delta @ face <= 0.5` inside the cell of a lens.
-    inner, reach : float [px]
-        Radii of the circles inside and around the cell.
-    step : float [px]
-        Between samples of the profile.
-    level, weight : (r,) float64
-        Profile and inverse variance of its pixels at radii `0, step, 2*step...`.
-    four : (r,) float64
-        Amplitude of `cos(4 * angle)` added to the profile: square pixels soften an edge along their sides otherwise
-        than across their corners.
-    edge : (r,) bool
-        Where the profile falls from the disc into the gap (`edge_of`).
+        Radius of the cutting disc and standard deviation of its edge.
     shared : float
-        Correlation of the blur of the two edges where they run alike, 0..1.
-    dark : float
-        Light where the cutting disc lets none through.
-    full : float
-        Light from which on pixels are clipped: there may have been any amount more.
+        Correlation of the blur of the two edges where they run alike, 0..1: 1 where light passes both discs before
+        anything blurs it.
     """
 
-    light: NDArray[np.float32]
-    corners: NDArray[np.int64]
-    centres: NDArray[np.float64]
-    cut: NDArray[np.float64]
-    gain: NDArray[np.float64]
-    trust: NDArray[np.float64]
-    tilt: NDArray[np.float64]
+    shift: NDArray[np.float64]
+    growth: NDArray[np.float64]
     radius: float
     soft: float
-    faces: NDArray[np.float64]
-    inner: float
-    reach: float
-    step: float
-    level: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    four: NDArray[np.float64]
-    edge: NDArray[np.bool_]
-    shared: float
-    dark: float
-    full: float
-
-    @cached_property
-    def steps(self) -> DiscSteps:
-        """Least squares about this model."""
-        return disc_steps(self)
-
-    @cached_property
-    def depths(self) -> NDArray[np.float64]:
-        """(r,) normal score of the profile, see `edge_depths`."""
-        return edge_depths(self.level, self.edge, self.dark, self.step)
-
-    @cached_property
-    def blur(self) -> tuple[float, float] | None:
-        """Blur of the edge of the microimages and its shape, None where they show none; see `edge_blur`."""
-        return edge_blur(self.depths, self.edge, self.step)
+    shared: float = 0.7
 
     @property
-    def whole(self) -> bool:
-        """Whether no disc cuts the microimages."""
-        return not self.soft > 0
+    def least_shared(self) -> float:
+        """Correlation of the blur that pixels alone give both edges: their area is the last that light meets."""
+        return min(_PIXEL / self.soft**2, _MOST_SHARED)
 
-    @property
-    def plain(self) -> bool:
-        """Whether no disc cuts the microimages and none of their pixels is clipped: gains from cores are right."""
-        return self.whole and not np.isfinite(self.full)
+    def blurred(self, soft: float) -> CatEye:
+        """With the softness of its edge on the way to another [px], as far as one step goes and pixels can show."""
+        least, most = (1 - _SOFTENS) * self.soft, (1 + _SOFTENS) * self.soft
+        soft = float(np.clip(np.clip(soft, least, most), _SHARPEST, _SOFTEST * self.radius + _SHARPEST))
+        eye = replace(self, soft=soft)
+        return replace(eye, shared=max(eye.shared, eye.least_shared))
+
+    def displacement(self, field: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n, 2) displacement [px] of the cutting disc at places (n, 2) of the field."""
+        far = np.hypot(*field.T)[:, None]
+        return self.shift + field * (self.growth[0] + self.growth[1] * far + self.growth[2] * far**2)
 
 
 @dataclass(frozen=True)
-class DiscSteps:
-    """Least squares of all lenses about the present model, the profile included.
+class WhiteModel:
+    """Lattice and cat-eye (None where microimages are whole)."""
+
+    lattice: Lattice
+    cat_eye: CatEye | None
+
+
+def field_position(centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+    """(n, 2) place in the field, of length 1 in the corners."""
+    size = np.array(lattice.image_size)
+    return (centres - (size - 1) / 2) / (np.hypot(*size) / 2)
+
+
+def build_jacobian(
+    model: WhiteModel, indices: NDArray[np.int64], orders: tuple[str, ...]
+) -> tuple[NDArray[np.float64], list[str]]:
+    """Change of the local parameters of each lens with the global ones.
 
     Parameters
     ----------
-    normal, right : (n, 7, 7), (n, 7) float64
-        Normal matrix and right side of the local parameters, the gain last; where nothing is cut these are but three.
-    mixed : (n, 7 or 1, r) float64
-        Part of the normal matrix between local parameters and the profile; only of the gains where nothing is cut,
-        since whole microimages move without their profile.
-    profile, force : (r, r), (r,) float64
-        Part of the profile over all lenses; as `mixed`, `four` and `variance` without meaning where only places were
-        asked for.
-    four : (r,) float64
-        Step of `Discs.four`.
-    variance : (r,) float64
-        Mean squared residual over the radius, without outliers.
-    scatter : (n,) float64
-        Mean of the weighted squared residuals of each lens, outliers at their limit, its `trust` left out.
-    cost : float
-        Mean of `scatter` over all pixels.
+    model : WhiteModel
+    indices : (n, 2) int64
+        Lattice indices of the lenses.
+    orders : tuple of {"k1", "centre", "k2", "general", "growth2", "growth3"}
+        Parameters beyond origin, basis and a cat-eye that grows evenly.
+
+    Returns
+    -------
+    (n, 6, p) float64, list of p names
+        Only the two of the place, (n, 2, p), where the model has no cat-eye.
     """
+    n, own = len(indices), 2 if model.cat_eye is None else LOCAL_PARAMETERS - 1
+    columns: list[NDArray[np.float64]] = []
+    names: list[str] = []
 
-    normal: NDArray[np.float64]
-    right: NDArray[np.float64]
-    mixed: NDArray[np.float64]
-    profile: NDArray[np.float64]
-    force: NDArray[np.float64]
-    four: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    scatter: NDArray[np.float64]
-    cost: float
+    def add(name: str, first: int, values: NDArray[np.float64]) -> None:
+        column = np.zeros((n, own))
+        column[:, first : first + values.shape[1]] = values
+        columns.append(column)
+        names.append(name)
 
-
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, chunks, total, count):
-    lenses, side = light.shape[0], light.shape[1]
-    for chunk in prange(chunks):
-        for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
-            cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
-            top, bottom = clip_rows(cy, reach, 0, side)
-            for y in range(top, bottom):
-                dy = y - cy
-                left, right = clip_rows(cx, np.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
-                for x in range(left, right):
-                    dx = x - cx
-                    rho = np.sqrt(dx * dx + dy * dy)
-                    if rho > inner and is_outside_cell(dx, dy, faces):
-                        continue
-                    place = rho / step
-                    ring = int(place)
-                    part = place - ring
-                    value = light[lens, y, x] / gain[lens]
-                    total[chunk, ring] += (1 - part) * value
-                    total[chunk, ring + 1] += part * value
-                    count[chunk, ring] += 1 - part
-                    count[chunk, ring + 1] += part
+    unit = np.eye(2)
+    straight = model.lattice.origin + indices @ model.lattice.basis
+    for factor, name in zip((np.ones(n), *indices.T), ("origin", "a1", "a2"), strict=True):
+        for axis in range(2):
+            add(name, 0, factor[:, None] * unit[axis])
+    bend = model.lattice.distortion
+    if bend is not None:
+        for name, values in bend.derivatives(straight):
+            if name in orders:
+                add(name, 0, values)
+    if model.cat_eye is not None:
+        field = field_position(straight if bend is None else bend.apply(straight), model.lattice)
+        far = np.hypot(*field.T)[:, None]
+        for axis in range(2):
+            add("shift", 2, np.ones((n, 1)) * unit[axis])
+        add("growth", 2, field)
+        for power in (2, 3):
+            if f"growth{power}" in orders:
+                add(f"growth{power}", 2, field * far ** (power - 1))
+        add("radius", 4, np.ones((n, 1)))
+        add("shared", 5, np.ones((n, 1)))
+    return np.stack(columns, axis=2), names
 
 
-def edge_of(level: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(r,) where a profile falls from the disc into the gap."""
-    slope = -np.gradient(level)
-    core = float(np.median(level[: max(2, len(level) // 2)]))
-    half = 0.5 * (core + float(np.quantile(level, 0.1)))
-    crossing = int(np.argmax(level < half))
-    near = np.s_[max(crossing - 2, 0) : crossing + 2]
-    gentle = np.flatnonzero(slope < _STEEP * slope[near].max())
-    edge = np.ones(len(level), dtype=bool)
-    edge[: gentle[gentle < crossing - 1].max(initial=-1) + 1] = False
-    edge[gentle[gentle > crossing].min(initial=len(level)) :] = False
-    return edge
+def step_limits(eye: CatEye, names: list[str]) -> NDArray[np.float64]:
+    """(p,) how far the parameters `names` of `build_jacobian` can go in one step; infinite for those of the lattice."""
+    most = _LONGEST * eye.radius
+    limits = {"radius": most, "shift": most, "shared": _SHARES}
+    return np.array([most if name.startswith("growth") else limits.get(name, np.inf) for name in names])
 
 
-def _calm(discs: Discs) -> float:
-    """Radius [px] inside of which a microimage is so even that every few pixels say as much about it as all."""
-    radius = int(np.argmax(discs.edge)) * discs.step - _MARGIN
-    return radius if radius > _LARGE else 0.0
-
-
-def first_level(discs: Discs) -> NDArray[np.float64]:
-    """(r,) mean profile of the lenses, whatever cuts them."""
-    total, count = np.zeros((_CHUNKS, len(discs.level))), np.zeros((_CHUNKS, len(discs.level)))
-    _accumulate_level(
-        discs.light, discs.corners, discs.centres, discs.gain, discs.faces, discs.inner, discs.reach, discs.step,
-        _CHUNKS, total, count,
-    )  # fmt: skip
-    seen = np.flatnonzero(count.sum(0) > 0)
-    mean: NDArray[np.float64] = np.interp(np.arange(len(discs.level)), seen, total.sum(0)[seen] / count.sum(0)[seen])
-    return mean
-
-
-def disc_steps(discs: Discs, learn: bool = True) -> DiscSteps:
-    """Gauss-Newton steps of all local parameters of all lenses, over every pixel of their cells.
-
-    Of whole microimages, which move without their profile, the profile need not be learnt.
-
-    Raises
-    ------
-    LinAlgError
-        If the model has run away: it is not finite, or explains no pixel.
-    """
-    known = (discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.level, discs.weight, discs.four)
-    if not all(np.isfinite(values).all() for values in (*known, discs.radius, discs.soft, discs.dark)):
-        raise np.linalg.LinAlgError("the model of the microimages is not finite")
-    lenses, rings = len(discs.centres), len(discs.level)
-    learn = learn or not discs.whole
-    own = _WHOLE if discs.whole else LOCAL
-    normal, right = np.zeros((lenses, own, own)), np.zeros((lenses, own))
-    mixed = np.zeros((lenses if learn else 0, 1 if discs.whole else LOCAL, rings))
-    band, scatter = np.zeros((_CHUNKS, rings, 11 if discs.whole else 8)), np.zeros((lenses, 2))
-    slope = np.gradient(discs.level, discs.step)
-    calm = _calm(discs)
-    tables = np.column_stack([discs.level, slope, discs.weight, discs.four])
-    if not discs.whole:
-        steep = discs.blur[1] if discs.blur else 0.0
-        accumulate_cut(
-            discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
-            discs.soft, discs.faces, discs.inner, discs.reach, discs.step, np.column_stack([tables, discs.depths]),
-            discs.edge, calm, *thinned(calm), discs.shared, steep, discs.dark, discs.full, _CHUNKS, normal, right,
-            mixed, band, scatter,
-        )  # fmt: skip
-    else:
-        accumulate_whole(
-            discs.light, discs.corners, discs.centres, discs.gain, discs.trust, discs.tilt, discs.faces, discs.inner,
-            discs.reach, discs.step, tables, calm, *thinned(calm), discs.full, _CHUNKS, learn, normal, right, mixed,
-            band, scatter,
-        )  # fmt: skip
-    for row in range(1, own):
-        normal[:, row, :row] = normal[:, :row, row]
-    misfit, number = scatter.sum(0)
-    spread, cost = scatter[:, 0] / np.maximum(scatter[:, 1], 1), float(misfit / max(number, 1))
-    if not learn:
-        if not (normal[:, 0, 0] > 0).any():
-            raise np.linalg.LinAlgError("the model of the microimages explains no pixel")
-        none = np.zeros(0)
-        return DiscSteps(normal, right, mixed, none, none, none, none, spread, cost)
-    rows = by_ring(band.sum(0)) if discs.whole else band.sum(0)
-    main, side, force, total, turned, turned_own, squares, count = rows.T
-    if not (main > 0).any():
-        raise np.linalg.LinAlgError("the model of the microimages explains no pixel")
-    # Rings that hardly a pixel fell into are like their neighbours; where lenses lie alike to the pixels, only the
-    # smoothness of the profile tells where between the pixels an edge is.
-    stiff = float(np.median(main[main > 0])) * _stiffness(rings)
-    profile = np.diag(main) + np.diag(side[:-1], 1) + np.diag(side[:-1], -1) + stiff
-    # Rings that hardly any light reaches through the cutting disc move slowly.
-    profile += _SLOW * np.diag(total)
-    settled = turned_own + _SLOW * (total + max(float(np.median(total)), 1e-30))
-    return DiscSteps(
-        normal, right, mixed, profile, force - stiff @ discs.level, turned / settled, _smooth_variance(squares, count),
-        spread, cost,
-    )  # fmt: skip
-
-
-@lru_cache(8)
-def _stiffness(rings: int) -> NDArray[np.float64]:
-    """(r, r) weights of steps and bends of a profile."""
-    flat, bend = np.diff(np.eye(rings), axis=0), np.diff(np.eye(rings), 2, axis=0)
-    stiff: NDArray[np.float64] = _STIFF * flat.T @ flat + _SMOOTH * bend.T @ bend
-    stiff.flags.writeable = False
-    return stiff
-
-
-def _smooth_variance(squares: NDArray[np.float64], count: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(r,) mean square; few pixels say little about their spread, so neighbouring rings are taken together."""
-    near = np.ones(5)
-    total, number = np.convolve(squares, near, "same"), np.convolve(count, near, "same")
-    overall = total.sum() / max(number.sum(), 1)
-    variance: NDArray[np.float64] = (total + 10 * overall) / (number + 10)
-    return variance
+def apply_step(model: WhiteModel, change: NDArray[np.float64], names: list[str]) -> WhiteModel:
+    """The model after a step `change` (p,) of the parameters `names` of `build_jacobian`."""
+    by = {name: change[[k for k, other in enumerate(names) if other == name]] for name in names}
+    old = model.lattice
+    bend = old.distortion if old.distortion is None else old.distortion.updated(by)
+    lattice = replace(
+        old, origin=old.origin + by["origin"], basis=old.basis + np.array([by["a1"], by["a2"]]), distortion=bend
+    )
+    eye = model.cat_eye
+    if eye is None:
+        return WhiteModel(lattice, None)
+    most = _LONGEST * eye.radius
+    growth = np.array([float(by.get(name, [0.0])[0]) for name in ("growth", "growth2", "growth3")])
+    return WhiteModel(
+        lattice,
+        CatEye(
+            eye.shift + np.clip(by["shift"], -most, most),
+            eye.growth + np.clip(growth, -most, most),
+            eye.radius + float(np.clip(by["radius"][0], -most, most)),
+            eye.soft,
+            float(np.clip(eye.shared + np.clip(by["shared"][0], -_SHARES, _SHARES), eye.least_shared, _MOST_SHARED)),
+        ),
+    )

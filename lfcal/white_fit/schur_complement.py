@@ -8,16 +8,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from .model import DiscSteps
+from .normal_equations import NormalEquations
 
-__all__ = ["Reduced", "inverse_2x2", "pooled", "without_gain"]
+__all__ = ["ReducedEquations", "eliminate_gains", "invert_2x2", "solve_robustly"]
 
 # Lenses farther off than so many standard deviations have no say, as told in so many turns.
 _OUTLIER, _ROBUST_TURNS = 4.685, 3
 
 
 @dataclass(frozen=True)
-class Reduced:
+class ReducedEquations:
     """Least squares without the gains: local parameters (n, m), profile (r,) and between them; none where unneeded.
 
     Of the six local parameters only the place, `m = 2`, where nothing is cut. `mixed` (n, 7, r) is with the gains:
@@ -53,7 +53,9 @@ class Reduced:
         return np.concatenate([columns, -(self.share[half][:, None] @ columns)], axis=1)
 
 
-def without_gain(steps: DiscSteps, level: NDArray[np.float64], say: NDArray[np.float64] | None = None) -> Reduced:
+def eliminate_gains(
+    steps: NormalEquations, level: NDArray[np.float64], say: NDArray[np.float64] | None = None
+) -> ReducedEquations:
     """`say` (n,) is by how much the weights of lenses have changed since these steps."""
     own = np.maximum(steps.normal[:, -1, -1], 1e-30)
     share = steps.normal[:, :-1, -1] / own[:, None]
@@ -62,12 +64,12 @@ def without_gain(steps: DiscSteps, level: NDArray[np.float64], say: NDArray[np.f
     if say is not None:
         normal, right = normal * say[:, None, None], right * say[:, None]
     if len(steps.force) == 0:
-        return Reduced(normal, right, share, steps.mixed[:, :0], steps.profile, steps.force)
+        return ReducedEquations(normal, right, share, steps.mixed[:, :0], steps.profile, steps.force)
     gain = steps.mixed[:, -1]
     even = gain / np.sqrt(own)[:, None]
     # Gains and profile share one scale, which the profile keeps.
     scale = np.trace(steps.profile) / (level @ level) * np.outer(level, level)
-    return Reduced(
+    return ReducedEquations(
         normal,
         right,
         share,
@@ -77,9 +79,9 @@ def without_gain(steps: DiscSteps, level: NDArray[np.float64], say: NDArray[np.f
     )
 
 
-def pooled(
+def solve_robustly(
     columns: NDArray[np.float64],
-    reduced: Reduced,
+    reduced: ReducedEquations,
     half: NDArray[np.bool_] | slice,
     before: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -92,7 +94,7 @@ def pooled(
     part = len(columns) / len(reduced.normal)
     lenses, local, globals_ = columns.shape
     places = normal[:, :2, :2] + 1e-9 * np.trace(normal[:, :2, :2].sum(0)) / lenses * np.eye(2)
-    inverse = inverse_2x2(places)
+    inverse = invert_2x2(places)
     force, matter = right.reshape(-1), (normal @ columns).reshape(-1, globals_)
     if reduced.mixed.shape[1]:
         all_local = reduced.with_gains(columns, half)
@@ -118,7 +120,7 @@ def pooled(
     return change, covariance * spread, weight
 
 
-def inverse_2x2(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+def invert_2x2(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
     """(n, 2, 2) inverses of symmetric positive matrices; LAPACK takes several times as long for such small ones."""
     xx, xy, yy = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
     over = 1 / np.maximum(xx * yy - xy * xy, np.finfo(float).tiny)

@@ -79,15 +79,15 @@ def test_three_lens_types_of_different_brightness_are_one_lattice(whites):
 
 
 def test_fit_that_leaves_the_first_lattice_is_not_followed(whites, monkeypatch):
-    from lfcal.white_fit import fit as disc_fit
+    from lfcal.white_fit import fit as white_fit
 
-    true_fit = disc_fit.fit_discs
+    true_fit = white_fit.fit_white
 
     def astray(light, lattice):
         found = true_fit(light, lattice)
         return replace(found, lattice=replace(found.lattice, basis=found.lattice.basis * 1.03))
 
-    monkeypatch.setattr(disc_fit, "fit_discs", astray)
+    monkeypatch.setattr(white_fit, "fit_white", astray)
     basis = whites.turned(whites.HEXAGON, 20.3, 3)
     image, origin = whites.white_image(basis, (500, 400))
     assert whites.rms(whites.centre_errors(lfcal.calibrate(image).lattice, origin, basis)) < 0.1

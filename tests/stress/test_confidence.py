@@ -215,16 +215,16 @@ def test_the_far_end_of_a_hundred_thousand_pixels_keeps_its_sub_pixels():
 def test_profiles_reach_to_the_corners_of_cells_that_have_grown():
     from lfcal.images.preprocessing import sqrt_luminance
     from lfcal.lattice.lens_subset import StackedCrops
-    from lfcal.white_fit.cutouts import open_lenses
-    from lfcal.white_fit.parameters import DiscModel
+    from lfcal.white_fit.cutouts import cut_out_lenses
+    from lfcal.white_fit.model import WhiteModel
 
     truth = WhiteImage(pitch=60.0, degrees=3.0, size=(500, 400))
     tones = StackedCrops.of(sqrt_luminance(truth.image()))
     small, large = (
-        DiscModel(lfcal.Lattice(truth.origin, grown * truth.basis, truth.size, 28.0), None) for grown in (0.96, 1.0)
+        WhiteModel(lfcal.Lattice(truth.origin, grown * truth.basis, truth.size, 28.0), None) for grown in (0.96, 1.0)
     )
-    known = open_lenses(tones, small, 1e6, 12, None)[0].discs
-    discs = open_lenses(tones, large, 1e6, 12, known)[0].discs
+    known = cut_out_lenses(tones, small, 1e6, 12, None)[0].discs
+    discs = cut_out_lenses(tones, large, 1e6, 12, known)[0].discs
     # Pixels in the corner are shared out to the ring before and the one after them.
     for values in (discs.level, discs.weight, discs.four, discs.edge):
         assert len(values) >= int(discs.reach / discs.step) + 2

@@ -86,15 +86,17 @@ def test_film_scanned_with_a_general_distortion_is_followed(drawn):
 def test_even_inside_of_a_large_microimage_is_seen_in_one_pixel_of_sixteen(drawn):
     from lfcal.images.preprocessing import sqrt_luminance
     from lfcal.lattice.lens_subset import StackedCrops
-    from lfcal.white_fit.cutouts import open_lenses
-    from lfcal.white_fit.model import disc_steps
-    from lfcal.white_fit.parameters import DiscModel
+    from lfcal.white_fit.cutouts import cut_out_lenses
+    from lfcal.white_fit.model import WhiteModel
+    from lfcal.white_fit.normal_equations import build_normal_equations
 
     truth = drawn("hexagonal", 60.3, 5.0, 26.0, size=(500, 450))
     lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, 25.0)
-    state, _ = open_lenses(StackedCrops.whole(sqrt_luminance(truth.image())), DiscModel(lattice, None), 1e6, 12, None)
+    state, _ = cut_out_lenses(
+        StackedCrops.whole(sqrt_luminance(truth.image())), WhiteModel(lattice, None), 1e6, 12, None
+    )
     discs = state.discs
-    steps = disc_steps(discs)
+    steps = build_normal_equations(discs)
     light = discs.light.copy()
     y, x = np.indices(light.shape[1:])
     far = np.hypot(x + discs.corners[0, 0] - discs.centres[0, 0], y + discs.corners[0, 1] - discs.centres[0, 1])
@@ -102,5 +104,5 @@ def test_even_inside_of_a_large_microimage_is_seen_in_one_pixel_of_sixteen(drawn
     seen = []
     for v, u in np.argwhere(inside)[::7]:
         other = dataclasses.replace(discs, light=np.where((y == v) & (x == u), 0, light))
-        seen.append(disc_steps(other).cost != steps.cost)
+        seen.append(build_normal_equations(other).cost != steps.cost)
     assert 0.03 < np.mean(seen) < 0.1

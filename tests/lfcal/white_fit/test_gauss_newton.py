@@ -17,11 +17,10 @@ from lfcal.illumination.light_of_many import cut_table, light_of_any, light_of_r
 from lfcal.images.preprocessing import sqrt_luminance
 from lfcal.lattice.cell import cell_normals, cell_row_bounds, is_outside_cell, row_interval
 from lfcal.lattice.lattice import Lattice
-from lfcal.scene_fit.irls import Steps, agreed
-from lfcal.white_fit import gauss_newton as disc_newton
-from lfcal.white_fit import model as disc_model
-from lfcal.white_fit.gauss_newton import FitSummary
-from lfcal.white_fit.parameters import CatEye, step_limits
+from lfcal.scene_fit.irls import LensShifts, solve_irls
+from lfcal.white_fit import gauss_newton, normal_equations
+from lfcal.white_fit.gauss_newton import StepResult
+from lfcal.white_fit.model import CatEye, step_limits
 
 
 @pytest.fixture(scope="module")
@@ -33,14 +32,14 @@ def white():
 def test_all_lenses_are_compared_with_the_model_once(white, monkeypatch):
     truth, image = white
     compared = []
-    original = disc_model.disc_steps
+    original = normal_equations.build_normal_equations
 
     def counted(discs, learn=True):
         compared.append(len(discs.centres))
         return original(discs, learn)
 
-    monkeypatch.setattr(disc_model, "disc_steps", counted)
-    monkeypatch.setattr(disc_newton, "disc_steps", counted)
+    monkeypatch.setattr(normal_equations, "build_normal_equations", counted)
+    monkeypatch.setattr(gauss_newton, "build_normal_equations", counted)
     camera = lfcal.calibrate(image)
     assert camera.lenses_used > 9000
     # A few hundred find the model, some thousand choose its orders, all of them tell the figures.
@@ -53,13 +52,13 @@ def test_all_lenses_are_compared_with_the_model_once(white, monkeypatch):
 def test_some_lenses_are_enough_where_they_are_cut(drawn, monkeypatch):
     truth = drawn("hexagonal", 12.3, 4.0, 26.0, 8, 0.3, size=(1400, 1000))
     compared = []
-    original = disc_model.disc_steps
+    original = normal_equations.build_normal_equations
 
     def counted(discs, learn=True):
         compared.append(len(discs.centres))
         return original(discs, learn)
 
-    monkeypatch.setattr(disc_model, "disc_steps", counted)
+    monkeypatch.setattr(normal_equations, "build_normal_equations", counted)
     camera = lfcal.calibrate(truth.image())
     found = camera.lattice.centres()
     assert np.sqrt(((found - truth.centres(truth.index_of(found))) ** 2).sum(1).mean()) < 0.01
@@ -80,20 +79,20 @@ def test_step_is_held_back_where_least_squares_are_least_sure():
     change = np.array([0.3, -0.2, 2.0, 1.9, 0.01, 0.02])
     columns = np.zeros((3, 6, 6))
     columns[:, :2, :2] = np.eye(2)
-    whole = FitSummary(
+    whole = StepResult(
         change, np.zeros(6), 1.0, 0.0, 0.0, 3, names, covariance, columns, None, *np.zeros((2, 3, 2)), np.ones(3)
     )
-    held = disc_newton._held(whole, limits)
+    held = gauss_newton._held(whole, limits)
     assert np.abs(held.change / limits).max() <= 1
     assert held.change[2] > 0.25
     assert held.change[2] - held.change[3] == pytest.approx(0.1, abs=0.02)
     np.testing.assert_allclose(held.change[:2], change[:2])
     assert held.moved == pytest.approx(np.hypot(0.3, 0.2))
-    assert disc_newton._held(held, limits) is held
+    assert gauss_newton._held(held, limits) is held
     # What is known for certain is held back too, and nothing else with it.
     certain = np.diag([1e-6, 1e-6, 1e-2, 1e-2, 1e-2, 0.0])
     change = np.array([0.3, -0.2, 0.1, 0.1, 0.01, -0.7])
-    held = disc_newton._held(replace(whole, change=change, covariance=certain), limits)
+    held = gauss_newton._held(replace(whole, change=change, covariance=certain), limits)
     np.testing.assert_allclose(held.change[:5], change[:5], rtol=0.05)
     assert held.change[5] == -limits[5]
 
@@ -101,19 +100,19 @@ def test_step_is_held_back_where_least_squares_are_least_sure():
 def test_step_of_a_known_profile_leaves_a_tenth_of_itself_at_most(white, monkeypatch):
     truth, image = white
     moves = []
-    original = disc_newton._solved
+    original = gauss_newton._solved
 
     def seen(state, *arguments, **options):
         summary = original(state, *arguments, **options)
         moves.append((len(state.indices), summary.moved))
         return summary
 
-    monkeypatch.setattr(disc_newton, "_solved", seen)
-    monkeypatch.setattr(disc_newton, "_NEAR", 0.0)
+    monkeypatch.setattr(gauss_newton, "_solved", seen)
+    monkeypatch.setattr(gauss_newton, "_NEAR", 0.0)
     start = Lattice(truth.origin + 0.05, truth.basis * 1.00003, truth.size, 5.0)
-    from lfcal.white_fit.fit import fit_discs
+    from lfcal.white_fit.fit import fit_white
 
-    fit_discs(sqrt_luminance(image), start)
+    fit_white(sqrt_luminance(image), start)
     # Of the first lenses the profile is still to be found.
     some = sorted({count for count, _ in moves})[1]
     first, second = [moved for count, moved in moves if count == some][:2]
@@ -194,14 +193,14 @@ def test_lenses_that_agreed_before_are_asked_again():
     step = rng.normal(0, 0.01, (600, 2))
     misled = np.arange(600) < 250
     step[misled] += 1.0
-    steps = Steps(design, step, np.full(600, 1e-4), np.eye(2) * 20)
-    assert np.abs(agreed(steps)[0][0]).max() < 0.01
-    again, share = agreed(steps, before=misled.astype(float))
+    steps = LensShifts(design, step, np.full(600, 1e-4), np.eye(2) * 20)
+    assert np.abs(solve_irls(steps)[0][0]).max() < 0.01
+    again, share = solve_irls(steps, before=misled.astype(float))
     np.testing.assert_allclose(again[0], [1.0, 1.0], atol=0.01)
     assert share[~misled].max() == 0
 
 
 def test_lenses_in_one_place_are_no_division_by_zero():
-    steps = Steps(np.ones((30, 3)), np.full((30, 2), 0.1), np.full(30, 1e-4), np.eye(2) * 20)
-    change, _ = agreed(steps)
+    steps = LensShifts(np.ones((30, 3)), np.full((30, 2), 0.1), np.full(30, 1e-4), np.eye(2) * 20)
+    change, _ = solve_irls(steps)
     assert change.shape == (3, 2)

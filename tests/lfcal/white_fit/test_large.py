@@ -15,8 +15,8 @@ from lfcal.lattice.distortion import Distortion
 from lfcal.lattice.lattice import Lattice
 from lfcal.lattice.lens_subset import StackedCrops, select_whole_lenses
 from lfcal.runtime.errors import CalibrationError
-from lfcal.white_fit import fit as disc_fit
-from lfcal.white_fit import large as large_white
+from lfcal.white_fit import fit as white_fit
+from lfcal.white_fit import large
 
 _SIZE = (1300, 1000)
 
@@ -25,16 +25,16 @@ _SIZE = (1300, 1000)
 def followed(monkeypatch):
     """Small images count as large; the lattices that were followed over them."""
     monkeypatch.setattr(reduction, "_PIECEWISE", 5e5)
-    monkeypatch.setattr(large_white, "_PIECE", 300)
-    monkeypatch.setattr(large_white, "_FOLLOW", (14, 100))
+    monkeypatch.setattr(large, "_PIECE", 300)
+    monkeypatch.setattr(large, "_FOLLOW", (14, 100))
     found = []
-    original = large_white.first_of_white
+    original = large.find_white_lattice
 
     def seen(*args, **options):
         found.append(original(*args, **options))
         return found[-1]
 
-    monkeypatch.setattr(large_white, "first_of_white", seen)
+    monkeypatch.setattr(large, "find_white_lattice", seen)
     return found
 
 
@@ -44,8 +44,8 @@ def in_parts(followed, monkeypatch):
     monkeypatch.setattr(reduction, "_LARGE", 5e5)
     monkeypatch.setattr(reduction, "_ENOUGH", 2e5)
     monkeypatch.setattr(reduction, "_PART", 400)
-    monkeypatch.setattr(large_white, "_SIDE", 160)
-    monkeypatch.setattr(large_white, "_PIXELS", 6e5)
+    monkeypatch.setattr(large, "_SIDE", 160)
+    monkeypatch.setattr(large, "_PIXELS", 6e5)
     return followed
 
 
@@ -124,13 +124,13 @@ def test_scene_with_an_even_middle_is_no_white_image(followed):
 
 def test_large_image_is_fitted_with_as_many_lenses_as_are_needed(monkeypatch):
     for name, value in (("_ALL", 1e5), ("_FEW", (2e4, 50)), ("_SOME", (5e4, 50))):
-        monkeypatch.setattr(disc_fit, name, value)
+        monkeypatch.setattr(white_fit, name, value)
     truth = white_images.WhiteImage("hexagonal", 14.3, 3.0, 40.0, size=(900, 700))
     image = truth.image()
     camera = lfcal.calibrate(image)
     assert 12 < camera.lenses_used < 0.5 * len(camera.lattice)
     error = np.sqrt((camera.errors.of_centres(camera.lattice) ** 2).mean())
-    assert error < disc_fit._FINE
+    assert error < white_fit._FINE
     assert _error(camera, truth) < 3 * error
 
 

@@ -10,7 +10,7 @@ from benchmarks.calibration_speed import drawn
 from benchmarks.white_images import WhiteImage
 from lfcal.lattice.lattice import Lattice
 from lfcal.lattice.lens_subset import sample_lenses, select_whole_lenses
-from lfcal.white_fit import fit as disc_fit
+from lfcal.white_fit import fit as white_fit
 
 
 def test_orders_are_chosen_on_8000_of_82000_lenses_and_a_missing_one_is_still_told(monkeypatch):
@@ -20,14 +20,14 @@ def test_orders_are_chosen_on_8000_of_82000_lenses_and_a_missing_one_is_still_to
     x, y = np.rint(truth.centres(index)[0]).astype(int)
     image[y - 3 : y + 4, x - 3 : x + 4] = 0
     opened = []
-    original = disc_fit.open_lenses
+    original = white_fit.cut_out_lenses
 
     def seen(*arguments):
         state, lit = original(*arguments)
         opened.append((len(state.indices), len(lit.indices)))
         return state, lit
 
-    monkeypatch.setattr(disc_fit, "open_lenses", seen)
+    monkeypatch.setattr(white_fit, "cut_out_lenses", seen)
     camera = lfcal.calibrate(image)
     looked_at = [some for some, every in opened[:-1]]
     assert opened[-1][1] > 80_000

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from ..lattice.cell import clip_rows
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
-from .model import Discs
+from .normal_equations import Microimages
 
-__all__ = ["field_slope", "shading_of_field", "shading_slope"]
+__all__ = ["field_shading", "fit_field_slope", "fit_shading_slope"]
 
 # So many lenses show how the gain changes over the field.
 _TILTED = 4000
@@ -30,7 +30,7 @@ _SURE = 6.0
 _OUTLIER = 4.0
 
 
-def field_slope(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+def fit_field_slope(centres: NDArray[np.float64], gain: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
     """(n, 2) relative slope of the gain over the field [1/px], from a polynomial through all lenses."""
     scale = np.array(lattice.image_size) / 2
     x, y = ((centres - scale) / scale).T
@@ -95,13 +95,13 @@ def _slopes(light, corners, centres, gain, tilt, level, step, reach, out):
         out[lens, 1] = down / max(square, 1e-30)
 
 
-def shading_of_field(discs: Discs, lattice: Lattice) -> NDArray[np.float64]:
-    """As `shading_slope`, where microimages shade light evenly about their centres."""
+def field_shading(discs: Microimages, lattice: Lattice) -> NDArray[np.float64]:
+    """As `fit_shading_slope`, where microimages shade light evenly about their centres."""
     # Clipped cores, which the gains began with, say nothing about how light falls over the field.
-    return field_slope(discs.centres, np.maximum(discs.gain, 1e-12), lattice)
+    return fit_field_slope(discs.centres, np.maximum(discs.gain, 1e-12), lattice)
 
 
-def shading_slope(discs: Discs, lattice: Lattice) -> NDArray[np.float64]:
+def fit_shading_slope(discs: Microimages, lattice: Lattice) -> NDArray[np.float64]:
     """(n, 2) relative slope of the light inside each microimage [1/px], beside what its profile says.
 
     Parameters
@@ -110,7 +110,7 @@ def shading_slope(discs: Discs, lattice: Lattice) -> NDArray[np.float64]:
         With gains and profile that fit.
     lattice : Lattice
     """
-    gain, tilt = np.maximum(discs.gain, 1e-12), shading_of_field(discs, lattice)
+    gain, tilt = np.maximum(discs.gain, 1e-12), field_shading(discs, lattice)
     if np.isfinite(discs.full):
         return tilt
     found = np.zeros((len(gain), 3))

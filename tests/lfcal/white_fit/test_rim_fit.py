@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lfcal.white_fit.rim_cut import find_rim_cut, rim_cuts
+from lfcal.white_fit.rim_fit import fit_best_rim, fit_rims
 
 _ANGLES = np.arange(24) * 2 * np.pi / 24
 
@@ -27,7 +27,7 @@ def _rims(own, whole, growth, radius, shift):
 @pytest.mark.parametrize(("own", "growth", "radius"), [(-1.2, 2.4, 10.9), (0.9, -2.9, 10.4), (-0.8, 2.0, 10.0)])
 def test_both_discs_are_found_from_their_common_rim(own, growth, radius):
     rims, field = _rims(own, 10.0, growth, radius, np.array([0.15, -0.1]))
-    found = rim_cuts(rims, np.ones_like(rims), field)[0]
+    found = fit_rims(rims, np.ones_like(rims), field)[0]
     discs = sorted([(found.whole, found.own), (found.radius, found.growth)])
     if radius > 10.0:
         np.testing.assert_allclose(discs, [(10.0, own), (radius, growth)], atol=0.2)
@@ -37,15 +37,15 @@ def test_both_discs_are_found_from_their_common_rim(own, growth, radius):
 
 def test_discs_of_one_size_are_found_once():
     rims, field = _rims(-0.8, 10.0, 2.0, 10.0, np.zeros(2))
-    assert len(rim_cuts(rims, np.ones_like(rims), field)) == 1
+    assert len(fit_rims(rims, np.ones_like(rims), field)) == 1
 
 
 def test_round_rims_are_cut_by_nothing():
     rims = 10 + np.random.default_rng(0).normal(0, 0.02, (48, 24))
-    assert find_rim_cut(rims, np.ones_like(rims), _rims(0.0, 10.0, 0.0, 20.0, np.zeros(2))[1]) is None
+    assert fit_best_rim(rims, np.ones_like(rims), _rims(0.0, 10.0, 0.0, 20.0, np.zeros(2))[1]) is None
 
 
 def test_rims_that_no_pixel_shows_are_not_cut():
     # As of white images so overexposed that all is clipped.
     rims, field = _rims(0.0, 10.0, 0.0, 20.0, np.zeros(2))
-    assert find_rim_cut(rims, np.zeros_like(rims), field) is None
+    assert fit_best_rim(rims, np.zeros_like(rims), field) is None

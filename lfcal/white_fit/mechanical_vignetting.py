@@ -12,12 +12,12 @@ from numba import njit, prange
 from ..lattice.cell import clip_rows
 from ..runtime.errors import CalibrationError
 from ..runtime.fastmath import FAST
-from .cut_start import cut_starts, disc_radius
-from .gauss_newton import PASSES, FitState, converge, misfit, placed, with_profile
-from .model import Discs, edge_of
-from .parameters import CatEye, DiscModel, field_of
+from .cut_start import disc_radius, initial_cuts
+from .gauss_newton import PASSES, FitState, converge, evaluate_cost, fit_profile, update_positions
+from .model import CatEye, WhiteModel, field_position
+from .normal_equations import Microimages, find_edge
 
-__all__ = ["settled_roles", "with_cut", "without_idle_cut"]
+__all__ = ["drop_needless_cut", "fit_cutting_disc", "resolve_disc_roles"]
 
 # A cutting disc must lower the misfit by this share and reach into microimages by so many px.
 _CUT_GAIN = 0.005
@@ -42,7 +42,7 @@ _FAR = 6.0
 _TOGETHER = 512
 
 
-def with_cut(plain: FitState, rival: FitState, orders: tuple[str, ...]) -> FitState:
+def fit_cutting_disc(plain: FitState, rival: FitState, orders: tuple[str, ...]) -> FitState:
     """`plain` with the best of a few cutting discs, or without where none fits clearly better than it and a rival.
 
     Parameters
@@ -58,26 +58,26 @@ def with_cut(plain: FitState, rival: FitState, orders: tuple[str, ...]) -> FitSt
     if narrow < max(_NARROW, _CERTAIN * error):
         return plain
     found, least = plain, np.inf
-    for models in cut_starts(plain):
+    for models in initial_cuts(plain):
         for trial in _of_either_role(plain, models, orders):
-            left = misfit(trial, plain)
+            left = evaluate_cost(trial, plain)
             if left < least:
                 found, least = trial, left
     if found.model.cat_eye is None:
         return plain
     # A disc that stays outside the microimages cuts nothing.
     depth = disc_radius(found.discs) + np.hypot(*found.discs.cut.T).max() - found.model.cat_eye.radius
-    better = least < (1 - _CUT_GAIN) * min(misfit(plain, plain), misfit(rival, plain))
+    better = least < (1 - _CUT_GAIN) * min(evaluate_cost(plain, plain), evaluate_cost(rival, plain))
     return found if better and depth > _CUT_DEPTH else plain
 
 
 def _of_either_role(
-    plain: FitState, models: tuple[DiscModel, DiscModel], orders: tuple[str, ...]
+    plain: FitState, models: tuple[WhiteModel, WhiteModel], orders: tuple[str, ...]
 ) -> Iterator[FitState]:
-    """Fits with a cut from models of `cut_starts`: the likelier one, and the other where that does not settle it."""
-    first, second = (placed(replace(plain, model=model)) for model in models)
+    """Fits with a cut from models of `initial_cuts`: the likelier one, and the other where that does not settle it."""
+    first, second = (update_positions(replace(plain, model=model)) for model in models)
     try:
-        first = with_profile(first)
+        first = fit_profile(first)
         starts = (second, first) if _shading_tells(first.discs) > _SURE**2 else (first, second)
     except (CalibrationError, ValueError):
         return
@@ -103,7 +103,7 @@ def _of_either_role(
 def _fitted(state: FitState, orders: tuple[str, ...], learn: bool, passes: int) -> FitState | None:
     """The state so far converged that discs can be told apart, None where it does not; `learn` a profile first."""
     try:
-        return converge(with_profile(state) if learn else state, orders, passes=passes, settled=_NEARLY)[0]
+        return converge(fit_profile(state) if learn else state, orders, passes=passes, settled=_NEARLY)[0]
     except (CalibrationError, ValueError):
         return None
 
@@ -118,7 +118,7 @@ def _narrowing(state: FitState) -> tuple[float, float]:
     tables = np.column_stack([discs.level, np.gradient(discs.level, discs.step), discs.four, discs.weight])
     found = np.zeros((len(discs.centres), 2))
     _narrowings(
-        discs.light, discs.corners, discs.centres, field_of(discs.centres, state.model.lattice), discs.gain,
+        discs.light, discs.corners, discs.centres, field_position(discs.centres, state.model.lattice), discs.gain,
         discs.trust, discs.tilt, discs.inner, discs.step, tables, discs.edge, discs.full, found,
     )  # fmt: skip
     force, information = found.sum(0).tolist()
@@ -160,7 +160,7 @@ def _narrowings(light, corners, centres, field, gain, trust, tilt, inner, step, 
                 out[lens, 1] += weight * response * response
 
 
-def settled_roles(state: FitState) -> FitState:
+def resolve_disc_roles(state: FitState) -> FitState:
     """Which of the two discs is the microimage: the one that fits better as such, or else the smaller one.
 
     Where lens shapes are cut from two discs, either could be the microimage and the other the cut. Shading inside the
@@ -178,9 +178,9 @@ def settled_roles(state: FitState) -> FitState:
     swapped = CatEye(-eye.shift, -eye.growth / grown, radius, eye.soft, eye.shared)
     radii = np.arange(len(state.discs.level)) * state.discs.step
     level = np.interp(radii * radius / eye.radius, radii, state.discs.level)
-    discs = replace(state.discs, level=level, edge=edge_of(level))
+    discs = replace(state.discs, level=level, edge=find_edge(level))
     try:
-        trial, _ = converge(placed(FitState(DiscModel(other, swapped), state.indices, discs)), ())
+        trial, _ = converge(update_positions(FitState(WhiteModel(other, swapped), state.indices, discs)), ())
     except CalibrationError:
         return state
     assert trial.model.cat_eye is not None
@@ -190,7 +190,7 @@ def settled_roles(state: FitState) -> FitState:
     return state if excess[0] <= excess[1] else trial
 
 
-def _shading_tells(discs: Discs) -> float:
+def _shading_tells(discs: Microimages) -> float:
     """By how much chi squared falls where shading is centred on the cutting discs instead of on the microimages.
 
     Only pixels deep inside both discs are looked at: their edges are what a fit with the wrong roles has adapted to.
@@ -270,15 +270,16 @@ def _shading_moments(
                 moments[lens, a, b] = moments[lens, b, a] = (products[a, b] - total) * trust[lens]
 
 
-def without_idle_cut(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, tuple[str, ...]]:
+def drop_needless_cut(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, tuple[str, ...]]:
     """The state without a cutting disc that a distortion has made needless."""
     if state.model.cat_eye is None or state.model.lattice.distortion is None:
         return state, orders
     fewer = tuple(name for name in orders if not name.startswith("growth"))
-    plain = replace(state, model=DiscModel(state.model.lattice, None), discs=replace(state.discs, radius=0.0, soft=0.0))
+    model = WhiteModel(state.model.lattice, None)
+    plain = replace(state, model=model, discs=replace(state.discs, radius=0.0, soft=0.0))
     try:
         plain, _ = converge(plain, fewer)
     except (CalibrationError, ValueError):
         return state, orders
-    needless = misfit(state, plain) > (1 - _CUT_GAIN) * misfit(plain, plain)
+    needless = evaluate_cost(state, plain) > (1 - _CUT_GAIN) * evaluate_cost(plain, plain)
     return (plain, fewer) if needless else (state, orders)

@@ -8,9 +8,9 @@ import pytest
 import lfcal
 from benchmarks.calibration_bound import centre_error
 from benchmarks.white_images import WhiteImage
-from lfcal.white_fit.edge_blur import edge_blur, edge_depths
-from lfcal.white_fit.model import edge_of
-from lfcal.white_fit.parameters import CatEye
+from lfcal.white_fit.edge_profile import edge_blur, edge_depths
+from lfcal.white_fit.model import CatEye
+from lfcal.white_fit.normal_equations import find_edge
 
 STEP, RADIUS, GAP = 0.125, 6.0, 0.05
 
@@ -39,14 +39,14 @@ def two_sided(offsets):
 )
 def test_blur_and_its_tails_are_told(kernel, least, most):
     level = profile(kernel)
-    edge = edge_of(level)
+    edge = find_edge(level)
     soft, steep = edge_blur(edge_depths(level, edge, GAP, STEP), edge, STEP)
     assert least <= steep <= most
     assert soft == pytest.approx(0.45, rel=0.02 if kernel is normal else 0.2)
 
 
 def test_depths_do_not_know_of_shading():
-    depths = [edge_depths(level, edge_of(level), GAP, STEP) for level in (profile(normal, 0.0), profile(normal, 0.3))]
+    depths = [edge_depths(level, find_edge(level), GAP, STEP) for level in (profile(normal, 0.0), profile(normal, 0.3))]
     near = np.abs(depths[0]) < 2
     np.testing.assert_allclose(depths[0][near], depths[1][near], atol=0.04)
     # Normal scores are the distances themselves.

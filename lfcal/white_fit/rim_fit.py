@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RimCut", "find_rim_cut", "rim_cuts"]
+__all__ = ["RimFit", "fit_best_rim", "fit_rims"]
 
 # Displacements in the corner and radii, in radii of the microimage, from which the fit starts, and the part of the
 # displacement by which the lattice may have followed what is left of the microimages.
@@ -31,7 +31,7 @@ _EXPLAINS, _MATTERS = 0.8, 0.05
 
 
 @dataclass(frozen=True)
-class RimCut:
+class RimFit:
     """A disc cut by another, both displaced in proportion to the place in the field.
 
     Parameters
@@ -67,19 +67,19 @@ def _rim(
     return np.asarray(np.minimum(*rims) - _CROSSING * np.log1p(np.exp(-apart / _CROSSING)))
 
 
-def find_rim_cut(rim: NDArray[np.float64], weight: NDArray[np.float64], field: NDArray[np.float64]) -> RimCut | None:
-    """The first of `rim_cuts`, or None where rims are as good as round, or no pixel shows any."""
+def fit_best_rim(rim: NDArray[np.float64], weight: NDArray[np.float64], field: NDArray[np.float64]) -> RimFit | None:
+    """The first of `fit_rims`, or None where rims are as good as round, or no pixel shows any."""
     if not weight.any():
         return None
     mean = float(np.average(rim, weights=weight))
     plain = float(np.average((rim - mean) ** 2, weights=weight))
     if plain < _MATTERS**2:
         return None
-    found = rim_cuts(rim, weight, field)[0]
+    found = fit_rims(rim, weight, field)[0]
     return None if found.left > (1 - _EXPLAINS) * plain or plain - found.left < _MATTERS**2 else found
 
 
-def rim_cuts(rim: NDArray[np.float64], weight: NDArray[np.float64], field: NDArray[np.float64]) -> list[RimCut]:
+def fit_rims(rim: NDArray[np.float64], weight: NDArray[np.float64], field: NDArray[np.float64]) -> list[RimFit]:
     """Cuts that explain where rims lie, the best one first: of discs displaced inwards and outwards.
 
     Parameters
@@ -98,7 +98,7 @@ def rim_cuts(rim: NDArray[np.float64], weight: NDArray[np.float64], field: NDArr
     def misfit(p: NDArray[np.float64]) -> float:
         return float((share * (rim - _rim(p, field, along)) ** 2).sum())
 
-    found: list[tuple[RimCut, NDArray[np.float64]]] = []
+    found: list[tuple[RimFit, NDArray[np.float64]]] = []
     for growths in (_GROWTHS, [-g for g in _GROWTHS]):
         starts = [
             np.array([-f * g * widest, widest, (1 - f) * g * widest, r * widest, 0.0, 0.0])
@@ -109,7 +109,7 @@ def rim_cuts(rim: NDArray[np.float64], weight: NDArray[np.float64], field: NDArr
         rims = _rim(best, field, along)
         # Discs of one size may be found twice, each in the other's place.
         if all((share * (rims - other) ** 2).sum() > _OTHER * left for _, other in found):
-            found.append((RimCut(own, whole, np.array([sx, sy]), growth, radius, left), rims))
+            found.append((RimFit(own, whole, np.array([sx, sy]), growth, radius, left), rims))
     return sorted((cut for cut, _ in found), key=lambda cut: cut.left)
 
 
