@@ -18,7 +18,7 @@ import tifffile
 
 import lfcal
 import lfrender
-from lfrender.large import render as large_rendering
+from lfrender.large.settings import LargeSettings
 
 from .plane_flats import PlaneFlat
 
@@ -32,13 +32,13 @@ _LIFE = 1.5
 
 
 def _render(folder: Path, name: str) -> lfrender.LargePicture:
-    # As every tile of a large flat takes as long as it takes the disk.
-    large_rendering._SYNC = 0.0
     camera = lfcal.load(folder / "camera.json")
     with lfcal.open_flat(folder / "flat.tif") as source:
         return lfrender.render_large(
-            source, folder / name, camera, patch_size=_PATCH, tile=_TILE, compress=name.startswith("packed")
-        )
+            source, folder / name, camera, patch_size=_PATCH, tile=_TILE, compress=name.startswith("packed"),
+            # Every tile is made safe on the disk at once, as those of a large flat, which take long to draw.
+            tuning=LargeSettings(sync_seconds=0.0),
+        )  # fmt: skip
 
 
 def render_for_ever(folder: Path, name: str) -> None:

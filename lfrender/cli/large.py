@@ -12,6 +12,7 @@ import click
 
 from lfcal import LightFieldError
 
+from ..large.size import is_large
 from .figures import camera_figures, depth_figures, settings_of
 from .inputs import camera_of
 
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
     from ..output.resume import Checkpoint
 
 __all__ = ["Asked", "Cluster", "analyze", "is_large", "render", "wanted"]
-
-# Flats of more bytes are large: those of usual sensors are quicker in one go.
-_LARGE = 100_000_000
 
 
 @dataclass(frozen=True)
@@ -74,23 +72,6 @@ def wanted(flat: Path, output: Path, tile: int | None, on: Cluster) -> bool:
     if on or tile is not None or output.suffix.lower() == ".zarr":
         return True
     return is_large(flat)
-
-
-def is_large(flat: Path) -> bool:
-    """Whether a flat can be read in parts and has many of them."""
-    if flat.suffix.lower() not in (".tif", ".tiff") and not flat.is_dir():
-        return False
-    from lfcal import open_flat
-
-    try:
-        # Most files are small, also when expanded to this much.
-        if flat.is_file() and flat.stat().st_size < _LARGE / 100:
-            return False
-        with open_flat(flat) as source:
-            return source.in_parts and source.nbytes > _LARGE
-    except (LightFieldError, OSError):
-        # Reading it says what is wrong.
-        return False
 
 
 def render(report: Any, asked: Asked) -> None:

@@ -1,43 +1,96 @@
-"""Parts of a flat whose lenses are analysed alone: windows spread over it, and tiles that make up all of it.
+"""Parts of a large flat: which lenses and which pixels belong to a tile or a window, and reading these pixels.
 
-Where the preset makes the flat smaller, parts begin where a pixel of the smaller flat does: their pixels are those that
-the whole would have, whatever the parts.
+Windows are spread over the flat, tiles make up all of it. Where the preset reduces the flat, parts begin where a pixel
+of the reduced flat does: their pixels are those that the whole reduced flat would have.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Lattice
+from lfcal import Calibration, CalibrationError, FlatSource, Lattice
 
 from ..data.region import lattice_of
 from ..depth.matching.matcher import Preset
 from ..depth.surface.densify import grid_shape
+from ..flat.demosaicing import REACH, demosaic
+from .settings import DEFAULT, LargeSettings
 
-__all__ = ["LensTile", "lens_tiles", "lens_windows"]
+__all__ = ["LensTile", "Rectangle", "TileReader", "lens_tiles", "lens_windows"]
 
-# Lenses so many pitches around a tile are analysed with it: shading is averaged over 4.2, support fades over the rest.
-_HALO = 8.0
-# Bytes that a tile may take, and what it takes for each pixel as it is analysed: in grey, without shading, cut out,
-# and masks.
-_BUDGET, _PER_PIXEL = 6e8, 20
-# The pixels of the flat itself are there as read for this tile and the next one.
-_READ = 2
-# Windows along each axis, their side [pitches and px], and how far inside them lenses are believed [pitches].
-_WINDOWS, _WINDOW, _INSIDE = 6, (16.0, 256), 3.0
-# Cells of the surface's grid among which one is looked for that begins where a block of pixels does.
-_CELLS = 40
+#: `left, top, right, bottom` [px].
+Rectangle = tuple[int, int, int, int]
+
+
+class TileReader:
+    """Reads parts of a flat: with a channel axis, and in colour where the camera has a colour mosaic.
+
+    Parameters
+    ----------
+    source : FlatSource
+    calibration : Calibration
+        Of the same image size, else CalibrationError.
+    """
+
+    def __init__(self, source: FlatSource, calibration: Calibration) -> None:
+        size = source.shape[1], source.shape[0]
+        if size != calibration.image_size:
+            was, now = ("{} x {}".format(*pair) for pair in (calibration.image_size, size))
+            raise CalibrationError(f"calibration is for images of {was} px, the flat has {now}; calibrate on this flat")
+        self.source, self.calibration, self._size = source, calibration, size
+        self._mosaic = calibration.mosaic is not None and len(source.shape) == 2
+        self.channels = 3 if self._mosaic or len(source.shape) == 3 else 1
+
+    def read(self, part: Rectangle) -> NDArray[Any]:
+        """(h, w, C) pixels of `left, top, right, bottom`, the same as `check_flat` gives there."""
+        return self._demosaic(part, self._read_raw(part))
+
+    def read_ahead(self, parts: Iterable[Rectangle]) -> Iterator[NDArray[Any]]:
+        """The pixels of each part; the file is read for the next one meanwhile."""
+        with ThreadPoolExecutor(1) as reader:
+            waiting: tuple[Rectangle, Future[NDArray[Any]]] | None = None
+            for part in parts:
+                next_one = part, reader.submit(self._read_raw, part)
+                if waiting is not None:
+                    yield self._demosaic(waiting[0], waiting[1].result())
+                waiting = next_one
+            if waiting is not None:
+                yield self._demosaic(waiting[0], waiting[1].result())
+
+    def _read_raw(self, part: Rectangle) -> NDArray[Any]:
+        return self.source.read(*self._widen(part))
+
+    def _widen(self, part: Rectangle) -> Rectangle:
+        """The part with the pixels around it that demosaicing needs; it begins at even places of a mosaic."""
+        if not self._mosaic:
+            return part
+        left, top, right, bottom = part
+        width, height = self._size
+        return (
+            max(0, left - REACH) // 2 * 2, max(0, top - REACH) // 2 * 2, min(width, right + REACH),
+            min(height, bottom + REACH),
+        )  # fmt: skip
+
+    def _demosaic(self, part: Rectangle, raw: NDArray[Any]) -> NDArray[Any]:
+        # Not done in the thread that reads ahead: kernels with several threads must not run beside each other.
+        if not self._mosaic:
+            return raw if raw.ndim == 3 else raw[:, :, None]
+        left, top, _, _ = self._widen(part)
+        colour = demosaic(raw, self.calibration, (left, top))
+        return np.ascontiguousarray(colour[part[1] - top : part[3] - top, part[0] - left : part[2] - left])
 
 
 @dataclass(frozen=True)
 class LensTile:
-    """A part of the flat to be analysed alone: its lattice, the lenses it answers for, and where both are in the whole.
+    """A part of the flat that is analysed alone: its lattice, and the lenses whose results are taken from it.
 
-    All places are in pixels of the flat as it is analysed, of which each is the mean of `factor` x `factor`.
+    All places are in pixels of the flat as it is analysed, each the mean of `factor` x `factor` pixels.
 
     Parameters
     ----------
@@ -48,9 +101,9 @@ class LensTile:
     lattice : Lattice
         In those of the part as it is analysed.
     inside : (m,) bool
-        Lenses of `lattice` to answer for.
+        Lenses of `lattice` whose results are taken from this part; the others are its halo.
     core : (left, top, right, bottom) [px]
-        What they cover of the flat.
+        The rectangle of the centres of these lenses.
     """
 
     factor: int
@@ -61,10 +114,10 @@ class LensTile:
     core: tuple[float, ...]
 
     @classmethod
-    def of(
+    def cut(
         cls, whole: Lattice, factor: int, low: Iterable[int], high: Iterable[int], core: NDArray[np.float64]
     ) -> LensTile:
-        """The part from the pixel `low` to before `high` of the flat with the lattice `whole`, which is as read."""
+        """The part from pixel `low` to before `high` of the flat whose lattice, in pixels as read, is `whole`."""
         corner = np.array(list(low), np.int64)
         end = np.minimum(np.array(list(high), np.int64) * factor, whole.image_size)
         full = lattice_of(whole, corner * factor, end)
@@ -74,65 +127,66 @@ class LensTile:
         return cls(factor, corner, full, small, inside, tuple(core.ravel().tolist()))
 
     @property
-    def rectangle(self) -> tuple[int, int, int, int]:
+    def rectangle(self) -> Rectangle:
         """`left, top, right, bottom` of its pixels on the flat as read."""
         x, y = (self.corner * self.factor).tolist()
         width, height = self.full.image_size
         return x, y, x + width, y + height
 
 
-def lens_windows(whole: Lattice, factor: int) -> Iterator[LensTile]:
+def lens_windows(whole: Lattice, factor: int, settings: LargeSettings = DEFAULT) -> Iterator[LensTile]:
     """Windows evenly spread from border to border."""
-    size = _size(whole, factor)
+    size = _reduced_size(whole, factor)
     pitch = whole.pitch / factor
-    side = int(max(_WINDOW[0] * pitch, _WINDOW[1]))
+    side = int(max(settings.window_pitches * pitch, settings.window_pixels))
     starts: list[list[int]] = []
     sides: list[int] = []
     for length in size:
-        count = int(np.clip(length // side, 1, _WINDOWS))
+        count = int(np.clip(length // side, 1, settings.windows))
         starts.append(np.linspace(0, max(0, length - side), count).astype(int).tolist())
         sides.append(side if count > 1 else length)
     for y in starts[1]:
         for x in starts[0]:
             end = min(x + sides[0], size[0]), min(y + sides[1], size[1])
-            margin = _INSIDE * pitch
-            # The border of the flat is none of the window's making.
+            margin = settings.window_margin * pitch
+            # At the border of the flat the window cuts nothing off.
             low = np.array([at + margin if at > 0 else -np.inf for at in (x, y)])
             high = np.array([at - margin if at < n else np.inf for at, n in zip(end, size, strict=True)])
-            yield LensTile.of(whole, factor, (x, y), end, np.stack([low, high]))
+            yield LensTile.cut(whole, factor, (x, y), end, np.stack([low, high]))
 
 
-def lens_tiles(whole: Lattice, factor: int, setting: Preset, pixel_bytes: int = 3) -> Iterator[LensTile]:
-    """The flat cut into tiles that fit the memory, each with its halo; its pixels have so many bytes."""
-    size = _size(whole, factor)
+def lens_tiles(
+    whole: Lattice, factor: int, preset: Preset, pixel_bytes: int = 3, settings: LargeSettings = DEFAULT
+) -> Iterator[LensTile]:
+    """The flat, of `pixel_bytes` per pixel, cut into tiles that fit the memory, each with its halo."""
+    size = _reduced_size(whole, factor)
     pitch = whole.pitch / factor
-    # Blocks of pixels are averaged for the search, and rows of them left out: those of the whole flat.
-    block = max(1, round(pitch / setting.search_pitch)) * setting.row_step
-    halo = int(np.ceil(_HALO * pitch))
-    each = _READ * pixel_bytes * factor**2 + _PER_PIXEL
-    side = max(2 * halo, int(np.sqrt(_BUDGET / each)) - 2 * halo)
+    # Matching averages blocks of pixels and skips rows of them: tiles use the same blocks as the whole flat.
+    block = max(1, round(pitch / preset.search_pitch)) * preset.row_step
+    halo = int(np.ceil(settings.halo * pitch))
+    bytes_each = settings.copies_read * pixel_bytes * factor**2 + settings.bytes_per_pixel
+    side = max(2 * halo, int(np.sqrt(settings.analysis_memory / bytes_each)) - 2 * halo)
     edges = [np.linspace(0, length, -(-length // side) + 1).round().astype(int).tolist() for length in size]
-    spacing = grid_shape(whole if factor == 1 else whole.downscaled(factor), setting.cells)[2]
+    spacing = grid_shape(whole if factor == 1 else whole.downscaled(factor), preset.cells)[2]
     for top, bottom in zip(edges[1], edges[1][1:], strict=False):
         for left, right in zip(edges[0], edges[0][1:], strict=False):
-            low = [_start(max(0, at - halo), spacing, block) for at in (left, top)]
+            low = [_align(max(0, at - halo), spacing, block, settings.alignment_cells) for at in (left, top)]
             high = [min(n, at + halo) for n, at in zip(size, (right, bottom), strict=True)]
             core = np.array([(left, top), (right, bottom)]) - 0.5
-            # Beyond the last whole pixel of the flat as it is analysed a lens may still have its centre.
+            # A lens may have its centre beyond the last whole pixel of the reduced flat.
             core[1] = np.where(np.array([right, bottom]) == size, np.inf, core[1])
-            yield LensTile.of(whole, factor, low, high, core)
+            yield LensTile.cut(whole, factor, low, high, core)
 
 
-def _size(whole: Lattice, factor: int) -> tuple[int, int]:
-    """Columns and rows of the flat as it is analysed, with what is left over at its border."""
+def _reduced_size(whole: Lattice, factor: int) -> tuple[int, int]:
+    """Columns and rows of the flat as it is analysed, with the incomplete pixels at its border."""
     width, height = whole.image_size
     return -(-width // factor), -(-height // factor)
 
 
-def _start(at: int, spacing: float, block: int) -> int:
-    """A pixel at or somewhat before a place where a block begins and, as nearly as may be, a cell of the surface."""
+def _align(at: int, spacing: float, block: int, cells: int) -> int:
+    """The pixel at or before `at` where a block begins and, as nearly as possible, a cell of the surface's grid."""
     last = int(at / spacing)
-    cells = np.arange(max(0, last - _CELLS), last + 1)
-    starts = cells * spacing
+    starts = np.arange(max(0, last - cells), last + 1) * spacing
     pixels = np.rint(starts / block).astype(int) * block
     return int(pixels[np.abs(starts - pixels).argmin()])

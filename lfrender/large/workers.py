@@ -1,4 +1,4 @@
-"""Where parts of a large flat are worked on: here, or by the workers of a Dask cluster, with the same functions."""
+"""Runs a function on parts of a large flat: in this process, or on the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -13,37 +13,32 @@ from numpy.typing import NDArray
 from lfcal import Calibration, FlatError, FlatSource, LightFieldError, open_flat
 
 from ..output.resume import file_identity
-from .flat_parts import PartReader
+from .settings import DEFAULT, LargeSettings
+from .tiles import Rectangle, TileReader
 
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["ClusterWorkers", "LocalWorkers", "Shared", "Workers"]
+__all__ = ["ClusterWorkers", "LocalWorkers", "Shared", "Workers", "choose_workers"]
 
-_Rectangle = tuple[int, int, int, int]
-
-# Parts in flight for each thread of the cluster: one that is worked on, and one that waits.
-_AHEAD = 2
-_RETRIES = 3
+_Task = Callable[[Any, Any, NDArray[Any]], Any]
 
 
 class Shared(Protocol):
-    """What all parts need beside their pixels; cluster workers get it once."""
+    """What all parts need beside their pixels; it is sent once to each worker of a cluster."""
 
     @property
     def calibration(self) -> Calibration: ...
 
 
 class Workers(Protocol):
-    """Those who work on parts of one flat."""
+    """Processes that work on parts of one flat."""
 
-    def each(
-        self,
-        task: Callable[[Any, Any, NDArray[Any]], Any],
-        shared: Shared,
-        items: Iterable[Any],
-        rectangles: Iterable[_Rectangle],
-    ) -> Iterator[Any]:
+    @property
+    def count(self) -> int:
+        """How many parts are worked on at a time."""
+
+    def map(self, task: _Task, shared: Shared, items: Iterable[Any], rectangles: Iterable[Rectangle]) -> Iterator[Any]:
         """The results of `task(shared, item, pixels)` in the order of the items.
 
         Parameters
@@ -52,24 +47,27 @@ class Workers(Protocol):
         shared : Shared
         items : iterable
         rectangles : iterable of (left, top, right, bottom) [px]
-            Of the part of the flat that belongs to each item; `pixels` (h, w, C) are as `PartReader.read` gives them.
+            Of the part of the flat that belongs to each item; `pixels` (h, w, C) are as `TileReader.read` gives them.
         """
 
 
+def choose_workers(
+    reader: TileReader, client: Client | None, threads: int | None, settings: LargeSettings = DEFAULT
+) -> Workers:
+    """The workers of a cluster, or this process if `client` is None."""
+    return LocalWorkers(reader) if client is None else ClusterWorkers(client, reader.source, threads, settings)
+
+
 class LocalWorkers:
-    """This process; the file is read for the next part meanwhile."""
+    """This process; the file is read for the next part while one is worked on."""
 
-    def __init__(self, parts: PartReader) -> None:
-        self._parts = parts
+    count = 1
 
-    def each(
-        self,
-        task: Callable[[Any, Any, NDArray[Any]], Any],
-        shared: Shared,
-        items: Iterable[Any],
-        rectangles: Iterable[_Rectangle],
-    ) -> Iterator[Any]:
-        for item, (_, pixels) in zip(items, self._parts.ahead(rectangles), strict=True):
+    def __init__(self, reader: TileReader) -> None:
+        self._reader = reader
+
+    def map(self, task: _Task, shared: Shared, items: Iterable[Any], rectangles: Iterable[Rectangle]) -> Iterator[Any]:
+        for item, pixels in zip(items, self._reader.read_ahead(rectangles), strict=True):
             yield task(shared, item, pixels)
 
 
@@ -83,101 +81,90 @@ class ClusterWorkers:
         A file that all workers see under the same path.
     threads : int or None
         Threads of the kernels in each worker; None leaves it to the machine.
+    settings : LargeSettings
     """
 
-    def __init__(self, client: Client, source: FlatSource, threads: int | None = None) -> None:
-        self._client, self._threads = client, threads
+    def __init__(
+        self, client: Client, source: FlatSource, threads: int | None = None, settings: LargeSettings = DEFAULT
+    ) -> None:
+        self._client, self._threads, self._settings = client, threads, settings
         self._path = str(source.path.absolute())
-        # Copies on the disks of several machines differ in their times.
+        # The size alone: copies on the disks of several machines differ in their times.
         self._size = file_identity(source.path)[1]
 
     @property
     def count(self) -> int:
-        """How many parts are worked on at a time."""
         return max(1, sum(self._client.nthreads().values()))
 
-    def each(
-        self,
-        task: Callable[[Any, Any, NDArray[Any]], Any],
-        shared: Shared,
-        items: Iterable[Any],
-        rectangles: Iterable[_Rectangle],
-    ) -> Iterator[Any]:
+    def map(self, task: _Task, shared: Shared, items: Iterable[Any], rectangles: Iterable[Rectangle]) -> Iterator[Any]:
         from ..sequence.cluster import task_result
 
-        # Kept by the scheduler as a task, it is there again when all workers that had it are lost.
-        known = self._client.submit(_same, shared, pure=False, retries=_RETRIES)
+        flat = self._path, self._size, self._threads
+        submit = {"pure": False, "retries": self._settings.retries}
+        # As the result of a task the scheduler makes it again if all workers that hold it are lost.
+        shared_task = self._client.submit(_identity, shared, **submit)
         waiting: deque[Any] = deque()
         try:
             for item, rectangle in zip(items, rectangles, strict=True):
-                flat = self._path, self._size, self._threads
-                waiting.append(
-                    self._client.submit(_work, flat, task, known, item, rectangle, pure=False, retries=_RETRIES)
-                )
-                while len(waiting) > _AHEAD * self.count:
-                    yield _result(task_result(waiting.popleft()))
+                waiting.append(self._client.submit(_work, flat, task, shared_task, item, rectangle, **submit))
+                while len(waiting) > self._settings.tiles_ahead * self.count:
+                    yield _raise_errors(task_result(waiting.popleft()))
             while waiting:
-                yield _result(task_result(waiting.popleft()))
+                yield _raise_errors(task_result(waiting.popleft()))
         finally:
-            self._client.cancel([*waiting, known])
+            self._client.cancel([*waiting, shared_task])
 
 
-def _result(found: Any) -> Any:
-    if isinstance(found, LightFieldError):
-        raise found
-    return found
+def _raise_errors(result: Any) -> Any:
+    if isinstance(result, LightFieldError):
+        raise result
+    return result
 
 
 class _Worker:
-    """What a worker process keeps from task to task. Kernels run one at a time: they use several threads themselves."""
+    """What a worker process keeps from task to task. Kernels run one at a time: each uses several threads itself."""
 
     lock = Lock()
     flat: Any = None
-    parts: PartReader | None = None
-    given: Shared | None = None
+    reader: TileReader | None = None
+    received: Shared | None = None
     shared: Shared | None = None
 
     @classmethod
-    def own(cls, shared: Shared) -> Shared:
-        """What is shared as this worker's own, for values come to be kept in it while others may be sent it."""
-        if cls.shared is None or cls.given is not shared:
-            cls.given, cls.shared = shared, deepcopy(shared)
+    def copy(cls, shared: Shared) -> Shared:
+        """This worker's own copy: values are cached in it while Dask may be sending the original to others."""
+        if cls.shared is None or cls.received is not shared:
+            cls.received, cls.shared = shared, deepcopy(shared)
         return cls.shared
 
     @classmethod
-    def parts_of(cls, flat: tuple[str, int, int | None], calibration: Calibration) -> PartReader:
+    def open(cls, flat: tuple[str, int, int | None], calibration: Calibration) -> TileReader:
         path, size, threads = flat
         if threads is not None:
             from ..sequence.cluster import limit_threads
 
             limit_threads(threads)
-        if cls.parts is None or cls.flat != flat:
-            cls.flat = cls.parts = None
+        if cls.reader is None or cls.flat != flat:
+            cls.flat = cls.reader = None
             source = open_flat(path)
             if file_identity(source.path)[1] != size:
                 source.close()
-                raise FlatError(f"{path}: is another file where the workers are, or was changed meanwhile")
-            cls.parts, cls.flat = PartReader(source, calibration), flat
-        elif cls.parts.calibration is not calibration:
-            cls.parts = PartReader(cls.parts.source, calibration)
-        return cls.parts
+                raise FlatError(f"{path}: is another file where the workers are, or has been changed")
+            cls.reader, cls.flat = TileReader(source, calibration), flat
+        elif cls.reader.calibration is not calibration:
+            cls.reader = TileReader(cls.reader.source, calibration)
+        return cls.reader
 
 
-def _same(shared: Shared) -> Shared:
+def _identity(shared: Shared) -> Shared:
     return shared
 
 
-def _work(
-    flat: tuple[str, int, int | None],
-    task: Callable[[Any, Any, NDArray[Any]], Any],
-    shared: Shared,
-    item: Any,
-    rectangle: _Rectangle,
-) -> Any:
-    """One part; an error of ours is a result, for it would come again wherever it is tried."""
+def _work(flat: tuple[str, int, int | None], task: _Task, shared: Shared, item: Any, rectangle: Rectangle) -> Any:
+    """The result of one part. An error of this toolkit is returned, not raised: Dask would only try it again."""
     with _Worker.lock:
         try:
-            own = _Worker.own(shared)
-            return task(own, item, _Worker.parts_of(flat, own.calibration).read(rectangle))
+            own = _Worker.copy(shared)
+            return task(own, item, _Worker.open(flat, own.calibration).read(rectangle))
         except LightFieldError as error:
             return error

@@ -1,8 +1,8 @@
-"""Pictures of a depth map: the magnification in colours and the modes, lens by lens, each with its legend."""
+"""Maps of a depth map, one colour per lens: magnification, mode and confidence, with legends for the first two."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,18 +16,21 @@ if TYPE_CHECKING:
 
     from ..data.depth_map import DepthMap
 
-__all__ = ["MODE_COLOURS", "depth_picture", "magnification_picture", "mode_picture"]
+__all__ = [
+    "MODES", "MODE_COLOURS", "colour_scale", "confidence_picture", "depth_picture", "magnification_limits",
+    "magnification_picture", "mode_picture",
+]  # fmt: skip
 
-#: Colours of the modes 1 (telescopic), -1 (binocular) and 0 (unresolved); apart for colour-blind eyes too.
+#: Names of the codes of modes.
+MODES = {1: "telescopic", -1: "binocular", 0: "unresolved"}
+#: Colours of the modes, which colour-blind eyes can tell apart too.
 MODE_COLOURS = {1: (230, 126, 34), -1: (41, 112, 201), 0: (150, 150, 150)}
-_MODE_NAMES = {1: "telescopic", -1: "binocular", 0: "unresolved"}
-_STRIP = 56
-# Five numbers of the legend beside each other [px].
-_LEAST_WIDTH = 240
+# Height of a legend and its margin at both sides [px].
+_LEGEND = 56
 _MARGIN = 14
 
 
-def depth_picture(depth: DepthMap, lattice: Lattice) -> NDArray[np.uint8]:
+def depth_picture(depth: DepthMap, lattice: Lattice, least_width: int = 240) -> NDArray[np.uint8]:
     """The magnification in colours on the grid of the picture that `render` draws, at least wide enough for a legend.
 
     Returns
@@ -37,9 +40,24 @@ def depth_picture(depth: DepthMap, lattice: Lattice) -> NDArray[np.uint8]:
     from ..rendering.dense import dense_depth
     from ..rendering.render import default_scale
 
-    scale = max(default_scale(depth), _LEAST_WIDTH * depth.pitch / depth.image_size[0])
+    scale = max(default_scale(depth), least_width * depth.pitch / depth.image_size[0])
     grid = dense_depth(depth, min(scale, 4 * depth.pitch))
     return magnification_picture(depth.patch_size, depth.mode, lattice, grid.affine, grid.patch_size.shape)
+
+
+def magnification_limits(magnification: NDArray[Any]) -> tuple[float, float]:
+    """Ends of a scale of M that holds 98 % of the lenses with a finite one."""
+    known = magnification[np.isfinite(magnification)]
+    low, high = np.percentile(known, [1, 99]) if known.size else (1.0, 10.0)
+    return float(low), float(max(high, 1.2 * low))
+
+
+def colour_scale(name: Literal["turbo", "viridis"]) -> NDArray[np.uint8]:
+    """(256, 3) colours from low to high."""
+    import cv2
+
+    code = {"turbo": cv2.COLORMAP_TURBO, "viridis": cv2.COLORMAP_VIRIDIS}[name]
+    return np.asarray(cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], code)[0, :, ::-1], np.uint8)
 
 
 def magnification_picture(
@@ -70,32 +88,23 @@ def magnification_picture(
     -------
     (h + 56, w, 3) uint8
     """
-    import cv2
-
-    known = np.asarray(mode) != 0
+    resolved = np.asarray(mode) != 0
     with np.errstate(divide="ignore", invalid="ignore"):
-        m = np.where(known, lattice.pitch / np.abs(np.asarray(patch_size, dtype=float)), np.nan)
-    seen = m[np.isfinite(m)]
-    if limits is None:
-        low, high = np.percentile(seen, [1, 99]) if seen.size else (1.0, 10.0)
-    else:
-        low, high = limits
-    high = max(high, low * 1.2)
+        m = np.where(resolved, lattice.pitch / np.abs(np.asarray(patch_size, dtype=float)), np.nan)
+    low, high = magnification_limits(m) if limits is None else (limits[0], max(limits[1], limits[0] * 1.2))
     with np.errstate(invalid="ignore"):
         share = np.clip(np.log(m / low) / np.log(high / low), 0, 1)
-    ramp = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], cv2.COLORMAP_TURBO)[0, :, ::-1]
-    colours = ramp[np.nan_to_num(share * 255).astype(np.uint8)]
+    scale = colour_scale("turbo")
+    colours = scale[np.nan_to_num(share * 255).astype(np.uint8)]
     colours[~np.isfinite(m)] = MODE_COLOURS[0]
-    picture, draw = _with_strip(colours[_lens_of_pixels(lattice, affine, shape)])
-    top, width = shape[0], shape[1]
-    scale = ramp[np.linspace(0, 255, width - 2 * _MARGIN).astype(int)]
-    image = np.array(picture)
-    image[top + 10 : top + 24, _MARGIN : width - _MARGIN] = scale
-    picture.paste(_pillow(image))
+    top, width = shape[0], shape[1] - 2 * _MARGIN
+    image = _add_legend(colours[_lens_of_pixels(lattice, affine, shape)])
+    image[top + 10 : top + 24, _MARGIN : _MARGIN + width] = scale[np.linspace(0, 255, width).astype(int)]
+    picture, draw, font = _canvas(image)
     for tick in np.geomspace(low, high, 5):
-        x = _MARGIN + (width - 2 * _MARGIN - 1) * float(np.log(tick / low) / np.log(high / low))
+        x = _MARGIN + (width - 1) * float(np.log(tick / low) / np.log(high / low))
         anchor = "lm" if tick == low else "rm" if np.isclose(tick, high) else "mm"
-        draw.text((x, top + 38), f"M = {tick:.1f}" if anchor == "lm" else f"{tick:.1f}", (40, 40, 40), _font(), anchor)
+        draw.text((x, top + 38), f"M = {tick:.1f}" if anchor == "lm" else f"{tick:.1f}", (40, 40, 40), font, anchor)
     return np.array(picture)
 
 
@@ -115,38 +124,38 @@ def mode_picture(mode: ArrayLike, lattice: Lattice, affine: ArrayLike, shape: tu
     """
     modes = np.asarray(mode)
     colours = np.array([MODE_COLOURS[int(np.sign(code))] for code in modes], np.uint8).reshape(-1, 3)
-    picture, draw = _with_strip(colours[_lens_of_pixels(lattice, affine, shape)])
-    top, step = shape[0], (shape[1] - 2 * _MARGIN) / len(_MODE_NAMES)
-    for n, (code, name) in enumerate(_MODE_NAMES.items()):
+    picture, draw, font = _canvas(_add_legend(colours[_lens_of_pixels(lattice, affine, shape)]))
+    top, step = shape[0], (shape[1] - 2 * _MARGIN) / len(MODES)
+    for n, (code, name) in enumerate(MODES.items()):
         x = _MARGIN + n * step
         draw.rounded_rectangle((x, top + 20, x + 16, top + 36), 4, fill=MODE_COLOURS[code])
         share = float(np.mean(modes == code)) if modes.size else 0.0
-        draw.text((x + 24, top + 28), f"{name} {share:.0%}", (40, 40, 40), _font(), "lm")
+        draw.text((x + 24, top + 28), f"{name} {share:.0%}", (40, 40, 40), font, "lm")
     return np.array(picture)
 
 
+def confidence_picture(
+    confidence: NDArray[np.floating], lattice: Lattice, affine: ArrayLike, shape: tuple[int, int]
+) -> NDArray[np.uint8]:
+    """(h, w, 3) confidence of the lens at each pixel, dark for 0 and light for 1 (colours of viridis)."""
+    share = np.clip(np.nan_to_num(confidence), 0, 1)[_lens_of_pixels(lattice, affine, shape)]
+    return colour_scale("viridis")[np.rint(255 * share).astype(np.uint8)]
+
+
 def _lens_of_pixels(lattice: Lattice, affine: ArrayLike, shape: tuple[int, int]) -> NDArray[np.int64]:
-    v, u = np.mgrid[: shape[0], : shape[1]]
+    v, u = np.indices(shape)
     points = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ np.asarray(affine, dtype=float).T
     return nearest_lens(lattice, points).reshape(shape)
 
 
-def _with_strip(image: NDArray[np.uint8]) -> tuple[Any, ImageDraw.ImageDraw]:
-    """The picture with a white strip below it, and something to draw on it with."""
-    from PIL import ImageDraw
-
-    strip = np.full((_STRIP, image.shape[1], 3), 255, np.uint8)
-    picture = _pillow(np.vstack([image, strip]))
-    return picture, ImageDraw.Draw(picture)
+def _add_legend(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The picture with a white strip below it."""
+    return np.vstack([image, np.full((_LEGEND, image.shape[1], 3), 255, np.uint8)])
 
 
-def _pillow(image: NDArray[np.uint8]) -> Any:
-    from PIL import Image
+def _canvas(image: NDArray[np.uint8]) -> tuple[Any, ImageDraw.ImageDraw, Any]:
+    """The picture as a Pillow image, what draws on it, and a font."""
+    from PIL import Image, ImageDraw, ImageFont
 
-    return Image.fromarray(np.ascontiguousarray(image))
-
-
-def _font() -> Any:
-    from PIL import ImageFont
-
-    return ImageFont.load_default(14)
+    picture = Image.fromarray(np.ascontiguousarray(image))
+    return picture, ImageDraw.Draw(picture), ImageFont.load_default(14)

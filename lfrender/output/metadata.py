@@ -1,4 +1,4 @@
-"""Colour profile and camera data that a flat's file holds, to be kept in the picture's."""
+"""Colour profile and camera data (EXIF) of a flat's file, read from it and put into the files of its pictures."""
 
 from __future__ import annotations
 
@@ -11,19 +11,14 @@ from typing import Any
 
 __all__ = ["EmbeddedMetadata", "embed_in_jpeg", "embed_in_png", "read_metadata"]
 
-_ICC_TAG = 34675
-_EXIF_IFD = 0x8769
-# Sizes [px] of the flat, which are not those of the picture.
-_OF_FLAT = (0x0100, 0x0101, 0xA002, 0xA003)
-_EXIF_HEAD = b"Exif\0\0"
-_ICC_HEAD = b"ICC_PROFILE\0"
-# Bytes of a profile in one JPEG segment.
+_EXIF_HEADER = b"Exif\0\0"
+# Most bytes of a profile in one JPEG segment.
 _SEGMENT = 65519
 
 
 @dataclass(frozen=True)
 class EmbeddedMetadata:
-    """What a file says of its colours and of how it was taken.
+    """What an image file holds about its colours and about how it was taken.
 
     Parameters
     ----------
@@ -46,45 +41,44 @@ def read_metadata(path: str | os.PathLike[str]) -> EmbeddedMetadata:
     source = Path(path)
     try:
         with source.open("rb") as stream:
-            head = stream.read(4)
-        if head[:2] in (b"II", b"MM"):
-            return _of_tiff(source)
-        return _of_image(source)
-    # Readers raise whatever damaged data drive them to.
+            start = stream.read(4)
+        return _read_tiff(source) if start[:2] in (b"II", b"MM") else _read_image(source)
+    # Readers raise errors of any kind on damaged data.
     except Exception:
         return EmbeddedMetadata()
 
 
-def _of_tiff(source: Path) -> EmbeddedMetadata:
+def _read_tiff(source: Path) -> EmbeddedMetadata:
     import tifffile
 
     with tifffile.TiffFile(source) as tiff:
         page: Any = tiff.pages[0]
-        tag = page.tags.get(_ICC_TAG)
+        tag = page.tags.get("InterColorProfile")
         return EmbeddedMetadata(b"" if tag is None else bytes(tag.value))
 
 
-def _of_image(source: Path) -> EmbeddedMetadata:
+def _read_image(source: Path) -> EmbeddedMetadata:
     from PIL import JpegImagePlugin, PngImagePlugin, WebPImagePlugin
 
-    kinds: dict[str, Any] = {
+    readers: dict[str, Any] = {
         ".png": PngImagePlugin.PngImageFile,
         ".jpg": JpegImagePlugin.JpegImageFile,
         ".jpeg": JpegImagePlugin.JpegImageFile,
         ".webp": WebPImagePlugin.WebPImageFile,
     }
-    kind = kinds.get(source.suffix.lower())
-    if kind is None:
+    reader = readers.get(source.suffix.lower())
+    if reader is None:
         return EmbeddedMetadata()
     # The format's own class is used, not Image.open: that one refuses sensors above 179 megapixels.
-    with kind(str(source)) as image:
+    with reader(str(source)) as image:
         exif = image.getexif()
-        inner = exif.get_ifd(_EXIF_IFD)
-        for tag in _OF_FLAT:
+        camera_data = exif.get_ifd(0x8769)
+        # Width and height of the flat, which are not those of the picture.
+        for tag in (0x0100, 0x0101, 0xA002, 0xA003):
             exif.pop(tag, None)
-            inner.pop(tag, None)
+            camera_data.pop(tag, None)
         block = exif.tobytes() if len(exif) else b""
-        return EmbeddedMetadata(image.info.get("icc_profile") or b"", block.removeprefix(_EXIF_HEAD))
+        return EmbeddedMetadata(image.info.get("icc_profile") or b"", block.removeprefix(_EXIF_HEADER))
 
 
 def embed_in_png(data: bytes, text: str, embedded: EmbeddedMetadata) -> bytes:
@@ -106,10 +100,10 @@ def embed_in_jpeg(data: bytes, text: str, embedded: EmbeddedMetadata) -> bytes:
     """A JPEG file with a comment, the profile and EXIF data put in at its start; what does not fit is left out."""
     segments = b""
     if embedded.exif and len(embedded.exif) <= _SEGMENT:
-        segments += _segment(0xE1, _EXIF_HEAD + embedded.exif)
+        segments += _segment(0xE1, _EXIF_HEADER + embedded.exif)
     parts = [embedded.icc[k : k + _SEGMENT] for k in range(0, len(embedded.icc), _SEGMENT)]
     for number, part in enumerate(parts, 1):
-        segments += _segment(0xE2, _ICC_HEAD + bytes([number, len(parts)]) + part)
+        segments += _segment(0xE2, b"ICC_PROFILE\0" + bytes([number, len(parts)]) + part)
     if len(text) <= _SEGMENT:
         segments += _segment(0xFE, text.encode("ascii"))
     return data[:2] + segments + data[2:]

@@ -1,7 +1,7 @@
-"""Figures of merit: how far a calibration, a depth map and a picture are from the truth.
+"""Errors of a calibration, a depth map and a picture against known truth: RMS, shares, PSNR and SSIM.
 
 Pictures are compared on the grid of the rendered one: the reference is averaged over the footprint of each of its
-pixels, so that neither is credited or blamed for a resolution the other does not have.
+pixels, so that a difference in resolution alone is no error.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class PictureQuality:
-    """How like its reference a picture is.
+    """Similarity of a picture to its reference.
 
     Parameters
     ----------
@@ -52,15 +52,15 @@ def compare_pictures(
 ) -> PictureQuality:
     """PSNR and SSIM of a picture against a reference on the same grid, with one free gain per channel.
 
-    The gain stands for what calibration cannot know, the exposure and the light a microlens loses. The peak is the
-    largest value of the pixel type, 1 for float.
+    The gain takes out exposure and the transmission of the microlenses, which calibration cannot know. The peak is
+    the largest value of the pixel type, 1 for float.
 
     Parameters
     ----------
     picture, reference : (h, w) or (h, w, 3) uint8, uint16 or float
         Same shape; the types may differ.
     where : (h, w) bool, optional
-        Pixels to compare. An SSIM window that reaches beyond them sees the reference there.
+        Pixels to compare. Where an SSIM window reaches beyond them, the reference stands for the picture.
 
     Raises
     ------
@@ -72,25 +72,25 @@ def compare_pictures(
     mask = np.ones(picture.shape[:2], bool) if where is None else np.asarray(where, bool)
     if mask.shape != picture.shape[:2] or not mask.any():
         raise ValueError(f"where must choose at least one pixel of {picture.shape[:2]}")
-    seen, truth = (_unit(image).reshape(*mask.shape, -1) for image in (picture, reference))
-    p, t = seen[mask], truth[mask]
+    image, truth = (_to_unit_range(pixels).reshape(*mask.shape, -1) for pixels in (picture, reference))
+    p, t = image[mask], truth[mask]
     energy = (p * p).sum(0)
     gain = np.divide((p * t).sum(0), energy, out=np.ones_like(energy), where=energy > 0)
     error = float(np.mean((p * gain - t) ** 2))
     psnr = float("inf") if error == 0 else float(-10 * np.log10(error))
-    levelled = np.where(mask[..., None], seen * gain, truth)
-    return PictureQuality(psnr, _ssim(levelled, truth, mask), int(mask.sum()), gain)
+    matched = np.where(mask[..., None], image * gain, truth)
+    return PictureQuality(psnr, _ssim(matched, truth, mask), int(mask.sum()), gain)
 
 
 def resample(
     reference: NDArray[Any], reference_affine: ArrayLike, shape: tuple[int, int], affine: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """A picture as it looks on the grid of another one, averaged over the other's pixels.
+    """A picture resampled to the grid of another one, as means over the other's pixels.
 
     Parameters
     ----------
     reference : (h, w) or (h, w, 3)
-        The picture to lay onto the other grid; integer types are scaled to 0..1.
+        The picture to resample; integer types are scaled to 0..1.
     reference_affine, affine : (2, 3) array_like
         From pixel `(u, v)` to scene coordinates, of the picture and of the grid.
     shape : (int, int)
@@ -106,10 +106,10 @@ def resample(
     from scipy.ndimage import affine_transform
 
     to_reference = np.linalg.inv(_square(reference_affine)) @ _square(affine)
-    # Samples at most one reference pixel apart make the mean of bilinear samples the mean over the footprint.
+    # With samples at most one reference pixel apart, their mean is the mean over the footprint.
     n = int(np.ceil(np.abs(to_reference[:2, :2]).sum(0).max() - 1e-9)) or 1
     steps = (np.arange(n) + 0.5) / n - 0.5
-    planes = np.moveaxis(_unit(reference).reshape(*reference.shape[:2], -1), -1, 0)
+    planes = np.moveaxis(_to_unit_range(reference).reshape(*reference.shape[:2], -1), -1, 0)
     matrix = to_reference[:2, :2][::-1, ::-1]
     total = np.zeros((len(planes), *shape))
     for du in steps:
@@ -117,12 +117,12 @@ def resample(
             offset = (to_reference @ [du, dv, 1.0])[1::-1]
             for plane, out in zip(planes, total, strict=True):
                 out += affine_transform(plane, matrix, offset, shape, order=1, mode="nearest", prefilter=False)
-    inside = _reached(to_reference, steps, reference.shape[:2], shape)
+    inside = _inside(to_reference, steps, reference.shape[:2], shape)
     picture = np.moveaxis(np.where(inside, total / n**2, 0.0), 0, -1)
     return picture.reshape(*shape, *reference.shape[2:]), inside
 
 
-def _reached(
+def _inside(
     to_reference: NDArray[np.float64], steps: NDArray[np.float64], size: tuple[int, ...], shape: tuple[int, int]
 ) -> NDArray[np.bool_]:
     """Pixels of the grid whose outermost samples all lie on the area of the reference's pixels."""
@@ -168,7 +168,7 @@ def magnification_error(patch_size: ArrayLike, truth: ArrayLike, where: NDArray[
     return float(np.median(np.where(np.isfinite(error), error, 1.0))) if error.size else float("nan")
 
 
-def _unit(image: NDArray[Any]) -> NDArray[np.float64]:
+def _to_unit_range(image: NDArray[Any]) -> NDArray[np.float64]:
     scale = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
     return image.astype(np.float64) / scale
 

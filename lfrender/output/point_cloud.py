@@ -1,4 +1,4 @@
-"""The scene as points in virtual-depth units or metres, with the colours of the picture."""
+"""The scene as points in virtual-depth units or metres, with the colours of the picture, and their PLY file."""
 
 from __future__ import annotations
 
@@ -20,18 +20,20 @@ from .metrics import nearest_lens
 
 __all__ = ["point_cloud", "write_points"]
 
-# Virtual depth has a pole at s = 0: places beyond this many pitches away are as good as infinitely far.
-_FARTHEST = 50.0
-# Points per pitch: as fine as the depth is known.
-_PER_PITCH = 7.0
-_VIRTUAL = "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s"
-_METRES = "metres; x right, y down, z in front of the main lens"
 _POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")],
 )
 
 
-def point_cloud(flat: NDArray, calibration: Calibration, depth: DepthMap, optics: Optics | None = None) -> NDArray:
+def point_cloud(
+    flat: NDArray,
+    calibration: Calibration,
+    depth: DepthMap,
+    optics: Optics | None = None,
+    *,
+    points_per_pitch: float = 7.0,
+    farthest: float = 50.0,
+) -> NDArray:
     """Every resolved place of the scene as a point.
 
     Parameters
@@ -42,13 +44,17 @@ def point_cloud(flat: NDArray, calibration: Calibration, depth: DepthMap, optics
         Of this flat.
     optics : Optics, optional
         Gives positions in metres instead, the axis of the main lens in the middle of the flat.
+    points_per_pitch : float
+        Density of the points; 7 is as fine as the depth is resolved.
+    farthest : float
+        Largest virtual depth `D / |s|`, which has a pole at `s = 0`.
 
     Returns
     -------
     (n,) structured array
         `x, y` scene coordinates over the pitch `D`, `z` the signed virtual depth `D / s` (positive: in
         front of the microlenses), all float32; `red, green, blue` 0..255. Places without a resolved lens and those
-        farther than 50 are left out. With `optics`, `x` to the right, `y` down and `z` in front of the main lens [m];
+        beyond `farthest` are left out. With `optics`, `x` to the right, `y` down and `z` in front of the main lens [m];
         places at infinity are left out.
 
     Raises
@@ -59,10 +65,10 @@ def point_cloud(flat: NDArray, calibration: Calibration, depth: DepthMap, optics
     lattice = calibration.lattice
     if depth.image_size != lattice.image_size or len(depth) != len(lattice):
         raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
-    scale = min(_PER_PITCH, depth.pitch)
+    scale = min(points_per_pitch, depth.pitch)
     picture = render(flat, calibration, depth, scale=scale)
     dense = dense_depth(depth, scale)
-    v, u = np.nonzero(picture.valid & (np.abs(dense.patch_size) * _FARTHEST >= depth.pitch))
+    v, u = np.nonzero(picture.valid & (np.abs(dense.patch_size) * farthest >= depth.pitch))
     scene = np.column_stack([u, v, np.ones(len(u))]) @ dense.affine.T
     resolved = depth.mode[nearest_lens(lattice, scene)] != 0
     u, v, scene = u[resolved], v[resolved], scene[resolved]
@@ -87,14 +93,15 @@ def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = F
     Raises
     ------
     OutputError
-        If the ending is not `.ply`, or the folder cannot be written.
+        If the suffix is not `.ply`, or the folder cannot be written.
     """
     check_output(path, {".ply"})
+    virtual = "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s"
     kinds = {"f": "float", "u": "uchar"}
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        f"comment {_METRES if metres else _VIRTUAL}",
+        f"comment {'metres; x right, y down, z in front of the main lens' if metres else virtual}",
         f"element vertex {len(points)}",
         *(f"property {kinds[_POINT[name].kind]} {name}" for name in _POINT.names or ()),
         "end_header\n",

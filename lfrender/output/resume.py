@@ -1,4 +1,4 @@
-"""What a run that takes long keeps beside its output, so that it goes on where it was killed."""
+"""Intermediate results kept beside the output of a long run, so that a run that was killed can be continued."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import hashlib
 import json
 import os
 import shutil
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,9 +18,11 @@ from lfcal.runtime.output_file import atomic_write
 
 __all__ = ["Checkpoint", "file_identity", "fingerprint"]
 
+_Result = TypeVar("_Result")
+
 
 class Checkpoint:
-    """A hidden folder beside an output with the finished parts of a run; it goes when the output is there.
+    """A hidden folder beside an output with the finished parts of a run; removed once the output is there.
 
     Parameters
     ----------
@@ -36,7 +39,7 @@ class Checkpoint:
             self._kept = {}
 
     def open(self) -> Path:
-        """The folder, made where it is not there."""
+        """The folder, made where it does not exist."""
         try:
             self.folder.mkdir(exist_ok=True)
         except OSError as error:
@@ -44,20 +47,33 @@ class Checkpoint:
         return self.folder
 
     def find(self, name: str, key: str) -> Any:
-        """What is kept under a name, if it was made from the same inputs (`key`); else None."""
+        """The value kept under a name, if it was made from the same inputs (`key`); else None."""
         found = self._kept.get(name)
         return found["value"] if isinstance(found, dict) and found.get("key") == key else None
 
     def keep(self, name: str, key: str, value: Any = True) -> None:
-        """Keep a value that JSON can hold; files that belong to it must be whole on the disk by now."""
+        """Keep a value that JSON can hold; files that belong to it must have been written completely."""
         self.open()
         self._kept[name] = {"key": key, "value": value}
         with atomic_write(self._state) as temporary:
             temporary.write_text(json.dumps(self._kept), encoding="utf-8")
 
+    def reuse(self, file: str, key: str, load: Callable[[Path], _Result], compute: Callable[[], Any]) -> _Result:
+        """A result with a method `save`, read from a file of the folder, where it is computed first if necessary.
+
+        It is always read from the file, so that later results do not depend on whether a run was interrupted.
+        """
+        path, name = self.folder / file, Path(file).stem
+        if not (self.find(name, key) and path.exists()):
+            result = compute()
+            self.open()
+            result.save(path)
+            self.keep(name, key)
+        return load(path)
+
     def remove(self) -> None:
         """Remove the folder."""
-        # First what says that the rest is there, should this be interrupted.
+        # The state goes first: without it, files that an interruption here leaves behind are not used.
         self._kept = {}
         with suppress(OSError):
             self._state.unlink(missing_ok=True)
@@ -65,7 +81,7 @@ class Checkpoint:
 
 
 def file_identity(path: Path | None) -> list[Any]:
-    """Place, size and time of an input, by which another one in its place is told."""
+    """Path, size and time of an input file or Zarr folder: they change if another file takes its place."""
     if path is None:
         return []
     file = path
@@ -76,7 +92,7 @@ def file_identity(path: Path | None) -> list[Any]:
 
 
 def fingerprint(*values: Any) -> str:
-    """Short text that is another one where any of the values is: numbers, texts, lists of such, or arrays."""
+    """SHA-256 of numbers, texts, lists of such, and arrays."""
     digest = hashlib.sha256()
     for value in values:
         if isinstance(value, np.ndarray):

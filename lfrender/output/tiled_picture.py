@@ -1,4 +1,4 @@
-"""Picture files that are written part by part and appear whole: TIFF, BigTIFF and Zarr."""
+"""Picture files that are written tile by tile and appear whole: TIFF, BigTIFF and Zarr."""
 
 from __future__ import annotations
 
@@ -13,52 +13,40 @@ from numpy.typing import NDArray
 from lfcal import OutputError
 from lfcal.runtime.output_file import atomic_write
 
-from .picture import PictureError, tiff_tags
+from .formats import tiff_tags, tiff_tiles
 
-__all__ = ["PartWriter", "move_into_place", "new_writer", "written_in_parts"]
-
-_TILE = 256
-
-
-def written_in_parts(path: Path) -> bool:
-    """Whether pictures with such an ending can be written part by part."""
-    return path.suffix.lower() in (".tif", ".tiff", ".zarr")
+__all__ = ["TileWriter", "move_into_place", "new_writer"]
 
 
 def move_into_place(made: Path, output: Path) -> None:
-    """Move what is whole to where it belongs, which is on the same disk."""
+    """Move a finished file or folder to its place on the same disk."""
     try:
         os.replace(made, output)
     except OSError as error:
         raise OutputError(f"{output}: cannot be written ({error.strerror or error})") from error
 
 
-class PartWriter(Protocol):
-    """Writes the parts of one picture, any in any order, into a folder of unfinished work."""
+class TileWriter(Protocol):
+    """Writes the tiles of one picture, in any order, into a folder of unfinished work."""
 
     def open(self, fresh: bool) -> bool:
-        """Begin anew, or go on with what is in the folder; whether there was something to go on with."""
+        """Start with an empty file, or continue the one in the folder; returns whether there was one to continue."""
 
-    def write(self, part: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
+    def write(self, tile: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
         """Write the pixels of `left, top, right, bottom`."""
 
     def sync(self) -> None:
-        """Have the disk hold what was written."""
+        """Wait until the disk holds what was written."""
 
     def finish(self, output: Path) -> None:
-        """Move the picture to where it belongs, over an earlier one."""
+        """Move the picture to its place, over an earlier one."""
 
 
 def new_writer(
-    path: Path,
-    folder: Path,
-    shape: tuple[int, ...],
-    dtype: Any,
-    side: tuple[int, int],
-    description: str,
+    path: Path, folder: Path, shape: tuple[int, ...], dtype: Any, side: tuple[int, int], description: str,
     **options: Any,
-) -> PartWriter:
-    """The writer for the ending of `path`.
+) -> TileWriter:  # fmt: skip
+    """The writer for the suffix of `path`.
 
     Parameters
     ----------
@@ -68,10 +56,11 @@ def new_writer(
         Rows, columns and channels of the picture.
     dtype : dtype
     side : (int, int) [px]
-        Columns and rows of a part.
+        Columns and rows of a tile.
     description : str
         JSON text to store.
     options : icc : bytes, compress : bool
+        Of TIFF files.
     """
     if path.suffix.lower() == ".zarr":
         return _ZarrWriter(folder / "picture.zarr", shape, dtype, side, description)
@@ -79,7 +68,7 @@ def new_writer(
 
 
 class _TiffWriter:
-    """Rows of a TIFF without compression, at their places; deflated tiles are made of them at the end."""
+    """Writes rows of pixels to their places in an uncompressed TIFF; `finish` makes deflated tiles of them."""
 
     def __init__(
         self, path: Path, shape: tuple[int, ...], dtype: Any, description: str, icc: bytes = b"", compress: bool = False
@@ -97,16 +86,16 @@ class _TiffWriter:
             tifffile.imwrite(self._path, shape=self._shape, dtype=self._dtype, **self._tags)
         with tifffile.TiffFile(self._path) as tiff:
             self._start = tiff.pages[0].dataoffsets[0]
-        self._file = open(self._path, "r+b", buffering=0)  # noqa: SIM115 (closed at the end)
+        self._file = open(self._path, "r+b", buffering=0)  # noqa: SIM115 (closed by `finish`)
         return found
 
-    def write(self, part: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
-        left, top, right, _ = part
+    def write(self, tile: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
+        left, top, right, _ = tile
         pixel = self._dtype.itemsize * int(np.prod(self._shape[2:]))
         row = self._shape[1] * pixel
         pixels = np.ascontiguousarray(pixels)
-        whole = right - left == self._shape[1]
-        for number, some in enumerate([pixels] if whole else pixels):
+        full_width = right - left == self._shape[1]
+        for number, some in enumerate([pixels] if full_width else pixels):
             self._file.seek(self._start + (top + number) * row + left * pixel)
             view = some.reshape(-1).view(np.uint8).data
             while len(view):
@@ -122,29 +111,29 @@ class _TiffWriter:
             return
         import tifffile
 
-        options: dict[str, Any] = {"tile": (_TILE, _TILE), "compression": "zlib", "compressionargs": {"level": 3}}
-        # In the folder of unfinished work it is found again, and removed, by the next run if this one is killed.
+        options = tiff_tiles(self._dtype)
+        # If the process is killed here, the next run finds and removes this file in the folder of unfinished work.
         packed = self._path.with_name("packed.tif")
         with atomic_write(packed) as temporary:
             tifffile.imwrite(
-                temporary, self._tiles(), shape=self._shape, dtype=self._dtype, predictor=self._dtype.kind != "f",
+                temporary, self._tiles(options["tile"][0]), shape=self._shape, dtype=self._dtype,
                 **options, **self._tags,
             )  # fmt: skip
         move_into_place(packed, output)
 
-    def _tiles(self) -> Any:
+    def _tiles(self, side: int) -> Any:
         """The tiles of the finished picture, row by row."""
-        for top in range(0, self._shape[0], _TILE):
-            rows = min(_TILE, self._shape[0] - top)
-            offset = self._start + top * self._dtype.itemsize * int(np.prod(self._shape[1:]))
-            band = np.fromfile(self._path, self._dtype, rows * int(np.prod(self._shape[1:])), offset=offset)
-            band = band.reshape(rows, *self._shape[1:])
-            for left in range(0, self._shape[1], _TILE):
-                yield band[:, left : left + _TILE]
+        row = int(np.prod(self._shape[1:]))
+        for top in range(0, self._shape[0], side):
+            rows = min(side, self._shape[0] - top)
+            offset = self._start + top * row * self._dtype.itemsize
+            band = np.fromfile(self._path, self._dtype, rows * row, offset=offset).reshape(rows, *self._shape[1:])
+            for left in range(0, self._shape[1], side):
+                yield band[:, left : left + side]
 
 
 class _ZarrWriter:
-    """Chunks of a Zarr array, one for each part."""
+    """Writes each tile as a chunk of a Zarr array."""
 
     def __init__(self, path: Path, shape: tuple[int, ...], dtype: Any, side: tuple[int, int], description: str) -> None:
         self._path, self._shape, self._dtype, self._description = path, shape, dtype, description
@@ -152,14 +141,12 @@ class _ZarrWriter:
         self._array: Any = None
 
     def open(self, fresh: bool) -> bool:
-        try:
-            import zarr
-        except ImportError as error:
-            raise PictureError("Zarr needs the package 'zarr'; pip install 'lfrender[zarr]'") from error
+        import zarr
+
         if fresh:
             shutil.rmtree(self._path, ignore_errors=True)
         found = self._path.exists()
-        # A chunk that is not there is then one that was lost.
+        # Empty chunks are written too, so that a missing chunk is one that was lost.
         with zarr.config.set({"array.write_empty_chunks": True}):
             if not found:
                 self._array = zarr.create_array(
@@ -170,19 +157,18 @@ class _ZarrWriter:
                 self._array = zarr.open_array(str(self._path), mode="r+")
         return found
 
-    def write(self, part: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
-        left, top, right, bottom = part
+    def write(self, tile: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
+        left, top, right, bottom = tile
         self._array[top:bottom, left:right] = pixels
 
     def sync(self) -> None:
-        # Files of whole chunks are left to the system: those of a killed run are there.
-        return
+        """The operating system keeps files of whole chunks, also those of a process that was killed."""
 
     def finish(self, output: Path) -> None:
         if output.exists() and not any((output / name).exists() for name in ("zarr.json", ".zarray", ".zgroup")):
             raise OutputError(f"{output}: is there already and no Zarr array; give another output")
         earlier = self._path.with_name("earlier.zarr")
-        # Out of the way in one step: a folder half removed would be taken for a picture.
+        # The earlier array is moved away in one step: a folder that is half removed would still be read as a picture.
         if output.exists():
             shutil.rmtree(earlier, ignore_errors=True)
             move_into_place(output, earlier)

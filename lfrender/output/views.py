@@ -1,4 +1,4 @@
-"""Views as files: a folder of pictures, a stereo pair in one picture, an animation."""
+"""Files of several viewpoints: a folder of pictures, a stereo pair in one picture, an animation."""
 
 from __future__ import annotations
 
@@ -12,21 +12,20 @@ import numpy as np
 
 from lfcal import OutputError
 from lfcal.runtime.eight_bit import to_eight_bits
-from lfcal.runtime.output_file import atomic_write, check_output
+from lfcal.runtime.output_file import atomic_write
 
 from ..data.rendering import Rendering
+from .formats import FORMATS, PictureError, check_format
 from .metadata import EmbeddedMetadata
-from .picture import PictureError, check_picture, write_picture
+from .picture import check_picture, write_picture
 
-__all__ = ["ANIMATIONS", "check_animation", "check_grid", "stereo_pair", "write_animation", "write_grid"]
+__all__ = ["check_animation", "check_grid", "stereo_pair", "write_animation", "write_grid"]
 
-#: Endings of animations and what Pillow calls their formats.
-ANIMATIONS = {".gif": "GIF", ".png": "PNG", ".webp": "WEBP"}
-_NOTHING = EmbeddedMetadata()
+_NO_METADATA = EmbeddedMetadata()
 
 
 def check_grid(folder: str | os.PathLike[str], suffix: str, dtype: Any = None, inputs: Iterable[Any] = ()) -> None:
-    """Refuse a folder of views that could not be made, before the views are drawn.
+    """Raise an error if a folder of views could not be made, before the views are drawn.
 
     Raises
     ------
@@ -46,16 +45,16 @@ def write_grid(
     suffix: str = ".tif",
     *,
     settings: Mapping[str, Any] | None = None,
-    embedded: EmbeddedMetadata = _NOTHING,
+    embedded: EmbeddedMetadata = _NO_METADATA,
 ) -> list[Path]:
     """Write views row by row as `row1_column1.tif` and so on.
 
     Parameters
     ----------
     folder : path-like
-        Made where it is not there.
+        Made where it does not exist.
     pictures : iterable of Rendering
-        As `views` yields them for `grid_offsets`; one at a time is held.
+        As `views` yields them for `grid_offsets`; one at a time is held in memory.
     columns : int
         Pictures per row.
     suffix : str
@@ -93,14 +92,14 @@ def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
 def check_animation(
     path: str | os.PathLike[str], dtype: Any = None, inputs: Iterable[str | os.PathLike[str] | None] = ()
 ) -> None:
-    """Refuse an animation that could not be written, before its views are drawn.
+    """Raise an error if an animation could not be written, before its views are drawn.
 
     Raises
     ------
     OutputError, PictureError
         As `check_picture`. Pixels must be uint8 or uint16.
     """
-    check_output(path, ANIMATIONS, inputs)
+    check_format(path, "animation", inputs=inputs)
     if dtype is not None and np.dtype(dtype).name not in ("uint8", "uint16"):
         raise PictureError(f"{path}: animations cannot hold {np.dtype(dtype).name} pixels; write a grid of .tif")
 
@@ -111,7 +110,7 @@ def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering],
     Parameters
     ----------
     path : path-like
-        The ending chooses the format.
+        The suffix chooses the format.
     pictures : iterable of Rendering
         One per frame, uint8 or uint16, the latter written with 8 bits.
     milliseconds : int
@@ -134,12 +133,12 @@ def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering],
     suffix = Path(path).suffix.lower()
     options: dict[str, Any] = {"lossless": False, "quality": 90} if suffix == ".webp" else {}
     if suffix == ".gif":
-        # One palette for all frames: with one each, colours would flicker.
+        # All frames share one palette: with a palette each, colours would flicker.
         colours = [frame.convert("RGB") for frame in frames]
         palette = colours[0].quantize(256)
         frames = [frame.quantize(palette=palette) for frame in colours]
     with atomic_write(path) as temporary:
         frames[0].save(
-            temporary, ANIMATIONS[suffix], save_all=True, append_images=frames[1:], duration=milliseconds, loop=0,
-            **options,
+            temporary, FORMATS[suffix].animation, save_all=True, append_images=frames[1:], duration=milliseconds,
+            loop=0, **options,
         )  # fmt: skip

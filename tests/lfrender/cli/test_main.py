@@ -15,7 +15,10 @@ from click.testing import CliRunner
 from PIL import Image, ImageCms
 
 import lfcal
+import lfrender
 from lfrender.cli.main import main
+from lfrender.large.settings import LargeSettings
+from lfrender.large.size import is_large
 
 
 def run(*arguments):
@@ -293,9 +296,7 @@ def test_a_mosaic_flat_is_rendered_in_colour_when_its_filters_are_named(house_fi
 
 @pytest.fixture
 def everything_is_large(monkeypatch):
-    from lfrender.cli import large as large_cli
-
-    monkeypatch.setattr(large_cli, "_LARGE", 1000)
+    monkeypatch.setattr(is_large, "__defaults__", (1000,))
 
 
 def as_tiff(house_files, tmp_path):
@@ -324,7 +325,8 @@ def test_a_large_flat_goes_through_the_whole_chain_and_a_second_run_goes_on(
 
     flat, camera = as_tiff(house_files, tmp_path), house_files / "camera.json"
     ask = ("render", flat, "-c", camera, "-o", tmp_path / "picture.tif", "--preset", "fast", "--tile", "60")
-    monkeypatch.setattr(large_rendering, "_SYNC", 0.0)
+    tuning = LargeSettings(sync_seconds=0.0)
+    monkeypatch.setitem(lfrender.render_large.__kwdefaults__, "tuning", tuning)
     written = large_rendering._Run._store
 
     def stopped(self, tile, image, valid):
@@ -336,9 +338,7 @@ def test_a_large_flat_goes_through_the_whole_chain_and_a_second_run_goes_on(
     assert_refused(run(*ask), "the disk is full")
     assert not (tmp_path / "picture.tif").exists()
     monkeypatch.setattr(large_rendering._Run, "_store", written)
-    import lfrender.large.analyze
-
-    monkeypatch.setattr(lfrender.large.analyze, "_by_tiles", None)
+    monkeypatch.setattr("lfrender.large.analyze._analyze_tiles", None)
     figures = figures_of(*ask)
     assert figures["tiles_kept"] == 1
     assert figures["modes"]["telescopic"] > 0.3

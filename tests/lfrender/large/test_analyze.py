@@ -1,4 +1,4 @@
-"""Depth of large flats by tiles of lenses: nearly the answers of one go, and how far they may differ."""
+"""Depth of large flats by tiles of lenses: nearly that of the whole flat at once, and how far they may differ."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from lfrender.depth.matching.shortcuts import Shortcuts
 from lfrender.depth.planes import plane_fit as plane
 from lfrender.flat.grey_flat import gray_flat
 from lfrender.large import analyze as large_analysis
-from lfrender.large import tiles as lens_tiles
+from lfrender.large.analyze import FlatContext
+from lfrender.large.settings import LargeSettings
+from lfrender.large.tiles import lens_tiles
 
 
 @functools.cache
@@ -26,30 +28,31 @@ def capture(scene, size=(330, 300), pitch=13.2, **arguments):
     return simulate(SCENES[scene](camera, **arguments), camera, samples=8, seed=2)
 
 
-@pytest.fixture
-def small_tiles(monkeypatch):
-    """Tiles as small as their halo allows: 2 x 2 of these flats."""
-    monkeypatch.setattr(lens_tiles, "_BUDGET", 1.0)
+#: Tiles as small as their halo allows: 2 x 2 of these flats.
+SMALL_TILES = LargeSettings(analysis_memory=1.0)
 
 
-def in_both_ways(tmp_path, shot, camera=None):
+def in_both_ways(tmp_path, shot, camera=None, tiles=4):
+    """Depth of the whole flat at once and by tiles, and the camera."""
     tifffile.imwrite(tmp_path / "flat.tif", shot.flat, photometric="rgb")
     camera = camera or shot.truth.calibration
-    tiles = []
+    counts = []
+    options = {
+        "progress": lambda _, count: counts.append(count),
+        "tuning": SMALL_TILES if tiles > 1 else LargeSettings(),
+    }
     with lfcal.open_flat(tmp_path / "flat.tif") as source:
-        many = lfrender.analyze_large(source, camera, "fast", progress=lambda _, count: tiles.append(count))
-    assert set(tiles) <= {4 if lens_tiles._BUDGET == 1 else 1}
+        many = lfrender.analyze_large(source, camera, "fast", **options)
+    assert set(counts) <= {tiles}
     return lfrender.analyze(shot.flat, camera, "fast"), many, camera
 
 
 @pytest.mark.parametrize("pitch, size", [(13.2, (330, 300)), (23.2, (521, 471))])
 @pytest.mark.parametrize("tiles", [1, 4])
-def test_tiles_of_lenses_give_nearly_the_depth_of_one_go(tmp_path, monkeypatch, pitch, size, tiles):
-    """Of the larger pitch, `fast` makes 2 x 2 pixels one; a row and a column are left over."""
-    if tiles > 1:
-        monkeypatch.setattr(lens_tiles, "_BUDGET", 1.0)
+def test_depth_by_tiles_is_nearly_that_of_the_whole_flat(tmp_path, pitch, size, tiles):
+    """Of the larger pitch, `fast` reduces 2 x 2 pixels to one; a row and a column are left over."""
     shot = capture("house", size, pitch)
-    one, many, _ = in_both_ways(tmp_path, shot)
+    one, many, _ = in_both_ways(tmp_path, shot, tiles=tiles)
     assert many.pitch == one.pitch and many.image_size == size
     assert (one.mode == many.mode).mean() > 0.97
     both = (one.reason == 0) & (many.reason == 0)
@@ -61,7 +64,7 @@ def test_tiles_of_lenses_give_nearly_the_depth_of_one_go(tmp_path, monkeypatch, 
     assert np.mean(surfaces > 0.1) < 0.05
 
 
-def test_one_plane_is_seen_as_one_plane(tmp_path, small_tiles):
+def test_a_scene_of_one_plane_gets_one_plane(tmp_path):
     one, many, _ = in_both_ways(tmp_path, capture("plane", ratio=0.32))
     assert np.ptp(many.drawn) < 1e-4
     assert many.drawn.mean() == pytest.approx(one.drawn.mean(), abs=0.02)
@@ -69,8 +72,8 @@ def test_one_plane_is_seen_as_one_plane(tmp_path, small_tiles):
 
 
 @pytest.mark.parametrize("checked", [True, False])
-def test_the_error_of_one_plane_counts_what_misleads_all_of_its_lenses(tmp_path, small_tiles, monkeypatch, checked):
-    """A plane that cannot be checked on every tile is to be found among their answers."""
+def test_the_error_of_one_plane_includes_the_common_error_of_its_lenses(tmp_path, monkeypatch, checked):
+    """A plane that fails the check on a tile is still found from the depths of all tiles."""
     shot = capture("plane", ratio=0.32)
     noisy = shot.flat + np.random.default_rng(4).normal(0, 3 if checked else 8, shot.flat.shape)
     shot = replace(shot, flat=np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
@@ -84,7 +87,7 @@ def test_the_error_of_one_plane_counts_what_misleads_all_of_its_lenses(tmp_path,
     assert np.median(counted.standard_error) > 1.03 * np.median(uncounted.standard_error)
 
 
-def test_the_surface_of_every_place_comes_from_the_tile_it_lies_in(tmp_path, small_tiles):
+def test_the_surface_of_every_place_comes_from_the_tile_it_lies_in(tmp_path):
     """A tile whose surface is pasted beside its place would be off by the slope of the scene."""
     shot = capture("slope")
     one, many, camera = in_both_ways(tmp_path, shot)
@@ -93,22 +96,21 @@ def test_the_surface_of_every_place_comes_from_the_tile_it_lies_in(tmp_path, sma
     assert np.median(apart) < 0.01
 
 
-def test_tiles_see_the_pixels_of_the_whole_flat_made_smaller(monkeypatch):
-    """Bit for bit where nothing is corrected, and to rounding where lenses differ in their light."""
+def test_tiles_have_the_pixels_of_the_reduced_whole_flat():
+    """Bit for bit without vignetting correction, and to rounding with a gain per lens."""
     shot = capture("house", (521, 471), 23.2)
     plain = lfcal.Calibration(shot.truth.calibration.lattice)
     known = lfcal.calibrate(shot.white, kind="white").gain_map
     own = (1 + 0.2 * np.sin(np.arange(len(plain.lattice)))).astype(np.float32)
     uneven = replace(plain, gain_map=replace(known, own=own))
-    monkeypatch.setattr(lens_tiles, "_BUDGET", 1.0)
     for camera, tolerance in ((plain, 0.0), (uneven, 1e-5)):
-        whole = large_analysis._Whole(camera, "fast", Shortcuts())
-        assert whole.factor == 2
+        context = FlatContext(camera, "fast", Shortcuts())
+        assert context.factor == 2
         image = gray_flat(shot.flat, camera, 2).image
         lenses = 0
-        for part in lens_tiles.lens_tiles(camera.lattice, 2, PRESETS["fast"]):
+        for part in lens_tiles(camera.lattice, 2, PRESETS["fast"], settings=SMALL_TILES):
             left, top, right, bottom = part.rectangle
-            some = whole.gray(part, shot.flat[top:bottom, left:right]).image
+            some = context.gray_tile(part, shot.flat[top:bottom, left:right]).image
             x, y = part.corner
             there = image[y : y + some.shape[0], x : x + some.shape[1]]
             # Microimages at the border of a part are cut off by it.

@@ -1,4 +1,4 @@
-"""Large flats drawn tile by tile: the same bits as in one go, files that appear whole, and runs that go on."""
+"""Large flats drawn tile by tile: the same bits as at once, files that appear whole, runs that can be continued."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ import tifffile
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.large import render as large_rendering
+from lfrender.large.settings import LargeSettings
+
+#: Every finished tile is made safe on the disk at once.
+SYNC = LargeSettings(sync_seconds=0.0)
 
 
 @functools.cache
@@ -31,12 +34,12 @@ def capture():
 def drawn_in_tiles(tmp_path, flat, camera, tile, *, name="picture.tif", stored=None, **options):
     tifffile.imwrite(tmp_path / "flat.tif", flat, photometric="rgb" if flat.ndim == 3 else "minisblack", **stored or {})
     with lfcal.open_flat(tmp_path / "flat.tif") as source:
-        return lfrender.render_large(source, tmp_path / name, camera, tile=tile, **options)
+        return lfrender.render_large(source, tmp_path / name, camera, tile=tile, tuning=SYNC, **options)
 
 
 @pytest.mark.parametrize("tile", [23, 64, None])
 @pytest.mark.parametrize("way", ["depth", "fixed", "blended", "small", "gain", "gain fixed", "mosaic", "float"])
-def test_tiles_make_the_picture_of_one_go_bit_for_bit(tmp_path, way, tile):
+def test_tiles_make_the_picture_of_the_whole_flat_bit_for_bit(tmp_path, way, tile):
     flat, plain, shaded, depth = capture()
     camera = shaded if way.startswith("gain") else plain
     options = {
@@ -74,10 +77,9 @@ def killed_after(count):
 
 
 @pytest.mark.parametrize("name", ["picture.tif", "picture.zarr"])
-def test_a_killed_run_leaves_no_picture_and_goes_on_with_the_finished_tiles(tmp_path, monkeypatch, name):
+def test_a_killed_run_leaves_no_picture_and_is_continued_from_the_finished_tiles(tmp_path, name):
     if name.endswith("zarr"):
         pytest.importorskip("zarr", minversion="3.0")
-    monkeypatch.setattr(large_rendering, "_SYNC", 0.0)
     flat, camera, _, depth = capture()
     with pytest.raises(Killed):
         drawn_in_tiles(tmp_path, flat, camera, 31, name=name, depth=depth, progress=killed_after(3))
@@ -95,8 +97,7 @@ def test_a_killed_run_leaves_no_picture_and_goes_on_with_the_finished_tiles(tmp_
     assert sorted(p.name for p in tmp_path.iterdir()) == ["flat.tif", name]
 
 
-def test_a_run_with_other_settings_begins_anew(tmp_path, monkeypatch):
-    monkeypatch.setattr(large_rendering, "_SYNC", 0.0)
+def test_a_run_with_other_settings_starts_from_the_beginning(tmp_path):
     flat, camera, _, _ = capture()
     with pytest.raises(Killed):
         drawn_in_tiles(tmp_path, flat, camera, 31, patch_size=6.5, progress=killed_after(3))
@@ -108,7 +109,7 @@ def test_a_run_with_other_settings_begins_anew(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["picture.tif", "packed.tif", "picture.png", "picture.zarr"])
-def test_files_of_tiles_hold_what_those_of_one_go_hold(tmp_path, name):
+def test_files_written_by_tiles_equal_files_written_at_once(tmp_path, name):
     if name.endswith("zarr"):
         pytest.importorskip("zarr", minversion="3.0")
     flat, camera, _, _ = capture()
@@ -129,11 +130,10 @@ def test_files_of_tiles_hold_what_those_of_one_go_hold(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", ["picture.tif", "picture.zarr"])
-def test_notes_of_tiles_that_are_gone_are_not_believed(tmp_path, monkeypatch, name):
-    """A run may be killed between moving the picture to its place and removing its notes."""
+def test_a_list_of_finished_tiles_without_the_tiles_is_ignored(tmp_path, monkeypatch, name):
+    """A run may be killed between moving the picture to its place and removing the list."""
     if name.endswith("zarr"):
         pytest.importorskip("zarr", minversion="3.0")
-    monkeypatch.setattr(large_rendering, "_SYNC", 0.0)
     flat, camera, _, _ = capture()
     with monkeypatch.context() as patch:
         patch.setattr("lfrender.output.resume.Checkpoint.remove", lambda self: None)

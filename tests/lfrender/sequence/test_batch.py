@@ -48,8 +48,8 @@ def _run(sequence, folder, **options):
 def whole(sequence, tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batch, "STRETCH", 3)
-        patch.setattr(batch, "GROUP", 2)
+        patch.setattr(batch, "SEGMENT_LENGTH", 3)
+        patch.setattr(batch, "GROUP_LENGTH", 2)
         return folder, _run(sequence, folder)
 
 
@@ -83,8 +83,8 @@ def test_pictures_keep_the_colour_profile_and_camera_data_of_their_frames(house,
 
 
 def test_a_run_that_was_stopped_goes_on_with_the_same_pictures(sequence, whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(batch, "STRETCH", 3)
-    monkeypatch.setattr(batch, "GROUP", 2)
+    monkeypatch.setattr(batch, "SEGMENT_LENGTH", 3)
+    monkeypatch.setattr(batch, "GROUP_LENGTH", 2)
     frames, camera = sequence
     started = lfrender.render_frames(lfrender.open_frames([frames]), tmp_path, camera, preset="fast")
     # Two more are on their way by then.
@@ -97,8 +97,8 @@ def test_a_run_that_was_stopped_goes_on_with_the_same_pictures(sequence, whole, 
 
 
 def test_frames_are_analysed_against_what_lies_in_the_folder_as_in_a_later_run(sequence, tmp_path, monkeypatch):
-    monkeypatch.setattr(batch, "STRETCH", 4)
-    monkeypatch.setattr(batch, "GROUP", 2)
+    monkeypatch.setattr(batch, "SEGMENT_LENGTH", 4)
+    monkeypatch.setattr(batch, "GROUP_LENGTH", 2)
     flats, against = [], []
 
     def analyze(flat, *arguments, previous=None):
@@ -122,7 +122,7 @@ def test_frames_are_analysed_against_what_lies_in_the_folder_as_in_a_later_run(s
 
 
 def test_a_depth_that_changes_little_from_key_to_key_is_followed(drawn_flat, tmp_path, monkeypatch):
-    monkeypatch.setattr(batch, "STRETCH", 1)
+    monkeypatch.setattr(batch, "SEGMENT_LENGTH", 1)
     sizes, inputs = 7.0 + 0.08 * np.arange(14), tmp_path / "in"
     inputs.mkdir()
     for k, s in enumerate(sizes):

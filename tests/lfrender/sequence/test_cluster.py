@@ -19,7 +19,7 @@ import lfcal
 import lfrender
 from lfcal import OutputError
 from lfrender.cli.main import main
-from lfrender.large import tiles as lens_tiles
+from lfrender.large.settings import LargeSettings
 from lfrender.sequence.cluster import connect, task_result
 
 pytest.importorskip("distributed")
@@ -71,7 +71,7 @@ def test_pictures_are_those_of_one_machine_although_a_worker_is_killed(frames, h
 @pytest.fixture
 def flat(house, tmp_path, monkeypatch):
     """A flat whose lenses are analysed in 2 x 2 tiles, as the command finds it; its camera."""
-    monkeypatch.setattr(lens_tiles, "_BUDGET", 1.0)
+    monkeypatch.setitem(lfrender.analyze_large.__kwdefaults__, "tuning", LargeSettings(analysis_memory=1.0))
     path = tmp_path / "flat.tif"
     tifffile.imwrite(path, house.flat, photometric="rgb")
     house.truth.calibration.save(tmp_path / "camera.json")

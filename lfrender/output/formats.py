@@ -1,0 +1,238 @@
+"""The file formats of pictures, registered once: what each can hold, and how pictures are written into it.
+
+To add a format, add an entry to `FORMATS`: pictures, stacks, tiles, animations, films and the command line take what
+they can write, and what they say of the others, from there.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import LightFieldError
+from lfcal.runtime.output_file import check_output
+
+from .metadata import EmbeddedMetadata, embed_in_jpeg, embed_in_png
+
+__all__ = [
+    "FORMATS",
+    "Page",
+    "PictureError",
+    "PictureFormat",
+    "check_format",
+    "check_package",
+    "tiff_tags",
+    "tiff_tiles",
+]
+
+#: Pixels, with alpha where they have 2 or 4 channels, and the JSON text that is stored with them.
+Page = tuple[NDArray[Any], str]
+
+
+class PictureError(LightFieldError, ValueError):
+    """A picture cannot be written in the format that was asked for."""
+
+
+@dataclass(frozen=True)
+class PictureFormat:
+    """What files with one suffix can hold, and how they are written.
+
+    Parameters
+    ----------
+    pixel_types : tuple of str
+        NumPy names of the pixel types.
+    picture : callable or None
+        `picture(path, pages, embedded, compress)` writes a picture; None for formats that hold no single pictures.
+    alpha : bool
+        Whether there can be an alpha channel.
+    stack : bool
+        Whether a file can hold several pictures.
+    tiles : bool
+        Whether files can be written tile by tile (`tiled_picture`).
+    animation : str
+        Name of the format in Pillow if it can hold an animation, else empty.
+    film : (str, dict of str to str) or None
+        Encoder of FFmpeg and its options, if it is a film.
+    package, extra : str
+        Package that is needed, and the extra of lfrender that installs it.
+    """
+
+    pixel_types: tuple[str, ...]
+    picture: Callable[[Path, list[Page], EmbeddedMetadata, bool], None] | None = None
+    alpha: bool = True
+    stack: bool = False
+    tiles: bool = False
+    animation: str = ""
+    film: tuple[str, dict[str, str]] | None = None
+    package: str = ""
+    extra: str = ""
+
+
+def check_format(
+    path: str | os.PathLike[str],
+    use: Literal["picture", "animation", "film"],
+    dtype: Any = None,
+    alpha: bool = False,
+    inputs: Iterable[str | os.PathLike[str] | None] = (),
+) -> None:
+    """Raise an error if a file could not be written, before anything is computed for it.
+
+    Parameters
+    ----------
+    path : path-like
+        Where the file is to go.
+    use : {"picture", "animation", "film"}
+    dtype : dtype, optional
+        Its pixel type, where already known.
+    alpha : bool
+        Whether it will have an alpha channel.
+    inputs : iterable of path-like or None
+        Files that are read for it and must not be replaced by it.
+
+    Raises
+    ------
+    OutputError
+        If no format with this use has such a suffix, the folder cannot be written, or `path` is one of the inputs.
+    PictureError
+        If the format cannot hold such pixels, or needs a package that is not installed.
+    """
+    check_output(path, [suffix for suffix, kind in FORMATS.items() if getattr(kind, use)], inputs)
+    suffix = Path(path).suffix.lower()
+    kind = FORMATS[suffix]
+    if dtype is not None and np.dtype(dtype).name not in kind.pixel_types:
+        raise PictureError(f"{path}: {suffix} cannot hold {np.dtype(dtype).name} pixels; use .tif")
+    check_package(path, kind)
+    if alpha and not kind.alpha:
+        raise PictureError(f"{path}: {suffix} cannot hold an alpha channel; use .png or .tif")
+
+
+def check_package(path: str | os.PathLike[str], kind: PictureFormat) -> None:
+    """Raise PictureError if the package that a format needs is not installed."""
+    if kind.package and find_spec(kind.package) is None:
+        needs = f"{Path(path).suffix} files need the package '{kind.package}'"
+        raise PictureError(f"{path}: {needs}; pip install 'lfrender[{kind.extra}]'")
+
+
+def tiff_tags(shape: tuple[int, ...], text: str, icc: bytes) -> dict[str, Any]:
+    """Options of tifffile for a picture of this shape, with alpha where it has 2 or 4 channels."""
+    channels = shape[2] if len(shape) == 3 else 1
+    return {
+        "photometric": "rgb" if channels >= 3 else "minisblack",
+        "planarconfig": "contig" if len(shape) == 3 else None,
+        "extrasamples": ["unassalpha"] if channels in (2, 4) else None,
+        "description": text,
+        "software": "lfrender",
+        "metadata": None,
+        "iccprofile": icc or None,
+    }
+
+
+def tiff_tiles(dtype: Any, side: int = 256) -> dict[str, Any]:
+    """Options of tifffile for deflated tiles of `side` x `side` pixels."""
+    return {
+        "tile": (side, side), "compression": "zlib", "compressionargs": {"level": 3},
+        "predictor": np.dtype(dtype).kind != "f",
+    }  # fmt: skip
+
+
+def _write_tiff(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compress: bool) -> None:
+    import tifffile
+
+    # Plain TIFF counts bytes with 32 bits; 32 MB are left for what stands beside the pixels.
+    big = sum(pixels.nbytes for pixels, _ in pages) > 2**32 - 2**25
+    with tifffile.TiffWriter(path, bigtiff=big) as tiff:
+        for pixels, text in pages:
+            tiles = tiff_tiles(pixels.dtype) if compress else {}
+            tiff.write(np.ascontiguousarray(pixels), **tiff_tags(pixels.shape, text, embedded.icc), **tiles)
+
+
+def _write_exr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:
+    import OpenEXR
+
+    ((pixels, text),) = pages
+    names = {2: "Y", 3: "RGB", 4: "RGBA"}
+    channels = {names.get(pixels.shape[2], "Y") if pixels.ndim == 3 else "Y": np.ascontiguousarray(pixels)}
+    if pixels.ndim == 3 and pixels.shape[2] == 2:
+        channels = {"Y": np.ascontiguousarray(pixels[..., 0]), "A": np.ascontiguousarray(pixels[..., 1])}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "comments": text}
+    with OpenEXR.File(header, channels) as file:
+        file.write(str(path))
+
+
+def _write_png(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool) -> None:
+    ((pixels, text),) = pages
+    path.write_bytes(embed_in_png(_encode(pixels, ".png", []), text, embedded))
+
+
+def _write_jpeg(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool, quality: int = 95) -> None:
+    import cv2
+
+    ((pixels, text),) = pages
+    data = _encode(pixels, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
+    path.write_bytes(embed_in_jpeg(data, text, embedded))
+
+
+def _write_webp(path: Path, pages: list[Page], embedded: EmbeddedMetadata, _compress: bool, quality: int = 95) -> None:
+    ((pixels, _),) = pages
+    extra = {"icc_profile": embedded.icc, "exif": embedded.exif}
+    if any(extra.values()) and pixels.ndim == 3 and pixels.shape[2] != 2:
+        from PIL import Image
+
+        stream = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(pixels)).save(
+            stream, "WEBP", quality=quality, **{name: value for name, value in extra.items() if value}
+        )
+        path.write_bytes(stream.getvalue())
+        return
+    import cv2
+
+    path.write_bytes(_encode(pixels, ".webp", [cv2.IMWRITE_WEBP_QUALITY, quality]))
+
+
+def _encode(pixels: NDArray[Any], suffix: str, options: list[int]) -> bytes:
+    """The bytes of a picture file as OpenCV writes it."""
+    import cv2
+
+    if pixels.ndim == 3 and pixels.shape[2] == 2:
+        pixels = pixels[..., (0, 0, 0, 1)]
+    if pixels.ndim == 3:
+        code = cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
+        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), code)
+    try:
+        done, data = cv2.imencode(suffix, pixels, options)
+    except cv2.error as error:
+        raise PictureError(f"cannot be written as {suffix} ({error.err or error})") from error
+    if not done:
+        raise PictureError(f"{pixels.shape[1]} x {pixels.shape[0]} px cannot be written as {suffix}; use .tif")
+    return bytes(data.tobytes())
+
+
+_WHOLE = ("uint8", "uint16")
+_TIFF = PictureFormat((*_WHOLE, "float32"), _write_tiff, stack=True, tiles=True)
+_JPEG = PictureFormat(("uint8",), _write_jpeg, alpha=False)
+#: The formats by the suffix of their files.
+FORMATS = {
+    ".exr": PictureFormat(("float32",), _write_exr, package="OpenEXR", extra="exr"),
+    ".gif": PictureFormat(_WHOLE, animation="GIF"),
+    ".jpeg": _JPEG,
+    ".jpg": _JPEG,
+    # FFV1 loses nothing; every picture stands for itself and has a checksum.
+    ".mkv": PictureFormat(
+        _WHOLE, film=("ffv1", {"level": "3", "g": "1", "slicecrc": "1"}), package="av", extra="video"
+    ),
+    # H.264 plays everywhere. The eye sees no difference at this rate factor (crf), and hardly any at twice that.
+    ".mp4": PictureFormat(("uint8",), film=("libx264", {"crf": "10", "preset": "fast"}), package="av", extra="video"),
+    ".png": PictureFormat(_WHOLE, _write_png, animation="PNG"),
+    ".tif": _TIFF,
+    ".tiff": _TIFF,
+    ".webp": PictureFormat(("uint8",), _write_webp, animation="WEBP"),
+    ".zarr": PictureFormat((*_WHOLE, "float32"), tiles=True, package="zarr", extra="zarr"),
+}
