@@ -15,18 +15,16 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from ..lattice.cell import cell_inradius, cell_normals, is_outside_cell
-from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, select_whole_lenses
 from ..lattice.lit_lenses import find_lit_lenses
+from ..lattice.robust_fit import TUKEY_CUTOFF, LatticeFit, field_rms, fit_lattice_shifts, shift_standard_error
 from ..runtime.errors import CalibrationError
 
-__all__ = ["LatticeFit", "RadialProfile", "fit_lattice", "measure_radial_profile"]
+__all__ = ["RadialProfile", "fit_lattice", "measure_radial_profile"]
 
 # Distance between samples of a radial profile [px]: edges of discs are about one pixel wide.
 _STEP = 0.25
-# Residuals beyond this many standard deviations have no say (Tukey's biweight).
-_OUTLIER = 4.685
 _CHUNKS = 64
 # Share of the information on the centre that may be left out to save pixels.
 _SPARE = 0.02
@@ -142,34 +140,6 @@ class RadialProfile:
         return max(1.0, (int(np.searchsorted(information, _SPARE * information[-1])) - 1) * self.step)
 
 
-@dataclass(frozen=True)
-class LatticeFit:
-    """A fitted lattice and how its microimages agree with it.
-
-    Parameters
-    ----------
-    origin, basis : (2,), (2, 2) float64 [px]
-    residual_rms : float [px]
-        Robust RMS distance of single microimages from the lattice.
-    uncertainty : float [px]
-        Standard error of a centre, RMS over the flat, as the scatter of the microimages implies.
-    lenses_used : int
-        Microimages with a say.
-    half_difference : float [px]
-        RMS distance over the flat between lattices fitted to two independent halves of the microimages.
-    distortion : Distortion or None
-        None where the lattice is straight.
-    """
-
-    origin: NDArray[np.float64]
-    basis: NDArray[np.float64]
-    residual_rms: float
-    uncertainty: float
-    lenses_used: int
-    half_difference: float
-    distortion: Distortion | None = None
-
-
 def measure_radial_profile(
     picture: NDArray[np.float32] | StackedCrops,
     lattice: Lattice,
@@ -202,27 +172,6 @@ def measure_radial_profile(
     return RadialProfile(mean, np.maximum(variance, floor), number, _STEP)
 
 
-def _pool(
-    normal: NDArray[np.float64], right: NDArray[np.float64], indices: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
-    """Robust least squares of lens steps: change (3, 2) of origin and basis, shifts, lens weights and their scale."""
-    count = len(indices)
-    design = np.column_stack([np.ones(count), indices]).astype(np.float64)
-    ridge = 1e-9 * np.trace(normal.sum(0)) / max(count, 1) * np.eye(2)
-    shifts = np.linalg.solve(normal + ridge, right[..., None])[..., 0]
-    weight = np.ones(count)
-    change: NDArray[Any] = np.zeros((3, 2))
-    scale = 1.0
-    for _ in range(8):
-        force = (design.T @ (weight[:, None] * right)).reshape(6)
-        change = np.linalg.lstsq(_information(design, normal, weight), force, rcond=1e-12)[0].reshape(3, 2)
-        miss: NDArray[Any] = shifts - design @ change
-        far = ((normal @ miss[..., None])[..., 0] * miss).sum(1)
-        scale = float(np.median(far)) / 1.386 + 1e-30
-        weight = np.clip(1 - far / (scale * _OUTLIER**2), 0, None) ** 2
-    return change, shifts, weight, scale
-
-
 def fit_lattice(picture: NDArray[np.float32], lattice: Lattice, passes: int = 3, pixels: float = 6e6) -> LatticeFit:
     """Fit origin and basis to all whole microimages.
 
@@ -251,23 +200,19 @@ def fit_lattice(picture: NDArray[np.float32], lattice: Lattice, passes: int = 3,
         current = Lattice(origin, basis, lattice.image_size, lattice.radius)
         stride = max(1, len(lattice) // _SKETCH_LENSES) if turn < sketches else every
         indices, normal, right = _lens_steps(picture, current, stride)
-        change, shifts, weight, scale = _pool(normal, right, indices)
+        design = np.column_stack([np.ones(len(indices)), indices])
+        change, residuals, weight, variance = fit_lattice_shifts(design, normal, right)
         origin = origin + change[0]
         basis = basis + change[1:]
         if not np.abs(basis @ np.linalg.inv(lattice.basis) - np.eye(2)).max() < _RUNAWAY:
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
-        design = np.column_stack([np.ones(len(indices)), indices])
-        moved = float(np.sqrt(((design @ change) ** 2).sum(1).mean()))
-        spread = _standard_error(design, normal, weight, scale)
-        if turn >= sketches and moved < _SETTLED * spread:
+        error = shift_standard_error(design, normal, weight, variance)
+        if turn >= sketches and field_rms(design, change) < _SETTLED * error:
             break
-    miss = shifts - design @ change
-    residual = float(np.sqrt(np.average((miss**2).sum(1), weights=weight)))
-    parity = np.arange(len(indices)) % 2
-    halves = [_pool(normal[parity == side], right[parity == side], indices[parity == side])[0] for side in (0, 1)]
-    gap = design @ (halves[0] - halves[1])
-    differ = float(np.sqrt((gap**2).sum(1).mean()))
-    return LatticeFit(origin, basis, residual, spread, int((weight > 0).sum()), differ)
+    residual_rms = float(np.sqrt(np.average((residuals**2).sum(1), weights=weight)))
+    first, second = (fit_lattice_shifts(design[k::2], normal[k::2], right[k::2])[0] for k in (0, 1))
+    half_difference = field_rms(design, first - second)
+    return LatticeFit(origin, basis, residual_rms, error, int((weight > 0).sum()), half_difference)
 
 
 def _lens_steps(
@@ -288,25 +233,6 @@ def _lens_steps(
     profile = measure_radial_profile(picture, lattice)
     _accumulate_steps(
         picture, centres, faces, cell_inradius(faces), profile.first, reach, profile.step, profile.mean, profile.slope,
-        1 / profile.variance, _OUTLIER, normal, right,
+        1 / profile.variance, TUKEY_CUTOFF, normal, right,
     )  # fmt: skip
     return indices, normal, right
-
-
-def _standard_error(
-    design: NDArray[np.float64], normal: NDArray[np.float64], weight: NDArray[np.float64], scale: float
-) -> float:
-    """Standard error of a centre, RMS over the flat [px], as the scatter of the lenses implies."""
-    covariance = np.linalg.pinv(_information(design, normal, weight)).reshape(3, 2, 3, 2) * scale
-    moments = design.T @ design / len(design)
-    return float(np.sqrt(max(np.einsum("paqa,pq->", covariance, moments), 0.0)))
-
-
-def _information(
-    design: NDArray[np.float64], normal: NDArray[np.float64], weight: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """(6, 6) normal matrix of the lattice: x and y of the origin, then of `a1`, then of `a2`."""
-    blocks = np.empty((3, 2, 3, 2))
-    for a, b in ((0, 0), (0, 1), (1, 1)):
-        blocks[:, a, :, b] = blocks[:, b, :, a] = design.T @ (design * (weight * normal[:, a, b])[:, None])
-    return blocks.reshape(6, 6)

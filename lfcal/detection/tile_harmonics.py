@@ -9,11 +9,11 @@ shifts are pooled, robustly, into the six parameters of the lattice.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lattice.robust_fit import fit_affine
 from .folding import HIGHEST_HARMONIC, TileFolds
 
 __all__ = ["HarmonicFit", "fit_harmonics"]
@@ -21,7 +21,6 @@ __all__ = ["HarmonicFit", "fit_harmonics"]
 _SHORTEST_HARMONIC = 2.2
 # A harmonic takes part when its mean over the tiles is this many squared standard errors from zero.
 _SIGNIFICANT = 9.0
-_OUTLIER = 4.685
 # Tiles at the right and lower edge that are smaller than this share of a whole one are left out.
 _WHOLE_TILE = 0.3
 
@@ -71,22 +70,6 @@ def _coefficients(
     return np.concatenate(parts, axis=1).astype(np.complex128), np.concatenate([index] * len(folds))
 
 
-def _regress(
-    design: NDArray[np.float64], steps: NDArray[np.float64], whole: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Robust least squares: coefficients (3, 2), weights (t,), scale of the residuals per axis [px]."""
-    weight: Any = whole
-    change = np.zeros((3, 2))
-    scale = 0.0
-    for _ in range(6):
-        root = np.sqrt(weight)[:, None]
-        change = np.linalg.lstsq(design * root, steps * root, rcond=None)[0]
-        miss = np.hypot(*(steps - design @ change).T)
-        scale = float(np.median(miss[whole > 0])) / 1.1774 + 1e-12
-        weight = np.clip(1 - (miss / (_OUTLIER * scale)) ** 2, 0, None) ** 2 * whole
-    return change, weight, scale
-
-
 def fit_harmonics(folds: list[TileFolds], origin: NDArray[np.float64], passes: int = 20) -> HarmonicFit:
     """Refine origin and basis of a lattice from folded tiles.
 
@@ -124,14 +107,14 @@ def fit_harmonics(folds: list[TileFolds], origin: NDArray[np.float64], passes: i
             return HarmonicFit(origin, basis, float("inf"), float("inf"), 0.0)
         pull = -2 * np.pi * (turned.imag * trust) @ index
         steps = np.linalg.solve(fisher, pull.T).T @ basis
-        change, weight, scale = _regress(design, steps, whole)
+        change, weight, scale = fit_affine(design, steps, whole)
         total += change
         if np.abs(change).max() < 1e-4:
             break
     gap = np.full((1, 2), np.inf)
     parity = np.arange(len(centre)) % 2
     if len(centre) >= 12 and scale > 0:
-        halves = [_regress(design, steps, whole * (parity == side))[0] for side in (0, 1)]
+        halves = [fit_affine(design, steps, whole * (parity == side))[0] for side in (0, 1)]
         gap = design @ (halves[0] - halves[1])
     # An affine field of shifts turns c(i, j) into a lattice again.
     strain = total[1:] / reach

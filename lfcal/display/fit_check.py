@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..camera.calibration import Calibration
 from ..lattice.lattice import Lattice
+from ..lattice.robust_fit import fit_affine
 from ..runtime.errors import CalibrationError, FlatError
 
 if TYPE_CHECKING:
@@ -42,8 +43,8 @@ _SCATTERED = 0.05
 _HARMLESS = 0.04
 # Offsets count where they are so many times the scatter of the regions about their common trend.
 _SIGNIFICANT = 2.0
-# Regions further than this many times the usual from the trend have no say in it (Tukey's biweight).
-_OUTLIER = 4.685
+# Regions further than this many standard deviations from the trend have no weight (4.685 times the median).
+_OUTLIER = 5.516
 _FEWEST_REGIONS = 5
 # A given centre that is nearer to a gap than to a lens is further off than this share of the pitch.
 _ELSEWHERE = 0.25
@@ -177,14 +178,8 @@ class _Trend:
         reach = float(np.ptp(places, axis=0).max())
         design = np.column_stack([np.ones(known.sum()), (places[known] - middle) / reach])
         # Halves may agree by chance: no region is trusted beyond what is usual.
-        weight = 1 / (scatter[known] + np.median(scatter[known]) + 1e-6)
-        doubt = np.ones(len(weight))
-        change: NDArray[Any] = np.zeros((3, 2))
-        for _ in range(20):
-            share = (weight * doubt)[:, None]
-            change = np.linalg.lstsq(design * share, offset[known] * share, rcond=None)[0]
-            miss = np.linalg.norm(offset[known] - design @ change, axis=1) * weight
-            doubt = np.clip(1 - (miss / (_OUTLIER * np.median(miss) + 1e-12)) ** 2, 1e-3, None)
+        error = scatter[known] + np.median(scatter[known]) + 1e-6
+        change = fit_affine(design, offset[known], error**-2, passes=20, cutoff=_OUTLIER)[0]
         return cls(middle, change[1:] / reach, change[0])
 
 

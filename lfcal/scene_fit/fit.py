@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..detection.radial_profile import LatticeFit
 from ..lattice.cell import cell_normals
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import select_whole_lenses
+from ..lattice.robust_fit import LatticeFit, field_rms
 from ..runtime.errors import CalibrationError
 from .irls import SUREST, LensShifts, error_inflation, find_regular_ratio, solve_irls
 from .radial_distortion import RadialEstimate, estimate_radial, zero_distortion
@@ -92,7 +92,7 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
     halves = [solve_irls(steps, side)[0] for side in sides]
     miss = ((steps.step - steps.design @ change) ** 2).sum(1)
     scatter = float(np.sqrt(np.average(miss, weights=share)))
-    differ = _field_rms(steps, halves[0] - halves[1])
+    differ = field_rms(steps.design, halves[0] - halves[1])
     # Halves are independent, each half as sure as the whole; a fit that has not settled is off by as much as it asks.
     error = float(np.hypot(max(error, differ / 2), fit.unsettled))
     return LatticeFit(lattice.origin, lattice.basis, scatter, error, int((share > 0).sum()), differ, lattice.distortion)
@@ -157,11 +157,11 @@ def _settled(
         change, share = solve_irls(steps, before=before if before is not None and before.any() else None)
         error = _standard_error(steps, change, share)
         leap = path.leap(lattice, change, steps.design)
-        settled = max(_field_rms(steps, change), _field_rms(steps, leap)) < _SETTLED * error
+        settled = max(field_rms(steps.design, change), field_rms(steps.design, leap)) < _SETTLED * error
         if settled and asked and before is not None:
             asked -= 1
             other, others = solve_irls(steps)
-            if _field_rms(steps, other - change) > _SETTLED * error:
+            if field_rms(steps.design, other - change) > _SETTLED * error:
                 change, share, path, settled = other, others, _Path([], []), False
                 leap = path.leap(lattice, change, steps.design)
         weights = np.zeros(len(indices))
@@ -172,7 +172,7 @@ def _settled(
         if settled:
             break
     seen = replace(looked, steps=steps)
-    return _Settled(lattice, before_lattice, seen, change, share, 0.0 if settled else _field_rms(steps, leap))
+    return _Settled(lattice, before_lattice, seen, change, share, 0.0 if settled else field_rms(steps.design, leap))
 
 
 def _bent(
@@ -276,11 +276,6 @@ def _look(picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.in
     variance = np.full(len(indices), np.inf)
     variance[np.flatnonzero(whole)[clear]] = known = found.noise[clear] * (xx + yy) / determinant / 2
     return _Seen(LensShifts(design, step, known, lattice.basis), variance)
-
-
-def _field_rms(steps: LensShifts, change: NDArray[np.float64]) -> float:
-    """RMS over the lenses of what a change (3, 2) of the lattice does to their centres [px]."""
-    return float(np.sqrt(((steps.design @ change) ** 2).sum(1).mean()))
 
 
 def _standard_error(steps: LensShifts, change: NDArray[np.float64], share: NDArray[np.float64]) -> float:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..detection.folding import VECTOR_LENGTH, compute_cell_bins
 from ..lattice.cell import cell_circumradius, cell_row_bounds, row_interval
 from ..lattice.lattice import Lattice
+from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..runtime.fastmath import FAST
 
 __all__ = ["LensEquations", "Template", "build_lens_equations", "build_template"]
@@ -27,8 +28,6 @@ _CHUNKS = 16
 _TEMPLATE_LENSES = 1500
 # Bins are smoothed over so many pixels, about the width of an edge.
 _SMOOTH = 0.5
-# Residuals beyond this many standard deviations have no say (Tukey's biweight).
-_OUTLIER = 4.685
 # A lens with this many times the usual contrast says no more than one with less.
 _MOST_CONTRAST = 2.0
 
@@ -250,7 +249,7 @@ def build_lens_equations(
     normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
     noise = np.zeros(len(centres))
     inverse, bins = np.linalg.inv(lattice.basis), _bins(lattice)
-    maps, cutoff = template.maps.reshape(bins * bins, -1), np.float32(1 / _OUTLIER**2)
+    maps, cutoff = template.maps.reshape(bins * bins, -1), np.float32(1 / TUKEY_CUTOFF**2)
     _accumulate(
         picture,
         centres,

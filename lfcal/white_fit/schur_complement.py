@@ -8,12 +8,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lattice.robust_fit import tukey_weights
 from .normal_equations import NormalEquations
 
 __all__ = ["ReducedEquations", "eliminate_gains", "invert_2x2", "solve_robustly"]
 
-# Lenses farther off than so many standard deviations have no say, as told in so many turns.
-_OUTLIER, _ROBUST_TURNS = 4.685, 3
+# Passes of robust weighting.
+_ROBUST_TURNS = 3
 
 
 @dataclass(frozen=True)
@@ -115,9 +116,8 @@ def solve_robustly(
         left = right[:, :2] - (matter @ change).reshape(lenses, local)[:, :2]
         far = left[:, 0] ** 2 * inverse[:, 0, 0] + left[:, 1] ** 2 * inverse[:, 1, 1]
         far += 2 * left[:, 0] * left[:, 1] * inverse[:, 0, 1]
-        spread = float(np.median(far)) / 1.386 + 1e-30
-        weight = np.clip(1 - far / (spread * _OUTLIER**2), 0, None) ** 2
-    return change, covariance * spread, weight
+        weight, variance = tukey_weights(far)
+    return change, covariance * variance, weight
 
 
 def invert_2x2(matrices: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,0 +1,168 @@
+"""Robust least squares of a lattice: iteratively reweighted, with Tukey's biweight.
+
+A lattice is linear in its six parameters, origin and basis. Every microimage (or tile of many) contributes a measured
+shift; outliers get no weight. Beaton and Tukey, Technometrics 16 (1974); Huber, Robust Statistics (1981), chapter 7.
+Scenes, where most lenses may be off, need the other scale estimate of `scene_fit.irls`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .distortion import Distortion
+
+__all__ = [
+    "TUKEY_CUTOFF",
+    "LatticeFit",
+    "field_rms",
+    "fit_affine",
+    "fit_lattice_shifts",
+    "shift_standard_error",
+    "tukey_weights",
+]
+
+#: Residual [standard deviations] from which on the weight is zero: 95 % efficiency for normal residuals.
+TUKEY_CUTOFF = 4.685
+
+
+@dataclass(frozen=True)
+class LatticeFit:
+    """A fitted lattice and how its microimages agree with it.
+
+    Parameters
+    ----------
+    origin, basis : (2,), (2, 2) float64 [px]
+    residual_rms : float [px]
+        Robust RMS distance of single microimages from the lattice.
+    uncertainty : float [px]
+        Standard error of a centre, RMS over the flat, as the scatter of the microimages implies.
+    lenses_used : int
+        Microimages of positive weight.
+    half_difference : float [px]
+        RMS distance over the flat between lattices fitted to two independent halves of the microimages.
+    distortion : Distortion or None
+        None where the lattice is straight.
+    """
+
+    origin: NDArray[np.float64]
+    basis: NDArray[np.float64]
+    residual_rms: float
+    uncertainty: float
+    lenses_used: int
+    half_difference: float
+    distortion: Distortion | None = None
+
+
+def tukey_weights(squares: NDArray[np.float64], cutoff: float = TUKEY_CUTOFF) -> tuple[NDArray[np.float64], float]:
+    """Weights (n,) of two-dimensional residuals, and the variance that their median implies.
+
+    Parameters
+    ----------
+    squares : (n,) float64
+        Squared lengths of the residuals, over the variance expected of each.
+    cutoff : float [standard deviations]
+    """
+    # 2 ln 2 is the median of the squared length of a standard normal vector in the plane.
+    variance = float(np.median(squares)) / 1.386 + 1e-30
+    return np.clip(1 - squares / (variance * cutoff**2), 0, None) ** 2, variance
+
+
+def fit_affine(
+    design: NDArray[np.float64],
+    shifts: NDArray[np.float64],
+    prior: NDArray[np.float64],
+    passes: int = 6,
+    cutoff: float = TUKEY_CUTOFF,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Robust affine function through shifts.
+
+    Parameters
+    ----------
+    design : (n, 3) float64
+        A 1 and two coordinates of each.
+    shifts : (n, 2) float64 [px]
+    prior : (n,) float64
+        Weights known beforehand, one over the variance; 0 leaves a shift out.
+    passes : int
+        Times that the weights are estimated.
+    cutoff : float [standard deviations]
+
+    Returns
+    -------
+    change : (3, 2) float64 [px]
+    weight : (n,) float64
+    scale : float
+        Standard deviation of the residuals per axis, times the root of `prior`.
+    """
+    change: NDArray[Any] = np.zeros((3, 2))
+    weight, root_prior = prior, np.sqrt(prior)
+    for _ in range(passes):
+        root = np.sqrt(weight)[:, None]
+        change = np.linalg.lstsq(design * root, shifts * root, rcond=None)[0]
+        length = np.hypot(*(shifts - design @ change).T) * root_prior
+        # sqrt(2 ln 2) is the median length of a standard normal vector in the plane.
+        scale = float(np.median(length[prior > 0])) / 1.1774 + 1e-12
+        weight = np.clip(1 - (length / (cutoff * scale)) ** 2, 0, None) ** 2 * prior
+    return change, weight, scale
+
+
+def fit_lattice_shifts(
+    design: NDArray[np.float64], normal: NDArray[np.float64], right: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
+    """Robust change of a lattice from the normal equations of the shift of each lens.
+
+    Parameters
+    ----------
+    design : (n, 3) float64
+        Lattice indices with a leading 1.
+    normal, right : (n, 2, 2), (n, 2) float64
+        Normal matrix and right side of each lens.
+
+    Returns
+    -------
+    change : (3, 2) float64 [px]
+        Of origin and basis.
+    residuals : (n, 2) float64 [px]
+        Shift of each lens by itself, less what the change makes of it.
+    weight : (n,) float64
+    variance : float
+        Of the residuals, over what the normal matrices say.
+    """
+    ridge = 1e-9 * np.trace(normal.sum(0)) / max(len(design), 1) * np.eye(2)
+    shifts = np.linalg.solve(normal + ridge, right[..., None])[..., 0]
+    change: NDArray[Any] = np.zeros((3, 2))
+    weight = np.ones(len(design))
+    for _ in range(8):
+        force = (design.T @ (weight[:, None] * right)).reshape(6)
+        change = np.linalg.lstsq(_information(design, normal, weight), force, rcond=1e-12)[0].reshape(3, 2)
+        residuals = shifts - design @ change
+        weight, variance = tukey_weights(((normal @ residuals[..., None])[..., 0] * residuals).sum(1))
+    return change, residuals, weight, variance
+
+
+def shift_standard_error(
+    design: NDArray[np.float64], normal: NDArray[np.float64], weight: NDArray[np.float64], variance: float
+) -> float:
+    """Standard error of a centre after `fit_lattice_shifts`, RMS over the lenses [px]."""
+    covariance = np.linalg.pinv(_information(design, normal, weight)).reshape(3, 2, 3, 2) * variance
+    moments = design.T @ design / len(design)
+    return float(np.sqrt(max(np.einsum("paqa,pq->", covariance, moments), 0.0)))
+
+
+def field_rms(design: NDArray[np.float64], change: NDArray[np.float64]) -> float:
+    """RMS over the lenses of the shift that a change (3, 2) of the lattice makes [px]."""
+    return float(np.sqrt(((design @ change) ** 2).sum(1).mean()))
+
+
+def _information(
+    design: NDArray[np.float64], normal: NDArray[np.float64], weight: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(6, 6) normal matrix of the lattice: x and y of the origin, then of `a1`, then of `a2`."""
+    blocks = np.empty((3, 2, 3, 2))
+    for a, b in ((0, 0), (0, 1), (1, 1)):
+        blocks[:, a, :, b] = blocks[:, b, :, a] = design.T @ (design * (weight * normal[:, a, b])[:, None])
+    return blocks.reshape(6, 6)

@@ -1,0 +1,58 @@
+"""Robust least squares of a lattice: outliers have no weight, errors are those of the rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lfcal.lattice.robust_fit import fit_affine, fit_lattice_shifts, shift_standard_error, tukey_weights
+
+_CHANGE = np.array([[0.3, -0.2], [0.01, 0.004], [-0.006, 0.02]])
+
+
+@pytest.fixture
+def shifts():
+    """Indices, and shifts of 0.05 px noise per axis of which every fifth is an outlier to one side."""
+    rng = np.random.default_rng(4)
+    index = rng.integers(-15, 16, (400, 2))
+    design = np.column_stack([np.ones(len(index)), index])
+    values = design @ _CHANGE + 0.05 * rng.standard_normal(index.shape)
+    values[::5] += [3.0, 1.0]
+    return design, values
+
+
+def test_affine_fit_ignores_a_fifth_of_outliers(shifts):
+    design, values = shifts
+    change, weight, scale = fit_affine(design, values, np.ones(len(design)))
+    np.testing.assert_allclose(design @ change, design @ _CHANGE, atol=0.02)
+    assert (weight[::5] == 0).all() and (weight > 0).sum() > 300
+    assert scale == pytest.approx(0.05, rel=0.4)
+
+
+def test_affine_fit_leaves_out_shifts_without_prior_weight(shifts):
+    design, values = shifts
+    prior = np.ones(len(design))
+    prior[::5] = 0
+    values[::5] = 1e9
+    change, weight, _ = fit_affine(design, values, prior)
+    np.testing.assert_allclose(change, _CHANGE, atol=0.01)
+    assert (weight[::5] == 0).all()
+
+
+def test_lens_shifts_are_weighted_by_their_normal_matrices(shifts):
+    design, values = shifts
+    # Lenses that show an edge in one direction only: nothing is known along it.
+    angle = np.random.default_rng(1).uniform(0, np.pi, len(design))
+    across = np.column_stack([np.cos(angle), np.sin(angle)])
+    normal = across[:, :, None] * across[:, None] / 0.05**2
+    right = (normal @ values[..., None])[..., 0]
+    change, residuals, weight, variance = fit_lattice_shifts(design, normal, right)
+    np.testing.assert_allclose(design @ change, design @ _CHANGE, atol=0.05)
+    assert residuals.shape == values.shape and (weight[::5] == 0).mean() > 0.8
+    assert 0.002 < shift_standard_error(design, normal, weight, variance) < 0.02
+
+
+def test_weights_follow_the_median_and_not_the_outliers():
+    weight, variance = tukey_weights(np.array([1.386] * 9 + [1e6]))
+    assert variance == pytest.approx(1.0)
+    assert weight[-1] == 0 and (weight[:9] > 0.8).all()
