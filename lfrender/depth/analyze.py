@@ -6,22 +6,17 @@ from collections.abc import Iterable
 
 from numpy.typing import NDArray
 
-from lfcal import Calibration, Lattice
+from lfcal import Calibration
 
 from ..data.depth_map import DepthMap
 from ..data.region import check_region, embed, lenses_in, part_of, scaled
-from ..flat.grey_flat import GrayFlat, gray_flat, shrunk
-from ..flat.lens_graph import lens_halves
-from ..flat.texture import noise_of, quick_statistics, untouched_texture
 from ..flat.validation import check_flat
-from .level_depth import plane_scene
-from .matching.matcher import PRESETS
+from .incremental import update_depth
 from .matching.shortcuts import Shortcuts
-from .pipeline import lens_by_lens
-from .planes.detection import find_plane
-from .validity.textureless import find_textureless
+from .pipeline import estimate_depth_map, prepare_flat
+from .presets import PRESETS
 
-__all__ = ["PRESETS", "analyze", "analyzed", "working"]
+__all__ = ["PRESETS", "analyze"]
 
 
 def analyze(
@@ -81,30 +76,9 @@ def analyze(
     if previous is not None and shortcuts.still:
         if inside is not None:
             raise ValueError("give either roi or previous, not both")
-        from .following import following
-
-        return following(flat, calibration, preset, shortcuts, *previous)
-    gray, small, factor = working(flat, calibration, preset)
+        return update_depth(flat, calibration, preset, shortcuts, *previous)
+    gray, small, factor = prepare_flat(flat, calibration, preset)
     if inside is None:
-        return scaled(analyzed(gray, small, preset, shortcuts), lattice, factor)
+        return scaled(estimate_depth_map(gray, small, preset, shortcuts), lattice, factor)
     part, sub = part_of(gray, small, inside)
-    return scaled(embed(analyzed(part, sub, preset, shortcuts), sub, small, inside), lattice, factor)
-
-
-def working(flat: NDArray, calibration: Calibration, preset: str) -> tuple[GrayFlat, Lattice, int]:
-    """The flat as the preset analyses it, its lattice, and how many of its pixels each way have become one."""
-    factor = PRESETS[preset].factor(calibration.lattice.pitch)
-    return gray_flat(flat, calibration, factor), shrunk(calibration.lattice, factor), factor
-
-
-def analyzed(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts) -> DepthMap:
-    """The depth of a flat of which nothing is known."""
-    plain = quick_statistics(gray)
-    raw_noise = noise_of(plain.roughness)
-    if shortcuts.plane:
-        texture = untouched_texture(gray, plain, raw_noise)
-        found = find_plane(texture, lattice.indices(), *lens_halves(lattice), PRESETS[preset])
-        if found is not None:
-            return plane_scene(found, gray, lattice, preset, {"plane": 1 - found.sampled})
-    blank = find_textureless(gray, lattice, plain, PRESETS[preset], raw_noise) if shortcuts.blank else None
-    return lens_by_lens(gray, lattice, preset, shortcuts, plain, blank)[0]
+    return scaled(embed(estimate_depth_map(part, sub, preset, shortcuts), sub, small, inside), lattice, factor)

@@ -12,7 +12,8 @@ from ..data.depth_map import DepthMap
 from ..flat.grey_flat import shrink
 from ..flat.lens_graph import both_ways, rows_among
 from ..flat.texture import Texture
-from .matching.matcher import Found, Matcher, Preset, search
+from .matching.matcher import Matcher, MatchResult, match_lenses
+from .presets import Preset
 from .refinement.lens_plane import LensFits
 from .refinement.neighbour_prior import refine_patch_sizes
 from .refinement.quadratic_fit import fit_quadratic
@@ -31,9 +32,9 @@ from .validity.classify import (
 from .validity.periodicity import find_periodic_texture, sees_little_of_scene
 from .validity.uncertainty import correlates_poorly, inflate_errors, signal_share, systematic_error
 
-__all__ = ["UNTOLD", "Answers", "Earlier", "Lenses", "ask"]
+__all__ = ["DEFAULT_RATIO", "LensEstimates", "LensSet", "PreviousEstimates", "estimate_lenses"]
 
-# What lenses keep, and where that stands in `Earlier`.
+# What lenses keep, and where that stands in `PreviousEstimates`.
 _KEPT = {
     "patch_size": "drawn", "standard_error": "standard_error", "confidence": "confidence", "reason": "reason",
     "guess": "drawn",
@@ -48,11 +49,11 @@ _BENT, _SHARING = 3.0, 0.45
 # for one of five if it explains less.
 _OCCURRING, _AS_WELL = 0.03, 0.8
 # A scene without any texture is drawn at this s / D: from the middle of the microimages. Its sign makes no difference.
-UNTOLD = 0.25
+DEFAULT_RATIO = 0.25
 
 
 @dataclass(frozen=True)
-class Lenses:
+class LensSet:
     """Lenses that are asked, all of a flat or some with those beside them, and those of them that are matched.
 
     Parameters
@@ -67,7 +68,7 @@ class Lenses:
     active : (n,) bool
         Those of them to match.
     sample : (n,) bool, optional
-        Lenses that tell which depths occur, see `search`.
+        Lenses that tell which depths occur, see `match_lenses`.
     """
 
     texture: Texture
@@ -92,17 +93,17 @@ class Lenses:
         """(n, 2 d) int32 neighbour rows in all directions."""
         return both_ways(self.forward, self.backward)
 
-    def of(self, rows: NDArray[np.int64]) -> Lenses:
+    def of(self, rows: NDArray[np.int64]) -> LensSet:
         """Some of them, as if there were no others."""
         forward, backward = (rows_among(rows, half) for half in (self.forward, self.backward))
         sample = None if self.sample is None else self.sample[rows]
-        return Lenses(
+        return LensSet(
             self.texture.of(rows), forward, backward, self.indices[rows], self.near[rows], self.active[rows], sample
         )
 
 
 @dataclass(frozen=True)
-class Earlier:
+class PreviousEstimates:
     """Answers that lenses keep.
 
     Parameters
@@ -119,13 +120,13 @@ class Earlier:
     reason: NDArray[np.int8]
 
     @classmethod
-    def by(cls, before: DepthMap, kept: NDArray[np.bool_]) -> Earlier:
+    def by(cls, before: DepthMap, kept: NDArray[np.bool_]) -> PreviousEstimates:
         """Those of an earlier depth map."""
         return cls(kept, before.drawn, before.standard_error, before.confidence, before.reason)
 
-    def of(self, rows: NDArray[np.int64]) -> Earlier:
+    def of(self, rows: NDArray[np.int64]) -> PreviousEstimates:
         """Those of some lenses."""
-        return Earlier(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return PreviousEstimates(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def recurring(self, resolved: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], bool] | None:
         """As `find_periodic_texture` of lenses that are `resolved` (n,) now, where that is known from before.
@@ -140,7 +141,7 @@ class Earlier:
 
 
 @dataclass(frozen=True)
-class Answers:
+class LensEstimates:
     """What lenses answer.
 
     Parameters
@@ -165,10 +166,10 @@ class Answers:
     standard_error: NDArray
     confidence: NDArray
     reason: NDArray[np.int8]
-    astray: NDArray
+    systematic_error: NDArray
     guess: NDArray
     second: NDArray[np.float32]
-    found: Found
+    found: MatchResult
     alone: LensFits
 
     @property
@@ -180,7 +181,7 @@ class Answers:
         """(n,) float32 [px]: the answers of resolved lenses, and guesses of the others."""
         return np.where(self.resolved, self.patch_size, self.guess).astype(np.float32)
 
-    def pooled(self, lenses: Lenses, kept: NDArray[np.bool_] | None, bends: bool) -> Answers:
+    def pooled(self, lenses: LensSet, kept: NDArray[np.bool_] | None, bends: bool) -> LensEstimates:
         """These with what the lenses on the same surface say as well; those that are `kept` stay.
 
         With `bends`, lenses on bent surfaces are measured at their centres first.
@@ -206,10 +207,10 @@ class Answers:
             standard_error=np.where(known, fits.standard_error, self.standard_error),
         )
 
-    def among(self, count: int, rows: NDArray[np.int64], earlier: Earlier | None) -> Answers:
+    def among(self, count: int, rows: NDArray[np.int64], earlier: PreviousEstimates | None) -> LensEstimates:
         """These as those of the lenses at `rows` of `count`; the others are blank, or as they were."""
         blank = {
-            "patch_size": np.nan, "standard_error": np.inf, "confidence": 0, "reason": 1, "astray": np.inf,
+            "patch_size": np.nan, "standard_error": np.inf, "confidence": 0, "reason": 1, "systematic_error": np.inf,
             "guess": np.nan, "second": np.nan,
         }  # fmt: skip
         whole = {}
@@ -219,32 +220,32 @@ class Answers:
             if earlier is not None and name in _KEPT:
                 whole[name][:] = getattr(earlier, _KEPT[name])
             whole[name][rows] = some
-        return Answers(**whole, found=self.found, alone=self.alone)
+        return LensEstimates(**whole, found=self.found, alone=self.alone)
 
 
-def ask(
-    lenses: Lenses, setting: Preset, earlier: Earlier | None = None, sizes: NDArray[np.float32] | None = None
-) -> Answers:
+def estimate_lenses(
+    lenses: LensSet, setting: Preset, earlier: PreviousEstimates | None = None, sizes: NDArray[np.float32] | None = None
+) -> LensEstimates:
     """Search the depth of lenses, measure it on the pixels of every pair, and judge it.
 
-    `sizes` (m,) [px] are patch sizes that occur, as found elsewhere, see `search`.
+    `sizes` (m,) [px] are patch sizes that occur, as found elsewhere, see `match_lenses`.
     """
     texture, near, pitch, neighbours = lenses.texture, lenses.near, lenses.pitch, lenses.neighbours
     known = None if earlier is None else np.where(near, np.nan, earlier.drawn).astype(np.float32)
     matcher = Matcher(texture, lenses.forward, lenses.backward, setting)
-    found = search(matcher, lenses.active, texture.clear, lenses.sample, known, sizes)
+    found = match_lenses(matcher, lenses.active, texture.clear, lenses.sample, known, sizes)
     like_shading = looks_like_shading(texture.clear & near, found, texture.statistics.contrast, pitch)
     doubtful = texture.faint | like_shading
     textured = near & ((texture.clear & ~doubtful) | (doubtful & match_proves_texture(found, pitch)))
     maybe = near & doubtful & ~textured & match_suggests_texture(found)
     wanted = textured | maybe
-    telling = (wanted | ~near) & (np.minimum(found.confidence, found.rivals) >= SURE)
+    telling = (wanted | ~near) & (np.minimum(found.confidence, found.uniqueness) >= SURE)
     occurring = found.patch_size[telling] if sizes is None else sizes
     alone, refined, error, found = _refined(lenses, setting, found, wanted, occurring)
     textured |= maybe & shift_exceeds_shading(refined, error, pitch)
     textured &= ~(like_shading & shift_may_be_zero(refined, error))
     signal = signal_share(texture)
-    explained = found.explained / signal
+    explained = found.normalised_correlation / signal
     astray = systematic_error(error, explained)
     reason, error, sure = classify_lenses(
         textured, found, refined, error, signal, texture.flat.centres, neighbours, pitch
@@ -278,12 +279,12 @@ def ask(
         )
     guess = _within_reach(guess, refined, reason, pitch)
     second = np.where(textured, found.second, np.nan).astype(np.float32)
-    return Answers(refined, error, sure, reason, astray, guess, second, found, alone)
+    return LensEstimates(refined, error, sure, reason, astray, guess, second, found, alone)
 
 
 def _refined(
-    lenses: Lenses, setting: Preset, found: Found, wanted: NDArray[np.bool_], occurring: NDArray[np.float32]
-) -> tuple[LensFits, NDArray, NDArray, Found]:
+    lenses: LensSet, setting: Preset, found: MatchResult, wanted: NDArray[np.bool_], occurring: NDArray[np.float32]
+) -> tuple[LensFits, NDArray, NDArray, MatchResult]:
     """What lenses measure alone, their patch sizes and errors (n,) [px] with those around them, and what they found.
 
     Of the lenses `wanted`; for the others what was found, and inf. Some turn to the next best value that they found,
@@ -295,7 +296,7 @@ def _refined(
     factor = max(1, round(lenses.pitch / _BLURRED_PITCH)) if texture.flat.kinds is not None else 1
     first = np.where(wanted, found.patch_size / factor, np.nan).astype(np.float32)
     like = wanted & occurs_among(found.second, occurring, _OCCURRING * lenses.pitch)
-    second = np.where(like & (found.second_explained >= _AS_WELL * found.explained), found.second, np.nan)
+    second = np.where(like & (found.second_normalised >= _AS_WELL * found.normalised_correlation), found.second, np.nan)
     found_by = refine_patch_sizes(
         shrink(texture.flat, factor),
         lenses.forward,
@@ -311,7 +312,7 @@ def _refined(
     measured = np.isfinite(by_pixels.patch_size)
     refined = np.where(measured, by_pixels.patch_size, found.patch_size)
     turned = np.abs(alone.patch_size - second) < np.abs(alone.patch_size - found.patch_size)
-    return alone, refined, np.where(measured, by_pixels.standard_error, np.inf), found.turned(turned)
+    return alone, refined, np.where(measured, by_pixels.standard_error, np.inf), found.swap_second(turned)
 
 
 def _usual_contrast(texture: Texture) -> NDArray[np.float32]:
@@ -327,4 +328,4 @@ def _within_reach(guess: NDArray, refined: NDArray, reason: NDArray[np.int8], pi
     """
     astray = (reason == 1) & (np.abs(guess) > RESOLVABLE * pitch)
     known = refined[reason == 0]
-    return np.where(astray, np.median(known) if known.size else UNTOLD * pitch, guess)
+    return np.where(astray, np.median(known) if known.size else DEFAULT_RATIO * pitch, guess)

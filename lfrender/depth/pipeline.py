@@ -7,25 +7,35 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Lattice
+from lfcal import Calibration, Lattice
 
 from ..data.depth_map import DepthMap
 from ..data.surface import Surface
-from ..flat.grey_flat import GrayFlat
+from ..flat.grey_flat import GrayFlat, gray_flat, shrunk
 from ..flat.lens_graph import grown, lens_halves, nearest_of, neighbour_rows
-from ..flat.texture import LensStatistics, Texture, find_texture, nearly_untouched_texture, noise_of
-from .estimate import UNTOLD, Answers, Earlier, Lenses, ask
-from .level_depth import confirmed, few_on_plane, on_one_plane, regular_plane
-from .matching.matcher import PRESETS, Found, Preset
-from .matching.peaks import fill
+from ..flat.texture import (
+    LensStatistics,
+    Texture,
+    find_texture,
+    nearly_untouched_texture,
+    noise_of,
+    quick_statistics,
+    untouched_texture,
+)
+from .estimate import DEFAULT_RATIO, LensEstimates, LensSet, PreviousEstimates, estimate_lenses
+from .matching.matcher import MatchResult
+from .matching.peaks import fill_unresolved
 from .matching.shortcuts import Shortcuts, sample_lenses
-from .planes.detection import FEWEST
+from .plane_depth import confirm_on_plane, find_plane_of_few, fit_regular_plane, plane_depth_map, plane_scene_depth
+from .planes.detection import MIN_TEXTURED, find_plane
+from .presets import PRESETS, Preset
 from .surface.densify import densify
 from .surface.second_layer import find_second_layer
 from .surface.thin_structures import find_thin_structures
 from .validity.classify import SHADED_REACH, SURE, occurs_among
+from .validity.textureless import find_textureless
 
-__all__ = ["Overview", "Single", "lens_by_lens"]
+__all__ = ["SceneStatistics", "UnsmoothedEstimates", "estimate_depth_map", "estimate_lens_by_lens", "prepare_flat"]
 
 # So many lenses, evenly spread, tell which depths occur; where few carry texture, this share of them, but not fewer
 # than the last number.
@@ -43,7 +53,7 @@ _MOSTLY_CLEAR, _MORE_CLEAR = 0.8, 4
 
 
 @dataclass(frozen=True)
-class Overview:
+class SceneStatistics:
     """What the lenses of a part of a flat must be told of the whole.
 
     Parameters
@@ -62,7 +72,7 @@ class Overview:
 
 
 @dataclass(frozen=True)
-class Single:
+class UnsmoothedEstimates:
     """What each lens answers without what others on its surface say: errors of lenses beside each other share little.
 
     Parameters
@@ -74,7 +84,7 @@ class Single:
 
     patch_size: NDArray
     standard_error: NDArray
-    astray: NDArray
+    systematic_error: NDArray
 
 
 @dataclass(frozen=True)
@@ -101,12 +111,12 @@ class _Asked:
 
     lattice: Lattice
     texture: Texture
-    lenses: Lenses
+    lenses: LensSet
     rows: NDArray[np.int64] | None
     skipped: NDArray[np.bool_]
     kept: NDArray[np.bool_] | None
     before: DepthMap | None
-    overview: Overview | None
+    overview: SceneStatistics | None
 
     @property
     def alone(self) -> bool:
@@ -114,18 +124,37 @@ class _Asked:
         return self.kept is None and self.overview is None
 
     @property
-    def earlier(self) -> Earlier | None:
+    def earlier(self) -> PreviousEstimates | None:
         """What all lenses answered before."""
-        return None if self.kept is None or self.before is None else Earlier.by(self.before, self.kept)
+        return None if self.kept is None or self.before is None else PreviousEstimates.by(self.before, self.kept)
 
-    def answers(self, setting: Preset, ranges: bool) -> Answers:
+    def answers(self, setting: Preset, ranges: bool) -> LensEstimates:
         """What the lenses answer; with `ranges`, only depths that occur in the larger flat are looked for."""
         earlier = self.earlier if self.rows is None or self.earlier is None else self.earlier.of(self.rows)
         sizes = self.overview.sizes if self.overview is not None and ranges and len(self.overview.sizes) else None
-        return ask(self.lenses, setting, earlier, sizes)
+        return estimate_lenses(self.lenses, setting, earlier, sizes)
 
 
-def lens_by_lens(
+def prepare_flat(flat: NDArray, calibration: Calibration, preset: str) -> tuple[GrayFlat, Lattice, int]:
+    """The flat as the preset analyses it, its lattice, and how many of its pixels each way have become one."""
+    factor = PRESETS[preset].factor(calibration.lattice.pitch)
+    return gray_flat(flat, calibration, factor), shrunk(calibration.lattice, factor), factor
+
+
+def estimate_depth_map(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts) -> DepthMap:
+    """The depth of a flat of which nothing is known."""
+    plain = quick_statistics(gray)
+    raw_noise = noise_of(plain.roughness)
+    if shortcuts.plane:
+        texture = untouched_texture(gray, plain, raw_noise)
+        found = find_plane(texture, lattice.indices(), *lens_halves(lattice), PRESETS[preset])
+        if found is not None:
+            return plane_scene_depth(found, gray, lattice, preset, {"plane": 1 - found.sampled})
+    blank = find_textureless(gray, lattice, plain, PRESETS[preset], raw_noise) if shortcuts.blank else None
+    return estimate_lens_by_lens(gray, lattice, preset, shortcuts, plain, blank)[0]
+
+
+def estimate_lens_by_lens(
     gray: GrayFlat,
     lattice: Lattice,
     preset: str,
@@ -134,8 +163,8 @@ def lens_by_lens(
     blank: NDArray[np.bool_] | None,
     kept: NDArray[np.bool_] | None = None,
     before: DepthMap | None = None,
-    overview: Overview | None = None,
-) -> tuple[DepthMap, Single]:
+    overview: SceneStatistics | None = None,
+) -> tuple[DepthMap, UnsmoothedEstimates]:
     """The depth of every lens, but for the `blank` ones and those `kept` from what was found `before`.
 
     `overview` is of the larger flat of which this is a part. Beside the depth stands what single lenses say.
@@ -148,29 +177,29 @@ def lens_by_lens(
     asked = _asked(gray, lattice, shortcuts, plain, blank, kept, before, overview)
     lenses, rows, setting = asked.lenses, asked.rows, PRESETS[preset]
     if rows is not None and asked.alone and shortcuts.plane and lenses.active.sum() < _FEWER * tried:
-        level = few_on_plane(lenses, rows, asked.texture.flat, lattice, preset)
+        level = find_plane_of_few(lenses, rows, asked.texture.flat, lattice, preset)
         if level is not None:
             return level, _level(level)
     answers = asked.answers(setting, shortcuts.ranges)
     saved = _saved(shortcuts, asked, answers.found)
     plane = None
     if asked.alone:
-        plane = regular_plane(
+        plane = fit_regular_plane(
             lenses.centres, len(lattice), lenses.pitch, answers.patch_size, answers.standard_error, answers.reason,
-            answers.astray, lenses.neighbours,
+            answers.systematic_error, lenses.neighbours,
         )  # fmt: skip
     if plane is None:
         return _spread_out(asked, answers, preset, shortcuts, saved)
-    answers = confirmed(plane, answers, lenses)
+    answers = confirm_on_plane(plane, answers, lenses)
     if rows is not None:
         answers = answers.among(len(lattice), rows, None)
-    depth = on_one_plane(plane, lattice, preset, answers.reason, answers.confidence, saved)
-    return depth, Single(depth.patch_size, depth.standard_error, answers.astray)
+    depth = plane_depth_map(plane, lattice, preset, answers.reason, answers.confidence, saved)
+    return depth, UnsmoothedEstimates(depth.patch_size, depth.standard_error, answers.systematic_error)
 
 
-def _level(depth: DepthMap) -> Single:
+def _level(depth: DepthMap) -> UnsmoothedEstimates:
     """What single lenses say where a few have told the plane of all."""
-    return Single(depth.patch_size, depth.standard_error, np.zeros(len(depth.reason)))
+    return UnsmoothedEstimates(depth.patch_size, depth.standard_error, np.zeros(len(depth.reason)))
 
 
 def _plane_among_blank(
@@ -180,7 +209,7 @@ def _plane_among_blank(
 
     Shading is left in where it hardly matters. Beside the depth stands how many lenses were tried, inf where all.
     """
-    if (~blank).sum() < FEWEST:
+    if (~blank).sum() < MIN_TEXTURED:
         return None, np.inf
     texture = nearly_untouched_texture(gray, lattice, plain, blank, noise_of(plain.roughness))
     active = texture.clear | texture.faint
@@ -189,8 +218,8 @@ def _plane_among_blank(
     forward, backward = lens_halves(lattice)
     rows = np.flatnonzero(grown(active, neighbour_rows(lattice, lattice.steps)))
     every = np.ones(len(lattice), bool)
-    few = Lenses(texture, forward, backward, lattice.indices(), every, active, None).of(rows)
-    return few_on_plane(few, rows, texture.flat, lattice, preset), float(active.sum())
+    few = LensSet(texture, forward, backward, lattice.indices(), every, active, None).of(rows)
+    return find_plane_of_few(few, rows, texture.flat, lattice, preset), float(active.sum())
 
 
 def _asked(
@@ -201,7 +230,7 @@ def _asked(
     blank: NDArray[np.bool_] | None,
     kept: NDArray[np.bool_] | None,
     before: DepthMap | None,
-    overview: Overview | None,
+    overview: SceneStatistics | None,
 ) -> _Asked:
     """The lenses to ask: those with texture and without an answer, and those beside them."""
     forward, backward = lens_halves(lattice)
@@ -213,7 +242,7 @@ def _asked(
     some = texture.clear | texture.faint
     active = near if blank is None else near & some
     sample = _telling(lattice, texture.clear, active) if shortcuts.ranges and overview is None else None
-    lenses = Lenses(texture, forward, backward, lattice.indices(), near, active, sample)
+    lenses = LensSet(texture, forward, backward, lattice.indices(), near, active, sample)
     wanted = active if kept is None else active | ~kept
     rows = np.flatnonzero(grown(wanted, neighbours)) if 0 < wanted.mean() < _FEW else None
     skipped = np.zeros(len(lattice), bool) if blank is None else ~some
@@ -222,15 +251,15 @@ def _asked(
 
 
 def _spread_out(
-    asked: _Asked, answers: Answers, preset: str, shortcuts: Shortcuts, saved: dict[str, float]
-) -> tuple[DepthMap, Single]:
-    """The depth of all lenses from what those that were asked answer, spread over the scene; as `lens_by_lens`."""
+    asked: _Asked, answers: LensEstimates, preset: str, shortcuts: Shortcuts, saved: dict[str, float]
+) -> tuple[DepthMap, UnsmoothedEstimates]:
+    """The depth of all lenses from what those that were asked answer, spread over the scene."""
     lattice, lenses, rows, earlier, setting = asked.lattice, asked.lenses, asked.rows, asked.earlier, PRESETS[preset]
     gap = max(1.0, 0.05 * lattice.pitch)
     kept, single = asked.kept, answers
-    answers = answers.pooled(lenses, kept if kept is None or rows is None else kept[rows], setting.bends)
+    answers = answers.pooled(lenses, kept if kept is None or rows is None else kept[rows], setting.quadratic_fit)
     occurring = _occurring(answers, rows, earlier) if asked.overview is None else asked.overview.sizes
-    drawn = fill(answers.drawn, answers.resolved, lenses.neighbours, gap)
+    drawn = fill_unresolved(answers.drawn, answers.resolved, lenses.neighbours, gap)
     seconds = _seconds(lenses, answers, drawn, occurring, setting, shortcuts, gap)
     if rows is not None:
         answers, drawn, seconds = _among_all(lattice, rows, answers, drawn, seconds, earlier)
@@ -240,7 +269,7 @@ def _spread_out(
     old = None if asked.before is None else asked.before.surface
     settled = None if kept is None else ~grown(~kept, neighbour_rows(lattice, lattice.steps))
     texture = asked.texture
-    surface = densify(texture.flat, lattice, drawn, seconds, trust, texture.noise, setting.cells, settled, old)
+    surface = densify(texture.flat, lattice, drawn, seconds, trust, texture.noise, setting.surface_cells, settled, old)
     # A lens that sees two depths answers with the one in its middle.
     middle = surface.at(lattice.centres())
     crossed = resolved & (np.abs(middle - drawn) > gap) & (np.abs(middle[:, None] - seconds) <= gap).any(1)
@@ -260,7 +289,7 @@ def _spread_out(
         reason=answers.reason,
         saved=saved,
     )
-    return depth, Single(single.patch_size, single.standard_error, single.astray)
+    return depth, UnsmoothedEstimates(single.patch_size, single.standard_error, single.systematic_error)
 
 
 def _telling(lattice: Lattice, clear: NDArray[np.bool_], active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
@@ -274,7 +303,9 @@ def _telling(lattice: Lattice, clear: NDArray[np.bool_], active: NDArray[np.bool
     return sample_lenses(lattice.indices(), among, int(wanted))
 
 
-def _occurring(answers: Answers, rows: NDArray[np.int64] | None, earlier: Earlier | None) -> NDArray[np.float32]:
+def _occurring(
+    answers: LensEstimates, rows: NDArray[np.int64] | None, earlier: PreviousEstimates | None
+) -> NDArray[np.float32]:
     """Patch sizes [px] of all resolved lenses: those that are asked, at `rows` if not all, and the others."""
     sizes = answers.patch_size[answers.resolved]
     if rows is None or earlier is None:
@@ -285,8 +316,8 @@ def _occurring(answers: Answers, rows: NDArray[np.int64] | None, earlier: Earlie
 
 
 def _seconds(
-    lenses: Lenses,
-    answers: Answers,
+    lenses: LensSet,
+    answers: LensEstimates,
     drawn: NDArray[np.float32],
     occurring: NDArray[np.float32],
     setting: Preset,
@@ -296,9 +327,9 @@ def _seconds(
     """(n, 2) [px] other patch sizes that lenses may show beside `drawn`, of those that occur, as for `densify`."""
     second = np.where(occurs_among(answers.second, occurring, gap), answers.second, np.nan)
     others = np.stack([second, np.full(len(drawn), np.nan)], 1).astype(np.float32)
-    if not setting.remainder:
+    if not setting.second_layer:
         return others
-    evidence = np.where(lenses.near, answers.found.evidence, 1)
+    evidence = np.where(lenses.near, answers.found.correlation, 1)
     around = occurring if shortcuts.ranges else None
     rest = find_second_layer(lenses.texture, lenses.forward, lenses.backward, drawn, evidence, setting, around)
     # Shading matches itself near zero: a depth there must occur by itself.
@@ -314,11 +345,11 @@ def _seconds(
 def _among_all(
     lattice: Lattice,
     rows: NDArray[np.int64],
-    answers: Answers,
+    answers: LensEstimates,
     drawn: NDArray[np.float32],
     seconds: NDArray[np.float32],
-    earlier: Earlier | None,
-) -> tuple[Answers, NDArray[np.float32], NDArray[np.float32]]:
+    earlier: PreviousEstimates | None,
+) -> tuple[LensEstimates, NDArray[np.float32], NDArray[np.float32]]:
     """What the lenses at `rows` answer among all; the others keep what they had, or are blank and drawn like the
     nearest that are resolved."""
     whole = answers.among(len(lattice), rows, earlier)
@@ -329,7 +360,7 @@ def _among_all(
         all_drawn[rows] = drawn
         all_drawn = all_drawn[nearest_of(lattice, whole.resolved)]
     else:
-        all_drawn[:] = UNTOLD * lattice.pitch
+        all_drawn[:] = DEFAULT_RATIO * lattice.pitch
     all_drawn[rows], all_seconds[rows] = drawn, seconds
     return whole, all_drawn, all_seconds
 
@@ -345,12 +376,12 @@ def _level_about(
     return level
 
 
-def _saved(shortcuts: Shortcuts, asked: _Asked, found: Found) -> dict[str, float]:
+def _saved(shortcuts: Shortcuts, asked: _Asked, found: MatchResult) -> dict[str, float]:
     saved = {}
     if shortcuts.blank:
         saved["blank"] = float(asked.skipped.mean())
     if asked.lenses.sample is not None:
-        saved["ranges"] = found.untried
+        saved["ranges"] = found.skipped_share
     if asked.kept is not None:
         saved["still"] = float(asked.kept.mean())
     return saved

@@ -21,12 +21,13 @@ from lfcal import Calibration, FlatSource, Lattice
 from ..data.depth_map import DepthMap
 from ..data.region import scaled
 from ..data.surface import Surface
-from ..depth.level_depth import on_one_plane, regular_plane
-from ..depth.matching.matcher import PRESETS, Matcher
+from ..depth.matching.matcher import Matcher
 from ..depth.matching.shortcuts import Shortcuts
-from ..depth.pipeline import Overview, Single, lens_by_lens
-from ..depth.planes.detection import explained_by_plane, plane_evidence, with_misled
-from ..depth.planes.plane_fit import TEXTURED, Plane, fit_plane
+from ..depth.pipeline import SceneStatistics, UnsmoothedEstimates, estimate_lens_by_lens
+from ..depth.plane_depth import fit_regular_plane, plane_depth_map
+from ..depth.planes.detection import add_systematic_error, correlate_with_plane, normalised_plane_correlation
+from ..depth.planes.plane_fit import MIN_TEXTURED_SHARE, Plane, fit_plane
+from ..depth.presets import PRESETS
 from ..depth.surface.densify import grid_shape
 from ..depth.validity.classify import LEAST_EVIDENCE
 from ..depth.validity.textureless import find_textureless
@@ -108,7 +109,7 @@ class FlatContext:
     calibration: Calibration
     preset: str
     shortcuts: Shortcuts
-    overview: Overview = Overview(0.0, np.zeros(0, np.float32), 0.0)  # noqa: RUF009 (nobody writes into it)
+    overview: SceneStatistics = SceneStatistics(0.0, np.zeros(0, np.float32), 0.0)  # noqa: RUF009 (nobody writes into it)
 
     @property
     def factor(self) -> int:
@@ -159,14 +160,14 @@ def _measure_depths(
     return part.lattice.centres()[found] + part.corner, sizes, depth.confidence[found]
 
 
-def _analyze_tile(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> tuple[DepthMap, Single]:
+def _analyze_tile(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> tuple[DepthMap, UnsmoothedEstimates]:
     """Depth of the lenses of a part and its halo, and the estimates of single lenses before smoothing."""
     gray = flat.gray_tile(part, pixels)
     plain = quick_statistics(gray)
     blank = None
     if flat.shortcuts.blank:
         blank = find_textureless(gray, part.lattice, plain, PRESETS[flat.preset], flat.overview.raw_noise)
-    return lens_by_lens(gray, part.lattice, flat.preset, flat.shortcuts, plain, blank, overview=flat.overview)
+    return estimate_lens_by_lens(gray, part.lattice, flat.preset, flat.shortcuts, plain, blank, overview=flat.overview)
 
 
 def _match_on_plane(
@@ -182,18 +183,20 @@ def _match_on_plane(
     texture = untouched_texture(gray, plain, flat.overview.raw_noise)
     matcher = Matcher(texture, *lens_halves(part.lattice), PRESETS[flat.preset])
     about = plane.at(part.lattice.centres() + part.corner).astype(np.float32)
-    found = plane_evidence(matcher, texture, about, PRESETS[flat.preset])
+    found = correlate_with_plane(matcher, texture, about, PRESETS[flat.preset])
     if found is None:
         return None
-    explained = explained_by_plane(matcher, texture, about, found)
+    explained = normalised_plane_correlation(matcher, texture, about, found)
     return found[part.inside], explained[part.inside & texture.clear]
 
 
-def _survey(flat: FlatContext, workers: Workers, windows: list[LensTile]) -> tuple[Overview, Plane | None, float]:
+def _survey(
+    flat: FlatContext, workers: Workers, windows: list[LensTile]
+) -> tuple[SceneStatistics, Plane | None, float]:
     """Noise and range of depths in windows of the flat; the plane that it may be, and the median confidence."""
     rectangles = [part.rectangle for part in windows]
     raw, rough, clear = map(np.concatenate, zip(*workers.map(_measure_texture, flat, windows, rectangles), strict=True))
-    overview = Overview(noise_of(rough), np.zeros(0, np.float32), noise_of(raw))
+    overview = SceneStatistics(noise_of(rough), np.zeros(0, np.float32), noise_of(raw))
     thorough = Shortcuts(blank=flat.shortcuts.blank, ranges=False, plane=False, still=False)
     estimating = replace(flat, shortcuts=thorough, overview=overview)
     centres, sizes, sure = map(
@@ -201,7 +204,7 @@ def _survey(flat: FlatContext, workers: Workers, windows: list[LensTile]) -> tup
     )
     overview = replace(overview, sizes=sizes)
     plane = None
-    if flat.shortcuts.plane and np.mean(clear) >= TEXTURED:
+    if flat.shortcuts.plane and np.mean(clear) >= MIN_TEXTURED_SHARE:
         plane = fit_plane(centres, sizes.astype(np.float64), flat.lattice.pitch)
     return overview, plane, float(np.median(sure)) if len(sizes) else 0.0
 
@@ -211,11 +214,11 @@ def _analyze_tiles(
 ) -> DepthMap:
     """Analyse all tiles and put their results together."""
     lattice, preset = flat.lattice, flat.preset
-    shape, first, spacing = grid_shape(lattice, PRESETS[preset].cells)
+    shape, first, spacing = grid_shape(lattice, PRESETS[preset].surface_cells)
     n = len(lattice)
     patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
     confidence, reason, drawn = np.zeros(n, np.float32), np.ones(n, np.int8), np.zeros(n, np.float32)
-    single = Single(np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32), np.full(n, np.inf))
+    single = UnsmoothedEstimates(np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32), np.full(n, np.inf))
     surface = np.empty(shape, np.float32)
     saved: dict[str, float] = {}
     found = workers.map(_analyze_tile, flat, tiles, [part.rectangle for part in tiles])
@@ -224,7 +227,7 @@ def _analyze_tiles(
         for into, some in (
             (patch_size, depth.patch_size), (error, depth.standard_error), (confidence, depth.confidence),
             (reason, depth.reason), (drawn, depth.drawn), (single.patch_size, own.patch_size),
-            (single.standard_error, own.standard_error), (single.astray, own.astray),
+            (single.standard_error, own.standard_error), (single.systematic_error, own.systematic_error),
         ):  # fmt: skip
             into[rows] = some[part.inside]
         _paste(surface, depth.surface, part, spacing)
@@ -234,18 +237,18 @@ def _analyze_tiles(
             progress(number + 1, len(tiles))
     plane = None
     if flat.shortcuts.plane:
-        plane = regular_plane(
+        plane = fit_regular_plane(
             lattice.centres(),
             n,
             lattice.pitch,
             single.patch_size,
             single.standard_error,
             reason,
-            single.astray,
+            single.systematic_error,
             neighbour_rows(lattice, lattice.steps),
         )
     if plane is not None:
-        return on_one_plane(plane, lattice, preset, reason, confidence, saved)
+        return plane_depth_map(plane, lattice, preset, reason, confidence, saved)
     return DepthMap(
         patch_size, error, confidence, drawn, Surface(surface, first, spacing), lattice.pitch, lattice.image_size,
         preset, reason, saved,
@@ -281,8 +284,8 @@ def _check_plane(
             return None
         correlation[flat.rows(part)] = found[0]
         explained.append(found[1])
-    plane = with_misled(plane, np.concatenate(explained))
+    plane = add_systematic_error(plane, np.concatenate(explained))
     matched = correlation >= LEAST_EVIDENCE
     skipped = 1 - len(flat.overview.sizes) / len(lattice)
     reason = np.where(matched, 0, 1)
-    return on_one_plane(plane, lattice, flat.preset, reason, confidence * matched, {"plane": max(0.0, skipped)})
+    return plane_depth_map(plane, lattice, flat.preset, reason, confidence * matched, {"plane": max(0.0, skipped)})

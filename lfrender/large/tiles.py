@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration, CalibrationError, FlatSource, Lattice
 
 from ..data.region import lattice_of
-from ..depth.matching.matcher import Preset
+from ..depth.presets import Preset
 from ..depth.surface.densify import grid_shape
 from ..flat.demosaicing import REACH, demosaic
 from .settings import DEFAULT, LargeSettings
@@ -167,7 +167,7 @@ def lens_tiles(
     bytes_each = settings.copies_read * pixel_bytes * factor**2 + settings.bytes_per_pixel
     side = max(2 * halo, int(np.sqrt(settings.analysis_memory / bytes_each)) - 2 * halo)
     edges = [np.linspace(0, length, -(-length // side) + 1).round().astype(int).tolist() for length in size]
-    spacing = grid_shape(whole if factor == 1 else whole.downscaled(factor), preset.cells)[2]
+    spacing = grid_shape(whole if factor == 1 else whole.downscaled(factor), preset.surface_cells)[2]
     for top, bottom in zip(edges[1], edges[1][1:], strict=False):
         for left, right in zip(edges[0], edges[0][1:], strict=False):
             low = [_align(max(0, at - halo), spacing, block, settings.alignment_cells) for at in (left, top)]

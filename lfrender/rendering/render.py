@@ -159,7 +159,7 @@ def _redrawn(
     drawing: Drawing, pixels: NDArray, depth: DepthMap | None, earlier: NDArray, before: DepthMap, picture: Rendering
 ) -> tuple[NDArray, NDArray[np.bool_]]:
     """The picture, drawn anew where it may differ from the earlier one."""
-    from ..depth.following import changed_since
+    from ..depth.incremental import changed_since
     from .redraw import pixels_to_redraw
 
     assert depth is not None

@@ -25,7 +25,7 @@ from lfcal.runtime.output_file import atomic_write
 from ..data.depth_map import DepthFileError, DepthMap
 from ..data.rendering import Rendering
 from ..depth.analyze import analyze
-from ..depth.following import load_comparison, save_comparison
+from ..depth.incremental import load_reference_match, save_reference_match
 from ..flat.demosaicing import demosaic
 from ..output.metadata import EmbeddedMetadata, read_metadata
 from ..output.picture import check_picture, write_picture
@@ -203,7 +203,7 @@ class Job:
         earlier = earlier if earlier.depth else self.with_depth(earlier, None)
         # In its own stretch it has been compared with for itself.
         depth = self._kept_depth(self.depth_file(earlier))
-        load_comparison(depth, self._comparison_file(earlier))
+        load_reference_match(depth, self._comparison_file(earlier))
         return self._analysed(key, replace(earlier, depth=depth), self._comparison_file(key))
 
     def first_of_group(self, first: KeyFrame, key: KeyFrame) -> KeyFrame:
@@ -222,7 +222,7 @@ class Job:
                 self.scale = default_scale(depth)
             self._remember(camera)
             if comparison is not None:
-                save_comparison(depth, comparison)
+                save_reference_match(depth, comparison)
             depth.save(file)
         # What an analysis remembers of a depth map beside its file, another worker or a later run would not have.
         return replace(key, flat=flat, depth=self._kept_depth(file))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...flat.grey_flat import GrayFlat
 from .cost_volume import mean_steps
 
-__all__ = ["shared_trust", "without_rivals"]
+__all__ = ["measure_ambiguity", "overlap_weights"]
 
 # Difference of the pooled correlations that makes one shift e times as likely as another, at least, and as a share of
 # what the best leaves unexplained: a poor match is hardly better than one that is a little poorer.
@@ -25,7 +25,7 @@ _DIP = np.float32(0.1)
 _LEAST_TRUST = np.float32(0.3)
 
 
-def shared_trust(gray: GrayFlat, rows: NDArray[np.int32], shifts: NDArray[np.float32], half: float) -> NDArray:
+def overlap_weights(gray: GrayFlat, rows: NDArray[np.int32], shifts: NDArray[np.float32], half: float) -> NDArray:
     """(k,) float32: share of a correlation that is believed at `shifts` [px of `gray`], mean over the directions.
 
     Parameters
@@ -96,7 +96,7 @@ def _without_rivals(cost, trust, rows, best, wanted, apart, out, matched, echo):
         matched[lens], echo[lens] = top, loudest
 
 
-def without_rivals(
+def measure_ambiguity(
     cost: NDArray[np.float32],
     trust: NDArray[np.float32],
     rows: NDArray[np.int32],
@@ -111,7 +111,7 @@ def without_rivals(
     cost : (n, k) float32
         Of each lens at each shift, before aggregation.
     trust : (k,) float32
-        As `shared_trust`.
+        As `overlap_weights`.
     rows : (n, m) int32
         Neighbour rows, -1 where there is none.
     best : (n,) int

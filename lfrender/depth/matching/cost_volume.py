@@ -15,7 +15,15 @@ from ...runtime.cache import remembered
 from ...runtime.scheduling import stretches
 
 __all__ = [
-    "ENOUGH", "cost_of", "doubted", "half_trust", "mean_steps", "moments", "pair_costs", "shared_pixels", "unshaded",
+    "MIN_OVERLAP",
+    "compute_pair_costs",
+    "half_weight_area",
+    "match_cost",
+    "mean_steps",
+    "overlap_masks",
+    "pair_moments",
+    "shading_decay",
+    "shading_doubt",
 ]  # fmt: skip
 
 # Part of a difference in mean brightness that counts as mismatch: neighbouring lenses may differ a
@@ -29,7 +37,7 @@ _HALF_TRUST = 0.06
 _SHADED_REACH = np.float32(0.08)
 _SHADED = np.float32(0.03)
 #: Where two microimages share less than a third, so many squares of their radius, every pixel at the rim counts.
-ENOUGH = np.float32(1.0)
+MIN_OVERLAP = np.float32(1.0)
 # Centres and shifts are rounded to pixels each on its own, which moves a shift by so many pixels.
 _ROUNDING = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), -1).reshape(-1, 2)
 # So many pairs of a direction tell its mean step far better than that.
@@ -52,7 +60,7 @@ def _row_moments(row, upper, lower, w00, w01, w10, w11, mean):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
+def pair_moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
     """Sums over all pixels of lens a whose partner, `(tx, ty)` away, lies in lens b."""
     height, width = image.shape
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
@@ -137,20 +145,20 @@ def _rim_moments(strips, columns, lines, own, other, upper, lower, start, count,
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def unshaded(shift, pitch):
+def shading_decay(shift, pitch):
     """How much less a match at this shift is doubted than one at zero: shading that is left stays with its lens."""
     away = shift / (_SHADED_REACH * pitch)
     return np.exp(-away * away)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def doubted(contrast):
+def shading_doubt(contrast):
     """How much a match at zero of lenses of this contrast is doubted."""
     return _SHADED * _SHADED / (_SHADED * _SHADED + contrast * contrast)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def cost_of(pixels, variance, residual, apart, floor, half, doubt):
+def match_cost(pixels, variance, residual, apart, floor, half, doubt):
     """Cost of a pair by the sum of the variances of what both show, the variance of the difference, and its mean."""
     offset = _OFFSET_WEIGHT * apart * apart
     quality = (residual + offset + floor) / (variance + offset + floor)
@@ -166,11 +174,11 @@ def _pair_costs(
     strips, middle, whole, side, width, size, columns, lines, bunch, slots, masks, ends, counts, fresh, out,
 ):  # fmt: skip
     reach, length = len(slots) // 2, masks.shape[1]
-    enough, one = ENOUGH * radius * radius, np.float32(1.0)
+    enough, one = MIN_OVERLAP * radius * radius, np.float32(1.0)
     pixels, line = strips.reshape(-1), masks.reshape(-1)
     near_zero = np.empty(len(shifts), np.float32)
     for k in range(len(shifts)):
-        near_zero[k] = unshaded(shifts[k], pitch)
+        near_zero[k] = shading_decay(shifts[k], pitch)
     parts, each, stride = stretches(len(centres))
     for part in prange(parts):
         begin = part * stride % parts * each
@@ -185,7 +193,7 @@ def _pair_costs(
                 bx, by = centres[other, 0], centres[other, 1]
                 mean = np.float32(0.5) * (means[lens] + means[other])
                 floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
-                doubt = doubted(min(contrast[lens], contrast[other]))
+                doubt = shading_doubt(min(contrast[lens], contrast[other]))
                 stripped = whole[lens] and whole[other]
                 gap_x, gap_y = middle[other, 0] - middle[lens, 0], middle[other, 1] - middle[lens, 1]
                 for k in which:
@@ -221,7 +229,9 @@ def _pair_costs(
                         if count < 4:
                             continue
                     else:
-                        count, sa, sb, saa, sbb, sab = moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step)
+                        count, sa, sb, saa, sbb, sab = pair_moments(
+                            image, ax, ay, bx, by, radius, tx, ty, mean, row_step
+                        )
                         apart = np.float32(0.0)
                         if count < 4:
                             continue
@@ -229,12 +239,12 @@ def _pair_costs(
                     ma, mb = sa * inverse, sb * inverse
                     variance = (saa + sbb) * inverse - ma * ma - mb * mb
                     residual = variance - np.float32(2.0) * (sab * inverse - ma * mb)
-                    out[lens, d, k] = cost_of(
+                    out[lens, d, k] = match_cost(
                         count * row_step, variance, residual, ma - mb + apart, floor, half, doubt * near_zero[k]
                     )
 
 
-def shared_pixels(
+def overlap_masks(
     strips: Strips,
     gray: GrayFlat,
     rows: NDArray[np.int32],
@@ -293,12 +303,12 @@ def _mean_steps(centres, rows):
     return found[:directions]
 
 
-def half_trust(gray: GrayFlat) -> float:
+def half_weight_area(gray: GrayFlat) -> float:
     """So many pixels that two microimages share make a match count half."""
     return float(_HALF_TRUST * np.pi * gray.radius**2)
 
 
-def pair_costs(
+def compute_pair_costs(
     gray: GrayFlat,
     rows: NDArray[np.int32],
     means: NDArray[np.float32],
@@ -346,7 +356,7 @@ def pair_costs(
     strips : Strips, optional
         The microimages of `gray` cut out for this `row_step`; they are by default.
     masks : optional
-        `shared_pixels` of these `strips`, for these shifts at least; made by default.
+        `overlap_masks` of these `strips`, for these shifts at least; made by default.
 
     Returns
     -------
@@ -357,11 +367,11 @@ def pair_costs(
         out = recycled((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
     which = np.arange(len(shifts)) if which is None else which
     done = np.zeros(len(active), bool) if done is None else done
-    half = np.float32(half_trust(gray))
+    half = np.float32(half_weight_area(gray))
     if strips is None:
         strips = cut_out(gray, means, row_step)
     if masks is None:
-        masks = shared_pixels(strips, gray, rows, shifts[which])
+        masks = overlap_masks(strips, gray, rows, shifts[which])
     _pair_costs(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, contrast, active,
         done, shifts.astype(np.float32), which, np.float32(noise), np.float32(shading), row_step, half,

@@ -13,64 +13,16 @@ from ...flat.lens_graph import both_ways, grown
 from ...flat.microimages import Masks, Strips, cut_out
 from ...flat.texture import FIXED_SHADING, LensStatistics, Texture, lens_statistics
 from ...runtime.cache import remembered
-from ..refinement.pair_fit import LAST_STEP
-from .ambiguity import shared_trust, without_rivals
-from .cost_volume import half_trust, pair_costs, shared_pixels
-from .peaks import confidence, least, parabola_peak, second_best
-from .probing import probe
-from .sgm import aggregate, lens_costs
+from ..presets import Preset
+from .ambiguity import measure_ambiguity, overlap_weights
+from .cost_volume import compute_pair_costs, half_weight_area, overlap_masks
+from .local_match import probe
+from .peaks import confidence, find_second_minimum, fit_parabola, least
+from .sgm import aggregate_costs, average_pair_costs
 
-__all__ = ["PRESETS", "Found", "Matcher", "Preset", "search"]
-
-
-@dataclass(frozen=True)
-class Preset:
-    """What an analysis spends: pitch it searches at [px], shift step [px], every n-th row, refinement steps, and the
-    length [px] of the last of them.
-
-    With a `least_pitch` [px] the flat is made smaller for all of the analysis, by a whole factor that leaves as much.
-    `cells` are the grid values of the surface per pitch, `remainder` tells whether what the first depth of a lens
-    leaves unexplained is matched again, `bends` whether lenses on bent surfaces are measured at their centres.
-
-    Detail is sharper in a picture made smaller for the search than in the flat itself, where it has at
-    least the microlenses' blur: `full_step` is enough there.
-    """
-
-    search_pitch: float
-    step: float
-    full_step: float
-    row_step: int
-    iterations: int
-    last_step: float = LAST_STEP
-    least_pitch: float = np.inf
-    cells: int = 7
-    remainder: bool = True
-    bends: bool = True
-
-    def factor(self, pitch: float) -> int:
-        """How many pixels of the flat, each way, become one for all of the analysis."""
-        return max(1, min(_MOST_TOGETHER, int(pitch / self.least_pitch)))
+__all__ = ["MatchResult", "Matcher", "match_lenses"]
 
 
-PRESETS = {
-    "fast": Preset(
-        search_pitch=16,
-        step=1.0,
-        full_step=1.0,
-        row_step=1,
-        iterations=3,
-        last_step=0.04,
-        least_pitch=11,
-        cells=5,
-        remainder=False,
-        bends=False,
-    ),
-    "balanced": Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=5),
-    "accurate": Preset(search_pitch=40, step=0.5, full_step=0.5, row_step=1, iterations=8),
-}
-
-# Pixels made of more than so many each way no longer tell a twentieth of a pixel of the flat.
-_MOST_TOGETHER = 3
 # The search reaches a little beyond the last resolvable shift, so that it has a rising flank on both sides.
 _SEARCHED = 0.82
 # Prices of semi-global matching in units of the match cost (0 perfect, 1 unrelated). On ray-traced and real flats a
@@ -102,7 +54,7 @@ _SUPPORT = 2
 
 
 @dataclass(frozen=True)
-class Found:
+class MatchResult:
     """Answers of the search for every lens, patch sizes in px of the flat.
 
     Parameters
@@ -121,7 +73,7 @@ class Found:
     second : (n,) float32
         Next best value, NaN where no other comes near.
     second_evidence, second_explained : (n,) float32
-        As `evidence` and `explained`, at the next best value.
+        As `correlation` and `normalised_correlation`, at the next best value.
     step : float
         Between the values that were tried.
     untried : float
@@ -130,27 +82,27 @@ class Found:
 
     patch_size: NDArray[np.float32]
     confidence: NDArray[np.float32]
-    evidence: NDArray[np.float32]
-    explained: NDArray[np.float32]
-    rivals: NDArray[np.float32]
-    matched: NDArray[np.float32]
-    echo: NDArray[np.float32]
+    correlation: NDArray[np.float32]
+    normalised_correlation: NDArray[np.float32]
+    uniqueness: NDArray[np.float32]
+    primary_peak: NDArray[np.float32]
+    secondary_peak: NDArray[np.float32]
     second: NDArray[np.float32]
-    second_evidence: NDArray[np.float32]
-    second_explained: NDArray[np.float32]
+    second_correlation: NDArray[np.float32]
+    second_normalised: NDArray[np.float32]
     step: float
-    untried: float
+    skipped_share: float
 
-    def turned(self, lenses: NDArray[np.bool_]) -> Found:
+    def swap_second(self, lenses: NDArray[np.bool_]) -> MatchResult:
         """These with the best and the next best value of some `lenses` (n,) exchanged."""
         return replace(
             self,
             patch_size=np.where(lenses, self.second, self.patch_size),
             second=np.where(lenses, self.patch_size, self.second),
-            evidence=np.where(lenses, self.second_evidence, self.evidence),
-            second_evidence=np.where(lenses, self.evidence, self.second_evidence),
-            explained=np.where(lenses, self.second_explained, self.explained),
-            second_explained=np.where(lenses, self.explained, self.second_explained),
+            correlation=np.where(lenses, self.second_correlation, self.correlation),
+            second_correlation=np.where(lenses, self.correlation, self.second_correlation),
+            normalised_correlation=np.where(lenses, self.second_normalised, self.normalised_correlation),
+            second_normalised=np.where(lenses, self.normalised_correlation, self.second_normalised),
             confidence=np.where(lenses, np.minimum(_TURNED, self.confidence), self.confidence),
         )
 
@@ -199,7 +151,7 @@ class Matcher:
     @cached_property
     def trust(self) -> NDArray[np.float32]:
         """(k,) float32: share of a correlation that is believed at each shift, for the pixels that are shared there."""
-        return shared_trust(self.gray, self.forward, self.shifts, half_trust(self.gray))
+        return overlap_weights(self.gray, self.forward, self.shifts, half_weight_area(self.gray))
 
     def downscaled(self, texture: Texture) -> Texture:
         """The texture it was made of, on the smaller flat that it matches."""
@@ -215,7 +167,7 @@ class Matcher:
     @cached_property
     def _masks(self) -> Masks:
         strips = cut_out(self.gray, self.statistics.mean, self._row_step, np.zeros(len(self.gray.centres), bool))
-        return shared_pixels(strips, self.gray, self.forward, self.shifts)
+        return overlap_masks(strips, self.gray, self.forward, self.shifts)
 
     def pairs(
         self,
@@ -224,8 +176,8 @@ class Matcher:
         done: NDArray[np.bool_] | None = None,
         out: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """(n, d, k) float32 costs of the pairs of all `active` lenses, as `pair_costs`."""
-        return pair_costs(
+        """(n, d, k) float32 costs of the pairs of all `active` lenses, as `compute_pair_costs`."""
+        return compute_pair_costs(
             self.gray, self.forward, self.statistics.mean, self.statistics.contrast, active, self.shifts, self._noise,
             FIXED_SHADING, self._row_step, which, done, out, self._strips(active), self._masks,
         )  # fmt: skip
@@ -243,7 +195,7 @@ class Matcher:
 
     def costs(self, pair: NDArray[np.float32], wanted: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
         """(m, k) float32: mean over the pairs of each lens, or of each of the `wanted` (n,)."""
-        return lens_costs(pair, self.forward, self.backward, wanted)
+        return average_pair_costs(pair, self.forward, self.backward, wanted)
 
     def populated(self, sizes: NDArray[np.float32]) -> NDArray[np.bool_]:
         """(k,) bool: shifts near those that belong to patch sizes (m,) [px of the flat] of other lenses."""
@@ -253,7 +205,7 @@ class Matcher:
     def repeats(self, cost: NDArray[np.float32]) -> bool:
         """Whether many lenses, of these costs (m, k), match as well at another shift: their texture repeats."""
         best, alone = cost.argmin(1), np.empty((len(cost), 0), np.int32)
-        rivals, *_ = without_rivals(cost, self.trust, alone, best, np.ones(len(cost), bool), self.tolerance())
+        rivals, *_ = measure_ambiguity(cost, self.trust, alone, best, np.ones(len(cost), bool), self.tolerance())
         return bool(len(cost) and (rivals < _TORN).mean() > _REPEATED)
 
     def tolerance(self) -> int:
@@ -266,14 +218,14 @@ def _probed(rows: NDArray[np.int32]) -> NDArray[np.int32]:
     return remembered(rows, "probed", lambda: np.ascontiguousarray(rows[:, :_PROBED]))
 
 
-def search(
+def match_lenses(
     matcher: Matcher,
     active: NDArray[np.bool_],
     clear: NDArray[np.bool_],
     sample: NDArray[np.bool_] | None,
     known: NDArray[np.float32] | None = None,
     sizes: NDArray[np.float32] | None = None,
-) -> Found:
+) -> MatchResult:
     """Match signed shifts, lenses supporting each other.
 
     Parameters
@@ -298,26 +250,26 @@ def search(
         wanted = ~settled
         away = np.abs(matcher.shifts - known[settled, None] / matcher.factor)
         cost[settled] = np.minimum(away / np.float32(matcher.tolerance() * step), 1)
-    total = aggregate(cost, matcher.forward, matcher.backward, _SLOPE_PER_PIXEL * step, _JUMP, wanted)
+    total = aggregate_costs(cost, matcher.forward, matcher.backward, _SLOPE_PER_PIXEL * step, _JUMP, wanted)
     best, _ = least(total)
     own = cost[np.arange(len(best)), best]
-    other, other_cost = second_best(cost, best, max(2, round(2 / step)))
+    other, other_cost = find_second_minimum(cost, best, max(2, round(2 / step)))
     rival = (own > _UNEXPLAINED) & (other_cost < own + _SECOND)
     factor, shifts, trust = matcher.factor, matcher.shifts, np.maximum(matcher.trust, _LEAST_TRUST)
-    rivals, matched, echo = without_rivals(cost, matcher.trust, matcher.rows, best, active, matcher.tolerance())
-    return Found(
-        patch_size=((shifts[best] + parabola_peak(total, best) * step) * factor).astype(np.float32),
+    rivals, matched, echo = measure_ambiguity(cost, matcher.trust, matcher.rows, best, active, matcher.tolerance())
+    return MatchResult(
+        patch_size=((shifts[best] + fit_parabola(total, best) * step) * factor).astype(np.float32),
         confidence=confidence(total, best, 2 * matcher.forward.shape[1], matcher.tolerance()),
-        evidence=1 - own,
-        explained=((1 - own) / trust[best]).astype(np.float32),
-        rivals=rivals,
-        matched=matched,
-        echo=echo,
-        second=np.where(rival, (shifts[other] + parabola_peak(cost, other) * step) * factor, np.nan).astype(np.float32),
-        second_evidence=1 - other_cost,
-        second_explained=((1 - other_cost) / trust[other]).astype(np.float32),
+        correlation=1 - own,
+        normalised_correlation=((1 - own) / trust[best]).astype(np.float32),
+        uniqueness=rivals,
+        primary_peak=matched,
+        secondary_peak=echo,
+        second=np.where(rival, (shifts[other] + fit_parabola(cost, other) * step) * factor, np.nan).astype(np.float32),
+        second_correlation=1 - other_cost,
+        second_normalised=((1 - other_cost) / trust[other]).astype(np.float32),
         step=step * factor,
-        untried=untried,
+        skipped_share=untried,
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["confidence", "fill", "least", "parabola_peak", "second_best"]
+__all__ = ["confidence", "fill_unresolved", "find_second_minimum", "fit_parabola", "least"]
 
 # Cost difference that makes one shift e times as likely as another (measured on simulated scenes).
 _TEMPERATURE = 0.05
@@ -81,7 +81,7 @@ def _parabola_peak(total, best, out):
             out[lens] = min(max(half * (left - right) / bend, -half), half)
 
 
-def parabola_peak(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArray[np.float32]:
+def fit_parabola(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArray[np.float32]:
     """(n,) float32: offset of the minimum from `best`, in steps, of the parabola through three costs."""
     out = np.empty(len(total), np.float32)
     _parabola_peak(total, best, out)
@@ -103,7 +103,7 @@ def _smooth(values, unknown, neighbours, gap, out):
         out[lens] = total / count if count else values[lens]
 
 
-def fill(
+def fill_unresolved(
     values: NDArray[np.float32], known: NDArray[np.bool_], neighbours: NDArray[np.int32], gap: float
 ) -> NDArray[np.float32]:
     """Smooth the values of unknown lenses toward their neighbours on the same side of depth edges.
@@ -142,7 +142,7 @@ def _second_best(cost, best, apart, index, value):
         index[lens], value[lens] = at, least
 
 
-def second_best(
+def find_second_minimum(
     cost: NDArray[np.float32], best: NDArray[np.int64], apart: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """The lowest local minimum of each lens's own cost at least `apart` steps from its best shift.

@@ -10,7 +10,7 @@ from lfcal.runtime.fastmath import FAST
 
 from ...runtime.cache import remembered
 
-__all__ = ["aggregate", "lens_costs"]
+__all__ = ["aggregate_costs", "average_pair_costs"]
 
 # Vector loops take so many labels at a time.
 _LANES = 16
@@ -38,7 +38,7 @@ def _lens_costs(pair, forward, backward, lenses, out):
             out[n, k] = out[n, k] / count if count else 1.0
 
 
-def lens_costs(
+def average_pair_costs(
     pair: NDArray[np.float32],
     forward: NDArray[np.int32],
     backward: NDArray[np.int32],
@@ -143,7 +143,7 @@ def _chains(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> _Chains:
     return order, starts[: chains + 1].copy()
 
 
-def aggregate(
+def aggregate_costs(
     cost: NDArray[np.float32],
     forward: NDArray[np.int32],
     backward: NDArray[np.int32],

@@ -11,18 +11,22 @@ from ...flat.grey_flat import shrink
 from ...flat.lens_graph import around, beside, both_ways, grown, rows_among
 from ...flat.texture import Texture, lens_statistics
 from ...runtime.quantiles import median
-from ..matching.matcher import MISFIT, Matcher, Preset
-from ..matching.peaks import confidence, parabola_peak
+from ..matching.matcher import MISFIT, Matcher
+from ..matching.peaks import confidence, fit_parabola
 from ..matching.shortcuts import sample_lenses
+from ..presets import Preset
 from ..refinement.lens_plane import fit_lens_planes
 from ..refinement.pair_fit import PairFits, fit_pairs
 from ..validity.uncertainty import signal_share, systematic_error
-from .plane_fit import TEXTURED, Plane, fit_plane, nearly_planar, strays
+from .plane_fit import MIN_TEXTURED_SHARE, Plane, fit_plane, has_outlier_cluster, is_nearly_planar
 
-__all__ = ["FEWEST", "PlaneScene", "explained_by_plane", "find_plane", "plane_evidence", "with_misled"]
+__all__ = [
+    "MIN_TEXTURED", "PlaneScene", "add_systematic_error", "correlate_with_plane", "find_plane",
+    "normalised_plane_correlation",
+]  # fmt: skip
 
 #: Fewer lenses with texture hardly show whether what they see repeats.
-FEWEST = 40
+MIN_TEXTURED = 40
 # About so many lenses tell a plane; of few lenses this share of them, but not fewer than the third number. Fewer than
 # the last number tell nothing.
 _SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE, _TOO_FEW = 60, 1 / 12, 30, 20
@@ -65,7 +69,7 @@ class PlaneScene:
 
     plane: Plane
     confidence: float
-    evidence: NDArray[np.float32]
+    correlation: NDArray[np.float32]
     sampled: float
 
 
@@ -91,7 +95,7 @@ def find_plane(
     facing : bool
         Only a plane that faces the camera will do.
     """
-    if texture.clear.sum() < max(TEXTURED * len(indices), FEWEST):
+    if texture.clear.sum() < max(MIN_TEXTURED_SHARE * len(indices), MIN_TEXTURED):
         return None
     pitch, rows = texture.flat.pitch, both_ways(forward, backward)
     count = int(np.clip(texture.clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE))
@@ -105,9 +109,9 @@ def find_plane(
     best = cost.argmin(1)
     if matcher.repeats(cost):
         return None
-    found = (matcher.shifts[best] + parabola_peak(cost, best) * matcher.step) * few.coarse
+    found = (matcher.shifts[best] + fit_parabola(cost, best) * matcher.step) * few.coarse
     searched = found.astype(np.float64) * whole.factor
-    if not nearly_planar(texture.flat.centres[sample].astype(np.float64), searched, pitch):
+    if not is_nearly_planar(texture.flat.centres[sample].astype(np.float64), searched, pitch):
         return None
     if facing and np.mean(np.abs(searched - np.median(searched)) <= _NEAR * pitch) < _ALIKE:
         return None
@@ -119,7 +123,7 @@ def find_plane(
     paths = 2 * forward.shape[1]
     sure = median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance()))
     about = plane.at(texture.flat.centres.astype(np.float64)).astype(np.float32)
-    evidence = plane_evidence(whole, texture, about, setting)
+    evidence = correlate_with_plane(whole, texture, about, setting)
     if evidence is None:
         return None
     slanted = plane.slanted or plane.tilt > _DOUBTFUL_TILT
@@ -136,7 +140,7 @@ def find_plane(
         plane = fit_plane(*few.measured(about_few, setting, once=True), pitch, facing)
         if plane is None:
             return None
-    plane = with_misled(plane, explained_by_plane(whole, texture, about, evidence)[texture.clear])
+    plane = add_systematic_error(plane, normalised_plane_correlation(whole, texture, about, evidence)[texture.clear])
     return PlaneScene(plane, sure, evidence, float(sample.mean()))
 
 
@@ -219,7 +223,7 @@ def _places(
     return 0.5 * (here + there) - pairs.place[lens, d, 0] * stretch[:, None], sizes
 
 
-def plane_evidence(
+def correlate_with_plane(
     matcher: Matcher, texture: Texture, about: NDArray[np.float32], setting: Preset
 ) -> NDArray[np.float32] | None:
     """(n,) correlation of every lens at the plane's shift; None where a lens shows something else."""
@@ -247,7 +251,7 @@ def plane_evidence(
         start = np.where(doubtful, about, np.nan).astype(np.float32)
         pairs = _pairs(texture, matcher.forward, start, setting)
         lenses = fit_lens_planes(texture.flat, matcher.forward, matcher.backward, pairs, start)
-        if strays((lenses.patch_size - about).astype(float), lenses.standard_error.astype(float), rows):
+        if has_outlier_cluster((lenses.patch_size - about).astype(float), lenses.standard_error.astype(float), rows):
             return None
     return 1 - cost
 
@@ -278,7 +282,7 @@ def _searched(
     return elsewhere, far, unmatched
 
 
-def explained_by_plane(
+def normalised_plane_correlation(
     matcher: Matcher, texture: Texture, about: NDArray[np.float32], evidence: NDArray[np.float32]
 ) -> NDArray:
     """(n,) share of the texture of each lens that its match at the plane's shift explains, noise apart."""
@@ -286,8 +290,8 @@ def explained_by_plane(
     return np.asarray(evidence / trust / signal_share(texture))
 
 
-def with_misled(plane: Plane, explained: NDArray) -> Plane:
+def add_systematic_error(plane: Plane, explained: NDArray) -> Plane:
     """The plane with what the texture that its matches leave unexplained may have done to the lenses (m,) of it."""
-    return (
-        replace(plane, misled=float(systematic_error(plane.scatter, np.median(explained)))) if explained.size else plane
-    )
+    if not explained.size:
+        return plane
+    return replace(plane, systematic_error=float(systematic_error(plane.scatter, np.median(explained))))

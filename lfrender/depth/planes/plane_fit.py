@@ -12,10 +12,10 @@ from ...flat.lens_graph import beside
 from ...runtime.normal_equations import solve
 from ...runtime.quantiles import median
 
-__all__ = ["TEXTURED", "Plane", "fit_plane", "nearly_planar", "strays"]
+__all__ = ["MIN_TEXTURED_SHARE", "Plane", "fit_plane", "has_outlier_cluster", "is_nearly_planar"]
 
 # Share of the lenses that must clearly carry texture, and of those that must lie on the plane.
-TEXTURED, _ON_PLANE = 0.5, 0.9
+MIN_TEXTURED_SHARE, _ON_PLANE = 0.5, 0.9
 # Patch sizes [share of the pitch] between which neither shading nor missing overlap can play a part.
 _NEAREST_ZERO, _LARGEST = 0.1, 0.7
 # A smooth surface of this degree through the lenses may leave the plane by this much [px]: half of what regularity may
@@ -72,7 +72,7 @@ class Plane:
     scatter: float
     covariance: NDArray[np.float64]
     pitch: float
-    misled: float = 0.0
+    systematic_error: float = 0.0
     tilt: float = 0.0
 
     @property
@@ -97,7 +97,7 @@ class Plane:
         variance = c[0, 0] + x * (2 * c[0, 1] + c[1, 1] * x + 2 * c[1, 2] * y) + y * (2 * c[0, 2] + c[2, 2] * y)
         size2 = self.at(points) ** 2
         shared = np.hypot(_UNSEEN, _UNSEEN_GROWTH * size2 * np.sqrt(size2) / self.pitch**2)
-        return np.hypot(np.hypot(shared, _COMMON * self.misled), size2 * np.sqrt(np.maximum(variance, 0)))
+        return np.hypot(np.hypot(shared, _COMMON * self.systematic_error), size2 * np.sqrt(np.maximum(variance, 0)))
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -159,7 +159,7 @@ def fit_plane(
     return level
 
 
-def nearly_planar(places: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> bool:
+def is_nearly_planar(places: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> bool:
     """Whether lenses at `places` (m, 2) that were searched to whole pixels may lie on one plane, most of them.
 
     Of planes at 14 to 35 px pitch 93 % and more do, of scenes with several depths at most 75 %.
@@ -276,7 +276,7 @@ def _leaves(places, residual, deviation):
     return bool((np.abs(value) > _EVEN + deviation * np.sqrt(uncertain)).any())
 
 
-def strays(residual: NDArray[np.float64], errors: NDArray[np.float64], rows: NDArray[np.int32]) -> bool:
+def has_outlier_cluster(residual: NDArray[np.float64], errors: NDArray[np.float64], rows: NDArray[np.int32]) -> bool:
     """Whether lenses beside each other leave the plane to one side.
 
     Parameters

@@ -18,9 +18,10 @@ from ...flat.lens_graph import both_ways
 from ...flat.microimages import copy_box
 from ...flat.texture import Texture
 from ...runtime.scheduling import stretches
-from ..matching.matcher import Matcher, Preset
-from ..matching.peaks import confidence, parabola_peak
-from ..matching.sgm import aggregate
+from ..matching.matcher import Matcher
+from ..matching.peaks import confidence, fit_parabola
+from ..matching.sgm import aggregate_costs
+from ..presets import Preset
 from .window_differences import window_differences, window_variance
 
 __all__ = ["find_second_layer"]
@@ -308,14 +309,14 @@ def find_second_layer(
         gray.image, mask, gray.centres, radius, pitch, rows, matcher.statistics.mean, wanted, shifts,
         np.float32(2 * noise * noise), np.float32(_HALF_TRUST * np.pi * radius * radius), setting.row_step, cost,
     )  # fmt: skip
-    total = aggregate(cost, forward, backward, _SLOPE * matcher.step, _JUMP)
+    total = aggregate_costs(cost, forward, backward, _SLOPE * matcher.step, _JUMP)
     best = total.argmin(1)
     lens = np.arange(len(best))
     at_first = np.abs(shifts - first[:, None] / matcher.factor).argmin(1)
     left = cost[lens, best]
     matched = (left < _MATCHED) & (left < cost[lens, at_first] - _BETTER)
     sure = confidence(total, best, rows.shape[1], matcher.tolerance()) > _SURE
-    found = ((shifts[best] + parabola_peak(total, best) * matcher.step) * matcher.factor).astype(np.float32)
+    found = ((shifts[best] + fit_parabola(total, best) * matcher.step) * matcher.factor).astype(np.float32)
     gap = _APART * texture.flat.pitch
     told = wanted & matched & sure & (np.abs(found - first) > gap)
     beside = np.where((rows >= 0) & told[rows], found[rows], np.nan)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ...flat.lens_graph import alike
 from ...flat.shading import SHADING
-from ..matching.matcher import Found
+from ..matching.matcher import MatchResult
 from .uncertainty import (
     combine_confidence,
     confirmed_by_neighbours,
@@ -63,7 +63,7 @@ _HARDLY_SHARED, AGREED = 0.6, 0.02
 
 def classify_lenses(
     textured: NDArray[np.bool_],
-    found: Found,
+    found: MatchResult,
     refined: NDArray,
     error: NDArray,
     signal: NDArray[np.float32],
@@ -78,18 +78,18 @@ def classify_lenses(
     reason = initial_reasons(textured, found, refined, _agreed(refined, error, neighbours, pitch), pitch)
     reason[(reason == 0) & _unmeasured(refined, error, neighbours, pitch)] = 2
     reason[_by_chance(reason == 0, found, refined, signal, neighbours, pitch)] = 3
-    explained = found.explained / signal
+    explained = found.normalised_correlation / signal
     beside = confirmed_by_neighbours(reason == 0, refined, explained, neighbours, pitch)
     reason[(reason > 1) & beside & (np.abs(refined) <= RESOLVABLE * pitch)] = 0
     same = sees_same_content(centres, refined, reason == 0, pitch)
-    echoes = has_secondary_peak(found.matched, found.echo, signal, same)
-    single = (reason == 0) & (found.rivals >= SURE) & ~echoes
+    echoes = has_secondary_peak(found.primary_peak, found.secondary_peak, signal, same)
+    single = (reason == 0) & (found.uniqueness >= SURE) & ~echoes
     occurring = occurs_among(refined, refined[single], 0.5 * _ALIKE * pitch)
-    reason[repeats_with_neighbours(reason == 0, found.rivals, echoes, occurring, neighbours)] = 2
-    faint = (reason > 1) & (found.evidence < _SHARED) & (signal < _FAINT_SIGNAL)
+    reason[repeats_with_neighbours(reason == 0, found.uniqueness, echoes, occurring, neighbours)] = 2
+    faint = (reason > 1) & (found.correlation < _SHARED) & (signal < _FAINT_SIGNAL)
     reason[faint] = 1
     error = inflate_errors(error, explained)
-    sure = np.where(textured & ~faint, np.minimum(found.confidence, found.rivals), 0)
+    sure = np.where(textured & ~faint, np.minimum(found.confidence, found.uniqueness), 0)
     return reason, error, combine_confidence(sure, refined, error, explained, neighbours, pitch)
 
 
@@ -117,7 +117,7 @@ def _unmeasured(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32],
 
 def _by_chance(
     resolved: NDArray[np.bool_],
-    found: Found,
+    found: MatchResult,
     refined: NDArray,
     signal: NDArray[np.float32],
     neighbours: NDArray[np.int32],
@@ -129,21 +129,21 @@ def _by_chance(
     Where most lenses match better than that, neighbours do share what they show, and depths that occur among those are
     believed of the others.
     """
-    sure = resolved & (found.evidence >= _BY_CHANCE)
+    sure = resolved & (found.correlation >= _BY_CHANCE)
     if 2 * sure.sum() > resolved.sum():
         resolved = resolved & ~occurs_among(refined, refined[sure], 0.5 * _ALIKE * pitch)
-    better = resolved & (found.evidence >= _SHARED * signal)
+    better = resolved & (found.correlation >= _SHARED * signal)
     like = alike(better, refined, neighbours, _ALIKE * pitch)
-    return np.asarray(resolved & (found.evidence < _BY_CHANCE) & (like < 2))
+    return np.asarray(resolved & (found.correlation < _BY_CHANCE) & (like < 2))
 
 
 def initial_reasons(
-    textured: NDArray[np.bool_], found: Found, refined: NDArray, agreed: NDArray[np.bool_], pitch: float
+    textured: NDArray[np.bool_], found: MatchResult, refined: NDArray, agreed: NDArray[np.bool_], pitch: float
 ) -> NDArray[np.int8]:
     """(n,) int8: as `DepthMap.reason`, 0 where the lens is resolved."""
     unsure = found.confidence < SURE
-    little = found.evidence < _SHARED
-    hardly = (np.abs(refined) > _HARDLY_SHARED * pitch) | (found.evidence < LEAST_EVIDENCE)
+    little = found.correlation < _SHARED
+    hardly = (np.abs(refined) > _HARDLY_SHARED * pitch) | (found.correlation < LEAST_EVIDENCE)
     apart = (np.abs(refined) > RESOLVABLE * pitch) | (unsure & little) | (hardly & ~agreed)
     return np.select([~textured, apart, unsure], [1, 3, 2], 0).astype(np.int8)
 
@@ -178,7 +178,7 @@ def shift_may_be_zero(refined: NDArray, error: NDArray) -> NDArray[np.bool_]:
 
 
 def looks_like_shading(
-    clear: NDArray[np.bool_], found: Found, contrast: NDArray[np.float32], pitch: float
+    clear: NDArray[np.bool_], found: MatchResult, contrast: NDArray[np.float32], pitch: float
 ) -> NDArray[np.bool_]:
     """Those of the `clear` lenses that show no more than shading may: little contrast (white = 1), near zero.
 
@@ -190,13 +190,13 @@ def looks_like_shading(
     return np.asarray(little & ~occurs_among(size, size[clear & ~little], 0.5 * _ALIKE * pitch))
 
 
-def match_proves_texture(found: Found, pitch: float) -> NDArray[np.bool_]:
+def match_proves_texture(found: MatchResult, pitch: float) -> NDArray[np.bool_]:
     """Lenses whose match alone proves that they carry texture."""
     near_zero = np.abs(found.patch_size) < SHADED_REACH * pitch
     enough = np.where(near_zero, _EVIDENCE_NEAR_ZERO, LEAST_EVIDENCE)
-    return (found.confidence >= _PROVEN) & (found.evidence >= enough)
+    return (found.confidence >= _PROVEN) & (found.correlation >= enough)
 
 
-def match_suggests_texture(found: Found) -> NDArray[np.bool_]:
+def match_suggests_texture(found: MatchResult) -> NDArray[np.bool_]:
     """Lenses whose match is as sure as one that proves texture, if not as near."""
-    return (found.confidence >= _PROVEN) & (found.evidence >= LEAST_EVIDENCE)
+    return (found.confidence >= _PROVEN) & (found.correlation >= LEAST_EVIDENCE)

@@ -10,8 +10,9 @@ from lfcal import Lattice
 from ...flat.grey_flat import GrayFlat
 from ...flat.lens_graph import lens_halves
 from ...flat.texture import LensStatistics, blank_lenses, noise_of, untouched_texture
-from ..matching.matcher import Matcher, Preset
+from ..matching.matcher import Matcher
 from ..matching.shortcuts import sample_lenses
+from ..presets import Preset
 from .classify import LEAST_EVIDENCE, SHADED_REACH
 
 __all__ = ["find_textureless"]

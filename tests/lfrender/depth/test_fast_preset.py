@@ -10,8 +10,8 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.depth.matching.cost_volume import pair_costs
-from lfrender.depth.matching.matcher import PRESETS
+from lfrender.depth.matching.cost_volume import compute_pair_costs
+from lfrender.depth.presets import PRESETS
 from lfrender.flat.grey_flat import gray_flat
 from lfrender.flat.lens_graph import neighbour_rows
 from lfrender.flat.microimages import cut_out
@@ -91,7 +91,7 @@ def test_strips_match_as_the_flat_itself(house, row_step):
     shifts = np.arange(-14, 15, 2).astype(np.float32)
     few = (np.arange(len(lattice)) % 4 == 0).astype(bool)
     quick, slow = (
-        pair_costs(gray, rows, means, means, few, shifts, 0.004, 0.02, row_step, strips=s)
+        compute_pair_costs(gray, rows, means, means, few, shifts, 0.004, 0.02, row_step, strips=s)
         for s in (strips, replace(strips, whole=np.zeros(len(lattice), bool)))
     )
     # Pixels at the rim differ: one way goes by their distance from the centre, the other from the pixel in the middle.

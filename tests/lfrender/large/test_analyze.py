@@ -12,9 +12,9 @@ import tifffile
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.depth.matching.matcher import PRESETS
 from lfrender.depth.matching.shortcuts import Shortcuts
 from lfrender.depth.planes import plane_fit as plane
+from lfrender.depth.presets import PRESETS
 from lfrender.flat.grey_flat import gray_flat
 from lfrender.large import analyze as large_analysis
 from lfrender.large.analyze import FlatContext

@@ -1,22 +1,22 @@
 import numpy as np
 
-from lfrender.depth.matching.matcher import Found
+from lfrender.depth.matching.matcher import MatchResult
 
 
 def found(confidence):
     values = [np.float32([k, k + 0.5]) for k in range(10)]
     values[1] = np.float32(confidence)
-    return Found(*values, step=1.0, untried=0.0)
+    return MatchResult(*values, step=1.0, skipped_share=0.0)
 
 
 def test_lenses_that_turn_exchange_both_values_and_are_no_longer_sure():
     before = found([0.9, 0.4])
-    turned = before.turned(np.array([True, False]))
+    turned = before.swap_second(np.array([True, False]))
     for one, other in (("patch_size", "second"), ("evidence", "second_evidence"), ("explained", "second_explained")):
         a, b = getattr(before, one), getattr(before, other)
         assert getattr(turned, one).tolist() == [b[0], a[1]]
         assert getattr(turned, other).tolist() == [a[0], b[1]]
     assert 0.5 <= turned.confidence[0] < 0.9
     assert turned.confidence[1] == before.confidence[1]
-    assert found([0.3, 1]).turned(np.ones(2, bool)).confidence[0] == np.float32(0.3)
-    assert turned.rivals is before.rivals
+    assert found([0.3, 1]).swap_second(np.ones(2, bool)).confidence[0] == np.float32(0.3)
+    assert turned.uniqueness is before.uniqueness

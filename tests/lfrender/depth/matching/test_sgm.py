@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lfcal import Lattice
-from lfrender.depth.matching.sgm import lens_costs
+from lfrender.depth.matching.sgm import average_pair_costs
 from lfrender.flat.lens_graph import lens_halves
 
 
@@ -20,6 +20,6 @@ def test_costs_of_some_lenses_are_means_over_the_pairs_with_their_neighbours():
         own = [pair[lens, d] for d in range(forward.shape[1]) if forward[lens, d] >= 0]
         theirs = [pair[other, d] for d, other in enumerate(backward[lens]) if other >= 0]
         expected.append(np.mean(own + theirs, axis=0))
-    found = lens_costs(pair, forward, backward, wanted)
+    found = average_pair_costs(pair, forward, backward, wanted)
     np.testing.assert_allclose(found, expected, rtol=1e-6)
-    np.testing.assert_array_equal(found, lens_costs(pair, forward, backward)[wanted])
+    np.testing.assert_array_equal(found, average_pair_costs(pair, forward, backward)[wanted])

@@ -13,8 +13,8 @@ from data_synth import SCENES, Camera, Scene, simulate
 from data_synth.scenes import blank, plane
 from data_synth.surfaces import Patch
 from lfcal import FlatError
-from lfrender.depth.planes.plane_fit import fit_plane, nearly_planar
-from lfrender.depth.sequence import changed_lenses
+from lfrender.depth.changed_lenses import find_changed_lenses
+from lfrender.depth.planes.plane_fit import fit_plane, is_nearly_planar
 from lfrender.flat import texture
 
 SIZE = (640, 480)
@@ -99,10 +99,10 @@ def test_several_depths_are_told_from_what_few_lenses_find_in_whole_pixels():
     rng = np.random.default_rng(4)
     places = rng.uniform(0, 2000, (60, 2))
     slanted = 1 / (1 / 7 + 2e-5 * places[:, 0]) + rng.normal(0, 0.3, 60)
-    assert nearly_planar(places, slanted, 23.2)
-    assert nearly_planar(places, np.where(rng.random(60) < 0.1, rng.uniform(-15, 15, 60), slanted), 23.2)
-    assert not nearly_planar(places, np.where(places[:, 0] > 1200, -6.0, slanted), 23.2)
-    assert not nearly_planar(places, np.zeros(60), 23.2)
+    assert is_nearly_planar(places, slanted, 23.2)
+    assert is_nearly_planar(places, np.where(rng.random(60) < 0.1, rng.uniform(-15, 15, 60), slanted), 23.2)
+    assert not is_nearly_planar(places, np.where(places[:, 0] > 1200, -6.0, slanted), 23.2)
+    assert not is_nearly_planar(places, np.zeros(60), 23.2)
 
 
 @pytest.mark.parametrize(("scene", "options"), [("slope", {}), ("plane", {"ratio": -0.4}), ("plane", {"ratio": 0.2})])
@@ -334,9 +334,9 @@ def test_a_motion_of_a_third_of_a_pixel_is_told_from_noise(house):
 
     calibration = house.truth.calibration
     moved = np.rint(shift(house.flat.astype(float), (0, 0.33, 0), order=1, mode="nearest")).astype(np.uint8)
-    changed = [changed_lenses(noisy(house.flat, k), noisy(moved, k + 1), calibration) for k in range(1, 17, 2)]
+    changed = [find_changed_lenses(noisy(house.flat, k), noisy(moved, k + 1), calibration) for k in range(1, 17, 2)]
     assert np.mean(changed) > 0.55
-    assert changed_lenses(noisy(house.flat, 1), noisy(house.flat, 2), calibration).mean() < 0.003
+    assert find_changed_lenses(noisy(house.flat, 1), noisy(house.flat, 2), calibration).mean() < 0.003
 
 
 def test_only_what_has_changed_is_analysed_again(house):

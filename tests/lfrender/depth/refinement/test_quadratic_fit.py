@@ -8,7 +8,7 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, Scene, Sphere, simulate
-from lfrender.depth.matching.matcher import PRESETS
+from lfrender.depth.presets import PRESETS
 from lfrender.depth.refinement.lens_plane import LensFits
 from lfrender.depth.refinement.quadratic_fit import fit_quadratic
 from lfrender.flat.lens_graph import neighbour_rows
@@ -39,7 +39,7 @@ def test_lenses_on_a_ball_are_measured_at_their_centres(monkeypatch):
     assert judged.sum() >= 12
     error = {}
     for bends in (True, False):
-        monkeypatch.setitem(PRESETS, "balanced", dataclasses.replace(PRESETS["balanced"], bends=bends))
+        monkeypatch.setitem(PRESETS, "balanced", dataclasses.replace(PRESETS["balanced"], quadratic_fit=bends))
         depth = lfrender.analyze(shot.flat, truth.calibration)
         error[bends] = (depth.patch_size - truth.patch_size)[judged]
     assert abs(np.median(error[True])) < 0.01

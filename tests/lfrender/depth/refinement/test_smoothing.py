@@ -3,7 +3,7 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.depth.estimate import Answers
+from lfrender.depth.estimate import LensEstimates
 from lfrender.depth.refinement.lens_plane import LensFits
 from lfrender.depth.refinement.smoothing import smooth_fits, smooth_fits_far
 from lfrender.flat.lens_graph import neighbour_rows
@@ -207,7 +207,7 @@ def test_an_analysis_pools_what_its_lenses_measure(monkeypatch):
         return np.abs(depth.patch_size - truth.patch_size)[judged], depth.standard_error[judged]
 
     away, stated = errors()
-    monkeypatch.setattr(Answers, "pooled", lambda answers, *_: answers)
+    monkeypatch.setattr(LensEstimates, "pooled", lambda answers, *_: answers)
     single, single_stated = errors()
     assert judged.sum() > 100
     assert np.nanmedian(away) < 0.7 * np.nanmedian(single)

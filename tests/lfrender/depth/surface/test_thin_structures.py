@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lfrender.depth.analyze import analyzed
 from lfrender.depth.matching.shortcuts import Shortcuts
+from lfrender.depth.pipeline import estimate_depth_map
 from lfrender.depth.surface.thin_structures import find_thin_structures
 from lfrender.flat.lens_graph import lens_halves
 
@@ -65,7 +65,7 @@ def test_nobody_hears_of_a_depth_that_nothing_has(rod_before_a_wall):
 
 def test_a_thin_rod_before_a_far_wall_is_in_the_dense_map(rod_before_a_wall):
     gray, lattice = rod_before_a_wall
-    depth = analyzed(gray, lattice, "balanced", Shortcuts())
+    depth = estimate_depth_map(gray, lattice, "balanced", Shortcuts())
     places = MIDDLE + np.linspace(-50, 120, 60)[:, None] * ALONG
     assert (np.abs(depth.surface.at(places) - ROD) < 1).mean() > 0.6
     assert (np.abs(depth.patch_size - WALL) < 0.5).mean() > 0.85

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from lfrender.depth.matching.matcher import Found
+from lfrender.depth.matching.matcher import MatchResult
 from lfrender.depth.validity.classify import classify_lenses, initial_reasons
 
 
 def test_unresolved_lenses_say_why():
     sizes = np.array([5, 5, 5, 5, 19], np.float32)
     confidence, evidence = np.array([1, 1, 0.3, 0.3, 1], np.float32), np.array([1, 1, 0.8, 0.1, 0.8], np.float32)
-    found = Found(
+    found = MatchResult(
         sizes,
         confidence,
         evidence,
@@ -31,7 +31,7 @@ def test_unresolved_lenses_say_why():
 
 def test_little_contrast_that_matches_nothing_is_too_little_texture():
     sizes, faint = np.full(4, 5, np.float32), np.full(4, 0.1, np.float32)
-    found = Found(sizes, 3 * faint, faint, faint, np.ones(4), faint, np.zeros(4), sizes, faint, faint, 1.0, 0.0)
+    found = MatchResult(sizes, 3 * faint, faint, faint, np.ones(4), faint, np.zeros(4), sizes, faint, faint, 1.0, 0.0)
     # Contrast four and ten times the noise.
     signal = np.repeat(np.float32([1 - 1 / 16, 1 - 1 / 100]), 2)
     centres, alone = 23 * np.arange(8, dtype=np.float32).reshape(4, 2), np.full((4, 6), -1, np.int32)

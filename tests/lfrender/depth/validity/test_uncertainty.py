@@ -8,7 +8,7 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.depth.matching.ambiguity import without_rivals
+from lfrender.depth.matching.ambiguity import measure_ambiguity
 from lfrender.depth.planes.plane_fit import fit_plane
 from lfrender.depth.validity.uncertainty import (
     combine_confidence,
@@ -87,7 +87,7 @@ def test_an_optimum_that_matches_as_well_over_fewer_pixels_is_a_rival():
 
     trust = np.linspace(1.0, 0.4, 41).astype(np.float32)
     no_rows, best, yes = np.empty((1, 0), np.int32), np.array([12]), np.ones(1, bool)
-    equal, less, none = (without_rivals(cost(r), trust, no_rows, best, yes, 2)[0][0] for r in (0.9, 0.6, 0.0))
+    equal, less, none = (measure_ambiguity(cost(r), trust, no_rows, best, yes, 2)[0][0] for r in (0.9, 0.6, 0.0))
     # As seen, the rival's cost is 0.5 against 0.3.
     assert abs(equal - 0.5) < 0.05
     assert less > 0.98
@@ -139,7 +139,7 @@ def test_what_misleads_each_lens_of_a_plane_widens_the_error_of_the_plane():
     points = np.random.default_rng(1).uniform(0, 400, (200, 2))
     sizes = 9.0 + 0.05 * np.random.default_rng(2).standard_normal(200)
     plane = fit_plane(points, sizes, 25.0)
-    clear, doubtful = (replace(plane, misled=m).standard_error(points).mean() for m in (0.0, 0.1))
+    clear, doubtful = (replace(plane, systematic_error=m).standard_error(points).mean() for m in (0.0, 0.1))
     assert clear < 0.01
     assert 0.03 < doubtful < 0.05
 

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lfrender.depth.matching.cost_volume import pair_costs
-from lfrender.depth.matching.probing import FARTHEST, probe
-from lfrender.depth.matching.sgm import lens_costs
+from lfrender.depth.matching.cost_volume import compute_pair_costs
+from lfrender.depth.matching.local_match import FARTHEST, probe
+from lfrender.depth.matching.sgm import average_pair_costs
 from lfrender.flat.lens_graph import lens_halves
 from lfrender.flat.microimages import cut_out
 from lfrender.flat.texture import FIXED_SHADING, lens_statistics
@@ -59,8 +59,8 @@ def test_far_from_the_best_shift_its_side_is_told(drawn_flat):
 def test_its_cost_is_that_of_the_search(drawn_flat, patch_size):
     gray, lattice, _, (cost, _, _) = probed(drawn_flat, patch_size, patch_size, 2)
     statistics, halves = lens_statistics(gray), lens_halves(lattice)
-    pairs = pair_costs(
+    pairs = compute_pair_costs(
         gray, halves[0], statistics.mean, statistics.contrast, np.ones(len(lattice), bool),
         np.array([patch_size], np.float32), NOISE, FIXED_SHADING, 2,
     )  # fmt: skip
-    np.testing.assert_allclose(cost, lens_costs(pairs, *halves)[:, 0], atol=2e-4)
+    np.testing.assert_allclose(cost, average_pair_costs(pairs, *halves)[:, 0], atol=2e-4)

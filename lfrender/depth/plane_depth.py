@@ -13,15 +13,15 @@ from ..data.depth_map import DepthMap
 from ..data.surface import Surface
 from ..flat.grey_flat import GrayFlat
 from ..flat.lens_graph import around, neighbour_rows
-from .estimate import Answers, Lenses
-from .matching.matcher import PRESETS
+from .estimate import LensEstimates, LensSet
 from .planes.detection import PlaneScene, find_plane
-from .planes.plane_fit import TEXTURED, Plane, fit_plane, strays
+from .planes.plane_fit import MIN_TEXTURED_SHARE, Plane, fit_plane, has_outlier_cluster
+from .presets import PRESETS
 from .surface.densify import grid_shape
 from .validity.classify import AGREED, LEAST_EVIDENCE, RESOLVABLE, SURE
 from .validity.periodicity import find_periodic_texture
 
-__all__ = ["confirmed", "few_on_plane", "on_one_plane", "plane_scene", "regular_plane"]
+__all__ = ["confirm_on_plane", "find_plane_of_few", "fit_regular_plane", "plane_depth_map", "plane_scene_depth"]
 
 # A lens shows a plane if it matches there so well, by the usual match, or if two beside it do.
 _TYPICAL = 0.5
@@ -29,25 +29,27 @@ _TYPICAL = 0.5
 _FEWEST = 24
 
 
-def plane_scene(found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str, saved: dict[str, float]) -> DepthMap:
+def plane_scene_depth(
+    found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str, saved: dict[str, float]
+) -> DepthMap:
     """One plane for all lenses that show it."""
-    shown = found.evidence >= LEAST_EVIDENCE
-    usual = shown & (found.evidence >= _TYPICAL * np.median(found.evidence[shown]))
+    shown = found.correlation >= LEAST_EVIDENCE
+    usual = shown & (found.correlation >= _TYPICAL * np.median(found.correlation[shown]))
     shown &= usual | (around(usual, neighbour_rows(lattice, lattice.steps)) >= 2)
     sizes = found.plane.at(lattice.centres())
     again, perhaps = find_periodic_texture(gray, lattice.indices(), sizes, shown)
     sure = found.confidence * (SURE if perhaps else 1.0)
     reason = np.where(shown, np.where(again, 2, 0), 1)
-    return on_one_plane(found.plane, lattice, preset, reason, sure * shown, saved)
+    return plane_depth_map(found.plane, lattice, preset, reason, sure * shown, saved)
 
 
-def on_one_plane(
+def plane_depth_map(
     plane: Plane, lattice: Lattice, preset: str, reason: NDArray, confidence: NDArray, saved: dict[str, float]
 ) -> DepthMap:
     """The depth of a scene that is one plane, for the lenses whose `reason` is 0."""
     centres = lattice.centres()
     sizes = plane.at(centres)
-    shape, first, spacing = grid_shape(lattice, PRESETS[preset].cells)
+    shape, first, spacing = grid_shape(lattice, PRESETS[preset].surface_cells)
     return DepthMap(
         patch_size=np.where(reason == 0, sizes, np.nan),
         standard_error=np.where(reason == 0, plane.standard_error(centres), np.inf),
@@ -62,7 +64,7 @@ def on_one_plane(
     )
 
 
-def regular_plane(
+def fit_regular_plane(
     centres: NDArray[np.float64],
     count: int,
     pitch: float,
@@ -79,34 +81,36 @@ def regular_plane(
     they are few of the `count` lenses of the flat, the plane must face the camera: a slant would be carried too far.
     """
     known = (reason == 0) & np.isfinite(errors)
-    if known.sum() < TEXTURED * (reason != 1).sum():
+    if known.sum() < MIN_TEXTURED_SHARE * (reason != 1).sum():
         return None
     own = sizes.astype(np.float64)
     # Lenses beside blank ones see little to measure.
     inner = known & (around(reason != 1, neighbours) == (neighbours >= 0).sum(1))
     if inner.sum() < _FEWEST:
         return None
-    plane = fit_plane(centres[inner], own[inner], pitch, facing=bool(known.sum() < TEXTURED * count))
-    if plane is None or strays(np.where(known, own - plane.at(centres), np.nan), errors.astype(float), neighbours):
+    plane = fit_plane(centres[inner], own[inner], pitch, facing=bool(known.sum() < MIN_TEXTURED_SHARE * count))
+    if plane is None or has_outlier_cluster(
+        np.where(known, own - plane.at(centres), np.nan), errors.astype(float), neighbours
+    ):
         return None
-    return replace(plane, misled=float(np.median(astray[known])))
+    return replace(plane, systematic_error=float(np.median(astray[known])))
 
 
-def few_on_plane(
-    few: Lenses, rows: NDArray[np.int64], gray: GrayFlat, lattice: Lattice, preset: str
+def find_plane_of_few(
+    few: LensSet, rows: NDArray[np.int64], gray: GrayFlat, lattice: Lattice, preset: str
 ) -> DepthMap | None:
     """The depth of all lenses where those at `rows`, beside which all are blank, show one plane; None if not."""
     found = find_plane(few.texture, few.indices, few.forward, few.backward, PRESETS[preset], facing=True)
     if found is None:
         return None
     evidence = np.zeros(len(lattice), np.float32)
-    evidence[rows] = np.where(few.active, found.evidence, 0)
+    evidence[rows] = np.where(few.active, found.correlation, 0)
     asked, sampled = few.active.sum() / len(lattice), found.sampled * len(rows) / len(lattice)
     saved = {"blank": float(1 - asked), "plane": float(asked - sampled)}
-    return plane_scene(replace(found, evidence=evidence), gray, lattice, preset, saved)
+    return plane_scene_depth(replace(found, correlation=evidence), gray, lattice, preset, saved)
 
 
-def confirmed(plane: Plane, answers: Answers, lenses: Lenses) -> Answers:
+def confirm_on_plane(plane: Plane, answers: LensEstimates, lenses: LensSet) -> LensEstimates:
     """What lenses that all lie on a plane answer: it confirms what few pairs at the border of the flat could not."""
     own, reason = plane.at(lenses.centres), answers.reason
     near_plane = np.abs(answers.patch_size - own) <= 2 * AGREED * lenses.pitch

@@ -21,13 +21,14 @@ from ..flat.lens_graph import beside, grown, lens_halves, neighbour_rows
 from ..flat.texture import LensStatistics, quick_statistics, untouched_texture
 from ..flat.validation import check_flat
 from ..runtime.cache import remembered
-from .matching.matcher import PRESETS, Matcher
+from .changed_lenses import find_changed_lenses
+from .matching.matcher import Matcher
 from .matching.shortcuts import Shortcuts
-from .pipeline import lens_by_lens
-from .sequence import changed_lenses
+from .pipeline import estimate_depth_map, estimate_lens_by_lens, prepare_flat
+from .presets import PRESETS
 from .validity.textureless import find_textureless
 
-__all__ = ["changed_since", "following", "load_comparison", "save_comparison"]
+__all__ = ["changed_since", "load_reference_match", "save_reference_match", "update_depth"]
 
 # Brightness of flats of no more bytes than this is kept until the next frame.
 _MOST_KEPT = 1 << 25
@@ -39,7 +40,7 @@ _WORSE, _MOVED, _SURELY, _TOGETHER = 0.15, 0.1, 4.0, 2
 _HARDLY = 0.25
 
 
-def following(
+def update_depth(
     flat: NDArray, calibration: Calibration, preset: str, shortcuts: Shortcuts, earlier: NDArray, before: DepthMap
 ) -> DepthMap:
     """The depth of a frame after another: only lenses that show something else, or whose neighbours do, are new.
@@ -63,9 +64,6 @@ def following(
     ValueError
         If the earlier depth is of another camera or preset.
     """
-    # That module calls this one.
-    from .analyze import analyzed, working
-
     lattice = calibration.lattice
     earlier = check_flat(earlier, calibration)
     if earlier.shape != flat.shape or earlier.dtype != flat.dtype:
@@ -74,14 +72,14 @@ def following(
     if len(before) != len(lattice) or before.preset != preset:
         raise ValueError("the earlier depth map was made with another camera or preset; analyze without previous")
     neighbours = neighbour_rows(lattice, lattice.steps)
-    changed = changed_lenses(earlier, flat, calibration)
+    changed = find_changed_lenses(earlier, flat, calibration)
     kept = ~grown(changed, neighbours)
     saved = {"still": float(kept.mean())}
     if kept.all():
         after = _noted(replace(before, saved=saved), before, changed)
         remembered(after, "kept probe", lambda: _kept_probe(before))
         return after
-    gray, small, factor = working(flat, calibration, preset)
+    gray, small, factor = prepare_flat(flat, calibration, preset)
     plain = quick_statistics(gray)
     then = None
     if shortcuts.steady:
@@ -91,17 +89,19 @@ def following(
         # What shows the same matches as it did.
         probe = _probe(gray, small, plain, before, factor, kept).but(then, kept)
         told = (before.reason == 0) & probe.textured
-        unsteady, doubtful = _unsteady(then, probe, told, before.reason, neighbours)
+        unsteady, doubtful = find_moved(then, probe, told, before.reason, neighbours)
         unsteady &= ~kept
         kept |= ~(unsteady | (doubtful & grown(unsteady, neighbours)))
         saved["steady"] = float(kept.mean()) - saved["still"]
         if kept.all():
             return _noted(replace(before, saved=saved), before, changed, then)
     if not kept.any():
-        return _noted(scaled(analyzed(gray, small, preset, shortcuts), lattice, factor), before, changed)
+        return _noted(scaled(estimate_depth_map(gray, small, preset, shortcuts), lattice, factor), before, changed)
     asked = grown(grown(~kept, neighbours), neighbours)
     blank = find_textureless(gray, small, plain, PRESETS[preset], asked=asked) if shortcuts.blank else None
-    depth, _ = lens_by_lens(gray, small, preset, shortcuts, plain, blank, kept, scaled(before, small, 1 / factor))
+    depth, _ = estimate_lens_by_lens(
+        gray, small, preset, shortcuts, plain, blank, kept, scaled(before, small, 1 / factor)
+    )
     after = scaled(depth, lattice, factor, {**depth.saved, **saved})
     if gray.image.nbytes <= _MOST_KEPT:
         # The strips that were cut out of it stay as well.
@@ -116,19 +116,17 @@ def _latest_frame(calibration: Calibration) -> list[tuple[weakref.ref[DepthMap],
 
 def _frame_of(depth: DepthMap, flat: NDArray, calibration: Calibration) -> tuple[GrayFlat, LensStatistics]:
     """Brightness of the frame that a depth map belongs to, and the statistics of that."""
-    from .analyze import working
-
     with suppress(IndexError):
         # Frames mostly follow each other. No two threads may cut strips out of the same brightness.
         of, gray, plain = _latest_frame(calibration).pop()
         if of() is depth:
             return gray, plain
-    gray = working(flat, calibration, depth.preset)[0]
+    gray = prepare_flat(flat, calibration, depth.preset)[0]
     return gray, quick_statistics(gray)
 
 
 @dataclass(frozen=True)
-class _Probe:
+class LocalMatch:
     """How lenses match at and about the depth they had.
 
     Parameters
@@ -149,12 +147,12 @@ class _Probe:
     clear: NDArray[np.bool_]
     textured: NDArray[np.bool_]
 
-    def but(self, other: _Probe, where: NDArray[np.bool_]) -> _Probe:
+    def but(self, other: LocalMatch, where: NDArray[np.bool_]) -> LocalMatch:
         """This one, but for some lenses, which are as in another."""
-        return _Probe(*(np.where(where, getattr(other, f.name), getattr(self, f.name)) for f in fields(_Probe)))
+        return LocalMatch(*(np.where(where, getattr(other, f.name), getattr(self, f.name)) for f in fields(LocalMatch)))
 
 
-def _first_probe(gray: GrayFlat, plain: LensStatistics, lattice: Lattice, depth: DepthMap, factor: int) -> _Probe:
+def _first_probe(gray: GrayFlat, plain: LensStatistics, lattice: Lattice, depth: DepthMap, factor: int) -> LocalMatch:
     """The probe of the frame that a depth belongs to.
 
     Lenses that have kept their depth from a frame before are compared with that one for good, or many small changes
@@ -165,12 +163,12 @@ def _first_probe(gray: GrayFlat, plain: LensStatistics, lattice: Lattice, depth:
     return probe if then is None or kept is None else probe.but(then, kept)
 
 
-def _kept_probe(depth: DepthMap) -> tuple[_Probe | None, NDArray[np.bool_] | None]:
+def _kept_probe(depth: DepthMap) -> tuple[LocalMatch | None, NDArray[np.bool_] | None]:
     """The probe that lenses are compared with which have kept their depth from a frame before, and which these are."""
     return remembered(depth, "kept probe", lambda: (None, None))
 
 
-def save_comparison(depth: DepthMap, path: Path) -> None:
+def save_reference_match(depth: DepthMap, path: Path) -> None:
     """Save what later frames are compared with where lenses have kept their `depth` from frame to frame.
 
     Without it, changes that are small from one frame to the next would pass for good once that was loaded from a file.
@@ -178,10 +176,10 @@ def save_comparison(depth: DepthMap, path: Path) -> None:
     then, kept = _kept_probe(depth)
     if then is not None and kept is not None:
         with atomic_write(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, kept=kept, **{f.name: getattr(then, f.name) for f in fields(_Probe)})
+            np.savez(file, kept=kept, **{f.name: getattr(then, f.name) for f in fields(LocalMatch)})
 
 
-def load_comparison(depth: DepthMap, path: Path) -> None:
+def load_reference_match(depth: DepthMap, path: Path) -> None:
     """Have later frames compared with what was saved of a `depth` that comes from a file itself, if anything was.
 
     Raises
@@ -193,7 +191,7 @@ def load_comparison(depth: DepthMap, path: Path) -> None:
         return
     try:
         with np.load(path) as file:
-            then = _Probe(*(file[f.name] for f in fields(_Probe)))
+            then = LocalMatch(*(file[f.name] for f in fields(LocalMatch)))
             remembered(depth, "kept probe", lambda: (then, file["kept"]))
     except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
         raise OutputError(f"{path}: damaged ({error}); render everything anew (--overwrite)") from error
@@ -206,7 +204,7 @@ def _probe(
     depth: DepthMap,
     factor: int,
     known: NDArray[np.bool_] | None = None,
-) -> _Probe:
+) -> LocalMatch:
     """Match every lens at what is drawn of it in `depth`, in pixels `factor` times as small.
 
     Lenses that are `known` are matched for the others only.
@@ -216,12 +214,12 @@ def _probe(
     textured = texture.clear | texture.faint
     about = (depth.drawn / np.float32(factor * matcher.factor)).astype(np.float32)
     active = textured if known is None else textured & ~known
-    return _Probe(*matcher.probe(active, about), texture.clear, textured)
+    return LocalMatch(*matcher.probe(active, about), texture.clear, textured)
 
 
-def _unsteady(
-    then: _Probe,
-    now: _Probe,
+def find_moved(
+    then: LocalMatch,
+    now: LocalMatch,
     told: NDArray[np.bool_],
     reason: NDArray[np.int8],
     neighbours: NDArray[np.int32],
@@ -247,7 +245,7 @@ def _noted(
     after: DepthMap,
     before: DepthMap,
     changed: NDArray[np.bool_],
-    then: _Probe | None = None,
+    then: LocalMatch | None = None,
     kept: NDArray[np.bool_] | None = None,
 ) -> DepthMap:
     """`after`, with notes for `changed_since` and for the frame that follows it."""
@@ -268,4 +266,4 @@ def changed_since(
     reference, changed = remembered(after, "changed", lambda: (None, None))
     if reference is not None and changed is not None and reference() is before:
         return changed
-    return changed_lenses(earlier, flat, calibration)
+    return find_changed_lenses(earlier, flat, calibration)

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from lfcal import Lattice
-from lfrender.depth.level_depth import regular_plane
+from lfrender.depth.plane_depth import fit_regular_plane
 from lfrender.flat.lens_graph import lens_halves
 
 _PITCH, _ERROR = 20.0, 0.05
 
 
 def _plane(slope: float, count_over_lenses: float):
-    """What `regular_plane` finds where all lenses lie on a plane, `1 / s` of which falls by the share `slope`."""
+    """What `fit_regular_plane` finds where all lenses lie on a plane, `1 / s` of which falls by the share `slope`."""
     lattice = Lattice(np.array([15.0, 15.0]), _PITCH * np.array([[1, 0], [0.5, 0.75**0.5]]), (800, 600), 9.5)
     centres = lattice.centres()
     across = centres[:, 0] / centres[:, 0].max() - 0.5
     sizes = 6 / (1 + slope * across) + np.random.default_rng(2).normal(0, _ERROR, len(centres))
-    return regular_plane(
+    return fit_regular_plane(
         centres,
         int(len(centres) * count_over_lenses),
         _PITCH,

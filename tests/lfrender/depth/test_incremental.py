@@ -11,9 +11,9 @@ import pytest
 
 import lfrender
 from lfcal import Calibration, Lattice, OutputError
-from lfrender.depth.estimate import Earlier
-from lfrender.depth.following import _Probe, _unsteady, changed_since, load_comparison
-from lfrender.depth.sequence import changed_lenses
+from lfrender.depth.changed_lenses import find_changed_lenses
+from lfrender.depth.estimate import PreviousEstimates
+from lfrender.depth.incremental import LocalMatch, changed_since, find_moved, load_reference_match
 from lfrender.flat.lens_graph import neighbour_rows
 from lfrender.runtime.cache import remembered
 
@@ -136,10 +136,10 @@ def test_what_noise_alone_may_have_moved_is_not_asked_again(error, asked):
     lattice = Lattice((20.0, 20.0), ((23.2, 0.0), (0.0, 23.2)), (240, 240), 11.0)
     count = len(lattice)
     every, none = np.ones(count, bool), np.zeros(count, np.float32)
-    then = _Probe(none, none, np.full(count, error, np.float32), every, every)
+    then = LocalMatch(none, none, np.full(count, error, np.float32), every, every)
     # Twice the least motion that is looked at, of all lenses to one side.
     now = replace(then, offset=np.full(count, 0.2, np.float32))
-    found, _ = _unsteady(then, now, every, np.zeros(count, np.int8), neighbour_rows(lattice, lattice.steps))
+    found, _ = find_moved(then, now, every, np.zeros(count, np.int8), neighbour_rows(lattice, lattice.steps))
     assert found.all() if asked else not found.any()
 
 
@@ -148,13 +148,13 @@ def test_lenses_beside_one_with_another_depth_are_in_doubt_where_anything_has_ch
     lattice = Lattice((20.0, 20.0), ((23.2, 0.0), (0.0, 23.2)), (240, 240), 11.0)
     count = len(lattice)
     every, none = np.ones(count, bool), np.zeros(count, np.float32)
-    then = _Probe(none, none, np.full(count, 0.01, np.float32), every, every)
+    then = LocalMatch(none, none, np.full(count, 0.01, np.float32), every, every)
     now = replace(then, offset=np.full(count, moved, np.float32), cost=np.full(count, worse, np.float32))
     neighbours = neighbour_rows(lattice, lattice.steps)
-    found, doubtful = _unsteady(then, now, every, np.zeros(count, np.int8), neighbours)
+    found, doubtful = find_moved(then, now, every, np.zeros(count, np.int8), neighbours)
     assert not found.any() and doubtful.all() == doubtful.any() == in_doubt
     # Without an answer there is nothing to be sure of.
-    assert _unsteady(then, then, ~every, np.ones(count, np.int8), neighbours)[1].all()
+    assert find_moved(then, then, ~every, np.ones(count, np.int8), neighbours)[1].all()
 
 
 def test_a_depth_that_changes_little_by_little_is_found_in_the_end(drawn_flat):
@@ -180,7 +180,7 @@ def test_what_coding_does_to_a_still_scene_is_no_change(house):
                 block = coded[y : y + 64, x : x + 64]
                 block += rng.integers(-1, 2, block.shape)
     coded = np.clip(coded, 0, 255).astype(np.uint8)
-    assert changed_lenses(house.flat, coded, calibration).mean() < 0.02
+    assert find_changed_lenses(house.flat, coded, calibration).mean() < 0.02
 
 
 @pytest.mark.parametrize(
@@ -228,13 +228,13 @@ def test_a_damaged_comparison_is_one_clear_error(first, tmp_path, content):
     path = tmp_path / "comparison_000000.npz"
     path.write_bytes(content)
     with pytest.raises(OutputError, match=r"comparison_000000\.npz: damaged .*--overwrite"):
-        load_comparison(first[1], path)
+        load_reference_match(first[1], path)
 
 
 def test_repeating_texture_is_known_from_before_where_most_lenses_were_asked():
     kept = np.arange(20) < 14
     size, sure, none = np.full(20, 5.0, np.float32), np.full(20, 0.9, np.float32), np.zeros(20, np.int8)
-    before = Earlier(kept, size, size, sure, none)
+    before = PreviousEstimates(kept, size, size, sure, none)
     again, perhaps = before.recurring(np.ones(20, bool))
     assert not again.any() and not perhaps
     # Confidence that was halved for all of them says that it may repeat.

@@ -12,7 +12,7 @@ from lfcal.runtime.fastmath import FAST, square
 from ..flat.grey_flat import trusted_radius, white_level
 from ..runtime.quantiles import quantile
 
-__all__ = ["changed_lenses"]
+__all__ = ["find_changed_lenses"]
 
 # Side [px] of the blocks whose sums tell a small motion from noise, which they average out; the second where
 # microimages of less than the third [px] have no room for several of them.
@@ -168,7 +168,7 @@ def _group(edges, mean, rough, pixel, level, ends, groups):
     ends[:-1], ends[-1] = ends[1:], len(mean)
 
 
-def changed_lenses(before: NDArray, now: NDArray, calibration: Calibration) -> NDArray[np.bool_]:
+def find_changed_lenses(before: NDArray, now: NDArray, calibration: Calibration) -> NDArray[np.bool_]:
     """(n,) bool: lenses whose pixels differ from those of an earlier frame by more than noise, and so that it shows.
 
     The noise of a difference is taken from the quietest lenses of like brightness: from how rough they are in one

@@ -14,8 +14,16 @@ from lfcal.runtime.fastmath import FAST
 from ...flat.grey_flat import GrayFlat
 from ...flat.microimages import BUNCH, Strips, shared_run
 from ...flat.texture import FIXED_SHADING, LensStatistics
-from .cost_volume import ENOUGH, cost_of, doubted, half_trust, moments, shared_pixels, unshaded
-from .sgm import lens_costs
+from .cost_volume import (
+    MIN_OVERLAP,
+    half_weight_area,
+    match_cost,
+    overlap_masks,
+    pair_moments,
+    shading_decay,
+    shading_doubt,
+)
+from .sgm import average_pair_costs
 
 __all__ = ["FARTHEST", "probe"]
 
@@ -83,7 +91,7 @@ def _probe_pairs(
             mean = half_way * (means[lens] + means[other])
             floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
             shift = half_way * (about[lens] + about[other])
-            doubt = doubted(min(contrast[lens], contrast[other])) * unshaded(shift, pitch)
+            doubt = shading_doubt(min(contrast[lens], contrast[other])) * shading_decay(shift, pitch)
             ux, uy = (bx - ax) / pitch, (by - ay) / pitch
             tx, ty = bx - ax + shift * ux, by - ay + shift * uy
             floor_x, floor_y = np.floor(tx), np.floor(ty)
@@ -94,15 +102,15 @@ def _probe_pairs(
             if whole[lens] and whole[other] and abs(dx) <= reach and abs(dy) <= reach:
                 slot = slots[dy + reach, dx + reach]
             if slot < 0:
-                count, sa, sb, saa, sbb, sab = moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step)
+                count, sa, sb, saa, sbb, sab = pair_moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step)
                 if count >= 4:
                     inverse = one / np.float32(count)
                     ma, mb = sa * inverse, sb * inverse
                     variance = (saa + sbb) * inverse - ma * ma - mb * mb
                     residual = variance - np.float32(2.0) * (sab * inverse - ma * mb)
-                    found[0] = cost_of(count * row_step, variance, residual, ma - mb, floor, half, doubt)
+                    found[0] = match_cost(count * row_step, variance, residual, ma - mb, floor, half, doubt)
                 continue
-            if counts[slot] * row_step > ENOUGH * radius * radius:
+            if counts[slot] * row_step > MIN_OVERLAP * radius * radius:
                 count, start, number = np.float32(counts[slot]), ends[slot, 0], ends[slot, 1]
                 mask_of, mask_at = line, slot * length + start
             else:
@@ -129,7 +137,7 @@ def _probe_pairs(
             variance = squares * inverse - ma * ma - mb * mb
             residual = srr * inverse - (ma - mb) * (ma - mb)
             apart = ma - mb + means[lens] - means[other]
-            found[0] = cost_of(count * row_step, variance, residual, apart, floor, half, doubt)
+            found[0] = match_cost(count * row_step, variance, residual, apart, floor, half, doubt)
             found[1], found[2] = spr - sp * (sa - sb) * inverse, spp - sp * sp * inverse
 
 
@@ -170,15 +178,15 @@ def probe(
         Standard deviation of the offset of one pair of the lens under noise.
     """
     about = about.astype(np.float32)
-    masks = shared_pixels(strips, gray, forward, np.zeros(1, np.float32), about)
+    masks = overlap_masks(strips, gray, forward, np.zeros(1, np.float32), about)
     pairs = np.empty((*forward.shape, 3), np.float32)
     _probe_pairs(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), forward, statistics.mean,
         statistics.contrast, active, about, np.float32(noise), np.float32(FIXED_SHADING), strips.step,
-        np.float32(half_trust(gray)), strips.values, strips.middle, strips.whole, strips.half, strips.width,
+        np.float32(half_weight_area(gray)), strips.values, strips.middle, strips.whole, strips.half, strips.width,
         strips.size, *strips.places, BUNCH, *masks, pairs,
     )  # fmt: skip
-    cost, gradient, steepness = lens_costs(pairs, forward, backward).T
+    cost, gradient, steepness = average_pair_costs(pairs, forward, backward).T
     steepness = np.maximum(steepness, np.float32(1e-12))
     # Both microimages of a pair have noise.
     error = np.float32(np.sqrt(2) * noise) / np.sqrt(steepness)
