@@ -43,8 +43,8 @@ _SCATTERED = 0.05
 _HARMLESS = 0.04
 # Offsets count where they are so many times the scatter of the regions about their common trend.
 _SIGNIFICANT = 2.0
-# Regions further than this many standard deviations from the trend have no weight (4.685 times the median).
-_OUTLIER = 5.516
+# [standard deviations] from the trend, 4.685 times the median distance: regions further off have no weight.
+_OUTLIER = 5.516119
 _FEWEST_REGIONS = 5
 # A given centre that is nearer to a gap than to a lens is further off than this share of the pitch.
 _ELSEWHERE = 0.25
