@@ -161,7 +161,7 @@ def load_capture(folder: str | os.PathLike[str]) -> Capture:
         raise ValueError(f"{source}: not a capture that this version of lfsynth wrote; simulate it again")
     try:
         camera = Camera(**about["camera"])
-        calibration = Calibration.from_dict(about["calibration"], str(source / "truth.json"))
+        calibration = Calibration.from_dict(about["calibration"])
         with np.load(source / "truth.npz") as stored:
             arrays = {name: stored[name] for name in _ARRAYS}
         recipe = about["recipe"]

@@ -1,8 +1,9 @@
 """Calibration of focused plenoptic cameras: find the microimages on a flat."""
 
 from .calibrate import calibrate
-from .camera.calibration import Calibration, load
+from .camera.calibration import Calibration
 from .camera.lens_types import LensTypes
+from .camera_files.read_write import load
 from .display.compare import compare
 from .display.fit_check import check_fit
 from .display.overlay import show

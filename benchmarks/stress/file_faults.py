@@ -19,7 +19,7 @@ import tifffile
 
 import lfcal
 import lfrender
-from lfcal.camera_files.read_write import convert, read_camera
+from lfcal.camera_files.read_write import convert
 from lfrender.sequence.film_file import FilmFile
 from lfrender.sequence.frames import open_frames
 
@@ -128,11 +128,9 @@ def _reader(name: str) -> Callable[[Path], Any]:
         return _read_film
     if suffix == ".npz":
         return lfrender.DepthMap.load
-    if suffix in (".json", ".xml", ".cfg"):
+    if suffix in (".json", ".xml", ".cfg", ".csv"):
         # A camera is of use only where its lenses can be counted.
         return lambda path: len(lfcal.load(path, None if suffix == ".json" else _SIZE).lattice)
-    if suffix == ".csv":
-        return lambda path: len(read_camera(path, _SIZE).lattice)
     return lambda path: (lfcal.count_pages(path), lfcal.read_flat(path))
 
 

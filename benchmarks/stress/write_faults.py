@@ -19,7 +19,7 @@ import numpy as np
 
 import lfcal
 import lfrender
-from lfcal.camera_files.read_write import convert, read_camera
+from lfcal.camera_files.read_write import convert
 from lfrender.data.surface import Surface
 
 __all__ = ["full_disk", "kill_writers", "main"]
@@ -52,7 +52,7 @@ def _writers() -> dict[str, tuple[Callable[[Path, int], Any], Callable[[Path], A
 
     return {
         "camera.json": (lambda path, n: cameras[n].save(path), lambda path: lfcal.load(path).lenses_used),
-        "camera.csv": (lambda path, n: convert(cameras[n], path), lambda path: read_camera(path, _SIZE)),
+        "camera.csv": (lambda path, n: convert(cameras[n], path), lambda path: lfcal.load(path, _SIZE)),
         "depth.npz": (
             lambda path, n: depths[n].save(path),
             lambda path: int(lfrender.DepthMap.load(path).patch_size[0]) - 1,

@@ -1,11 +1,10 @@
-"""A calibrated camera: lattice, vignetting and how well they fit, with its JSON file."""
+"""A calibrated camera: its lattice, light falloff and uncertainties, and their JSON form (docs/formats.md)."""
 
 from __future__ import annotations
 
 import json
 import os
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,23 +22,24 @@ from ..runtime.errors import CalibrationError, CameraFileError, FlatError
 from ..runtime.output_file import atomic_write
 from .lens_types import LensTypes
 
-__all__ = ["Calibration", "load"]
+__all__ = ["Calibration"]
 
 _SCHEMA = "lfcal-camera"
-# Files of version 1 have their lenses in rows of `j`, whatever the lattice.
-_VERSION, _IN_ROWS = 2, 1
+_VERSION = 2
+# In files of this version the lenses of a gain map are in rows of `j`, whatever the lattice.
+_ROW_ORDER_VERSION = 1
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Where the microimages of a camera are and what they can be used for.
+    """Where the microimages of a camera are, how they are lit, and how well both are known.
 
     Parameters
     ----------
     lattice : Lattice
         Centres, pitch and usable radius.
     vignetting : Vignetting or None
-        Illumination inside each microimage; None where it is flat or unknown.
+        Radial light falloff inside each microimage; None where there is none or it is unknown.
     source : str
         What it was measured on: `"white"`, `"scene"`, `"published"` or `"truth"`.
     residual_rms : float [px]
@@ -47,25 +47,34 @@ class Calibration:
     lenses_used : int
         Microimages that took part in the fit.
     confidence : float
-        0..1, how sure the lattice is the right one.
+        0..1, confidence that this is the lattice of the microimages.
     warnings : tuple of str
-        What a user should know before trusting it.
+        What a user should know before relying on it.
     lens_types : LensTypes or None
-        Types of microlenses of a multi-focus array; None where there is one type, or more were not seen.
+        Types of microlenses of a multi-focus array; None where one type was found.
     mosaic : str or None
         Colour filters of the top left 2 x 2 pixels of its flats, row by row: `"RGGB"`, `"BGGR"`, `"GRBG"` or
         `"GBRG"`; None where flats have no colour mosaic or its colours are not known.
     gain_map : GainMap or None
-        Light at every place of every microimage; None where only `vignetting` is known.
+        Relative illumination at every place of every microimage; None where only `vignetting` is known.
     defects : Defects
-        Pixels and lenses that are not to be trusted.
+        Pixels and lenses to leave out.
     errors : LatticeErrors or None
         Standard errors of the lattice's parameters and centres; None where not measured.
     residuals : Residuals or None
-        How far single microimages lie from the lattice; None where only many together show it, as in scenes.
+        How far single microimages lie from the lattice; None where single ones do not show it, as in scenes.
     white_level : float or None
-        Largest value of its flats where their type holds more, as 4095 for 12 bits in files of 16; None where it does
-        not, for floats, or where nobody has looked.
+        Largest value of its flats where that is less than their type holds, as 4095 for 12 bits in files of 16; None
+        where it is not, for floats, or unknown.
+
+    Examples
+    --------
+    >>> from lfcal import Calibration, Lattice
+    >>> camera = Calibration(Lattice([10, 12], [[20, 0], [0, 20]], (200, 100), 9.5))
+    >>> camera.image_size, len(camera.lattice)
+    ((200, 100), 50)
+    >>> Calibration.from_dict(camera.to_dict()).lattice.pitch
+    20.0
     """
 
     lattice: Lattice
@@ -96,6 +105,7 @@ class Calibration:
 
     def to_dict(self) -> dict[str, Any]:
         """The camera as plain numbers and strings, as written by `save`."""
+        distortion = self.lattice.distortion
         vignetting = self.vignetting and {"step": self.vignetting.step, "profile": self.vignetting.profile.tolist()}
         return {
             "schema": _SCHEMA,
@@ -107,7 +117,7 @@ class Calibration:
                 "radius": self.lattice.radius,
                 "pitch": self.lattice.pitch,
             }
-            | _bend(self.lattice.distortion),
+            | ({} if distortion is None else {"distortion": distortion.to_dict()}),
             "vignetting": vignetting,
             "source": self.source,
             "fit": {
@@ -126,15 +136,15 @@ class Calibration:
         }
 
     @classmethod
-    def from_dict(cls, data: Any, where: str = "camera file") -> Calibration:
-        """Rebuild a camera from `to_dict`; raises CameraFileError naming the field that is wrong."""
+    def from_dict(cls, data: Any) -> Calibration:
+        """Rebuild a camera from `to_dict`; raises CameraFileError with the name of the field that is wrong."""
         if not isinstance(data, dict) or data.get("schema") != _SCHEMA:
-            raise CameraFileError(f"{where}: not an {_SCHEMA} file; make one with 'lfcal calibrate IMAGE -o {where}'")
+            raise CameraFileError(f"not an {_SCHEMA} file; make one with 'lfcal calibrate IMAGE'")
         version = data.get("version")
-        if version not in (_IN_ROWS, _VERSION):
+        if version not in (_ROW_ORDER_VERSION, _VERSION):
             raise CameraFileError(
-                f"{where}: version {version!r} is not known "
-                f"(this toolkit reads {_IN_ROWS} and {_VERSION}); calibrate again"
+                f"version {version!r} is not known "
+                f"(this toolkit reads {_ROW_ORDER_VERSION} and {_VERSION}); calibrate again"
             )
         try:
             known, fit, vignetting = data["lattice"], data["fit"], data["vignetting"]
@@ -143,7 +153,7 @@ class Calibration:
                 known["basis"],
                 tuple(data["image_size"]),
                 known["radius"],
-                _unbend(known.get("distortion")),
+                known.get("distortion") and Distortion.from_dict(known["distortion"]),
             )
             gain = data.get("gain_map") and GainMap.from_dict(data["gain_map"])
             residual = fit["residual_rms"]
@@ -158,24 +168,24 @@ class Calibration:
                 # Files of earlier versions have none of these.
                 lens_types=data.get("lens_types") and LensTypes.from_dict(data["lens_types"]),
                 mosaic=data.get("mosaic"),
-                gain_map=_from_rows(gain, lattice) if gain and version == _IN_ROWS else gain,
+                gain_map=_in_centre_order(gain, lattice) if gain and version == _ROW_ORDER_VERSION else gain,
                 defects=Defects.from_dict(data["defects"]) if data.get("defects") else Defects(),
                 errors=data.get("errors") and LatticeErrors.from_dict(data["errors"]),
                 residuals=data.get("residuals") and Residuals.from_dict(data["residuals"]),
                 white_level=None if data.get("white_level") is None else float(data["white_level"]),
             )
         except KeyError as error:
-            raise CameraFileError(f"{where}: field {error} is missing; calibrate again") from error
+            raise CameraFileError(f"field {error} is missing; calibrate again") from error
         except (TypeError, ValueError) as error:
-            raise CameraFileError(f"{where}: {error}; calibrate again") from error
+            raise CameraFileError(f"{error}; calibrate again") from error
 
     def gain(self) -> NDArray[np.float32]:
-        """Light at every pixel over that at the brightest place of the field.
+        """Relative illumination of every pixel, 1 at the brightest place of the field.
 
         Returns
         -------
         (h, w) float32
-            NaN where nothing can be known: in gaps, where microimages are cut off, in lenses without light.
+            NaN where it is unknown: in gaps, where microimages are cut off, in lenses without light.
 
         Raises
         ------
@@ -226,14 +236,14 @@ class Calibration:
         return PartGain(self._gain_map(), self.lattice)
 
     def usable_radius(self) -> NDArray[np.float64]:
-        """How far each microimage can be used.
+        """Radius up to which each microimage is lit.
 
         Returns
         -------
         (n,) float64 [px]
-            In the order of `lattice.centres()`: radius of the largest circle about the centre in which the lens has
-            at least half the light of its brightest place, at most half the distance to the nearest microimage. A cut
-            (cat-eye) ends it in its own direction, so it is the least usable distance. 0 for lenses without light.
+            In the order of `lattice.centres()`: radius of the largest circle about the centre with at least half the
+            light of the brightest place of the lens, at most half the distance to the nearest microimage. Where
+            mechanical vignetting cuts a microimage it is the distance to the cut. 0 for lenses without light.
 
         Raises
         ------
@@ -243,7 +253,7 @@ class Calibration:
         return self._gain_map().usable_radius(self.lattice)
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw how far regions of the flat lie from the lattice, or its centres where nobody has measured that.
+        """Draw the mean residuals over the flat, or the centres of the lattice where residuals are not measured.
 
         Parameters
         ----------
@@ -273,80 +283,17 @@ class Calibration:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the camera as JSON; the file appears whole or not at all."""
         with atomic_write(path) as temporary:
-            temporary.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+            temporary.write_text(self.to_json(), encoding="utf-8")
+
+    def to_json(self) -> str:
+        """The text of the camera file that `save` writes."""
+        return json.dumps(self.to_dict(), indent=2) + "\n"
 
 
-def _bend(distortion: Distortion | None) -> dict[str, Any]:
-    """The entry of a distortion in a camera file; none for a straight lattice."""
-    if distortion is None:
-        return {}
-    values: dict[str, Any] = {"k1": distortion.k1, "k2": distortion.k2, "reach": distortion.reach}
-    bend = {"centre": distortion.centre.tolist()} | values
-    if distortion.general is not None and distortion.middle is not None:
-        bend |= {"general": distortion.general.tolist(), "middle": distortion.middle.tolist()}
-    return {"distortion": bend}
-
-
-def _unbend(data: Any) -> Distortion | None:
-    """A distortion from its entry in a camera file; KeyError, TypeError or ValueError where that is wrong."""
-    if data is None:
-        return None
-    return Distortion(data["centre"], data["k1"], data["k2"], data["reach"], data.get("general"), data.get("middle"))
-
-
-def _from_rows(gain: GainMap, lattice: Lattice) -> GainMap:
-    """A map whose lenses are in rows of `j`, in the order of the centres."""
+def _in_centre_order(gain: GainMap, lattice: Lattice) -> GainMap:
+    """A gain map whose lenses are in rows of `j`, with its lenses in the order of the centres."""
     if len(gain.own) != len(lattice):
         return gain
     own = np.empty_like(gain.own)
     own[np.lexsort(lattice.indices().T)] = gain.own
     return replace(gain, own=own)
-
-
-def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None) -> Calibration:
-    """Read a camera file written by `Calibration.save`, or one published by others (see `read_published`).
-
-    Parameters
-    ----------
-    path : path-like
-    image_size : (int, int) or None [px]
-        Width and height of the flats; needed only for published files that do not say.
-
-    Raises
-    ------
-    CameraFileError
-        If the file is missing, is not of a known kind, a field is wrong, or it belongs to another image size.
-    """
-    source = Path(path)
-    try:
-        text = source.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise CameraFileError(f"{source}: cannot be read as a camera file ({error})") from error
-    if _looks_published(text):
-        from ..camera_files.published import parse_published
-
-        return parse_published(text, image_size, str(source))
-    try:
-        data = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise CameraFileError(f"{source}: not valid JSON ({error}); make one with 'lfcal calibrate'") from error
-    camera = Calibration.from_dict(data, str(source))
-    if image_size is not None and tuple(image_size) != camera.image_size:
-        raise CameraFileError(
-            f"{source}: is for flats of {camera.image_size[0]} x {camera.image_size[1]} px, "
-            f"not of {image_size[0]} x {image_size[1]} px; calibrate on a flat of that size"
-        )
-    return camera
-
-
-def _looks_published(text: str) -> bool:
-    """Whether `text` is XML or begins with a line `key : number`."""
-    first = next((line for line in text.splitlines() if line.strip()), "").strip()
-    key, colon, value = first.partition(":")
-    if first.startswith("<"):
-        return True
-    try:
-        float(value)
-    except ValueError:
-        return False
-    return bool(colon) and key.strip().isidentifier()

@@ -1,4 +1,4 @@
-"""Types of microlenses in a multi-focus array: which lens is of which type, and what each is focused at."""
+"""Types of microlenses in a multi-focus array: the type of each lens, and the focus of each type."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from ..runtime.frozen import Frozen
 
 __all__ = ["LensTypes"]
 
-# Beyond this an array is no repeating mosaic of lens types any more, but a list of lenses.
+# Side of the largest repeating cell [lenses]: twice what cameras have had, and types fit in int8.
 _LARGEST_CELL = 16
 
 
 @dataclass(frozen=True)
 class LensTypes(Frozen):
-    """Which type each microlens is of, as a mosaic that repeats over the lattice.
+    """The type of each microlens, as a cell that repeats over the lattice.
 
-    Where `ordered`, type 0 is focused at the largest `|s|`, that is at the smallest virtual depth (what lies nearest
-    to the microlenses), the last type at the smallest `|s|`.
+    If `ordered`, type 0 is focused at the largest patch size `|s|`, that is at the smallest virtual depth (nearest to
+    the microlenses), and the last type at the smallest `|s|`.
 
     Parameters
     ----------
     cell : (m, m) int
         Lens `(i, j)` is of type `cell[i % m, j % m]`; types are numbered from 0 without gaps.
     ordered : bool
-        Types are in the order of their focus; else they are told apart but their numbers mean nothing.
+        Types are in the order of their focus; else their numbers have no meaning.
     focus : (count,) float
         Signed patch size over the pitch, `s / D`, at which each type is sharpest; NaN where not known.
     confidence : float
-        0..1, how far the pattern stands out from what other repeating patterns of lenses show.
+        0..1, how far this pattern exceeds other repeating patterns in sharpness differences.
 
     Examples
     --------
@@ -58,11 +58,7 @@ class LensTypes(Frozen):
             raise ValueError(f"focus must be one number or NaN for each of {count} types, got {self.focus!r}")
         if not 0 <= self.confidence <= 1:
             raise ValueError(f"confidence of lens types must be from 0 to 1, got {self.confidence!r}")
-        cell.flags.writeable = focus.flags.writeable = False
-        object.__setattr__(self, "cell", cell)
-        object.__setattr__(self, "focus", focus)
-        object.__setattr__(self, "ordered", bool(self.ordered))
-        object.__setattr__(self, "confidence", float(self.confidence))
+        self._set(cell=cell, focus=focus, ordered=bool(self.ordered), confidence=float(self.confidence))
 
     @property
     def count(self) -> int:
@@ -70,7 +66,7 @@ class LensTypes(Frozen):
         return int(self.cell.max()) + 1
 
     def of(self, indices: ArrayLike) -> NDArray[np.int8]:
-        """(n,) int8 types of the lenses with lattice indices `i, j` (n, 2), which need not be on the flat."""
+        """(n,) int8 types of the lenses with lattice indices `i, j` (n, 2), also beyond the flat."""
         index = np.asarray(indices)
         if index.dtype.kind not in "iu" or index.shape[-1:] != (2,):
             raise ValueError(f"indices must be whole numbers (n, 2), got {index.dtype} {index.shape}")

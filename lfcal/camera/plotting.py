@@ -1,4 +1,4 @@
-"""A calibration in a notebook: its card, and its fit on Matplotlib axes."""
+"""A calibration in a notebook: a card with a drawing of its lattice, and its residuals on Matplotlib axes."""
 
 from __future__ import annotations
 
@@ -6,20 +6,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..lattice.lattice import Lattice
 from ..lattice.orientation import describe_orientation
-from ..runtime.notebook import get_axes, html_card, lattice_svg
+from ..runtime.notebook import get_axes, html_card
+from .lens_types import LensTypes
 
 if TYPE_CHECKING:
     from .calibration import Calibration
 
 __all__ = ["calibration_card", "plot_calibration"]
 
-# Residuals are averaged over so many rectangles of the flat.
-_RECTANGLES = (12, 9)
+# Rectangles of the flat over which residuals are averaged.
+_GRID = (12, 9)
+# Side of the drawing of a lattice [CSS px], and pitches across it.
+_SIDE = 200
+_PITCHES = 5.0
+_TYPE_COLOURS = ("#2d7dd2", "#e6721a", "#3a9d5d", "#8e5bb5")
 
 
 def calibration_card(calibration: Calibration) -> str:
-    """HTML with a drawing of the lattice and the key figures of a camera."""
+    """HTML of the key figures of a camera beside a drawing of its lattice."""
     lattice = calibration.lattice
     shape, rows, turned = describe_orientation(lattice)
     width, height = calibration.image_size
@@ -33,12 +39,12 @@ def calibration_card(calibration: Calibration) -> str:
     }
     if np.isfinite(calibration.residual_rms):
         figures["residual"] = f"{calibration.residual_rms:.3f} px RMS of {calibration.lenses_used} lenses"
-    drawing = lattice_svg(lattice, calibration.lens_types)
+    drawing = _lattice_svg(lattice, calibration.lens_types)
     return html_card("Calibration", figures, drawing, calibration.warnings)
 
 
 def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
-    """`Calibration.plot`."""
+    """See `Calibration.plot`."""
     ax = get_axes(ax)
     lattice = calibration.lattice
     width, height = calibration.image_size
@@ -47,10 +53,36 @@ def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
         ax.scatter(*centres.T, s=2, linewidths=0)
         ax.set_title("Centres of the microimages")
     else:
-        places, mean, error = calibration.residuals.mean_over_grid(lattice, *_RECTANGLES)
+        places, mean, error = calibration.residuals.mean_over_grid(lattice, *_GRID)
         arrows = ax.quiver(*places.T, *mean.T, np.hypot(*mean.T) / error, angles="xy", cmap="viridis")
         ax.figure.colorbar(arrows, ax=ax, label="length over its standard error")
         longest = float(np.hypot(*mean.T).max(initial=0.0))
         ax.set_title(f"Mean residuals of the lattice, at most {longest:.2g} px")
     ax.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", xlabel="x [px]", ylabel="y [px]")
     return ax
+
+
+def _lattice_svg(lattice: Lattice, types: LensTypes | None = None) -> str:
+    """Inline SVG of the lenses at the middle of a flat: usable circles, coloured by type, and the basis as arrows."""
+    scale = _SIDE / (_PITCHES * lattice.pitch)
+    # A reduced basis has at least 60 degrees between its vectors: all lenses of the drawing lie within six steps.
+    span = np.arange(-6, 7)
+    index = lattice.middle + np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
+    at = (lattice.points(index) - lattice.points(lattice.middle[None])) * scale + _SIDE / 2
+    near = (np.abs(at - _SIDE / 2) < _SIDE / 2 + lattice.radius * scale).all(1)
+    kinds = np.zeros(len(index), int) if types is None else types.of(index)
+    circles = "".join(
+        f"<circle cx='{x:.1f}' cy='{y:.1f}' r='{lattice.radius * scale:.1f}' fill='{colour}' "
+        f"fill-opacity='.15' stroke='{colour}'/>"
+        for (x, y), kind in zip(at[near], kinds[near], strict=True)
+        for colour in [_TYPE_COLOURS[int(kind) % len(_TYPE_COLOURS)]]
+    )
+    arrows = "".join(
+        f"<line x1='{_SIDE / 2}' y1='{_SIDE / 2}' x2='{x:.1f}' y2='{y:.1f}' stroke='currentColor' stroke-width='1.5'/>"
+        f"<circle cx='{x:.1f}' cy='{y:.1f}' r='2.5' fill='currentColor'/>"
+        for x, y in lattice.basis * scale + _SIDE / 2
+    )
+    return (
+        f"<svg width='{_SIDE}' height='{_SIDE}' viewBox='0 0 {_SIDE} {_SIDE}' role='img' "
+        f"aria-label='{describe_orientation(lattice)[0]} lattice, {_PITCHES:.0f} pitches wide'>{circles}{arrows}</svg>"
+    )

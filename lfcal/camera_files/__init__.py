@@ -1,0 +1,1 @@
+"""Read and write camera files: our own JSON, and three formats of other programs."""

@@ -1,0 +1,1 @@
+"""The command line `lfcal`: calibrate a camera, show, compare and convert camera files."""

@@ -236,11 +236,11 @@ def _size(size: str | None, image: Path | None) -> tuple[int, int] | None:
 
 def _read(path: Path, size: tuple[int, int] | None) -> Calibration:
     """A camera file of any form, or an error that names the option that says what is missing."""
-    from ..camera_files.read_write import read_camera
+    from .. import load
     from ..runtime.errors import CameraFileError
 
     try:
-        return read_camera(path, size)
+        return load(path, size)
     except CameraFileError as error:
         if size is None and "image_size" in str(error):
             raise CameraFileError(f"{path}: does not say how large its flats are; add --size WxH or --image") from error

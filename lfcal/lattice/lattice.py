@@ -1,4 +1,4 @@
-"""Microlens lattice: where the centre of each microimage lies on the flat."""
+"""The microlens lattice: centres of the microimages from an origin, two basis vectors and a distortion."""
 
 from __future__ import annotations
 
@@ -10,26 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..runtime.frozen import Frozen
 from .distortion import Distortion
+from .settings import DEFAULT
 
 __all__ = ["Lattice", "reduce_basis"]
 
-# A third lattice direction counts as a neighbour when it is at most this much longer than
-# the geometric mean of the two shortest ones: 1 for hexagons, 1.41 for squares.
-_NEIGHBOUR_STRETCH = 1.2
-# Squared lengths this near to each other count as equal, so that measured hexagons get the basis of exact ones.
-_SAME_LENGTH = 5e-3
-# No camera has more pixels or lenses than this, nor more rows of lenses, nor a centre so far [px] from its flat.
-_MOST_PIXELS, _MOST_LENSES, _MOST_ROWS, _FARTHEST = 1 << 31, 1 << 27, 1e7, 1e9
-# Lenses looked at together, so that hardly more memory is needed than for the result.
-_TOGETHER = 1 << 20
-# Slope of rows of `j` from which on they run down the flat.
-_STEEP = 0.25
-# Lattices of no more lenses keep their centres, which are asked for again and again.
-_KEPT = 1 << 20
-
 
 def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
-    """Shortest basis of the lattice that `basis` spans (Lagrange-Gauss reduction), in one canonical form.
+    """Shortest basis of the lattice that `basis` spans (Lagrange-Gauss reduction), in a canonical form.
 
     Parameters
     ----------
@@ -51,17 +38,17 @@ def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
         b = b - np.round((a @ b) / (a @ a)) * a
         if b @ b >= (a @ a) * (1 - 1e-12):
             break
-    candidates = [v for v in (a, b, a - b, a + b) if v @ v <= (b @ b) * (1 + _SAME_LENGTH)]
+    candidates = [v for v in (a, b, a - b, a + b) if v @ v <= (b @ b) * (1 + DEFAULT.equal_length)]
     candidates += [-v for v in candidates]
     best: tuple[tuple[float, ...], NDArray[np.float64], NDArray[np.float64]] | None = None
     for first in candidates:
         for second in candidates:
-            turn, lean = first[0] * second[1] - first[1] * second[0], first @ second
-            if turn <= 1e-9 * (b @ b) or lean < -1e-6 * (b @ b):
+            cross, dot = first[0] * second[1] - first[1] * second[0], first @ second
+            if cross <= 1e-9 * (b @ b) or dot < -1e-6 * (b @ b):
                 continue
-            # Lengths decide before directions, and directions only where they clearly differ.
+            # Lengths decide before directions, and directions only where they differ by more than rounding.
             size = (first @ first + second @ second) / (b @ b)
-            rank = (-round(size / _SAME_LENGTH), round(first[0] / np.hypot(*first), 6), first[1], lean)
+            rank = (-round(size / DEFAULT.equal_length), round(first[0] / np.hypot(*first), 6), first[1], dot)
             if best is None or rank > best[0]:
                 best = (rank, first, second)
     assert best is not None
@@ -84,7 +71,15 @@ class Lattice(Frozen):
     radius : float [px]
         Usable microimage radius `R`.
     distortion : Distortion or None
-        How far centres lie from the straight lattice; None where they do not.
+        Displacement of the centres from the straight lattice; None where there is none.
+
+    Examples
+    --------
+    >>> lattice = Lattice((5, 5), [[10, 0], [0, 10]], (40, 30), 4.5)
+    >>> len(lattice), lattice.pitch
+    (12, 10.0)
+    >>> lattice.points([[3, 2]])
+    array([[35., 25.]])
     """
 
     origin: NDArray[np.float64]
@@ -103,18 +98,14 @@ class Lattice(Frozen):
         width, height = (int(v) for v in self.image_size)
         if width < 1 or height < 1:
             raise ValueError(f"image_size must be positive (width, height), got {self.image_size!r}")
-        if width * height > _MOST_PIXELS or np.abs(origin).max() > _FARTHEST:
+        if width * height > DEFAULT.most_pixels or np.abs(origin).max() > DEFAULT.farthest_origin:
             raise ValueError(f"no camera has {width} x {height} px or a microimage at {self.origin!r}")
         across = np.abs(np.linalg.inv(basis)).max() * (width + height)
-        if across > _MOST_ROWS or width * height > _MOST_LENSES * abs(np.linalg.det(basis)):
+        if across > DEFAULT.most_rows or width * height > DEFAULT.most_lenses * abs(np.linalg.det(basis)):
             raise ValueError(f"no camera has {width} x {height} px full of lenses a basis of {self.basis!r} px apart")
         if not (np.isfinite(self.radius) and self.radius > 0):
             raise ValueError(f"radius must be a positive number of px, got {self.radius!r}")
-        origin.flags.writeable = basis.flags.writeable = False
-        object.__setattr__(self, "origin", origin)
-        object.__setattr__(self, "basis", basis)
-        object.__setattr__(self, "image_size", (width, height))
-        object.__setattr__(self, "radius", float(self.radius))
+        self._set(origin=origin, basis=basis, image_size=(width, height), radius=float(self.radius))
 
     def __len__(self) -> int:
         return len(self._indices)
@@ -126,7 +117,7 @@ class Lattice(Frozen):
         half = [(1, 0), (0, 1)]
         typical = np.sqrt(np.hypot(*a1) * np.hypot(*a2))
         diagonal = min((a1 + a2, (1, 1)), (a1 - a2, (1, -1)), key=lambda d: np.hypot(*d[0]))
-        if np.hypot(*diagonal[0]) <= _NEIGHBOUR_STRETCH * typical:
+        if np.hypot(*diagonal[0]) <= DEFAULT.neighbour_length * typical:
             half.append(diagonal[1])
         return np.array(half + [(-i, -j) for i, j in half], dtype=np.int64)
 
@@ -137,7 +128,7 @@ class Lattice(Frozen):
 
     @property
     def middle(self) -> NDArray[np.int64]:
-        """(2,) index of the lens next to the middle of the flat."""
+        """(2,) index of the lens nearest to the middle of the flat."""
         middle = (np.array(self.image_size) - 1) / 2
         return np.rint(self.to_index(middle[None])[0]).astype(np.int64)
 
@@ -153,11 +144,11 @@ class Lattice(Frozen):
         bounds = self.to_index(corners)
         low, high = np.floor(bounds.min(0)).astype(int), np.ceil(bounds.max(0)).astype(int)
         rows = np.arange(low[1], high[1] + 1)
-        first, last = self._ends(rows, low[0], high[0])
+        first, last = self._row_ends(rows, low[0], high[0])
         across, down = np.abs(self.basis[0])
-        steep = down > _STEEP * across
+        steep = down > DEFAULT.steep_slope * across
         found, places = [], []
-        block = max(1, _TOGETHER // (high[0] - low[0] + 1))
+        block = max(1, DEFAULT.chunk // (high[0] - low[0] + 1))
         for start in range(0, len(rows), block):
             few = slice(start, start + block)
             count = np.maximum(last[few] - first[few] + 1, 0)
@@ -173,8 +164,8 @@ class Lattice(Frozen):
         indices = np.concatenate(found)
         return indices[np.argsort(np.concatenate(places))] if steep else indices
 
-    def _ends(self, rows: NDArray[np.int64], low: int, high: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """First and last `i` (n,) from `low` to `high` between which all lenses of rows `j` (n,) on the flat are."""
+    def _row_ends(self, rows: NDArray[np.int64], low: int, high: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First and last `i` (n,) of the lenses of rows `j` (n,) that may lie on the flat, within `low` to `high`."""
         first, last = np.full(len(rows), float(low)), np.full(len(rows), float(high))
         if self.distortion is None:
             for axis in range(2):
@@ -189,17 +180,17 @@ class Lattice(Frozen):
         """(n, 2) lattice indices `i, j` of all microimages whose centre lies on the flat.
 
         In rows of `j`, or, where those run down the flat, in rows of pixels half a pitch high, from top to bottom:
-        loops over the pixels of lenses that lie one below the other take up to twice as long.
+        loops over the pixels of lenses in memory order are up to twice as fast.
         """
         return self._indices.copy()
 
     def centres(self) -> NDArray[np.float64]:
         """(n, 2) float64 centres `x, y` [px], in the order of `indices()`."""
-        if len(self) <= _KEPT:
+        if len(self) <= DEFAULT.most_cached:
             return self._centres.copy()
         centres = np.empty((len(self), 2))
-        for start in range(0, len(self), _TOGETHER):
-            centres[start : start + _TOGETHER] = self.points(self._indices[start : start + _TOGETHER])
+        for start in range(0, len(self), DEFAULT.chunk):
+            centres[start : start + DEFAULT.chunk] = self.points(self._indices[start : start + DEFAULT.chunk])
         return centres
 
     @cached_property
@@ -215,7 +206,7 @@ class Lattice(Frozen):
         return other
 
     def downscaled(self, factor: int) -> Lattice:
-        """The same lenses on a flat of which `factor` x `factor` pixels each have become one."""
+        """The lattice of the flat after averaging blocks of `factor` x `factor` pixels."""
         distortion = self.distortion
         width, height = (max(1, n // factor) for n in self.image_size)
         small = Lattice(
@@ -225,14 +216,14 @@ class Lattice(Frozen):
             self.radius / factor,
             None if distortion is None else distortion.downscaled(factor),
         )
-        # Lenses at the border are the same, whichever way their places are rounded.
+        # Rounding must not add or remove lenses at the border.
         small.__dict__["_indices"] = self._indices
         return small
 
     def points(self, index: ArrayLike) -> NDArray[np.float64]:
-        """(n, 2) positions `x, y` [px] of lattice indices (n, 2), which need be neither whole nor on the flat."""
+        """(n, 2) positions `x, y` [px] of lattice indices (n, 2), which may be fractions and beyond the flat."""
         index = np.asarray(index)
-        # Of very many lenses, columns take a third of the time of a product with a matrix of two.
+        # Column by column: three times as fast as a product with a 2 x 2 matrix.
         straight = np.empty(index.shape)
         for axis in range(2):
             column = index[..., 0] * self.basis[0, axis]

@@ -1,4 +1,4 @@
-"""Parts of a large flat beside each other in one small picture: what a fit needs of it, without the rest."""
+"""Subsets of the lenses of a flat, and crops of a large flat that hold some of them."""
 
 from __future__ import annotations
 
@@ -12,15 +12,13 @@ from .lattice import Lattice
 
 __all__ = ["ReadCrop", "StackedCrops", "sample_lenses", "sample_mask", "select_whole_lenses"]
 
-#: Picture of a rectangle of a flat, (height, width) float32, given its x, y, width and height [px].
+#: Reads a rectangle of a flat, (height, width) float32, given its x, y, width and height [px].
 ReadCrop = Callable[[int, int, int, int], NDArray[np.float32]]
 
-# Points along each side of a part by which a distorted lattice is followed.
-_ALONG = 5
-# Steps by the golden ratio choose lenses evenly whatever period they have.
+# Steps of the golden ratio sample evenly, whatever the period of the lenses.
 _GOLDEN = 0.6180339887498949
-# Of more lenses than this hardly any lie at the border: which lie whole on the flat is asked after choosing.
-_MANY = 60_000
+# Lattices of more lenses are sampled before lenses at the border are left out, which are few among so many.
+_SAMPLE_FIRST = 60_000
 
 
 def select_whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -28,48 +26,48 @@ def select_whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int
     centres, indices = lattice.centres(), lattice.indices()
     width, height = lattice.image_size
     x, y = centres.T
-    # Of very many lenses, two columns are compared several times as fast as rows of two, and so are rows taken.
+    # Comparing two columns, and `take`, are several times as fast as comparing and indexing rows of two.
     keep = np.flatnonzero((x >= margin) & (x <= width - 1 - margin) & (y >= margin) & (y <= height - 1 - margin))
     return indices.take(keep, 0), centres.take(keep, 0)
 
 
 def sample_lenses(lattice: Lattice, margin: float, wanted: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """About so many of `select_whole_lenses`, evenly spread; fewer by those at the border of very large flats."""
-    if len(lattice) <= _MANY:
+    """About `wanted` of `select_whole_lenses`, evenly spread; in very large flats fewer by those at the border."""
+    if len(lattice) <= _SAMPLE_FIRST:
         indices, centres = select_whole_lenses(lattice, margin)
-        rows = _chosen(len(indices), wanted)
+        rows = _sample_rows(len(indices), wanted)
         return indices[rows], centres[rows]
     indices = lattice.indices()
-    indices = indices[_chosen(len(indices), wanted)]
+    indices = indices[_sample_rows(len(indices), wanted)]
     centres = lattice.points(indices)
     keep = ((centres >= margin) & (centres <= np.array(lattice.image_size) - 1 - margin)).all(1)
     return indices[keep], centres[keep]
 
 
 def sample_mask(number: int, share: float) -> NDArray[np.bool_]:
-    """(n,) which of so many lenses are this share of them, evenly spread."""
-    place = np.arange(number) * _GOLDEN
-    # A remainder takes NumPy twenty times as long.
-    place -= np.floor(place)
-    return place < share
+    """(number,) mask that is True for this share of its entries, evenly spread."""
+    fraction = np.arange(number) * _GOLDEN
+    # Twenty times as fast as a remainder.
+    fraction -= np.floor(fraction)
+    return fraction < share
 
 
-def _chosen(number: int, wanted: float) -> NDArray[np.int64]:
-    """Rows of so many, evenly spread."""
+def _sample_rows(number: int, wanted: float) -> NDArray[np.int64]:
+    """About `wanted` row numbers below `number`, evenly spread."""
     return np.flatnonzero(sample_mask(number, wanted / max(number, 1)))
 
 
 @dataclass(frozen=True)
 class StackedCrops:
-    """Parts of a flat, all of one size and none upon another, below each other in one picture.
+    """Crops of a flat, all of one size and without overlap, stacked in one picture.
 
     Parameters
     ----------
     picture : (m * height, width) float32
     corners : (m, 2) int64 [px]
-        Flat coordinates x, y of the first pixel of each part.
+        Flat coordinates x, y of the first pixel of each crop.
     size : (int, int) [px]
-        Width and height of a part.
+        Width and height of a crop.
     """
 
     picture: NDArray[np.float32]
@@ -78,12 +76,12 @@ class StackedCrops:
 
     @classmethod
     def whole(cls, picture: NDArray[np.float32]) -> StackedCrops:
-        """A flat as its only part."""
+        """A flat as its only crop."""
         return cls(picture, np.zeros((1, 2), np.int64), (picture.shape[1], picture.shape[0]))
 
     @classmethod
     def of(cls, picture: NDArray[np.float32] | StackedCrops) -> StackedCrops:
-        """Parts as they are, or a whole flat."""
+        """Crops as they are, or a whole flat as one."""
         return picture if isinstance(picture, StackedCrops) else cls.whole(picture)
 
     def __len__(self) -> int:
@@ -91,41 +89,37 @@ class StackedCrops:
 
     @property
     def offsets(self) -> NDArray[np.int64]:
-        """(m, 2) what places of the flat are more than those of the picture, in each part [px]."""
+        """(m, 2) flat coordinates minus picture coordinates in each crop [px]."""
         down = np.arange(len(self)) * self.size[1]
         return self.corners - np.column_stack([np.zeros_like(down), down])
 
     def part(self, number: int) -> NDArray[np.float32]:
-        """(height, width) view of one part."""
+        """(height, width) view of one crop."""
         return self.picture[number * self.size[1] : (number + 1) * self.size[1]]
 
     def lenses(
         self, lattice: Lattice, margin: float
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
-        """Lenses at least `margin` px inside a part.
+        """Lenses at least `margin` px inside a crop: indices (n, 2), centres on the flat (n, 2) [px], crop number (n,).
 
-        Returns
-        -------
-        indices : (n, 2) int64
-        centres : (n, 2) float64 [px]
-            On the flat.
-        part : (n,) int64
-            That they are in; places of the flat lie at `offsets[part]` less in the picture.
+        Their centres in the picture are `centres - offsets[part]`.
         """
         if self.size == lattice.image_size:
             whole = select_whole_lenses(lattice, margin)
             return (*whole, np.zeros(len(whole[0]), np.int64))
-        found = [
-            _inside(lattice, corner + margin, corner + np.array(self.size) - 1 - margin) for corner in self.corners
+        inside = [
+            _lenses_in_rectangle(lattice, corner + margin, corner + np.array(self.size) - 1 - margin)
+            for corner in self.corners
         ]
-        part = np.repeat(np.arange(len(self)), [len(index) for index in found])
-        indices = np.concatenate(found)
+        part = np.repeat(np.arange(len(self)), [len(index) for index in inside])
+        indices = np.concatenate(inside)
         return indices, lattice.points(indices), part
 
 
-def _inside(lattice: Lattice, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.int64]:
+def _lenses_in_rectangle(lattice: Lattice, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.int64]:
     """(n, 2) indices of the lenses with centres in a rectangle."""
-    share = np.linspace(0, 1, _ALONG)
+    # A grid of positions, as a distorted lattice has no straight borders.
+    share = np.linspace(0, 1, 5)
     x, y = np.meshgrid(*(low[axis] + share * (high[axis] - low[axis]) for axis in (0, 1)))
     bounds = lattice.to_index(np.column_stack([x.ravel(), y.ravel()]))
     least, most = np.floor(bounds.min(0)).astype(np.int64) - 1, np.ceil(bounds.max(0)).astype(np.int64) + 1

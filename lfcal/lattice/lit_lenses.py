@@ -1,4 +1,4 @@
-"""Lenses that get light: an array need not fill the sensor."""
+"""Which lenses are lit: the microlens array need not fill the sensor."""
 
 from __future__ import annotations
 
@@ -10,34 +10,22 @@ from numpy.typing import NDArray
 
 from .lattice import Lattice, reduce_basis
 from .lens_subset import StackedCrops, sample_lenses
+from .settings import LIT_LENSES
 
 __all__ = ["LitLenses", "find_lit_lenses"]
-
-# Gaps are seen where they are darker than lenses by this share of the light; else dark lenses are told by their middle.
-_GAPS = 0.3
-# Quantile of the lenses that is a bright one, without being dust or a hot pixel.
-_BRIGHT = 0.95
-# So many lenses tell what is bright.
-_TELLING = 20_000
-# If so many, evenly spread, are all lit, then so are the others, but for single ones.
-_ASKED = 5000
-# Lenses that move by less than this share of the pitch stay lit, or dark.
-_SAME = 0.02
-# Places along each side of the flat at which such moves are looked for.
-_ALONG = 9
 
 
 @dataclass(frozen=True)
 class LitLenses:
-    """Lenses of a flat, or of parts of it, that get light.
+    """Lenses of a flat, or of crops of it, that are lit.
 
     Parameters
     ----------
     lattice : Lattice [px]
-        That they were looked for on.
+        Whose lenses they are.
     indices : (n, 2) int64
     part : (n,) int64
-        That they are in.
+        Number of the crop that each is in.
     """
 
     lattice: Lattice
@@ -45,43 +33,48 @@ class LitLenses:
     part: NDArray[np.int64]
 
     @classmethod
-    def on(
+    def find(
         cls, tones: StackedCrops, lattice: Lattice, margin: float, dark: float, before: LitLenses | None
     ) -> LitLenses:
-        """Lenses at least `margin` px inside a part; `before` where the lattice is the same still."""
-        if before is not None and before._still_on(lattice):
+        """Lit lenses at least `margin` px inside a crop; `before` if its lattice has the same centres.
+
+        `dark` is as in `find_lit_lenses`. Where an even sample of the lenses is lit, all others are taken as lit too.
+        """
+        if before is not None and before._is_for(lattice):
             return before
-        if len(tones) == 1 and len(lattice) > 2 * _ASKED:
-            indices, centres = sample_lenses(lattice, margin, _ASKED)
+        sample = LIT_LENSES.check_sample
+        if len(tones) == 1 and len(lattice) > 2 * sample:
+            indices, centres = sample_lenses(lattice, margin, sample)
             if find_lit_lenses(tones.picture, lattice, indices, centres - tones.offsets, dark).all():
-                # Those at the border are left out where some are chosen.
+                # Lenses at the border are left out where some are chosen.
                 return cls(lattice, lattice.indices(), np.zeros(len(lattice), np.int64))
         indices, centres, part = tones.lenses(lattice, margin)
-        places = centres - (tones.offsets[part] if len(tones) > 1 else tones.offsets)
-        if len(tones) > 1 and len(places) > 2 * _ASKED:
-            few = slice(None, None, len(places) // _ASKED)
-            if find_lit_lenses(tones.picture, lattice, indices[few], places[few], dark).all():
+        positions = centres - (tones.offsets[part] if len(tones) > 1 else tones.offsets)
+        if len(tones) > 1 and len(positions) > 2 * sample:
+            few = slice(None, None, len(positions) // sample)
+            if find_lit_lenses(tones.picture, lattice, indices[few], positions[few], dark).all():
                 return cls(lattice, indices, part)
-        alight = find_lit_lenses(tones.picture, lattice, indices, places, dark)
-        return cls(lattice, indices, part) if alight.all() else cls(lattice, indices[alight], part[alight])
+        lit = find_lit_lenses(tones.picture, lattice, indices, positions, dark)
+        return cls(lattice, indices, part) if lit.all() else cls(lattice, indices[lit], part[lit])
 
-    def _still_on(self, lattice: Lattice) -> bool:
-        along = (np.linspace(0, length - 1, _ALONG) for length in lattice.image_size)
+    def _is_for(self, lattice: Lattice) -> bool:
+        """Whether the centres of another lattice are those of this one, within a small share of the pitch."""
+        along = (np.linspace(0, length - 1, LIT_LENSES.positions_per_side) for length in lattice.image_size)
         index = self.lattice.to_index(np.stack(np.meshgrid(*along), axis=-1).reshape(-1, 2))
-        apart = lattice.points(index) - self.lattice.points(index)
-        return bool((np.hypot(*apart.T) < _SAME * lattice.pitch).all())
+        shift = lattice.points(index) - self.lattice.points(index)
+        return bool((np.hypot(*shift.T) < LIT_LENSES.same_lattice * lattice.pitch).all())
 
-    def some(self, tones: StackedCrops, lattice: Lattice, margin: float, chosen: NDArray[np.bool_]) -> LitLenses:
-        """The chosen (n,) ones that are still `margin` px inside their part."""
+    def select(self, tones: StackedCrops, lattice: Lattice, margin: float, chosen: NDArray[np.bool_]) -> LitLenses:
+        """The lenses chosen by a mask (n,) that are at least `margin` px inside their crop."""
         indices, part = self.indices[chosen], self.part[chosen]
-        place = lattice.points(indices) - tones.corners[part]
-        inside = ((place >= margin) & (place <= np.array(tones.size) - 1 - margin)).all(1)
+        position = lattice.points(indices) - tones.corners[part]
+        inside = ((position >= margin) & (position <= np.array(tones.size) - 1 - margin)).all(1)
         return LitLenses(lattice, indices[inside], part[inside])
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _measure(picture, centres, corners, core, gaps):
-    """Mean of a picture in the middle of lenses, and at the corners of their cells."""
+def _measure_core_and_gaps(picture, centres, corners, core, gaps):
+    """Mean of a picture over the 3 x 3 px at the centre of each lens, and over the corners of its cell."""
     height, width = picture.shape
     for lens in prange(len(centres)):
         cx, cy = centres[lens, 0], centres[lens, 1]
@@ -106,41 +99,43 @@ def find_lit_lenses(
     centres: NDArray[np.float64],
     dark: float,
 ) -> NDArray[np.bool_]:
-    """(n,) whether lenses are lit and not beside a dark one: the border of an array cuts some.
+    """(n,) whether lenses are lit and not next to a dark one, as the border of the array cuts some.
 
-    Stray light reaches places without a lens too, so it is the step from a lens to the gaps around it that counts.
+    Stray light also reaches pixels without a lens, so lenses are found by the step to the gaps around them where
+    gaps are visible, else by the brightness of their core.
 
     Parameters
     ----------
     picture : (h, w) float32
-        Light, or a tone of it.
+        Light, or its square root.
     lattice : Lattice [px]
     indices, centres : (n, 2)
         Lenses, their centres in the picture at least 1.5 px inside.
     dark : float
-        Share of the value of a bright lens below which one is dark.
+        Share of the step (or brightness) of a bright lens below which a lens is dark.
     """
     if len(centres) == 0:
         return np.zeros(0, dtype=bool)
     core, gaps = np.empty(len(centres)), np.empty(len(centres))
-    _measure(picture, centres, _corners(lattice), core, gaps)
+    _measure_core_and_gaps(picture, centres, _cell_corners(lattice), core, gaps)
     step = core - gaps
-    few = slice(None, None, max(1, len(core) // _TELLING))
-    seen = np.quantile(step[few], _BRIGHT) > _GAPS * np.quantile(core[few], _BRIGHT)
-    value = step if seen else core
-    shut = value < dark * np.quantile(value[few], _BRIGHT)
-    if not shut.any():
-        return ~shut
+    few = slice(None, None, max(1, len(core) // LIT_LENSES.quantile_sample))
+    bright = LIT_LENSES.bright_quantile
+    has_gaps = np.quantile(step[few], bright) > LIT_LENSES.gap_step * np.quantile(core[few], bright)
+    value = step if has_gaps else core
+    unlit = value < dark * np.quantile(value[few], bright)
+    if not unlit.any():
+        return ~unlit
     low = indices.min(0) - 1
     grid = np.zeros(indices.max(0) - low + 2, dtype=bool)
-    grid[tuple((indices[shut] - low).T)] = True
-    beside = shut.copy()
+    grid[tuple((indices[unlit] - low).T)] = True
+    beside = unlit.copy()
     for neighbour in lattice.steps:
         beside |= grid[tuple((indices - low + neighbour).T)]
     return ~beside
 
 
-def _corners(lattice: Lattice) -> NDArray[np.float64]:
+def _cell_corners(lattice: Lattice) -> NDArray[np.float64]:
     """(6, 2) from a lens to the corners of its cell, where three or four lenses meet [px]."""
     a, b = reduce_basis(lattice.basis)
     corner = np.linalg.solve(np.array([a, b]), [a @ a / 2, b @ b / 2])

@@ -1,28 +1,26 @@
-"""Shape of a lattice and which way it is turned, in the words of the field."""
+"""Shape and orientation of a lattice in words."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from .lattice import Lattice
+from .settings import DEFAULT
 
 __all__ = ["describe_orientation"]
 
-# Sides that differ by less than this share, and angles this near to 90 degrees (as a cosine), count as square.
-_SQUARE_TOLERANCE = 0.03
-
 
 def describe_orientation(lattice: Lattice) -> tuple[str, str, float]:
-    """Shape, which way the rows of nearest neighbours run, and how far they are turned from there [degrees]."""
+    """Shape, direction of the rows of nearest neighbours, and rotation from that direction [degrees]."""
     a1, a2 = lattice.basis
     lengths = np.hypot(*a1), np.hypot(*a2)
     hexagonal = len(lattice.steps) == 6
     if hexagonal:
         shape = "hexagonal"
-    elif abs(a1 @ a2) > _SQUARE_TOLERANCE * lengths[0] * lengths[1]:
+    elif abs(a1 @ a2) > DEFAULT.square_tolerance * lengths[0] * lengths[1]:
         shape = "oblique"
     else:
-        shape = "square" if min(lengths) > (1 - _SQUARE_TOLERANCE) * max(lengths) else "rectangular"
+        shape = "square" if min(lengths) > (1 - DEFAULT.square_tolerance) * max(lengths) else "rectangular"
     period = 60.0 if hexagonal else 90.0
     turned = (float(np.degrees(np.arctan2(a1[1], a1[0]))) + period / 2) % period - period / 2
     if hexagonal and abs(turned) > 15:

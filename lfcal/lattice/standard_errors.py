@@ -1,4 +1,4 @@
-"""Standard errors of a lattice: of its parameters, and of each centre."""
+"""Standard errors of a fitted lattice: of its parameters, and of each centre."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from .lattice import Lattice
 
 __all__ = ["LatticeErrors", "equal_weight_errors"]
 
-_STRAIGHT = ("origin", "origin", "a1", "a1", "a2", "a2")
-_BENDS = ("k1", "k2", "centre", "general")
+_STRAIGHT_NAMES = ("origin", "origin", "a1", "a1", "a2", "a2")
+_DISTORTION_NAMES = ("k1", "k2", "centre", "general")
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,9 @@ class LatticeErrors(Frozen):
         covariance = np.array(self.covariance, dtype=np.float64)
         if covariance.shape != (len(self.names),) * 2 or not np.isfinite(covariance).all():
             raise ValueError(f"covariance must be finite, one row per name, got shape {covariance.shape}")
-        if self.names[:6] != _STRAIGHT or not set(self.names[6:]) <= set(_BENDS):
+        if self.names[:6] != _STRAIGHT_NAMES or not set(self.names[6:]) <= set(_DISTORTION_NAMES):
             raise ValueError(f"names of fitted parameters are not known: {self.names}")
-        covariance.flags.writeable = False
-        object.__setattr__(self, "covariance", covariance)
+        self._set(covariance=covariance)
 
     @property
     def standard_errors(self) -> NDArray[np.float64]:
@@ -48,16 +47,15 @@ class LatticeErrors(Frozen):
 
     @property
     def condition(self) -> float:
-        """Condition number of the fit, 1 and more: how much worse parameters are known together than each by itself.
+        """Condition number of the fit, 1 and more; infinite where the parameters cannot be told apart.
 
-        Of the least-squares design with columns of one length, so that units and the number of lenses do not matter.
-        A flat of 33 x 29 lenses has 1.6, a strip of 70 x 9 whose radial distortion is fitted as well has 18; infinite
-        where the lenses do not tell the parameters apart.
+        Of the least-squares design with columns of unit length, so that units and the number of lenses do not matter.
+        A flat of 33 x 29 lenses has 1.6, a strip of 70 x 9 whose radial distortion is fitted as well has 18.
         """
         errors = self.standard_errors
         if not (errors > 0).all():
             return float("inf")
-        # The information matrix and its inverse have the same condition, but not once their columns are scaled.
+        # Unit columns are those of the design, so the information matrix is scaled, not the covariance.
         information = np.linalg.pinv(self.covariance / np.outer(errors, errors))
         scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
         values = np.linalg.eigvalsh(information / np.outer(scale, scale))
@@ -66,7 +64,7 @@ class LatticeErrors(Frozen):
     def of_centres(self, lattice: Lattice) -> NDArray[np.float64]:
         """(n,) standard errors [px] of the centres, in the order of `lattice.centres()`.
 
-        The RMS distance of a centre from where it should be, as the scatter of the microimages implies.
+        Expected RMS distance of a centre from its true position, propagated from the covariance.
         """
         index = lattice.indices()
         straight = lattice.origin + index @ lattice.basis
@@ -99,15 +97,11 @@ class LatticeErrors(Frozen):
 
 
 def equal_weight_errors(lattice: Lattice, uncertainty: float) -> LatticeErrors:
-    """Errors of a straight lattice whose lenses all say as much about it.
+    """Errors of a straight lattice fitted to all its lenses with equal weights.
 
-    Parameters
-    ----------
-    lattice : Lattice [px]
-    uncertainty : float [px]
-        Standard error of a centre, RMS over the flat.
+    `uncertainty` is the standard error of a centre, RMS over the flat [px].
     """
     index = lattice.indices()
     table = np.column_stack([np.ones(len(index)), index])
     per_axis: NDArray[np.float64] = uncertainty**2 * len(index) / 6 * np.linalg.inv(table.T @ table)
-    return LatticeErrors(_STRAIGHT, np.asarray(np.kron(per_axis, np.eye(2)), dtype=np.float64))
+    return LatticeErrors(_STRAIGHT_NAMES, np.asarray(np.kron(per_axis, np.eye(2)), dtype=np.float64))

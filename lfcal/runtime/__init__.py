@@ -1,0 +1,1 @@
+"""What both packages stand on: errors, output files, command lines, notebooks, Numba options and small numerics."""

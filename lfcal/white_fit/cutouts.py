@@ -46,10 +46,10 @@ def cut_out_lenses(
     lattice = model.lattice
     faces, reach = cell_normals(lattice)
     margin = reach + 2
-    alight = LitLenses.on(tones, lattice, margin, np.sqrt(_DARK), before)
+    alight = LitLenses.find(tones, lattice, margin, np.sqrt(_DARK), before)
     every = max(1.0, len(alight.indices) * abs(np.linalg.det(lattice.basis)) / pixels)
     every = max(1.0, min(every, len(alight.indices) / fewest))
-    taken = alight.some(tones, lattice, margin, sample_mask(len(alight.indices), 1 / every))
+    taken = alight.select(tones, lattice, margin, sample_mask(len(alight.indices), 1 / every))
     indices, offset = taken.indices, tones.offsets[taken.part]
     centres = lattice.points(indices)
     # Lenses of a known model hardly move any more.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     Mosaic = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
 
-__all__ = ["analysed", "camera_of", "in_colour", "read_camera", "read_depth", "read_optics"]
+__all__ = ["analysed", "camera_of", "in_colour", "is_published", "read_camera", "read_depth", "read_optics"]
 
 _IMAGES = {".png", ".tif", ".tiff", ".webp", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm"}
 
@@ -37,15 +37,13 @@ def read_camera(path: Path, pixels: NDArray[np.generic]) -> Calibration:
             f"{path}: is an image, not a camera file; give a white image as --white, or make a camera file of it with "
             "'lfcal calibrate'"
         )
-    if path.suffix.lower() in (".xml", ".cfg"):
-        from lfcal.camera_files.published import read_published
+    calibration = load(path, size)
+    return _checked(calibration, pixels) if is_published(path) else calibration
 
-        return _checked(read_published(path, size), pixels)
-    calibration = load(path)
-    if calibration.image_size != size:
-        was, now = ("{} x {}".format(*pair) for pair in (calibration.image_size, size))
-        raise CameraFileError(f"{path}: made for images of {was} px, this one has {now}; calibrate again")
-    return calibration
+
+def is_published(path: Path) -> bool:
+    """Whether a camera file is of another program, so that its lattice is to be checked against the pixels."""
+    return path.suffix.lower() != ".json"
 
 
 def _checked(calibration: Calibration, pixels: NDArray[np.generic]) -> Calibration:

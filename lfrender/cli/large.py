@@ -14,7 +14,7 @@ from lfcal import LightFieldError
 
 from ..large.size import is_large
 from .figures import camera_figures, depth_figures, settings_of
-from .inputs import camera_of
+from .inputs import camera_of, is_published
 
 if TYPE_CHECKING:
     from lfcal import Calibration, FlatSource
@@ -127,7 +127,7 @@ def analyze(
     with source, on.options() as workers:
         with report.stage("calibrate"):
             # Our own camera files need the size of the flat only.
-            own = camera is not None and camera.suffix.lower() not in (".xml", ".cfg")
+            own = camera is not None and not is_published(camera)
             pixels: Any = source if own else read_flat(flat)
             calibration = camera_of(report, flat, pixels, camera, white, None)
             del pixels
@@ -144,7 +144,7 @@ def _camera(report: Any, asked: Asked, source: FlatSource, unfinished: Checkpoin
 
     from ..output.resume import file_identity, fingerprint
 
-    if asked.camera is not None and asked.camera.suffix.lower() not in (".xml", ".cfg"):
+    if asked.camera is not None and not is_published(asked.camera):
         shape: Any = source
         return camera_of(report, asked.flat, shape, asked.camera, None, asked.mosaic)
     key = fingerprint(file_identity(asked.flat), file_identity(asked.white), file_identity(asked.camera), asked.mosaic)

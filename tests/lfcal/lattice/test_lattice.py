@@ -61,7 +61,7 @@ def test_every_lens_on_the_flat_is_listed_once():
     np.testing.assert_allclose(lattice.to_index(centres), lattice.indices(), atol=1e-9)
 
 
-def test_a_shrunken_lattice_has_the_same_lenses_in_larger_pixels():
+def test_a_downscaled_lattice_has_the_same_lenses_in_larger_pixels():
     distortion = Distortion((300.0, 250.0), 0.01, -0.004, 400.0, np.full((2, 7), 0.3), (320.0, 240.0))
     lattice = Lattice((301.2, 233.7), [[23.2, 0.4], [11.3, 20.1]], (641, 479), 11.0, distortion)
     small = lattice.downscaled(3)

@@ -1,4 +1,4 @@
-"""Lenses that get light: found once for lattices that hardly differ, dark ones and those beside them left out."""
+"""Lit lenses: dark ones and their neighbours are left out; found once for lattices with the same centres."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ _PITCH = 10.0
 
 
 def _flat() -> tuple[StackedCrops, Lattice]:
-    """400 x 300 px of round microimages, those left of x = 150 px without light."""
+    """400 x 300 px of round microimages, those left of x = 150 px unlit."""
     lattice = Lattice([5.0, 5.0], [[_PITCH, 0.0], [0.0, _PITCH]], (400, 300), 4.0)
     y, x = np.mgrid[:300, :400]
     far = np.hypot((x - 5 + 5) % _PITCH - 5, (y - 5 + 5) % _PITCH - 5)
@@ -21,46 +21,46 @@ def _flat() -> tuple[StackedCrops, Lattice]:
     return StackedCrops.whole(np.sqrt(light).astype(np.float32)), lattice
 
 
-def test_dark_lenses_and_those_beside_them_are_left_out():
+def test_dark_lenses_and_their_neighbours_are_left_out():
     tones, lattice = _flat()
-    lit = LitLenses.on(tones, lattice, 7.0, 0.2, None)
-    # The first lit column is at 155 px, the one beside the dark ones.
+    lit = LitLenses.find(tones, lattice, 7.0, 0.2, None)
+    # The first lit column is at 155 px, the one next to the dark ones.
     assert lattice.points(lit.indices)[:, 0].min() == 165
     assert len(lit.indices) == 23 * 28
 
 
-def test_lenses_are_looked_for_again_only_where_the_lattice_has_moved_by_a_fiftieth_of_the_pitch():
+def test_lit_lenses_are_reused_until_the_lattice_moves_by_a_fiftieth_of_the_pitch():
     tones, lattice = _flat()
-    before = LitLenses.on(tones, lattice, 7.0, 0.2, None)
+    before = LitLenses.find(tones, lattice, 7.0, 0.2, None)
     near = replace(lattice, origin=lattice.origin + 0.015 * _PITCH)
-    assert LitLenses.on(tones, near, 7.0, 0.2, before) is not before
+    assert LitLenses.find(tones, near, 7.0, 0.2, before) is not before
     near = replace(lattice, origin=lattice.origin + np.array([0.015 * _PITCH, 0]))
-    assert LitLenses.on(tones, near, 7.0, 0.2, before) is before
+    assert LitLenses.find(tones, near, 7.0, 0.2, before) is before
     # The step adds up over 40 lenses.
     stretched = replace(lattice, basis=lattice.basis * 1.001)
-    assert LitLenses.on(tones, stretched, 7.0, 0.2, before) is not before
+    assert LitLenses.find(tones, stretched, 7.0, 0.2, before) is not before
 
 
 def _many(dark: float) -> tuple[StackedCrops, Lattice]:
-    """1200 x 1000 px of 12000 round microimages, those left of x = `dark` px without light."""
+    """1200 x 1000 px of 12000 round microimages, those left of x = `dark` px unlit."""
     lattice = Lattice([5.0, 5.0], [[_PITCH, 0.0], [0.0, _PITCH]], (1200, 1000), 4.0)
     y, x = np.mgrid[:1000, :1200]
     far = np.hypot(x % _PITCH - 5, y % _PITCH - 5)
     return StackedCrops.whole(np.sqrt(np.where((far < 4) & (x > dark), 1.0, 0.02)).astype(np.float32)), lattice
 
 
-def test_light_is_looked_for_in_a_sample_of_many_lenses_and_in_all_where_it_shows_dark_ones(monkeypatch):
-    looked = []
+def test_a_sample_of_many_lenses_is_measured_and_all_of_them_only_if_it_has_dark_ones(monkeypatch):
+    measured = []
     original = lit_lenses.find_lit_lenses
-    monkeypatch.setattr(lit_lenses, "lit_lenses", lambda *of: (looked.append(len(of[2])), original(*of))[1])
+    monkeypatch.setattr(lit_lenses, "find_lit_lenses", lambda *of: (measured.append(len(of[2])), original(*of))[1])
     tones, lattice = _many(dark=0)
-    lit = LitLenses.on(tones, lattice, 7.0, 0.2, None)
+    lit = LitLenses.find(tones, lattice, 7.0, 0.2, None)
     assert len(lit.indices) == 12_000
-    assert sum(looked) < 5500
+    assert sum(measured) < 5500
     # Those at the border are left out when some are chosen.
-    assert len(lit.some(tones, lattice, 7.0, np.ones(12_000, bool)).indices) == 118 * 98
+    assert len(lit.select(tones, lattice, 7.0, np.ones(12_000, bool)).indices) == 118 * 98
     tones, lattice = _many(dark=20)
-    lit = LitLenses.on(tones, lattice, 7.0, 0.2, None)
-    # Two columns of 120 are dark, and those beside them are left out.
+    lit = LitLenses.find(tones, lattice, 7.0, 0.2, None)
+    # Two columns of 120 are dark, and their neighbours are left out.
     assert lattice.points(lit.indices)[:, 0].min() == 35
     assert len(lit.indices) == 116 * 98

@@ -15,8 +15,8 @@ _SIZE = (700, 500)
 
 
 @pytest.fixture(scope="module")
-def moved(whites):
-    """A white image, four lenses of which stand 0.3 px to the right of the lattice, its camera, and their indices."""
+def displaced(whites):
+    """A white image, four lenses of which are displaced by 0.3 px to the right, its camera, and their indices."""
     basis = whites.turned(whites.HEXAGON, 20.3, 3)
     image, origin = whites.white_image(basis, _SIZE, origin=(350.2, 250.4))
     shifted, _ = whites.white_image(basis, _SIZE, origin=(350.5, 250.4))
@@ -28,8 +28,8 @@ def moved(whites):
     return image, lfcal.calibrate(image, "white"), origin + moved @ basis
 
 
-def test_single_microimages_off_the_lattice_are_told(moved):
-    _, camera, places = moved
+def test_displaced_single_microimages_have_residuals(displaced):
+    _, camera, places = displaced
     residuals = camera.residuals
     centres = camera.lattice.points(residuals.indices)
     out = np.hypot(*(centres[:, None] - places).transpose(2, 0, 1)).min(1) < 1
@@ -38,22 +38,22 @@ def test_single_microimages_off_the_lattice_are_told(moved):
     assert np.hypot(*residuals.offset[~out].T).max() < 0.15
 
 
-def test_means_over_the_field_leave_outliers_out_and_state_their_errors(moved):
-    _, camera, _ = moved
+def test_means_over_the_flat_leave_outliers_out_and_have_standard_errors(displaced):
+    _, camera, _ = displaced
     places, mean, error = camera.residuals.mean_over_grid(camera.lattice, 4, 3)
     assert len(places) == 12 and (np.hypot(*mean.T) < 4 * error).all() and (error < 0.02).all()
 
 
-def test_residuals_in_the_camera_file_keep_a_thousandth_of_a_pixel(moved, tmp_path):
-    _, camera, _ = moved
+def test_residuals_in_the_camera_file_keep_a_thousandth_of_a_pixel(displaced, tmp_path):
+    _, camera, _ = displaced
     camera.save(tmp_path / "camera.json")
     again = lfcal.load(tmp_path / "camera.json").residuals
     np.testing.assert_array_equal(again.indices, camera.residuals.indices)
     np.testing.assert_allclose(again.offset, camera.residuals.offset, atol=6e-4)
 
 
-def test_systematic_residuals_are_drawn_as_arrows(moved):
-    image, camera, _ = moved
+def test_systematic_residuals_are_drawn_as_arrows(displaced):
+    image, camera, _ = displaced
     indices = camera.residuals.indices
     rng = np.random.default_rng(0)
     noise = 0.01 * rng.standard_normal(indices.shape).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Kernels round alike in every process, whatever it has compiled before."""
+"""Kernels round the same in every process, whatever it has compiled."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ import lfrender
 def kernels():
     """All kernels of both packages, by module and name."""
     for package in (lfcal, lfrender):
-        for module in pkgutil.iter_modules(package.__path__):
-            if not module.name.startswith("__"):
-                import_module(f"{package.__name__}.{module.name}")
+        for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+            if not module.name.endswith("__main__"):
+                import_module(module.name)
     found = {
         (name, key): value
         for name, module in sorted(sys.modules.items())
@@ -35,24 +35,24 @@ def kernels():
 
 
 def is_inlined(kernel):
-    """Whether Numba copies it into its callers, with whose options it is compiled."""
+    """Whether Numba copies a kernel into its callers, which compiles it with their options."""
     return kernel.targetoptions.get("inline") == "always"
 
 
 def nodes(kernel):
-    """All that its source is made of."""
+    """All nodes of the syntax tree of a kernel."""
     return ast.walk(ast.parse(textwrap.dedent(inspect.getsource(kernel.py_func))))
 
 
 def is_power(node):
-    """Whether this raises to a power, with an operator or by a function."""
+    """Whether a node raises to a power, with an operator or by a function."""
     if isinstance(node, ast.Call):
         return getattr(node.func, "attr", getattr(node.func, "id", "")) in ("pow", "power", "hypot")
     return isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.Pow)
 
 
 def called(kernel):
-    """What is linked to a kernel, also through kernels that Numba copies into it."""
+    """Kernels that a kernel calls, also through kernels that Numba copies into it."""
     for node in nodes(kernel):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             other = kernel.py_func.__globals__.get(node.func.id)
@@ -60,13 +60,13 @@ def called(kernel):
                 yield from called(other) if is_inlined(other) else [other]
 
 
-def test_kernels_with_fast_math_raise_to_no_power(kernels):
+def test_kernels_with_fast_math_have_products_instead_of_powers(kernels):
     for name, kernel in kernels.items():
         if kernel.targetoptions.get("fastmath") or is_inlined(kernel):
-            assert not any(map(is_power, nodes(kernel))), f"{name}: a power is to be a product"
+            assert not any(map(is_power, nodes(kernel))), f"{name}: replace the power by a product"
 
 
-def test_kernels_with_callers_of_both_kinds_state_their_own(kernels):
+def test_kernels_called_with_and_without_fast_math_state_their_own_option(kernels):
     callers = {}
     for name, kernel in kernels.items():
         if not is_inlined(kernel):
@@ -75,4 +75,4 @@ def test_kernels_with_callers_of_both_kinds_state_their_own(kernels):
     assert sum("fastmath" in kernel.targetoptions for kernel in callers) > 30
     for kernel, fast in callers.items():
         if "fastmath" not in kernel.targetoptions:
-            assert len(set(fast.values())) == 1, f"{kernel.py_func.__qualname__}: fastmath=False is to be said; {fast}"
+            assert len(set(fast.values())) == 1, f"{kernel.py_func.__qualname__}: state fastmath=False; {fast}"

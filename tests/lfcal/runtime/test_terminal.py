@@ -12,7 +12,7 @@ WORK = """
 import time
 from lfcal.runtime.console import Report
 report = Report(quiet={quiet})
-with report.stage("render"), report.counted("tiles") as told:
+with report.stage("render"), report.counted_progress("tiles") as told:
     for done in range(4, 11):
         told(done, 10)
         if done == 7:

@@ -1,12 +1,17 @@
-"""Published camera files: conventions, contradictions and damage."""
+"""XML camera files: conventions, contradictions and damage."""
 
 from __future__ import annotations
+
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import lfcal
-from lfcal.camera_files.published import read_published
+from lfcal.camera_files.read_write import convert
+
+_HEXAGON = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
 
 _RAYTRIX = """<RayCalibData version="1.0">
   <offset units="pix"><x>{x}</x><y>{y}</y></offset>
@@ -55,7 +60,7 @@ def test_raytrix_rotation_turns_counter_clockwise_on_the_screen(written):
     assert _holds(lattice, [20 * np.cos(0.05), -20 * np.sin(0.05)])
 
 
-def test_raytrix_rotation_given_twice_is_applied_once_and_said(written):
+def test_raytrix_rotation_given_twice_is_applied_once_with_a_warning(written):
     camera = lfcal.load(written(_raytrix(rotation=np.pi / 2, turned=np.pi / 2)), (101, 81))
     assert _holds(camera.lattice, [0, 20])
     assert any("twice" in warning for warning in camera.warnings)
@@ -72,7 +77,7 @@ def test_corner_centres_give_an_upright_hexagonal_lattice(written, columns):
     assert camera.warnings
 
 
-def test_pairs_and_xml_of_one_camera_agree(shared):
+def test_key_value_and_xml_files_of_one_camera_agree(shared):
     for name, size in (("Fujita2", (2048, 2048)), ("Boys2", (3976, 2956)), ("MiniGarden2", (4036, 3064))):
         pairs = lfcal.load(shared("captures", f"{name}.published.cfg")).lattice
         xml = lfcal.load(shared("captures", f"{name}.published.xml"), size).lattice
@@ -82,16 +87,7 @@ def test_pairs_and_xml_of_one_camera_agree(shared):
 
 def test_image_size_is_asked_for_where_the_file_does_not_say(written):
     with pytest.raises(lfcal.CameraFileError, match="image_size"):
-        read_published(written(_raytrix()))
-
-
-def test_pairs_of_another_image_size_are_refused(written):
-    text = "IsKepler : 1\nLensletWidth : 100\nLensletHeight : 80\nMIDiameter : 20\nMLADirection : 0\n"
-    text += "CentralMIOffsetX : 1\nCentralMIOffsetY : 2\n"
-    path = written(text, "camera.cfg")
-    np.testing.assert_allclose(lfcal.load(path).lattice.origin, [50.5, 37.5])
-    with pytest.raises(lfcal.CameraFileError, match="100 x 80"):
-        lfcal.load(path, (200, 80))
+        lfcal.load(written(_raytrix()))
 
 
 @pytest.mark.parametrize(
@@ -112,3 +108,49 @@ def test_damaged_file_is_refused_with_its_name(written, text):
     path = written(text)
     with pytest.raises(lfcal.CameraFileError, match=r"camera\.xml"):
         lfcal.load(path, (101, 81))
+
+
+def test_entity_bomb_is_refused_at_once(tmp_path):
+    entities = "".join(
+        f'<!ENTITY e{n} "{"&e" + str(n - 1) + ";" if n else "ha"}{"&e0;" * 9 if n else ""}">' for n in range(9)
+    )
+    (tmp_path / "bomb.xml").write_text(
+        f"<?xml version='1.0'?><!DOCTYPE x [{entities}]><RayCalibData>&e8;</RayCalibData>"
+    )
+    with pytest.raises(lfcal.CameraFileError, match=r"bomb\.xml: not valid XML"):
+        lfcal.load(tmp_path / "bomb.xml", (640, 480))
+
+
+@pytest.mark.parametrize("upright", [False, True])
+def test_three_lens_types_and_their_depths_are_read_again_from_xml(make_camera, tmp_path, upright):
+    camera = make_camera(_HEXAGON[:, ::-1] if upright else _HEXAGON, 23.2, 1.5)
+    sort = (np.add if (camera.lattice.steps.sum(1) % 3 != 0).all() else np.subtract).outer(np.arange(3), np.arange(3))
+    cell = np.array([2, 0, 1])[sort % 3]
+    camera = replace(camera, lens_types=lfcal.LensTypes(cell, True, np.array([-0.4, -0.3, -0.2])))
+    convert(camera, tmp_path / "camera.xml")
+    again = lfcal.load(tmp_path / "camera.xml", (640, 480))
+    places = np.rint(again.lattice.to_index(camera.lattice.centres())).astype(int)
+    np.testing.assert_array_equal(again.lens_types.of(places), camera.lens_types.of(camera.lattice.indices()))
+    # The border of two types is half way between their foci: 1 / 0.35 and 1 / 0.25.
+    text = (tmp_path / "camera.xml").read_text()
+    assert [float(v) for v in re.findall(r"<m..>([\d.]+)", text)] == pytest.approx([1, 1 / 0.35, 1 / 0.35, 4, 4, 100])
+
+
+def test_published_lens_types_are_distinguished_but_their_order_is_not_used(shared):
+    published = lfcal.load(shared("captures/Fujita2.published.xml"), (2048, 2048))
+    assert not published.lens_types.ordered and any("order of the lens types" in w for w in published.warnings)
+    lattice = published.lattice
+    types = published.lens_types.of(lattice.indices())
+    assert np.bincount(types).min() > 0.33 * len(types)
+    for step in lattice.steps:
+        assert (published.lens_types.of(lattice.indices() + step) != types).all()
+
+
+def test_lens_types_off_the_lattice_are_left_out_with_a_warning(make_camera, tmp_path):
+    camera = replace(make_camera(_HEXAGON, 20.0, 0.0), lens_types=lfcal.LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]]))
+    convert(camera, tmp_path / "camera.xml")
+    text = (tmp_path / "camera.xml").read_text()
+    types = text.index("<lens_type id")
+    (tmp_path / "camera.xml").write_text(text[:types] + text[types:].replace("1.0", "1.5").replace("0.5", "0.8"))
+    again = lfcal.load(tmp_path / "camera.xml", (640, 480))
+    assert again.lens_types is None and any("left out" in w for w in again.warnings)

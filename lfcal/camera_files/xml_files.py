@@ -1,4 +1,7 @@
-"""`RayCalibData`, the camera files of Raytrix: y points up in them, angles turn counter-clockwise on the screen."""
+"""The XML formats of published camera files: `RayCalibData`, which is also written, and `TSPCCalibData`.
+
+In them y points up and angles turn counter-clockwise on the screen.
+"""
 
 from __future__ import annotations
 
@@ -13,56 +16,94 @@ from ..camera.calibration import Calibration
 from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
-from .xml_fields import make_camera, read_number, read_point, require_positive
+from .published_lattice import calibration_from_corners, published_calibration, require_positive
+from .settings import DEFAULT
 
-__all__ = ["parse_raytrix", "write_raytrix"]
-
-_SIXTH = np.pi / 3
-# Angles in files are given to six digits or more; a degree apart is no rounding.
-_SAME_ANGLE = np.radians(1.0)
-# Lens types lie at whole lattice indices; further off than this they belong to another lattice.
-_WHOLE = 0.2
-# Virtual depths that the files give as the nearest and the farthest.
-_NEAREST, _FARTHEST = 1.0, 100.0
+__all__ = ["format_xml", "parse_xml"]
 
 
-def parse_raytrix(root: Any, image_size: tuple[int, int], where: str) -> Calibration:
-    """The camera in a `RayCalibData` element; errors begin with `where`."""
-    pitch = require_positive(read_number(root, "diameter", where), "diameter", where)
-    rotation = read_number(root, "rotation", where)
-    base = np.array([read_point(root, "lens_base_x", where), read_point(root, "lens_base_y", where)])
+def parse_xml(text: str, image_size: tuple[int, int] | None) -> Calibration:
+    """The camera in an XML file."""
+    from defusedxml import DefusedXmlException
+    from defusedxml.ElementTree import ParseError, fromstring
+
+    try:
+        root = fromstring(text)
+    except (ParseError, DefusedXmlException, ValueError) as error:
+        raise CameraFileError(f"not valid XML ({error})") from error
+    if image_size is None:
+        raise CameraFileError("does not say how large its flats are; give image_size as (width, height)")
+    if root.tag == "RayCalibData":
+        return _parse_raytrix(root, image_size)
+    if root.tag == "TSPCCalibData":
+        corners = [_read_point(root, f"centers/{name}") for name in ("ltop", "rtop", "lbot", "rbot")]
+        upright = abs(np.sin(_read_number(root, "rotation"))) > np.sqrt(0.5)
+        return calibration_from_corners(corners, _read_length(root, "diameter"), upright, image_size)
+    raise CameraFileError(f"<{root.tag}> is no known camera file; known are RayCalibData and TSPCCalibData")
+
+
+def _read_number(root: Any, name: str) -> float:
+    """The finite number in the child `name` of an element."""
+    text = root.findtext(name)
+    if text is None:
+        raise CameraFileError(f"<{name}> is missing")
+    try:
+        value = float(text)
+    except ValueError:
+        raise CameraFileError(f"<{name}> is {text.strip()!r}, not a number") from None
+    if not np.isfinite(value):
+        raise CameraFileError(f"<{name}> is not finite")
+    return value
+
+
+def _read_length(root: Any, name: str) -> float:
+    """The positive number in the child `name` of an element."""
+    return require_positive(_read_number(root, name), name)
+
+
+def _read_point(root: Any, name: str) -> NDArray[np.float64]:
+    """(2,) the numbers in the children `x` and `y` of the child `name` of an element."""
+    return np.array([_read_number(root, f"{name}/x"), _read_number(root, f"{name}/y")])
+
+
+def _parse_raytrix(root: Any, image_size: tuple[int, int]) -> Calibration:
+    """The camera in a `RayCalibData` element."""
+    pitch = _read_length(root, "diameter")
+    rotation = _read_number(root, "rotation")
+    base = np.array([_read_point(root, "lens_base_x"), _read_point(root, "lens_base_y")])
     if abs(np.linalg.det(base)) < 1e-3:
-        raise CameraFileError(f"{where}: lens_base_x and lens_base_y do not span a lattice")
+        raise CameraFileError("lens_base_x and lens_base_y do not span a lattice")
     warnings = []
     turned = float(np.arctan2(base[0, 1], base[0, 0]))
-    if _apart(turned, rotation) < _apart(turned, 0.0):
+    if _angle_between(turned, rotation) < _angle_between(turned, 0.0):
         # The basis already contains the rotation.
-        if _apart(rotation, 0.0) > _SAME_ANGLE:
+        if _angle_between(rotation, 0.0) > DEFAULT.same_angle:
             warnings.append("the rotation is given twice, in lens_base and in rotation; it was applied once")
         turn = 0.0
     else:
         turn = rotation
-        if _apart(turned, 0.0) > _SAME_ANGLE:
+        if _angle_between(turned, 0.0) > DEFAULT.same_angle:
             warnings.append("lens_base and rotation name two different angles; both were applied, check on a flat")
     cos, sin = np.cos(turn), np.sin(turn)
     up = base @ np.array([[cos, sin], [-sin, cos]]) * pitch
-    offset = read_point(root, "offset", where)
+    offset = _read_point(root, "offset")
     origin = (np.array(image_size) - 1) / 2 + offset * [1, -1]
     border = root.find("lens_border")
-    radius = pitch / 2 - (read_number(root, "lens_border", where) if border is not None else 0.0)
-    if _distorted(root):
+    radius = pitch / 2 - (_read_number(root, "lens_border") if border is not None else 0.0)
+    parameters = root.findtext("distortion/parameter") or ""
+    if any(abs(float(v)) > 0 for v in parameters.replace(",", ";").split(";") if v.strip()):
         warnings.append("the file names a lens distortion, which is left out; calibrate on a flat for better")
-    camera = make_camera(origin, up * [1, -1], image_size, require_positive(radius, "radius", where), warnings)
-    offsets = [read_point(element, "offset", where) for element in root.findall("lens_type")]
+    camera = published_calibration(origin, up * [1, -1], image_size, require_positive(radius, "radius"), warnings)
+    offsets = [_read_point(element, "offset") for element in root.findall("lens_type")]
     if len(offsets) < 2:
         return camera
     types = _types_at(np.array(offsets) @ np.array([[cos, sin], [-sin, cos]]) * [pitch, -pitch], camera.lattice)
-    words = (
+    warning = (
         "the lens types of the file do not lie on its lattice and are left out; calibrate on a flat"
         if types is None
         else "the order of the lens types in such files is often wrong and was not taken over; calibrate on a flat"
     )
-    return replace(camera, lens_types=types, warnings=(*camera.warnings, words))
+    return replace(camera, lens_types=types, warnings=(*camera.warnings, warning))
 
 
 def _types_at(offsets: NDArray[np.float64], lattice: Lattice) -> LensTypes | None:
@@ -70,33 +111,29 @@ def _types_at(offsets: NDArray[np.float64], lattice: Lattice) -> LensTypes | Non
     if len(offsets) != 3 or len(lattice.steps) != 6:
         return None
     index = offsets @ np.linalg.inv(lattice.basis)
-    if np.abs(index - np.rint(index)).max() > _WHOLE:
+    if np.abs(index - np.rint(index)).max() > DEFAULT.type_index_tolerance:
         return None
-    sort = _sorts(np.rint(index).astype(int), lattice)
-    if len(set(sort.tolist())) != 3:
+    numbers = _type_numbers(np.rint(index).astype(int), lattice)
+    if len(set(numbers.tolist())) != 3:
         return None
     i, j = np.meshgrid(np.arange(3), np.arange(3), indexing="ij")
-    return LensTypes(np.argsort(sort).astype(np.int8)[_sorts(np.stack([i, j], axis=-1), lattice)])
+    return LensTypes(np.argsort(numbers).astype(np.int8)[_type_numbers(np.stack([i, j], axis=-1), lattice)])
 
 
-def _sorts(index: NDArray[np.int64], lattice: Lattice) -> NDArray[np.int64]:
+def _type_numbers(index: NDArray[np.int64], lattice: Lattice) -> NDArray[np.int64]:
     """(...) 0, 1 or 2 for indices (..., 2) of a hexagonal lattice: the one way in which no neighbours are alike."""
     along = 1 if ((lattice.steps.sum(1)) % 3 != 0).all() else -1
     return (index[..., 0] + along * index[..., 1]) % 3
 
 
-def _distorted(root: Any) -> bool:
-    text = root.findtext("distortion/parameter") or ""
-    return any(abs(float(v)) > 0 for v in text.replace(",", ";").split(";") if v.strip())
+def _angle_between(a: float, b: float) -> float:
+    """Smallest difference of two angles [rad], which repeat every 60 degrees in a hexagonal lattice."""
+    period = np.pi / 3
+    difference = (a - b) % period
+    return min(difference, period - difference)
 
 
-def _apart(a: float, b: float) -> float:
-    """Smallest difference of two angles [rad] that a hexagonal lattice can tell."""
-    difference = (a - b) % _SIXTH
-    return min(difference, _SIXTH - difference)
-
-
-def write_raytrix(calibration: Calibration) -> str:
+def format_xml(calibration: Calibration) -> str:
     """A camera as `RayCalibData`: the basis lies along x before the rotation turns it.
 
     Lens types are kept where there are three in a hexagonal array; their ranges of depth where their focus is known.
@@ -137,15 +174,11 @@ def _types_xml(
     for kind, depths in enumerate(_depth_ranges(types)):
         step = steps[np.flatnonzero(kinds == kind)[0]]
         lens = _pair("offset", "lens", (step @ lattice.basis * [1, -1]) @ to_lens, "    ")
-        ends = (
-            ""
-            if depths is None
-            else "".join(
-                f"      <{name}>{depth:.12f}</{name}>\n" for name, depth in zip(("min", "max"), depths, strict=True)
-            )
-        )
-        seen = f'    <depth_range units="virtual_depth">\n{ends}    </depth_range>\n' if ends else ""
-        text += f'  <lens_type id="{kind}">\n{lens}{seen}  </lens_type>\n'
+        text += f'  <lens_type id="{kind}">\n{lens}'
+        if depths is not None:
+            ends = "".join(f"      <{end}>{at:.12f}</{end}>\n" for end, at in zip(("min", "max"), depths, strict=True))
+            text += f'    <depth_range units="virtual_depth">\n{ends}    </depth_range>\n'
+        text += "  </lens_type>\n"
     return text
 
 
@@ -155,7 +188,7 @@ def _depth_ranges(types: LensTypes) -> list[tuple[float, float] | None]:
     sizes = np.abs(types.focus)
     if not types.ordered or np.isnan(sizes).any() or not (np.diff(sizes) < 0).all():
         return [None] * types.count
-    ends = [_NEAREST, *(2 / (sizes[1:] + sizes[:-1])), _FARTHEST]
+    ends = [DEFAULT.nearest_depth, *(2 / (sizes[1:] + sizes[:-1])), DEFAULT.farthest_depth]
     return [(float(near), float(far)) for near, far in pairwise(ends)]
 
 
