@@ -20,7 +20,11 @@ import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfrender.data.surface import Surface
-from lfrender.output.metrics import compare_pictures, nearest_lens, resample
+from lfrender.flat.lens_graph import nearest_lens
+from lfrender.output.metrics import (
+    compare_pictures,
+    resample,
+)
 
 from .truth_flats import SCALES, merit
 

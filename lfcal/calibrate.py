@@ -279,7 +279,7 @@ def _measured(found: _Found) -> Calibration:
     confidence = min(
         found.start.repeatability,
         1 - max(fit.half_difference, fit.displacement) / (_SCATTERED * pitch),
-        1 - 2 * seen.unlike,
+        1 - 2 * seen.outlier_share,
         _UNPROVEN if doubt else 1,
     )
     return Calibration(

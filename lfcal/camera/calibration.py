@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..gain.defects import Defects
-from ..gain.gain_map import GainMap
-from ..gain.part_gain import PartGain
+from ..gain.gain_map import GainMap, RegionGain
 from ..gain.vignetting import Vignetting
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
@@ -225,7 +224,7 @@ class Calibration:
             )
         return self._gain_map().flatten(pixels, self.lattice)
 
-    def part_gain(self) -> PartGain:
+    def part_gain(self) -> RegionGain:
         """The gain of parts of a flat, for flats too large for `gain` and `flatten`.
 
         Raises
@@ -233,7 +232,7 @@ class Calibration:
         CalibrationError
             If the camera has neither gain map nor vignetting.
         """
-        return PartGain(self._gain_map(), self.lattice)
+        return RegionGain(self._gain_map(), self.lattice)
 
     def usable_radius(self) -> NDArray[np.float64]:
         """Radius up to which each microimage is lit.
@@ -292,8 +291,8 @@ class Calibration:
 
 def _in_centre_order(gain: GainMap, lattice: Lattice) -> GainMap:
     """A gain map whose lenses are in rows of `j`, with its lenses in the order of the centres."""
-    if len(gain.own) != len(lattice):
+    if len(gain.lens_gain) != len(lattice):
         return gain
-    own = np.empty_like(gain.own)
-    own[np.lexsort(lattice.indices().T)] = gain.own
-    return replace(gain, own=own)
+    own = np.empty_like(gain.lens_gain)
+    own[np.lexsort(lattice.indices().T)] = gain.lens_gain
+    return replace(gain, lens_gain=own)

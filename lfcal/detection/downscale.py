@@ -154,10 +154,15 @@ def _stretched(bend: Distortion, block: int, shift: float) -> Distortion:
 
 
 def _magnified(gain: GainMap, small: Lattice, lattice: Lattice, block: int) -> GainMap:
-    own = gain.own
+    own = gain.lens_gain
     if len(own):
         known = {tuple(index): value for index, value in zip(small.indices().tolist(), own.tolist(), strict=True)}
         own = np.array([known.get(tuple(index), 1.0) for index in lattice.indices().tolist()], np.float32)
     return replace(
-        gain, step=gain.step * block, radius=gain.radius * block, own=own, rim=gain.rim * block, cut=gain.cut * block
-    )
+        gain,
+        step=gain.step * block,
+        radius=gain.radius * block,
+        lens_gain=own,
+        rim=gain.rim * block,
+        cut=gain.cut * block,
+    )  # fmt: skip

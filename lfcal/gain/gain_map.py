@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from ..lattice.lattice import Lattice
 from ..runtime.frozen import Frozen
 from ..runtime.text_arrays import decode_array, encode_array
-from .part_gain import PartGain
 
-__all__ = ["GainMap", "frame", "terms"]
+__all__ = ["GainMap", "RegionGain", "count_terms", "field_frame"]
 
 
 def _readonly(values: Any, kind: type, dimensions: int, name: str) -> NDArray[Any]:
@@ -43,13 +42,13 @@ class GainMap(Frozen):
         Light over the distance to the centre, at `0, step, 2*step, ...`, of a lens with a round uncut rim.
     step : float [px]
     radius : float [px]
-        Unit of length of `shade`, and where `rim` counts in full.
+        Unit of length of `shading`, and where `rim` counts in full.
     level : (t,) float64
         Polynomial of the natural logarithm of the light of a lens (natural vignetting); `t` = 1, 3, 6, 10 ...
-    own : (n,) float32
+    lens_gain : (n,) float32
         Light of each lens over that of the polynomial, in the order of `lattice.centres()`; 0 where a lens has none.
         Empty where all are 1.
-    shade : (5, t) float64
+    shading : (5, t) float64
         Polynomials of the factors of `u, v, u^2, u*v, v^2` with `(u, v) = delta / radius`; 1 is added to their sum.
     rim : (1 + 2*m, t) float64 [px]
         Polynomials of how far the rim lies outside of that of `profile`: mean, then cosine and sine of each harmonic
@@ -65,25 +64,25 @@ class GainMap(Frozen):
     step: float
     radius: float
     level: NDArray[np.float64]
-    own: NDArray[np.float32]
-    shade: NDArray[np.float64]
+    lens_gain: NDArray[np.float32]
+    shading: NDArray[np.float64]
     rim: NDArray[np.float64]
     cut: NDArray[np.float64]
     dark: float = 0.0
 
     def __post_init__(self) -> None:
         for name, kind, dimensions in (
-            ("profile", np.float64, 1), ("level", np.float64, 1), ("own", np.float32, 1), ("shade", np.float64, 2),
-            ("rim", np.float64, 2), ("cut", np.float64, 1),
+            ("profile", np.float64, 1), ("level", np.float64, 1), ("lens_gain", np.float32, 1),
+            ("shading", np.float64, 2), ("rim", np.float64, 2), ("cut", np.float64, 1),
         ):  # fmt: skip
             object.__setattr__(self, name, _readonly(getattr(self, name), kind, dimensions, name))
         for name in ("step", "radius", "dark"):
             object.__setattr__(self, name, float(getattr(self, name)))
         if not (np.isfinite([self.step, self.radius, self.dark]).all() and self.step > 0 and self.radius > 0):
             raise ValueError("step and radius of a gain map must be positive numbers of px, dark a finite number")
-        degrees = {terms(d) for d in range(9)}
-        tables = (len(self.level), self.shade.shape[1], self.rim.shape[1])
-        if len(self.profile) < 2 or self.shade.shape[0] != 5 or not set(tables) <= degrees:
+        degrees = {count_terms(d) for d in range(9)}
+        tables = (len(self.level), self.shading.shape[1], self.rim.shape[1])
+        if len(self.profile) < 2 or self.shading.shape[0] != 5 or not set(tables) <= degrees:
             raise ValueError("profile, level, shade or rim of a gain map is of a wrong shape")
         if self.rim.shape[0] % 2 != 1 or len(self.cut) not in (0, 5) or (len(self.cut) and not self.cut[4] > 0):
             raise ValueError("rim or cut of a gain map is of a wrong shape")
@@ -106,26 +105,26 @@ class GainMap(Frozen):
 
     def flatten(self, flat: NDArray[Any], lattice: Lattice) -> NDArray[Any]:
         """`flat` (h, w) or (h, w, c) divided by the gain; pixels with unknown gain are left as they are."""
-        return PartGain(self, lattice).flatten(flat)[0]
+        return RegionGain(self, lattice).flatten(flat)[0]
 
     def filler(self, lattice: Lattice) -> Callable[[NDArray[np.float32], int, int], None]:
         """What writes the gain of the rows and columns from given ones on into an array."""
         from .rows import fill, walk
 
-        way = walk(lattice, self.own)
+        way = walk(lattice, self.lens_gain)
         shape = self.shape(lattice)
-        known = way.middles, way.own, way.starts, way.ahead, self.level, *shape
+        known = way.middles, way.lens_gain, way.starts, way.ahead, self.level, *shape
         return lambda out, top, left: fill(out, top, left, *known)
 
     def usable_radius(self, lattice: Lattice) -> NDArray[np.float64]:
         """(n,) largest distance [px] within which a lens has half its light in every direction; 0 without light."""
-        from .kernel import usable
+        from .kernel import find_usable_radius
 
         centres = lattice.centres()
         limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
         out = np.zeros(len(centres))
-        own = self.own if len(self.own) else np.ones(len(centres), np.float32)
-        usable(centres, own, limit, out, *self.shape(lattice))
+        own = self.lens_gain if len(self.lens_gain) else np.ones(len(centres), np.float32)
+        find_usable_radius(centres, own, limit, out, *self.shape(lattice))
         return out
 
     def shape(self, lattice: Lattice) -> tuple[Any, ...]:
@@ -133,17 +132,17 @@ class GainMap(Frozen):
         cut = np.zeros(6)
         cut[: len(self.cut)] = self.cut
         cut[5] = self.dark
-        return frame(lattice), self.radius, self.profile, self.step, self.shade, self.rim, cut
+        return field_frame(lattice), self.radius, self.profile, self.step, self.shading, self.rim, cut
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings; `own` as a packed block."""
+        """Plain numbers and strings; `lens_gain` as a packed block."""
         return {
             "profile": encode_array(self.profile.astype("<f4")),
             "step": self.step,
             "radius": self.radius,
             "level": self.level.tolist(),
-            "own": encode_array(self.own.astype("<f2")),
-            "shade": self.shade.tolist(),
+            "own": encode_array(self.lens_gain.astype("<f2")),
+            "shade": self.shading.tolist(),
             "rim": self.rim.tolist(),
             "cut": self.cut.tolist(),
             "dark": self.dark,
@@ -158,12 +157,65 @@ class GainMap(Frozen):
         )  # fmt: skip
 
 
-def terms(degree: int) -> int:
+def count_terms(degree: int) -> int:
     """Number of terms of a polynomial of the field."""
     return (degree + 1) * (degree + 2) // 2
 
 
-def frame(lattice: Lattice) -> NDArray[np.float64]:
+def field_frame(lattice: Lattice) -> NDArray[np.float64]:
     """(3,) middle x, y and half diagonal of the flat [px]: the frame of field coordinates."""
     width, height = lattice.image_size
     return np.array([(width - 1) / 2, (height - 1) / 2, np.hypot(width, height) / 2])
+
+
+# Rows flattened at a time, so that memory does not grow with the part.
+_BAND = 512
+
+
+class RegionGain:
+    """A gain map with its tables for one lattice, made once for all parts of a flat.
+
+    Parameters
+    ----------
+    gain_map : GainMap
+    lattice : Lattice
+    """
+
+    def __init__(self, gain_map: GainMap, lattice: Lattice) -> None:
+        self._fill = gain_map.filler(lattice)
+
+    def at(self, left: int, top: int, width: int, height: int) -> NDArray[np.float32]:
+        """(height, width) gain of the part of the flat that begins at the pixel `left, top`, as `Calibration.gain`."""
+        out = np.empty((height, width), np.float32)
+        self._fill(out, top, left)
+        return out
+
+    def flatten(self, pixels: NDArray[Any], left: int = 0, top: int = 0) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Divide a part of a flat by its gain.
+
+        Parameters
+        ----------
+        pixels : (h, w) or (h, w, c) unsigned integers or floats
+        left, top : int [px]
+            Flat coordinates of the first pixel.
+
+        Returns
+        -------
+        even : array of the shape and type of `pixels`
+            As `Calibration.flatten` has it there.
+        unknown : (h, w) bool
+            Pixels whose gain is not known, which are left as they are.
+        """
+        from .kernel import divide
+
+        deep = pixels.reshape(*pixels.shape[:2], -1)
+        out, unknown = np.empty_like(deep), np.empty(deep.shape[:2], np.bool_)
+        highest = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 0.0
+        band = np.empty((min(_BAND, len(deep)), deep.shape[1]), np.float32)
+        for first in range(0, len(deep), _BAND):
+            rows = slice(first, first + _BAND)
+            gain = band[: len(deep[rows])]
+            self._fill(gain, top + first, left)
+            divide(deep[rows], gain, out[rows], highest)
+            np.isnan(gain, out=unknown[rows])
+        return out.reshape(pixels.shape), unknown

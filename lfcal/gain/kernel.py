@@ -8,16 +8,25 @@ import numpy as np
 from numba import njit, prange
 
 __all__ = [
-    "EDGE", "FIXED", "LEAST_LIGHT", "ROOT_HALF", "describe", "divide", "field_level", "level_at", "light", "mean_light",
-    "usable",
+    "CUT_EDGE_SIGMAS",
+    "LEAST_LIGHT",
+    "RIM_START",
+    "ROOT_HALF",
+    "divide",
+    "evaluate_level",
+    "evaluate_levels",
+    "evaluate_shape",
+    "find_usable_radius",
+    "radial_mean",
+    "relative_light",
 ]  # fmt: skip
 
 #: Where a lens delivers a smaller share of its light, correction would show noise and stray light: nothing is known.
 LEAST_LIGHT = 0.25
 #: Numbers that describe one lens before those of its rim: shading (5) and displacement of the cutting disc (2).
-FIXED = 7
+RIM_START = 7
 #: Beyond so many standard deviations from its middle the cut is all or nothing.
-EDGE = 4.0
+CUT_EDGE_SIGMAS = 4.0
 ROOT_HALF = math.sqrt(0.5)
 _DIRECTIONS = 32
 # Places that share the memory for their monomials.
@@ -40,7 +49,7 @@ def _monomials(x, y, count, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
-def describe(cx, cy, field, radius, shade, rim, cut, powers, lens):
+def evaluate_shape(cx, cy, field, radius, shade, rim, cut, powers, lens):
     """Write what the shape of the lens at `(cx, cy)` is, in px, into `lens`; `powers` gets the field's monomials."""
     x, y = (cx - field[0]) / field[2], (cy - field[1]) / field[2]
     _monomials(x, y, max(shade.shape[1], rim.shape[1]), powers)
@@ -66,11 +75,11 @@ def describe(cx, cy, field, radius, shade, rim, cut, powers, lens):
         total = 0.0
         for t in range(rim.shape[1]):
             total += rim[row, t] * powers[t]
-        lens[FIXED + row] = total / radius
+        lens[RIM_START + row] = total / radius
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def level_at(cx, cy, field, level, powers):
+def evaluate_level(cx, cy, field, level, powers):
     """Exponential of a polynomial of the field at one place; `powers` gets the field's monomials."""
     _monomials((cx - field[0]) / field[2], (cy - field[1]) / field[2], len(level), powers)
     total = other = 0.0
@@ -84,28 +93,28 @@ def level_at(cx, cy, field, level, powers):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def field_level(centres, field, level, out):
+def evaluate_levels(centres, field, level, out):
     """Exponential of a polynomial of the field at places (n, 2)."""
     places = centres.shape[0]
     for block in prange((places + _TOGETHER - 1) // _TOGETHER):
         powers = np.empty(64)
         for n in range(block * _TOGETHER, min((block + 1) * _TOGETHER, places)):
-            out[n] = level_at(centres[n, 0], centres[n, 1], field, level, powers)
+            out[n] = evaluate_level(centres[n, 0], centres[n, 1], field, level, powers)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def light(dx, dy, lens, profile, step, cut):
+def relative_light(dx, dy, lens, profile, step, cut):
     """Light at `delta` in a described lens over that of its brightest place, distance on the profile, light uncut."""
     r = math.sqrt(dx * dx + dy * dy)
     stretched = r
-    count = len(lens) - FIXED
+    count = len(lens) - RIM_START
     if count == 1:
-        stretched = r * (1 - lens[FIXED])
+        stretched = r * (1 - lens[RIM_START])
     elif r > 0:
         c, s = dx / r, dy / r
         ck, sk = c, s
-        change = lens[FIXED]
-        for k in range(FIXED + 1, FIXED + count, 2):
+        change = lens[RIM_START]
+        for k in range(RIM_START + 1, RIM_START + count, 2):
             change += lens[k] * ck + lens[k + 1] * sk
             ck, sk = ck * c - sk * s, sk * c + ck * s
         stretched = max(r * (1 - change), 0.0)
@@ -120,9 +129,9 @@ def light(dx, dy, lens, profile, step, cut):
     if cut[4] > 0:
         ex, ey = dx - lens[5], dy - lens[6]
         depth = (cut[3] - math.sqrt(ex * ex + ey * ey)) / cut[4]
-        if depth < -EDGE:
+        if depth < -CUT_EDGE_SIGMAS:
             through = 0.0
-        elif depth < EDGE:
+        elif depth < CUT_EDGE_SIGMAS:
             through = 0.5 * (1 + math.erf(depth * ROOT_HALF))
         value = cut[5] + (value - cut[5]) * through
     value *= 1 + dx * (lens[0] + lens[2] * dx + lens[3] * dy) + dy * (lens[1] + lens[4] * dy)
@@ -146,22 +155,22 @@ def divide(flat, gain, out, highest):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def usable(centres, own, limit, out, field, radius, profile, step, shade, rim, cut):
+def find_usable_radius(centres, own, limit, out, field, radius, profile, step, shade, rim, cut):
     for n in range(centres.shape[0]):
         if own[n] == 0:
             continue
         powers = np.empty(64)
-        lens = np.empty(FIXED + rim.shape[0])
-        describe(centres[n, 0], centres[n, 1], field, radius, shade, rim, cut, powers, lens)
+        lens = np.empty(RIM_START + rim.shape[0])
+        evaluate_shape(centres[n, 0], centres[n, 1], field, radius, shade, rim, cut, powers, lens)
         least = limit
         for d in range(_DIRECTIONS):
             c, s = math.cos(2 * math.pi * d / _DIRECTIONS), math.sin(2 * math.pi * d / _DIRECTIONS)
-            before, r = light(0.0, 0.0, lens, profile, step, cut)[0], 0.0
+            before, r = relative_light(0.0, 0.0, lens, profile, step, cut)[0], 0.0
             if before < 0.5:
                 least = 0.0
             while r < least:
                 r += step
-                after = light(r * c, r * s, lens, profile, step, cut)[0]
+                after = relative_light(r * c, r * s, lens, profile, step, cut)[0]
                 if after < 0.5:
                     least = min(least, r - step * (0.5 - after) / max(before - after, 1e-9))
                     break
@@ -170,15 +179,15 @@ def usable(centres, own, limit, out, field, radius, profile, step, shade, rim, c
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def mean_light(centres, out, field, radius, profile, step, shade, rim, cut):
+def radial_mean(centres, out, field, radius, profile, step, shade, rim, cut):
     """Light at distances `0, step, ...`, the mean over all directions of each lens; `out` is of shape (n, k)."""
     for n in range(centres.shape[0]):
         powers = np.empty(64)
-        lens = np.empty(FIXED + rim.shape[0])
-        describe(centres[n, 0], centres[n, 1], field, radius, shade, rim, cut, powers, lens)
+        lens = np.empty(RIM_START + rim.shape[0])
+        evaluate_shape(centres[n, 0], centres[n, 1], field, radius, shade, rim, cut, powers, lens)
         for k in range(out.shape[1]):
             total = 0.0
             for d in range(_DIRECTIONS):
                 c, s = math.cos(2 * math.pi * d / _DIRECTIONS), math.sin(2 * math.pi * d / _DIRECTIONS)
-                total += light(k * step * c, k * step * s, lens, profile, step, cut)[0]
+                total += relative_light(k * step * c, k * step * s, lens, profile, step, cut)[0]
             out[n, k] = total / _DIRECTIONS

@@ -10,7 +10,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
-from .kernel import FIXED, LEAST_LIGHT, describe, level_at, light
+from .kernel import LEAST_LIGHT, RIM_START, evaluate_level, evaluate_shape, relative_light
 
 __all__ = ["ASIDE", "Walk", "fill", "walk"]
 
@@ -45,14 +45,14 @@ class Walk:
     """
 
     middles: NDArray[np.float64]
-    own: NDArray[np.float32]
+    lens_gain: NDArray[np.float32]
     starts: NDArray[np.int64]
     sides: NDArray[np.int64]
     ahead: NDArray[np.int64]
 
 
 def walk(lattice: Lattice, own: NDArray[np.float32]) -> Walk:
-    """Tables for going along the rows of a flat; ValueError where `own` is of another number of lenses."""
+    """Tables for going along the rows of a flat; ValueError where `lens_gain` is of another number of lenses."""
     width, height = lattice.image_size
     rows = np.arange(height, dtype=np.float64)
     starts = np.rint(lattice.to_index(np.column_stack([np.zeros(height), rows]))).astype(np.int64)
@@ -64,14 +64,14 @@ def walk(lattice: Lattice, own: NDArray[np.float32]) -> Walk:
     every = [np.concatenate([of[:, axis] for of in (starts, ends, indices)]) for axis in (0, 1)]
     low, high = (np.array([end(of) for of in every]) + far for end, far in ((np.min, -_HALO), (np.max, _HALO)))
     middles = lattice.grid(*(np.arange(low[axis], high[axis] + 1) for axis in (0, 1)))
-    light = np.ones(middles.shape[:2], np.float32)
+    relative_light = np.ones(middles.shape[:2], np.float32)
     if len(own):
-        light[indices[:, 1] - low[1], indices[:, 0] - low[0]] = own
+        relative_light[indices[:, 1] - low[1], indices[:, 0] - low[0]] = own
     # The shorter diagonal: cells have six sides at most.
     cross = min(((1, 1), (1, -1)), key=lambda step: float(np.hypot(*(step @ lattice.basis))))
     sides = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), cross, (-cross[0], -cross[1])])
     ahead = sides[(sides @ lattice.basis)[:, 0] > -_BENT * lattice.pitch]
-    return Walk(middles, light, np.ascontiguousarray(starts - low), sides, ahead)
+    return Walk(middles, relative_light, np.ascontiguousarray(starts - low), sides, ahead)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -114,8 +114,8 @@ def _described(a, b, middles, own, level, field, radius, shade, rim, cut, keys, 
     if keys[slot] != key:
         keys[slot] = key
         cx, cy = middles[b, a, 0], middles[b, a, 1]
-        describe(cx, cy, field, radius, shade, rim, cut, powers, lenses[slot, :-1])
-        lenses[slot, -1] = own[b, a] * level_at(cx, cy, field, level, powers)
+        evaluate_shape(cx, cy, field, radius, shade, rim, cut, powers, lenses[slot, :-1])
+        lenses[slot, -1] = own[b, a] * evaluate_level(cx, cy, field, level, powers)
     # A view of the row would cost more than these few numbers.
     for k in range(len(lens)):
         lens[k] = lenses[slot, k]
@@ -127,8 +127,8 @@ def fill(out, top, left, middles, own, starts, ahead, level, field, radius, prof
     """Gain of the rows from `top` and columns from `left` on; NaN where too little light is."""
     rows, right = out.shape[0], left + out.shape[1]
     for block in prange((rows + _BLOCK - 1) // _BLOCK):
-        keys, powers, lens = np.full(_SLOTS, -1), np.empty(64), np.empty(FIXED + rim.shape[0])
-        lenses = np.empty((_SLOTS, FIXED + rim.shape[0] + 1))
+        keys, powers, lens = np.full(_SLOTS, -1), np.empty(64), np.empty(RIM_START + rim.shape[0])
+        lenses = np.empty((_SLOTS, RIM_START + rim.shape[0] + 1))
         for row in range(block * _BLOCK, min((block + 1) * _BLOCK, rows)):
             y = top + row
             a, b = _first_lens(y, starts[y, 0], starts[y, 1], middles)
@@ -141,6 +141,6 @@ def fill(out, top, left, middles, own, starts, ahead, level, field, radius, prof
                     )
                     cx, cy = middles[b, a, 0], middles[b, a, 1]
                     for at in range(max(x, left), stop):
-                        value = light(at - cx, y - cy, lens, profile, step, cut)[0] if bright > 0 else 0.0
+                        value = relative_light(at - cx, y - cy, lens, profile, step, cut)[0] if bright > 0 else 0.0
                         out[row, at - left] = value * bright if value >= LEAST_LIGHT else np.nan
                 x, a, b = max(x, stop), p, q

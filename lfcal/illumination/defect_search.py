@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from ..gain.defects import Defects
 from ..gain.gain_map import GainMap
-from ..gain.kernel import describe, level_at
+from ..gain.kernel import evaluate_level, evaluate_shape
 from ..gain.rows import ASIDE, walk
+from ..gain.vectorized import make_edge_table, relative_light_general, relative_light_round
 from ..lattice.lattice import Lattice
 from .gain_fit import GainFit
-from .light_of_many import cut_table, light_of_any, light_of_round
 
 __all__ = ["MOST", "find_defects"]
 
@@ -132,7 +132,7 @@ def _departures(
     # Most maps have neither rims that differ with the direction nor a cut.
     plain = rim.shape[0] == 1 and not cut[4] > 0
     base, rise = profile[:-1].astype(np.float32), np.diff(profile).astype(np.float32)
-    sure_32, table = sure[:-1].astype(np.float32), cut_table()
+    sure_32, table = sure[:-1].astype(np.float32), make_edge_table()
     for y in prange(height):
         out[y] = _ZERO
     for chunk in prange(chunks):
@@ -162,8 +162,8 @@ def _departures(
                         continue
                     if not known:
                         known = True
-                        describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
-                        bright = own[b, a] * level_at(cx, cy, field, level, powers)
+                        evaluate_shape(cx, cy, field, radius, shade, rim, cut, powers, lens)
+                        bright = own[b, a] * evaluate_level(cx, cy, field, level, powers)
                         column = min(max(int((cx + 0.5) / width * windows.shape[1]), 0), windows.shape[1] - 1)
                         line = min(max(int((cy + 0.5) / height * windows.shape[0]), 0), windows.shape[0] - 1)
                         sharp = 1 / windows[line, column]
@@ -171,9 +171,9 @@ def _departures(
                         break
                     if plain:
                         scale = np.float32((1 - lens[7]) / step)
-                        light_of_round(pixels, count, lens, base, rise, scale, shape, ring)
+                        relative_light_round(pixels, count, lens, base, rise, scale, shape, ring)
                     else:
-                        light_of_any(pixels, count, lens, base, rise, step, cut, table, spare, shape, ring)
+                        relative_light_general(pixels, count, lens, base, rise, step, cut, table, spare, shape, ring)
                     over = np.float32(1 / bright)
                     _noted(pixels[2], count, shape, ring, over, np.float32(sharp), sure_32, noted)
                     count = 0
@@ -224,8 +224,8 @@ def find_defects(
     height, width = picture.shape
     level = gain.level.copy()
     level[0] += np.log(brightest)
-    way = walk(lattice, gain.own)
-    places = (way.middles, way.own, way.sides, level, *gain.shape(lattice))
+    way = walk(lattice, gain.lens_gain)
+    places = (way.middles, way.lens_gain, way.sides, level, *gain.shape(lattice))
     # More than can be defects are counted, but not kept.
     found, number, most = [], 0, MOST * width * height
     margin = _SQUARES[-1] // 2

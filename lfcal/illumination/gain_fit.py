@@ -6,7 +6,7 @@ microimage (shading); low-order polynomials of the field follow it where it is s
 
 On a white image a lens has one unknown, its light. On a scene capture it shows something: a plane is fitted to its
 inner part, and lenses that are no plane there count for little. That tells where rims lie; the profile itself is
-taken from sums over many lenses (`scene_profile`). Scenes say nothing about the light of lenses.
+taken from sums over many lenses (`fit_scene_profile`). Scenes say nothing about the light of lenses.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gain.gain_map import GainMap, frame
+from ..gain.gain_map import GainMap, field_frame
 from ..lattice.cell import cell_inradius, cell_normals
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..white_fit.model import CatEye
 from ..white_fit.rim_fit import fit_best_rim
 from .gain_terms import cut_terms, rim_terms, shade_terms
-from .residuals import OUTLIER, Left, Sample, compare, lens_sample
-from .scene_profile import scene_profile
+from .residuals import OUTLIER, GainResiduals, Sample, collect_residuals, draw_sample
+from .scene_profile import fit_scene_profile
 
 __all__ = ["GainFit", "fit_gain"]
 
@@ -76,7 +76,7 @@ def fit_gain(
     """
     parts = StackedCrops.of(picture)
     picture = parts.picture
-    sample = lens_sample(lattice, _SCENE_PIXELS if scene else _PIXELS, parts)
+    sample = draw_sample(lattice, _SCENE_PIXELS if scene else _PIXELS, parts)
     limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
     rings = int(cell_normals(lattice)[1] / _STEP) + 3
     cut: tuple[float, ...] = ()
@@ -88,10 +88,10 @@ def fit_gain(
     brightest = 0.995 * float(picture.max()) ** 2 if scene else math.inf
     spread, windows = np.full(rings, np.inf), np.ones(len(sample.first) - 1)
 
-    def left_over(every: int, sectors: bool = False, terms: bool = True) -> Left:
+    def left_over(every: int, sectors: bool = False, terms: bool = True) -> GainResiduals:
         limit = OUTLIER * spread * windows[:, None]
         few = sample if scene or sectors else sample.some(every)
-        return compare(picture, lattice, gain, few, core, scene, brightest, limit, sectors, terms)
+        return collect_residuals(picture, lattice, gain, few, core, scene, brightest, limit, sectors, terms)
 
     for turn in range(_PASSES[0]):
         left = left_over(_PROFILE, sectors=cat_eye is None and turn == _PASSES[0] - 1, terms=False)
@@ -103,18 +103,18 @@ def fit_gain(
         left = left_over(every)
         gain = replace(gain, rim=rim_terms(left, gain, sample.middle, lattice))
         if not scene:
-            gain = replace(gain, shade=shade_terms(left, gain, sample.middle, lattice))
+            gain = replace(gain, shading=shade_terms(left, gain, sample.middle, lattice))
         gain = _scaled(gain, left)
         spread, windows = _noise(left)
         if len(gain.cut):
             # Where the two rims lie upon each other, both at once would be moved twice as far as they have to.
             gain = replace(gain, cut=cut_terms(left_over(every), gain))
     if scene:
-        gain = replace(gain, profile=scene_profile(picture, lattice, gain, brightest))
+        gain = replace(gain, profile=fit_scene_profile(picture, lattice, gain, brightest))
     return GainFit(gain, spread, windows.reshape(sample.shape))
 
 
-def _with_cut(gain: GainMap, left: Left, sample: Sample, lattice: Lattice) -> GainMap:
+def _with_cut(gain: GainMap, left: GainResiduals, sample: Sample, lattice: Lattice) -> GainMap:
     """The map with a cutting disc where rims are as such a disc leaves them, else as it is."""
     faces = cell_normals(lattice)[0]
     inner = cell_inradius(faces)
@@ -127,7 +127,7 @@ def _with_cut(gain: GainMap, left: Left, sample: Sample, lattice: Lattice) -> Ga
     height = float(np.interp(0.85 * edge, np.arange(len(gain.profile)) * gain.step, gain.profile)) - dark
     excess, area = left.sector[..., 0], left.sector[..., 1]
     square = edge**2 + excess * inner**2 / np.maximum(area * height, 1e-9)
-    field = (sample.middle - frame(lattice)[:2]) / frame(lattice)[2]
+    field = (sample.middle - field_frame(lattice)[:2]) / field_frame(lattice)[2]
     found = fit_best_rim(np.sqrt(np.maximum(square, (0.2 * edge) ** 2)), area, field)
     if found is None:
         return gain
@@ -137,7 +137,7 @@ def _with_cut(gain: GainMap, left: Left, sample: Sample, lattice: Lattice) -> Ga
     return replace(gain, rim=rim, cut=np.array([*found.shift, found.growth, found.radius, soft]))
 
 
-def _noise(left: Left) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _noise(left: GainResiduals) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Standard deviation over the distance to the centre, and its factor in each window of the field."""
     smooth = np.ones(5)
     square, count = left.ring_square.sum(0), left.ring_count.sum(0)
@@ -149,7 +149,7 @@ def _noise(left: Left) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.sqrt(np.maximum(near, 1e-12)), np.sqrt(np.maximum(windows, 1e-3))
 
 
-def _scaled(gain: GainMap, left: Left) -> GainMap:
+def _scaled(gain: GainMap, left: GainResiduals) -> GainMap:
     """The map with its profile corrected, brightest 1, and the light in the gaps."""
     smooth = np.convolve(np.pad(left.profile, 2, "edge"), np.ones(5) / 5, "valid")
     inner = np.arange(len(smooth)) * gain.step < gain.radius

@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gain.gain_map import GainMap, frame, terms
+from ..gain.gain_map import GainMap, count_terms, field_frame
 from ..lattice.lattice import Lattice
-from .residuals import DIRECTIONS, Left
+from .residuals import DIRECTIONS, GainResiduals
 
-__all__ = ["cut_terms", "monomials", "rim_terms", "shade_terms"]
+__all__ = ["cut_terms", "field_monomials", "rim_terms", "shade_terms"]
 
 # Harmonics of the rim: lens shapes, squares and hexagons with their corners; those that change over the field.
 _HARMONICS, _CHANGING = 12, 3
@@ -21,15 +21,15 @@ _RIM_DEGREE, _SHADE_DEGREE = 2, 3
 _SURE, _MATTERS = 4.0, 0.02
 
 
-def monomials(points: NDArray[np.float64], lattice: Lattice, degree: int) -> NDArray[np.float64]:
+def field_monomials(points: NDArray[np.float64], lattice: Lattice, degree: int) -> NDArray[np.float64]:
     """(n, t) terms of a polynomial of the field at flat positions `points` (n, 2), in the order of `GainMap`."""
-    middle_x, middle_y, reach = frame(lattice)
+    middle_x, middle_y, reach = field_frame(lattice)
     x, y = ((points - (middle_x, middle_y)) / reach).T
     # As each degree follows from the one before: powers take far longer.
-    table = np.empty((len(x), terms(degree)))
+    table = np.empty((len(x), count_terms(degree)))
     table[:, 0] = 1.0
     for d in range(1, degree + 1):
-        start, before = terms(d - 1), terms(d - 2)
+        start, before = count_terms(d - 1), count_terms(d - 2)
         table[:, start : start + d] = table[:, before:start] * x[:, None]
         table[:, start + d] = table[:, start - 1] * y
     return table
@@ -68,15 +68,15 @@ def _significant(
     return [factors[a:b] for a, b in pairwise(ends)]
 
 
-def rim_terms(left: Left, gain: GainMap, middle: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+def rim_terms(left: GainResiduals, gain: GainMap, middle: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
     """Polynomials of the rim after a pass; those of no significance are none."""
     parts = len(middle)
     # Window or direction without rim: no say.
     weight = left.rim_down.ravel()
     angle = np.tile(np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS, parts)
-    degree = _RIM_DEGREE if parts > 2 * terms(_RIM_DEGREE) else 0
-    field = np.repeat(monomials(middle, lattice, degree), DIRECTIONS, axis=0)
-    old = np.zeros((1 + 2 * _HARMONICS, terms(degree)))
+    degree = _RIM_DEGREE if parts > 2 * count_terms(_RIM_DEGREE) else 0
+    field = np.repeat(field_monomials(middle, lattice, degree), DIRECTIONS, axis=0)
+    old = np.zeros((1 + 2 * _HARMONICS, count_terms(degree)))
     old[: gain.rim.shape[0], : gain.rim.shape[1]] = gain.rim[:, : old.shape[1]]
     waves = [np.ones(len(angle))]
     for k in range(1, _HARMONICS + 1):
@@ -103,7 +103,7 @@ def rim_terms(left: Left, gain: GainMap, middle: NDArray[np.float64], lattice: L
     return rim[: 1 + 2 * last]
 
 
-def cut_terms(left: Left, gain: GainMap) -> NDArray[np.float64]:
+def cut_terms(left: GainResiduals, gain: GainMap) -> NDArray[np.float64]:
     """The cutting disc after a pass."""
     normal = left.cut_normal + np.tril(left.cut_normal, -1).T
     normal += 1e-6 * np.trace(normal) * np.eye(5) + 1e-12 * np.eye(5)
@@ -115,13 +115,15 @@ def cut_terms(left: Left, gain: GainMap) -> NDArray[np.float64]:
     return cut
 
 
-def shade_terms(left: Left, gain: GainMap, middle: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+def shade_terms(
+    left: GainResiduals, gain: GainMap, middle: NDArray[np.float64], lattice: Lattice
+) -> NDArray[np.float64]:
     """Polynomials of the shading after a pass."""
     parts = len(middle)
-    degree = _SHADE_DEGREE if parts > 2 * terms(_SHADE_DEGREE) else 1 if parts > 2 * terms(1) else 0
-    field = monomials(middle, lattice, degree)
+    degree = _SHADE_DEGREE if parts > 2 * count_terms(_SHADE_DEGREE) else 1 if parts > 2 * count_terms(1) else 0
+    field = field_monomials(middle, lattice, degree)
     shade = np.zeros((5, field.shape[1]))
-    shade[:, : gain.shade.shape[1]] = gain.shade[:, : field.shape[1]]
+    shade[:, : gain.shading.shape[1]] = gain.shading[:, : field.shape[1]]
     # The light of a window is a nuisance, the mean curvature is the profile's.
     own = np.maximum(left.normal[:, 5, 5], 1e-30)
     mixed = left.normal[:, :5, 5]

@@ -9,15 +9,15 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from ..gain.gain_map import GainMap, frame, terms
-from ..gain.kernel import describe, field_level
+from ..gain.gain_map import GainMap, count_terms, field_frame
+from ..gain.kernel import evaluate_levels, evaluate_shape
+from ..gain.vectorized import make_edge_table, relative_light_general, relative_light_round
 from ..lattice.cell import cell_normals, cell_row_bounds, row_interval
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop
 from ..runtime.fastmath import FAST
 from .gain_fit import GainFit
-from .gain_terms import monomials
-from .light_of_many import cut_table, light_of_any, light_of_round
+from .gain_terms import field_monomials
 
 __all__ = ["LensLights", "dark_in_scene", "lens_lights"]
 
@@ -169,7 +169,7 @@ def _look(
     """
     lenses = chosen.shape[0]
     plain = rim.shape[0] == 1 and not cut[4] > 0
-    level, rise, table = profile[:-1].astype(np.float32), np.diff(profile).astype(np.float32), cut_table()
+    level, rise, table = profile[:-1].astype(np.float32), np.diff(profile).astype(np.float32), make_edge_table()
     for block in prange((lenses + _TOGETHER - 1) // _TOGETHER):
         powers, lens, ratios = np.empty(64), np.empty(7 + rim.shape[0]), np.empty(_MOST)
         pixels, shape, sums = np.empty((3, _MOST), np.float32), np.empty(_MOST, np.float32), np.empty(10)
@@ -177,12 +177,12 @@ def _look(
         for k in range(block * _TOGETHER, min((block + 1) * _TOGETHER, lenses)):
             n = chosen[k]
             cx, cy = centres[n, 0], centres[n, 1]
-            describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
+            evaluate_shape(cx, cy, field, radius, shade, rim, cut, powers, lens)
             count = _pixels(picture, cx, cy - top, sides, across, down, pixels)
             if plain:
-                light_of_round(pixels, count, lens, level, rise, np.float32((1 - lens[7]) / step), shape, ring)
+                relative_light_round(pixels, count, lens, level, rise, np.float32((1 - lens[7]) / step), shape, ring)
             else:
-                light_of_any(pixels, count, lens, level, rise, step, cut, table, spare, shape, ring)
+                relative_light_general(pixels, count, lens, level, rise, step, cut, table, spare, shape, ring)
             _sums(pixels, count, shape, sums)
             bright = sums[7]
             if bright == 0:
@@ -265,7 +265,7 @@ def lens_lights(picture: NDArray[np.float32] | ReadCrop, lattice: Lattice, fit: 
     surely = lit & (weight > 0.3 * np.median(weight[few][seen[few]]))
     level = _level(lights, surely, centres, lattice)
     smooth = np.empty(len(centres), np.float32)
-    field_level(centres, frame(lattice), level, smooth)
+    evaluate_levels(centres, field_frame(lattice), level, smooth)
     # Far from all light a polynomial may fall to nothing.
     np.maximum(smooth, np.float32(1e-30), out=smooth)
     error = single / np.sqrt(np.maximum(weight, 1e-9))
@@ -279,7 +279,7 @@ def lens_lights(picture: NDArray[np.float32] | ReadCrop, lattice: Lattice, fit: 
     dark = np.flatnonzero(seen & ~lit)
     if np.all(own == 1):
         own = np.zeros(0, np.float32)
-    return LensLights(replace(fit.gain, level=level, own=own), brightest, dark)
+    return LensLights(replace(fit.gain, level=level, lens_gain=own), brightest, dark)
 
 
 def _level(
@@ -291,9 +291,9 @@ def _level(
     log = np.log(np.maximum(lights[rows], 1e-12))
     best, least = np.array([float(np.median(log))]) if len(rows) else np.zeros(1), np.inf
     for degree in _DEGREES:
-        if len(rows) < 12 * terms(degree):
+        if len(rows) < 12 * count_terms(degree):
             break
-        table = monomials(centres[rows], lattice, degree)
+        table = field_monomials(centres[rows], lattice, degree)
         weight = np.ones(len(rows))
         for _ in range(5):
             weighted = weight[:, None] * table

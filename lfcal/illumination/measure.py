@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..gain.defects import Defects
 from ..gain.gain_map import GainMap
-from ..gain.kernel import mean_light
+from ..gain.kernel import radial_mean
 from ..gain.vignetting import Vignetting
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
@@ -47,7 +47,7 @@ class Illumination:
     radius: float
     defects: Defects
     warnings: tuple[str, ...]
-    unlike: float = 0.0
+    outlier_share: float = 0.0
 
 
 def measure_illumination(
@@ -102,7 +102,7 @@ def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
     limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
     rings = int(limit / gain.step) + 2
     light = np.zeros((len(centres), rings))
-    mean_light(centres, light, *gain.shape(lattice))
+    radial_mean(centres, light, *gain.shape(lattice))
     relative = light.mean(0)
     if not relative.max() > 0:
         raise CalibrationError("no light is left in the average microimage; give a white image")

@@ -12,13 +12,13 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap
-from ..gain.kernel import describe, light
+from ..gain.kernel import evaluate_shape, relative_light
 from ..lattice.cell import cell_inradius, cell_normals, is_outside_cell
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_lenses, sample_mask
 from ..runtime.fastmath import FAST
 
-__all__ = ["DIRECTIONS", "OUTLIER", "Left", "Sample", "compare", "lens_sample"]
+__all__ = ["DIRECTIONS", "OUTLIER", "GainResiduals", "Sample", "collect_residuals", "draw_sample"]
 
 DIRECTIONS = 48
 # Residuals beyond so many standard deviations have no say.
@@ -59,7 +59,7 @@ def _own_light(picture, cx, cy, shift, rows, stride, core, scene, brightest, len
         half = math.sqrt(max(core * core - dy * dy, 0.0))
         for x in range(math.ceil(cx - half) + shift % stride, math.floor(cx + half) + 1, stride):
             dx = x - cx
-            s = light(dx, dy, lens, profile, step, cut)[0]
+            s = relative_light(dx, dy, lens, profile, step, cut)[0]
             if s < 0.5:
                 continue
             v = picture[y, x] * picture[y, x]
@@ -125,7 +125,7 @@ def _compare(
         powers, lens, features = np.empty(64), np.empty(7 + rim.shape[0]), np.empty(6)
         for n in range(first[window], first[window + 1]):
             cx, cy = centres[n, 0], centres[n, 1]
-            describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
+            evaluate_shape(cx, cy, field, radius, shade, rim, cut, powers, lens)
             px, py = places[n, 0], places[n, 1]
             # Pixels left out are others in each lens. What a scene shows differs little from row to row.
             rows = 2 * stride if scene else stride
@@ -143,7 +143,7 @@ def _compare(
                     r = math.sqrt(dx * dx + dy * dy)
                     if r > inner and is_outside_cell(dx, dy, faces):
                         continue
-                    s, stretched, through = light(dx, dy, lens, profile, step, cut)
+                    s, stretched, through = relative_light(dx, dy, lens, profile, step, cut)
                     plane = max(1 + gx * dx + gy * dy, 0.2)
                     e = picture[y, x] * picture[y, x] / gain - s * plane
                     if sector.shape[0] > 0:
@@ -222,7 +222,7 @@ class Sample:
         )
 
 
-def lens_sample(lattice: Lattice, pixels: float, parts: StackedCrops | None = None) -> Sample:
+def draw_sample(lattice: Lattice, pixels: float, parts: StackedCrops | None = None) -> Sample:
     """Sample of lenses, of those in parts if given, with about so many pixels to be compared, but never too few."""
     cell = abs(float(np.linalg.det(lattice.basis)))
     stride = max(1, int(math.sqrt(cell / _LENS_PIXELS)))
@@ -249,7 +249,7 @@ def lens_sample(lattice: Lattice, pixels: float, parts: StackedCrops | None = No
 
 
 @dataclass(frozen=True)
-class Left:
+class GainResiduals:
     """What a map leaves over: the profile as it should be, and the rest by window of the field.
 
     Parameters
@@ -282,10 +282,10 @@ class Left:
     cut_right: NDArray[np.float64]
 
 
-def compare(
+def collect_residuals(
     picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, sample: Sample, core: float, scene: bool,
     brightest: float, limit: NDArray[np.float64], sectors: bool = False, terms: bool = True,
-) -> Left:  # fmt: skip
+) -> GainResiduals:  # fmt: skip
     """Compare a sample of lenses with a map.
 
     Parameters
@@ -329,7 +329,7 @@ def compare(
     profile = np.interp(at, at[filled], found[filled]) if filled.any() else gain.profile
     behind, pixels_behind = dark.sum(0)
     gap = gain.dark + behind / pixels_behind if pixels_behind > 0 else float(profile.min())
-    return Left(
+    return GainResiduals(
         profile,
         square,
         count,

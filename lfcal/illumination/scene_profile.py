@@ -15,12 +15,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap
-from ..gain.kernel import describe, light
+from ..gain.kernel import evaluate_shape, relative_light
 from ..lattice.cell import cell_inradius, cell_normals, is_outside_cell
 from ..lattice.lattice import Lattice
-from .residuals import lens_sample
+from .residuals import draw_sample
 
-__all__ = ["scene_profile"]
+__all__ = ["fit_scene_profile"]
 
 # Pixels summed: scenes have more contrast than white images have noise.
 _PIXELS = 1e6
@@ -42,7 +42,7 @@ def _sums(picture, centres, first, stride, faces, inner, reach, brightest, field
     for window in range(len(first) - 1):
         for n in range(first[window], first[window + 1]):
             cx, cy = centres[n, 0], centres[n, 1]
-            describe(cx, cy, field, radius, shade, rim, cut, powers, lens)
+            evaluate_shape(cx, cy, field, radius, shade, rim, cut, powers, lens)
             total[:], number[:] = 0.0, 0.0
             clipped, count = 0, 0
             # What a scene shows differs little from row to row.
@@ -53,7 +53,7 @@ def _sums(picture, centres, first, stride, faces, inner, reach, brightest, field
                     dx = x - cx
                     if dx * dx + dy * dy > inner * inner and is_outside_cell(dx, dy, faces):
                         continue
-                    _, stretched, through = light(dx, dy, lens, profile, step, cut)
+                    _, stretched, through = relative_light(dx, dy, lens, profile, step, cut)
                     if through < 0.5:
                         continue
                     v = picture[y, x] * picture[y, x]
@@ -71,7 +71,7 @@ def _sums(picture, centres, first, stride, faces, inner, reach, brightest, field
                 down[window] += number
 
 
-def scene_profile(
+def fit_scene_profile(
     picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, brightest: float
 ) -> NDArray[np.float64]:
     """(k,) profile of a gain map whose rims are right, from a scene capture; 1 wherever that cannot be excluded.
@@ -87,7 +87,7 @@ def scene_profile(
         Light that has been clipped where many pixels of a lens share it.
     """
     faces, reach = cell_normals(lattice)
-    sample = lens_sample(lattice, _PIXELS)
+    sample = draw_sample(lattice, _PIXELS)
     up, down = np.zeros((2, len(sample.first) - 1, len(gain.profile)))
     kernel: Any = _sums
     kernel(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
-from ..flat.grey_flat import GrayFlat
+from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import lens_grid
 from ..runtime.cache import latest
 from .depth_map import DepthMap
@@ -58,11 +58,11 @@ def part_of(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tupl
     sub = latest(lattice, "part", (*low.tolist(), *high.tolist()), lambda: lattice_of(lattice, low, high))
     image = np.ascontiguousarray(gray.image[low[1] : high[1], low[0] : high[0]])
     kinds = None
-    if gray.kinds is not None:
+    if gray.lens_type is not None:
         grid, first = lens_grid(lattice)
         i, j = (np.rint(lattice.to_index(sub.centres() + low)).astype(int) - first).T
-        kinds = gray.kinds[grid[j, i]]
-    return replace(gray, image=image, centres=sub.centres().astype(np.float32), kinds=kinds), sub
+        kinds = gray.lens_type[grid[j, i]]
+    return replace(gray, image=image, centres=sub.centres().astype(np.float32), lens_type=kinds), sub
 
 
 def lattice_of(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int64]) -> Lattice:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 from lfcal.runtime.fastmath import FAST, square
 
-from ..flat.grey_flat import trusted_radius, white_level
+from ..flat.gray_flat import trusted_radius, white_level
 from ..runtime.quantiles import quantile
 
 __all__ = ["find_changed_lenses"]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.depth_map import DepthMap
-from ..flat.grey_flat import shrink
-from ..flat.lens_graph import both_ways, rows_among
+from ..flat.gray_flat import downsample
+from ..flat.lens_graph import join_opposite, restrict_neighbours
 from ..flat.texture import Texture
 from .matching.matcher import Matcher, MatchResult, match_lenses
 from .presets import Preset
@@ -91,14 +91,14 @@ class LensSet:
     @property
     def neighbours(self) -> NDArray[np.int32]:
         """(n, 2 d) int32 neighbour rows in all directions."""
-        return both_ways(self.forward, self.backward)
+        return join_opposite(self.forward, self.backward)
 
     def of(self, rows: NDArray[np.int64]) -> LensSet:
         """Some of them, as if there were no others."""
-        forward, backward = (rows_among(rows, half) for half in (self.forward, self.backward))
+        forward, backward = (restrict_neighbours(rows, half) for half in (self.forward, self.backward))
         sample = None if self.sample is None else self.sample[rows]
         return LensSet(
-            self.texture.of(rows), forward, backward, self.indices[rows], self.near[rows], self.active[rows], sample
+            self.texture.select(rows), forward, backward, self.indices[rows], self.near[rows], self.active[rows], sample
         )
 
 
@@ -194,7 +194,7 @@ class LensEstimates:
         freed = (~wanted).astype(np.float32)
         joint = pool(self.alone, wanted, freed)
         # Lenses of unlike blur differ by more than their patch sizes.
-        if bends and flat.kinds is None:
+        if bends and flat.lens_type is None:
             doubted = wanted & (np.abs(self.alone.patch_size) < _SHARING * lenses.pitch)
             asked = np.where(doubted, np.clip(joint.bent / _BENT - 1, 0, 1), 0).astype(np.float32)
             alone, centred = fit_quadratic(flat, neighbours, self.alone, asked, _usual_contrast(lenses.texture))
@@ -293,12 +293,12 @@ def _refined(
     texture = lenses.texture
     scale = _usual_contrast(texture)
     # Where one lens is more blurred than the next, finer detail than this tells the difference and not the depth.
-    factor = max(1, round(lenses.pitch / _BLURRED_PITCH)) if texture.flat.kinds is not None else 1
+    factor = max(1, round(lenses.pitch / _BLURRED_PITCH)) if texture.flat.lens_type is not None else 1
     first = np.where(wanted, found.patch_size / factor, np.nan).astype(np.float32)
     like = wanted & occurs_among(found.second, occurring, _OCCURRING * lenses.pitch)
     second = np.where(like & (found.second_normalised >= _AS_WELL * found.normalised_correlation), found.second, np.nan)
     found_by = refine_patch_sizes(
-        shrink(texture.flat, factor),
+        downsample(texture.flat, factor),
         lenses.forward,
         lenses.backward,
         first,

@@ -16,9 +16,9 @@ from lfcal.runtime.output_file import atomic_write
 
 from ..data.depth_map import DepthMap
 from ..data.region import scaled
-from ..flat.grey_flat import GrayFlat
-from ..flat.lens_graph import beside, grown, lens_halves, neighbour_rows
-from ..flat.texture import LensStatistics, quick_statistics, untouched_texture
+from ..flat.gray_flat import GrayFlat
+from ..flat.lens_graph import count_connected, dilate_mask, neighbour_rows, opposite_neighbours
+from ..flat.texture import LensStatistics, classify_texture, sample_statistics
 from ..flat.validation import check_flat
 from ..runtime.cache import remembered
 from .changed_lenses import find_changed_lenses
@@ -73,14 +73,14 @@ def update_depth(
         raise ValueError("the earlier depth map was made with another camera or preset; analyze without previous")
     neighbours = neighbour_rows(lattice, lattice.steps)
     changed = find_changed_lenses(earlier, flat, calibration)
-    kept = ~grown(changed, neighbours)
+    kept = ~dilate_mask(changed, neighbours)
     saved = {"still": float(kept.mean())}
     if kept.all():
         after = _noted(replace(before, saved=saved), before, changed)
         remembered(after, "kept probe", lambda: _kept_probe(before))
         return after
     gray, small, factor = prepare_flat(flat, calibration, preset)
-    plain = quick_statistics(gray)
+    plain = sample_statistics(gray)
     then = None
     if shortcuts.steady:
         then = remembered(
@@ -91,13 +91,13 @@ def update_depth(
         told = (before.reason == 0) & probe.textured
         unsteady, doubtful = find_moved(then, probe, told, before.reason, neighbours)
         unsteady &= ~kept
-        kept |= ~(unsteady | (doubtful & grown(unsteady, neighbours)))
+        kept |= ~(unsteady | (doubtful & dilate_mask(unsteady, neighbours)))
         saved["steady"] = float(kept.mean()) - saved["still"]
         if kept.all():
             return _noted(replace(before, saved=saved), before, changed, then)
     if not kept.any():
         return _noted(scaled(estimate_depth_map(gray, small, preset, shortcuts), lattice, factor), before, changed)
-    asked = grown(grown(~kept, neighbours), neighbours)
+    asked = dilate_mask(dilate_mask(~kept, neighbours), neighbours)
     blank = find_textureless(gray, small, plain, PRESETS[preset], asked=asked) if shortcuts.blank else None
     depth, _ = estimate_lens_by_lens(
         gray, small, preset, shortcuts, plain, blank, kept, scaled(before, small, 1 / factor)
@@ -122,7 +122,7 @@ def _frame_of(depth: DepthMap, flat: NDArray, calibration: Calibration) -> tuple
         if of() is depth:
             return gray, plain
     gray = prepare_flat(flat, calibration, depth.preset)[0]
-    return gray, quick_statistics(gray)
+    return gray, sample_statistics(gray)
 
 
 @dataclass(frozen=True)
@@ -209,8 +209,8 @@ def _probe(
 
     Lenses that are `known` are matched for the others only.
     """
-    texture = untouched_texture(gray, plain)
-    matcher = Matcher(texture, *lens_halves(lattice), PRESETS[depth.preset])
+    texture = classify_texture(gray, plain)
+    matcher = Matcher(texture, *opposite_neighbours(lattice), PRESETS[depth.preset])
     textured = texture.clear | texture.faint
     about = (depth.drawn / np.float32(factor * matcher.factor)).astype(np.float32)
     active = textured if known is None else textured & ~known
@@ -236,7 +236,7 @@ def find_moved(
     found |= (reason == 1) & now.clear & ~then.clear
     least = np.maximum(_MOVED, np.float32(_SURELY) * np.hypot(then.error, now.error))
     for side in (-1, 1):
-        found |= beside(told & (side * moved > least), neighbours) >= _TOGETHER
+        found |= count_connected(told & (side * moved > least), neighbours) >= _TOGETHER
     doubtful = ~told | (now.cost > then.cost + _HARDLY * _WORSE) | (np.abs(moved) > np.float32(_HARDLY) * least)
     return np.asarray(found), np.asarray(doubtful)
 

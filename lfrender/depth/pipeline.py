@@ -11,17 +11,17 @@ from lfcal import Calibration, Lattice
 
 from ..data.depth_map import DepthMap
 from ..data.surface import Surface
-from ..flat.grey_flat import GrayFlat, gray_flat, shrunk
-from ..flat.lens_graph import grown, lens_halves, nearest_of, neighbour_rows
+from ..flat.gray_flat import GrayFlat, downsample_lattice, make_gray_flat
+from ..flat.lens_graph import dilate_mask, nearest_chosen, neighbour_rows, opposite_neighbours
 from ..flat.texture import (
     LensStatistics,
     Texture,
+    classify_borderline_texture,
+    classify_texture,
+    estimate_noise,
     find_texture,
-    nearly_untouched_texture,
-    noise_of,
-    quick_statistics,
-    untouched_texture,
-)
+    sample_statistics,
+)  # fmt: skip
 from .estimate import DEFAULT_RATIO, LensEstimates, LensSet, PreviousEstimates, estimate_lenses
 from .matching.matcher import MatchResult
 from .matching.peaks import fill_unresolved
@@ -138,16 +138,16 @@ class _Asked:
 def prepare_flat(flat: NDArray, calibration: Calibration, preset: str) -> tuple[GrayFlat, Lattice, int]:
     """The flat as the preset analyses it, its lattice, and how many of its pixels each way have become one."""
     factor = PRESETS[preset].factor(calibration.lattice.pitch)
-    return gray_flat(flat, calibration, factor), shrunk(calibration.lattice, factor), factor
+    return make_gray_flat(flat, calibration, factor), downsample_lattice(calibration.lattice, factor), factor
 
 
 def estimate_depth_map(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts) -> DepthMap:
     """The depth of a flat of which nothing is known."""
-    plain = quick_statistics(gray)
-    raw_noise = noise_of(plain.roughness)
+    plain = sample_statistics(gray)
+    raw_noise = estimate_noise(plain.roughness)
     if shortcuts.plane:
-        texture = untouched_texture(gray, plain, raw_noise)
-        found = find_plane(texture, lattice.indices(), *lens_halves(lattice), PRESETS[preset])
+        texture = classify_texture(gray, plain, raw_noise)
+        found = find_plane(texture, lattice.indices(), *opposite_neighbours(lattice), PRESETS[preset])
         if found is not None:
             return plane_scene_depth(found, gray, lattice, preset, {"plane": 1 - found.sampled})
     blank = find_textureless(gray, lattice, plain, PRESETS[preset], raw_noise) if shortcuts.blank else None
@@ -211,12 +211,12 @@ def _plane_among_blank(
     """
     if (~blank).sum() < MIN_TEXTURED:
         return None, np.inf
-    texture = nearly_untouched_texture(gray, lattice, plain, blank, noise_of(plain.roughness))
+    texture = classify_borderline_texture(gray, lattice, plain, blank, estimate_noise(plain.roughness))
     active = texture.clear | texture.faint
     if not 0 < active.mean() < _FEW:
         return None, np.inf
-    forward, backward = lens_halves(lattice)
-    rows = np.flatnonzero(grown(active, neighbour_rows(lattice, lattice.steps)))
+    forward, backward = opposite_neighbours(lattice)
+    rows = np.flatnonzero(dilate_mask(active, neighbour_rows(lattice, lattice.steps)))
     every = np.ones(len(lattice), bool)
     few = LensSet(texture, forward, backward, lattice.indices(), every, active, None).of(rows)
     return find_plane_of_few(few, rows, texture.flat, lattice, preset), float(active.sum())
@@ -233,18 +233,18 @@ def _asked(
     overview: SceneStatistics | None,
 ) -> _Asked:
     """The lenses to ask: those with texture and without an answer, and those beside them."""
-    forward, backward = lens_halves(lattice)
+    forward, backward = opposite_neighbours(lattice)
     neighbours = neighbour_rows(lattice, lattice.steps)
     # Lenses that keep their answer support those beside them with it.
     near = np.ones(len(lattice), bool) if kept is None else ~kept
     noise = None if overview is None else overview.noise
-    texture = find_texture(gray, lattice, plain, blank, grown(near, neighbours), noise)
+    texture = find_texture(gray, lattice, plain, blank, dilate_mask(near, neighbours), noise)
     some = texture.clear | texture.faint
     active = near if blank is None else near & some
     sample = _telling(lattice, texture.clear, active) if shortcuts.ranges and overview is None else None
     lenses = LensSet(texture, forward, backward, lattice.indices(), near, active, sample)
     wanted = active if kept is None else active | ~kept
-    rows = np.flatnonzero(grown(wanted, neighbours)) if 0 < wanted.mean() < _FEW else None
+    rows = np.flatnonzero(dilate_mask(wanted, neighbours)) if 0 < wanted.mean() < _FEW else None
     skipped = np.zeros(len(lattice), bool) if blank is None else ~some
     few = lenses if rows is None else lenses.of(rows)
     return _Asked(lattice, texture, few, rows, skipped, kept, before, overview)
@@ -267,7 +267,7 @@ def _spread_out(
     resolved, sure = answers.resolved, answers.confidence
     trust = np.where(resolved, sure, 0.05).astype(np.float32)
     old = None if asked.before is None else asked.before.surface
-    settled = None if kept is None else ~grown(~kept, neighbour_rows(lattice, lattice.steps))
+    settled = None if kept is None else ~dilate_mask(~kept, neighbour_rows(lattice, lattice.steps))
     texture = asked.texture
     surface = densify(texture.flat, lattice, drawn, seconds, trust, texture.noise, setting.surface_cells, settled, old)
     # A lens that sees two depths answers with the one in its middle.
@@ -358,7 +358,7 @@ def _among_all(
         all_drawn[:] = earlier.drawn
     elif whole.resolved.any():
         all_drawn[rows] = drawn
-        all_drawn = all_drawn[nearest_of(lattice, whole.resolved)]
+        all_drawn = all_drawn[nearest_chosen(lattice, whole.resolved)]
     else:
         all_drawn[:] = DEFAULT_RATIO * lattice.pitch
     all_drawn[rows], all_seconds[rows] = drawn, seconds

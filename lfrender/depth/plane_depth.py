@@ -11,8 +11,8 @@ from lfcal import Lattice
 
 from ..data.depth_map import DepthMap
 from ..data.surface import Surface
-from ..flat.grey_flat import GrayFlat
-from ..flat.lens_graph import around, neighbour_rows
+from ..flat.gray_flat import GrayFlat
+from ..flat.lens_graph import count_neighbours, neighbour_rows
 from .estimate import LensEstimates, LensSet
 from .planes.detection import PlaneScene, find_plane
 from .planes.plane_fit import MIN_TEXTURED_SHARE, Plane, fit_plane, has_outlier_cluster
@@ -35,7 +35,7 @@ def plane_scene_depth(
     """One plane for all lenses that show it."""
     shown = found.correlation >= LEAST_EVIDENCE
     usual = shown & (found.correlation >= _TYPICAL * np.median(found.correlation[shown]))
-    shown &= usual | (around(usual, neighbour_rows(lattice, lattice.steps)) >= 2)
+    shown &= usual | (count_neighbours(usual, neighbour_rows(lattice, lattice.steps)) >= 2)
     sizes = found.plane.at(lattice.centres())
     again, perhaps = find_periodic_texture(gray, lattice.indices(), sizes, shown)
     sure = found.confidence * (SURE if perhaps else 1.0)
@@ -85,7 +85,7 @@ def fit_regular_plane(
         return None
     own = sizes.astype(np.float64)
     # Lenses beside blank ones see little to measure.
-    inner = known & (around(reason != 1, neighbours) == (neighbours >= 0).sum(1))
+    inner = known & (count_neighbours(reason != 1, neighbours) == (neighbours >= 0).sum(1))
     if inner.sum() < _FEWEST:
         return None
     plane = fit_plane(centres[inner], own[inner], pitch, facing=bool(known.sum() < MIN_TEXTURED_SHARE * count))

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from lfcal import Calibration, Lattice
 from lfcal.runtime.fastmath import FAST
 
-from .distorted_lookup import bent_by, lattice_bend, nearest_index
+from .distorted_lookup import displacement_at, lens_displacements, nearest_index
 
-__all__ = ["REACH", "demosaic"]
+__all__ = ["SUPPORT", "demosaic"]
 
 # Differences below this share of white say nothing about the direction of an edge: noise and rounding make them.
 _EVEN = 0.01
@@ -20,7 +20,7 @@ _ALIKE = 0.08
 # Weight of a pixel 0, 1 and 2 rows or columns away: farther ones have lost the colour.
 _NEAR = np.exp(-0.5 * np.arange(3.0) ** 2).astype(np.float32)
 #: Colours are taken from so far away [px]: two, by a colour that is taken there from two, whose green is from two.
-REACH = 6
+SUPPORT = 6
 _COLOURS = {"R": 0, "G": 1, "B": 2}
 
 
@@ -40,7 +40,7 @@ def _owners(origin, inverse, basis, bend, low, left, top, out):
                     ex = dx - di * basis[0, 0] - dj * basis[1, 0]
                     ey = dy - di * basis[0, 1] - dj * basis[1, 1]
                     if bent:
-                        bend_x, bend_y = bent_by(bend, low, i + di, j + dj)
+                        bend_x, bend_y = displacement_at(bend, low, i + di, j + dj)
                         ex, ey = ex - bend_x, ey - bend_y
                     square = ex * ex + ey * ey
                     if square < nearest:
@@ -158,7 +158,7 @@ def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = 
     calibration : Calibration
         Its `mosaic` names the filters; None means that there are none.
     corner : (int, int) [px]
-        Flat coordinates x, y of the first pixel of a part, both even. Its outermost pixels, up to `REACH`, are not
+        Flat coordinates x, y of the first pixel of a part, both even. Its outermost pixels, up to `SUPPORT`, are not
         those of the whole.
 
     Returns
@@ -186,6 +186,6 @@ def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = 
 
 def _owner_of_pixels(lattice: Lattice, corner: tuple[int, int], shape: tuple[int, ...]) -> NDArray[np.int32]:
     owner = np.empty(shape, np.int32)
-    bend, low = lattice_bend(lattice)
+    bend, low = lens_displacements(lattice)
     _owners(lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, bend, low, *corner, owner)
     return owner

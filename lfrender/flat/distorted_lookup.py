@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
 
-__all__ = ["bent_by", "lattice_bend", "nearest_index"]
+__all__ = ["displacement_at", "lens_displacements", "nearest_index"]
 
 # Index steps beyond the flat that kernels may ask for.
 _MARGIN = 6
@@ -17,7 +17,7 @@ _MARGIN = 6
 _TURNS = 6
 
 
-def lattice_bend(lattice: Lattice) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+def lens_displacements(lattice: Lattice) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Displacement of every lens by the distortion of the lattice.
 
     Returns
@@ -38,7 +38,7 @@ def lattice_bend(lattice: Lattice) -> tuple[NDArray[np.float32], NDArray[np.int6
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def bent_by(bend, low, i, j):
+def displacement_at(bend, low, i, j):
     """Displacement x, y of lens (i, j)."""
     row = min(max(int(j) - low[1], 0), bend.shape[0] - 1)
     column = min(max(int(i) - low[0], 0), bend.shape[1] - 1)
@@ -53,7 +53,7 @@ def nearest_index(x, y, origin, inverse, bend, low):
     j = np.rint(ox * inverse[0, 1] + oy * inverse[1, 1])
     if bend.size > 0:
         for _ in range(_TURNS):
-            bx, by = bent_by(bend, low, i, j)
+            bx, by = displacement_at(bend, low, i, j)
             new_i = np.rint((ox - bx) * inverse[0, 0] + (oy - by) * inverse[1, 0])
             new_j = np.rint((ox - bx) * inverse[0, 1] + (oy - by) * inverse[1, 1])
             if new_i == i and new_j == j:

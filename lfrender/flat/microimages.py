@@ -18,16 +18,16 @@ from lfcal.runtime.fastmath import FAST
 
 from ..runtime.buffers import recycled
 from ..runtime.cache import remembered
-from .grey_flat import GrayFlat
+from .gray_flat import GrayFlat
 
-__all__ = ["BUNCH", "Masks", "Strips", "copy_box", "cut_out", "joint_masks", "shared_run"]
+__all__ = ["VECTOR_LENGTH", "OverlapMasks", "Strips", "copy_box", "extract_strips", "make_shift_masks", "overlap_range"]
 
-# What `joint_masks` returns.
-Masks = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
+# What `make_shift_masks` returns.
+OverlapMasks = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
 
 #: Vector loops take so many values at a time, masked to those that count. Interpolation reads one beyond.
-BUNCH = 64
-_SPARE = BUNCH + 16
+VECTOR_LENGTH = 64
+_SPARE = VECTOR_LENGTH + 16
 # Centres rounded to pixels lie so much off, on the average of both directions [px].
 _SLACK = 0.25
 
@@ -43,21 +43,21 @@ class Strips:
     ----------
     values : (n * size + spare,) float32
         Brightness less the mean of the lens, one strip after the other; 0 outside the flat, and after the last.
-    middle : (n, 2) int32 [px]
+    centre_pixels : (n, 2) int32 [px]
         The pixel `x, y` in the middle of each.
-    whole : (n,) bool
+    complete : (n,) bool
         Microimages that do not reach beyond the flat.
-    done : (n,) bool
+    extracted : (n,) bool
         Microimages that have been cut out.
-    half, width, rows, step, size : int
+    half_width, width, rows, step, size : int
         Pixels from the middle to the sides, and from row to row; rows of each part, number of parts, and pixels of all.
     """
 
     values: NDArray[np.float32]
-    middle: NDArray[np.int32]
-    whole: NDArray[np.bool_]
-    done: NDArray[np.bool_]
-    half: int
+    centre_pixels: NDArray[np.int32]
+    complete: NDArray[np.bool_]
+    extracted: NDArray[np.bool_]
+    half_width: int
     width: int
     rows: int
     step: int
@@ -67,9 +67,9 @@ class Strips:
         return self.rows * self.step * self.width
 
     @property
-    def places(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def offsets(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Column and row of each value of the first part of a strip, from the middle [px]; far off after its end."""
-        return _places(self.half, self.width, self.rows, self.step)
+        return _places(self.half_width, self.width, self.rows, self.step)
 
 
 @lru_cache(maxsize=8)
@@ -125,7 +125,9 @@ def _cut_out(image, middle, whole, means, half, width, rows, step, wanted, done,
                     values[k] = 0.0
 
 
-def cut_out(gray: GrayFlat, means: NDArray[np.float32], step: int, wanted: NDArray[np.bool_] | None = None) -> Strips:
+def extract_strips(
+    gray: GrayFlat, means: NDArray[np.float32], step: int, wanted: NDArray[np.bool_] | None = None
+) -> Strips:
     """Cut out the microimages of `gray`, less the `means` (n,) of each, for reading every `step`-th row.
 
     Only those that are `wanted` (n,), all by default, and that have not been cut out of this flat for the same means
@@ -136,8 +138,8 @@ def cut_out(gray: GrayFlat, means: NDArray[np.float32], step: int, wanted: NDArr
         kept[step] = means, _empty_strips(gray, step)
     strips = kept[step][1]
     _cut_out(
-        gray.image, strips.middle, strips.whole, means, strips.half, strips.width, strips.rows, step,
-        np.empty(0, bool) if wanted is None else wanted, strips.done, strips.values,
+        gray.image, strips.centre_pixels, strips.complete, means, strips.half_width, strips.width, strips.rows, step,
+        np.empty(0, bool) if wanted is None else wanted, strips.extracted, strips.values,
     )  # fmt: skip
     return strips
 
@@ -156,7 +158,7 @@ def _empty_strips(gray: GrayFlat, step: int) -> Strips:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def shared_run(dx, dy, half, width, step, bunch):
+def overlap_range(dx, dy, half, width, step, bunch):
     """First of the places of a strip that another may show, which lies `dx, dy` pixels aside, and in whole bunches how
     many there are, not above 0 if none."""
     first = -(min(0, dy) // step) * width + max(0, -dx)
@@ -183,14 +185,17 @@ def _fill_masks(slots, reach, half, width, rows, step, radius2, masks, ends, cou
                     if inside:
                         start, stop = min(start, r * width + c), r * width + c + 1
                         count += 1
-            ends[slot, 0], ends[slot, 1] = start, (max(stop - start, 0) + BUNCH - 1) // BUNCH * BUNCH
+            ends[slot, 0], ends[slot, 1] = (
+                start,
+                (max(stop - start, 0) + VECTOR_LENGTH - 1) // VECTOR_LENGTH * VECTOR_LENGTH,
+            )
             # In a strip the pixel at this shift, and the one below that, follow so many values later.
             ends[slot, 2] = ((dy % step) * rows + dy // step) * width + dx
             ends[slot, 3] = (((dy + 1) % step) * rows + (dy + 1) // step) * width + dx
             counts[slot] = count
 
 
-def joint_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> Masks:
+def make_shift_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> OverlapMasks:
     """Which pixels of one microimage another shows too, when it is shifted by whole pixels.
 
     Parameters
@@ -213,11 +218,11 @@ def joint_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> Mas
     counts : (slots,) int32
     """
     # The same for frame after frame; shared by all who ask, so that nobody may write into them.
-    return _masks_of(strips.half, strips.width, strips.rows, strips.step, radius, wanted.tobytes())
+    return _masks_of(strips.half_width, strips.width, strips.rows, strips.step, radius, wanted.tobytes())
 
 
 @lru_cache(maxsize=8)
-def _masks_of(half: int, width: int, rows: int, step: int, radius: float, shifts: bytes) -> Masks:
+def _masks_of(half: int, width: int, rows: int, step: int, radius: float, shifts: bytes) -> OverlapMasks:
     wanted = np.frombuffer(shifts, np.int64).reshape(-1, 2)
     reach = max(1, int(np.abs(wanted).max(initial=0)))
     side = 2 * reach + 1

@@ -18,14 +18,14 @@ from lfcal.runtime.fastmath import FAST
 
 from ..runtime.buffers import recycled
 from ..runtime.cache import remembered
-from .grey_flat import GrayFlat
-from .lens_graph import around, neighbour_rows
-from .microimages import cut_out
+from .gray_flat import GrayFlat
+from .lens_graph import count_neighbours, neighbour_rows
+from .microimages import extract_strips
 
-__all__ = ["SHADING", "flatten_shading"]
+__all__ = ["MAX_SHADING_CONTRAST", "remove_shading"]
 
 # Contrast (white = 1) that shading may well have: stronger patterns in common are more likely the scene's.
-SHADING = np.float32(0.02)
+MAX_SHADING_CONTRAST = np.float32(0.02)
 # Contrast below which lenses are equally smooth: a few grey levels of 8 bits.
 _SMOOTH = 0.01
 # Lenses up to this many pitches away share the shading; nearer than one pitch there are none.
@@ -142,7 +142,7 @@ def _subtract_shading(
             energy = _mean_square(shade, width, left, top, cx, cy, radius, across, height) / (total * total)
             energy += np.float32(1e-9)
             share = max(np.float32(0.0), np.float32(1.0) - _SIGNIFICANT * expected / (total * total * energy))
-            share *= SHADING**2 / (SHADING**2 + energy) / total
+            share *= MAX_SHADING_CONTRAST**2 / (MAX_SHADING_CONTRAST**2 + energy) / total
             if share <= 0:
                 continue
             for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
@@ -163,7 +163,7 @@ def _steps_of_type(lattice: Lattice) -> NDArray[np.int64]:
     return steps[same]
 
 
-def flatten_shading(
+def remove_shading(
     gray: GrayFlat,
     lattice: Lattice,
     means: NDArray[np.float32],
@@ -199,12 +199,12 @@ def flatten_shading(
     read = None
     if not wanted.all():
         # For every step there is the opposite one.
-        read = around(wanted, near) > 0
-    strips = cut_out(gray, means, 1, read)
+        read = count_neighbours(wanted, near) > 0
+    strips = extract_strips(gray, means, 1, read)
     out = recycled(gray.image.shape, np.float32) if others is None else others.image
     _subtract_shading(
         gray.image, gray.centres, wanted, near, weights.astype(np.float32), contrast,
-        np.float32(gray.radius), strips.values, strips.middle, strips.whole, strips.half, strips.width,
+        np.float32(gray.radius), strips.values, strips.centre_pixels, strips.complete, strips.half_width, strips.width,
         others is None, everywhere, out,
     )  # fmt: skip
     return dataclasses.replace(gray, image=out)

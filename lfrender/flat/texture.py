@@ -12,26 +12,26 @@ from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
 
 from ..runtime.cache import remembered
-from .grey_flat import GrayFlat
-from .lens_graph import grown, neighbour_rows
+from .gray_flat import GrayFlat
+from .lens_graph import dilate_mask, neighbour_rows
 from .microimages import copy_box
-from .shading import flatten_shading
+from .shading import remove_shading
 
 __all__ = [
-    "FIXED_SHADING",
+    "FIXED_PATTERN_CONTRAST",
     "LensStatistics",
     "Texture",
-    "blank_lenses",
+    "classify_borderline_texture",
+    "classify_texture",
+    "estimate_noise",
+    "find_noise_only",
     "find_texture",
-    "lens_statistics",
-    "nearly_untouched_texture",
-    "noise_of",
-    "quick_statistics",
-    "untouched_texture",
+    "measure_statistics",
+    "sample_statistics",
 ]
 
 # Contrast that fixed-pattern shading inside microimages may fake, in shares of their brightness.
-FIXED_SHADING = 0.02
+FIXED_PATTERN_CONTRAST = 0.02
 # A lens clearly carries texture when its contrast exceeds the noise this many times, faintly at the second number.
 _CLEAR, _FAINT = 2.5, 0.5
 # The depth at the centre of a lens is not told by texture at its rim: within this share of the pitch there must
@@ -65,12 +65,12 @@ class LensStatistics:
 
     mean: NDArray[np.float32]
     contrast: NDArray[np.float32]
-    middle: NDArray[np.float32]
+    central_contrast: NDArray[np.float32]
     roughness: NDArray[np.float32]
 
-    def of(self, rows: NDArray[np.int64]) -> LensStatistics:
+    def select(self, rows: NDArray[np.int64]) -> LensStatistics:
         """Those of some lenses."""
-        return LensStatistics(self.mean[rows], self.contrast[rows], self.middle[rows], self.roughness[rows])
+        return LensStatistics(self.mean[rows], self.contrast[rows], self.central_contrast[rows], self.roughness[rows])
 
 
 @dataclass(frozen=True)
@@ -95,11 +95,11 @@ class Texture:
     clear: NDArray[np.bool_]
     faint: NDArray[np.bool_]
 
-    def of(self, rows: NDArray[np.int64]) -> Texture:
+    def select(self, rows: NDArray[np.int64]) -> Texture:
         """That of some lenses."""
-        kinds = None if self.flat.kinds is None else self.flat.kinds[rows]
-        flat = replace(self.flat, centres=self.flat.centres[rows], kinds=kinds)
-        return Texture(flat, self.statistics.of(rows), self.noise, self.clear[rows], self.faint[rows])
+        kinds = None if self.flat.lens_type is None else self.flat.lens_type[rows]
+        flat = replace(self.flat, centres=self.flat.centres[rows], lens_type=kinds)
+        return Texture(flat, self.statistics.select(rows), self.noise, self.clear[rows], self.faint[rows])
 
 
 # Drawn into its caller before anything is optimised: later, that is done once where Numba compiles and twice where it
@@ -191,7 +191,7 @@ def _lens_statistics(image, centres, wanted, radius, middle, row_step, out):
             out[3, lens] = np.sqrt(rough / (np.float32(36) * max(number, np.float32(1.0))))
 
 
-def lens_statistics(
+def measure_statistics(
     gray: GrayFlat,
     known: LensStatistics | None = None,
     wanted: NDArray[np.bool_] | None = None,
@@ -203,7 +203,7 @@ def lens_statistics(
     """
     out = np.zeros((4, len(gray.centres)), np.float32)
     if known is not None:
-        out[:] = known.mean, known.contrast, known.middle, known.roughness
+        out[:] = known.mean, known.contrast, known.central_contrast, known.roughness
     wanted = np.ones(len(gray.centres), bool) if wanted is None else wanted
     _lens_statistics(
         gray.image, gray.centres, wanted, np.float32(gray.radius), np.float32(min(gray.radius, _MIDDLE * gray.pitch)),
@@ -212,13 +212,13 @@ def lens_statistics(
     return LensStatistics(*out)
 
 
-def quick_statistics(gray: GrayFlat) -> LensStatistics:
-    """`lens_statistics` from every other row of large enough microimages, or fewer: who carries texture at all."""
+def sample_statistics(gray: GrayFlat) -> LensStatistics:
+    """`measure_statistics` from every other row of large enough microimages, or fewer: who carries texture at all."""
     step = int(np.clip(np.pi * gray.radius**2 / _TELLING, 2, _FARTHEST_ROWS))
-    return lens_statistics(gray, row_step=step if gray.radius >= _LEAST_ROWS else 1)
+    return measure_statistics(gray, row_step=step if gray.radius >= _LEAST_ROWS else 1)
 
 
-def blank_lenses(plain: LensStatistics, noise: float) -> NDArray[np.bool_]:
+def find_noise_only(plain: LensStatistics, noise: float) -> NDArray[np.bool_]:
     """(n,) bool: lenses whose pixels are explained by their own noise."""
     return ~(_some(plain, noise) & _beyond_noise(plain)) & ~_clear(plain, noise)
 
@@ -238,41 +238,41 @@ def find_texture(
     """
     wanted = np.ones(len(plain.mean), bool) if wanted is None else wanted
     first = wanted if blank is None else wanted & ~blank
-    flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, first)
-    found = lens_statistics(flattened, known=plain, wanted=first)
+    flattened = remove_shading(gray, lattice, plain.mean, plain.contrast, first)
+    found = measure_statistics(flattened, known=plain, wanted=first)
     if blank is not None:
         # Lenses with texture are compared with those beside them.
-        some = _some(found, noise_of(found.roughness) if known_noise is None else known_noise)
-        beside = wanted & ~first & grown(some & first, neighbour_rows(lattice, lattice.steps))
-        flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, beside, flattened)
-        found = lens_statistics(flattened, found, beside)
-    noise = noise_of(found.roughness) if known_noise is None else known_noise
+        some = _some(found, estimate_noise(found.roughness) if known_noise is None else known_noise)
+        beside = wanted & ~first & dilate_mask(some & first, neighbour_rows(lattice, lattice.steps))
+        flattened = remove_shading(gray, lattice, plain.mean, plain.contrast, beside, flattened)
+        found = measure_statistics(flattened, found, beside)
+    noise = estimate_noise(found.roughness) if known_noise is None else known_noise
     clear = _clear(found, noise)
     faint = _some(found, noise) & ~clear
     return Texture(flattened, found, noise, clear, faint if blank is None else faint & ~blank)
 
 
-def untouched_texture(gray: GrayFlat, plain: LensStatistics, noise: float | None = None) -> Texture:
+def classify_texture(gray: GrayFlat, plain: LensStatistics, noise: float | None = None) -> Texture:
     """Which lenses carry texture if the shading is left in: quicker, and right where there is much texture."""
-    noise = noise_of(plain.roughness) if noise is None else noise
+    noise = estimate_noise(plain.roughness) if noise is None else noise
     clear = _clear(plain, noise)
     return Texture(gray, plain, noise, clear, _some(plain, noise) & ~clear)
 
 
-def nearly_untouched_texture(
+def classify_borderline_texture(
     gray: GrayFlat, lattice: Lattice, plain: LensStatistics, blank: NDArray[np.bool_], noise: float
 ) -> Texture:
     """As `find_texture`, but of shading is told only what lenses of which it may decide show without it."""
     unsure = _unsure(plain, noise) | (_some(plain, noise) & ~_clear(plain, noise) & ~blank)
     found = plain
     if unsure.any():
-        flattened = flatten_shading(gray, lattice, plain.mean, plain.contrast, unsure, everywhere=False)
-        found = lens_statistics(flattened, plain, unsure)
+        flattened = remove_shading(gray, lattice, plain.mean, plain.contrast, unsure, everywhere=False)
+        found = measure_statistics(flattened, plain, unsure)
     clear = _clear(found, noise)
     return Texture(gray, found, noise, clear, _some(found, noise) & ~clear & ~blank)
 
 
-def noise_of(roughness: NDArray[np.float32]) -> float:
+def estimate_noise(roughness: NDArray[np.float32]) -> float:
     """The least rough microimages show the noise alone; rounding and coding leave a grey level in any case."""
     return remembered(roughness, "noise", lambda: _noise_of(roughness))
 
@@ -291,11 +291,11 @@ def _least_middle(found: LensStatistics, noise: float) -> NDArray[np.float32]:
 
 def _least_clear(found: LensStatistics, noise: float) -> NDArray:
     """(n,) contrast from which on that is clear."""
-    return np.hypot(_CLEAR * noise, FIXED_SHADING * found.mean)
+    return np.hypot(_CLEAR * noise, FIXED_PATTERN_CONTRAST * found.mean)
 
 
 def _some(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
-    return found.middle > _least_middle(found, noise)
+    return found.central_contrast > _least_middle(found, noise)
 
 
 def _clear(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
@@ -306,8 +306,8 @@ def _unsure(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
     """Lenses with about as much contrast as tells texture, or with about as much in the middle, and no less of the
     other."""
     limit, least = _least_clear(found, noise), _least_middle(found, noise)
-    little = (found.contrast < _BESIDE * limit) | (found.middle < _BESIDE * least)
-    return np.asarray(little & (found.contrast * _BESIDE > limit) & (found.middle * _BESIDE > least))
+    little = (found.contrast < _BESIDE * limit) | (found.central_contrast < _BESIDE * least)
+    return np.asarray(little & (found.contrast * _BESIDE > limit) & (found.central_contrast * _BESIDE > least))
 
 
 def _beyond_noise(found: LensStatistics) -> NDArray[np.bool_]:

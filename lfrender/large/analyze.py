@@ -31,10 +31,10 @@ from ..depth.presets import PRESETS
 from ..depth.surface.densify import grid_shape
 from ..depth.validity.classify import LEAST_EVIDENCE
 from ..depth.validity.textureless import find_textureless
-from ..flat.grey_flat import GrayFlat, gray_flat
-from ..flat.grey_flat import lens_by_lens as uneven_lenses
-from ..flat.lens_graph import lens_grid, lens_halves, neighbour_rows
-from ..flat.texture import find_texture, noise_of, quick_statistics, untouched_texture
+from ..flat.gray_flat import GrayFlat, make_gray_flat
+from ..flat.gray_flat import has_uneven_lenses as uneven_lenses
+from ..flat.lens_graph import lens_grid, neighbour_rows, opposite_neighbours
+from ..flat.texture import classify_texture, estimate_noise, find_texture, sample_statistics
 from .settings import DEFAULT, LargeSettings
 from .tiles import LensTile, TileReader, lens_tiles, lens_windows
 from .workers import Workers, choose_workers
@@ -130,7 +130,7 @@ class FlatContext:
         """A part of the flat as it is analysed, its vignetting corrected as on the whole flat."""
         height, width = pixels.shape[:2]
         light = None if self._gain is None else self._gain.at(*part.rectangle[:2], width, height)
-        return gray_flat(pixels, replace(self.calibration, lattice=part.full), part.factor, light)
+        return make_gray_flat(pixels, replace(self.calibration, lattice=part.full), part.factor, light)
 
     def rows(self, part: LensTile) -> NDArray[np.int32]:
         """Rows in `lattice.centres()` of the lenses whose results are taken from a part."""
@@ -144,7 +144,7 @@ def _measure_texture(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
     """Roughness of the lenses of a window, with and without their common shading; which clearly have texture."""
     gray = flat.gray_tile(part, pixels)
-    plain = quick_statistics(gray)
+    plain = sample_statistics(gray)
     texture = find_texture(gray, part.lattice, plain)
     here = part.inside
     return plain.roughness[here], texture.statistics.roughness[here], texture.clear[here]
@@ -163,7 +163,7 @@ def _measure_depths(
 def _analyze_tile(flat: FlatContext, part: LensTile, pixels: NDArray[Any]) -> tuple[DepthMap, UnsmoothedEstimates]:
     """Depth of the lenses of a part and its halo, and the estimates of single lenses before smoothing."""
     gray = flat.gray_tile(part, pixels)
-    plain = quick_statistics(gray)
+    plain = sample_statistics(gray)
     blank = None
     if flat.shortcuts.blank:
         blank = find_textureless(gray, part.lattice, plain, PRESETS[flat.preset], flat.overview.raw_noise)
@@ -179,9 +179,9 @@ def _match_on_plane(
     """
     part, plane = item
     gray = flat.gray_tile(part, pixels)
-    plain = quick_statistics(gray)
-    texture = untouched_texture(gray, plain, flat.overview.raw_noise)
-    matcher = Matcher(texture, *lens_halves(part.lattice), PRESETS[flat.preset])
+    plain = sample_statistics(gray)
+    texture = classify_texture(gray, plain, flat.overview.raw_noise)
+    matcher = Matcher(texture, *opposite_neighbours(part.lattice), PRESETS[flat.preset])
     about = plane.at(part.lattice.centres() + part.corner).astype(np.float32)
     found = correlate_with_plane(matcher, texture, about, PRESETS[flat.preset])
     if found is None:
@@ -196,7 +196,7 @@ def _survey(
     """Noise and range of depths in windows of the flat; the plane that it may be, and the median confidence."""
     rectangles = [part.rectangle for part in windows]
     raw, rough, clear = map(np.concatenate, zip(*workers.map(_measure_texture, flat, windows, rectangles), strict=True))
-    overview = SceneStatistics(noise_of(rough), np.zeros(0, np.float32), noise_of(raw))
+    overview = SceneStatistics(estimate_noise(rough), np.zeros(0, np.float32), estimate_noise(raw))
     thorough = Shortcuts(blank=flat.shortcuts.blank, ranges=False, plane=False, still=False)
     estimating = replace(flat, shortcuts=thorough, overview=overview)
     centres, sizes, sure = map(

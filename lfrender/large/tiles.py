@@ -19,7 +19,7 @@ from lfcal import Calibration, CalibrationError, FlatSource, Lattice
 from ..data.region import lattice_of
 from ..depth.presets import Preset
 from ..depth.surface.densify import grid_shape
-from ..flat.demosaicing import REACH, demosaic
+from ..flat.demosaicing import SUPPORT, demosaic
 from .settings import DEFAULT, LargeSettings
 
 __all__ = ["LensTile", "Rectangle", "TileReader", "lens_tiles", "lens_windows"]
@@ -73,8 +73,8 @@ class TileReader:
         left, top, right, bottom = part
         width, height = self._size
         return (
-            max(0, left - REACH) // 2 * 2, max(0, top - REACH) // 2 * 2, min(width, right + REACH),
-            min(height, bottom + REACH),
+            max(0, left - SUPPORT) // 2 * 2, max(0, top - SUPPORT) // 2 * 2, min(width, right + SUPPORT),
+            min(height, bottom + SUPPORT),
         )  # fmt: skip
 
     def _demosaic(self, part: Rectangle, raw: NDArray[Any]) -> NDArray[Any]:

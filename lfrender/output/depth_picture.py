@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Lattice
 
-from .metrics import nearest_lens
+from ..flat.lens_graph import nearest_lens
 
 if TYPE_CHECKING:
     from PIL import ImageDraw

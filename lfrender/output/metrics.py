@@ -20,7 +20,6 @@ __all__ = [
     "compare_pictures",
     "magnification_error",
     "mode_accuracy",
-    "nearest_lens",
     "resample",
 ]
 
@@ -142,13 +141,6 @@ def centre_error(lattice: Lattice, truth: Lattice) -> float:
 
     distance, _ = cKDTree(lattice.centres()).query(truth.centres())
     return float(np.sqrt(np.mean(distance**2)))
-
-
-def nearest_lens(lattice: Lattice, points: ArrayLike) -> NDArray[np.int64]:
-    """Row in `lattice.centres()` of the centre nearest to each of the `points` (n, 2) [px]."""
-    from scipy.spatial import cKDTree
-
-    return np.asarray(cKDTree(lattice.centres()).query(np.asarray(points, dtype=float))[1], dtype=np.int64)
 
 
 def mode_accuracy(mode: ArrayLike, truth: ArrayLike, where: NDArray[np.bool_]) -> float:

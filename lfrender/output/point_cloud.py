@@ -13,10 +13,10 @@ from lfcal.runtime.output_file import atomic_write, check_output
 
 from ..data.depth_map import DepthMap
 from ..data.optics import Optics
-from ..flat.grey_flat import white_level
+from ..flat.gray_flat import white_level
+from ..flat.lens_graph import nearest_lens
 from ..rendering.dense import dense_depth
 from ..rendering.render import render
-from .metrics import nearest_lens
 
 __all__ = ["point_cloud", "write_points"]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 
-from ..flat.grey_flat import trusted_radius
+from ..flat.gray_flat import trusted_radius
 
 __all__ = ["noise_of", "spectrum", "without_blur"]
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 
 from ..data.rendering import Rendering
-from ..flat.grey_flat import gain_table, trusted_radius
+from ..flat.gray_flat import correction_table, trusted_radius
 from ..flat.lens_graph import lens_grid
 from ..flat.validation import check_flat
 from .plan import as_stored
@@ -97,7 +97,7 @@ def _slice(
     from scipy.fft import fft2, fftfreq, ifft2
 
     centres = calibration.lattice.centres()
-    gains, step = gain_table(calibration)
+    gains, step = correction_table(calibration)
     rows, columns = grid.shape
     known = grid >= 0
     down, across = fftfreq(rows * fine, 1 / rows / fine) / rows, fftfreq(columns * fine, 1 / columns / fine) / columns

@@ -7,7 +7,7 @@ from numba import njit, prange
 
 from lfcal.runtime.fastmath import FAST
 
-from ..flat.distorted_lookup import bent_by, nearest_index
+from ..flat.distorted_lookup import displacement_at, nearest_index
 from ..runtime.scheduling import stretches
 
 __all__ = ["HIDDEN", "draw_rows", "patch_size_at"]
@@ -137,7 +137,7 @@ def _draw_row(
                     break
                 ex, ey = base_x - offsets[o, 0], base_y - offsets[o, 1]
                 if bent:
-                    bend_x, bend_y = bent_by(bend, low, i + steps[o, 0], j + steps[o, 1])
+                    bend_x, bend_y = displacement_at(bend, low, i + steps[o, 0], j + steps[o, 1])
                     ex, ey = ex - bend_x, ey - bend_y
                 d2 = ex * ex + ey * ey
                 members[near], away_x[near], away_y[near], away_2[near] = o, ex, ey, d2

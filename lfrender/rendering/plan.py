@@ -18,10 +18,10 @@ from lfcal import Calibration, Lattice
 
 from ..data.surface import Surface
 from ..depth.surface.occlusion import project_surface
-from ..flat.distorted_lookup import lattice_bend
-from ..flat.grey_flat import gain_table, lens_by_lens, white_level
-from ..flat.lens_type_weights import focus_shares
-from ..flat.sharpness import packed_to_read, ready_to_read
+from ..flat.distorted_lookup import lens_displacements
+from ..flat.gray_flat import correction_table, has_uneven_lenses, white_level
+from ..flat.lens_type_weights import focus_weights
+from ..flat.prefilter import prefilter_flat, prefilter_packed
 from ..runtime.cache import remembered
 from .fixed_patch import lay_patches, shows_all_patches
 from .mosaic import draw_rows
@@ -52,7 +52,7 @@ class Drawing:
     blend : bool
         The mean over all lenses that agree on a point, or the lens alone whose centre is nearest.
     blur : float
-        As `sharpness.lens_blur`.
+        As `lens_blur.measure_lens_blur`.
     reach : float
         Lenses farther than this many pitches from a scene point are not read.
     agreement : float
@@ -204,7 +204,7 @@ class Drawing:
         stored = single(0.5 if whole else 0.0), single(np.iinfo(image.dtype).max if whole else np.inf), image, valid
         # Only a mean over many lenses has the sharpness of the flat where what interpolation blurs is given back.
         if self._read_once(pixels) and not view.any():
-            packed = packed_to_read(pixels)
+            packed = prefilter_packed(pixels)
             order, centres, kinds = self._sorted_lenses
             left = np.empty(image.shape[:2], bool)
             blend_rows(
@@ -215,7 +215,7 @@ class Drawing:
                 return image, valid
             ready, wanted = packed.view(pixels.dtype).reshape(*packed.shape, 4), left
         else:
-            ready = ready_to_read(pixels) if self.blend else pixels
+            ready = prefilter_flat(pixels) if self.blend else pixels
         draw_rows(
             ready, marks, seen_depth, *light, lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, *self._bend,
             *self._offsets, *self._shares, radius, *depths, single((self.blur * self.scale) ** 2), single(reach),
@@ -232,7 +232,7 @@ class Drawing:
     @cached_property
     def _shares(self) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
         camera = self.calibration
-        return remembered(camera, "focus shares", lambda: focus_shares(camera.lens_types))
+        return remembered(camera, "focus shares", lambda: focus_weights(camera.lens_types))
 
     @property
     def _sorted_lenses(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
@@ -242,7 +242,7 @@ class Drawing:
     def _is_patches(self) -> bool:
         """Whether the picture consists of patches of the flat, pixel by pixel."""
         lattice, sizes = self.calibration.lattice, self.surface.patch_size
-        if self.blend or sizes.size > 1 or lattice.distortion is not None or lens_by_lens(self.calibration):
+        if self.blend or sizes.size > 1 or lattice.distortion is not None or has_uneven_lenses(self.calibration):
             return False
         if np.float32(self.scale) != abs(sizes[0, 0]) or min(lattice.image_size) < 2:
             return False
@@ -285,15 +285,15 @@ class Drawing:
     @cached_property
     def _gains(self) -> tuple[NDArray[np.float32], float]:
         camera = self.calibration
-        return remembered(camera, "gain table", lambda: gain_table(camera))
+        return remembered(camera, "gain table", lambda: correction_table(camera))
 
     @cached_property
     def _part_gain(self) -> Any:
-        return self.calibration.part_gain() if lens_by_lens(self.calibration) else None
+        return self.calibration.part_gain() if has_uneven_lenses(self.calibration) else None
 
     @cached_property
     def _bend(self) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-        return lattice_bend(self.calibration.lattice)
+        return lens_displacements(self.calibration.lattice)
 
     @property
     def _offsets(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
@@ -315,7 +315,7 @@ class Drawing:
 
 def _sorted_lenses(calibration: Calibration) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
     """Lenses by y, their centres in that order, and their types, 0 where all count alike."""
-    centres, cell = calibration.lattice.centres(), focus_shares(calibration.lens_types)[0]
+    centres, cell = calibration.lattice.centres(), focus_weights(calibration.lens_types)[0]
     order = np.argsort(centres[:, 1], kind="stable")
     kinds = np.zeros(len(order), np.int64)
     if cell.size:

@@ -12,7 +12,7 @@ from lfcal import Calibration
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
 from ..data.surface import Surface
-from ..flat.sharpness import lens_blur
+from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
 from .render import _draw, as_stored
 from .warping import virtual_depth
@@ -85,7 +85,7 @@ def refocus(
         raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * lattice.pitch:.0f}), got {scale}")
     surface = Surface(np.full((1, 1), patch_size, np.float32), (0.0, 0.0), 1.0)
     coarse = scale < abs(patch_size)
-    blur = lens_blur(pixels, calibration, np.full(len(lattice), patch_size, np.float32)) if coarse else 0.0
+    blur = measure_lens_blur(pixels, calibration, np.full(len(lattice), patch_size, np.float32)) if coarse else 0.0
     image, valid, affine = _draw(
         pixels, calibration, surface, float(scale), True, blur, reach=_REACH, aperture=aperture,
         agreement=_ANY_COLOUR, stored=True,

@@ -15,7 +15,7 @@ from ..data.region import check_region
 from ..data.rendering import Rendering
 from ..data.surface import Surface
 from ..depth.analyze import analyze
-from ..flat.sharpness import lens_blur
+from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
 from ..runtime.quantiles import quantile
 from .plan import Drawing, Part, as_stored
@@ -205,7 +205,7 @@ def drawing_of(
     if not (np.isfinite(scale) and 0 < scale <= 4 * lattice.pitch):
         raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * lattice.pitch:.0f}), got {scale}")
     blend = patch_size is None if blend is None else blend
-    blur = lens_blur(look, calibration, sizes) if scale * _COARSE < full else 0.0
+    blur = measure_lens_blur(look, calibration, sizes) if scale * _COARSE < full else 0.0
     reach = _REACH_FAST if depth is not None and depth.preset == "fast" else _REACH
     return Drawing(calibration, surface, float(scale), blend, blur, reach, _AGREEMENT)
 

@@ -163,7 +163,7 @@ def blend_rows(
 ):  # fmt: skip
     """Fill `out` (h, w, C) as `mosaic.draw_rows` does, for whole numbers in the middle view.
 
-    `flat` (H, W) uint32 or uint64 are pixels as `packed_to_read`. Lenses have their `centres` (n, 2) on the flat,
+    `flat` (H, W) uint32 or uint64 are pixels as `prefilter_packed`. Lenses have their `centres` (n, 2) on the flat,
     sorted by y, are of the type `kinds` (n,) and `edged` (n,) where `seen` tells anything of them. Pixels that need
     more than one reading are marked in `left` (h, w), and are to be drawn by the other kernel. So many `threads` share
     the work. The other arguments are those of that one.

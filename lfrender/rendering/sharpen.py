@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 
 from ..data.surface import Surface
-from ..flat.sharpness import lens_blur
+from ..flat.lens_blur import measure_lens_blur
 from .deconvolution import noise_of, spectrum, without_blur
 from .dense import sampled
 from .render import _draw
@@ -72,7 +72,7 @@ def _width(
     pixels: NDArray, calibration: Calibration, sizes: NDArray[np.float32], scale: float, full: float, averaged: float
 ) -> float:
     """Side [output px] of the square that the microlenses blur a picture over, beyond its pixels."""
-    blur = _SURE * (averaged or lens_blur(pixels, calibration, sizes))
+    blur = _SURE * (averaged or measure_lens_blur(pixels, calibration, sizes))
     # In a picture coarser than the flat, the blur has counted as a part of the footprint of its pixels.
     excess = (blur * scale) ** 2 + (min((scale / full) ** 2 - 1, 0.0) if averaged else 0.0)
     return float(np.sqrt(max(excess, 0.0)))

@@ -10,7 +10,7 @@ from lfcal import Calibration
 from lfcal.runtime.fastmath import FAST, square
 
 from ..data.rendering import Rendering
-from ..flat.grey_flat import gain_table, lens_by_lens
+from ..flat.gray_flat import correction_table, has_uneven_lenses
 from ..flat.lens_graph import lens_grid
 from ..flat.validation import check_flat
 from .render import as_stored
@@ -60,9 +60,9 @@ def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
     """
     pixels = check_flat(flat, calibration)
     lattice = calibration.lattice
-    gains, gain_step = gain_table(calibration)
+    gains, gain_step = correction_table(calibration)
     unlit = np.empty((0, 0), bool)
-    if lens_by_lens(calibration):
+    if has_uneven_lenses(calibration):
         unlit = np.isnan(calibration.gain())
         pixels, gains = calibration.flatten(pixels), np.ones_like(gains)
     means = np.empty((len(lattice), pixels.shape[2]), np.float32)

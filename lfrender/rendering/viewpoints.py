@@ -12,7 +12,7 @@ from lfcal import Calibration, CalibrationError
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
 from ..depth.analyze import analyze
-from ..flat.sharpness import lens_blur
+from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
 from .render import _COARSE, _draw, as_stored, default_scale
 from .warping import Viewpoint, virtual_depth
@@ -96,7 +96,7 @@ def _drawn(
 ) -> Iterator[Rendering]:
     full = default_scale(depth)
     scale = float(full if scale is None else scale)
-    blur = lens_blur(pixels, calibration, depth.patch_size) if scale * _COARSE < full else 0.0
+    blur = measure_lens_blur(pixels, calibration, depth.patch_size) if scale * _COARSE < full else 0.0
     for point in points:
         image, valid, affine = _draw(
             pixels, calibration, depth.surface, scale, True, blur, viewpoint=point, stored=True

@@ -18,8 +18,15 @@ from lfcal.runtime.console import Report
 from .. import analyze
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
+from ..flat.lens_graph import nearest_lens
 from ..output.depth_picture import magnification_picture, mode_picture
-from ..output.metrics import centre_error, compare_pictures, magnification_error, mode_accuracy, nearest_lens, resample
+from ..output.metrics import (
+    centre_error,
+    compare_pictures,
+    magnification_error,
+    mode_accuracy,
+    resample,
+)
 from ..output.picture import write_picture
 from .demo_page import truth_section
 from .report import write_report

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 
 from ..data.depth_map import DepthMap
+from ..flat.lens_graph import nearest_lens
 from ..output.depth_picture import MODE_COLOURS, magnification_picture, mode_picture
-from ..output.metrics import nearest_lens
 
 __all__ = ["bars", "confidence_map", "magnification_histogram", "magnification_limits", "map_grid", "maps", "table"]
 

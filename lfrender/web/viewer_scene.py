@@ -15,12 +15,12 @@ from lfcal.runtime.eight_bit import to_eight_bits
 
 from ..data.depth_map import DepthMap
 from ..depth.surface.occlusion import project_surface
-from ..flat.distorted_lookup import lattice_bend
-from ..flat.grey_flat import gain_table, lens_by_lens, white_level
-from ..flat.lens_type_weights import focus_shares
-from ..flat.sharpness import lens_blur
+from ..flat.distorted_lookup import lens_displacements
+from ..flat.gray_flat import correction_table, has_uneven_lenses, white_level
+from ..flat.lens_blur import measure_lens_blur
+from ..flat.lens_graph import nearest_lens
+from ..flat.lens_type_weights import focus_weights
 from ..flat.validation import check_flat
-from ..output.metrics import nearest_lens
 from ..rendering.plan import _beside, lens_offsets
 from ..rendering.refocus import _REACH as _WIDE_REACH
 from ..rendering.render import _AGREEMENT, _COARSE, _REACH, default_scale
@@ -126,9 +126,9 @@ def _light(
     pixels: NDArray, calibration: Calibration
 ) -> tuple[NDArray, NDArray[np.float32], NDArray[np.float32], float]:
     """The flat, evenly lit where its lenses differ; over the squared distance from a centre its gain and its light."""
-    gains, step = gain_table(calibration)
+    gains, step = correction_table(calibration)
     lights = (1 / gains).astype(np.float32)
-    if lens_by_lens(calibration):
+    if has_uneven_lenses(calibration):
         pixels, gains = calibration.flatten(pixels), np.ones_like(gains)
     return pixels, gains, lights, step
 
@@ -146,7 +146,7 @@ def _seen(calibration: Calibration, depth: DepthMap, edge: float) -> tuple[NDArr
     coded = _coded(aside, lattice.pitch, _CODES).astype(np.uint16)
     from_middle = _coded(middle, lattice.pitch, 255).astype(np.uint8)
     from_middle[np.abs(middle - aside) < 0.5 * edge] = 255
-    if lens_by_lens(calibration):
+    if has_uneven_lenses(calibration):
         unlit = _beside(np.isnan(calibration.gain()))
         coded[unlit], from_middle[unlit] = _CODES, 255
     return coded, from_middle
@@ -171,8 +171,8 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
     """What goes into the JSON object as numbers."""
     lattice, surface = calibration.lattice, depth.surface
     offsets, _ = lens_offsets(lattice, _WIDE_REACH * lattice.pitch)
-    bend, low = lattice_bend(lattice)
-    cell, shares = focus_shares(calibration.lens_types)
+    bend, low = lens_displacements(lattice)
+    cell, shares = focus_weights(calibration.lens_types)
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
     # Blur is measured as a share of the patch size; one patch size for all lenses gives its width in the flat.
     unit = np.full(len(lattice), 2.0, np.float32)
@@ -194,8 +194,8 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
             "virtual": [float(virtual.min()), float(virtual.max())],
         },
         "blur": {
-            "width": 2 * lens_blur(pixels, calibration, unit),
-            "share": lens_blur(pixels, calibration, depth.patch_size),
+            "width": 2 * measure_lens_blur(pixels, calibration, unit),
+            "share": measure_lens_blur(pixels, calibration, depth.patch_size),
         },
         "scale": default_scale(depth),
         "reach": {"sharp": _REACH, "wide": _WIDE_REACH},

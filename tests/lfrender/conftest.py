@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lfcal import Lattice
-from lfrender.flat.grey_flat import GrayFlat
+from lfrender.flat.gray_flat import GrayFlat
 
 SIZE = (420, 380)
 

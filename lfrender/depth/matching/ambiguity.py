@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from ...flat.grey_flat import GrayFlat
+from ...flat.gray_flat import GrayFlat
 from .cost_volume import mean_steps
 
 __all__ = ["measure_ambiguity", "overlap_weights"]

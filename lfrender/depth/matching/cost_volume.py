@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
-from ...flat.grey_flat import GrayFlat
-from ...flat.microimages import BUNCH, Masks, Strips, cut_out, joint_masks, shared_run
+from ...flat.gray_flat import GrayFlat
+from ...flat.microimages import VECTOR_LENGTH, OverlapMasks, Strips, extract_strips, make_shift_masks, overlap_range
 from ...runtime.buffers import recycled
 from ...runtime.cache import remembered
 from ...runtime.scheduling import stretches
@@ -215,7 +215,7 @@ def _pair_costs(
                         )  # fmt: skip
                         apart = means[lens] - means[other]
                     elif slot >= 0:
-                        first, number = shared_run(dx, dy, side, width, row_step, bunch)
+                        first, number = overlap_range(dx, dy, side, width, row_step, bunch)
                         if number <= 0:
                             continue
                         mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
@@ -250,10 +250,10 @@ def overlap_masks(
     rows: NDArray[np.int32],
     shifts: NDArray[np.float32],
     about: NDArray[np.float32] | None = None,
-) -> Masks:
-    """`joint_masks` for the `shifts` that all pairs are to be tried at, from what is expected `about` each lens, if
+) -> OverlapMasks:
+    """`make_shift_masks` for the `shifts` tried for all pairs, from what is expected `about` each lens, if
     anything is."""
-    return joint_masks(strips, gray.radius, _shifts_met(gray, rows, shifts, about))
+    return make_shift_masks(strips, gray.radius, _shifts_met(gray, rows, shifts, about))
 
 
 def _shifts_met(
@@ -322,7 +322,7 @@ def compute_pair_costs(
     done: NDArray[np.bool_] | None = None,
     out: NDArray[np.float32] | None = None,
     strips: Strips | None = None,
-    masks: Masks | None = None,
+    masks: OverlapMasks | None = None,
 ) -> NDArray[np.float32]:
     """How badly each lens agrees with its neighbours if the scene had each of some patch sizes.
 
@@ -369,13 +369,13 @@ def compute_pair_costs(
     done = np.zeros(len(active), bool) if done is None else done
     half = np.float32(half_weight_area(gray))
     if strips is None:
-        strips = cut_out(gray, means, row_step)
+        strips = extract_strips(gray, means, row_step)
     if masks is None:
         masks = overlap_masks(strips, gray, rows, shifts[which])
     _pair_costs(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, contrast, active,
         done, shifts.astype(np.float32), which, np.float32(noise), np.float32(shading), row_step, half,
-        strips.values, strips.middle, strips.whole, strips.half, strips.width, strips.size, *strips.places, BUNCH,
-        *masks, fresh, out,
+        strips.values, strips.centre_pixels, strips.complete, strips.half_width, strips.width, strips.size,
+        *strips.offsets, VECTOR_LENGTH, *masks, fresh, out,
     )  # fmt: skip
     return out

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
-from ...flat.grey_flat import GrayFlat
-from ...flat.microimages import BUNCH, Strips, shared_run
-from ...flat.texture import FIXED_SHADING, LensStatistics
+from ...flat.gray_flat import GrayFlat
+from ...flat.microimages import VECTOR_LENGTH, Strips, overlap_range
+from ...flat.texture import FIXED_PATTERN_CONTRAST, LensStatistics
 from .cost_volume import (
     MIN_OVERLAP,
     half_weight_area,
@@ -114,7 +114,7 @@ def _probe_pairs(
                 count, start, number = np.float32(counts[slot]), ends[slot, 0], ends[slot, 1]
                 mask_of, mask_at = line, slot * length + start
             else:
-                start, number = shared_run(dx, dy, side, width, row_step, bunch)
+                start, number = overlap_range(dx, dy, side, width, row_step, bunch)
                 if number <= 0:
                     continue
                 mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
@@ -182,9 +182,9 @@ def probe(
     pairs = np.empty((*forward.shape, 3), np.float32)
     _probe_pairs(
         gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), forward, statistics.mean,
-        statistics.contrast, active, about, np.float32(noise), np.float32(FIXED_SHADING), strips.step,
-        np.float32(half_weight_area(gray)), strips.values, strips.middle, strips.whole, strips.half, strips.width,
-        strips.size, *strips.places, BUNCH, *masks, pairs,
+        statistics.contrast, active, about, np.float32(noise), np.float32(FIXED_PATTERN_CONTRAST), strips.step,
+        np.float32(half_weight_area(gray)), strips.values, strips.centre_pixels, strips.complete, strips.half_width,
+        strips.width, strips.size, *strips.offsets, VECTOR_LENGTH, *masks, pairs,
     )  # fmt: skip
     cost, gradient, steepness = average_pair_costs(pairs, forward, backward).T
     steepness = np.maximum(steepness, np.float32(1e-12))

@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flat.grey_flat import GrayFlat, shrink
-from ...flat.lens_graph import both_ways, grown
-from ...flat.microimages import Masks, Strips, cut_out
-from ...flat.texture import FIXED_SHADING, LensStatistics, Texture, lens_statistics
+from ...flat.gray_flat import GrayFlat, downsample
+from ...flat.lens_graph import dilate_mask, join_opposite
+from ...flat.microimages import OverlapMasks, Strips, extract_strips
+from ...flat.texture import FIXED_PATTERN_CONTRAST, LensStatistics, Texture, measure_statistics
 from ...runtime.cache import remembered
 from ..presets import Preset
 from .ambiguity import measure_ambiguity, overlap_weights
@@ -129,11 +129,11 @@ class Matcher:
         asked: NDArray[np.bool_] | None = None,
     ) -> None:
         self.factor = max(1, round(texture.flat.pitch / setting.search_pitch))
-        wanted = None if asked is None else grown(asked, both_ways(forward, backward))
-        self.gray: GrayFlat = shrink(texture.flat, self.factor, wanted)
+        wanted = None if asked is None else dilate_mask(asked, join_opposite(forward, backward))
+        self.gray: GrayFlat = downsample(texture.flat, self.factor, wanted)
         self.statistics: LensStatistics = texture.statistics
         if self.factor > 1:
-            self.statistics = lens_statistics(self.gray, wanted=wanted)
+            self.statistics = measure_statistics(self.gray, wanted=wanted)
         # Of tiny microimages every row is needed, and every half pixel: the depth that few pixels share is biased.
         row_step = 1 if self.gray.radius < _NO_ROW_TO_SPARE else setting.row_step
         self.step = setting.step if self.factor > 1 else max(setting.step, setting.full_step)
@@ -146,7 +146,7 @@ class Matcher:
     @cached_property
     def rows(self) -> NDArray[np.int32]:
         """(n, 2 d) neighbour rows in all directions, -1 where there is none."""
-        return both_ways(self.forward, self.backward)
+        return join_opposite(self.forward, self.backward)
 
     @cached_property
     def trust(self) -> NDArray[np.float32]:
@@ -161,12 +161,12 @@ class Matcher:
         """The microimages of the `active` lenses and of those beside them."""
         wanted = None
         if active.sum() < _FEW * len(active):
-            wanted = grown(active, self.rows)
-        return cut_out(self.gray, self.statistics.mean, self._row_step, wanted)
+            wanted = dilate_mask(active, self.rows)
+        return extract_strips(self.gray, self.statistics.mean, self._row_step, wanted)
 
     @cached_property
-    def _masks(self) -> Masks:
-        strips = cut_out(self.gray, self.statistics.mean, self._row_step, np.zeros(len(self.gray.centres), bool))
+    def _masks(self) -> OverlapMasks:
+        strips = extract_strips(self.gray, self.statistics.mean, self._row_step, np.zeros(len(self.gray.centres), bool))
         return overlap_masks(strips, self.gray, self.forward, self.shifts)
 
     def pairs(
@@ -179,7 +179,7 @@ class Matcher:
         """(n, d, k) float32 costs of the pairs of all `active` lenses, as `compute_pair_costs`."""
         return compute_pair_costs(
             self.gray, self.forward, self.statistics.mean, self.statistics.contrast, active, self.shifts, self._noise,
-            FIXED_SHADING, self._row_step, which, done, out, self._strips(active), self._masks,
+            FIXED_PATTERN_CONTRAST, self._row_step, which, done, out, self._strips(active), self._masks,
         )  # fmt: skip
 
     def probe(

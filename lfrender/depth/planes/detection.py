@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flat.grey_flat import shrink
-from ...flat.lens_graph import around, beside, both_ways, grown, rows_among
-from ...flat.texture import Texture, lens_statistics
+from ...flat.gray_flat import downsample
+from ...flat.lens_graph import count_connected, count_neighbours, dilate_mask, join_opposite, restrict_neighbours
+from ...flat.texture import Texture, measure_statistics
 from ...runtime.quantiles import median
 from ..matching.matcher import MISFIT, Matcher
 from ..matching.peaks import confidence, fit_parabola
@@ -97,7 +97,7 @@ def find_plane(
     """
     if texture.clear.sum() < max(MIN_TEXTURED_SHARE * len(indices), MIN_TEXTURED):
         return None
-    pitch, rows = texture.flat.pitch, both_ways(forward, backward)
+    pitch, rows = texture.flat.pitch, join_opposite(forward, backward)
     count = int(np.clip(texture.clear.sum() * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE))
     sample = sample_lenses(indices, _inner(texture, rows), count)
     if sample.sum() < _TOO_FEW:
@@ -167,8 +167,10 @@ class _Few:
         cls, texture: Texture, forward: NDArray[np.int32], backward: NDArray[np.int32], asked: NDArray[np.bool_]
     ) -> _Few:
         """The lenses `asked` (n,) of all."""
-        rows = np.flatnonzero(grown(asked, both_ways(forward, backward)))
-        return cls(texture.of(rows), rows_among(rows, forward), rows_among(rows, backward), asked[rows])
+        rows = np.flatnonzero(dilate_mask(asked, join_opposite(forward, backward)))
+        return cls(
+            texture.select(rows), restrict_neighbours(rows, forward), restrict_neighbours(rows, backward), asked[rows]
+        )
 
     @property
     def coarse(self) -> int:
@@ -179,8 +181,8 @@ class _Few:
         """What tells their shifts to a fraction of a pixel of the flat."""
         texture, factor = self.texture, self.coarse
         if factor > 1:
-            flat = shrink(texture.flat, factor)
-            texture = replace(texture, flat=flat, statistics=lens_statistics(flat), noise=texture.noise / factor)
+            flat = downsample(texture.flat, factor)
+            texture = replace(texture, flat=flat, statistics=measure_statistics(flat), noise=texture.noise / factor)
             setting = replace(setting, row_step=1)
         return Matcher(texture, self.forward, self.backward, replace(setting, search_pitch=np.inf))
 
@@ -201,7 +203,7 @@ class _Few:
 
 def _inner(texture: Texture, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
     """(n,) bool: lenses with texture none of whose neighbours (n, k) is blank: the others have few pairs that match."""
-    return texture.clear & (around(texture.clear | texture.faint, rows) == (rows >= 0).sum(1))
+    return texture.clear & (count_neighbours(texture.clear | texture.faint, rows) == (rows >= 0).sum(1))
 
 
 def _pairs(texture: Texture, forward: NDArray[np.int32], start: NDArray[np.float32], setting: Preset) -> PairFits:
@@ -238,14 +240,14 @@ def correlate_with_plane(
     if misfits.any():
         few = _Few.of(matcher.downscaled(texture), matcher.forward, matcher.backward, misfits)
         elsewhere, far, misfits = _searched(few, matcher.factor, setting, misfits, about, limit)
-        together = beside(elsewhere, rows)
+        together = count_connected(elsewhere, rows)
         if (far & inner).any() or (elsewhere & inner & (together > 0)).any() or (together >= _TOGETHER).any():
             return None
         if misfits[inner].mean() > _MISFITS:
             return None
     doubtful = np.zeros(len(off), bool)
     for side in (-1, 1):
-        doubtful |= beside(texture.clear & ~misfits & (side * off > _OFF), rows) >= _TOGETHER
+        doubtful |= count_connected(texture.clear & ~misfits & (side * off > _OFF), rows) >= _TOGETHER
     if doubtful.any():
         doubtful |= (doubtful[rows] & (rows >= 0)).any(1)
         start = np.where(doubtful, about, np.nan).astype(np.float32)

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from ...flat.lens_graph import beside
+from ...flat.lens_graph import count_connected
 from ...runtime.normal_equations import solve
 from ...runtime.quantiles import median
 
@@ -288,4 +288,4 @@ def has_outlier_cluster(residual: NDArray[np.float64], errors: NDArray[np.float6
     """
     with np.errstate(invalid="ignore"):
         off = np.abs(residual) > np.maximum(_OFF, _SURE * errors)
-        return any((beside(off & (side * residual > 0), rows) >= _TOGETHER).any() for side in (-1, 1))
+        return any((count_connected(off & (side * residual > 0), rows) >= _TOGETHER).any() for side in (-1, 1))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
 
-from ...flat.grey_flat import GrayFlat
+from ...flat.gray_flat import GrayFlat
 from .pair_fit import PairFits
 
 __all__ = ["LensFits", "fit_lens_planes"]

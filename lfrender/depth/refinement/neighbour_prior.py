@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
 
-from ...flat.grey_flat import GrayFlat
+from ...flat.gray_flat import GrayFlat
 from .lens_plane import LensFits, fit_lens_planes
 from .pair_fit import LAST_STEP, fit_pairs
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
 
-from ...flat.grey_flat import GrayFlat
+from ...flat.gray_flat import GrayFlat
 from ...runtime.cache import remembered
 from ...runtime.scheduling import stretches
 from .defocus_difference import (
@@ -283,5 +283,5 @@ def fit_pairs(
         sizes = fit(some, NO_DIFFERENCE).patch_size[:, :, 0]
         return estimate_defocus_difference(image, gray.centres, radius, gray.pitch, rows, sizes, scale, noise, kinds)
 
-    kinds = gray.kinds
+    kinds = gray.lens_type
     return fit(start, NO_DIFFERENCE if kinds is None else remembered(gray, "blur", lambda: found_blur(kinds)))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
-from ...flat.grey_flat import GrayFlat
+from ...flat.gray_flat import GrayFlat
 from ...runtime.normal_equations import back, solve
 from ...runtime.scheduling import stretches
 from .lens_plane import LensFits

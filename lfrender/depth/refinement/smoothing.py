@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from ...flat.rings import afar, around
+from ...flat.lens_graph import distant_rings, two_rings
 from ...runtime.scheduling import stretches
 from .lens_plane import LensFits
 
@@ -207,17 +207,17 @@ def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _ask_around(
-    lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, centred, trust, seen, told
+    lens, centres, pitch, radius, two_rings, sizes, errors, slants, slant_errors, centred, trust, seen, told
 ):  # fmt: skip
-    """Fill `told` with what the lenses `around` one measure. Returns how many they are, and what they count together.
+    """Fill `told` with what the lenses `two_rings` measure. Returns how many they are, and what they count together.
 
     In its rows: the difference from what the lens says itself, its variance, and how far it counts; by how much it
     grows with a slant in both directions, and with a bend; by how much slants fall with a bend, by how much they
     differ, times s, and the variance of either. The last two rows are to work in.
     """
     count, near = 0, 1 / np.float64(pitch)
-    for k in range(around.shape[1]):
-        other = around[lens, k]
+    for k in range(two_rings.shape[1]):
+        other = two_rings[lens, k]
         if other < 0:
             break
         if not np.isfinite(errors[other]):
@@ -239,12 +239,12 @@ def _ask_around(
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _pool(
-    centres, pitch, radius, around, sizes, errors, slants, slant_errors, wanted, centred, trust, out, out_errors,
+    centres, pitch, radius, two_rings, sizes, errors, slants, slant_errors, wanted, centred, trust, out, out_errors,
     out_slants, out_slant_errors, bent, agreed,
 ):  # fmt: skip
     parts, each, stride = stretches(len(centres))
     for part in prange(parts):
-        seen, told = np.empty((9, around.shape[1])), np.empty((13, around.shape[1]))
+        seen, told = np.empty((9, two_rings.shape[1])), np.empty((13, two_rings.shape[1]))
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
             own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
@@ -253,7 +253,7 @@ def _pool(
             if not (wanted[lens] and np.isfinite(own_variance)):
                 continue
             count, weight = _ask_around(
-                lens, centres, pitch, radius, around, sizes, errors, slants, slant_errors, centred, trust, seen, told
+                lens, centres, pitch, radius, two_rings, sizes, errors, slants, slant_errors, centred, trust, seen, told
             )
             agreed[lens] = weight / max(count, 1)
             if weight < _LEAST_WEIGHT:
@@ -329,7 +329,7 @@ def smooth_fits(
         How far lenses measure what their centres show, 0 to 1, and not a mean.
     """
     trust = np.ones(len(centres), np.float32)
-    return _together(centres, pitch, radius, around(neighbours), fits, wanted, centred, trust)
+    return _together(centres, pitch, radius, two_rings(neighbours), fits, wanted, centred, trust)
 
 
 def smooth_fits_far(
@@ -349,7 +349,7 @@ def smooth_fits_far(
     trust = np.minimum(near.agreed / _AGREED, 1) ** _STEEPNESS
     fits = near.fits
     for _ in range(_TURNS):
-        fits = _together(centres, pitch, radius, afar(neighbours), fits, wanted, centred, trust).fits
+        fits = _together(centres, pitch, radius, distant_rings(neighbours), fits, wanted, centred, trust).fits
     return fits
 
 

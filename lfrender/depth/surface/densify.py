@@ -10,8 +10,8 @@ from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
 
 from ...data.surface import Surface
-from ...flat.distorted_lookup import lattice_bend
-from ...flat.grey_flat import GrayFlat
+from ...flat.distorted_lookup import lens_displacements
+from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import lens_grid, neighbour_rows
 from ...runtime.buffers import scratch
 from ...runtime.cache import remembered
@@ -179,7 +179,7 @@ def densify(
     grid, low = lens_grid(lattice)
     ring = remembered(lattice, "looking", lambda: _steps_nearby(lattice))
     gap = np.float32(max(0.75, 0.04 * pitch))
-    inverse, bend, indices = np.linalg.inv(lattice.basis), lattice_bend(lattice), lattice.indices()
+    inverse, bend, indices = np.linalg.inv(lattice.basis), lens_displacements(lattice), lattice.indices()
     calm = find_agreeing_lenses(values, seconds, trust, indices, grid, low, ring, gap)
     old = np.empty((0, 0), np.float32)
     if before is not None and before.patch_size.shape == shape and before.first == start:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
 
-from ...flat.lens_graph import both_ways
+from ...flat.lens_graph import join_opposite
 from ...flat.microimages import copy_box
 from ...flat.texture import Texture
 from ...runtime.scheduling import stretches
@@ -295,7 +295,7 @@ def find_second_layer(
         shifts = shifts[(shifts >= low - margin) & (shifts <= high + margin)]
         if len(shifts) < _LEAST_SHIFTS:
             return second
-    rows = both_ways(forward, backward)
+    rows = join_opposite(forward, backward)
     mask, shares = np.zeros(gray.image.shape, np.float32), np.empty(len(first), np.float32)
     radius, pitch = np.float32(gray.radius), np.float32(gray.pitch)
     _unexplained(

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
-from ...flat.grey_flat import shrink
-from ...flat.lens_graph import both_ways
+from ...flat.gray_flat import downsample
+from ...flat.lens_graph import join_opposite
 from ...flat.microimages import copy_box
 from ...flat.texture import Texture
 from .window_differences import window_differences, window_variance
@@ -202,11 +202,11 @@ def find_thin_structures(
     """
     pitch = texture.flat.pitch
     asked = asked & (texture.clear | texture.faint) & (np.abs(first) > _SHARING_LITTLE * pitch)
-    rows = both_ways(forward, backward)
+    rows = join_opposite(forward, backward)
     if not asked.any():
         return np.full(len(first), np.nan, np.float32)
     factor = max(1, round(pitch / _PITCH))
-    gray, noise = shrink(texture.flat, factor), texture.noise / factor
+    gray, noise = downsample(texture.flat, factor), texture.noise / factor
 
     def shown(lenses: NDArray[np.int64], sizes: NDArray[np.float32]) -> NDArray[np.float32]:
         out = np.empty(len(lenses), np.float32)

@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from ...flat.lens_graph import alike
-from ...flat.shading import SHADING
+from ...flat.lens_graph import count_similar
+from ...flat.shading import MAX_SHADING_CONTRAST
 from ..matching.matcher import MatchResult
 from .uncertainty import (
     combine_confidence,
@@ -99,7 +99,7 @@ def _agreed(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32], pit
     At the border, where a lens has few pairs, a lens beside it must confirm what they agree on.
     """
     agreed = error <= AGREED * pitch
-    confirm = alike(agreed, refined, neighbours, 2 * AGREED * pitch)
+    confirm = count_similar(agreed, refined, neighbours, 2 * AGREED * pitch)
     whole = (neighbours >= 0).all(1)
     return np.asarray((agreed & whole) | (confirm >= np.where(agreed, 1, 2)))
 
@@ -112,7 +112,7 @@ def _unmeasured(refined: NDArray, error: NDArray, neighbours: NDArray[np.int32],
     measured = np.isfinite(error)
     if measured.all():
         return ~measured
-    return np.asarray(~measured & (alike(measured, refined, neighbours, _ALIKE * pitch) == 0))
+    return np.asarray(~measured & (count_similar(measured, refined, neighbours, _ALIKE * pitch) == 0))
 
 
 def _by_chance(
@@ -133,7 +133,7 @@ def _by_chance(
     if 2 * sure.sum() > resolved.sum():
         resolved = resolved & ~occurs_among(refined, refined[sure], 0.5 * _ALIKE * pitch)
     better = resolved & (found.correlation >= _SHARED * signal)
-    like = alike(better, refined, neighbours, _ALIKE * pitch)
+    like = count_similar(better, refined, neighbours, _ALIKE * pitch)
     return np.asarray(resolved & (found.correlation < _BY_CHANCE) & (like < 2))
 
 
@@ -186,7 +186,7 @@ def looks_like_shading(
     removes it. A depth near zero that occurs among the other lenses is the scene's.
     """
     size = found.patch_size
-    little = clear & (contrast <= SHADING) & (np.abs(size) < SHADED_REACH * pitch)
+    little = clear & (contrast <= MAX_SHADING_CONTRAST) & (np.abs(size) < SHADED_REACH * pitch)
     return np.asarray(little & ~occurs_among(size, size[clear & ~little], 0.5 * _ALIKE * pitch))
 
 

@@ -15,7 +15,7 @@ from scipy import fft
 
 from lfcal.runtime.fastmath import FAST
 
-from ...flat.grey_flat import GrayFlat
+from ...flat.gray_flat import GrayFlat
 from ...runtime.quantiles import median
 
 __all__ = ["autocorrelation", "find_periodic_texture", "is_periodic", "sees_little_of_scene"]

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from lfcal import Lattice
 
-from ...flat.grey_flat import GrayFlat
-from ...flat.lens_graph import lens_halves
-from ...flat.texture import LensStatistics, blank_lenses, noise_of, untouched_texture
+from ...flat.gray_flat import GrayFlat
+from ...flat.lens_graph import opposite_neighbours
+from ...flat.texture import LensStatistics, classify_texture, estimate_noise, find_noise_only
 from ..matching.matcher import Matcher
 from ..matching.shortcuts import sample_lenses
 from ..presets import Preset
@@ -38,14 +38,14 @@ def find_textureless(
     Shading matches as well, but near zero, and over a wide range of shifts. Where none of those that are `asked` (n,)
     is blank, the others are not looked at.
     """
-    noise = noise_of(plain.roughness) if noise is None else noise
-    blank = blank_lenses(plain, noise)
+    noise = estimate_noise(plain.roughness) if noise is None else noise
+    blank = find_noise_only(plain, noise)
     if asked is not None and not (blank & asked).any():
         return blank
-    texture = untouched_texture(gray, plain, noise)
+    texture = classify_texture(gray, plain, noise)
     sample = sample_lenses(lattice.indices(), texture.faint & blank, _SAMPLE)
     if sample.any():
-        matcher = Matcher(texture, *lens_halves(lattice), setting, sample)
+        matcher = Matcher(texture, *opposite_neighbours(lattice), setting, sample)
         evidence = 1 - matcher.costs(matcher.pairs(sample), sample)
         matching = (evidence.max(1) >= LEAST_EVIDENCE) & ~_like_shading(evidence, matcher)
         if matching.sum() >= _ENOUGH:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flat.lens_graph import alike, around
+from ...flat.lens_graph import count_neighbours, count_similar
 from ...flat.texture import Texture
 from .periodicity import sees_little_of_scene
 
@@ -98,12 +98,12 @@ def combine_confidence(
     pitch : float [px]
     """
     share = np.where(np.isfinite(error), 1 / (1 + (error / (_UNRELATED * pitch)) ** 2), _UNMEASURED)
-    like = alike(np.ones(len(rows), bool), sizes, rows, max(_ALIKE * pitch, _ALIKE_PX))
+    like = count_similar(np.ones(len(rows), bool), sizes, rows, max(_ALIKE * pitch, _ALIKE_PX))
     alone = like < _ALONE * (rows >= 0).sum(1)
     return np.asarray(confidence * share * np.where(alone & (explained < _DOUBTFUL), _HALF, 1))
 
 
-def correlates_poorly(explained: NDArray, signal: NDArray, resolved: NDArray[np.bool_], alike: bool) -> bool:
+def correlates_poorly(explained: NDArray, signal: NDArray, resolved: NDArray[np.bool_], count_similar: bool) -> bool:
     """Whether most lenses of little noise match far worse than they could: at depths that are not theirs.
 
     Parameters
@@ -114,7 +114,7 @@ def correlates_poorly(explained: NDArray, signal: NDArray, resolved: NDArray[np.
     alike : bool
         All lenses see nearly the same.
     """
-    enough, least = (_CLEAR_ALIKE, _MOSTLY_ALIKE) if alike else (_CLEAR, _MOSTLY)
+    enough, least = (_CLEAR_ALIKE, _MOSTLY_ALIKE) if count_similar else (_CLEAR, _MOSTLY)
     clear = resolved & (signal >= enough)
     return bool(2 * clear.sum() >= max(resolved.sum(), 1) and np.median(explained[clear]) < least)
 
@@ -127,7 +127,7 @@ def confirmed_by_neighbours(
     A faint or dark lens on a surface says too little for itself, but not something else.
     """
     good = resolved & (explained >= _WELL)
-    return np.asarray(alike(good, sizes, rows, 2 * _ALIKE * pitch) >= _CONFIRMING)
+    return np.asarray(count_similar(good, sizes, rows, 2 * _ALIKE * pitch) >= _CONFIRMING)
 
 
 def has_secondary_peak(matched: NDArray, echo: NDArray, signal: NDArray, same: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -187,7 +187,7 @@ def repeats_with_neighbours(
         Neighbour rows, -1 where there is none.
     """
     torn = resolved & ((rivals < _HALF) | echoes)
-    beside = around(torn, rows)
+    beside = count_neighbours(torn, rows)
     if 2 * torn.sum() >= resolved.sum():
         return torn | (resolved & (2 * beside >= (rows >= 0).sum(1)))
     together = 2 * beside >= rows.shape[1]

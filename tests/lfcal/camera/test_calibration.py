@@ -93,10 +93,10 @@ def test_the_condition_of_a_fit_tells_a_strip_from_a_field_whatever_the_unit():
 def test_lenses_of_a_file_of_version_1_are_put_in_the_order_of_the_centres():
     lattice = lfcal.Lattice([101.0, 80.0], [[20.1, 11.6], [0.0, 23.2]], (400, 300), 9.0)
     own = np.linspace(0.5, 1.5, len(lattice)).astype(np.float16).astype(np.float32)
-    gain = replace(GainMap.round(np.ones(40), 0.25, 10.0), own=own)
+    gain = replace(GainMap.round(np.ones(40), 0.25, 10.0), lens_gain=own)
     data = lfcal.Calibration(lattice=lattice, gain_map=gain).to_dict()
-    np.testing.assert_array_equal(lfcal.Calibration.from_dict(data).gain_map.own, own)
+    np.testing.assert_array_equal(lfcal.Calibration.from_dict(data).gain_map.lens_gain, own)
     rows = sorted(range(len(lattice)), key=lambda n: tuple(lattice.indices()[n][::-1]))
     assert rows != sorted(rows)
-    old = data | {"version": 1, "gain_map": replace(gain, own=own[rows]).to_dict()}
-    np.testing.assert_array_equal(lfcal.Calibration.from_dict(old).gain_map.own, own)
+    old = data | {"version": 1, "gain_map": replace(gain, lens_gain=own[rows]).to_dict()}
+    np.testing.assert_array_equal(lfcal.Calibration.from_dict(old).gain_map.lens_gain, own)

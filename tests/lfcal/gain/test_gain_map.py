@@ -12,8 +12,8 @@ from scipy.ndimage import gaussian_filter
 import lfcal
 from lfcal.cli.main import main
 from lfcal.gain.gain_map import GainMap
-from lfcal.illumination.residuals import lens_sample
-from lfcal.illumination.scene_profile import scene_profile
+from lfcal.illumination.residuals import draw_sample
+from lfcal.illumination.scene_profile import fit_scene_profile
 from lfcal.lattice.lattice import Lattice
 
 
@@ -227,13 +227,13 @@ def test_a_scene_puts_no_spot_into_the_middle_of_microimages(seed):
     lattice = Lattice((201.3, 160.2), ((46.0, 0.8), (22.2, 39.9)), (420, 340), 20.0)
     scene = gaussian_filter(np.random.default_rng(seed).normal(0, 1, (340, 420)), 3.0)
     picture = (0.5 + 0.12 * scene / scene.std()).clip(0.05, 1).astype(np.float32)
-    profile = scene_profile(picture, lattice, GainMap.round(np.ones(100), 0.25, 20.0), np.inf)
+    profile = fit_scene_profile(picture, lattice, GainMap.round(np.ones(100), 0.25, 20.0), np.inf)
     # Pixel by pixel, the few in the middle of these 80 lenses are up to 40 % off.
     np.testing.assert_allclose(profile[:6] / np.median(profile[:60]), 1, atol=0.06)
 
 
 def test_some_lenses_of_a_sample_stay_in_their_windows():
-    sample = lens_sample(Lattice([3.0, 2.0], [[12.1, 0.2], [5.9, 10.4]], (900, 700), 5.0), 1e6)
+    sample = draw_sample(Lattice([3.0, 2.0], [[12.1, 0.2], [5.9, 10.4]], (900, 700), 5.0), 1e6)
     some = sample.some(3)
     assert some.shape == sample.shape and len(some.centres) == some.first[-1]
     assert len(some.centres) == pytest.approx(len(sample.centres) / 3, abs=1)

@@ -6,7 +6,7 @@ import numpy as np
 
 from lfcal import Lattice
 from lfrender.data.region import part_of
-from lfrender.flat.grey_flat import GrayFlat
+from lfrender.flat.gray_flat import GrayFlat
 from lfrender.runtime.cache import latest
 
 
@@ -31,7 +31,7 @@ def test_lenses_of_a_part_keep_their_types():
     gray = GrayFlat(np.zeros((300, 400), np.float32), centres.astype(np.float32), 9.0, 20.0, kinds)
     part, sub = part_of(gray, lattice, (centres[:, 0] > 150) & (centres[:, 1] > 110))
     low = np.array([400, 300]) - sub.image_size
-    found = {tuple(place): kind for place, kind in zip((sub.centres() + low).round(3), part.kinds, strict=True)}
+    found = {tuple(place): kind for place, kind in zip((sub.centres() + low).round(3), part.lens_type, strict=True)}
     known = {tuple(place): kind for place, kind in zip(centres.round(3), kinds, strict=True)}
     assert len(found) > 50 and found.items() <= known.items()
 

@@ -12,9 +12,9 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfrender.depth.matching.cost_volume import compute_pair_costs
 from lfrender.depth.presets import PRESETS
-from lfrender.flat.grey_flat import gray_flat
+from lfrender.flat.gray_flat import make_gray_flat
 from lfrender.flat.lens_graph import neighbour_rows
-from lfrender.flat.microimages import cut_out
+from lfrender.flat.microimages import extract_strips
 
 
 @pytest.fixture(scope="module")
@@ -82,12 +82,12 @@ def test_fast_gives_the_same_bits_with_one_thread(house, found):
 @pytest.mark.parametrize("row_step", [1, 2])
 def test_strips_match_as_the_flat_itself(house, row_step):
     calibration = house.truth.calibration
-    gray = gray_flat(house.flat, calibration)
+    gray = make_gray_flat(house.flat, calibration)
     lattice = calibration.lattice
     rows = neighbour_rows(lattice, lattice.steps)[:, : len(lattice.steps) // 2]
     means = np.full(len(lattice), 0.4, np.float32)
-    strips = cut_out(gray, means, row_step)
-    assert 0.6 < strips.whole.mean() < 1
+    strips = extract_strips(gray, means, row_step)
+    assert 0.6 < strips.complete.mean() < 1
     shifts = np.arange(-14, 15, 2).astype(np.float32)
     few = (np.arange(len(lattice)) % 4 == 0).astype(bool)
     quick, slow = (

@@ -7,7 +7,7 @@ import pytest
 
 from lfcal import Lattice
 from lfrender.depth.plane_depth import fit_regular_plane
-from lfrender.flat.lens_graph import lens_halves
+from lfrender.flat.lens_graph import opposite_neighbours
 
 _PITCH, _ERROR = 20.0, 0.05
 
@@ -26,7 +26,7 @@ def _plane(slope: float, count_over_lenses: float):
         np.full(len(centres), _ERROR, np.float32),
         np.zeros(len(centres), np.int8),
         np.zeros(len(centres)),
-        np.hstack(lens_halves(lattice)),
+        np.hstack(opposite_neighbours(lattice)),
     )
 
 

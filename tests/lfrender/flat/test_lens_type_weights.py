@@ -6,7 +6,7 @@ import pytest
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfcal import LensTypes
-from lfrender.flat.lens_type_weights import RATIOS, focus_shares
+from lfrender.flat.lens_type_weights import WEIGHT_STEPS, focus_weights
 from lfrender.output.metrics import compare_pictures, resample
 
 FOCUS = (-0.5, -0.33, -0.17)
@@ -41,7 +41,7 @@ def test_the_lens_type_in_focus_leads_at_each_depth(three_types):
 def test_types_of_unknown_focus_count_alike(three_types):
     plain = three_types.truth.calibration
     for types in (LensTypes(CELL, True), LensTypes([[0]])):
-        cell, _ = focus_shares(types)
+        cell, _ = focus_weights(types)
         assert cell.size == 0
         given = lfrender.render(three_types.flat, replace(plain, lens_types=types), patch_size=-7, blend=True)
         without = lfrender.render(three_types.flat, plain, patch_size=-7, blend=True)
@@ -49,7 +49,7 @@ def test_types_of_unknown_focus_count_alike(three_types):
 
 
 def test_a_type_has_the_whole_weight_where_it_is_the_nearest_to_focus():
-    _, shares = focus_shares(LensTypes(CELL, True, np.array(FOCUS)))
-    at = [round((f + 1) * (RATIOS - 1) / 2) for f in FOCUS]
+    _, shares = focus_weights(LensTypes(CELL, True, np.array(FOCUS)))
+    at = [round((f + 1) * (WEIGHT_STEPS - 1) / 2) for f in FOCUS]
     assert np.diag(shares[:, at]) == pytest.approx(1)
     assert (shares[:, at] - np.eye(3) < 0.2).all()

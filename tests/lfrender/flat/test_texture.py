@@ -7,8 +7,8 @@ import pytest
 from scipy.ndimage import correlate
 
 from lfcal import Lattice
-from lfrender.flat.grey_flat import GrayFlat
-from lfrender.flat.texture import find_texture, lens_statistics
+from lfrender.flat.gray_flat import GrayFlat
+from lfrender.flat.texture import find_texture, measure_statistics
 
 LATTICE = Lattice((100.3, 80.7), ((30.0, 0.0), (15.0, 26.0)), (210, 170), 14.5)
 
@@ -25,11 +25,11 @@ def made(texture):
 
 def test_statistics_are_those_of_the_pixels_in_the_circle():
     gray = made(lambda r, grain: 0.1 * grain)
-    statistics = lens_statistics(gray)
+    statistics = measure_statistics(gray)
     lens = int(np.argmin(np.abs(gray.centres - (100, 80)).sum(1)))
     y, x = np.mgrid[:170, :210]
     distance = np.hypot(x - gray.centres[lens, 0], y - gray.centres[lens, 1])
-    for name, radius in (("contrast", 13.5), ("middle", 10.8)):
+    for name, radius in (("contrast", 13.5), ("central_contrast", 10.8)):
         np.testing.assert_allclose(getattr(statistics, name)[lens], gray.image[distance <= radius].std(), rtol=1e-4)
     np.testing.assert_allclose(statistics.mean[lens], gray.image[distance <= 13.5].mean(), rtol=1e-5)
     np.testing.assert_allclose(np.median(statistics.roughness), 0.1, rtol=0.05)
@@ -38,10 +38,10 @@ def test_statistics_are_those_of_the_pixels_in_the_circle():
 def test_texture_at_the_rim_alone_says_nothing_about_the_middle():
     inner = np.all((LATTICE.centres() > 15) & (LATTICE.centres() < (194, 154)), axis=1)
     at_the_rim = made(lambda r, grain: np.where(r > 11.5, 0.1 * np.sign(grain), 0))
-    rim = find_texture(at_the_rim, LATTICE, lens_statistics(at_the_rim))
+    rim = find_texture(at_the_rim, LATTICE, measure_statistics(at_the_rim))
     assert not (rim.clear | rim.faint)[inner].any()
     everywhere = made(lambda r, grain: 0.1 * np.sign(grain))
-    whole = find_texture(everywhere, LATTICE, lens_statistics(everywhere))
+    whole = find_texture(everywhere, LATTICE, measure_statistics(everywhere))
     assert whole.flat.image.shape == (170, 210)
     assert (whole.clear | whole.faint)[inner].all()
 
@@ -49,7 +49,7 @@ def test_texture_at_the_rim_alone_says_nothing_about_the_middle():
 @pytest.mark.parametrize("step", [1, 2, 3, 5])
 def test_statistics_of_some_rows_are_those_of_their_pixels(step):
     image, radius, (cx, cy) = np.random.default_rng(3).random((60, 70)).astype(np.float32), 17.5, (33.3, 29.8)
-    found = lens_statistics(GrayFlat(image, np.array([[cx, cy]], np.float32), radius, 2 * radius), row_step=step)
+    found = measure_statistics(GrayFlat(image, np.array([[cx, cy]], np.float32), radius, 2 * radius), row_step=step)
     y, x = np.mgrid[:60, :70]
     away = (x - cx) ** 2 + (y - cy) ** 2
     rows = (y - int(np.ceil(cy - radius))) % step == 0
@@ -58,7 +58,7 @@ def test_statistics_of_some_rows_are_those_of_their_pixels(step):
     bends = correlate(image.astype(float), mask)[inside]
     assert found.mean[0] == pytest.approx(image[inside].mean(), rel=1e-5)
     assert found.contrast[0] == pytest.approx(image[inside].std(), rel=1e-4)
-    assert found.middle[0] == pytest.approx(image[middle].std(), rel=1e-4)
+    assert found.central_contrast[0] == pytest.approx(image[middle].std(), rel=1e-4)
     assert found.roughness[0] == pytest.approx(np.sqrt((bends**2).mean() / 36), rel=1e-4)
 
 
@@ -66,14 +66,14 @@ _STATISTICS_BITS = """
 import numpy as np
 import pytest
 from scipy.ndimage import correlate
-from lfrender.flat.grey_flat import GrayFlat
+from lfrender.flat.gray_flat import GrayFlat
 from lfrender.flat.texture import lens_statistics
 rng = np.random.default_rng(0)
 image, centres = rng.random((300, 400), np.float32), (rng.random((200, 2)) * (400, 300)).astype(np.float32)
 for radius in (3.2, 11.4, 17.5):
     for step in (1, 2):
         found = lens_statistics(GrayFlat(image, centres, radius, 2 * radius), row_step=step)
-        print(*(getattr(found, name).tobytes().hex() for name in ("mean", "contrast", "middle", "roughness")))
+        print(*(getattr(found, name).tobytes().hex() for name in ("mean", "contrast", "central_contrast", "roughness")))
 """
 
 

@@ -15,7 +15,7 @@ from data_synth import SCENES, Camera, simulate
 from lfrender.depth.matching.shortcuts import Shortcuts
 from lfrender.depth.planes import plane_fit as plane
 from lfrender.depth.presets import PRESETS
-from lfrender.flat.grey_flat import gray_flat
+from lfrender.flat.gray_flat import make_gray_flat
 from lfrender.large import analyze as large_analysis
 from lfrender.large.analyze import FlatContext
 from lfrender.large.settings import LargeSettings
@@ -106,7 +106,7 @@ def test_tiles_have_the_pixels_of_the_reduced_whole_flat():
     for camera, tolerance in ((plain, 0.0), (uneven, 1e-5)):
         context = FlatContext(camera, "fast", Shortcuts())
         assert context.factor == 2
-        image = gray_flat(shot.flat, camera, 2).image
+        image = make_gray_flat(shot.flat, camera, 2).image
         lenses = 0
         for part in lens_tiles(camera.lattice, 2, PRESETS["fast"], settings=SMALL_TILES):
             left, top, right, bottom = part.rectangle

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lfcal import Lattice
+from lfrender.flat.lens_graph import nearest_lens
 from lfrender.output.metrics import (
     centre_error,
     compare_pictures,
     magnification_error,
     mode_accuracy,
-    nearest_lens,
     resample,
 )
 

@@ -10,7 +10,7 @@ import pytest
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfcal.lattice.distortion import Distortion
-from lfrender.flat.distorted_lookup import lattice_bend
+from lfrender.flat.distorted_lookup import lens_displacements
 from lfrender.output.metrics import compare_pictures
 
 SIZE = (420, 340)
@@ -88,9 +88,9 @@ def test_the_traditional_and_the_one_patch_picture_follow_the_distortion():
 
 def test_a_straight_lattice_has_no_displacements_and_a_distorted_one_those_of_its_centres():
     calibration = capture("plane").truth.calibration
-    assert lattice_bend(calibration.lattice)[0].size == 0
+    assert lens_displacements(calibration.lattice)[0].size == 0
     lattice = camera_with(calibration, BENT).lattice
-    bend, low = lattice_bend(lattice)
+    bend, low = lens_displacements(lattice)
     i, j = lattice.indices().T
     found = lattice.origin + lattice.indices() @ lattice.basis + bend[j - low[1], i - low[0]]
     np.testing.assert_allclose(found, lattice.centres(), atol=1e-5)

@@ -9,7 +9,7 @@ from numba.core.dispatcher import Dispatcher
 
 import lfcal
 import lfrender
-from lfrender.flat.lens_graph import lens_halves
+from lfrender.flat.lens_graph import opposite_neighbours
 
 
 def compiled():
@@ -38,4 +38,4 @@ def test_cameras_out_of_pickles_need_no_other_kernels(house):
 
 def test_neighbours_are_contiguous_as_they_are_out_of_a_pickle():
     lattice = lfcal.Lattice((20.0, 30.0), [(12.0, 0.5), (6.0, 10.4)], (640, 480), 5.5)
-    assert all(half.flags.c_contiguous for half in lens_halves(lattice))
+    assert all(half.flags.c_contiguous for half in opposite_neighbours(lattice))

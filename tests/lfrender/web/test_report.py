@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 import lfrender
 from lfrender.cli.main import main
-from lfrender.output.metrics import nearest_lens
+from lfrender.flat.lens_graph import nearest_lens
 from lfrender.web.report import write_report
 from lfrender.web.report_charts import magnification_histogram, map_grid, maps
 from lfrender.web.report_pictures import data_urls, draw_pictures

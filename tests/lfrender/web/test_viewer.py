@@ -24,7 +24,7 @@ from lfcal.lattice.distortion import Distortion
 from lfrender.cli.main import main
 from lfrender.data.depth_map import DepthMap
 from lfrender.data.surface import Surface
-from lfrender.flat.sharpness import ready_to_read
+from lfrender.flat.prefilter import prefilter_flat
 from lfrender.web.viewer import viewer_files, write_viewer
 from lfrender.web.viewer_server import PageServer
 
@@ -99,7 +99,7 @@ def test_everything_in_focus_and_tiles_are_those_of_the_renderer(page, captured)
     crisp = lfrender.render(flat, camera, patch_size=FAR)
     assert np.mean(off(page, crisp, mode="tiles", plane=FAR) <= 2) > 0.9995
     # Not the flat that blended pictures read.
-    sharpened = lfrender.render(ready_to_read(flat), camera, patch_size=FAR)
+    sharpened = lfrender.render(prefilter_flat(flat), camera, patch_size=FAR)
     assert np.mean(off(page, sharpened, mode="tiles", plane=FAR) <= 2) < 0.9
 
 

@@ -6,19 +6,19 @@ import pytest
 from lfrender.depth.matching.cost_volume import compute_pair_costs
 from lfrender.depth.matching.local_match import FARTHEST, probe
 from lfrender.depth.matching.sgm import average_pair_costs
-from lfrender.flat.lens_graph import lens_halves
-from lfrender.flat.microimages import cut_out
-from lfrender.flat.texture import FIXED_SHADING, lens_statistics
+from lfrender.flat.lens_graph import opposite_neighbours
+from lfrender.flat.microimages import extract_strips
+from lfrender.flat.texture import FIXED_PATTERN_CONTRAST, measure_statistics
 
 NOISE = 0.004
 
 
 def probed(drawn_flat, patch_size, expected, row_step):
     gray, lattice, _, inner = drawn_flat(patch_size, noise=NOISE, detail=0.8)
-    statistics, active = lens_statistics(gray), np.ones(len(lattice), bool)
-    halves = lens_halves(lattice)
+    statistics, active = measure_statistics(gray), np.ones(len(lattice), bool)
+    halves = opposite_neighbours(lattice)
     about = np.full(len(lattice), expected, np.float32)
-    strips = cut_out(gray, statistics.mean, row_step)
+    strips = extract_strips(gray, statistics.mean, row_step)
     return gray, lattice, inner, probe(gray, *halves, statistics, active, about, NOISE, strips)
 
 
@@ -34,14 +34,14 @@ def test_one_look_tells_how_far_beside_the_best_shift_lies(drawn_flat, patch_siz
 
 def test_the_error_of_the_offset_is_that_which_noise_makes(drawn_flat):
     gray, lattice, _, inner = drawn_flat(7.0, noise=0.0, detail=0.8)
-    active, halves = np.ones(len(lattice), bool), lens_halves(lattice)
+    active, halves = np.ones(len(lattice), bool), opposite_neighbours(lattice)
     # Of pairs in one direction each lens has two.
     one = [np.ascontiguousarray(rows[:, :1]) for rows in halves]
     about, rng, offsets = np.full(len(lattice), 7.0, np.float32), np.random.default_rng(3), []
     for _ in range(24):
         noisy = replace(gray, image=gray.image + rng.normal(0, NOISE, gray.image.shape).astype(np.float32))
-        statistics = lens_statistics(noisy)
-        strips = cut_out(noisy, statistics.mean, 1)
+        statistics = measure_statistics(noisy)
+        strips = extract_strips(noisy, statistics.mean, 1)
         _, offset, error = probe(noisy, *one, statistics, active, about, NOISE, strips)
         offsets.append(offset)
     measured = np.std(offsets, axis=0)[inner]
@@ -58,9 +58,9 @@ def test_far_from_the_best_shift_its_side_is_told(drawn_flat):
 @pytest.mark.parametrize("patch_size", [7.0, -14.0])
 def test_its_cost_is_that_of_the_search(drawn_flat, patch_size):
     gray, lattice, _, (cost, _, _) = probed(drawn_flat, patch_size, patch_size, 2)
-    statistics, halves = lens_statistics(gray), lens_halves(lattice)
+    statistics, halves = measure_statistics(gray), opposite_neighbours(lattice)
     pairs = compute_pair_costs(
         gray, halves[0], statistics.mean, statistics.contrast, np.ones(len(lattice), bool),
-        np.array([patch_size], np.float32), NOISE, FIXED_SHADING, 2,
+        np.array([patch_size], np.float32), NOISE, FIXED_PATTERN_CONTRAST, 2,
     )  # fmt: skip
     np.testing.assert_allclose(cost, average_pair_costs(pairs, *halves)[:, 0], atol=2e-4)

@@ -6,12 +6,12 @@ import numpy as np
 
 from lfcal import Lattice
 from lfrender.depth.matching.sgm import average_pair_costs
-from lfrender.flat.lens_graph import lens_halves
+from lfrender.flat.lens_graph import opposite_neighbours
 
 
 def test_costs_of_some_lenses_are_means_over_the_pairs_with_their_neighbours():
     lattice = Lattice(np.array([9.0, 9.0]), np.array([[20.0, 0.0], [10.0, 17.3]]), (160, 120), 9.0)
-    forward, backward = lens_halves(lattice)
+    forward, backward = opposite_neighbours(lattice)
     rng = np.random.default_rng(3)
     pair = rng.random((len(lattice), forward.shape[1], 5), np.float32)
     wanted = rng.random(len(lattice)) < 0.3

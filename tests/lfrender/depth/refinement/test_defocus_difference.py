@@ -11,8 +11,8 @@ import pytest
 from data_synth import SCENES, Camera, simulate
 from lfrender.depth.refinement.defocus_difference import NO_DIFFERENCE, estimate_defocus_difference, sample_start_values
 from lfrender.depth.refinement.neighbour_prior import refine_patch_sizes
-from lfrender.flat.grey_flat import GrayFlat, gray_flat
-from lfrender.flat.lens_graph import lens_halves
+from lfrender.flat.gray_flat import GrayFlat, make_gray_flat
+from lfrender.flat.lens_graph import opposite_neighbours
 from lfrender.runtime.cache import remembered
 
 RATIO, FOCUS = -0.4, (-0.1, 0.04, 0.18)
@@ -27,10 +27,10 @@ def flat(gamma: bool = True, focus: tuple[float, ...] | float = FOCUS):
 def measured(kinds: bool, gamma: bool = True) -> tuple[np.ndarray, GrayFlat, np.ndarray]:
     """Errors of single lenses [px], the flat, and the true type of each lens."""
     shot = flat(gamma)
-    gray = gray_flat(shot.flat, shot.truth.calibration)
-    gray = replace(gray, kinds=shot.truth.lens_type.astype(np.int8) if kinds else None)
+    gray = make_gray_flat(shot.flat, shot.truth.calibration)
+    gray = replace(gray, lens_type=shot.truth.lens_type.astype(np.int8) if kinds else None)
     start = (shot.truth.patch_size + 0.2).astype(np.float32)
-    halves = lens_halves(shot.truth.calibration.lattice)
+    halves = opposite_neighbours(shot.truth.calibration.lattice)
     alone, _ = refine_patch_sizes(gray, *halves, start, np.full(len(start), np.nan), np.full(len(start), 0.1), 0.004, 5)
     inner = (np.abs(gray.centres - np.array([209.5, 179.5])) < np.array([150, 120])).all(1)
     return (alone.patch_size - shot.truth.patch_size)[inner], gray, shot.truth.lens_type
@@ -57,7 +57,7 @@ def test_lenses_focused_farther_from_the_scene_blur_more():
 def test_types_of_which_no_pair_is_known_count_as_like_the_others():
     _, gray, kinds = measured(kinds=True)
     sizes = np.full((len(kinds), 3), np.nan, np.float32)
-    forward, _ = lens_halves(flat().truth.calibration.lattice)
+    forward, _ = opposite_neighbours(flat().truth.calibration.lattice)
     some = (kinds != 2) & (kinds[forward[:, 0]] != 2) & (forward[:, 0] >= 0)
     sizes[some, 0] = RATIO * gray.pitch
     blur = estimate_defocus_difference(
@@ -69,13 +69,13 @@ def test_types_of_which_no_pair_is_known_count_as_like_the_others():
         sizes,
         np.full(len(kinds), 0.1),
         0.004,
-        gray.kinds,
+        gray.lens_type,
     )
     assert blur.blurs.shape == (3, 3) and blur.blurs[0, 1] != 0
     assert (blur.blurs[2] == 0).all() and (blur.growths[2] == 0).all()
     nothing = estimate_defocus_difference(
         gray.image, gray.centres, gray.radius - 1, gray.pitch, forward, np.full_like(sizes, np.nan),
-        np.full(len(kinds), 0.1), 0.004, gray.kinds,
+        np.full(len(kinds), 0.1), 0.004, gray.lens_type,
     )  # fmt: skip
     assert not nothing.blurs.any() and nothing.curve == 0
 

@@ -11,7 +11,7 @@ import pytest
 from lfrender.depth.matching.shortcuts import Shortcuts
 from lfrender.depth.pipeline import estimate_depth_map
 from lfrender.depth.surface.thin_structures import find_thin_structures
-from lfrender.flat.lens_graph import lens_halves
+from lfrender.flat.lens_graph import opposite_neighbours
 
 WALL, ROD = -15.0, -5.0
 # A point of the rod, the direction in which it runs on, and its width [pitches].
@@ -45,7 +45,7 @@ def told(rod_before_a_wall, size):
     others[np.linalg.norm(away, axis=1).argmin(), 1] = size
     every = np.ones(len(centres), bool)
     texture = SimpleNamespace(flat=gray, noise=0.002, clear=every, faint=~every)
-    answers = find_thin_structures(texture, *lens_halves(lattice), first, others, every, 1.2)
+    answers = find_thin_structures(texture, *opposite_neighbours(lattice), first, others, every, 1.2)
     narrow = (away @ ALONG > -60) & (away @ ALONG < 130)
     return answers, np.abs(away @ np.array([ALONG[1], -ALONG[0]])) / lattice.pitch, narrow
 

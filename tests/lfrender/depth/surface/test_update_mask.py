@@ -7,7 +7,7 @@ import pytest
 
 from lfcal import Lattice
 from lfrender.depth.surface.update_mask import mark_changed_points
-from lfrender.flat.distorted_lookup import lattice_bend, nearest_index
+from lfrender.flat.distorted_lookup import lens_displacements, nearest_index
 from lfrender.flat.lens_graph import neighbour_rows
 
 BASES = {
@@ -24,7 +24,7 @@ def test_points_of_unsettled_lenses_and_beside_the_last_ones_are_marked(basis, s
     lattice = Lattice(np.array([7.0, 4.0]), np.array(BASES[basis]), (300, 220), 7.0)
     indices, around = lattice.indices(), neighbour_rows(lattice, RING)
     settled = np.random.default_rng(4).random(len(indices)) > 0.1
-    inverse, bend = np.linalg.inv(lattice.basis), lattice_bend(lattice)
+    inverse, bend = np.linalg.inv(lattice.basis), lens_displacements(lattice)
     found = np.empty((int(230 / spacing), int(310 / spacing)), bool)
     centres = lattice.centres().astype(np.float32)
     mark_changed_points(

@@ -69,7 +69,7 @@ def test_a_wave_on_half_of_a_flat_is_found_on_that_half():
     right = PlaneFlat(-0.3, pitch=12.0, degrees=0.0, size=(640, 160), cell="square", period=0.9)
     flat = np.where(np.arange(640) < 320, left.flat(), right.flat()).astype(np.float32) / 65535
     lattice = left.lattice
-    gray = lfrender.flat.grey_flat.gray_flat(flat[..., None], left.calibration)
+    gray = lfrender.flat.gray_flat.make_gray_flat(flat[..., None], left.calibration)
     sizes = np.full(len(lattice), -0.3 * 12.0)
     again, _ = find_periodic_texture(gray, lattice.indices(), sizes, np.ones(len(lattice), bool))
     x = lattice.centres()[:, 0]

@@ -17,7 +17,13 @@ from ..runtime.cache import remembered
 from ..runtime.prefetch import prefetch
 
 __all__ = [
-    "GrayFlat", "gain_table", "gray_flat", "lens_by_lens", "shrink", "shrunk", "white_level",
+    "GrayFlat",
+    "correction_table",
+    "downsample",
+    "downsample_lattice",
+    "has_uneven_lenses",
+    "make_gray_flat",
+    "white_level",
 ]  # fmt: skip
 
 # A gain above this would lift more noise than picture at the rim of a microimage.
@@ -58,7 +64,7 @@ class GrayFlat:
     radius : float [px of `image`]
         Radius up to which a microimage is trusted.
     pitch : float [px of `image`]
-    kinds : (n,) int8, optional
+    lens_type : (n,) int8, optional
         Types of the lenses, where they are focused at different depths.
     """
 
@@ -66,10 +72,10 @@ class GrayFlat:
     centres: NDArray[np.float32]
     radius: float
     pitch: float
-    kinds: NDArray[np.int8] | None = None
+    lens_type: NDArray[np.int8] | None = None
 
 
-def gain_table(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
+def correction_table(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
     """Gain that undoes the vignetting, over the squared distance from the lens centre.
 
     Returns
@@ -86,13 +92,13 @@ def gain_table(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
     return (1.0 / np.maximum(light, 1.0 / _MAX_GAIN)).astype(np.float32), float(squared[1])
 
 
-def lens_by_lens(calibration: Calibration) -> bool:
+def has_uneven_lenses(calibration: Calibration) -> bool:
     """Whether lenses differ in their light, so that its radial profile alone would not make a flat even."""
     known = calibration.gain_map
     if known is None:
         return False
-    uneven = max(np.abs(known.shade).max(), np.abs(known.level[1:]).max(initial=0.0))
-    return bool(known.own.size or known.cut.size or uneven > _EVEN)
+    uneven = max(np.abs(known.shading).max(), np.abs(known.level[1:]).max(initial=0.0))
+    return bool(known.lens_gain.size or known.cut.size or uneven > _EVEN)
 
 
 def white_level(flat: NDArray, calibration: Calibration) -> float:
@@ -232,7 +238,7 @@ def _fill_unlit(centres, radius, light, image):
                     image[y, x] = total / lit
 
 
-def gray_flat(
+def make_gray_flat(
     flat: NDArray, calibration: Calibration, factor: int = 1, light: NDArray[np.float32] | None = None
 ) -> GrayFlat:
     """Brightness of `flat` (H, W, C), corrected for vignetting where microimages are trusted, and a little beyond.
@@ -240,11 +246,11 @@ def gray_flat(
     Each pixel is the mean of `factor` x `factor` of the flat. `light` is the gain of its pixels where the flat is part
     of a larger one, to which the gain map of the camera belongs.
     """
-    lattice = shrunk(calibration.lattice, factor)
+    lattice = downsample_lattice(calibration.lattice, factor)
     image = recycled(lattice.image_size[::-1], np.float32)
     rows = np.ascontiguousarray(flat).reshape(len(flat), -1)
     radius = trusted_radius(calibration)
-    uneven = lens_by_lens(calibration)
+    uneven = has_uneven_lenses(calibration)
     gain = np.empty((0, 0), np.float32)
     if calibration.vignetting is not None and not uneven:
         gain = _remembered_if_small(calibration, ("gain", factor), lambda: _gain_image(calibration, lattice, factor))
@@ -271,9 +277,13 @@ def gray_flat(
     return GrayFlat(image, centres, radius, lattice.pitch, kinds)
 
 
-def shrunk(lattice: Lattice, factor: int) -> Lattice:
+def downsample_lattice(lattice: Lattice, factor: int) -> Lattice:
     """The lattice of a flat of which `factor` x `factor` pixels each have become one, the same object every time."""
-    return lattice if factor == 1 else remembered(lattice, ("shrunk", factor), lambda: lattice.downscaled(factor))
+    return (
+        lattice
+        if factor == 1
+        else remembered(lattice, ("downsample_lattice", factor), lambda: lattice.downscaled(factor))
+    )
 
 
 def _remembered_if_small(
@@ -289,7 +299,7 @@ def _gain_image(calibration: Calibration, lattice: Lattice, factor: int) -> NDAr
     image = np.ones(lattice.image_size[::-1], np.float32)
     radius = trusted_radius(calibration)
     radius = radius if factor == 1 else radius / factor - _MIXED
-    gains, step = gain_table(calibration)
+    gains, step = correction_table(calibration)
     around = lattice.steps @ lattice.basis
     share = _UNSHARED if lattice.distortion is None else _UNSHARED_BENT
     _correct_lenses(
@@ -368,7 +378,7 @@ def _shrink_all(image, factor, out):
         _shrink_row(image, v * factor, 0, factor, np.empty(out.shape[1] * factor, np.float32), out[v])
 
 
-def shrink(gray: GrayFlat, factor: int, wanted: NDArray[np.bool_] | None = None) -> GrayFlat:
+def downsample(gray: GrayFlat, factor: int, wanted: NDArray[np.bool_] | None = None) -> GrayFlat:
     """`gray` at a whole fraction of its resolution: each pixel is the mean of `factor` x `factor`.
 
     Only pixels about the lenses `wanted` (n,), all by default, need be set.
@@ -377,7 +387,7 @@ def shrink(gray: GrayFlat, factor: int, wanted: NDArray[np.bool_] | None = None)
         return gray
     centres = gray.centres if wanted is None else gray.centres[wanted]
     if len(centres) * gray.pitch**2 > _MOST_BOXES * gray.image.size:
-        return remembered(gray, ("shrunk", factor), lambda: _shrunk_flat(gray, factor))
+        return remembered(gray, ("downsample_lattice", factor), lambda: _shrunk_flat(gray, factor))
     height, width = (n // factor for n in gray.image.shape)
     small = _of_blocks(gray, factor, recycled((height, width), np.float32))
     middle = small.centres if wanted is None else small.centres[wanted]
@@ -394,4 +404,4 @@ def _shrunk_flat(gray: GrayFlat, factor: int) -> GrayFlat:
 
 def _of_blocks(gray: GrayFlat, factor: int, image: NDArray[np.float32]) -> GrayFlat:
     centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)
-    return GrayFlat(image, centres, gray.radius / factor - _MIXED, gray.pitch / factor, gray.kinds)
+    return GrayFlat(image, centres, gray.radius / factor - _MIXED, gray.pitch / factor, gray.lens_type)

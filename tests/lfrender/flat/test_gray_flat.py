@@ -7,7 +7,7 @@ import pytest
 
 from lfcal import Calibration, Lattice
 from lfcal.gain.vignetting import Vignetting
-from lfrender.flat.grey_flat import GrayFlat, gain_table, gray_flat, shrink
+from lfrender.flat.gray_flat import GrayFlat, correction_table, downsample, make_gray_flat
 
 BASES = [((20, 0), (0, 20)), ((20, 0), (10, 17.32)), ((0, 20), (17.32, 10)), ((19.5, 4.5), (5.85, 19.1))]
 
@@ -17,10 +17,10 @@ def test_pixels_have_the_gain_of_the_nearest_lens(basis):
     lattice = Lattice((101.0, 83.0), basis, (200, 160), 9.6)
     profile = Vignetting(np.linspace(1, 0.92, 21) ** 2, 0.5)
     calibration = Calibration(lattice, profile)
-    gray = gray_flat(np.ones((160, 200, 3), np.float32), calibration)
+    gray = make_gray_flat(np.ones((160, 200, 3), np.float32), calibration)
     y, x = np.mgrid[:160, :200]
     distance = np.sqrt(((np.stack([x, y], -1)[:, :, None] - lattice.centres()) ** 2).sum(-1)).min(-1)
-    gains, step = gain_table(calibration)
+    gains, step = correction_table(calibration)
     wanted = gains[np.minimum(distance**2 / step, len(gains) - 1).astype(int)]
     trusted = distance < gray.radius + 0.9
     assert trusted.mean() > 0.4
@@ -31,7 +31,7 @@ def test_pixels_have_the_gain_of_the_nearest_lens(basis):
 def test_brightness_is_the_mean_of_the_channels(channels):
     lattice = Lattice((20.0, 20.0), ((12.0, 0.0), (0.0, 12.0)), (50, 40), 5.5)
     flat = np.random.default_rng(channels).integers(0, 256, (40, 50, channels), np.uint8)
-    gray = gray_flat(flat, Calibration(lattice))
+    gray = make_gray_flat(flat, Calibration(lattice))
     np.testing.assert_allclose(gray.image, flat.mean(2) / 255, atol=1e-6)
 
 
@@ -43,7 +43,7 @@ def test_a_few_lenses_are_made_smaller_as_in_the_whole_flat(factor):
     flat = GrayFlat(rng.random((319, 401)).astype(np.float32), centres, 18.0, 40.0)
     few = np.zeros(len(centres), bool)
     few[[0, 13, len(centres) - 1]] = True
-    whole, part = shrink(flat, factor), shrink(flat, factor, few)
+    whole, part = downsample(flat, factor), downsample(flat, factor, few)
     np.testing.assert_array_equal(part.centres, whole.centres)
     assert (part.radius, part.pitch) == (whole.radius, whole.pitch)
     y, x = np.mgrid[: whole.image.shape[0], : whole.image.shape[1]]

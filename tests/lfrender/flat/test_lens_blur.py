@@ -10,7 +10,8 @@ from scipy.ndimage import map_coordinates, uniform_filter
 
 import lfrender
 from lfcal import Calibration, Lattice
-from lfrender.flat.sharpness import lens_blur, packed_to_read, ready_to_read
+from lfrender.flat.lens_blur import measure_lens_blur
+from lfrender.flat.prefilter import prefilter_flat, prefilter_packed
 
 SIZE, PITCH = (420, 330), 21.0
 # Texels of the scene per flat pixel, and its margin [flat px].
@@ -64,15 +65,15 @@ def distance_from_scene(picture):
 @pytest.mark.parametrize("blur", [0.0, 2.0, 3.0])
 def test_the_width_lenses_have_averaged_over_is_measured(s, blur):
     sizes = np.full(len(camera().lattice), s, np.float32)
-    width = lens_blur(flat_of(s, blur)[:, :, None], camera(), sizes) * abs(s)
+    width = measure_lens_blur(flat_of(s, blur)[:, :, None], camera(), sizes) * abs(s)
     assert width == pytest.approx(blur, abs=0.5)
 
 
 def test_noise_is_not_taken_for_sharpness_or_blur():
     sizes = np.full(len(camera().lattice), 8.0, np.float32)
     noise = np.random.default_rng(1).normal(0.5, 0.1, (*SIZE[::-1], 1)).astype(np.float32)
-    assert lens_blur(noise, camera(), sizes) == 0
-    assert lens_blur(np.full((*SIZE[::-1], 1), 0.5, np.float32), camera(), sizes) == 0
+    assert measure_lens_blur(noise, camera(), sizes) == 0
+    assert measure_lens_blur(np.full((*SIZE[::-1], 1), 0.5, np.float32), camera(), sizes) == 0
 
 
 @pytest.mark.parametrize("blur", [0.0, 3.0])
@@ -89,7 +90,7 @@ def test_reading_between_pixels_keeps_the_contrast_of_fine_detail(dtype, channel
     x = np.arange(120) * np.ones((120, 1))
     wave = 2 * np.pi * 0.15
     flat = (top * (0.5 + 0.4 * np.cos(wave * x))).astype(dtype)[:, :, None].repeat(channels, 2)
-    ready = ready_to_read(flat)
+    ready = prefilter_flat(flat)
     assert ready.dtype == dtype and ready.shape == flat.shape
     at = np.random.default_rng(0).uniform(5, 114, (2, 20000))
 
@@ -108,14 +109,14 @@ def test_what_interpolation_blurs_is_given_back_exactly_rounded(shape, dtype):
     wide = np.pad(flat.astype(np.int64), ((1, 1), (1, 1), (0, 0)), mode="edge")
     beside = wide[:-2, 1:-1] + wide[2:, 1:-1] + wide[1:-1, :-2] + wide[1:-1, 2:]
     wanted = np.clip(np.maximum(16 * wide[1:-1, 1:-1] - beside + 6, 0) // 12, 0, np.iinfo(dtype).max)
-    np.testing.assert_array_equal(ready_to_read(flat), wanted)
+    np.testing.assert_array_equal(prefilter_flat(flat), wanted)
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3])
 def test_packed_pixels_hold_the_bytes_that_are_ready_to_read(channels):
     flat = np.random.default_rng(8).integers(0, 256, (37, 53, channels), dtype=np.uint8)
-    packed = packed_to_read(flat)
+    packed = prefilter_packed(flat)
     assert packed.dtype == np.uint32 and packed.shape == (37, 53)
     bytes_of = packed.view(np.uint8).reshape(37, 53, 4)
-    np.testing.assert_array_equal(bytes_of[:, :, :channels], ready_to_read(flat))
+    np.testing.assert_array_equal(bytes_of[:, :, :channels], prefilter_flat(flat))
     assert not bytes_of[:, :, channels:].any()

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from data_synth import Camera
-from lfrender.flat.lens_graph import neighbour_rows
-from lfrender.flat.rings import afar, around
+from lfrender.flat.lens_graph import distant_rings, neighbour_rows, two_rings
 
 
 def cameras(kind):
@@ -14,7 +13,7 @@ def cameras(kind):
 @pytest.mark.parametrize("kind, count", [("hex", 18), ("square", 12)])
 def test_two_rings_hold_every_lens_once(kind, count):
     lattice, centres, neighbours = cameras(kind)
-    rings = around(neighbours)
+    rings = two_rings(neighbours)
     assert rings.shape[1] == neighbours.shape[1] * 3
     apart = np.hypot(*(centres[:, None] - centres[None]).transpose(2, 0, 1)) / lattice.pitch
     for lens, rows in enumerate(rings):
@@ -30,12 +29,12 @@ def test_two_rings_hold_every_lens_once(kind, count):
 @pytest.mark.parametrize("kind", ["hex", "square"])
 def test_rings_afar_are_those_of_every_third_lens(kind):
     lattice, centres, neighbours = cameras(kind)
-    far, indices = afar(neighbours), lattice.indices()
+    far, indices = distant_rings(neighbours), lattice.indices()
 
     def steps(lens, rows):
         return {tuple(step.tolist()) for step in indices[rows[lens][rows[lens] >= 0]] - indices[lens]}
 
     middle = int(np.hypot(*(centres - (300, 225)).T).argmin())
-    third = {(3 * i, 3 * j) for i, j in steps(middle, around(neighbours))}
+    third = {(3 * i, 3 * j) for i, j in steps(middle, two_rings(neighbours))}
     assert steps(middle, far) == third
     assert all(steps(lens, far) <= third for lens in range(len(far)))
