@@ -11,7 +11,7 @@ from lfcal import LightFieldError
 from lfcal.runtime import console
 from lfcal.runtime.output_file import check_output
 
-from ..runtime.lazy_imports import import_meanwhile
+from ..runtime.background_imports import import_in_background
 from .figures import camera_figures, depth_figures, distance_figures
 from .inputs import analysed, camera_of, in_colour, read_optics
 from .options import CAMERA, INPUT, OUTPUT, WITHOUT_CAMERA, at_most_one, cluster_options, flat_argument, preset_option
@@ -93,7 +93,7 @@ def analyze(
             figures = {**camera_figures(calibration, depth), **depth_figures(depth), **distance_figures(depth, optics)}
             report.finish({"depth": str(output), **figures})
             return
-    import_meanwhile("lfrender.depth.analyze")
+    import_in_background("lfrender.depth.analyze")
     with report.stage("read"):
         from lfcal import read_flat
 
@@ -129,7 +129,7 @@ def _write_depth(
 ) -> None:
     """The further forms of a depth map that were asked for."""
     if dense:
-        from ..rendering.dense import dense_depth, write_dense
+        from ..data.dense_depth import dense_depth, write_dense
 
         write_dense(dense, dense_depth(depth))
     if picture:

@@ -12,7 +12,7 @@ from lfcal.runtime import console
 
 from ..output.metadata import read_metadata
 from ..output.picture import check_picture, write_picture
-from ..runtime.lazy_imports import import_meanwhile
+from ..runtime.background_imports import import_in_background
 from .figures import camera_figures, depth_figures, picture_figures, settings_of
 from .inputs import analysed, camera_of, in_colour, read_depth
 from .options import CAMERA, INPUT, OUTPUT, WITHOUT_CAMERA, at_most_one, cluster_options, flat_argument, preset_option
@@ -124,7 +124,9 @@ def render(
             large_cli.render(report, asked)
             return
     check_picture(output, alpha=alpha, inputs=[flat, camera, white, depth_file])
-    import_meanwhile("lfrender.rendering.render", *(["tifffile"] if output.suffix.lower() in (".tif", ".tiff") else []))
+    import_in_background(
+        "lfrender.rendering.render", *(["tifffile"] if output.suffix.lower() in (".tif", ".tiff") else [])
+    )
     with report.stage("read"):
         from lfcal import read_flat
 
@@ -139,9 +141,9 @@ def render(
             if depth_file:
                 depth = read_depth(depth_file)
             else:
-                from ..rendering.render import lenses_for
+                from ..rendering.render import expand_roi
 
-                needed = lenses_for(roi, calibration) if roi else None
+                needed = expand_roi(roi, calibration) if roi else None
                 depth = analysed(report, pixels, calibration, preset, roi=needed)
     options = {"patch_size": patch_size, "scale": scale, "blend": blend or None, "sharpen": width, "roi": roi}
     with report.stage("render"):

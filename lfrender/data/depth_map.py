@@ -53,7 +53,7 @@ class DepthMap(Frozen):
     drawn : (n,) float32 [px]
         `patch_size`, with unresolved lenses filled from their neighbours; finite.
     surface : Surface
-        `drawn`, carried on to a regular grid of scene points with depth edges settled on the pixels.
+        `filled_patch_size`, carried on to a regular grid of scene points with depth edges settled on the pixels.
     pitch : float [px]
     image_size : (int, int) [px]
         Width and height of the flat.
@@ -70,7 +70,7 @@ class DepthMap(Frozen):
     patch_size: NDArray[np.float32]
     standard_error: NDArray[np.float32]
     confidence: NDArray[np.float32]
-    drawn: NDArray[np.float32]
+    filled_patch_size: NDArray[np.float32]
     surface: Surface
     pitch: float
     image_size: tuple[int, int]
@@ -80,7 +80,7 @@ class DepthMap(Frozen):
 
     def __post_init__(self) -> None:
         n = len(self.patch_size)
-        for name in ("patch_size", "standard_error", "confidence", "drawn"):
+        for name in ("patch_size", "standard_error", "confidence", "filled_patch_size"):
             values = np.array(getattr(self, name), dtype=np.float32)
             if values.shape != (n,):
                 raise ValueError(f"{name} must have one value per lens ({n}), got shape {values.shape}")
@@ -94,7 +94,7 @@ class DepthMap(Frozen):
             raise ValueError("reason must be 0 for every lens with a patch size, and only for those")
         reason.flags.writeable = False
         object.__setattr__(self, "reason", reason)
-        if not _finite(self.drawn) or not _finite(self.surface.patch_size):
+        if not _finite(self.filled_patch_size) or not _finite(self.surface.patch_size):
             raise ValueError("drawn and surface must be finite")
         object.__setattr__(self, "image_size", (int(self.image_size[0]), int(self.image_size[1])))
 
@@ -147,9 +147,9 @@ class DepthMap(Frozen):
         return plot_depth(self, ax)
 
     def _repr_html_(self) -> str:
-        from .plots import depth_card
+        from .plots import depth_html
 
-        return depth_card(self)
+        return depth_html(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as `.npz`; the file appears whole or not at all."""
@@ -162,7 +162,7 @@ class DepthMap(Frozen):
                 magnification=self.magnification,
                 confidence=self.confidence,
                 standard_error=self.standard_error,
-                drawn=self.drawn,
+                drawn=self.filled_patch_size,
                 filled=self.filled,
                 surface=self.surface.patch_size,
                 surface_first=np.array(self.surface.first, dtype=np.float64),
@@ -197,7 +197,7 @@ class DepthMap(Frozen):
                     patch_size=data["patch_size"],
                     standard_error=data["standard_error"],
                     confidence=data["confidence"],
-                    drawn=data["drawn"],
+                    filled_patch_size=data["drawn"],
                     surface=Surface(
                         np.ascontiguousarray(data["surface"], np.float32),
                         (float(first[0]), float(first[1])),

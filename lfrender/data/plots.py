@@ -13,10 +13,10 @@ from lfcal.runtime import notebook
 from .depth_map import DepthMap
 from .rendering import Rendering
 
-__all__ = ["depth_card", "napari_layers", "plot_depth", "plot_rendering", "rendering_card"]
+__all__ = ["depth_html", "napari_layers", "plot_depth", "plot_rendering", "rendering_html"]
 
 
-def depth_card(depth: DepthMap) -> str:
+def depth_html(depth: DepthMap) -> str:
     """HTML with the magnification over the scene in colours, and the key figures of a depth map."""
     import cv2
 
@@ -39,7 +39,7 @@ def depth_card(depth: DepthMap) -> str:
     return notebook.html_card("DepthMap", figures, notebook.thumbnail(colours, "magnification over the scene"))
 
 
-def rendering_card(rendering: Rendering) -> str:
+def rendering_html(rendering: Rendering) -> str:
     """HTML with a picture and its key figures."""
     height, width = rendering.image.shape[:2]
     figures = {

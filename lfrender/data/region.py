@@ -12,11 +12,11 @@ from lfcal import Lattice
 
 from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import lens_grid
-from ..runtime.cache import latest
+from ..runtime.cache import cached_latest
 from .depth_map import DepthMap
 from .surface import Surface
 
-__all__ = ["check_region", "embed", "lattice_of", "lenses_in", "part_of", "scaled"]
+__all__ = ["check_region", "crop_flat", "crop_lattice", "embed_region", "rescale_depth", "select_lenses"]
 
 # Lenses this many pitches outside support those inside: as far as shading is taken to be common.
 _AROUND = 4.5
@@ -39,7 +39,7 @@ def check_region(roi: tuple[float, float, float, float], lattice: Lattice) -> tu
     return x0, y0, x1, y1
 
 
-def lenses_in(roi: tuple[float, float, float, float], lattice: Lattice) -> NDArray[np.bool_]:
+def select_lenses(roi: tuple[float, float, float, float], lattice: Lattice) -> NDArray[np.bool_]:
     """(n,) bool: lenses with their centre inside `x0, y0, x1, y1` [px]; a ValueError where there is none."""
     centres = lattice.centres()
     inside = np.asarray(((centres >= roi[:2]) & (centres <= roi[2:])).all(1), bool)
@@ -48,14 +48,14 @@ def lenses_in(roi: tuple[float, float, float, float], lattice: Lattice) -> NDArr
     return inside
 
 
-def part_of(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tuple[GrayFlat, Lattice]:
+def crop_flat(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tuple[GrayFlat, Lattice]:
     """The part of a flat that shows the lenses `inside` and those around them, and its lattice, in its own pixels."""
     centres = lattice.centres()[inside]
     size = np.array(lattice.image_size)
     around, step = _AROUND * lattice.pitch, int(np.ceil(_STEP * lattice.pitch))
     low = np.maximum(0, np.floor((centres.min(0) - around) / step) * step).astype(int)
     high = np.minimum(size, np.ceil((centres.max(0) + around) / step) * step + 1).astype(int)
-    sub = latest(lattice, "part", (*low.tolist(), *high.tolist()), lambda: lattice_of(lattice, low, high))
+    sub = cached_latest(lattice, "part", (*low.tolist(), *high.tolist()), lambda: crop_lattice(lattice, low, high))
     image = np.ascontiguousarray(gray.image[low[1] : high[1], low[0] : high[0]])
     kinds = None
     if gray.lens_type is not None:
@@ -65,7 +65,7 @@ def part_of(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tupl
     return replace(gray, image=image, centres=sub.centres().astype(np.float32), lens_type=kinds), sub
 
 
-def lattice_of(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int64]) -> Lattice:
+def crop_lattice(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int64]) -> Lattice:
     """The lattice of the part of a flat from the pixel `low` (2,) to before `high` (2,), in its own pixels."""
     distortion = lattice.distortion
     if distortion is not None:
@@ -75,7 +75,7 @@ def lattice_of(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int64]
     return Lattice(lattice.origin - low, lattice.basis, (width, height), lattice.radius, distortion)
 
 
-def embed(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArray[np.bool_]) -> DepthMap:
+def embed_region(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArray[np.bool_]) -> DepthMap:
     """The depth of a part as that of the whole flat, whose lenses are not analysed but for those `inside`.
 
     The surface stays that of the part: readers take its nearest value beyond its border.
@@ -84,13 +84,13 @@ def embed(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArray[np.bo
     patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
     confidence, reason = np.zeros(n, np.float32), np.full(n, _NOT_ANALYSED, np.int8)
     chosen = inside[rows]
-    drawn = np.full(n, np.median(depth.drawn[chosen]), np.float32)
+    drawn = np.full(n, np.median(depth.filled_patch_size[chosen]), np.float32)
     for whole, part in (
         (patch_size, depth.patch_size),
         (error, depth.standard_error),
         (confidence, depth.confidence),
         (reason, depth.reason),
-        (drawn, depth.drawn),
+        (drawn, depth.filled_patch_size),
     ):
         whole[rows[chosen]] = part[chosen]
     corner = lattice.origin - sub.origin
@@ -108,7 +108,7 @@ def _rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
     return grid[j, i]
 
 
-def scaled(depth: DepthMap, lattice: Lattice, factor: float, saved: dict[str, float] | None = None) -> DepthMap:
+def rescale_depth(depth: DepthMap, lattice: Lattice, factor: float, saved: dict[str, float] | None = None) -> DepthMap:
     """The depth of the same lenses in pixels `factor` times as small, `lattice` being in those.
 
     `saved` is what has been saved if that is something else.
@@ -119,7 +119,8 @@ def scaled(depth: DepthMap, lattice: Lattice, factor: float, saved: dict[str, fl
     )
     return replace(
         depth, patch_size=depth.patch_size * np.float32(factor),
-        standard_error=depth.standard_error * np.float32(factor), drawn=depth.drawn * np.float32(factor),
+        standard_error=depth.standard_error * np.float32(factor),
+        filled_patch_size=depth.filled_patch_size * np.float32(factor),
         surface=surface, pitch=lattice.pitch, image_size=lattice.image_size,
         saved=depth.saved if saved is None else saved,
     )  # fmt: skip

@@ -52,6 +52,6 @@ class Rendering:
         return plot_rendering(self, ax)
 
     def _repr_html_(self) -> str:
-        from .plots import rendering_card
+        from .plots import rendering_html
 
-        return rendering_card(self)
+        return rendering_html(self)

@@ -10,10 +10,25 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
-__all__ = ["Surface", "mark_changes"]
+__all__ = ["Surface", "mark_changed_places", "patch_size_at"]
 
 # Side of the squares of grid values of which it is known whether any differ.
 _SQUARE = 4
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def patch_size_at(surface, x, y, grid_x, grid_y, cell, edge):
+    """Patch size at scene point (x, y): linear between grid values, nearest across a depth edge."""
+    rows, columns = surface.shape
+    gx = min(max((x - grid_x) / cell, np.float32(0.0)), np.float32(columns - 1))
+    gy = min(max((y - grid_y) / cell, np.float32(0.0)), np.float32(rows - 1))
+    i, j = min(int(gx), max(columns - 2, 0)), min(int(gy), max(rows - 2, 0))
+    i1, j1 = min(i + 1, columns - 1), min(j + 1, rows - 1)
+    fx, fy = gx - i, gy - j
+    a, b, c, d = surface[j, i], surface[j, i1], surface[j1, i], surface[j1, i1]
+    if max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) < edge:
+        return (1 - fy) * ((1 - fx) * a + fx * b) + fy * ((1 - fx) * c + fx * d)
+    return surface[j1 if fy > 0.5 else j, i1 if fx > 0.5 else i]
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -86,7 +101,7 @@ class Surface:
         return out
 
 
-def mark_changes(
+def mark_changed_places(
     before: Surface, after: Surface, places: NDArray[np.floating], reach: float, changed: NDArray[np.bool_]
 ) -> None:
     """Set `changed` (n,) where a grid value within `reach` [px] to each side of `places` (n, 2) is another one.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 
 from ..data.depth_map import DepthMap
-from ..data.region import check_region, embed, lenses_in, part_of, scaled
+from ..data.region import check_region, crop_flat, embed_region, rescale_depth, select_lenses
 from ..flat.validation import check_flat
 from .incremental import update_depth
 from .matching.shortcuts import Shortcuts
@@ -72,13 +72,15 @@ def analyze(
     shortcuts = Shortcuts.of(skip)
     flat = check_flat(flat, calibration)
     lattice = calibration.lattice
-    inside = None if roi is None else lenses_in(check_region(roi, lattice), lattice)
+    inside = None if roi is None else select_lenses(check_region(roi, lattice), lattice)
     if previous is not None and shortcuts.still:
         if inside is not None:
             raise ValueError("give either roi or previous, not both")
         return update_depth(flat, calibration, preset, shortcuts, *previous)
     gray, small, factor = prepare_flat(flat, calibration, preset)
     if inside is None:
-        return scaled(estimate_depth_map(gray, small, preset, shortcuts), lattice, factor)
-    part, sub = part_of(gray, small, inside)
-    return scaled(embed(estimate_depth_map(part, sub, preset, shortcuts), sub, small, inside), lattice, factor)
+        return rescale_depth(estimate_depth_map(gray, small, preset, shortcuts), lattice, factor)
+    part, sub = crop_flat(gray, small, inside)
+    return rescale_depth(
+        embed_region(estimate_depth_map(part, sub, preset, shortcuts), sub, small, inside), lattice, factor
+    )

@@ -36,8 +36,8 @@ __all__ = ["DEFAULT_RATIO", "LensEstimates", "LensSet", "PreviousEstimates", "es
 
 # What lenses keep, and where that stands in `PreviousEstimates`.
 _KEPT = {
-    "patch_size": "drawn", "standard_error": "standard_error", "confidence": "confidence", "reason": "reason",
-    "guess": "drawn",
+    "patch_size": "filled_patch_size", "standard_error": "standard_error", "confidence": "confidence",
+    "reason": "reason", "guess": "filled_patch_size",
 }  # fmt: skip
 # Lenses that blur unlike each other are compared on a flat of about this pitch [px].
 _BLURRED_PITCH = 25.0
@@ -109,12 +109,12 @@ class PreviousEstimates:
     Parameters
     ----------
     kept : (n,) bool
-    drawn, standard_error, confidence, reason : (n,)
+    filled_patch_size, standard_error, confidence, reason : (n,)
         As `DepthMap`.
     """
 
     kept: NDArray[np.bool_]
-    drawn: NDArray[np.float32]
+    filled_patch_size: NDArray[np.float32]
     standard_error: NDArray[np.float32]
     confidence: NDArray[np.float32]
     reason: NDArray[np.int8]
@@ -122,7 +122,7 @@ class PreviousEstimates:
     @classmethod
     def by(cls, before: DepthMap, kept: NDArray[np.bool_]) -> PreviousEstimates:
         """Those of an earlier depth map."""
-        return cls(kept, before.drawn, before.standard_error, before.confidence, before.reason)
+        return cls(kept, before.filled_patch_size, before.standard_error, before.confidence, before.reason)
 
     def of(self, rows: NDArray[np.int64]) -> PreviousEstimates:
         """Those of some lenses."""
@@ -177,7 +177,7 @@ class LensEstimates:
         return self.reason == 0
 
     @property
-    def drawn(self) -> NDArray[np.float32]:
+    def filled_patch_size(self) -> NDArray[np.float32]:
         """(n,) float32 [px]: the answers of resolved lenses, and guesses of the others."""
         return np.where(self.resolved, self.patch_size, self.guess).astype(np.float32)
 
@@ -231,7 +231,7 @@ def estimate_lenses(
     `sizes` (m,) [px] are patch sizes that occur, as found elsewhere, see `match_lenses`.
     """
     texture, near, pitch, neighbours = lenses.texture, lenses.near, lenses.pitch, lenses.neighbours
-    known = None if earlier is None else np.where(near, np.nan, earlier.drawn).astype(np.float32)
+    known = None if earlier is None else np.where(near, np.nan, earlier.filled_patch_size).astype(np.float32)
     matcher = Matcher(texture, lenses.forward, lenses.backward, setting)
     found = match_lenses(matcher, lenses.active, texture.clear, lenses.sample, known, sizes)
     like_shading = looks_like_shading(texture.clear & near, found, texture.statistics.contrast, pitch)
@@ -254,7 +254,10 @@ def estimate_lenses(
     if earlier is not None:
         # Those that keep their answer see the same scene.
         told = earlier.recurring(shown)
-        depths, shown = np.where(earlier.kept, earlier.drawn, refined), shown | (earlier.kept & (earlier.reason == 0))
+        depths, shown = (
+            np.where(earlier.kept, earlier.filled_patch_size, refined),
+            shown | (earlier.kept & (earlier.reason == 0)),
+        )
     again, perhaps = told or find_periodic_texture(texture.flat, lenses.indices, depths, shown)
     little = sees_little_of_scene(texture.flat.centres, depths, shown, pitch)
     perhaps = perhaps or correlates_poorly(explained, signal, reason == 0, little)
@@ -265,14 +268,14 @@ def estimate_lenses(
     )
     guess = found.patch_size
     if earlier is not None and known is not None:
-        refined = np.where(earlier.kept, earlier.drawn, refined)
+        refined = np.where(earlier.kept, earlier.filled_patch_size, refined)
         error = np.where(earlier.kept, earlier.standard_error, error)
         sure = np.where(earlier.kept, earlier.confidence, sure)
         reason = np.where(earlier.kept, earlier.reason, reason)
         guess = np.where(np.isfinite(known), known, guess)
         alone = replace(
             alone,
-            patch_size=np.where(earlier.kept, earlier.drawn, alone.patch_size),
+            patch_size=np.where(earlier.kept, earlier.filled_patch_size, alone.patch_size),
             standard_error=np.where(
                 earlier.kept, np.where(earlier.reason == 0, earlier.standard_error, np.inf), alone.standard_error
             ),

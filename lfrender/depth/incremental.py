@@ -15,12 +15,12 @@ from lfcal import Calibration, FlatError, Lattice, OutputError
 from lfcal.runtime.output_file import atomic_write
 
 from ..data.depth_map import DepthMap
-from ..data.region import scaled
+from ..data.region import rescale_depth
 from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import count_connected, dilate_mask, neighbour_rows, opposite_neighbours
 from ..flat.texture import LensStatistics, classify_texture, sample_statistics
 from ..flat.validation import check_flat
-from ..runtime.cache import remembered
+from ..runtime.cache import cached
 from .changed_lenses import find_changed_lenses
 from .matching.matcher import Matcher
 from .matching.shortcuts import Shortcuts
@@ -77,13 +77,13 @@ def update_depth(
     saved = {"still": float(kept.mean())}
     if kept.all():
         after = _noted(replace(before, saved=saved), before, changed)
-        remembered(after, "kept probe", lambda: _kept_probe(before))
+        cached(after, "kept probe", lambda: _kept_probe(before))
         return after
     gray, small, factor = prepare_flat(flat, calibration, preset)
     plain = sample_statistics(gray)
     then = None
     if shortcuts.steady:
-        then = remembered(
+        then = cached(
             before, "probe", lambda: _first_probe(*_frame_of(before, earlier, calibration), small, before, factor)
         )
         # What shows the same matches as it did.
@@ -96,13 +96,15 @@ def update_depth(
         if kept.all():
             return _noted(replace(before, saved=saved), before, changed, then)
     if not kept.any():
-        return _noted(scaled(estimate_depth_map(gray, small, preset, shortcuts), lattice, factor), before, changed)
+        return _noted(
+            rescale_depth(estimate_depth_map(gray, small, preset, shortcuts), lattice, factor), before, changed
+        )
     asked = dilate_mask(dilate_mask(~kept, neighbours), neighbours)
     blank = find_textureless(gray, small, plain, PRESETS[preset], asked=asked) if shortcuts.blank else None
     depth, _ = estimate_lens_by_lens(
-        gray, small, preset, shortcuts, plain, blank, kept, scaled(before, small, 1 / factor)
+        gray, small, preset, shortcuts, plain, blank, kept, rescale_depth(before, small, 1 / factor)
     )
-    after = scaled(depth, lattice, factor, {**depth.saved, **saved})
+    after = rescale_depth(depth, lattice, factor, {**depth.saved, **saved})
     if gray.image.nbytes <= _MOST_KEPT:
         # The strips that were cut out of it stay as well.
         _latest_frame(calibration)[:] = [(weakref.ref(after), gray, plain)]
@@ -111,7 +113,7 @@ def update_depth(
 
 def _latest_frame(calibration: Calibration) -> list[tuple[weakref.ref[DepthMap], GrayFlat, LensStatistics]]:
     """Of the frame that was analysed last after another: its depth map, brightness and the statistics of that."""
-    return remembered(calibration, "latest frame", list)
+    return cached(calibration, "latest frame", list)
 
 
 def _frame_of(depth: DepthMap, flat: NDArray, calibration: Calibration) -> tuple[GrayFlat, LensStatistics]:
@@ -165,7 +167,7 @@ def _first_probe(gray: GrayFlat, plain: LensStatistics, lattice: Lattice, depth:
 
 def _kept_probe(depth: DepthMap) -> tuple[LocalMatch | None, NDArray[np.bool_] | None]:
     """The probe that lenses are compared with which have kept their depth from a frame before, and which these are."""
-    return remembered(depth, "kept probe", lambda: (None, None))
+    return cached(depth, "kept probe", lambda: (None, None))
 
 
 def save_reference_match(depth: DepthMap, path: Path) -> None:
@@ -192,7 +194,7 @@ def load_reference_match(depth: DepthMap, path: Path) -> None:
     try:
         with np.load(path) as file:
             then = LocalMatch(*(file[f.name] for f in fields(LocalMatch)))
-            remembered(depth, "kept probe", lambda: (then, file["kept"]))
+            cached(depth, "kept probe", lambda: (then, file["kept"]))
     except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
         raise OutputError(f"{path}: damaged ({error}); render everything anew (--overwrite)") from error
 
@@ -212,7 +214,7 @@ def _probe(
     texture = classify_texture(gray, plain)
     matcher = Matcher(texture, *opposite_neighbours(lattice), PRESETS[depth.preset])
     textured = texture.clear | texture.faint
-    about = (depth.drawn / np.float32(factor * matcher.factor)).astype(np.float32)
+    about = (depth.filled_patch_size / np.float32(factor * matcher.factor)).astype(np.float32)
     active = textured if known is None else textured & ~known
     return LocalMatch(*matcher.probe(active, about), texture.clear, textured)
 
@@ -250,12 +252,12 @@ def _noted(
 ) -> DepthMap:
     """`after`, with notes for `changed_since` and for the frame that follows it."""
     reference = weakref.ref(before)
-    remembered(after, "changed", lambda: (reference, changed))
+    cached(after, "changed", lambda: (reference, changed))
     if then is not None and kept is None:
-        remembered(after, "probe", lambda: then)
+        cached(after, "probe", lambda: then)
         kept = np.ones(len(changed), bool)
     if then is not None:
-        remembered(after, "kept probe", lambda: (then, kept))
+        cached(after, "kept probe", lambda: (then, kept))
     return after
 
 
@@ -263,7 +265,7 @@ def changed_since(
     before: DepthMap, after: DepthMap, earlier: NDArray, flat: NDArray, calibration: Calibration
 ) -> NDArray[np.bool_]:
     """(n,) bool: lenses that show something else in `flat` than in the `earlier` one, as known from the analysis."""
-    reference, changed = remembered(after, "changed", lambda: (None, None))
+    reference, changed = cached(after, "changed", lambda: (None, None))
     if reference is not None and changed is not None and reference() is before:
         return changed
     return find_changed_lenses(earlier, flat, calibration)

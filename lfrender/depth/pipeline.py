@@ -259,7 +259,7 @@ def _spread_out(
     kept, single = asked.kept, answers
     answers = answers.pooled(lenses, kept if kept is None or rows is None else kept[rows], setting.quadratic_fit)
     occurring = _occurring(answers, rows, earlier) if asked.overview is None else asked.overview.sizes
-    drawn = fill_unresolved(answers.drawn, answers.resolved, lenses.neighbours, gap)
+    drawn = fill_unresolved(answers.filled_patch_size, answers.resolved, lenses.neighbours, gap)
     seconds = _seconds(lenses, answers, drawn, occurring, setting, shortcuts, gap)
     if rows is not None:
         answers, drawn, seconds = _among_all(lattice, rows, answers, drawn, seconds, earlier)
@@ -281,7 +281,7 @@ def _spread_out(
         patch_size=np.where(crossed, middle, np.where(resolved, answers.patch_size, np.nan)),
         standard_error=np.where(crossed, np.maximum(error, answers.found.step), np.where(resolved, error, np.inf)),
         confidence=np.where(crossed | ~resolved, SURE * sure, sure),
-        drawn=np.where(crossed, middle, drawn),
+        filled_patch_size=np.where(crossed, middle, drawn),
         surface=surface,
         pitch=lattice.pitch,
         image_size=lattice.image_size,
@@ -312,7 +312,7 @@ def _occurring(
         return sizes
     others = earlier.reason == 0
     others[rows] = False
-    return np.concatenate([sizes, earlier.drawn[others]]).astype(sizes.dtype)
+    return np.concatenate([sizes, earlier.filled_patch_size[others]]).astype(sizes.dtype)
 
 
 def _seconds(
@@ -355,7 +355,7 @@ def _among_all(
     whole = answers.among(len(lattice), rows, earlier)
     all_drawn, all_seconds = np.empty(len(lattice), np.float32), np.full((len(lattice), 2), np.nan, np.float32)
     if earlier is not None:
-        all_drawn[:] = earlier.drawn
+        all_drawn[:] = earlier.filled_patch_size
     elif whole.resolved.any():
         all_drawn[rows] = drawn
         all_drawn = all_drawn[nearest_chosen(lattice, whole.resolved)]

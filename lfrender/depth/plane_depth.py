@@ -54,7 +54,7 @@ def plane_depth_map(
         patch_size=np.where(reason == 0, sizes, np.nan),
         standard_error=np.where(reason == 0, plane.standard_error(centres), np.inf),
         confidence=confidence,
-        drawn=sizes.astype(np.float32),
+        filled_patch_size=sizes.astype(np.float32),
         surface=Surface(plane.over_grid(shape, first, spacing), first, spacing),
         pitch=lattice.pitch,
         image_size=lattice.image_size,

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from lfcal import Calibration, Lattice
 from lfcal.runtime.fastmath import FAST, square
 
-from ..runtime.buffers import recycled
-from ..runtime.cache import remembered
-from ..runtime.prefetch import prefetch
+from ..runtime.buffers import allocate_pooled
+from ..runtime.cache import cached
+from ..runtime.intrinsics import prefetch
 
 __all__ = [
     "GrayFlat",
@@ -247,7 +247,7 @@ def make_gray_flat(
     of a larger one, to which the gain map of the camera belongs.
     """
     lattice = downsample_lattice(calibration.lattice, factor)
-    image = recycled(lattice.image_size[::-1], np.float32)
+    image = allocate_pooled(lattice.image_size[::-1], np.float32)
     rows = np.ascontiguousarray(flat).reshape(len(flat), -1)
     radius = trusted_radius(calibration)
     uneven = has_uneven_lenses(calibration)
@@ -280,9 +280,7 @@ def make_gray_flat(
 def downsample_lattice(lattice: Lattice, factor: int) -> Lattice:
     """The lattice of a flat of which `factor` x `factor` pixels each have become one, the same object every time."""
     return (
-        lattice
-        if factor == 1
-        else remembered(lattice, ("downsample_lattice", factor), lambda: lattice.downscaled(factor))
+        lattice if factor == 1 else cached(lattice, ("downsample_lattice", factor), lambda: lattice.downscaled(factor))
     )
 
 
@@ -291,7 +289,7 @@ def _remembered_if_small(
 ) -> NDArray[np.float32]:
     """An image as large as the flat, kept with the camera unless that takes much memory."""
     width, height = calibration.image_size
-    return remembered(calibration, key, make) if width * height <= _MOST_KEPT else make()
+    return cached(calibration, key, make) if width * height <= _MOST_KEPT else make()
 
 
 def _gain_image(calibration: Calibration, lattice: Lattice, factor: int) -> NDArray[np.float32]:
@@ -387,9 +385,9 @@ def downsample(gray: GrayFlat, factor: int, wanted: NDArray[np.bool_] | None = N
         return gray
     centres = gray.centres if wanted is None else gray.centres[wanted]
     if len(centres) * gray.pitch**2 > _MOST_BOXES * gray.image.size:
-        return remembered(gray, ("downsample_lattice", factor), lambda: _shrunk_flat(gray, factor))
+        return cached(gray, ("downsample_lattice", factor), lambda: _shrunk_flat(gray, factor))
     height, width = (n // factor for n in gray.image.shape)
-    small = _of_blocks(gray, factor, recycled((height, width), np.float32))
+    small = _of_blocks(gray, factor, allocate_pooled((height, width), np.float32))
     middle = small.centres if wanted is None else small.centres[wanted]
     _shrink_boxes(gray.image, middle, int(np.ceil(small.radius + _BEYOND)), factor, small.image)
     return small

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Lattice
 
-from ..runtime.cache import remembered
+from ..runtime.cache import cached
 
 __all__ = [
     "count_connected",
@@ -44,9 +44,7 @@ def lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     low : (2,) int64
         Smallest `i` and `j`. Shared by all who ask: nobody may write into either.
     """
-    return (
-        remembered(lattice, "grid", lambda: _lens_grid(lattice)) if len(lattice) <= _MOST_KEPT else _lens_grid(lattice)
-    )
+    return cached(lattice, "grid", lambda: _lens_grid(lattice)) if len(lattice) <= _MOST_KEPT else _lens_grid(lattice)
 
 
 def _lens_grid(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
@@ -65,7 +63,7 @@ def neighbour_rows(lattice: Lattice, steps: NDArray[np.int64]) -> NDArray[np.int
     """
     if len(lattice) <= _MOST_KEPT:
         key = ("neighbours", steps.tobytes())
-        return remembered(lattice, key, lambda: _neighbour_rows(lattice, steps))
+        return cached(lattice, key, lambda: _neighbour_rows(lattice, steps))
     return _neighbour_rows(lattice, steps)
 
 
@@ -82,7 +80,7 @@ def _neighbour_rows(lattice: Lattice, steps: NDArray[np.int64]) -> NDArray[np.in
 
 def opposite_neighbours(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Neighbour rows in every lattice direction, and in the opposite ones; shared, as `neighbour_rows`."""
-    return remembered(lattice, "halves", lambda: _halves(lattice)) if len(lattice) <= _MOST_KEPT else _halves(lattice)
+    return cached(lattice, "halves", lambda: _halves(lattice)) if len(lattice) <= _MOST_KEPT else _halves(lattice)
 
 
 def _halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -93,7 +91,7 @@ def _halves(lattice: Lattice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
 def join_opposite(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> NDArray[np.int32]:
     """(n, 2 d) neighbour rows in all directions, of those in `d` of them and in the opposite ones; shared."""
-    first, both = remembered(forward, "both ways", lambda: (backward, np.hstack([forward, backward])))
+    first, both = cached(forward, "both ways", lambda: (backward, np.hstack([forward, backward])))
     return both if first is backward else np.hstack([forward, backward])
 
 
@@ -238,7 +236,7 @@ def two_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
         _find_around(neighbours, out)
         return out
 
-    return remembered(neighbours, "two rings", find)
+    return cached(neighbours, "two rings", find)
 
 
 def distant_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -249,7 +247,7 @@ def distant_rings(neighbours: NDArray[np.int32]) -> NDArray[np.int32]:
         _go_on(neighbours, _STEPS, far)
         return two_rings(far)
 
-    return remembered(neighbours, "two rings afar", find)
+    return cached(neighbours, "two rings afar", find)
 
 
 def nearest_lens(lattice: Lattice, points: ArrayLike) -> NDArray[np.int64]:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
-from ..runtime.buffers import recycled
-from ..runtime.cache import remembered
+from ..runtime.buffers import allocate_pooled
+from ..runtime.cache import cached
 from .gray_flat import GrayFlat
 
 __all__ = ["VECTOR_LENGTH", "OverlapMasks", "Strips", "copy_box", "extract_strips", "make_shift_masks", "overlap_range"]
@@ -133,7 +133,7 @@ def extract_strips(
     Only those that are `wanted` (n,), all by default, and that have not been cut out of this flat for the same means
     and step before: the same strips are handed out again.
     """
-    kept: dict[int, tuple[NDArray[np.float32], Strips]] = remembered(gray, "strips", dict)
+    kept: dict[int, tuple[NDArray[np.float32], Strips]] = cached(gray, "strips", dict)
     if step not in kept or kept[step][0] is not means:
         kept[step] = means, _empty_strips(gray, step)
     strips = kept[step][1]
@@ -152,7 +152,7 @@ def _empty_strips(gray: GrayFlat, step: int) -> Strips:
     rows = -(-width // step)
     middle = np.rint(gray.centres).astype(np.int32)
     inside = (middle >= half) & (middle + half < np.array(gray.image.shape[::-1]))
-    values = recycled((len(middle) * rows * step * width + _SPARE,), np.float32)
+    values = allocate_pooled((len(middle) * rows * step * width + _SPARE,), np.float32)
     values[-_SPARE:] = 0.0
     return Strips(values, middle, inside[:, 0] & inside[:, 1], np.zeros(len(middle), bool), half, width, rows, step)
 

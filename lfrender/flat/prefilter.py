@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from ..runtime.buffers import scratch
+from ..runtime.buffers import allocate_scratch
 
 __all__ = ["prefilter_flat", "prefilter_packed"]
 
@@ -150,12 +150,12 @@ def _give_back_packed_shorts(flat, channels, highest, out):
 
 def prefilter_packed(pixels: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint32 | np.uint64]:
     """(H, W) uint32, or uint64 of shorts: `prefilter_flat` with the channels of each pixel (H, W, C) in one number, the
-    first lowest; C is 4 at most. In `scratch` memory."""
+    first lowest; C is 4 at most. In `allocate_scratch` memory."""
     rows, channels = np.ascontiguousarray(pixels).reshape(len(pixels), -1), pixels.shape[2]
     if pixels.dtype == np.uint8:
-        out = scratch("packed", pixels.shape[:2], np.uint32)
+        out = allocate_scratch("packed", pixels.shape[:2], np.uint32)
         _give_back_packed(rows, channels, out)
     else:
-        out = scratch("packed shorts", pixels.shape[:2], np.uint64)
+        out = allocate_scratch("packed shorts", pixels.shape[:2], np.uint64)
         _give_back_packed_shorts(rows, channels, np.float32(np.iinfo(pixels.dtype).max), out)
     return out

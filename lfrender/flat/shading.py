@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
 
-from ..runtime.buffers import recycled
-from ..runtime.cache import remembered
+from ..runtime.buffers import allocate_pooled
+from ..runtime.cache import cached
 from .gray_flat import GrayFlat
 from .lens_graph import count_neighbours, neighbour_rows
 from .microimages import extract_strips
@@ -195,13 +195,13 @@ def remove_shading(
         return others
     weights = _SMOOTH**2 / (_SMOOTH**2 + contrast**2)
     # What all lenses show is read many times: as strips, in long loops. Their centres differ by less than a pixel.
-    near = neighbour_rows(lattice, remembered(lattice, "of its type", lambda: _steps_of_type(lattice)))
+    near = neighbour_rows(lattice, cached(lattice, "of its type", lambda: _steps_of_type(lattice)))
     read = None
     if not wanted.all():
         # For every step there is the opposite one.
         read = count_neighbours(wanted, near) > 0
     strips = extract_strips(gray, means, 1, read)
-    out = recycled(gray.image.shape, np.float32) if others is None else others.image
+    out = allocate_pooled(gray.image.shape, np.float32) if others is None else others.image
     _subtract_shading(
         gray.image, gray.centres, wanted, near, weights.astype(np.float32), contrast,
         np.float32(gray.radius), strips.values, strips.centre_pixels, strips.complete, strips.half_width, strips.width,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
 
-from ..runtime.cache import remembered
+from ..runtime.cache import cached
 from .gray_flat import GrayFlat
 from .lens_graph import dilate_mask, neighbour_rows
 from .microimages import copy_box
@@ -274,7 +274,7 @@ def classify_borderline_texture(
 
 def estimate_noise(roughness: NDArray[np.float32]) -> float:
     """The least rough microimages show the noise alone; rounding and coding leave a grey level in any case."""
-    return remembered(roughness, "noise", lambda: _noise_of(roughness))
+    return cached(roughness, "noise", lambda: _noise_of(roughness))
 
 
 def _noise_of(roughness: NDArray[np.float32]) -> float:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration, FlatSource, Lattice
 
 from ..data.depth_map import DepthMap
-from ..data.region import scaled
+from ..data.region import rescale_depth
 from ..data.surface import Surface
 from ..depth.matching.matcher import Matcher
 from ..depth.matching.shortcuts import Shortcuts
@@ -99,7 +99,7 @@ def analyze_large(
     depth = None if plane is None else _check_plane(flat, workers, tiles, plane, confidence)
     if depth is None:
         depth = _analyze_tiles(flat, workers, tiles, progress)
-    return scaled(depth, calibration.lattice, flat.factor)
+    return rescale_depth(depth, calibration.lattice, flat.factor)
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ def _analyze_tiles(
         rows = flat.rows(part)
         for into, some in (
             (patch_size, depth.patch_size), (error, depth.standard_error), (confidence, depth.confidence),
-            (reason, depth.reason), (drawn, depth.drawn), (single.patch_size, own.patch_size),
+            (reason, depth.reason), (drawn, depth.filled_patch_size), (single.patch_size, own.patch_size),
             (single.standard_error, own.standard_error), (single.systematic_error, own.systematic_error),
         ):  # fmt: skip
             into[rows] = some[part.inside]

@@ -23,8 +23,8 @@ from ..output.metadata import read_metadata
 from ..output.picture import check_picture, describe, with_alpha, write_picture
 from ..output.resume import Checkpoint, file_identity, fingerprint
 from ..output.tiled_picture import TileWriter, move_into_place, new_writer
-from ..rendering.plan import Drawing, Part
-from ..rendering.render import drawing_of
+from ..rendering.plan import Part, RenderPlan
+from ..rendering.render import make_plan
 from .settings import DEFAULT, LargeSettings
 from .tiles import TileReader
 from .workers import Workers, choose_workers
@@ -114,7 +114,7 @@ def render_large(
     if depth is None and patch_size is None:
         raise ValueError("give depth (analyze_large makes it) or patch_size")
     check_large_picture(output, source.dtype, alpha)
-    drawing = drawing_of(reader.read, calibration, depth, patch_size, scale, blend)
+    drawing = make_plan(reader.read, calibration, depth, patch_size, scale, blend)
     workers = choose_workers(reader, client, threads, tuning)
     side = _tile_size(drawing, reader, tile, 1 if client is None else tuning.tiles_per_thread * workers.count, tuning)
     text = describe(Rendering(np.empty(0), drawing.affine, np.empty(0, bool), drawing.scale), settings)
@@ -156,7 +156,7 @@ def check_large_picture(output: Path, dtype: Any, alpha: bool, inputs: Any = ())
 
 
 def _tile_size(
-    drawing: Drawing, reader: TileReader, tile: int | None, least: int, tuning: LargeSettings
+    drawing: RenderPlan, reader: TileReader, tile: int | None, least: int, tuning: LargeSettings
 ) -> tuple[int, int]:
     """Columns and rows of the tiles: as given, or nearly square ones that fit the memory, at least `least` of them."""
     columns, rows = drawing.size
@@ -184,7 +184,7 @@ def _tile_size(
 class _Run:
     """Draws tiles, writes them, and notes in the checkpoint which ones are finished."""
 
-    drawing: Drawing
+    drawing: RenderPlan
     reader: TileReader
     workers: Workers
     writer: TileWriter
@@ -206,7 +206,7 @@ class _Run:
         numbers = [number for number in range(len(tiles)) if str(number) not in done]
         missing = [tiles[number] for number in numbers]
         # A copy is shared, without the tables that this drawing has cached: workers compute their own.
-        drawn = self.workers.map(_draw_tile, replace(self.drawing), missing, map(self.drawing.needed, missing))
+        drawn = self.workers.map(_draw_tile, replace(self.drawing), missing, map(self.drawing.required_part, missing))
         last = monotonic()
         waiting: Future[None] | None = None
         # A tile is written while the next one is drawn.
@@ -232,16 +232,16 @@ class _Run:
         self.writer.write(tile, with_alpha(pixels, valid) if self.alpha else pixels)
 
 
-def _draw_tile(drawing: Drawing, tile: Part, pixels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def _draw_tile(drawing: RenderPlan, tile: Part, pixels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """A tile of the picture from the part of the flat that it needs."""
-    return drawing.draw(pixels, drawing.needed(tile)[:2], tile, stored=True)
+    return drawing.draw(pixels, drawing.required_part(tile)[:2], tile, stored=True)
 
 
 def _encode(
     writer: TileWriter,
     checkpoint: Checkpoint,
     output: Path,
-    drawing: Drawing,
+    drawing: RenderPlan,
     settings: Mapping[str, Any] | None,
     source: FlatSource,
 ) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, CalibrationError, FlatSource, Lattice
 
-from ..data.region import lattice_of
+from ..data.region import crop_lattice
 from ..depth.presets import Preset
 from ..depth.surface.densify import grid_shape
 from ..flat.demosaicing import SUPPORT, demosaic
@@ -120,7 +120,7 @@ class LensTile:
         """The part from pixel `low` to before `high` of the flat whose lattice, in pixels as read, is `whole`."""
         corner = np.array(list(low), np.int64)
         end = np.minimum(np.array(list(high), np.int64) * factor, whole.image_size)
-        full = lattice_of(whole, corner * factor, end)
+        full = crop_lattice(whole, corner * factor, end)
         small = full if factor == 1 else full.downscaled(factor)
         centres = small.centres() + corner
         inside = ((centres >= core[0]) & (centres < core[1])).all(1)

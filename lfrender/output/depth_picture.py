@@ -37,7 +37,7 @@ def depth_picture(depth: DepthMap, lattice: Lattice, least_width: int = 240) -> 
     -------
     (h + 56, w, 3) uint8
     """
-    from ..rendering.dense import dense_depth
+    from ..data.dense_depth import dense_depth
     from ..rendering.render import default_scale
 
     scale = max(default_scale(depth), least_width * depth.pitch / depth.image_size[0])

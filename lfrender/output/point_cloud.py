@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from lfcal import Calibration, CalibrationError
 from lfcal.runtime.output_file import atomic_write, check_output
 
+from ..data.dense_depth import dense_depth
 from ..data.depth_map import DepthMap
 from ..data.optics import Optics
 from ..flat.gray_flat import white_level
 from ..flat.lens_graph import nearest_lens
-from ..rendering.dense import dense_depth
 from ..rendering.render import render
 
 __all__ = ["point_cloud", "write_points"]

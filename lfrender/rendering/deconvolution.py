@@ -14,7 +14,7 @@ from lfcal import Calibration
 
 from ..flat.gray_flat import trusted_radius
 
-__all__ = ["noise_of", "spectrum", "without_blur"]
+__all__ = ["estimate_noise", "power_spectrum", "wiener_deconvolve"]
 
 # Side of the blocks that spectra are averaged over [px]; the filter is half as wide.
 _BLOCK = 64
@@ -28,7 +28,7 @@ _OVER_MEDIAN = 1.4826
 _ROWS = 400
 
 
-def noise_of(pixels: NDArray, calibration: Calibration) -> float:
+def estimate_noise(pixels: NDArray, calibration: Calibration) -> float:
     """Standard deviation of the noise of a flat, in its own units.
 
     From second differences along both directions, which smooth things do not have (J. Immerkaer, *Fast noise variance
@@ -57,7 +57,7 @@ def noise_of(pixels: NDArray, calibration: Calibration) -> float:
     return float(np.sqrt(max(found * found, rounding)))
 
 
-def spectrum(image: NDArray[np.float32]) -> NDArray[np.float64]:
+def power_spectrum(image: NDArray[np.float32]) -> NDArray[np.float64]:
     """(64, 64) float64: power spectrum of a picture (h, w, C), the same in all directions, frequency 0 first.
 
     Blocks that overlap by half are tapered and averaged (P. D. Welch 1967).
@@ -81,7 +81,7 @@ def spectrum(image: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.asarray(mean[ring])
 
 
-def without_blur(
+def wiener_deconvolve(
     image: NDArray[np.float32], width: float, noise: NDArray[np.float64], valid: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
     """A picture with its blur taken back.
@@ -92,7 +92,7 @@ def without_blur(
     width : float [px]
         Side of the square that the blur averages over.
     noise : (64, 64) float64
-        Spectrum of the picture's noise, as `spectrum` gives it.
+        Spectrum of the picture's noise, as `power_spectrum` gives it.
     valid : (h, w) bool
         Pixels that are part of the picture; the others stay.
 
@@ -104,7 +104,7 @@ def without_blur(
 
     if width <= 0 or min(image.shape[:2]) < _BLOCK:
         return image
-    known = spectrum(image)
+    known = power_spectrum(image)
     signal = np.clip(1 - noise / np.maximum(known, 1e-30), 0, 1)
     # A normal blur of the same variance: it has no zeros, whatever the shape of the true one.
     blur = np.exp(-2 * (np.pi * _frequency()) ** 2 * width * width / 12)

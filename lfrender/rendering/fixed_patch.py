@@ -16,20 +16,20 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
 
-from ..runtime.byte_reading import (
+from ..runtime.cache import cached
+from ..runtime.intrinsics import (
     GAIN_BITS,
     LEFT_BITS,
     TOGETHER,
     TURNED,
+    prefetch,
     read_bytes,
     read_turned,
     read_turned_with_gain,
     read_with_gain,
 )
-from ..runtime.cache import remembered
-from ..runtime.prefetch import prefetch
 
-__all__ = ["lay_patches", "shows_all_patches"]
+__all__ = ["covers_all_patches", "render_patches"]
 
 # Steps per pixel at which the gain is tabled: between them it changes by a fraction of a grey level.
 _PHASES = 8
@@ -334,7 +334,7 @@ def _lay(
 
 def _cell(lattice: Lattice) -> NDArray[np.float64]:
     """(6, 2) corners of the places to which a centre is the nearest, from there [px]; a square's may coincide."""
-    return remembered(lattice, "cell", lambda: _corners(*lattice.basis))
+    return cached(lattice, "cell", lambda: _corners(*lattice.basis))
 
 
 def _corners(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -346,13 +346,13 @@ def _corners(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float
     return np.concatenate([corners, np.negative(corners)])
 
 
-def shows_all_patches(lattice: Lattice, patch_size: float, radius: float) -> bool:
+def covers_all_patches(lattice: Lattice, patch_size: float, radius: float) -> bool:
     """Whether microimages of this `radius` [px] hold whole patches, to the corners between three lenses."""
     corner = float(np.linalg.norm(_cell(lattice), axis=1).max())
     return corner * abs(patch_size) / lattice.pitch <= radius
 
 
-def lay_patches(
+def render_patches(
     pixels: NDArray,
     corner: tuple[int, int],
     lattice: Lattice,

@@ -11,7 +11,7 @@ from ..data.rendering import Rendering
 from ..flat.gray_flat import correction_table, trusted_radius
 from ..flat.lens_graph import lens_grid
 from ..flat.validation import check_flat
-from .plan import as_stored
+from .plan import convert_to_dtype
 
 __all__ = ["refocus_fourier"]
 
@@ -77,7 +77,7 @@ def refocus_fourier(
         image = image[:, :, 0]
     affine = np.array([[spacing, 0.0, first], [0.0, spacing, first]])
     return Rendering(
-        as_stored(image.astype(np.float32), np.asarray(flat).dtype),
+        convert_to_dtype(image.astype(np.float32), np.asarray(flat).dtype),
         affine,
         valid,
         float(scale),

@@ -11,9 +11,8 @@ from numba import njit
 
 from lfcal.runtime.fastmath import FAST
 
-from ..runtime.byte_reading import two_at
-from ..runtime.prefetch import prefetch
-from .mosaic import HIDDEN
+from ..runtime.intrinsics import prefetch, two_at
+from .blend_pixels import OCCLUDED_WEIGHT
 
 __all__ = [
     "ACROSS", "FOURTH", "LANES", "LINE", "PER_RUN", "QUEUE", "ROWS", "SECOND", "SECTION", "THIRD", "agree",
@@ -168,7 +167,7 @@ def _hide(seen, edge, stride, sizes, u, whole, at, lanes, work):
     for k in range(lanes):
         depth = seen[np.uint64(np.uint32(whole[at + k]))]
         # A branch that cannot be foretold would cost more.
-        work[at + _W + k] *= HIDDEN if abs(depth - sizes[u + k]) > np.float32(2.0) * edge else np.float32(1.0)
+        work[at + _W + k] *= OCCLUDED_WEIGHT if abs(depth - sizes[u + k]) > np.float32(2.0) * edge else np.float32(1.0)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")

@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 from lfcal import Calibration, Lattice
 
 from ..data.surface import Surface
+from ..data.viewpoint import Viewpoint
 from ..depth.surface.occlusion import project_surface
 from ..flat.distorted_lookup import lens_displacements
 from ..flat.gray_flat import correction_table, has_uneven_lenses, white_level
 from ..flat.lens_type_weights import focus_weights
 from ..flat.prefilter import prefilter_flat, prefilter_packed
-from ..runtime.cache import remembered
-from .fixed_patch import lay_patches, shows_all_patches
-from .mosaic import draw_rows
-from .row_blending import blend_rows
-from .warping import Viewpoint
+from ..runtime.cache import cached
+from .blend_pixels import blend_pixels
+from .blend_rows import blend_rows
+from .fixed_patch import covers_all_patches, render_patches
 
-__all__ = ["Drawing", "Part", "as_stored", "lens_offsets"]
+__all__ = ["Part", "RenderPlan", "convert_to_dtype", "lens_offsets"]
 
 #: Columns and rows `left, top, right, bottom` of a picture or a flat [px], the last two not included.
 Part = tuple[int, int, int, int]
@@ -40,7 +40,7 @@ _BEYOND = 4
 
 
 @dataclass(frozen=True)
-class Drawing:
+class RenderPlan:
     """A picture to be drawn.
 
     Parameters
@@ -96,7 +96,7 @@ class Drawing:
         aside = float(np.hypot(*self.viewpoint.offset)) + float(np.abs(self._moved).max())
         return int(np.ceil(self.reach * lattice.pitch + lattice.radius + 2 * aside + self.spacing)) + _BEYOND
 
-    def needed(self, part: Part) -> Part:
+    def required_part(self, part: Part) -> Part:
         """The part of the flat that a part of the picture is drawn from."""
         width, height = self.calibration.image_size
         first = 0.5 * self.spacing - 0.5
@@ -104,7 +104,7 @@ class Drawing:
         high = [int(np.ceil(first + self.spacing * (k - 1))) + self.halo + 1 for k in part[2:]]
         return max(0, low[0]), max(0, low[1]), min(width, high[0]), min(height, high[1])
 
-    def part_in(self, roi: tuple[float, float, float, float]) -> Part:
+    def part_of_region(self, roi: tuple[float, float, float, float]) -> Part:
         """Columns and rows of the picture whose scene points lie in `x0, y0, x1, y1`, at least one of each."""
         first = 0.5 * self.spacing - 0.5
         low = [
@@ -130,7 +130,7 @@ class Drawing:
         Parameters
         ----------
         pixels : (h, w, C) array
-            The part of the flat that is `needed`, or more, in colour.
+            The part of the flat that is `required_part`, or more, in colour.
         corner : (int, int) [px]
             Flat coordinates x, y of its first pixel.
         part : (left, top, right, bottom), optional
@@ -151,9 +151,9 @@ class Drawing:
             return self._rows(pixels, corner, part, np.empty(shape, pixels.dtype if stored else np.float32))
         size, first = float(np.copysign(self.scale, self.surface.patch_size[0, 0])), 0.5 * self.spacing - 0.5
         lattice = self.calibration.lattice
-        return lay_patches(pixels, corner, lattice, size, first, self.aperture * lattice.radius, *self._gains, part)
+        return render_patches(pixels, corner, lattice, size, first, self.aperture * lattice.radius, *self._gains, part)
 
-    def redraw(
+    def render_changed(
         self, pixels: NDArray[Any], wanted: NDArray[np.bool_], image: NDArray[Any], valid: NDArray[np.bool_]
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """As `draw` of a whole picture that is stored, but for pixels that are not `wanted` (rows, columns).
@@ -189,7 +189,7 @@ class Drawing:
             pixels, unknown = self._part_gain.flatten(pixels, *corner)
             if not seen_depth.size:
                 seen_depth = np.full(pixels.shape[:2], np.nan, single)
-            seen_depth[_beside(unknown)] = np.inf
+            seen_depth[dilate_mask(unknown)] = np.inf
             edged[:] = True
         drawn = self._seen_surface
         marks, radius, reach = (0,) * pixels.shape[2], single(self.aperture * lattice.radius), self.reach * pitch
@@ -216,7 +216,7 @@ class Drawing:
             ready, wanted = packed.view(pixels.dtype).reshape(*packed.shape, 4), left
         else:
             ready = prefilter_flat(pixels) if self.blend else pixels
-        draw_rows(
+        blend_pixels(
             ready, marks, seen_depth, *light, lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, *self._bend,
             *self._offsets, *self._shares, radius, *depths, single((self.blur * self.scale) ** 2), single(reach),
             tolerance, view, *place, wanted, *stored,
@@ -232,11 +232,11 @@ class Drawing:
     @cached_property
     def _shares(self) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
         camera = self.calibration
-        return remembered(camera, "focus shares", lambda: focus_weights(camera.lens_types))
+        return cached(camera, "focus shares", lambda: focus_weights(camera.lens_types))
 
     @property
     def _sorted_lenses(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
-        return remembered(self.calibration, "sorted lenses", lambda: _sorted_lenses(self.calibration))
+        return cached(self.calibration, "sorted lenses", lambda: _sorted_lenses(self.calibration))
 
     @property
     def _is_patches(self) -> bool:
@@ -246,7 +246,7 @@ class Drawing:
             return False
         if np.float32(self.scale) != abs(sizes[0, 0]) or min(lattice.image_size) < 2:
             return False
-        return shows_all_patches(lattice, self.scale, self.aperture * lattice.radius)
+        return covers_all_patches(lattice, self.scale, self.aperture * lattice.radius)
 
     def _seen_depth(
         self, corner: tuple[int, int], shape: tuple[int, ...], edged: NDArray[np.bool_], following: bool
@@ -280,12 +280,12 @@ class Drawing:
 
     @cached_property
     def _parallax(self) -> float:
-        return self.viewpoint.parallax(self.surface, self.calibration.lattice)
+        return self.viewpoint.max_parallax(self.surface, self.calibration.lattice)
 
     @cached_property
     def _gains(self) -> tuple[NDArray[np.float32], float]:
         camera = self.calibration
-        return remembered(camera, "gain table", lambda: correction_table(camera))
+        return cached(camera, "gain table", lambda: correction_table(camera))
 
     @cached_property
     def _part_gain(self) -> Any:
@@ -298,11 +298,11 @@ class Drawing:
     @property
     def _offsets(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         lattice, reach = self.calibration.lattice, self.reach
-        return remembered(lattice, ("offsets", reach), lambda: lens_offsets(lattice, reach * lattice.pitch))
+        return cached(lattice, ("offsets", reach), lambda: lens_offsets(lattice, reach * lattice.pitch))
 
     @cached_property
     def _seen_from(self) -> tuple[Surface, NDArray[np.float64]]:
-        return self.viewpoint.seen_from(self.surface, self.calibration.lattice, self._edge)
+        return self.viewpoint.warp_surface(self.surface, self.calibration.lattice, self._edge)
 
     @property
     def _seen_surface(self) -> Surface:
@@ -324,7 +324,7 @@ def _sorted_lenses(calibration: Calibration) -> tuple[NDArray[np.int64], NDArray
     return order, np.ascontiguousarray(centres[order]), kinds
 
 
-def as_stored(image: NDArray, dtype: np.dtype) -> NDArray:
+def convert_to_dtype(image: NDArray, dtype: np.dtype) -> NDArray:
     """Round and clip to the range of `dtype`, in place; a picture of that type is stored as it is."""
     if dtype.kind == "f" or image.dtype == dtype:
         return image.astype(dtype, copy=False)
@@ -333,7 +333,7 @@ def as_stored(image: NDArray, dtype: np.dtype) -> NDArray:
     return np.clip(image, 0, np.iinfo(dtype).max, out=image).astype(dtype)
 
 
-def _beside(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def dilate_mask(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """These pixels and those beside them, which cannot be read without them."""
     import cv2
 

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
-from ..data.surface import Surface, mark_changes
-from .plan import Drawing
+from ..data.surface import Surface, mark_changed_places
+from .plan import RenderPlan
 
-__all__ = ["pixels_to_redraw"]
+__all__ = ["find_changed_pixels"]
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
@@ -39,7 +39,7 @@ def _mark_pixels(places, side, strip, out):
                 out[v, u] = reached > 0
 
 
-def pixels_to_redraw(drawing: Drawing, before: Surface, changed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def find_changed_pixels(drawing: RenderPlan, before: Surface, changed: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(rows, columns) bool: pixels of the picture that may differ from those of an earlier frame.
 
     They are read from a lens that shows something else, or from one in reach of which the depth is another, so that
@@ -62,7 +62,7 @@ def pixels_to_redraw(drawing: Drawing, before: Surface, changed: NDArray[np.bool
     reach = drawing.reach * lattice.pitch
     stale = changed.copy()
     # A place between grid values depends on all four of them.
-    mark_changes(before, now, centres, reach + 1.5 * now.spacing, stale)
+    mark_changed_places(before, now, centres, reach + 1.5 * now.spacing, stale)
     wanted = np.empty((rows, columns), bool)
     # Pixels are read at several places where patches are larger, all of them within the pixel.
     farthest = reach + drawing.spacing

@@ -12,10 +12,10 @@ from lfcal import Calibration
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
 from ..data.surface import Surface
+from ..data.viewpoint import virtual_depth
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
-from .render import _draw, as_stored
-from .warping import virtual_depth
+from .render import convert_to_dtype, render_plan
 
 __all__ = ["focal_stack", "refocus", "stack_depths"]
 
@@ -86,13 +86,15 @@ def refocus(
     surface = Surface(np.full((1, 1), patch_size, np.float32), (0.0, 0.0), 1.0)
     coarse = scale < abs(patch_size)
     blur = measure_lens_blur(pixels, calibration, np.full(len(lattice), patch_size, np.float32)) if coarse else 0.0
-    image, valid, affine = _draw(
+    image, valid, affine = render_plan(
         pixels, calibration, surface, float(scale), True, blur, reach=_REACH, aperture=aperture,
         agreement=_ANY_COLOUR, stored=True,
     )  # fmt: skip
     if np.ndim(flat) == 2 and pixels.shape[2] == 1:
         image = image[:, :, 0]
-    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, valid, float(scale), calibration.white_level)
+    return Rendering(
+        convert_to_dtype(image, np.asarray(flat).dtype), affine, valid, float(scale), calibration.white_level
+    )
 
 
 def focal_stack(

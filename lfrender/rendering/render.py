@@ -14,14 +14,14 @@ from ..data.depth_map import DepthMap
 from ..data.region import check_region
 from ..data.rendering import Rendering
 from ..data.surface import Surface
+from ..data.viewpoint import Viewpoint
 from ..depth.analyze import analyze
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
 from ..runtime.quantiles import quantile
-from .plan import Drawing, Part, as_stored
-from .warping import Viewpoint
+from .plan import Part, RenderPlan, convert_to_dtype
 
-__all__ = ["default_scale", "drawing_of", "lenses_for", "render"]
+__all__ = ["default_scale", "expand_roi", "make_plan", "render"]
 
 # Lenses farther than this many pitches from a scene point add little but blur; those that are nearer than the second
 # number suffice to see every point.
@@ -112,23 +112,23 @@ def render(
         _check_previous(previous[2], pixels, depth, scale, roi is not None or sharpen is not None)
         scale = previous[2].scale
     if patch_size is None and depth is None:
-        depth = analyze(pixels, calibration, roi=roi and lenses_for(roi, calibration))
+        depth = analyze(pixels, calibration, roi=roi and expand_roi(roi, calibration))
 
     def look(part: Part) -> NDArray:
         return pixels[part[1] : part[3], part[0] : part[2]]
 
-    drawing = drawing_of(look, calibration, depth, patch_size, scale, blend)
-    part = (0, 0, *drawing.size) if roi is None else drawing.part_in(roi)
+    drawing = make_plan(look, calibration, depth, patch_size, scale, blend)
+    part = (0, 0, *drawing.size) if roi is None else drawing.part_of_region(roi)
     if previous is None:
         image, valid = drawing.draw(pixels, part=part, stored=sharpen is None)
     else:
         image, valid = _redrawn(drawing, pixels, depth, *previous)
     if sharpen is not None:
-        from .sharpen import sharpened
+        from .sharpen import sharpen_picture
 
         one = np.full(len(calibration.lattice), patch_size, np.float32)
         sizes, full = (one, abs(drawing.scale)) if depth is None else (depth.patch_size, default_scale(depth))
-        image = sharpened(
+        image = sharpen_picture(
             image.astype(np.float32), valid, sharpen, pixels, calibration, drawing.surface, sizes,
             drawing.scale, full, drawing.blend, drawing.blur,
         )  # fmt: skip
@@ -136,7 +136,9 @@ def render(
         image = image[:, :, 0]
     affine = drawing.affine
     affine[:, 2] += affine[:, :2] @ part[:2]
-    return Rendering(as_stored(image, np.asarray(flat).dtype), affine, valid, drawing.scale, calibration.white_level)
+    return Rendering(
+        convert_to_dtype(image, np.asarray(flat).dtype), affine, valid, drawing.scale, calibration.white_level
+    )
 
 
 def _check_previous(
@@ -156,11 +158,11 @@ def _check_previous(
 
 
 def _redrawn(
-    drawing: Drawing, pixels: NDArray, depth: DepthMap | None, earlier: NDArray, before: DepthMap, picture: Rendering
+    drawing: RenderPlan, pixels: NDArray, depth: DepthMap | None, earlier: NDArray, before: DepthMap, picture: Rendering
 ) -> tuple[NDArray, NDArray[np.bool_]]:
     """The picture, drawn anew where it may differ from the earlier one."""
     from ..depth.incremental import changed_since
-    from .redraw import pixels_to_redraw
+    from .redraw import find_changed_pixels
 
     assert depth is not None
     earlier = check_flat(earlier, drawing.calibration)
@@ -168,24 +170,24 @@ def _redrawn(
     if picture.image.shape[:2] != (rows, columns) or earlier.shape != pixels.shape or earlier.dtype != pixels.dtype:
         raise ValueError("the earlier frame or its picture is of another kind or size; draw without previous")
     changed = changed_since(before, depth, earlier, pixels, drawing.calibration)
-    wanted = pixels_to_redraw(drawing, before.surface, changed)
-    return drawing.redraw(pixels, wanted, picture.image.reshape(rows, columns, -1), picture.valid)
+    wanted = find_changed_pixels(drawing, before.surface, changed)
+    return drawing.render_changed(pixels, wanted, picture.image.reshape(rows, columns, -1), picture.valid)
 
 
-def lenses_for(roi: tuple[float, float, float, float], calibration: Calibration) -> tuple[float, float, float, float]:
+def expand_roi(roi: tuple[float, float, float, float], calibration: Calibration) -> tuple[float, float, float, float]:
     """The part of the flat `x0, y0, x1, y1` [px] whose lenses show a part of the scene."""
     margin = _REACH * calibration.lattice.pitch
     return roi[0] - margin, roi[1] - margin, roi[2] + margin, roi[3] + margin
 
 
-def drawing_of(
+def make_plan(
     look: Callable[[Part], NDArray],
     calibration: Calibration,
     depth: DepthMap | None,
     patch_size: float | None,
     scale: float | None,
     blend: bool | None,
-) -> Drawing:
+) -> RenderPlan:
     """What `render` draws; `look` gives the pixels (h, w, C) of a part of the flat."""
     lattice = calibration.lattice
     if patch_size is not None:
@@ -207,10 +209,10 @@ def drawing_of(
     blend = patch_size is None if blend is None else blend
     blur = measure_lens_blur(look, calibration, sizes) if scale * _COARSE < full else 0.0
     reach = _REACH_FAST if depth is not None and depth.preset == "fast" else _REACH
-    return Drawing(calibration, surface, float(scale), blend, blur, reach, _AGREEMENT)
+    return RenderPlan(calibration, surface, float(scale), blend, blur, reach, _AGREEMENT)
 
 
-def _draw(
+def render_plan(
     pixels: NDArray,
     calibration: Calibration,
     surface: Surface,
@@ -225,5 +227,5 @@ def _draw(
     stored: bool = False,
 ) -> tuple[NDArray, NDArray[np.bool_], NDArray[np.float64]]:
     """The picture in the flat's units, which of its pixels some lens has seen, and the affine to scene coordinates."""
-    drawing = Drawing(calibration, surface, scale, blend, blur, reach, agreement, aperture, viewpoint)
+    drawing = RenderPlan(calibration, surface, scale, blend, blur, reach, agreement, aperture, viewpoint)
     return *drawing.draw(pixels, stored=stored), drawing.affine

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 
+from ..data.dense_depth import sample_surface
 from ..data.surface import Surface
 from ..flat.lens_blur import measure_lens_blur
-from .deconvolution import noise_of, spectrum, without_blur
-from .dense import sampled
-from .render import _draw
+from .deconvolution import estimate_noise, power_spectrum, wiener_deconvolve
+from .render import render_plan
 
-__all__ = ["sharpened"]
+__all__ = ["sharpen_picture"]
 
 # Measured blur is right to about a quarter, and taking back too much costs more than too little.
 _SURE = 0.75
@@ -25,7 +25,7 @@ _EDGE = 0.06
 _FAINT = 1e-3
 
 
-def sharpened(
+def sharpen_picture(
     image: NDArray[np.float32],
     valid: NDArray[np.bool_],
     sharpen: float | Literal["auto"],
@@ -43,7 +43,7 @@ def sharpened(
     Parameters
     ----------
     image : (h, w, C) float32
-        As `_draw` has made it from `pixels`, `calibration`, `surface`, `scale` and `blend`.
+        As `render_plan` has made it from `pixels`, `calibration`, `surface`, `scale` and `blend`.
     valid : (h, w) bool
     sharpen : float [output px] or "auto"
         Side of the square that is blurred over, or measure it.
@@ -60,9 +60,9 @@ def sharpened(
     rng = np.random.default_rng(0)
     # What becomes of the noise of the flat is seen on noise alone, drawn the same way.
     grain = rng.standard_normal((*pixels.shape[:2], 1), np.float32) * np.float32(_FAINT)
-    drawn, _, _ = _draw(grain, calibration, surface, scale, blend, averaged)
-    noise = spectrum(drawn) * (noise_of(pixels, calibration) / _FAINT) ** 2
-    sharp = without_blur(image, width, noise, valid)
+    drawn, _, _ = render_plan(grain, calibration, surface, scale, blend, averaged)
+    noise = power_spectrum(drawn) * (estimate_noise(pixels, calibration) / _FAINT) ** 2
+    sharp = wiener_deconvolve(image, width, noise, valid)
     if surface.patch_size.size == 1:
         return sharp
     return image + (sharp - image) * _off_edges(surface, calibration, image.shape[:2], scale, width)[..., None]
@@ -85,7 +85,7 @@ def _off_edges(
     import cv2
 
     pitch = calibration.lattice.pitch
-    depth = sampled(surface, pitch, shape, pitch / scale)
+    depth = sample_surface(surface, pitch, shape, pitch / scale)
     side = 2 * int(np.ceil(width)) + 1
     around = np.ones((side, side), np.uint8)
     level = cv2.dilate(depth, around) - cv2.erode(depth, around) <= _EDGE * pitch

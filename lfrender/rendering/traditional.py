@@ -13,7 +13,7 @@ from ..data.rendering import Rendering
 from ..flat.gray_flat import correction_table, has_uneven_lenses
 from ..flat.lens_graph import lens_grid
 from ..flat.validation import check_flat
-from .render import as_stored
+from .render import convert_to_dtype
 
 __all__ = ["traditional"]
 
@@ -80,7 +80,11 @@ def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
         image = image[:, :, 0]
     affine = np.array([[pitch, 0.0, first], [0.0, pitch, first]])
     return Rendering(
-        as_stored(image, np.asarray(flat).dtype), affine, known.reshape(rows, columns), 1.0, calibration.white_level
+        convert_to_dtype(image, np.asarray(flat).dtype),
+        affine,
+        known.reshape(rows, columns),
+        1.0,
+        calibration.white_level,
     )
 
 

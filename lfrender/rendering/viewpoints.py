@@ -11,11 +11,11 @@ from lfcal import Calibration, CalibrationError
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
+from ..data.viewpoint import Viewpoint, virtual_depth
 from ..depth.analyze import analyze
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
-from .render import _COARSE, _draw, as_stored, default_scale
-from .warping import Viewpoint, virtual_depth
+from .render import _COARSE, convert_to_dtype, default_scale, render_plan
 
 __all__ = ["circle_offsets", "grid_offsets", "views"]
 
@@ -98,11 +98,11 @@ def _drawn(
     scale = float(full if scale is None else scale)
     blur = measure_lens_blur(pixels, calibration, depth.patch_size) if scale * _COARSE < full else 0.0
     for point in points:
-        image, valid, affine = _draw(
+        image, valid, affine = render_plan(
             pixels, calibration, depth.surface, scale, True, blur, viewpoint=point, stored=True
         )
         yield Rendering(
-            as_stored(image[:, :, 0] if plain else image, dtype), affine, valid, scale, calibration.white_level
+            convert_to_dtype(image[:, :, 0] if plain else image, dtype), affine, valid, scale, calibration.white_level
         )
 
 

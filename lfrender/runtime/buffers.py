@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["recycled", "scratch"]
+__all__ = ["allocate_pooled", "allocate_scratch"]
 
 # Beyond so many bytes memory is not kept: a flat of 24 megapixels is worked on in parts no larger than this.
 _MOST = 1 << 27
@@ -24,7 +24,7 @@ _LARGEST_FREED = 31 << 20
 _kept = local()
 
 
-def scratch(purpose: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+def allocate_scratch(purpose: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     """An array of any content, whose memory the next call for the same `purpose` in this thread hands out again.
 
     So nothing may be left in it that outlives the function that has asked for it.
@@ -47,7 +47,7 @@ def _references(pool: list[NDArray[Any]], place: int) -> int:
 _UNUSED = _references([np.empty(0)], 0)
 
 
-def recycled(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+def allocate_pooled(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     """An array of any content, in memory that was asked for earlier in this thread and that no array refers to now."""
     count, kind = prod(shape), np.dtype(dtype)
     if count * kind.itemsize > _MOST_RECYCLED:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["back", "solve"]
+__all__ = ["solve_cholesky", "substitute_factor"]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def solve(left, right, out):
+def solve_cholesky(left, right, out):
     """Solve normal equations after Cholesky; `left`, of which the lower half is set, becomes its factor."""
     for i in range(len(right)):
         for j in range(i + 1):
@@ -17,12 +17,12 @@ def solve(left, right, out):
             for k in range(j):
                 total -= left[i, k] * left[j, k]
             left[i, j] = np.sqrt(total) if i == j else total / left[j, j]
-    back(left, right, out)
+    substitute_factor(left, right, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def back(factor, right, out):
-    """Solve normal equations by the factor of Cholesky that `solve` has left in their place."""
+def substitute_factor(factor, right, out):
+    """Solve normal equations by the factor of Cholesky that `solve_cholesky` has left in their place."""
     count = len(right)
     for i in range(count):
         total = right[i]

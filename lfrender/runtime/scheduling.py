@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numba import njit
 
-__all__ = ["coprime_stride", "stretches"]
+__all__ = ["coprime_stride", "plan_chunks"]
 
 # Work that comes in clusters is dealt out in so many stretches: what lies beside each other stays in the caches.
 _STRETCHES = 32
@@ -24,7 +24,7 @@ def coprime_stride(n):
 
 
 @njit(cache=True, nogil=True, error_model="python", fastmath=False)
-def stretches(n):
+def plan_chunks(n):
     """How many stretches of 0..n-1 are worked on one after the other, their length, and the step from one to the
     next, so that each thread has its share of what lies together."""
     length = max(1, -(-n // _STRETCHES))

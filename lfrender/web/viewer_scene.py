@@ -14,6 +14,7 @@ from lfcal import Calibration, CalibrationError, LightFieldError
 from lfcal.runtime.eight_bit import to_eight_bits
 
 from ..data.depth_map import DepthMap
+from ..data.viewpoint import Viewpoint, virtual_depth
 from ..depth.surface.occlusion import project_surface
 from ..flat.distorted_lookup import lens_displacements
 from ..flat.gray_flat import correction_table, has_uneven_lenses, white_level
@@ -21,10 +22,9 @@ from ..flat.lens_blur import measure_lens_blur
 from ..flat.lens_graph import nearest_lens
 from ..flat.lens_type_weights import focus_weights
 from ..flat.validation import check_flat
-from ..rendering.plan import _beside, lens_offsets
+from ..rendering.plan import dilate_mask, lens_offsets
 from ..rendering.refocus import _REACH as _WIDE_REACH
 from ..rendering.render import _AGREEMENT, _COARSE, _REACH, default_scale
-from ..rendering.warping import Viewpoint, virtual_depth
 
 __all__ = ["viewer_scene"]
 
@@ -140,14 +140,14 @@ def _seen(calibration: Calibration, depth: DepthMap, edge: float) -> tuple[NDArr
     from aside, else -D to D.
     """
     lattice = calibration.lattice
-    farthest = Viewpoint((lattice.radius, 0.0)).parallax(depth.surface, lattice)
+    farthest = Viewpoint((lattice.radius, 0.0)).max_parallax(depth.surface, lattice)
     middle = project_surface(depth.surface, lattice, _REACH * lattice.pitch, edge)
     aside = project_surface(depth.surface, lattice, _REACH * lattice.pitch + farthest, edge)
     coded = _coded(aside, lattice.pitch, _CODES).astype(np.uint16)
     from_middle = _coded(middle, lattice.pitch, 255).astype(np.uint8)
     from_middle[np.abs(middle - aside) < 0.5 * edge] = 255
     if has_uneven_lenses(calibration):
-        unlit = _beside(np.isnan(calibration.gain()))
+        unlit = dilate_mask(np.isnan(calibration.gain()))
         coded[unlit], from_middle[unlit] = _CODES, 255
     return coded, from_middle
 
@@ -210,7 +210,7 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
 def _planes(depth: DepthMap) -> tuple[list[float], float]:
     """Ends of the range of depth as nearness, which grows toward the camera, and the patch size in its middle."""
     known = depth.patch_size[np.isfinite(depth.patch_size)].astype(float)
-    known = known if known.size else depth.drawn.astype(float)
+    known = known if known.size else depth.filled_patch_size.astype(float)
     pitch = depth.pitch
     near = np.sort(np.where(known > 0, known, known + 2 * pitch))
     low, middle, high = np.quantile(near, (_WITHIN[0], 0.5, _WITHIN[1]), method="nearest")

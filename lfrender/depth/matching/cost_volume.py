@@ -10,9 +10,9 @@ from lfcal.runtime.fastmath import FAST
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.microimages import VECTOR_LENGTH, OverlapMasks, Strips, extract_strips, make_shift_masks, overlap_range
-from ...runtime.buffers import recycled
-from ...runtime.cache import remembered
-from ...runtime.scheduling import stretches
+from ...runtime.buffers import allocate_pooled
+from ...runtime.cache import cached
+from ...runtime.scheduling import plan_chunks
 
 __all__ = [
     "MIN_OVERLAP",
@@ -179,7 +179,7 @@ def _pair_costs(
     near_zero = np.empty(len(shifts), np.float32)
     for k in range(len(shifts)):
         near_zero[k] = shading_decay(shifts[k], pitch)
-    parts, each, stride = stretches(len(centres))
+    parts, each, stride = plan_chunks(len(centres))
     for part in prange(parts):
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
@@ -275,7 +275,7 @@ def _shifts_met(
 def mean_steps(gray: GrayFlat, rows: NDArray[np.int32]) -> NDArray[np.float32]:
     """(k, 2) steps `x, y` [px of `gray`] to the neighbours (n, d) in all directions in which there are any."""
     # Rows belong to a lattice, of which there may be pictures of several sizes.
-    return remembered(rows, ("mean steps", gray.pitch), lambda: _mean_steps(gray.centres, rows))
+    return cached(rows, ("mean steps", gray.pitch), lambda: _mean_steps(gray.centres, rows))
 
 
 @njit(cache=True, nogil=True)
@@ -364,7 +364,7 @@ def compute_pair_costs(
     """
     fresh = out is None
     if out is None:
-        out = recycled((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
+        out = allocate_pooled((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
     which = np.arange(len(shifts)) if which is None else which
     done = np.zeros(len(active), bool) if done is None else done
     half = np.float32(half_weight_area(gray))

@@ -12,7 +12,7 @@ from ...flat.gray_flat import GrayFlat, downsample
 from ...flat.lens_graph import dilate_mask, join_opposite
 from ...flat.microimages import OverlapMasks, Strips, extract_strips
 from ...flat.texture import FIXED_PATTERN_CONTRAST, LensStatistics, Texture, measure_statistics
-from ...runtime.cache import remembered
+from ...runtime.cache import cached
 from ..presets import Preset
 from .ambiguity import measure_ambiguity, overlap_weights
 from .cost_volume import compute_pair_costs, half_weight_area, overlap_masks
@@ -215,7 +215,7 @@ class Matcher:
 
 def _probed(rows: NDArray[np.int32]) -> NDArray[np.int32]:
     """(n, d) neighbour rows in the directions in which lenses are probed; shared, as `neighbour_rows`."""
-    return remembered(rows, "probed", lambda: np.ascontiguousarray(rows[:, :_PROBED]))
+    return cached(rows, "probed", lambda: np.ascontiguousarray(rows[:, :_PROBED]))
 
 
 def match_lenses(

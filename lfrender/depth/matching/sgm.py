@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
-from ...runtime.cache import remembered
+from ...runtime.cache import cached
 
 __all__ = ["aggregate_costs", "average_pair_costs"]
 
@@ -169,7 +169,7 @@ def aggregate_costs(
     wanted = np.ones(len(cost), bool) if wanted is None else wanted
     total = np.zeros_like(cost)
     # Rows of lenses belong to the lattice, and neighbour rows live as long as that.
-    found, other = remembered(forward, "chains", lambda: (_all_chains(forward, backward), backward))
+    found, other = cached(forward, "chains", lambda: (_all_chains(forward, backward), backward))
     for chains, starts in found if other is backward else _all_chains(forward, backward):
         _walk_all(cost, chains, starts, np.float32(slope), np.float32(jump), wanted, total)
     return total

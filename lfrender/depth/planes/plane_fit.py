@@ -9,7 +9,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from ...flat.lens_graph import count_connected
-from ...runtime.normal_equations import solve
+from ...runtime.normal_equations import solve_cholesky
 from ...runtime.quantiles import median
 
 __all__ = ["MIN_TEXTURED_SHARE", "Plane", "fit_plane", "has_outlier_cluster", "is_nearly_planar"]
@@ -198,7 +198,7 @@ def _fitted(rows, sizes, rounds, doubted):
                 right[i] += w * rows[i, n] / s
                 for j in range(i + 1):
                     left[i, j] += w * rows[i, n] * rows[j, n]
-        solve(left, right, inverse)
+        solve_cholesky(left, right, inverse)
         change = 0.0
         for n in range(number):
             told = inverse[0] * rows[0, n]

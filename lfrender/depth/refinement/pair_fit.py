@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lfcal.runtime.fastmath import FAST, square
 
 from ...flat.gray_flat import GrayFlat
-from ...runtime.cache import remembered
-from ...runtime.scheduling import stretches
+from ...runtime.cache import cached
+from ...runtime.scheduling import plan_chunks
 from .defocus_difference import (
     NO_DIFFERENCE,
     DefocusDifference,
@@ -180,7 +180,7 @@ def _fit_pairs(
     side, wide, size, column, line = pixel_raster(radius)
     height, width = image.shape
     pixels = image.reshape(-1)
-    parts, each, stride = stretches(len(centres))
+    parts, each, stride = plan_chunks(len(centres))
     for part in prange(parts):
         # All that sums run over is some number, also where it has not been set.
         own, slope_x, slope_y = np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
@@ -284,4 +284,4 @@ def fit_pairs(
         return estimate_defocus_difference(image, gray.centres, radius, gray.pitch, rows, sizes, scale, noise, kinds)
 
     kinds = gray.lens_type
-    return fit(start, NO_DIFFERENCE if kinds is None else remembered(gray, "blur", lambda: found_blur(kinds)))
+    return fit(start, NO_DIFFERENCE if kinds is None else cached(gray, "blur", lambda: found_blur(kinds)))

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from lfcal.runtime.fastmath import FAST
 
 from ...flat.gray_flat import GrayFlat
-from ...runtime.normal_equations import back, solve
-from ...runtime.scheduling import stretches
+from ...runtime.normal_equations import solve_cholesky, substitute_factor
+from ...runtime.scheduling import plan_chunks
 from .lens_plane import LensFits
 from .pair_fit import usable_radius
 from .pair_pixels import SPLINE_MARGIN, bspline_weights, cut_smoothed, first_pixel, pixel_raster
@@ -153,7 +153,7 @@ def _step(left, right, noise, known, c, change):
     for i in range(_TERMS):
         left[i, i] += noise * known[i]
         right[i] -= noise * known[i] * c[i]
-    solve(left, right, change)
+    solve_cholesky(left, right, change)
     moved = np.float32(0.0)
     for i in range(_TERMS):
         step = np.float32(min(max(change[i], -1.0), 1.0))
@@ -192,7 +192,7 @@ def _standard_errors(factor, right, noise, radius, column):
     for i in range(3):
         right[:] = 0.0
         right[i] = 1.0
-        back(factor, right, column)
+        substitute_factor(factor, right, column)
         if i == 0:
             height = column[0]
         else:
@@ -209,7 +209,7 @@ def _fit_bent(
     height, width = image.shape
     pixels = image.reshape(-1)
     last_x, last_y = np.float32(width) - np.float32(3.001), np.float32(height) - np.float32(3.001)
-    parts, each, stride = stretches(len(centres))
+    parts, each, stride = plan_chunks(len(centres))
     for part in prange(parts):
         room, about, slopes = (
             np.zeros((11, size), np.float32),

@@ -9,7 +9,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from ...flat.lens_graph import distant_rings, two_rings
-from ...runtime.scheduling import stretches
+from ...runtime.scheduling import plan_chunks
 from .lens_plane import LensFits
 
 __all__ = ["SmoothedFits", "smooth_fits", "smooth_fits_far"]
@@ -242,7 +242,7 @@ def _pool(
     centres, pitch, radius, two_rings, sizes, errors, slants, slant_errors, wanted, centred, trust, out, out_errors,
     out_slants, out_slant_errors, bent, agreed,
 ):  # fmt: skip
-    parts, each, stride = stretches(len(centres))
+    parts, each, stride = plan_chunks(len(centres))
     for part in prange(parts):
         seen, told = np.empty((9, two_rings.shape[1])), np.empty((13, two_rings.shape[1]))
         begin = part * stride % parts * each

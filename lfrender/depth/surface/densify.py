@@ -13,8 +13,8 @@ from ...data.surface import Surface
 from ...flat.distorted_lookup import lens_displacements
 from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import lens_grid, neighbour_rows
-from ...runtime.buffers import scratch
-from ...runtime.cache import remembered
+from ...runtime.buffers import allocate_scratch
+from ...runtime.cache import cached
 from .hypotheses import MAX_HYPOTHESES, find_agreeing_lenses, propose_hypotheses
 from .update_mask import mark_changed_points
 
@@ -177,7 +177,7 @@ def densify(
     pitch = lattice.pitch
     shape, start, spacing = grid_shape(lattice, cells)
     grid, low = lens_grid(lattice)
-    ring = remembered(lattice, "looking", lambda: _steps_nearby(lattice))
+    ring = cached(lattice, "looking", lambda: _steps_nearby(lattice))
     gap = np.float32(max(0.75, 0.04 * pitch))
     inverse, bend, indices = np.linalg.inv(lattice.basis), lens_displacements(lattice), lattice.indices()
     calm = find_agreeing_lenses(values, seconds, trust, indices, grid, low, ring, gap)
@@ -193,9 +193,9 @@ def densify(
         shape: tuple[int, int], part: float, old: NDArray[np.float32], coarse: NDArray[np.float32], purpose: str
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         depths, costs, totals = (
-            scratch(name, (MAX_HYPOTHESES, *shape), np.float32) for name in ("depths", "costs", "totals")
+            allocate_scratch(name, (MAX_HYPOTHESES, *shape), np.float32) for name in ("depths", "costs", "totals")
         )
-        around, unsettled = neighbour_rows(lattice, ring), scratch("unsettled", old.shape, np.bool_)
+        around, unsettled = neighbour_rows(lattice, ring), allocate_scratch("unsettled", old.shape, np.bool_)
         if old.size:
             mark_changed_points(
                 settled, gray.centres, indices, around, ring, lattice.origin, lattice.basis, inverse, *bend, start[0],
@@ -206,7 +206,7 @@ def densify(
             inverse, *bend, ring, gap, np.float32(4 * noise * noise), start[0], spacing / part,
             np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), unsettled, old, coarse, depths, costs,
         )  # fmt: skip
-        chosen = scratch(purpose, shape, np.float32)
+        chosen = allocate_scratch(purpose, shape, np.float32)
         # A step between grid values counts as part of those that it stands for, as what they mismatch does.
         _settle(depths, costs, gap, np.float32(part), totals, chosen)
         return depths, chosen

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST, square
 
-from ...data.surface import Surface, mark_changes
-from ...runtime.buffers import scratch
+from ...data.surface import Surface, mark_changed_places
+from ...runtime.buffers import allocate_scratch
 from ...runtime.scheduling import coprime_stride
 
 __all__ = ["project_surface"]
@@ -203,13 +203,13 @@ def project_surface(
     edged : (n,) bool, optional
         Set to whether lenses have a depth edge in reach, False for those that have no such pixel.
     purpose : str, optional
-        The answer lies in `scratch` memory for this.
+        The answer lies in `allocate_scratch` memory for this.
     following : bool
         Make it from the last answer for that purpose where only the surface is another: nobody has written into it.
     """
     left, top, right, bottom = part or (0, 0, *lattice.image_size)
     shape = (bottom - top, right - left)
-    out = np.empty(shape, np.float32) if purpose is None else scratch(purpose, shape, np.float32)
+    out = np.empty(shape, np.float32) if purpose is None else allocate_scratch(purpose, shape, np.float32)
     # No two lenses share a pixel, unless the lattice is distorted.
     radius = min(lattice.radius, float(np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min()) / 2 - _APART)
     centres = lattice.centres()
@@ -225,7 +225,7 @@ def project_surface(
         chosen, fresh, found = np.arange(len(places)), True, np.empty(len(places), bool)
     else:
         differs = np.zeros(len(places), bool)
-        mark_changes(before.surface, surface, centres, reach + surface.spacing, differs)
+        mark_changed_places(before.surface, surface, centres, reach + surface.spacing, differs)
         chosen, fresh, found = np.flatnonzero(differs), False, before.edged
     _lens_depths(
         surface.patch_size, np.float32(surface.first[0]), np.float32(surface.first[1]), np.float32(surface.spacing),

@@ -17,7 +17,7 @@ from lfcal.runtime.fastmath import FAST, square
 from ...flat.lens_graph import join_opposite
 from ...flat.microimages import copy_box
 from ...flat.texture import Texture
-from ...runtime.scheduling import stretches
+from ...runtime.scheduling import plan_chunks
 from ..matching.matcher import Matcher
 from ..matching.peaks import confidence, fit_parabola
 from ..matching.sgm import aggregate_costs
@@ -105,7 +105,7 @@ def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, f
     side = int(np.ceil(radius)) + 1
     most, wide = rows.shape[1], 2 * side + 2
     size = wide * wide
-    parts, each, stride = stretches(len(centres))
+    parts, each, stride = plan_chunks(len(centres))
     for part in prange(parts):
         own, there = np.empty(size, np.float32), np.zeros(size + 2 * wide, np.float32)
         squares, lines = np.empty(size, np.float32), np.zeros(size, np.float32)
@@ -211,7 +211,7 @@ def _costs(image, mask, centres, radius, pitch, rows, means, wanted, shifts, flo
     height, width = image.shape
     pixels = image.reshape(-1)
     most = square(2 * int(radius) + 3)
-    parts, each, stride = stretches(len(centres))
+    parts, each, stride = plan_chunks(len(centres))
     for part in prange(parts):
         values = np.empty(rows.shape[1], np.float32)
         xs, ys, own = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)

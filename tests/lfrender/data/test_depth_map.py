@@ -75,4 +75,4 @@ def test_a_file_whose_lenses_may_be_in_another_order_is_refused(depth, tmp_path)
 
 def test_per_lens_arrays_of_different_length_are_refused(depth):
     with pytest.raises(ValueError, match="confidence"):
-        DepthMap(depth.patch_size, depth.standard_error, [1.0], depth.drawn, depth.surface, 20.0, (40, 30))
+        DepthMap(depth.patch_size, depth.standard_error, [1.0], depth.filled_patch_size, depth.surface, 20.0, (40, 30))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from lfcal import Lattice
-from lfrender.data.region import part_of
+from lfrender.data.region import crop_flat
 from lfrender.flat.gray_flat import GrayFlat
-from lfrender.runtime.cache import latest
+from lfrender.runtime.cache import cached_latest
 
 
 def test_the_next_frame_has_the_lattice_of_the_same_part_and_another_part_its_own():
@@ -15,9 +15,9 @@ def test_the_next_frame_has_the_lattice_of_the_same_part_and_another_part_its_ow
     centres = lattice.centres()
     gray = GrayFlat(np.zeros((300, 400), np.float32), centres.astype(np.float32), 9.0, 20.0)
     left, right = centres[:, 0] < 60, centres[:, 0] > 340
-    part, sub = part_of(gray, lattice, left)
-    assert part_of(gray, lattice, left)[1] is sub
-    other, beside = part_of(gray, lattice, right)
+    part, sub = crop_flat(gray, lattice, left)
+    assert crop_flat(gray, lattice, left)[1] is sub
+    other, beside = crop_flat(gray, lattice, right)
     assert beside is not sub
     assert part.image.shape[::-1] == sub.image_size
     assert other.image.shape[::-1] == beside.image_size
@@ -29,7 +29,7 @@ def test_lenses_of_a_part_keep_their_types():
     centres, (i, j) = lattice.centres(), lattice.indices().T
     kinds = ((i - j) % 3).astype(np.int8)
     gray = GrayFlat(np.zeros((300, 400), np.float32), centres.astype(np.float32), 9.0, 20.0, kinds)
-    part, sub = part_of(gray, lattice, (centres[:, 0] > 150) & (centres[:, 1] > 110))
+    part, sub = crop_flat(gray, lattice, (centres[:, 0] > 150) & (centres[:, 1] > 110))
     low = np.array([400, 300]) - sub.image_size
     found = {tuple(place): kind for place, kind in zip((sub.centres() + low).round(3), part.lens_type, strict=True)}
     known = {tuple(place): kind for place, kind in zip(centres.round(3), kinds, strict=True)}
@@ -43,4 +43,4 @@ def test_only_the_latest_value_of_a_name_is_kept():
         made.append(len(made))
         return made[-1]
 
-    assert [latest(owner, "part", key, make) for key in ("a", "a", "b", "b", "a")] == [0, 0, 1, 1, 2]
+    assert [cached_latest(owner, "part", key, make) for key in ("a", "a", "b", "b", "a")] == [0, 0, 1, 1, 2]

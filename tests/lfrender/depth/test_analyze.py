@@ -57,7 +57,7 @@ def test_a_blank_wall_is_unresolved_and_claims_no_confidence():
     assert (depth.mode == 0).mean() > 0.99
     assert (depth.confidence > 0.5).mean() < 0.01
     assert depth.filled.mean() > 0.99
-    assert np.isfinite(depth.drawn).all()
+    assert np.isfinite(depth.filled_patch_size).all()
 
 
 def test_shading_inside_microimages_is_not_taken_for_a_plane_without_disparity():
@@ -139,7 +139,7 @@ def test_mono_and_colour_with_equal_channels_agree():
     mono = shot.flat[:, :, 1]
     first = lfrender.analyze(mono, shot.truth.calibration)
     second = lfrender.analyze(np.repeat(mono[:, :, None], 3, 2), shot.truth.calibration)
-    np.testing.assert_allclose(first.drawn, second.drawn, atol=1e-3)
+    np.testing.assert_allclose(first.filled_patch_size, second.filled_patch_size, atol=1e-3)
 
 
 def test_a_second_depth_counts_only_where_enough_lenses_have_it_as_their_first():

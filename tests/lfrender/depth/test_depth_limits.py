@@ -135,7 +135,7 @@ def test_patch_sizes_from_minus_to_plus_three_quarters_of_a_pitch_keep_their_sig
         found = depth.patch_size[inner]
         resolved = depth.mode[inner] != 0
         assert np.isfinite(found[resolved]).all()
-        assert np.isfinite(depth.drawn).all()
+        assert np.isfinite(depth.filled_patch_size).all()
         if abs(s) > 0.5 and resolved.any():
             assert (np.sign(found[resolved]) == np.sign(s)).mean() > 0.99, s
             assert np.median(np.abs(found[resolved] - s)) < 0.1, s

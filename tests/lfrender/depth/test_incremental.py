@@ -15,7 +15,7 @@ from lfrender.depth.changed_lenses import find_changed_lenses
 from lfrender.depth.estimate import PreviousEstimates
 from lfrender.depth.incremental import LocalMatch, changed_since, find_moved, load_reference_match
 from lfrender.flat.lens_graph import neighbour_rows
-from lfrender.runtime.cache import remembered
+from lfrender.runtime.cache import cached
 
 # The part of the second flat, order x0, y0, x1, y1, that shows something else.
 PART = (60, 50, 210, 170)
@@ -106,7 +106,7 @@ def test_a_chain_of_frames_is_the_same_whether_the_last_one_is_at_hand_or_not(ho
     def chain(forget):
         after, _ = following(house, first, second)
         if forget:
-            remembered(calibration, "latest frame", list).clear()
+            cached(calibration, "latest frame", list).clear()
         return lfrender.analyze(third, calibration, "fast", previous=(second, after))
 
     quick, slow = chain(forget=False), chain(forget=True)
@@ -212,15 +212,15 @@ def test_what_is_remembered_is_made_once_and_goes_with_its_owner():
     made = []
     owner = Owner()
     for _ in range(3):
-        assert remembered(owner, "a", lambda: made.append(0) or len(made)) == 1
-    assert remembered(owner, "b", lambda: "other") == "other"
+        assert cached(owner, "a", lambda: made.append(0) or len(made)) == 1
+    assert cached(owner, "b", lambda: "other") == "other"
     before = id(owner)
-    from lfrender.runtime.cache import _kept
+    from lfrender.runtime.cache import _entries
 
-    assert before in _kept
+    assert before in _entries
     del owner
     gc.collect()
-    assert before not in _kept
+    assert before not in _entries
 
 
 @pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 and no more"])

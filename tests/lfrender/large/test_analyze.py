@@ -66,8 +66,8 @@ def test_depth_by_tiles_is_nearly_that_of_the_whole_flat(tmp_path, pitch, size, 
 
 def test_a_scene_of_one_plane_gets_one_plane(tmp_path):
     one, many, _ = in_both_ways(tmp_path, capture("plane", ratio=0.32))
-    assert np.ptp(many.drawn) < 1e-4
-    assert many.drawn.mean() == pytest.approx(one.drawn.mean(), abs=0.02)
+    assert np.ptp(many.filled_patch_size) < 1e-4
+    assert many.filled_patch_size.mean() == pytest.approx(one.filled_patch_size.mean(), abs=0.02)
     assert (one.mode == many.mode).mean() > 0.99
 
 
@@ -83,7 +83,7 @@ def test_the_error_of_one_plane_includes_the_common_error_of_its_lenses(tmp_path
     monkeypatch.setattr(plane, "_COMMON", 0.0)
     _, uncounted, _ = in_both_ways(tmp_path, shot)
     assert ("plane" in counted.saved) == checked
-    assert np.ptp(counted.drawn) < 1e-4
+    assert np.ptp(counted.filled_patch_size) < 1e-4
     assert np.median(counted.standard_error) > 1.03 * np.median(uncounted.standard_error)
 
 

@@ -15,7 +15,7 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfrender.cli.main import main
 from lfrender.output.metrics import compare_pictures, resample
-from lfrender.rendering.deconvolution import noise_of, spectrum, without_blur
+from lfrender.rendering.deconvolution import estimate_noise, power_spectrum, wiener_deconvolve
 
 # Electrons of a full pixel and of read noise: about 1 % and 4 % of white at mid-grey.
 LOW, HIGH = (2000, 5), (150, 5)
@@ -87,9 +87,9 @@ def test_a_picture_at_one_patch_size_is_sharpened_too():
 def test_the_noise_of_a_flat_is_measured_through_its_texture(sigma):
     shot = capture("plane", None)
     noisy = shot.flat.astype(np.float32) + np.random.default_rng(1).normal(0, sigma, shot.flat.shape)
-    found = noise_of(noisy.astype(np.float32), shot.truth.calibration)
+    found = estimate_noise(noisy.astype(np.float32), shot.truth.calibration)
     # The simulator's own sampling noise is about 2.5 grey levels.
-    own = noise_of(shot.flat.astype(np.float32), shot.truth.calibration)
+    own = estimate_noise(shot.flat.astype(np.float32), shot.truth.calibration)
     assert found == pytest.approx(np.hypot(sigma, own), rel=0.1)
 
 
@@ -98,7 +98,7 @@ def test_a_known_blur_is_taken_back_and_the_mean_kept():
     scene = cv2.GaussianBlur(rng.normal(100, 30, (300, 300)).astype(np.float32), (0, 0), 0.8)
     width = 2.5
     blurred = cv2.GaussianBlur(scene, (0, 0), width / 12**0.5)[..., None]
-    sharp = without_blur(blurred, width, np.zeros((64, 64)), np.ones(scene.shape, bool))
+    sharp = wiener_deconvolve(blurred, width, np.zeros((64, 64)), np.ones(scene.shape, bool))
     error = [float(np.std((image[..., 0] - scene)[20:-20, 20:-20])) for image in (blurred, sharp)]
     assert error[1] < 0.4 * error[0]
     assert sharp.mean() == pytest.approx(blurred.mean(), rel=1e-3)
@@ -106,7 +106,7 @@ def test_a_known_blur_is_taken_back_and_the_mean_kept():
 
 def test_nothing_but_noise_is_left_as_it_is():
     noise = np.random.default_rng(3).normal(0, 5, (300, 300, 1)).astype(np.float32)
-    out = without_blur(noise, 3.0, spectrum(noise), np.ones((300, 300), bool))
+    out = wiener_deconvolve(noise, 3.0, power_spectrum(noise), np.ones((300, 300), bool))
     assert out.std() <= 1.02 * noise.std()
 
 

@@ -8,29 +8,29 @@ import numpy as np
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.runtime.buffers import recycled, scratch
+from lfrender.runtime.buffers import allocate_pooled, allocate_scratch
 
 
 def test_memory_is_handed_out_again_to_the_same_thread_only():
-    first = scratch("test", (100, 70), np.float32)
-    assert np.shares_memory(first, scratch("test", (50, 100), np.float32))
-    assert not np.shares_memory(first, scratch("other test", (100, 70), np.float32))
+    first = allocate_scratch("test", (100, 70), np.float32)
+    assert np.shares_memory(first, allocate_scratch("test", (50, 100), np.float32))
+    assert not np.shares_memory(first, allocate_scratch("other test", (100, 70), np.float32))
     elsewhere = []
-    thread = Thread(target=lambda: elsewhere.append(scratch("test", (100, 70), np.float32)))
+    thread = Thread(target=lambda: elsewhere.append(allocate_scratch("test", (100, 70), np.float32)))
     thread.start()
     thread.join()
     assert not np.shares_memory(first, elsewhere[0])
 
 
 def test_more_memory_and_other_types_get_memory_of_their_own():
-    small = scratch("growing", (10,), np.float32)
-    assert scratch("growing", (1000,), np.float32).shape == (1000,)
-    assert not np.shares_memory(small, scratch("growing", (10,), np.uint32))
+    small = allocate_scratch("growing", (10,), np.float32)
+    assert allocate_scratch("growing", (1000,), np.float32).shape == (1000,)
+    assert not np.shares_memory(small, allocate_scratch("growing", (10,), np.uint32))
 
 
 def test_memory_beyond_128_mebibytes_is_not_kept():
-    huge = scratch("huge", (1 << 27, 2), np.uint8)
-    assert not np.shares_memory(huge, scratch("huge", (1 << 27, 2), np.uint8))
+    huge = allocate_scratch("huge", (1 << 27, 2), np.uint8)
+    assert not np.shares_memory(huge, allocate_scratch("huge", (1 << 27, 2), np.uint8))
 
 
 def test_the_next_frame_leaves_depth_and_picture_of_the_last_one_as_they_are():
@@ -48,20 +48,20 @@ def test_the_next_frame_leaves_depth_and_picture_of_the_last_one_as_they_are():
 
 
 def test_memory_is_recycled_only_when_no_array_refers_to_it():
-    first = recycled((300, 200), np.int16)
+    first = allocate_pooled((300, 200), np.int16)
     part, place = first[10:20].T, first.ctypes.data
     del first
-    others = [recycled((300, 200), np.int16) for _ in range(5)]
+    others = [allocate_pooled((300, 200), np.int16) for _ in range(5)]
     assert place not in [other.ctypes.data for other in others]
     del part
     # A little less is as good.
-    assert recycled((200, 290), np.int16).ctypes.data == place
+    assert allocate_pooled((200, 290), np.int16).ctypes.data == place
 
 
 def test_much_larger_memory_and_what_exceeds_the_limit_is_left_alone():
-    large = recycled((1 << 20,), np.int64)
+    large = allocate_pooled((1 << 20,), np.int64)
     place = large.ctypes.data
     del large
-    assert recycled((1 << 18,), np.int64).ctypes.data != place
+    assert allocate_pooled((1 << 18,), np.int64).ctypes.data != place
     # It would be a view of what is kept.
-    assert recycled((1 << 23, 2), np.int64).base is None
+    assert allocate_pooled((1 << 23, 2), np.int64).base is None

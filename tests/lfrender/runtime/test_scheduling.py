@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from lfrender.runtime.scheduling import stretches
+from lfrender.runtime.scheduling import plan_chunks
 
 
 def order(n):
-    count, length, stride = stretches(n)
+    count, length, stride = plan_chunks(n)
     begins = [part * stride % count * length for part in range(count)]
     return [np.arange(begin, min(begin + length, n)) for begin in begins]
 

@@ -97,7 +97,7 @@ def test_tiles_are_those_of_one_machine_although_a_worker_is_killed(flat, client
         progress, told = killing(client, 2)
         there = lfrender.analyze_large(source, camera, "fast", client=client, threads=1, progress=progress)
         assert told == [(k + 1, 4) for k in range(4)]
-        for name in ("patch_size", "standard_error", "confidence", "drawn", "reason"):
+        for name in ("patch_size", "standard_error", "confidence", "filled_patch_size", "reason"):
             np.testing.assert_array_equal(getattr(here, name), getattr(there, name))
         np.testing.assert_array_equal(here.surface.patch_size, there.surface.patch_size)
         lfrender.render_large(source, tmp_path / "here.tif", camera, here, tile=40)

@@ -201,7 +201,7 @@ def test_texture_in_two_corners_is_found_when_the_rest_is_cut_off_or_not():
         assert agreement(full, quick) > 0.99
         assert (full.reason == 1).mean() > 0.6
         # A lens on the edge of a card sees two depths, and may be given something between them.
-        off = np.abs(quick.drawn - full.drawn)[full.mode != 0]
+        off = np.abs(quick.filled_patch_size - full.filled_patch_size)[full.mode != 0]
         assert (off < 0.05).mean() > 0.98
         assert off.max() < 0.03 * 23.2
 
@@ -262,7 +262,7 @@ def test_lenses_without_texture_are_drawn_like_the_nearest_that_have_some():
     for corner, ratio in (((0, 0), 0.3), (SIZE, -0.3)):
         lens = np.argmin(np.linalg.norm(centres - np.array(corner), axis=1))
         assert depth.mode[lens] == 0
-        assert abs(depth.drawn[lens] - ratio * 23.2) < 0.3
+        assert abs(depth.filled_patch_size[lens] - ratio * 23.2) < 0.3
 
 
 @pytest.mark.parametrize("gain", [0.15, 0.1])

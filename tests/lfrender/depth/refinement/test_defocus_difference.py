@@ -13,7 +13,7 @@ from lfrender.depth.refinement.defocus_difference import NO_DIFFERENCE, estimate
 from lfrender.depth.refinement.neighbour_prior import refine_patch_sizes
 from lfrender.flat.gray_flat import GrayFlat, make_gray_flat
 from lfrender.flat.lens_graph import opposite_neighbours
-from lfrender.runtime.cache import remembered
+from lfrender.runtime.cache import cached
 
 RATIO, FOCUS = -0.4, (-0.1, 0.04, 0.18)
 
@@ -41,13 +41,13 @@ def test_pairs_of_unlike_lenses_scatter_less_once_their_blur_is_known(gamma):
     before, *_ = measured(kinds=False, gamma=gamma)
     after, gray, _ = measured(kinds=True, gamma=gamma)
     assert np.sqrt(np.mean(after**2)) < 0.6 * np.sqrt(np.mean(before**2))
-    blur = remembered(gray, "blur", lambda: NO_DIFFERENCE)
+    blur = cached(gray, "blur", lambda: NO_DIFFERENCE)
     assert (blur.curve > 1) if gamma else (blur.curve < 0.5)
 
 
 def test_lenses_focused_farther_from_the_scene_blur_more():
     _, gray, _ = measured(kinds=True)
-    blur = remembered(gray, "blur", lambda: NO_DIFFERENCE)
+    blur = cached(gray, "blur", lambda: NO_DIFFERENCE)
     more = blur.blurs + blur.growths * np.float32(RATIO * gray.pitch)
     np.testing.assert_array_equal(more, -more.T)
     # The first type is the sharpest: its Laplacian is taken away to make it like the others.

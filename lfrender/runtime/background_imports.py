@@ -8,10 +8,10 @@ from contextlib import suppress
 from importlib import import_module
 from threading import Thread
 
-__all__ = ["import_meanwhile"]
+__all__ = ["import_in_background"]
 
 
-def import_meanwhile(*modules: str) -> None:
+def import_in_background(*modules: str) -> None:
     """Begin to import these modules."""
     # What is imported stays: collecting garbage among it takes a tenth of the time.
     gc.disable()

@@ -7,30 +7,16 @@ from numba import njit, prange
 
 from lfcal.runtime.fastmath import FAST
 
+from ..data.surface import patch_size_at
 from ..flat.distorted_lookup import displacement_at, nearest_index
-from ..runtime.scheduling import stretches
+from ..runtime.scheduling import plan_chunks
 
-__all__ = ["HIDDEN", "draw_rows", "patch_size_at"]
+__all__ = ["OCCLUDED_WEIGHT", "blend_pixels"]
 
 # Most lenses that may share one scene point; the nearest come first.
 MAX_LENSES = 37
 #: Weight of a lens that sees something else: it counts only where no lens sees the point.
-HIDDEN = np.float32(1e-4)
-
-
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def patch_size_at(surface, x, y, grid_x, grid_y, cell, edge):
-    """Patch size at scene point (x, y): linear between grid values, nearest across a depth edge."""
-    rows, columns = surface.shape
-    gx = min(max((x - grid_x) / cell, np.float32(0.0)), np.float32(columns - 1))
-    gy = min(max((y - grid_y) / cell, np.float32(0.0)), np.float32(rows - 1))
-    i, j = min(int(gx), max(columns - 2, 0)), min(int(gy), max(rows - 2, 0))
-    i1, j1 = min(i + 1, columns - 1), min(j + 1, rows - 1)
-    fx, fy = gx - i, gy - j
-    a, b, c, d = surface[j, i], surface[j, i1], surface[j1, i], surface[j1, i1]
-    if max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) < edge:
-        return (1 - fy) * ((1 - fx) * a + fx * b) + fy * ((1 - fx) * c + fx * d)
-    return surface[j1 if fy > 0.5 else j, i1 if fx > 0.5 else i]
+OCCLUDED_WEIGHT = np.float32(1e-4)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -58,7 +44,7 @@ def _draw_row(
     shares, radius, pitch, surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance,
     view, corner, size, start, wanted, half, top, out, valid, kinds, squares
 ):  # fmt: skip
-    """Fill row `v` as `draw_rows` does; `kinds` are the types of lenses about one, `squares` those of the lights."""
+    """Fill row `v` as `blend_pixels` does; `kinds` are the types of lenses about one, `squares` those of the lights."""
     width, height, channels = size[0], size[1], len(marks)
     columns = out.shape[1]
     last_ring = len(gains) - 1
@@ -197,7 +183,7 @@ def _draw_row(
                     below, right = np.uint64(fy + np.float32(0.5)), np.uint64(fx + np.float32(0.5))
                     depth = seen[row_at + below, column_at + right]
                     if abs(depth - s) > 2 * edge:
-                        weight *= HIDDEN
+                        weight *= OCCLUDED_WEIGHT
                         if aside > 0:
                             # The surface is what `view` sees: there, something else is least likely in front.
                             beside = d2 / (pitch * pitch) + np.float32(0.05)
@@ -260,7 +246,7 @@ def _draw_row(
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def draw_rows(
+def blend_pixels(
     flat, marks, seen, gains, lights, light_step, origin, inverse, basis, bend, low, offsets, steps, types, shares,
     radius, pitch,
     surface, grid_x, grid_y, cell, edge, scale, first, spacing, blurred, reach, tolerance, view, corner, size, start,
@@ -293,7 +279,7 @@ def draw_rows(
                     kinds[a, b, o] = types[(a + steps[o, 0]) % cells, (b + steps[o, 1]) % cells]
     squares = lights * lights
     # What is wanted comes in clusters.
-    count, length, stride = stretches(len(out))
+    count, length, stride = plan_chunks(len(out))
     for number in prange(count):
         first_row = number * stride % count * length
         for v in range(first_row, min(first_row + length, len(out))):

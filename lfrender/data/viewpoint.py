@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
 
-from ..data.surface import Surface
-from .mosaic import patch_size_at
+from .surface import Surface, patch_size_at
 
 __all__ = ["Viewpoint"]
 
@@ -38,13 +37,13 @@ class Viewpoint:
     offset: tuple[float, float] = (0.0, 0.0)
     still: float = 0.0
 
-    def parallax(self, surface: Surface, lattice: Lattice) -> float:
+    def max_parallax(self, surface: Surface, lattice: Lattice) -> float:
         """How far places of `surface` move at most [px]."""
         if not any(self.offset):
             return 0.0
         return float(np.hypot(*self.offset) * np.abs(virtual_depth(surface.patch_size, lattice.pitch)).max())
 
-    def seen_from(self, surface: Surface, lattice: Lattice, edge: float) -> tuple[Surface, NDArray[np.float64]]:
+    def warp_surface(self, surface: Surface, lattice: Lattice, edge: float) -> tuple[Surface, NDArray[np.float64]]:
         """The surface over the places at which it is seen, and how far the picture's frame moves.
 
         What is hidden from the middle of the aperture continues the farther of the surfaces beside it.

@@ -14,8 +14,8 @@ import lfcal
 import lfrender
 from lfcal import OutputError
 from lfrender.cli.main import main
+from lfrender.data.dense_depth import dense_depth, write_dense
 from lfrender.output.point_cloud import point_cloud
-from lfrender.rendering.dense import dense_depth, write_dense
 
 
 @pytest.fixture(scope="module")

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.output_file import atomic_write, check_output
 
-from ..data.depth_map import DepthMap
-from ..data.surface import Surface
-from .mosaic import patch_size_at
+from .depth_map import DepthMap
+from .surface import Surface, patch_size_at
 
-__all__ = ["DENSE_FORMATS", "DenseDepth", "dense_depth", "sampled", "write_dense"]
+__all__ = ["DENSE_FORMATS", "DenseDepth", "dense_depth", "sample_surface", "write_dense"]
 
 DENSE_FORMATS = (".tif", ".tiff", ".pfm")
 
@@ -48,7 +47,7 @@ def _sample(surface, grid_x, grid_y, cell, edge, first, spacing, out):
             out[v, u] = patch_size_at(surface, np.float32(first + u * spacing), y, grid_x, grid_y, cell, edge)
 
 
-def sampled(surface: Surface, pitch: float, shape: tuple[int, int], spacing: float) -> NDArray[np.float32]:
+def sample_surface(surface: Surface, pitch: float, shape: tuple[int, int], spacing: float) -> NDArray[np.float32]:
     """Patch size [px] at every pixel of a picture of this shape, whose pixels are `spacing` apart on the flat."""
     out = np.empty(shape, np.float32)
     single = np.float32
@@ -75,7 +74,7 @@ def dense_depth(depth: DepthMap, scale: float | None = None) -> DenseDepth:
     ValueError
         If `scale` is not between 0 and four times the pitch.
     """
-    from .render import default_scale
+    from ..rendering.render import default_scale
 
     scale = default_scale(depth) if scale is None else float(scale)
     pitch = depth.pitch
@@ -85,7 +84,7 @@ def dense_depth(depth: DepthMap, scale: float | None = None) -> DenseDepth:
     width, height = depth.image_size
     shape = (max(1, round(height / spacing)), max(1, round(width / spacing)))
     first = 0.5 * spacing - 0.5
-    out = sampled(depth.surface, pitch, shape, spacing)
+    out = sample_surface(depth.surface, pitch, shape, spacing)
     return DenseDepth(out, np.array([[spacing, 0.0, first], [0.0, spacing, first]]), pitch)
 
 

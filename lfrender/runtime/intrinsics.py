@@ -14,7 +14,7 @@ from numba.core import types
 from numba.extending import intrinsic
 
 __all__ = [
-    "GAIN_BITS", "LEFT_BITS", "TOGETHER", "TURNED", "read_bytes", "read_turned", "read_turned_with_gain",
+    "GAIN_BITS", "LEFT_BITS", "TOGETHER", "TURNED", "prefetch", "read_bytes", "read_turned", "read_turned_with_gain",
     "read_with_gain", "two_at",
 ]  # fmt: skip
 
@@ -121,3 +121,23 @@ read_with_gain: Any = intrinsic(_with_gain(turned=False))
 read_turned_with_gain: Any = intrinsic(_with_gain(turned=True))
 # `two_at(line, place)` are the two numbers of four bytes from a place on, the first in the lower half.
 two_at: Any = intrinsic(_two_at)
+
+# Arguments of LLVM's `prefetch`: to be read, again soon, as data.
+_READ, _SOON_AGAIN, _DATA = 0, 3, 1
+
+
+def _prefetch(_typing: Any, values: Any, _place: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        address = builder.bitcast(builder.gep(array.data, [arguments[1]]), ir.IntType(8).as_pointer())
+        number = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [address.type, number, number, number])
+        hint = builder.module.declare_intrinsic("llvm.prefetch", [address.type], kind)
+        builder.call(hint, [address, number(_READ), number(_SOON_AGAIN), number(_DATA)])
+        return context.get_dummy_value()
+
+    return types.void(values, types.uintp), generate
+
+
+# `prefetch(values, place)` in a kernel has the line of memory about `values[place]` fetched, wherever that is.
+prefetch: Any = intrinsic(_prefetch)

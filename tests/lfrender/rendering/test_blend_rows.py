@@ -8,8 +8,8 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.rendering.plan import Drawing
-from lfrender.rendering.render import drawing_of
+from lfrender.rendering.plan import RenderPlan
+from lfrender.rendering.render import make_plan
 
 
 @functools.cache
@@ -27,7 +27,7 @@ def shorts(flat):
 
 
 def without_shortcut(monkeypatch):
-    monkeypatch.setattr(Drawing, "_read_once", lambda *_: False)
+    monkeypatch.setattr(RenderPlan, "_read_once", lambda *_: False)
 
 
 # At the larger scale a lens shows more pixels of a row than are worked on together.
@@ -84,10 +84,10 @@ def test_wanted_pixels_are_those_of_the_whole_picture_wherever_they_lie(made):
     flat, camera, depth = capture()
     flat = made(flat)
     whole = lfrender.render(flat, camera, depth)
-    drawing = drawing_of(lambda part: flat[part[1] : part[3], part[0] : part[2]], camera, depth, None, None, None)
+    drawing = make_plan(lambda part: flat[part[1] : part[3], part[0] : part[2]], camera, depth, None, None, None)
     wanted = np.random.default_rng(4).random(whole.valid.shape) < 0.3
     # Whole rows and long runs without any, too.
     wanted[10:20] = wanted[:, 40:90] = False
-    image, valid = drawing.redraw(flat, wanted, np.zeros_like(whole.image), np.zeros_like(whole.valid))
+    image, valid = drawing.render_changed(flat, wanted, np.zeros_like(whole.image), np.zeros_like(whole.valid))
     np.testing.assert_array_equal(image, whole.image * wanted[:, :, None])
     np.testing.assert_array_equal(valid, whole.valid & wanted)
