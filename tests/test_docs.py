@@ -33,3 +33,13 @@ def test_every_page_is_in_a_table_of_contents():
     blocks = re.findall(r"```{toctree}\n(.*?)```", (DOCS / "index.md").read_text(encoding="utf-8"), re.DOTALL)
     listed = {line for block in blocks for line in block.splitlines() if line and not line.startswith(":")}
     assert pages - {"index"} == listed - {"api", "built_gallery/index"}
+
+
+@pytest.mark.parametrize(
+    "page", [*sorted(DOCS.glob("*.md")), DOCS.parent / "CONTRIBUTING.md"], ids=lambda page: page.name
+)
+def test_files_that_a_page_names_exist(page):
+    named = re.findall(
+        r"`((?:lfcal|lfrender|data_synth|benchmarks|tests)/[\w/]+(?:\.\w+)?)`", page.read_text(encoding="utf-8")
+    )
+    assert [path for path in named if not (DOCS.parent / path).exists() and "_cupy" not in path] == []
