@@ -16,6 +16,7 @@ from ..runtime.console import (
     report_options,
     several_inputs,
 )
+from ..runtime.image_formats import TIFF_SUFFIXES
 from ..runtime.output_file import atomic_write, check_output
 
 if TYPE_CHECKING:
@@ -149,7 +150,7 @@ def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) ->
 def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) -> None:
     """Divide FLAT by the gain of CAMERA, so that microimages are evenly lit; where that is unknown it stays as is."""
     report = Report(as_json, quiet)
-    check_output(output, {".tif", ".tiff"}, [flat, camera])
+    check_output(output, TIFF_SUFFIXES, [flat, camera])
     with report.stage("read"):
         from .. import read_flat
 
@@ -205,9 +206,10 @@ def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: boo
 @report_options
 def convert(camera: Path, output: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
     """Write CAMERA in a form that other programs read, or theirs in ours."""
+    from ..camera_files.read_write import FORMATS
     from ..camera_files.read_write import convert as run
 
-    check_output(output, {".xml", ".cfg", ".csv", ".json"}, [camera, image])
+    check_output(output, FORMATS, [camera, image])
     calibration = _read(camera, _size(size, image))
     run(calibration, output)
     Report(as_json, quiet).finish({"written": str(output), **describe(calibration)})

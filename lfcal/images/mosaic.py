@@ -1,8 +1,7 @@
-"""Flats that carry a colour filter mosaic: light as if the filters were not there, at the resolution of the sensor.
+"""Colour filter mosaics: whether a flat has one, and its light without one, at the resolution of the sensor.
 
-Colours are not interpolated, as that would smear the lattice. The four phases of the 2 x 2 mosaic are given the same
-local mean instead, and where the scene is coloured what is left of the mosaic is taken out by a filter that is blind
-to its three frequencies and alike to all sides.
+Colours are not interpolated, which would blur the lattice. The four phases of the 2 x 2 mosaic are scaled to the same
+local mean instead; where the scene is coloured, a filter with zeros at the three mosaic frequencies removes the rest.
 """
 
 from __future__ import annotations
@@ -13,22 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
+from .settings import MOSAIC
 
 __all__ = ["Mosaic", "check_mosaic", "equalise_mosaic", "has_mosaic", "remove_mosaic"]
 
 #: Colour filters of the top left 2 x 2 pixels, row by row.
 Mosaic = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
-
-# Green pixels stand on one diagonal and differ from the others by more than this share of the light; lattices of
-# whole pixels make less there, and in rows and columns less than the second share.
-_VISIBLE = 0.03
-_STRONG = 0.1
-# Differences are real where they are so many standard errors of the scatter over the flat.
-_SURE = 6.0
-_BLOCK, _BLOCKS = 64, 16
-# Side of the window over which phases get the same mean, as a share of the flat, and the least [px]: many lenses.
-_WINDOW = 1 / 8
-_SMALLEST_WINDOW = 65
 
 
 def check_mosaic(mosaic: str | None, flat: NDArray[Any]) -> None:
@@ -42,15 +31,15 @@ def check_mosaic(mosaic: str | None, flat: NDArray[Any]) -> None:
 
 
 def has_mosaic(flat: NDArray[Any]) -> bool:
-    """Whether the phases of the 2 x 2 cells of `flat` (h, w) differ as colour filters make them, all over it.
+    """Whether the means of the four phases of 2 x 2 cells differ significantly over a `flat` (h, w).
 
-    A lattice of microimages and a scene show the same light to all four phases but for chance.
+    Without colour filters a lattice of microimages and a scene give all four phases the same mean but for chance.
     """
     height, width = flat.shape
-    side = min(_BLOCK, height // 2 * 2, width // 2 * 2)
-    rows = np.unique(np.linspace(0, height - side, _BLOCKS).astype(int) // 2 * 2)
-    columns = np.unique(np.linspace(0, width - side, _BLOCKS).astype(int) // 2 * 2)
-    # Rows first, whole ones at once: half the time.
+    side = min(MOSAIC.block, height // 2 * 2, width // 2 * 2)
+    rows = np.unique(np.linspace(0, height - side, MOSAIC.blocks).astype(int) // 2 * 2)
+    columns = np.unique(np.linspace(0, width - side, MOSAIC.blocks).astype(int) // 2 * 2)
+    # Summing over rows first takes half the time.
     blocks = [flat[y : y + side, x : x + side].reshape(side // 2, 2, side) for y in rows for x in columns]
     sums = [block.sum(0, dtype=np.float64) for block in blocks]
     means = np.array(sums).reshape(len(sums), 2, side // 2, 2).mean(2).reshape(len(sums), 4) / (side // 2)
@@ -60,17 +49,18 @@ def has_mosaic(flat: NDArray[Any]) -> bool:
     signs = np.array([(1, 1, -1, -1), (1, -1, 1, -1), (1, -1, -1, 1)]) / 4
     parts = means @ signs.T / level
     error = parts.std(0, ddof=1) / np.sqrt(len(parts))
-    found = np.abs(parts.mean(0))
-    return bool(((found > [_STRONG, _STRONG, _VISIBLE]) & (found > _SURE * error)).any())
+    difference = np.abs(parts.mean(0))
+    least = [MOSAIC.row_difference, MOSAIC.row_difference, MOSAIC.diagonal_difference]
+    return bool(((difference > least) & (difference > MOSAIC.significance * error)).any())
 
 
 def equalise_mosaic(flat: NDArray[Any]) -> NDArray[np.float32]:
-    """(h, w) float32 light of a mosaic `flat` (h, w), its four phases with the same local mean."""
+    """(h, w) float32 light of a mosaic `flat` (h, w), its four phases scaled to the same local mean."""
     import cv2
 
     light = np.array(flat, dtype=np.float32)
     height, width = light.shape
-    window = max(_SMALLEST_WINDOW, int(min(height, width) * _WINDOW)) // 2 | 1
+    window = max(MOSAIC.smallest_window, int(min(height, width) * MOSAIC.window)) // 2 | 1
     phases = [light[y::2, x::2] for y in (0, 1) for x in (0, 1)]
     size = (width // 2, height // 2)
     means: list[Any] = [cv2.blur(phase, (window, window)) for phase in phases]
@@ -85,7 +75,7 @@ def equalise_mosaic(flat: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def remove_mosaic(light: NDArray[np.float32]) -> NDArray[Any]:
-    """`light` (h, w) without anything that repeats every two pixels: weights 1, 2, 1 each way."""
+    """`light` (h, w) filtered with weights 1, 2, 1 along both axes, zero at the frequencies of a mosaic."""
     import cv2
 
     kernel = np.array([0.25, 0.5, 0.25], np.float32)

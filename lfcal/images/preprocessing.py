@@ -1,7 +1,7 @@
-"""Pictures in which microimages look alike whatever the scene shows: local brightness and local breaks.
+"""Pictures that show the lattice whatever the scene is: locally normalised brightness and edge strength.
 
-Brightness against its surroundings carries dark gaps and rims. Breaks, the steep steps where one microimage ends and
-the next begins, carry the lattice where a camera has already flattened the gaps away.
+Brightness shows dark gaps and rims. Edges where one microimage ends and the next begins also show the lattice of flats
+whose gaps a camera has already corrected away.
 """
 
 from __future__ import annotations
@@ -12,16 +12,12 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from .settings import PREPROCESSING
+
 __all__ = ["edge_strength", "luminance", "normalise_locally", "sqrt_luminance"]
 
-# Contrast below this share of the mean tone is taken for noise and not blown up.
-_NOISE_FLOOR = 0.02
-# Pixels further than this from their surroundings, in local standard deviations, tell no more than "far".
-_CLIP = 3.0
-# At least so many rows are levelled one after the other: the first takes as long as the square is high.
-_ROWS = 64
-# Types of raw values whose root is taken as they are, most flats; others are converted first.
-_ROOTED = (np.uint8, np.uint16, np.float32)
+# Types of raw values whose root is computed without a conversion first.
+_DIRECT_TYPES = (np.uint8, np.uint16, np.float32)
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -56,7 +52,7 @@ def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def sqrt_luminance(image: NDArray[Any]) -> NDArray[np.float32]:
-    """Square root of the luminance, scaled to mean 1, which makes photon noise alike in light and shade.
+    """Square root of the luminance, scaled to mean 1; photon noise is then the same in light and shade.
 
     Parameters
     ----------
@@ -68,7 +64,7 @@ def sqrt_luminance(image: NDArray[Any]) -> NDArray[np.float32]:
     (h, w) float32
         All zero where the image is all zero.
     """
-    if image.ndim == 2 and image.dtype in _ROOTED:
+    if image.ndim == 2 and image.dtype in _DIRECT_TYPES:
         grey = np.empty(image.shape, np.float32)
         _root(image, grey)
     else:
@@ -81,7 +77,7 @@ def sqrt_luminance(image: NDArray[Any]) -> NDArray[np.float32]:
 
 
 @njit(cache=True, nogil=True)
-def _steep(above, here, below, left, x, right):
+def _root_gradient(above, here, below, left, x, right):
     across = (above[right] - above[left]) + (below[right] - below[left])
     across += (here[right] - here[left]) + (here[right] - here[left])
     down = (below[left] - above[left]) + (below[right] - above[right])
@@ -90,30 +86,30 @@ def _steep(above, here, below, left, x, right):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _steepness(picture, steepness):
+def _edge_strength(picture, out):
     height, width = picture.shape
-    # Signed places that are added up may count from the end, which no vector loop can.
+    # Unsigned indices: signed ones may count from the end, which prevents vector loops.
     one = np.uint64(1)
     for y in prange(height):
         above, here, below = picture[abs(y - 1)], picture[y], picture[y + 1 if y + 1 < height else height - 2]
-        line = steepness[y]
-        line[0] = _steep(above, here, below, 1, 0, 1)
+        line = out[y]
+        line[0] = _root_gradient(above, here, below, 1, 0, 1)
         for x in range(one, np.uint64(width) - one):
-            line[x] = _steep(above, here, below, x - one, x, x + one)
-        line[width - 1] = _steep(above, here, below, width - 2, width - 1, width - 2)
+            line[x] = _root_gradient(above, here, below, x - one, x, x + one)
+        line[width - 1] = _root_gradient(above, here, below, width - 2, width - 1, width - 2)
 
 
 def edge_strength(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """(h, w) float32 square root of the gradient magnitude (Sobel) of a `sqrt_luminance` picture, at least 2 x 2 px."""
-    # Not OpenCV's magnitude, whose last bit depends on where in memory a picture lies.
-    steepness = np.empty_like(picture)
-    _steepness(picture, steepness)
-    return steepness
+    # The last bit of OpenCV's magnitude depends on the memory alignment of a picture.
+    out = np.empty_like(picture)
+    _edge_strength(picture, out)
+    return out
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _mirrored(at, count):
-    """Place in a line of `count` values that one beyond its ends stands for: mirrored, the ends not repeated."""
+    """Index into `count` values for one that may lie beyond them: mirrored, the ends not repeated."""
     last = count - 1
     while at < 0 or at > last:
         at = -at if at < 0 else 2 * last - at
@@ -131,8 +127,8 @@ def _add_row(row, squares, sums):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _next_row(row, other, squares, sums):
-    """Sums over columns, with a `row` more and an `other` one less."""
+def _exchange_row(row, other, squares, sums):
+    """Add a `row` to the column sums, and subtract an `other` one."""
     for x in range(len(row)):
         value, gone = np.float64(row[x]), np.float64(other[x])
         sums[x] += value - gone
@@ -140,14 +136,14 @@ def _next_row(row, other, squares, sums):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _running(sums, half, out):
-    """Fill `out` (n + 2 half + 1,) with the sum of all before each place, the ends of `sums` (n,) mirrored."""
+def _cumulate(sums, half, out):
+    """Fill `out` (n + 2 half + 1,) with cumulative sums of `sums` (n,), its ends mirrored."""
     count, total = len(sums), 0.0
     out[0] = 0.0
     for x in range(half):
         total += sums[_mirrored(x - half, count)]
         out[x + 1] = total
-    # Four at a time: each addition to the total waits for the one before.
+    # Four at a time, as each addition to the total waits for the one before.
     after = out[half + 1 :]
     whole, one, two, three = np.uint64(count // 4 * 4), np.uint64(1), np.uint64(2), np.uint64(3)
     for x in range(np.uint64(0), whole, np.uint64(4)):
@@ -165,10 +161,10 @@ def _running(sums, half, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _level_row(row, sums, squares, side, floor, clip, out):
-    """Values over their surroundings, from running sums over rows of `side` each and of their squares."""
+def _normalise_row(row, sums, squares, side, floor, clip, out):
+    """Normalise a row, from cumulative sums over windows of `side` rows, and over their squares."""
     share = 1.0 / (side * side)
-    # Without sums of signed places, as above.
+    # Unsigned indices, as above.
     later, later_squares = sums[side:], squares[side:]
     for x in range(np.uint64(len(row))):
         mean = np.float32((later[x] - sums[x]) * share)
@@ -178,8 +174,8 @@ def _level_row(row, sums, squares, side, floor, clip, out):
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _level(picture, half, together, floor, clip, out):
-    """Fill `out` with what `normalise_locally` returns, `together` rows after each other."""
+def _normalise(picture, half, together, floor, clip, out):
+    """See `normalise_locally`; each thread takes `together` rows one after the other."""
     height, width = picture.shape
     side = 2 * half + 1
     for part in prange((height + together - 1) // together):
@@ -191,10 +187,10 @@ def _level(picture, half, together, floor, clip, out):
         for y in range(first, min(first + together, height)):
             if y > first:
                 more, less = _mirrored(y + half, height), _mirrored(y - half - 1, height)
-                _next_row(picture[more], picture[less], squares, sums)
-            _running(sums, half, running)
-            _running(squares, half, running_squares)
-            _level_row(picture[y], running, running_squares, side, floor, clip, out[y])
+                _exchange_row(picture[more], picture[less], squares, sums)
+            _cumulate(sums, half, running)
+            _cumulate(squares, half, running_squares)
+            _normalise_row(picture[y], running, running_squares, side, floor, clip, out[y])
 
 
 def normalise_locally(picture: NDArray[np.float32], window: float) -> NDArray[np.float32]:
@@ -208,5 +204,6 @@ def normalise_locally(picture: NDArray[np.float32], window: float) -> NDArray[np
     """
     half = max(3, int(window) | 1) // 2
     out = np.empty_like(picture)
-    _level(picture, half, max(_ROWS, 4 * half), np.float32(_NOISE_FLOOR), np.float32(_CLIP), out)
+    floor, clip = np.float32(PREPROCESSING.noise_floor), np.float32(PREPROCESSING.clip)
+    _normalise(picture, half, max(PREPROCESSING.rows, 4 * half), floor, clip, out)
     return out

@@ -1,8 +1,7 @@
-"""Flats read part by part, so that they need not fit into memory.
+"""Flats read part by part, so that they need not fit into memory; pixels are those of `read_flat`.
 
-The pixels of a part are those that `read_flat` has there. TIFFs without compression are read row by row where they lie
-in the file; of others only the strips or tiles are decoded that have to do with a part, and of a Zarr array the chunks.
-What cannot be read in parts, such as PNG, is read as a whole, once.
+TIFFs without compression are read row by row in the file; of others only the strips or tiles that overlap a part are
+decoded, and of a Zarr array the chunks. Formats that cannot be read in parts, such as PNG, are read as a whole, once.
 """
 
 from __future__ import annotations
@@ -16,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
-from .read import MAX_PIXELS, checked_pixels, convert_tiff_pixels, file_errors, open_tiff, read_flat, select_tiff_page
+from ..runtime.image_formats import TIFF_SUFFIXES
+from .read import MAX_PIXELS, checked_pixels, file_errors, read_flat
+from .tiff import convert_tiff_pixels, open_tiff, select_tiff_page
 from .zarr_flat import is_zarr, open_zarr
 
 __all__ = ["FlatSource", "open_flat"]
 
-# Strips or tiles of more bytes would have to be decoded again and again; such files are read as a whole.
+# [bytes] files with larger strips or tiles, which every part would decode again, are read as a whole.
 _LARGEST_SEGMENT = 1 << 27
 
 
@@ -40,7 +41,7 @@ class FlatSource:
     dtype : dtype
         uint8, uint16 or float32.
     in_parts : bool
-        Whether parts are read on their own; else all of it is in memory.
+        Whether parts are read from the file; else the flat is in memory.
     """
 
     def __init__(self, path: Path, reader: _Reader, shape: tuple[int, ...], file: Any = None) -> None:
@@ -106,44 +107,44 @@ def open_flat(path: str | os.PathLike[str], page: int | None = None) -> FlatSour
     Raises
     ------
     FlatError
-        As `read_flat`; what is damaged inside is found when it is read.
+        As `read_flat`; damaged pixels are found when they are read.
     """
     source = Path(path)
     if source.is_dir() and is_zarr(source):
         with file_errors(source):
             array = open_zarr(source, MAX_PIXELS)
         return FlatSource(source, array, array.shape)
-    if source.suffix.lower() in (".tif", ".tiff") and source.is_file():
-        found = _open_tiff(source, page)
-        if found is not None:
-            return found
+    if source.suffix.lower() in TIFF_SUFFIXES and source.is_file():
+        tiff = _open_tiff(source, page)
+        if tiff is not None:
+            return tiff
     pixels = read_flat(source, page)
     return FlatSource(source, _Memory(pixels), pixels.shape)
 
 
 def _open_tiff(source: Path, number: int | None) -> FlatSource | None:
-    """A TIFF to be read in parts, None where it is none or its compression is not known here."""
+    """A TIFF to be read in parts, None where it cannot."""
     with file_errors(source):
         tiff = open_tiff(source)
         try:
             page = select_tiff_page(tiff, number)
-            reader = _Rows(page) if _plain(page) else _Segments(tiff, page)
+            reader = _Rows(page) if _is_contiguous(page) else _Segments(tiff, page)
             if isinstance(reader, _Rows) or reader.segment_bytes <= _LARGEST_SEGMENT:
                 return FlatSource(source, reader, (page.imagelength, page.imagewidth), tiff)
-        # Reading it as a whole finds another way, or says what is wrong.
+        # Reading it as a whole finds another way, or reports the error.
         except Exception:
             pass
         tiff.close()
     return None
 
 
-def _plain(page: Any) -> bool:
-    """Whether the rows of a page lie one after the other in the file."""
+def _is_contiguous(page: Any) -> bool:
+    """Whether the rows of a page lie one after the other in the file, without compression."""
     return bool(page.is_memmappable and page.is_contiguous and page.fillorder == 1 and page.axes in ("YX", "YXS"))
 
 
 class _Memory:
-    """A flat that is in memory already."""
+    """A flat in memory."""
 
     def __init__(self, pixels: NDArray[Any]) -> None:
         self._pixels = pixels
@@ -199,9 +200,9 @@ class _Segments:
         from concurrent.futures import ThreadPoolExecutor
 
         page = self._page
-        count = (page.samplesperpixel,) if page.samplesperpixel > 1 else ()
+        channels = (page.samplesperpixel,) if page.samplesperpixel > 1 else ()
         size = rows.stop - rows.start, columns.stop - columns.start
-        out = np.zeros((*count, *size) if self._planes else (*size, *count), page.dtype)
+        out = np.zeros((*channels, *size) if self._planes else (*size, *channels), page.dtype)
         down, across = self._grid
         wanted = [
             (plane * down + v) * across + u
@@ -215,16 +216,16 @@ class _Segments:
         return convert_tiff_pixels(out, page)
 
     def _decode(self, number: int, rows: slice, columns: slice, out: NDArray[Any]) -> None:
-        """Decode one strip or tile, and copy what is wanted of it."""
+        """Decode one strip or tile, and copy the pixels of these rows and columns."""
         page = self._page
         with self._lock:
             file = self._tiff.filehandle
             file.seek(page.dataoffsets[number])
             data = file.read(page.databytecounts[number])
-        found, (plane, _, top, left, _), _ = page.decode(data, number, jpegtables=page.jpegtables)
-        if found is None:
+        decoded, (plane, _, top, left, _), _ = page.decode(data, number, jpegtables=page.jpegtables)
+        if decoded is None:
             return
-        pixels = found[0]
+        pixels = decoded[0]
         bottom, right = min(top + pixels.shape[0], rows.stop), min(left + pixels.shape[1], columns.stop)
         first, start = max(top, rows.start), max(left, columns.start)
         some = pixels[first - top : bottom - top, start - left : right - left]

@@ -1,4 +1,4 @@
-"""Flats in Zarr arrays, of version 2 and 3, read part by part."""
+"""Flats in Zarr arrays (versions 2 and 3), read part by part; missing and damaged chunks are refused."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
 
-__all__ = ["ZarrFlat", "is_zarr", "open_zarr"]
+__all__ = ["ZarrFlat", "check_zarr", "is_zarr", "open_zarr"]
 
-_MARKS = (".zarray", ".zgroup", "zarr.json")
-# Codecs of version 2 that turn numbers into numbers. Others make objects of the bytes in a file, and one of them runs
-# what these say; Zarr before 3.1 lets it.
-_CODECS = {
+_METADATA_FILES = (".zarray", ".zgroup", "zarr.json")
+# Codecs of version 2 that give numbers. Others rebuild Python objects, and `pickle` among them executes code from the
+# file, which Zarr before 3.1 allows.
+_NUMERIC_CODECS = {
     "adler32", "astype", "bitround", "blosc", "bz2", "crc32", "crc32c", "delta", "fixedscaleoffset", "fletcher32",
     "gzip", "jenkins_lookup3", "lz4", "lzma", "packbits", "quantize", "shuffle", "zlib", "zstd",
 }  # fmt: skip
-# The header of a block of Blosc: bytes of its pixels, and of the block.
-_BLOSC = struct.Struct("<4xI4xI")
+# Header of a Blosc block: bytes of its pixels, and of the block.
+_BLOSC_HEADER = struct.Struct("<4xI4xI")
 
 
 @dataclass(frozen=True)
@@ -36,21 +36,21 @@ class ZarrFlat:
     ----------
     array : zarr.Array
         Of shape (h, w), (h, w, c) or (c, h, w).
-    first : bool
-        The channels lie along the first axis.
+    channels_first : bool
+        The channels are the first axis.
     folder : Path
-        Where its chunks are.
+        Of the chunks.
     """
 
     array: Any
-    first: bool
+    channels_first: bool
     folder: Path
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Height, width and number of channels, where there are such."""
+        """Height, width and, where there are any, number of channels."""
         shape = tuple(int(n) for n in self.array.shape)
-        return (*shape[1:], shape[0]) if self.first else shape
+        return (*shape[1:], shape[0]) if self.channels_first else shape
 
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
         """Pixels as stored, channels along the last axis.
@@ -58,10 +58,10 @@ class ZarrFlat:
         Raises
         ------
         FlatError
-            If a chunk is missing, which Zarr itself would take for black.
+            If a chunk is missing, which Zarr itself reads as black.
         """
         self._check_chunks(rows, columns)
-        if self.first:
+        if self.channels_first:
             return np.moveaxis(np.asarray(self.array[:, rows, columns]), 0, -1)
         return np.asarray(self.array[rows, columns])
 
@@ -70,9 +70,9 @@ class ZarrFlat:
         return self.read(slice(0, self.shape[0]), slice(0, self.shape[1]))
 
     def _check_chunks(self, rows: slice, columns: slice) -> None:
-        """A FlatError where a chunk that holds these pixels is not there."""
+        """FlatError where a chunk with these pixels is missing or truncated."""
         channels = slice(0, self.shape[2]) if len(self.shape) == 3 else None
-        places = [channels, rows, columns] if self.first else [rows, columns, channels]
+        places = [channels, rows, columns] if self.channels_first else [rows, columns, channels]
         sides = self.array.metadata.chunk_grid.chunk_shape
         chunks = (
             range(part.start // side, -(-part.stop // side))
@@ -100,46 +100,38 @@ def _is_blosc(metadata: Any) -> bool:
 
 
 def _is_whole_blosc(path: Path, size: int) -> bool:
-    """Whether a block has as many bytes as its header says; its decoder would read what lies beyond."""
+    """Whether a block has as many bytes as its header states; its decoder reads beyond the end of shorter ones."""
     with path.open("rb") as file:
-        header = file.read(_BLOSC.size)
+        header = file.read(_BLOSC_HEADER.size)
         length = os.fstat(file.fileno()).st_size
-    if len(header) < _BLOSC.size:
+    if len(header) < _BLOSC_HEADER.size:
         return False
-    unpacked, packed = _BLOSC.unpack(header)
+    unpacked, packed = _BLOSC_HEADER.unpack(header)
     return bool(unpacked == size and packed <= length)
 
 
 def is_zarr(path: Path) -> bool:
     """Whether a folder holds a Zarr array or group."""
-    return any((path / name).is_file() for name in _MARKS)
+    return any((path / name).is_file() for name in _METADATA_FILES)
 
 
 def open_zarr(path: Path, most: int) -> ZarrFlat:
-    """The one picture in a Zarr folder, of a group the array of that name or `0` (as OME-Zarr calls the largest).
-
-    Its height times width is `most` pixels or less.
-
-    Raises
-    ------
-    FlatError
-        If the package `zarr` is not installed, or there is no such picture.
-    """
+    """The picture in a Zarr folder, at most `most` pixels; of a group its only array, or `0`."""
     try:
         import zarr
     except ImportError as error:
         raise FlatError("Zarr needs the package 'zarr'; pip install 'lfrender[zarr]'") from error
-    found: Any = zarr.open(str(path), mode="r")
-    if not hasattr(found, "shape"):
-        names = sorted(found.array_keys())
+    array: Any = zarr.open(str(path), mode="r")
+    if not hasattr(array, "shape"):
+        names = sorted(array.array_keys())
         if len(names) != 1 and "0" not in names:
             raise FlatError(f"the Zarr group holds {len(names)} arrays; give the folder of the one that is the flat")
-        found = found[names[0] if len(names) == 1 else "0"]
-    return _checked(found, most)
+        array = array[names[0] if len(names) == 1 else "0"]
+    return check_zarr(array, most)
 
 
-def _checked(array: Any, most: int) -> ZarrFlat:
-    """The array if it may be a flat: its description alone is believed, of which nothing is decoded yet."""
+def check_zarr(array: Any, most: int) -> ZarrFlat:
+    """The array as a flat, or a FlatError if its metadata describe none; nothing is decoded."""
     shape, kind = tuple(int(n) for n in array.shape), np.dtype(array.dtype)
     if len(shape) not in (2, 3) or 0 in shape:
         raise FlatError(f"a flat is one grey or RGB picture, this Zarr array has shape {shape}")
@@ -153,7 +145,7 @@ def _checked(array: Any, most: int) -> ZarrFlat:
     if chunk is None or len(chunk) != len(shape) or math.prod(max(n, 1) for n in chunk) > 4 * most:
         raise FlatError(f"chunks of shape {chunk} are not read; store the array in regular chunks of some megapixels")
     codecs = [*(getattr(array.metadata, "filters", None) or ()), getattr(array.metadata, "compressor", None)]
-    unknown = {getattr(one, "codec_id", str(one)) for one in codecs if one is not None} - _CODECS
+    unknown = {getattr(one, "codec_id", str(one)) for one in codecs if one is not None} - _NUMERIC_CODECS
     if unknown:
         raise FlatError(f"the codec '{min(unknown)}' is not one of numbers; store the array without it")
     root = getattr(array.store, "root", None)

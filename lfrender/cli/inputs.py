@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lfcal.runtime import console
+from lfcal.runtime.image_formats import IMAGE_SUFFIXES
 
 if TYPE_CHECKING:
     from typing import Literal
@@ -24,15 +25,13 @@ if TYPE_CHECKING:
 
 __all__ = ["analysed", "camera_of", "in_colour", "is_published", "read_camera", "read_depth", "read_optics"]
 
-_IMAGES = {".png", ".tif", ".tiff", ".webp", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm"}
-
 
 def read_camera(path: Path, pixels: NDArray[np.generic]) -> Calibration:
     """A camera file for flats of this size, in our form or as published."""
     from lfcal import CameraFileError, load
 
     size = (pixels.shape[1], pixels.shape[0])
-    if path.suffix.lower() in _IMAGES and path.exists():
+    if path.suffix.lower() in IMAGE_SUFFIXES and path.exists():
         raise CameraFileError(
             f"{path}: is an image, not a camera file; give a white image as --white, or make a camera file of it with "
             "'lfcal calibrate'"

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from lfcal import LightFieldError
+from lfcal.runtime.image_formats import TIFF_SUFFIXES
 
 __all__ = ["is_large"]
 
@@ -13,7 +14,7 @@ __all__ = ["is_large"]
 def is_large(path: str | os.PathLike[str], least_bytes: float = 1e8) -> bool:
     """Whether a flat can be read in parts and has more than `least_bytes`; smaller ones are faster as a whole."""
     flat = Path(path)
-    if flat.suffix.lower() not in (".tif", ".tiff") and not flat.is_dir():
+    if flat.suffix.lower() not in TIFF_SUFFIXES and not flat.is_dir():
         return False
     from lfcal import open_flat
 

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import FlatError, count_pages, read_flat
+from lfcal.runtime.image_formats import IMAGE_SUFFIXES, TIFF_SUFFIXES
 
 __all__ = ["Frame", "Frames", "convert_pixels", "is_video", "open_frames"]
 
-_IMAGES = {".png", ".tif", ".tiff", ".webp", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm"}
 # Raw streams have no header that names their codec.
 _VIDEOS = {
     ".mp4": None, ".mkv": None, ".mov": None, ".avi": None, ".webm": None, ".y4m": None, ".m4v": None,
@@ -120,7 +120,9 @@ def is_video(path: Path) -> bool:
 
 def _parts(path: Path) -> list[_Part]:
     if path.is_dir():
-        files = [file for file in path.iterdir() if file.suffix.lower() in _IMAGES and not file.name.startswith(".")]
+        files = [
+            file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith(".")
+        ]
         if not files:
             raise FlatError(f"{path}: no image files are in this folder")
         return [part for file in sorted(files, key=_natural) for part in _parts(file)]
@@ -129,7 +131,7 @@ def _parts(path: Path) -> list[_Part]:
     if path.suffix.lower() in _VIDEOS:
         _import_av(path)
         return [_Part(path, None)]
-    if path.suffix.lower() not in (".tif", ".tiff"):
+    if path.suffix.lower() not in TIFF_SUFFIXES:
         return [_Part(path, (path.stem,))]
     try:
         pages = count_pages(path)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lfcal
-from lfcal.images.zarr_flat import _checked
+from lfcal.images.zarr_flat import check_zarr
 
 zarr = pytest.importorskip("zarr", minversion="3.0")
 
@@ -109,7 +109,7 @@ def test_codecs_that_make_objects_are_refused_where_zarr_lets_them_pass(tmp_path
     lied = {"chunk_grid": array.metadata.chunk_grid, place: (codec,) if place == "filters" else codec}
     stub = SimpleNamespace(shape=array.shape, dtype=array.dtype, metadata=SimpleNamespace(**lied), store=array.store)
     with pytest.raises(lfcal.FlatError, match="codec 'pickle'"):
-        _checked(stub, 1 << 30)
+        check_zarr(stub, 1 << 30)
 
 
 def test_black_chunks_of_our_own_pictures_are_there(tmp_path):
