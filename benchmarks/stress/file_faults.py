@@ -20,7 +20,7 @@ import tifffile
 import lfcal
 import lfrender
 from lfcal.camera_files.read_write import convert
-from lfrender.sequence.film_file import FilmFile
+from lfrender.sequence.film import FilmFile
 from lfrender.sequence.frames import open_frames
 
 from .plane_flats import PlaneFlat

@@ -84,7 +84,7 @@ def batch(
     if film := is_video(output):
         if suffix is not None:
             raise click.UsageError(f"{output} is a film: leave out --format")
-        from ..sequence.film_file import check_film
+        from ..sequence.film import check_film
 
         check_film(output, inputs)
         options["rate"] = fps

@@ -6,26 +6,19 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numba
-import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, LightFieldError, OutputError
 
 from .frames import Frame
-from .job import GROUP_LENGTH, SEGMENT_LENGTH, FrameResult, Job, KeyFrame
+from .job import FrameResult, Job, KeyFrame
+from .settings import DEFAULT, SequenceSettings
 
 __all__ = ["render_frames"]
-
-# Frames that are worked on at once, if a flat has no more bytes than this: larger ones keep all cores busy by
-# themselves, and take memory.
-_AT_ONCE, _MOST_SHARED = 2, 1 << 26
-# What Numba runs kernels on that may be called from several threads.
-_SAFE_LAYERS = ("omp", "tbb")
 
 
 def render_frames(
@@ -37,11 +30,12 @@ def render_frames(
     scale: float | None = None,
     suffix: str = ".tif",
     overwrite: bool = False,
+    tuning: SequenceSettings = DEFAULT,
 ) -> Iterator[FrameResult]:
     """Render the frames of a sequence into a folder, one picture a frame.
 
     The folder also gets a hidden folder with the camera, the settings, and a depth map every 5 frames. Run again with
-    the same settings, only pictures that are not there are rendered, and they are the same as in one run.
+    the same settings, only missing pictures are rendered, and they are the same as in one run.
     A frame that cannot be read or analysed is reported, and the others are rendered.
 
     Parameters
@@ -56,9 +50,10 @@ def render_frames(
     scale : float or None
         Output pixels per pitch; with None the full resolution of the first frame, for all frames.
     suffix : str
-        Kind of the pictures: `".tif"`, `".png"`, ...
+        Format of the pictures: `".tif"`, `".png"`, ...
     overwrite : bool
-        Render all frames anew, whatever is in the folder.
+        Render all frames again, whatever is in the folder.
+    tuning : SequenceSettings
 
     Yields
     ------
@@ -70,62 +65,58 @@ def render_frames(
     OutputError
         If the folder or a picture cannot be written, or it holds pictures made with other settings.
     """
-    job = Job.opened(Path(folder), calibration, preset, scale, suffix, overwrite)
+    job = Job.open(Path(folder), calibration, preset, scale, suffix, overwrite)
     waiting: deque[FrameResult | Future[FrameResult]] = deque()
     with ThreadPoolExecutor(
-        _AT_ONCE, initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),)
+        tuning.at_once, initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),)
     ) as workers:
-        for given in _given(job, frames, workers, overwrite):
-            waiting.append(given)
-            while waiting and (len(waiting) > _AT_ONCE or isinstance(waiting[0], FrameResult)):
-                yield _outcome(waiting.popleft())
+        for outcome in _submit_frames(job, frames, workers, overwrite, tuning):
+            waiting.append(outcome)
+            while waiting and (len(waiting) > tuning.at_once or isinstance(waiting[0], FrameResult)):
+                yield _result(waiting.popleft())
         while waiting:
-            yield _outcome(waiting.popleft())
+            yield _result(waiting.popleft())
 
 
-def _given(
-    job: Job, frames: Iterable[Frame], workers: ThreadPoolExecutor, overwrite: bool
+def _submit_frames(
+    job: Job, frames: Iterable[Frame], workers: ThreadPoolExecutor, overwrite: bool, tuning: SequenceSettings
 ) -> Iterator[FrameResult | Future[FrameResult]]:
-    """What becomes of each frame, or will: those to be rendered are given to the workers."""
+    """The outcome of each frame, or its future if it was handed to the workers."""
     earlier: KeyFrame | None = None
     key: KeyFrame | None = None
     first: KeyFrame | None = None
     wanted = None if overwrite else job.is_missing
     for number, (frame, reading) in enumerate(_read_ahead(frames, wanted)):
-        if number % SEGMENT_LENGTH == 0:
+        if number % tuning.segment == 0:
             earlier, key = key or earlier, None
-        if number % SEGMENT_LENGTH % GROUP_LENGTH == 0:
+        if number % tuning.segment % tuning.group == 0:
             first = None
         if reading is None:
             key, first = key or KeyFrame(number, frame), first or KeyFrame(number, frame)
-            yield FrameResult(frame.name, job.path_of(frame), "kept")
+            yield job.kept(frame)
             continue
         try:
-            flat = job.in_colour(reading.result())
+            flat = job.demosaic(reading.result())
             if key is None or key.depth is None:
-                key = job.with_depth(key or KeyFrame(number, frame, flat), earlier)
-                # Its flat is as large as this one's.
+                key = job.analyze_key(key or KeyFrame(number, frame, flat), earlier)
+                # Not needed in this segment any more; its flat is as large as this one.
                 earlier = None
             if first is None or first.depth is None:
-                first = job.first_of_group(first or KeyFrame(number, frame, flat), key)
+                first = job.analyze_first(first or KeyFrame(number, frame, flat), key)
         except OutputError:
             raise
         except LightFieldError as error:
-            yield job.failure(frame, error)
+            yield job.failed(frame, error)
             continue
-        if _can_share(flat):
-            yield workers.submit(job.result, number, frame, partial(np.asarray, flat), first)
+        # Several frames at once keep all cores busy in steps of one thread, if kernels may be called from threads.
+        if flat.nbytes <= tuning.shared_bytes and numba.threading_layer() in ("omp", "tbb"):
+            yield workers.submit(job.render_frame, number, frame, flat, first)
         else:
-            yield job.result(number, frame, partial(np.asarray, flat), first)
+            yield job.render_frame(number, frame, flat, first)
 
 
-def _can_share(flat: NDArray[Any]) -> bool:
-    """Whether frames may be worked on at once: one core need not wait while the other does what has no parts."""
-    return flat.nbytes <= _MOST_SHARED and numba.threading_layer() in _SAFE_LAYERS
-
-
-def _outcome(given: FrameResult | Future[FrameResult]) -> FrameResult:
-    return given if isinstance(given, FrameResult) else given.result()
+def _result(outcome: FrameResult | Future[FrameResult]) -> FrameResult:
+    return outcome if isinstance(outcome, FrameResult) else outcome.result()
 
 
 def _read_ahead(
@@ -134,21 +125,21 @@ def _read_ahead(
     """Each frame with its pixels, None where not wanted; the next one is decoded while one is being worked on."""
     source = iter(frames)
 
-    def following() -> tuple[Frame, Future[NDArray[Any]] | None] | None:
+    def read_next() -> tuple[Frame, Future[NDArray[Any]] | None] | None:
         frame = next(source, None)
         if frame is None:
             return None
-        return frame, _done(frame.read) if wanted is None or wanted(frame) else None
+        return frame, _call(frame.read) if wanted is None or wanted(frame) else None
 
     with ThreadPoolExecutor(1) as reader:
-        waiting = reader.submit(following)
+        waiting = reader.submit(read_next)
         while (found := waiting.result()) is not None:
-            waiting = reader.submit(following)
+            waiting = reader.submit(read_next)
             yield found
 
 
-def _done(read: Callable[[], NDArray[Any]]) -> Future[NDArray[Any]]:
-    """What `read` gives or raises, when it is asked for."""
+def _call(read: Callable[[], NDArray[Any]]) -> Future[NDArray[Any]]:
+    """The result of `read`, or the error that it raised, which is raised when the result is asked for."""
     outcome: Future[NDArray[Any]] = Future()
     try:
         outcome.set_result(read())

@@ -1,4 +1,4 @@
-"""A sequence rendered by the workers of a Dask cluster, to the same pictures as on one machine."""
+"""A sequence rendered by the workers of a Dask cluster, with the same pictures as on one machine."""
 
 from __future__ import annotations
 
@@ -7,30 +7,20 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from lfcal import Calibration, LightFieldError, OutputError
 
 from .frames import Frame
-from .job import GROUP_LENGTH, SEGMENT_LENGTH, FrameResult, Job, KeyFrame
+from .job import FrameResult, Job, KeyFrame
+from .settings import DEFAULT, SequenceSettings
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
 __all__ = ["connect", "limit_threads", "render_frames_on", "task_result"]
-
-# Groups in flight for each thread of the cluster: enough to keep all busy, few enough to hold videos in memory.
-_AHEAD = 2
-# Fewer groups than this in flight leave workers idle at the end of a stretch.
-_LEAST_AHEAD = 4
-_RETRIES = 3
-# Seconds to wait for a scheduler.
-_PATIENCE = 15
 
 
 def render_frames_on(
@@ -44,6 +34,7 @@ def render_frames_on(
     suffix: str = ".tif",
     overwrite: bool = False,
     threads: int | None = None,
+    tuning: SequenceSettings = DEFAULT,
 ) -> Iterator[FrameResult]:
     """Render the frames of a sequence on a cluster; as `render_frames`, and the pictures are the same bit for bit.
 
@@ -53,7 +44,7 @@ def render_frames_on(
     Parameters
     ----------
     client : distributed.Client
-    frames, folder, calibration, preset, scale, suffix, overwrite
+    frames, folder, calibration, preset, scale, suffix, overwrite, tuning
         As in `render_frames`.
     threads : int or None
         Threads of the kernels in each worker; None leaves it to the machine.
@@ -68,12 +59,12 @@ def render_frames_on(
     OutputError
         As `render_frames`.
     """
-    job = Job.opened(Path(folder).absolute(), calibration, preset, scale, suffix, overwrite)
-    settings = (str(job.folder), preset, suffix, threads)
-    most = max(_LEAST_AHEAD, _AHEAD * sum(client.nthreads().values()))
+    job = Job.open(Path(folder).absolute(), calibration, preset, scale, suffix, overwrite)
+    run = _Run(client, job, (str(job.folder), preset, suffix, threads), tuning)
+    most = max(tuning.least_ahead, tuning.groups_ahead * sum(client.nthreads().values()))
     waiting: deque[tuple[list[FrameResult | None], Future | None]] = deque()
-    for group in _groups(client, job, settings, frames, overwrite):
-        waiting.append(group.submitted(client, settings))
+    for group in run.groups(frames, overwrite):
+        waiting.append((group.outcomes, run.submit(group)))
         while len(waiting) > most:
             yield from _results(*waiting.popleft())
     while waiting:
@@ -86,82 +77,102 @@ class _Group:
 
     Parameters
     ----------
-    known : list
-        What has become of each frame, None for those to be rendered.
-    asked : list
-        Those, with their numbers.
-    first : Key, optional
-        What they are analysed against, where its picture is there already.
-    key : Key, optional
-        Of their stretch.
+    outcomes : list
+        The outcome of each frame, None for those to be rendered.
+    missing : list
+        Those to be rendered, with their numbers.
+    first : KeyFrame, optional
+        The frame that they are compared with, if its picture is there already.
+    key : KeyFrame, optional
+        Of their segment.
     ready : Future, optional
-        Done when there is a depth map of that.
+        Done when there is a depth map of the key frame.
     """
 
-    known: list[FrameResult | None] = field(default_factory=list)
-    asked: list[tuple[int, Frame]] = field(default_factory=list)
+    outcomes: list[FrameResult | None] = field(default_factory=list)
+    missing: list[tuple[int, Frame]] = field(default_factory=list)
     first: KeyFrame | None = None
     key: KeyFrame | None = None
     ready: Future | None = None
 
-    def submitted(self, client: Client, settings: tuple[Any, ...]) -> tuple[list[FrameResult | None], Future | None]:
-        """What is known, and what tells the others."""
-        if not self.asked or self.key is None:
-            return self.known, None
-        task = (settings, self.asked, self.first, replace(self.key, flat=None), self.ready)
-        return self.known, client.submit(_draw, *task, pure=False, retries=_RETRIES)
 
+@dataclass(frozen=True)
+class _Run:
+    """Submits the work on a sequence; `settings` are the arguments from which a worker opens the job."""
 
-def _groups(
-    client: Client, job: Job, settings: tuple[Any, ...], frames: Iterable[Frame], overwrite: bool
-) -> Iterator[_Group]:
-    """The groups of a sequence; the depth of keys is asked of the workers, or made here where it tells the settings."""
-    earlier: tuple[KeyFrame, Future | None] | None = None
-    key: KeyFrame | None = None
-    ready: Future | None = None
-    known = False
-    group = _Group()
-    for number, frame in enumerate(frames):
-        if number % SEGMENT_LENGTH == 0:
-            earlier, key, ready, known = (key, ready) if key else earlier, None, None, False
-        if number % SEGMENT_LENGTH % GROUP_LENGTH == 0 and group.known:
-            yield group
-            group = _Group()
-        if not overwrite and not job.is_missing(frame):
-            key, group.first = key or KeyFrame(number, frame), group.first or KeyFrame(number, frame)
-            group.known.append(FrameResult(frame.name, job.path_of(frame), "kept"))
-            continue
-        try:
-            if key is None:
-                key = _readable(job, number, frame)
-            if job.scale is None or job.calibration is None:
-                # Camera and scale are those of the first key, for all workers.
-                job.with_depth(key, None)
-                known = True
-        except OutputError:
-            raise
-        except LightFieldError as error:
-            key = None
-            group.known.append(job.failure(frame, error))
-            continue
-        if not known:
-            before = (replace(earlier[0], flat=None), earlier[1]) if earlier else (None, None)
-            ready = client.submit(_prepare, settings, replace(key, flat=None), *before, pure=False, retries=_RETRIES)
-            known = True
-        group.known.append(None)
-        group.asked.append((number, frame))
-        group.key, group.ready = key, ready
-    yield group
+    client: Client
+    job: Job
+    settings: tuple[Any, ...]
+    tuning: SequenceSettings
+
+    def submit(self, group: _Group) -> Future | None:
+        """The future of the missing frames of a group, None if there are none."""
+        if not group.missing or group.key is None:
+            return None
+        key = replace(group.key, flat=None)
+        return self._submit(_render_group, group.missing, group.first, key, group.ready)
+
+    def _submit(self, task: Any, *arguments: Any) -> Future:
+        return self.client.submit(task, self.settings, *arguments, pure=False, retries=self.tuning.retries)
+
+    def groups(self, frames: Iterable[Frame], overwrite: bool) -> Iterator[_Group]:
+        """The groups of a sequence. Workers analyse the key frames, but for the first if camera or scale follow
+        from it."""
+        job, tuning = self.job, self.tuning
+        earlier: tuple[KeyFrame, Future | None] | None = None
+        key: KeyFrame | None = None
+        ready: Future | None = None
+        analyzed = False
+        group = _Group()
+        for number, frame in enumerate(frames):
+            if number % tuning.segment == 0:
+                earlier, key, ready, analyzed = (key, ready) if key else earlier, None, None, False
+            if number % tuning.segment % tuning.group == 0 and group.outcomes:
+                yield group
+                group = _Group()
+            if not overwrite and not job.is_missing(frame):
+                key, group.first = key or KeyFrame(number, frame), group.first or KeyFrame(number, frame)
+                group.outcomes.append(job.kept(frame))
+                continue
+            try:
+                if key is None:
+                    key = _read_key(job, number, frame)
+                if job.scale is None or job.calibration is None:
+                    job.analyze_key(key, None)
+                    analyzed = True
+            except OutputError:
+                raise
+            except LightFieldError as error:
+                key = None
+                group.outcomes.append(job.failed(frame, error))
+                continue
+            if not analyzed:
+                before = (replace(earlier[0], flat=None), earlier[1]) if earlier else (None, None)
+                ready = self._submit(_analyze_key, replace(key, flat=None), *before)
+                analyzed = True
+            group.outcomes.append(None)
+            group.missing.append((number, frame))
+            group.key, group.ready = key, ready
+        yield group
 
 
 @contextmanager
-def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
+def connect(workers: int | None, scheduler: str | None, timeout: float = 15.0) -> Iterator[Client]:
     """A client of a running scheduler, or of so many worker processes on this machine.
+
+    Parameters
+    ----------
+    workers : int or None
+        Number of processes, where no scheduler is given.
+    scheduler : str or None
+        Such as `"tcp://host:8786"`.
+    timeout : float [s]
+        How long to wait for the scheduler.
 
     Raises
     ------
     OutputError
-        If Dask is not installed or the scheduler does not answer.
+        If Dask is not installed or the scheduler cannot be reached.
     """
     try:
         from distributed import Client, LocalCluster
@@ -175,31 +186,31 @@ def connect(workers: int | None, scheduler: str | None) -> Iterator[Client]:
             yield client
         return
     try:
-        client = Client(scheduler, timeout=_PATIENCE)
+        client = Client(scheduler, timeout=timeout)
     except (OSError, ValueError) as error:
-        raise OutputError(f"{scheduler}: no Dask scheduler answers there ({error})") from error
+        raise OutputError(f"{scheduler}: there is no Dask scheduler ({error})") from error
     with client:
         yield client
 
 
-def _readable(job: Job, number: int, frame: Frame) -> KeyFrame:
-    """The frame as a key; LightFieldError where it can be none."""
-    flat = job.in_colour(frame.read())
+def _read_key(job: Job, number: int, frame: Frame) -> KeyFrame:
+    """The frame as a key frame; LightFieldError if it cannot be read or has another size."""
+    flat = job.demosaic(frame.read())
     size = job.camera(flat).image_size
     if (flat.shape[1], flat.shape[0]) != size:
         raise LightFieldError(f"is {flat.shape[1]} x {flat.shape[0]} px, the camera is for {size[0]} x {size[1]} px")
     return KeyFrame(number, frame, flat)
 
 
-def _results(known: list[FrameResult | None], others: Future | None) -> Iterator[FrameResult]:
-    """What has become of the frames of a group, in their order."""
-    rendered = iter([] if others is None else task_result(others))
-    for result in known:
-        yield next(rendered) if result is None else result
+def _results(outcomes: list[FrameResult | None], missing: Future | None) -> Iterator[FrameResult]:
+    """The outcomes of the frames of a group, in their order."""
+    rendered = iter([] if missing is None else task_result(missing))
+    for outcome in outcomes:
+        yield next(rendered) if outcome is None else outcome
 
 
 def task_result(future: Future) -> Any:
-    """The result of a task; an OutputError where no worker could be found that lived long enough to finish it."""
+    """The result of a task; an OutputError if all workers that tried it were lost."""
     from distributed.client import FutureCancelledError
     from distributed.scheduler import KilledWorker
 
@@ -207,13 +218,13 @@ def task_result(future: Future) -> Any:
         return future.result()
     except (KilledWorker, FutureCancelledError) as error:
         raise OutputError(
-            f"the cluster has given up a part of the work ({error}); workers die for want of memory: start fewer of "
+            f"the cluster has given up a part of the work ({error}); workers die if memory runs out: start fewer of "
             "them, or on larger machines"
         ) from error
 
 
 def limit_threads(count: int) -> None:
-    """Have everything that computes in this process take so many threads."""
+    """Limit the threads of everything that computes in this process."""
     import cv2
     import numba
 
@@ -223,7 +234,7 @@ def limit_threads(count: int) -> None:
 
 
 class _Worker:
-    """What a worker process keeps from task to task. Kernels run one at a time: they use several threads themselves."""
+    """What a worker process keeps from task to task. Kernels run one at a time: each uses several threads itself."""
 
     lock = Lock()
     settings: tuple[Any, ...] | None = None
@@ -231,46 +242,47 @@ class _Worker:
     key: KeyFrame | None = None
 
     @classmethod
-    def job_of(cls, settings: tuple[Any, ...]) -> Job:
+    def open_job(cls, settings: tuple[Any, ...]) -> Job:
         folder, preset, suffix, threads = settings
         if threads is not None:
             limit_threads(threads)
         if cls.settings != settings or cls.job is None:
-            cls.job, cls.key, cls.settings = Job.opened(Path(folder), None, preset, None, suffix, False), None, settings
+            cls.job, cls.key, cls.settings = Job.open(Path(folder), None, preset, None, suffix, False), None, settings
         return cls.job
 
     @classmethod
-    def key_of(cls, job: Job, key: KeyFrame, earlier: KeyFrame | None) -> KeyFrame:
+    def analyze_key(cls, job: Job, key: KeyFrame, earlier: KeyFrame | None) -> KeyFrame:
         if cls.key is None or cls.key.number != key.number:
-            cls.key = job.with_depth(key, earlier)
+            cls.key = job.analyze_key(key, earlier)
         return cls.key
 
 
-def _prepare(settings: tuple[Any, ...], key: KeyFrame, earlier: KeyFrame | None, _after: object) -> None:
-    """Make the depth map of a key frame, once that of the earlier key is there."""
+def _analyze_key(settings: tuple[Any, ...], key: KeyFrame, earlier: KeyFrame | None, _after: object) -> None:
+    """Make the depth map of a key frame, once that of the earlier key frame is there."""
     with _Worker.lock:
-        job = _Worker.job_of(settings)
-        _Worker.key_of(job, key, earlier)
+        _Worker.analyze_key(_Worker.open_job(settings), key, earlier)
 
 
-def _draw(
-    settings: tuple[Any, ...], asked: list[tuple[int, Frame]], first: KeyFrame | None, key: KeyFrame, _after: object
+def _render_group(
+    settings: tuple[Any, ...], missing: list[tuple[int, Frame]], first: KeyFrame | None, key: KeyFrame, _after: object
 ) -> list[FrameResult]:
-    """Render some frames of a group, once the depth map of the key of their stretch is there."""
+    """Render some frames of a group, once the depth map of the key frame of their segment is there."""
     with _Worker.lock:
-        job = _Worker.job_of(settings)
+        job = _Worker.open_job(settings)
         if not job.depth_file(key).exists():
-            raise OutputError(f"{job.folder}: a worker does not see what another has written; give a shared folder")
+            raise OutputError(f"{job.folder}: a file of one worker is not seen by another; give a shared folder")
         results = []
-        for number, frame in asked:
+        for number, frame in missing:
             try:
-                flat = job.in_colour(frame.read())
+                flat = job.demosaic(frame.read())
                 if first is None or first.depth is None:
-                    first = job.first_of_group(first or KeyFrame(number, frame, flat), _Worker.key_of(job, key, None))
+                    first = job.analyze_first(
+                        first or KeyFrame(number, frame, flat), _Worker.analyze_key(job, key, None)
+                    )
             except OutputError:
                 raise
             except LightFieldError as error:
-                results.append(job.failure(frame, error))
+                results.append(job.failed(frame, error))
                 continue
-            results.append(job.result(number, frame, partial(np.asarray, flat), first))
+            results.append(job.render_frame(number, frame, flat, first))
         return results

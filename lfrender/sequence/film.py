@@ -1,33 +1,39 @@
-"""A sequence rendered into a film; its finished pictures are kept until the film is whole."""
+"""A sequence rendered into a film: H.264 in MP4, which plays everywhere, or FFV1 in Matroska, which is lossless."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatError, OutputError, read_flat
+from lfcal.runtime.eight_bit import to_eight_bits
 
+from ..output.formats import FORMATS, PictureError, check_format
 from ..output.resume import Checkpoint, file_identity, fingerprint
 from ..output.tiled_picture import move_into_place
-from .film_file import FilmFile, check_film, film_pixels
-from .frames import Frames
+from .frames import Frames, convert_pixels
 from .job import FrameResult, load_camera
 
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["render_film"]
+__all__ = ["FilmFile", "check_film", "render_film", "to_film_pixels"]
 
-# Pictures a second where neither the user nor a video says.
-_RATE = Fraction(25)
-# Rates of television have such denominators; other digits of a decimal number are rounding.
-_FINEST = 1001
+# What PyAV calls arrays of so many channels and bytes, and how FFV1 stores them.
+_LAYOUTS = {
+    (1, 1): ("gray", "gray"), (3, 1): ("rgb24", "bgr0"), (1, 2): ("gray16le", "gray16le"),
+    (3, 2): ("rgb48le", "gbrp16le"),
+}  # fmt: skip
 
 
 def render_film(
@@ -42,10 +48,10 @@ def render_film(
     client: Client | None = None,
     threads: int | None = None,
 ) -> Iterator[FrameResult]:
-    """Render the frames of a sequence into a film, which is there once the last result has been taken.
+    """Render the frames of a sequence into a film, which is complete once the last result has been taken.
 
-    Pictures are those of `render_frames`. Until the film is whole they lie in a hidden folder beside it; a run that
-    was killed goes on with them. In place of a frame that fails the one before is shown again, so that time goes on.
+    Pictures are those of `render_frames`. Until the film is complete they are kept in a hidden folder beside it, from
+    which a run that was killed is continued. In place of a frame that fails the picture before it is repeated.
 
     Parameters
     ----------
@@ -59,7 +65,7 @@ def render_film(
     rate : float, Fraction or None
         Pictures a second; with None that of the first video, else 25.
     overwrite : bool
-        Replace a film that is there, and render all pictures anew.
+        Replace an existing film, and render all pictures again.
     client : distributed.Client or None
         Render on this cluster, as `render_frames_on`.
     threads : int or None
@@ -80,18 +86,19 @@ def render_film(
     output = Path(path).absolute()
     check_film(output, frames.files)
     if output.exists() and not overwrite:
-        raise OutputError(f"{path}: is there already; give another output, or render it anew (--overwrite)")
-    unfinished = Checkpoint(output)
+        raise OutputError(f"{path}: is there already; give another output, or render it again (--overwrite)")
+    checkpoint = Checkpoint(output)
     camera = None if calibration is None else calibration.to_dict()
     key = fingerprint([file_identity(file) for file in frames.files], camera, preset, scale)
-    if overwrite or unfinished.find("film", key) is None:
-        unfinished.remove()
-        unfinished.keep("film", key)
-    speed = Fraction(rate or frames.rate or _RATE).limit_denominator(_FINEST)
-    pictures = _pictures(frames, unfinished.folder, calibration, preset, scale, client, threads)
+    if overwrite or checkpoint.find("film", key) is None:
+        checkpoint.remove()
+        checkpoint.keep("film", key)
+    # Rates of television have denominators up to 1001; further digits of a decimal number are rounding.
+    speed = Fraction(rate or frames.rate or 25).limit_denominator(1001)
+    pictures = _render_pictures(frames, checkpoint.folder, calibration, preset, scale, client, threads)
     comment = json.dumps({"software": "lfrender", "rendering": "all in focus", "preset": preset})
-    half = unfinished.folder / f"film{output.suffix.lower()}"
-    with FilmFile(half, speed, comment) as film, ThreadPoolExecutor(1) as encoder:
+    partial = checkpoint.folder / f"film{output.suffix.lower()}"
+    with FilmFile(partial, speed, comment) as film, ThreadPoolExecutor(1) as encoder:
         waiting: Future[None] | None = None
         shown: Path | None = None
         white: float | None = None
@@ -103,18 +110,18 @@ def render_film(
                 if waiting is not None:
                     waiting.result()
                 if waiting is None:
-                    white = load_camera(unfinished.folder).white_level
+                    white = load_camera(checkpoint.folder).white_level
                 waiting = encoder.submit(_add, film, shown, times, white)
                 times = 0
             yield replace(result, path=output)
         if waiting is None:
             raise FlatError(f"{path}: is not written, because none of the frames could be rendered")
         waiting.result()
-    move_into_place(half, output)
-    unfinished.remove()
+    move_into_place(partial, output)
+    checkpoint.remove()
 
 
-def _pictures(
+def _render_pictures(
     frames: Frames,
     folder: Path,
     calibration: Calibration | None,
@@ -133,6 +140,171 @@ def _pictures(
 
 
 def _add(film: FilmFile, picture: Path, times: int, white: float | None) -> None:
-    pixels = film_pixels(read_flat(picture), film.eight_bits, white)
+    pixels = to_film_pixels(read_flat(picture), film.eight_bits, white)
     for _ in range(times):
         film.add(pixels)
+
+
+def check_film(path: Path, inputs: Iterable[Path | None] = ()) -> None:
+    """Raise an error if a film could not be written, before its first picture is rendered; as `check_format`.
+
+    Raises
+    ------
+    PictureError
+        Also if the package `av` has no encoder for such films.
+    """
+    check_format(path, "film", inputs=inputs)
+    import av
+
+    encoder, _ = _encoder_of(path)
+    if encoder not in av.codecs_available:
+        raise PictureError(f"{path}: the package 'av' was built without the encoder {encoder}; use another suffix")
+
+
+def _encoder_of(path: Path) -> tuple[str, dict[str, str]]:
+    film = FORMATS[path.suffix.lower()].film
+    assert film is not None
+    return film
+
+
+def to_film_pixels(pixels: NDArray[Any], only_eight_bits: bool = False, white: float | None = None) -> NDArray[Any]:
+    """A picture in a pixel type that films hold: 8 bits if that is all, else its own type, and 16 bits for floats."""
+    if only_eight_bits:
+        return to_eight_bits(pixels, white)
+    if pixels.dtype.kind != "f":
+        return pixels
+    return np.rint(np.clip(pixels, 0, 1) * 65535).astype(np.uint16)
+
+
+class FilmFile:
+    """A film being written; use it in a `with` statement.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write, which is complete once it is closed.
+    rate : Fraction
+        Pictures a second.
+    comment : str
+        Text to store in the film.
+    """
+
+    def __init__(self, path: Path, rate: Fraction, comment: str) -> None:
+        import av
+
+        #: Number of pictures.
+        self.count = 0
+        self._path, self._rate, self._kind = path, rate, path.suffix.lower()
+        self._shape: tuple[int, ...] = ()
+        self._dtype = np.dtype(np.uint8)
+        self._stream: Any = None
+        # With the index before the pictures, a browser can play the film before it has all of it.
+        options = {"movflags": "+faststart"} if self._kind == ".mp4" else {}
+        with self._output_errors():
+            self._file = av.open(str(path), "w", options=options)
+            self._file.metadata["comment"] = comment
+
+    @property
+    def eight_bits(self) -> bool:
+        """Whether the film holds no more than 8 bits."""
+        return self._kind == ".mp4"
+
+    def add(self, pixels: NDArray[Any]) -> None:
+        """Add a picture (h, w) or (h, w, 3), uint8 or uint16, converted to the type and channels of the first one.
+
+        Raises
+        ------
+        PictureError
+            If it has another size than the first one.
+        OutputError
+            If the film cannot be written.
+        """
+        if self._stream is None:
+            self._begin(pixels)
+        if pixels.shape[:2] != self._shape[:2]:
+            sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (self._shape, pixels.shape))
+            raise PictureError(f"{self._path}: the pictures of a film have one size, these have {sizes} px")
+        with self._output_errors():
+            frame = self._frame(_convert_like(pixels, self._shape, self._dtype))
+            frame.pts, frame.time_base = self.count, 1 / self._rate
+            self._file.mux(self._stream.encode(frame))
+        self.count += 1
+
+    def close(self) -> None:
+        """Write what the encoder still holds, and close the file."""
+        with self._output_errors():
+            if self._stream is not None:
+                self._file.mux(self._stream.encode())
+            self._file.close()
+
+    def __enter__(self) -> FilmFile:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            self.close()
+        else:
+            # The error is raised already, and the file is incomplete.
+            with self._output_errors(silent=True):
+                self._file.close()
+
+    def _begin(self, pixels: NDArray[Any]) -> None:
+        self._shape, self._dtype = pixels.shape, pixels.dtype
+        codec, options = _encoder_of(self._path)
+        height, width = self._shape[:2]
+        with self._output_errors():
+            self._stream = self._file.add_stream(codec, rate=self._rate, options=dict(options))
+            context = self._stream.codec_context
+            # A fixed number, so that the film is the same on every machine.
+            context.thread_count = 4
+            if self._kind == ".mp4":
+                context.width, context.height, context.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
+                # Codes of ITU-T H.273 for the colours of HD television (BT.709) and their limited range.
+                context.colorspace = context.color_primaries = context.color_trc = 1
+                context.color_range = 1
+            else:
+                context.width, context.height, context.pix_fmt = width, height, self._layout[1]
+
+    @property
+    def _layout(self) -> tuple[str, str]:
+        return _LAYOUTS[3 if len(self._shape) == 3 else 1, self._dtype.itemsize]
+
+    def _frame(self, pixels: NDArray[Any]) -> Any:
+        import av
+
+        if self._kind == ".mp4":
+            # Colours are stored for 2 x 2 pixels each: odd sizes get one more row or column.
+            odd = [(0, n % 2) for n in pixels.shape[:2]]
+            pixels = np.pad(pixels, [*odd, (0, 0)][: pixels.ndim], mode="edge")
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=self._layout[0])
+            frame = convert_pixels(frame, "yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        else:
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=self._layout[0])
+            frame = frame.reformat(format=self._layout[1])
+        return frame
+
+    @contextmanager
+    def _output_errors(self, silent: bool = False) -> Iterator[None]:
+        """Turn errors of the encoder into an OutputError."""
+        import av
+
+        try:
+            yield
+        except (av.error.FFmpegError, OSError, ValueError) as error:
+            if silent:
+                return
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            raise OutputError(f"{self._path}: cannot be written ({reason})") from error
+
+
+def _convert_like(pixels: NDArray[Any], shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Pixels with as many channels and the type of another picture."""
+    if pixels.ndim < len(shape):
+        pixels = np.repeat(pixels[..., None], 3, 2)
+    elif pixels.ndim > len(shape):
+        pixels = np.rint(pixels.mean(2)).astype(pixels.dtype)
+    if pixels.dtype.itemsize < dtype.itemsize:
+        return pixels.astype(np.uint16) * np.uint16(257)
+    if pixels.dtype.itemsize > dtype.itemsize:
+        return ((pixels.astype(np.uint32) + 128) // 257).astype(np.uint8)
+    return pixels

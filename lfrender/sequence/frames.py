@@ -1,4 +1,4 @@
-"""The frames of a sequence: image files, folders of them, pages of a TIFF, videos."""
+"""The frames of a sequence, found in image files, folders, multi-page TIFFs and videos, and their pixels."""
 
 from __future__ import annotations
 
@@ -19,16 +19,11 @@ from lfcal.runtime.image_formats import IMAGE_SUFFIXES, TIFF_SUFFIXES
 
 __all__ = ["Frame", "Frames", "convert_pixels", "is_video", "open_frames"]
 
-# Raw streams have no header that names their codec.
+# Suffixes of videos, and FFmpeg's name of the format of raw streams, which have no header that names it.
 _VIDEOS = {
     ".mp4": None, ".mkv": None, ".mov": None, ".avi": None, ".webm": None, ".y4m": None, ".m4v": None,
     ".vvc": "vvc", ".266": "vvc", ".hevc": "hevc", ".265": "hevc", ".h264": "h264", ".264": "h264",
 }  # fmt: skip
-# Without rounding and with colours only at every second pixel, as FFmpeg has it else, 8-bit videos would come out 1.3
-# grey levels too dark.
-_EXACT = "BICUBIC", "ACCURATE_RND", "FULL_CHR_H_INT", "FULL_CHR_H_INP"
-# Videos whose pixels have more than 8 bits a colour are read with 16.
-_DEEP = re.compile(r"1[0-6](le|be)?$")
 
 
 @dataclass(frozen=True)
@@ -38,11 +33,11 @@ class Frame:
     Parameters
     ----------
     name : str
-        Of its picture, without a suffix.
+        File name of its picture, without a suffix.
     read : callable
-        Gives the flat (h, w) or (h, w, 3); raises FlatError where it cannot be read.
+        Returns the flat (h, w) or (h, w, 3); raises FlatError if it cannot be read.
     source : Path or None
-        Its image file, whose colour profile and EXIF data its picture keeps; None for frames of videos.
+        Its image file, whose colour profile and EXIF data are copied to its picture; None for frames of videos.
     """
 
     name: str
@@ -52,7 +47,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class _Part:
-    """An input: a file, the names of its frames, None where only decoding tells how many there are."""
+    """A file and the names of its frames, None if their number is known only after decoding."""
 
     path: Path
     names: tuple[str, ...] | None
@@ -60,19 +55,19 @@ class _Part:
 
 @dataclass(frozen=True)
 class Frames:
-    """A sequence of frames; iterating gives them one by one, from the first one on each time."""
+    """A sequence of frames; each iteration starts from the first one."""
 
     parts: tuple[_Part, ...]
 
     @property
     def count(self) -> int | None:
-        """Number of frames, None where a video does not say."""
+        """Number of frames, None if the header of a video does not have it."""
         counts = [_video_length(part.path) if part.names is None else len(part.names) for part in self.parts]
         return None if None in counts else sum(c for c in counts if c is not None)
 
     @property
     def rate(self) -> Fraction | None:
-        """Frames a second of the first video that says, None where there is none."""
+        """Frames a second of the first video whose header has it, None if there is none."""
         return next(filter(None, (_video_rate(part.path) for part in self.parts if part.names is None)), None)
 
     @property
@@ -90,7 +85,7 @@ class Frames:
 
 
 def open_frames(inputs: Iterable[str | os.PathLike[str]]) -> Frames:
-    """Find the frames in files and folders; nothing is decoded yet.
+    """Find the frames in files and folders without decoding them.
 
     Parameters
     ----------
@@ -114,7 +109,7 @@ def open_frames(inputs: Iterable[str | os.PathLike[str]]) -> Frames:
 
 
 def is_video(path: Path) -> bool:
-    """Whether a name ends as those of videos do."""
+    """Whether a path has the suffix of a video."""
     return path.suffix.lower() in _VIDEOS and not path.is_dir()
 
 
@@ -125,7 +120,7 @@ def _parts(path: Path) -> list[_Part]:
         ]
         if not files:
             raise FlatError(f"{path}: no image files are in this folder")
-        return [part for file in sorted(files, key=_natural) for part in _parts(file)]
+        return [part for file in sorted(files, key=_numeric_order) for part in _parts(file)]
     if not path.exists():
         raise FlatError(f"{path}: no such file or folder")
     if path.suffix.lower() in _VIDEOS:
@@ -136,13 +131,13 @@ def _parts(path: Path) -> list[_Part]:
     try:
         pages = count_pages(path)
     except FlatError:
-        # Reading it says what is wrong when its turn comes.
+        # Reading the frame will report what is wrong.
         pages = 1
     return [_Part(path, _numbered(path.stem, pages))]
 
 
-def _natural(path: Path) -> Any:
-    """Sorts frame_2 before frame_10."""
+def _numeric_order(path: Path) -> Any:
+    """Sort key that puts frame_2 before frame_10."""
     return [(not piece.isdigit(), int(piece) if piece.isdigit() else piece) for piece in re.split(r"(\d+)", path.name)]
 
 
@@ -159,28 +154,26 @@ def _import_av(path: Path) -> Any:
 
 
 def _video_length(path: Path) -> int | None:
-    """Number of frames that a video says it has; None where it does not say."""
-    av = _import_av(path)
-    try:
-        with _opened_video(path) as container:
-            return int(container.streams.video[0].frames) or None
-    except (av.error.FFmpegError, FlatError, OSError):
-        return None
+    """Number of frames by the header of a video."""
+    return _read_header(path, lambda stream: int(stream.frames) or None)
 
 
 def _video_rate(path: Path) -> Fraction | None:
-    """Frames a second that a video says it has."""
+    """Frames a second by the header of a video."""
+    return _read_header(path, lambda stream: Fraction(stream.average_rate) if (stream.average_rate or 0) > 0 else None)
+
+
+def _read_header(path: Path, value: Callable[[Any], Any]) -> Any:
     av = _import_av(path)
     try:
-        with _opened_video(path) as container:
-            rate = container.streams.video[0].average_rate
-            return Fraction(rate) if rate and rate > 0 else None
+        with _open_video(path) as container:
+            return value(container.streams.video[0])
     except (av.error.FFmpegError, FlatError, OSError):
         return None
 
 
-def _opened_video(path: Path) -> Any:
-    """A video that has pictures, in a `with` statement."""
+def _open_video(path: Path) -> Any:
+    """Open a video, which must have pictures, for a `with` statement."""
     container = _import_av(path).open(str(path), format=_VIDEOS[path.suffix.lower()])
     if not container.streams.video:
         container.close()
@@ -189,42 +182,42 @@ def _opened_video(path: Path) -> Any:
 
 
 def _video_frames(path: Path) -> Iterator[Frame]:
-    """Frames of a video in RGB; one that is damaged, or a video that is, becomes a frame that cannot be read."""
+    """Frames of a video in RGB; a damaged one, or the end of a damaged video, is a frame that cannot be read."""
     number = 0
     try:
-        with _opened_video(path) as container:
-            count = _said_count(container)
-            for picture in _decoded(container):
-                yield Frame(_video_name(path, number), _video_pixels(path, number, picture))
+        with _open_video(path) as container:
+            count = _least_length(container)
+            for picture in _decode(container):
+                yield Frame(_video_name(path, number), _read_picture(path, number, picture))
                 number += 1
         if number == 0:
             raise FlatError(f"{path}: holds no frames")
         if number < count:
             raise FlatError(f"{path}: ends after {number} of {count} frames")
     except FlatError as error:
-        yield Frame(_video_name(path, number), partial(_refuse, str(error)))
-    # FFmpeg tells damage by errors of many kinds.
+        yield Frame(_video_name(path, number), partial(_raise, str(error)))
+    # FFmpeg raises errors of many kinds on damaged videos.
     except Exception as error:
-        message = f"{path}: cannot be read as a video from frame {number} on ({_said(error)})"
-        yield Frame(_video_name(path, number), partial(_refuse, message))
+        message = f"{path}: cannot be read as a video from frame {number} on ({_one_line(error)})"
+        yield Frame(_video_name(path, number), partial(_raise, message))
 
 
-def _said_count(container: Any) -> int:
-    """Number of frames that there must be at least by what a video says, 0 where it does not say."""
+def _least_length(container: Any) -> int:
+    """Least number of frames by the header of a video, 0 if it has none."""
     stream = container.streams.video[0]
     if stream.frames:
         return int(stream.frames)
     steady = stream.average_rate and stream.average_rate == stream.base_rate and len(container.streams) == 1
     if not steady or not container.duration:
         return 0
-    # Durations [us] are rounded, and some end where the last frame begins.
+    # Durations [us] are rounded, and some reach only to the start of the last frame.
     return int(Fraction(container.duration, 1_000_000) * stream.average_rate - Fraction(1, 2))
 
 
-def _decoded(container: Any) -> Iterator[Any]:
-    """The pictures of a video, and an error in the place of those that cannot be decoded."""
+def _decode(container: Any) -> Iterator[Any]:
+    """The pictures of a video, and an error in place of each that cannot be decoded."""
     stream = container.streams.video[0]
-    # This decoder tells of wrong checksums in nothing but its log, which is to be about one frame.
+    # This decoder reports wrong checksums only in its log; with slice threads, the log is about one frame.
     logged = stream.codec_context.name == "ffv1"
     stream.thread_type = "SLICE" if logged else "AUTO"
     for packet in container.demux(stream):
@@ -232,14 +225,14 @@ def _decoded(container: Any) -> Iterator[Any]:
             if not logged:
                 yield from packet.decode()
                 continue
-            pictures, wrong = _overheard(packet)
+            pictures, wrong = _decode_with_log(packet)
             yield from [FlatError(wrong) for _ in pictures] if wrong else pictures
         except Exception as error:
             yield error
 
 
-def _overheard(packet: Any) -> tuple[list[Any], str]:
-    """The pictures of a packet, and the first error that their decoder has logged."""
+def _decode_with_log(packet: Any) -> tuple[list[Any], str]:
+    """The pictures of a packet, and the first error that the decoder has logged."""
     from av import logging
 
     before = logging.get_level()
@@ -252,42 +245,46 @@ def _overheard(packet: Any) -> tuple[list[Any], str]:
     return pictures, next((text.strip() for level, name, text in log if name == "ffv1" and level <= logging.ERROR), "")
 
 
-def _video_pixels(path: Path, number: int, picture: Any) -> Callable[[], NDArray[Any]]:
-    """What reads the pixels of a decoded picture, or says why there are none."""
+def _read_picture(path: Path, number: int, picture: Any) -> Callable[[], NDArray[Any]]:
+    """A function that returns the pixels of a decoded picture, or raises an error if it is damaged."""
     if isinstance(picture, Exception):
-        return partial(_refuse, f"{path}: frame {number}: {_said(picture)}")
-    # Decoders fill what is missing with something; a flat that is half made up would still be rendered.
+        return partial(_raise, f"{path}: frame {number}: {_one_line(picture)}")
+    # Decoders fill in what is missing; such a flat must not be rendered.
     if picture.is_corrupt:
-        return partial(_refuse, f"{path}: frame {number} is damaged")
-    deep = _DEEP.search(picture.format.name) is not None
+        return partial(_raise, f"{path}: frame {number} is damaged")
+    # Pixels of more than 8 bits a colour are read with 16.
+    deep = re.search(r"1[0-6](le|be)?$", picture.format.name)
     try:
         pixels = _deep_pixels(picture) if deep else convert_pixels(picture, "rgb24").to_ndarray()
     except Exception as error:
-        return partial(_refuse, f"{path}: frame {number}: {_said(error)}")
+        return partial(_raise, f"{path}: frame {number}: {_one_line(error)}")
     return partial(np.ascontiguousarray, pixels)
 
 
 def _deep_pixels(picture: Any) -> NDArray[np.uint16]:
-    """(h, w, 3) of a frame of PyAV, without the copies that it makes of so many bytes."""
+    """(h, w, 3) pixels of a frame of PyAV, without the copies that `to_ndarray` makes."""
     plane = picture.reformat(format="rgb48le").planes[0]
     rows = np.frombuffer(plane, "<u2").reshape(plane.height, plane.line_size // 2)
     return rows[:, : 3 * plane.width].reshape(plane.height, plane.width, 3).astype(np.uint16, copy=False)
 
 
 def convert_pixels(picture: Any, name: str, **options: Any) -> Any:
-    """A frame of PyAV in another pixel format, rounded to the nearest value."""
-    from av.video.reformatter import Interpolation
+    """A frame of PyAV in another pixel format, rounded to the nearest value.
 
-    way = sum(int(Interpolation[flag]) for flag in _EXACT)
-    return picture.reformat(format=name, interpolation=way, **options)
+    FFmpeg's defaults, which cut off and read colours at every second pixel, make 8-bit videos 1.3 grey levels too dark.
+    """
+    from av.video.reformatter import Interpolation as Flags
+
+    flags = (Flags.BICUBIC, Flags.ACCURATE_RND, Flags.FULL_CHR_H_INT, Flags.FULL_CHR_H_INP)
+    return picture.reformat(format=name, interpolation=sum(map(int, flags)), **options)
 
 
-def _said(error: BaseException) -> str:
+def _one_line(error: BaseException) -> str:
     """The message of an error in one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
-def _refuse(message: str) -> NDArray[Any]:
+def _raise(message: str) -> NDArray[Any]:
     raise FlatError(message)
 
 

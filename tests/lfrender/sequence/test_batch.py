@@ -1,4 +1,4 @@
-"""Sequences: frames of all kinds are rendered once, resumed, and steady where nothing moves."""
+"""Sequences: frames of all kinds are rendered once, runs are continued, pictures are constant where nothing moves."""
 
 from __future__ import annotations
 
@@ -17,8 +17,11 @@ import lfcal
 import lfrender
 from lfcal import read_flat
 from lfrender.cli.main import main
-from lfrender.sequence import batch
-from lfrender.sequence.film_file import FilmFile
+from lfrender.sequence.film import FilmFile
+from lfrender.sequence.settings import SequenceSettings
+
+#: Segments of three frames and groups of two.
+SHORT = SequenceSettings(segment=3, group=2)
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +50,7 @@ def _run(sequence, folder, **options):
 @pytest.fixture(scope="module")
 def whole(sequence, tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batch, "SEGMENT_LENGTH", 3)
-        patch.setattr(batch, "GROUP_LENGTH", 2)
-        return folder, _run(sequence, folder)
+    return folder, _run(sequence, folder, tuning=SHORT)
 
 
 def test_frames_come_in_the_order_of_their_numbers_and_keep_depth_where_nothing_moves(whole):
@@ -82,23 +82,19 @@ def test_pictures_keep_the_colour_profile_and_camera_data_of_their_frames(house,
         assert image.getexif()[0x010F] == "maker"
 
 
-def test_a_run_that_was_stopped_goes_on_with_the_same_pictures(sequence, whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(batch, "SEGMENT_LENGTH", 3)
-    monkeypatch.setattr(batch, "GROUP_LENGTH", 2)
+def test_an_interrupted_run_is_continued_with_the_same_pictures(sequence, whole, tmp_path):
     frames, camera = sequence
-    started = lfrender.render_frames(lfrender.open_frames([frames]), tmp_path, camera, preset="fast")
-    # Two more are on their way by then.
+    started = lfrender.render_frames(lfrender.open_frames([frames]), tmp_path, camera, preset="fast", tuning=SHORT)
+    # Two more are being worked on by then.
     list(islice(started, 2))
     started.close()
     (tmp_path / "f9.tif").unlink()
-    results = _run(sequence, tmp_path)
+    results = _run(sequence, tmp_path, tuning=SHORT)
     assert [r.outcome for r in results] == ["kept", "rendered", "kept", "kept", "rendered"]
     assert _pictures(tmp_path) == _pictures(whole[0])
 
 
-def test_frames_are_analysed_against_what_lies_in_the_folder_as_in_a_later_run(sequence, tmp_path, monkeypatch):
-    monkeypatch.setattr(batch, "SEGMENT_LENGTH", 4)
-    monkeypatch.setattr(batch, "GROUP_LENGTH", 2)
+def test_frames_are_compared_with_the_depth_maps_in_the_folder_as_in_a_later_run(sequence, tmp_path, monkeypatch):
     flats, against = [], []
 
     def analyze(flat, *arguments, previous=None):
@@ -109,32 +105,35 @@ def test_frames_are_analysed_against_what_lies_in_the_folder_as_in_a_later_run(s
 
     made = []
     monkeypatch.setattr("lfrender.sequence.job.analyze", analyze)
-    results = _run(sequence, tmp_path)
+    results = _run(sequence, tmp_path, tuning=SequenceSettings(segment=4, group=2))
     order = [read_flat(sequence[0] / f"{r.name}.png") for r in results]
 
     def number(flat):
         return next(k for k, other in enumerate(order) if np.array_equal(flat, other))
 
     found = {number(flat): before and number(before[0]) for flat, before in zip(flats, against, strict=True)}
-    # Of two stretches the first has two groups.
+    # Two segments, the first of two groups.
     assert found == {0: None, 1: 0, 2: 0, 3: 2, 4: 0}
     assert not any(previous[1] is depth for previous in against if previous for depth in made)
 
 
-def test_a_depth_that_changes_little_from_key_to_key_is_followed(drawn_flat, tmp_path, monkeypatch):
-    monkeypatch.setattr(batch, "SEGMENT_LENGTH", 1)
+def test_slow_changes_of_depth_from_key_frame_to_key_frame_are_found(drawn_flat, tmp_path):
     sizes, inputs = 7.0 + 0.08 * np.arange(14), tmp_path / "in"
     inputs.mkdir()
     for k, s in enumerate(sizes):
         gray, lattice, _, inner = drawn_flat(s, noise=0.003, detail=0.7)
         cv2.imwrite(str(inputs / f"f{k:02d}.png"), np.clip(np.rint(255 * gray.image), 0, 255).astype(np.uint8))
     frames, out = lfrender.open_frames([inputs]), tmp_path / "out"
-    list(lfrender.render_frames(frames, out, lfcal.Calibration(lattice), preset="fast"))
+    list(
+        lfrender.render_frames(
+            frames, out, lfcal.Calibration(lattice), preset="fast", tuning=SequenceSettings(segment=1)
+        )
+    )
     depth = lfrender.DepthMap.load(out / ".lfrender" / f"depth_{len(sizes) - 1:06d}.npz")
     assert abs(np.nanmedian(depth.patch_size[inner]) - sizes[-1]) < 0.5
 
 
-def test_other_settings_are_refused_until_everything_is_rendered_anew(sequence, whole):
+def test_other_settings_are_refused_unless_everything_is_rendered_again(sequence, whole):
     with pytest.raises(lfcal.OutputError, match="overwrite"):
         _run(sequence, whole[0], scale=3.0)
     frames, camera = sequence
@@ -143,7 +142,7 @@ def test_other_settings_are_refused_until_everything_is_rendered_anew(sequence, 
     assert tifffile.imread(whole[0] / "f8.tif").shape[1] == pytest.approx(3.0 * 520 / 20.3, abs=1)
 
 
-def test_depths_left_by_another_version_are_refused_until_everything_is_rendered_anew(sequence, tmp_path):
+def test_depths_of_another_version_are_refused_unless_everything_is_rendered_again(sequence, tmp_path):
     frames, camera = sequence
     one = lfrender.open_frames([frames / "f8.png"])
     list(lfrender.render_frames(one, tmp_path, camera, preset="fast"))
@@ -215,7 +214,7 @@ def _outcomes(*inputs):
     return found
 
 
-def test_damaged_frames_of_videos_are_told_from_whole_ones_and_do_not_stop_the_rest(tmp_path):
+def test_damaged_frames_of_videos_are_detected_and_do_not_stop_the_rest(tmp_path):
     av = pytest.importorskip("av")
     pictures = np.random.default_rng(0).integers(0, 256, (4, 40, 56, 3), dtype=np.uint8)
     path = tmp_path / "film.mkv"

@@ -21,13 +21,14 @@ from lfcal import OutputError
 from lfrender.cli.main import main
 from lfrender.large.settings import LargeSettings
 from lfrender.sequence.cluster import connect, task_result
+from lfrender.sequence.settings import SequenceSettings
 
 pytest.importorskip("distributed")
 
 
 @pytest.fixture(scope="module")
 def client():
-    """Two worker processes; those that are killed are started anew."""
+    """Two worker processes; Dask restarts those that are killed."""
     with connect(2, None) as found:
         yield found
 
@@ -51,13 +52,10 @@ def frames(house, tmp_path_factory):
     return lfrender.open_frames([folder])
 
 
-def test_pictures_are_those_of_one_machine_although_a_worker_is_killed(frames, house, client, tmp_path, monkeypatch):
-    for module in ("batch", "cluster"):
-        monkeypatch.setattr(f"lfrender.sequence.{module}.SEGMENT_LENGTH", 4)
-        monkeypatch.setattr(f"lfrender.sequence.{module}.GROUP_LENGTH", 2)
-    camera = house.truth.calibration
-    here = list(lfrender.render_frames(frames, tmp_path / "here", camera, preset="fast"))
-    running = lfrender.render_frames_on(client, frames, tmp_path / "there", camera, preset="fast", threads=1)
+def test_pictures_are_those_of_one_machine_although_a_worker_is_killed(frames, house, client, tmp_path):
+    camera, options = house.truth.calibration, {"preset": "fast", "tuning": SequenceSettings(segment=4, group=2)}
+    here = list(lfrender.render_frames(frames, tmp_path / "here", camera, **options))
+    running = lfrender.render_frames_on(client, frames, tmp_path / "there", camera, threads=1, **options)
     there = list(islice(running, 3))
     kill_one(client)
     there += list(running)
@@ -70,7 +68,7 @@ def test_pictures_are_those_of_one_machine_although_a_worker_is_killed(frames, h
 
 @pytest.fixture
 def flat(house, tmp_path, monkeypatch):
-    """A flat whose lenses are analysed in 2 x 2 tiles, as the command finds it; its camera."""
+    """A flat whose lenses are analysed in 2 x 2 tiles, also by the command, and its camera."""
     monkeypatch.setitem(lfrender.analyze_large.__kwdefaults__, "tuning", LargeSettings(analysis_memory=1.0))
     path = tmp_path / "flat.tif"
     tifffile.imwrite(path, house.flat, photometric="rgb")
@@ -79,33 +77,33 @@ def flat(house, tmp_path, monkeypatch):
 
 
 def killing(client, when):
-    """Progress in the middle of which a worker is killed, and the numbers it was told."""
-    told = []
+    """A progress function that kills a worker at step `when`, and the numbers it was called with."""
+    calls = []
 
     def progress(done, count):
-        told.append((done, count))
+        calls.append((done, count))
         if done == when:
             kill_one(client)
 
-    return progress, told
+    return progress, calls
 
 
 def test_tiles_are_those_of_one_machine_although_a_worker_is_killed(flat, client, tmp_path):
     path, camera = flat
     with lfcal.open_flat(path) as source:
         here = lfrender.analyze_large(source, camera, "fast")
-        progress, told = killing(client, 2)
+        progress, calls = killing(client, 2)
         there = lfrender.analyze_large(source, camera, "fast", client=client, threads=1, progress=progress)
-        assert told == [(k + 1, 4) for k in range(4)]
+        assert calls == [(k + 1, 4) for k in range(4)]
         for name in ("patch_size", "standard_error", "confidence", "filled_patch_size", "reason"):
             np.testing.assert_array_equal(getattr(here, name), getattr(there, name))
         np.testing.assert_array_equal(here.surface.patch_size, there.surface.patch_size)
         lfrender.render_large(source, tmp_path / "here.tif", camera, here, tile=40)
-        progress, told = killing(client, 5)
+        progress, calls = killing(client, 5)
         made = lfrender.render_large(
             source, tmp_path / "there.tif", camera, here, tile=40, client=client, threads=1, progress=progress
         )
-    assert len(told) == made.tiles >= 12
+    assert len(calls) == made.tiles >= 12
     assert (tmp_path / "here.tif").read_bytes() == (tmp_path / "there.tif").read_bytes()
 
 
@@ -140,7 +138,7 @@ def test_flats_that_workers_cannot_read_are_reported(flat, client):
             lfrender.analyze_large(source, camera, "fast", client=client)
 
 
-def test_work_that_kills_every_worker_is_given_up_in_one_line(client):
+def test_work_that_kills_every_worker_is_one_line(client):
     from distributed.scheduler import KilledWorker
 
     class Given:
@@ -151,8 +149,8 @@ def test_work_that_kills_every_worker_is_given_up_in_one_line(client):
         task_result(Given())
 
 
-def test_scheduler_that_does_not_answer_is_one_line(frames, tmp_path, monkeypatch):
-    monkeypatch.setattr("lfrender.sequence.cluster._PATIENCE", 0.2)
+def test_unreachable_scheduler_is_one_line(frames, tmp_path, monkeypatch):
+    monkeypatch.setattr(connect.__wrapped__, "__defaults__", (0.2,))
     with pytest.raises(OutputError, match="no Dask scheduler"), connect(None, "tcp://127.0.0.1:9"):
         pass
     flat = tmp_path / "f.png"

@@ -1,4 +1,4 @@
-"""Films of a sequence: the pictures of its frames at the right rate, whole or not there, and runs that go on."""
+"""Films of a sequence: its pictures at the right rate, complete or not there, and runs that can be continued."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from click.testing import CliRunner
 import lfcal
 import lfrender
 from lfrender.cli.main import main
-from lfrender.sequence.film import render_film
-from lfrender.sequence.film_file import FilmFile, film_pixels
+from lfrender.sequence.film import FilmFile, render_film, to_film_pixels
 
 av = pytest.importorskip("av")
 
@@ -60,10 +59,10 @@ def test_film_shows_every_picture_and_in_place_of_bad_frames_the_one_before(fram
     assert [p.name for p in tmp_path.iterdir()] == ["film.mkv"]
 
 
-def test_stopped_run_leaves_no_film_and_goes_on_with_the_pictures_it_has(frames, house, tmp_path):
+def test_interrupted_run_leaves_no_film_and_is_continued_from_its_pictures(frames, house, tmp_path):
     path, camera = tmp_path / "film.mkv", house.truth.calibration
     started = lfrender.render_film(frames, path, camera, preset="fast")
-    # The next one is on its way by then.
+    # The next one is being worked on by then.
     list(islice(started, 2))
     started.close()
     assert not path.exists()
@@ -74,10 +73,10 @@ def test_stopped_run_leaves_no_film_and_goes_on_with_the_pictures_it_has(frames,
         next(lfrender.render_film(frames, path, camera, preset="fast"))
 
 
-def test_pictures_made_with_other_settings_are_not_taken_for_a_film(frames, house, tmp_path):
+def test_pictures_made_with_other_settings_are_not_used_for_a_film(frames, house, tmp_path):
     path, camera = tmp_path / "film.mkv", house.truth.calibration
     started = lfrender.render_film(frames, path, camera, preset="fast")
-    # The next one is on its way by then.
+    # The next one is being worked on by then.
     list(islice(started, 2))
     started.close()
     results = list(lfrender.render_film(frames, path, camera, preset="fast", scale=5.0))
@@ -130,7 +129,7 @@ def test_even_areas_keep_their_colours_to_a_grey_level_through_a_film_and_back(t
 def test_lossless_film_holds_pixels_of_all_kinds_bit_for_bit(tmp_path, kind, channels):
     values = np.random.default_rng(0).random((3, 31, 45, *channels))
     whole = values.astype(np.float32) if kind == np.float32 else (values * np.iinfo(kind).max).astype(kind)
-    stored = film_pixels(whole)
+    stored = to_film_pixels(whole)
     with FilmFile(tmp_path / "film.mkv", Fraction(25), "") as film:
         for picture in stored:
             film.add(picture)
@@ -182,7 +181,7 @@ def test_films_need_a_package_a_known_ending_and_room(frames, house, tmp_path, m
     assert found.exit_code == 2 and "pip install 'lfrender[video]'" in found.stderr
 
 
-def test_a_cluster_is_handed_on(frames, house, tmp_path, monkeypatch):
+def test_a_film_is_rendered_on_a_cluster(frames, house, tmp_path, monkeypatch):
     """Pictures come from `render_frames_on` where there is a client; what that does is tested beside it."""
     asked = []
     here = lfrender.render_frames
