@@ -196,7 +196,7 @@ class LensEstimates:
         # Lenses of unlike blur differ by more than their patch sizes.
         if bends and flat.lens_type is None:
             doubted = wanted & (np.abs(self.alone.patch_size) < _SHARING * lenses.pitch)
-            asked = np.where(doubted, np.clip(joint.bent / _BENT - 1, 0, 1), 0).astype(np.float32)
+            asked = np.where(doubted, np.clip(joint.curvature_significance / _BENT - 1, 0, 1), 0).astype(np.float32)
             alone, centred = fit_quadratic(flat, neighbours, self.alone, asked, _usual_contrast(lenses.texture))
             joint = pool(alone, wanted, np.maximum(freed, centred)) if centred.any() else joint
         fits = smooth_fits_far(*where, joint, wanted)

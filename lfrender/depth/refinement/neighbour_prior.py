@@ -1,4 +1,7 @@
-"""What the lenses around each lens expect of it: a second start for the doubtful, and support for all."""
+"""Sub-pixel patch size of each lens from its pairs, combined with the patch size that its neighbours predict.
+
+The prediction is used twice: as another start value for doubtful lenses, and as a prior for all.
+"""
 
 from __future__ import annotations
 
@@ -9,30 +12,20 @@ from numpy.typing import NDArray
 from lfcal.runtime.fastmath import FAST, square
 
 from ...flat.gray_flat import GrayFlat
+from ...flat.lens_graph import join_opposite
+from ..same_surface import same_surface
 from .lens_plane import LensFits, fit_lens_planes
-from .pair_fit import LAST_STEP, fit_pairs
+from .pair_fit import fit_pairs
+from .settings import NeighbourPriorSettings
 
 __all__ = ["refine_patch_sizes"]
 
-# Lenses with a larger standard error [px] expect nothing of others; those above the second number are doubtful
-# where they also differ from what is expected by more than the third.
-_EXPECTING, _DOUBTFUL, _APART = np.float32(0.3), 0.15, 0.2
-# Expectations farther from their median than three times their scatter, at least this [px], are of other surfaces.
-_OUTLYING = np.float32(0.15)
-# A second start may differ from the first by this share of the pitch: more would be another label, not an offset.
-_OFFSET = 0.15
-# Beyond this share of the pitch neighbours share less than half of what they show, and where texture is weak the search
-# falls short of the right shift by about the second share. A start from there, or from another shift that matched, must
-# clearly pay: its error must be less than the third share of the other's.
-_LEANING, _LEAN, _CLEARLY = 0.45, 0.06, 0.7
-# Neighbouring lenses share pairs: correlation of an expectation's error with the lens's own.
-_SHARED = np.float32(0.5)
-_LEAST_SPREAD = np.float32(0.01)
+_DEFAULT = NeighbourPriorSettings()
 
 
 @njit(cache=True, nogil=True)
 def _median(values, count, ordered):
-    """Median of the first `count` values, which are put in order in `ordered`: of so few no general sort is as fast."""
+    """Median of the first `count` values, by insertion into `ordered`: the fastest way for so few."""
     for k in range(count):
         value = values[k]
         at = k
@@ -44,21 +37,23 @@ def _median(values, count, ordered):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _expect(centres, pitch, forward, backward, sizes, errors, slants, about, reach, means, spreads):
-    half = forward.shape[1]
+def _predict(centres, pitch, neighbours, sizes, errors, slants, usable_error, outlier, about, reach, means, spreads):
+    """Fill `means` and `spreads` with the mean and standard deviation of what neighbours predict within `reach` of
+    `about`; NaN where no neighbour has an error below `usable_error`, the deviation also where fewer than three do."""
+    most = neighbours.shape[1]
     for lens in prange(len(centres)):
         means[lens] = spreads[lens] = np.nan
-        values, apart = np.empty(2 * half, np.float32), np.empty(2 * half, np.float32)
-        ordered = np.empty(2 * half, np.float32)
+        values, apart = np.empty(most, np.float32), np.empty(most, np.float32)
+        ordered = np.empty(most, np.float32)
         count = 0
-        for k in range(2 * half):
-            other = forward[lens, k] if k < half else backward[lens, k - half]
-            if other < 0 or not errors[other] < _EXPECTING:
+        for k in range(most):
+            other = neighbours[lens, k]
+            if other < 0 or not errors[other] < usable_error:
                 continue
             # Over a plane 1 / s is linear in X, with the slant D * grad(1 / s) * s.
             ex, ey = centres[other, 0] - centres[lens, 0], centres[other, 1] - centres[lens, 1]
             value = sizes[other] / (1 - (slants[other, 0] * ex + slants[other, 1] * ey) / pitch)
-            if abs(value - about[lens]) < reach:
+            if same_surface(value, about[lens], reach):
                 values[count] = value
                 count += 1
         if count == 0:
@@ -66,11 +61,11 @@ def _expect(centres, pitch, forward, backward, sizes, errors, slants, about, rea
         median = _median(values, count, ordered)
         for k in range(count):
             apart[k] = abs(values[k] - median)
-        limit = max(_OUTLYING, np.float32(3 * 1.48) * _median(apart, count, ordered))
+        limit = max(outlier, np.float32(3 * 1.48) * _median(apart, count, ordered))
         total = squares = np.float32(0.0)
         kept = 0
         for k in range(count):
-            if abs(values[k] - median) <= limit:
+            if same_surface(values[k], median, limit):
                 total += values[k] - median
                 squares += square(values[k] - median)
                 kept += 1
@@ -79,25 +74,21 @@ def _expect(centres, pitch, forward, backward, sizes, errors, slants, about, rea
             spreads[lens] = np.sqrt(max((squares - total * total / kept) / (kept - 1), np.float32(0.0)))
 
 
-def _expected(
+def _predicted(
     gray: GrayFlat,
-    forward: NDArray[np.int32],
-    backward: NDArray[np.int32],
-    lenses: LensFits,
+    neighbours: NDArray[np.int32],
+    fits: LensFits,
     about: NDArray[np.float32],
     reach: float,
+    settings: NeighbourPriorSettings,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Patch size that the neighbours of each lens, carried on as planes, expect of it, and its standard deviation.
-
-    Only what lies within `reach` of `about` counts. NaN where there is nothing; the deviation also
-    where fewer than three neighbours agree.
-    """
+    """Patch size (n,) [px] that neighbours, extended as planes, predict within `reach` of `about`, and its error."""
     means, spreads = np.empty(len(about), np.float32), np.empty(len(about), np.float32)
-    _expect(
-        gray.centres, np.float32(gray.pitch), forward, backward, lenses.patch_size, lenses.standard_error,
-        lenses.slant, about, np.float32(reach), means, spreads,
+    _predict(
+        gray.centres, np.float32(gray.pitch), neighbours, fits.patch_size, fits.standard_error, fits.slant,
+        np.float32(settings.usable_error), np.float32(settings.outlier), about, np.float32(reach), means, spreads,
     )  # fmt: skip
-    return means, np.hypot(spreads, _LEAST_SPREAD)
+    return means, np.hypot(spreads, np.float32(settings.least_spread))
 
 
 def refine_patch_sizes(
@@ -109,15 +100,14 @@ def refine_patch_sizes(
     scale: NDArray[np.float32],
     noise: float,
     iterations: int,
-    last_step: float = LAST_STEP,
+    last_step: float | None = None,
+    settings: NeighbourPriorSettings = _DEFAULT,
 ) -> tuple[LensFits, LensFits]:
-    """Sub-pixel patch size of each lens from its own pixels, and then with the lenses around it.
+    """Sub-pixel patch size of each lens from its own pairs, and the same with the prior of its neighbours.
 
-    Where a fit is doubtful and the neighbours expect something else nearby, a second fit starts from
-    there and the more certain one is kept. Where it is still doubtful and another value matched nearly as well, on
-    which the pairs agree clearly better, that is kept: the search takes the mean over all pairs, also over those of
-    which one lens shows what hides the scene from the other. At last each lens is weighed with what its neighbours
-    expect of it.
+    Doubtful lenses are fitted again from what their neighbours predict, from a larger patch size where matches are
+    biased, and from the second-best match; the fit with the smaller error is kept. The best match is the mean over all
+    pairs, including those in which one lens is occluded, so that pairs may agree better on the second-best one.
 
     Parameters
     ----------
@@ -125,40 +115,43 @@ def refine_patch_sizes(
     forward, backward : (n, d) int32
         Neighbour rows in `d` directions and in their opposites, -1 where there is none.
     start : (n,) float32 [px]
-        First values; NaN for lenses to leave alone.
+        Start values; NaN for lenses to leave out.
     second : (n,) float32 [px]
         Other values that may be right, far from the first; NaN where there is none.
     scale : (n,) float32
-        Difference of brightness beyond which two pixels hardly count as the same point.
+        Difference of brightness beyond which two pixels hardly show the same point.
     noise : float
         Standard deviation of a pixel.
     iterations : int
         Of each fit of a pair, at most.
-    last_step : float [px of `gray`]
+    last_step : float [px of `gray`], optional
         As `fit_pairs`.
+    settings : NeighbourPriorSettings
     """
+    neighbours = join_opposite(forward, backward)
 
     def fit(start: NDArray[np.float32]) -> LensFits:
         pairs = fit_pairs(gray, forward, start, scale, noise, iterations, last_step)
         return fit_lens_planes(gray, forward, backward, pairs, start)
 
     first = fit(start)
-    expected, _ = _expected(gray, forward, backward, first, start, _OFFSET * gray.pitch)
-    tolerated = np.maximum(_APART, first.standard_error)
-    settled = (first.standard_error < _DOUBTFUL) | (np.abs(expected - first.patch_size) < tolerated)
-    own = first if settled.all() else _surer(first, fit(np.where(settled, np.nan, expected).astype(np.float32)))
-    leaning = (own.standard_error >= _DOUBTFUL) & (np.abs(start) > _LEANING * gray.pitch)
-    if leaning.any():
-        farther = np.where(leaning, start + np.sign(start) * _LEAN * gray.pitch, np.nan).astype(np.float32)
-        own = _surer(own, fit(farther), _CLEARLY)
-    torn = (own.standard_error >= _DOUBTFUL) & np.isfinite(second)
-    if torn.any():
-        own = _surer(own, fit(np.where(torn, second, np.nan).astype(np.float32)), _CLEARLY)
-    return own, _supported(own, *_expected(gray, forward, backward, own, own.patch_size, np.inf))
+    predicted, _ = _predicted(gray, neighbours, first, start, settings.nearby_start * gray.pitch, settings)
+    near = np.abs(predicted - first.patch_size) < np.maximum(settings.tolerated, first.standard_error)
+    settled = (first.standard_error < settings.doubtful_error) | near
+    own = first if settled.all() else _better_of(first, fit(np.where(settled, np.nan, predicted).astype(np.float32)))
+    far = np.abs(start) > settings.far_patch_size * gray.pitch
+    larger = start + np.sign(start) * settings.bias * gray.pitch
+    for other, possible in ((larger, far), (second, np.isfinite(second))):
+        doubtful = (own.standard_error >= settings.doubtful_error) & possible
+        if doubtful.any():
+            again = fit(np.where(doubtful, other, np.nan).astype(np.float32))
+            own = _better_of(own, again, settings.clearly_better)
+    prior = _predicted(gray, neighbours, own, own.patch_size, np.inf, settings)
+    return own, _combine(own, *prior, settings.correlation)
 
 
-def _surer(one: LensFits, other: LensFits, share: float = 1.0) -> LensFits:
-    """Of each lens the other answer where its error is less than a `share` of that of the one."""
+def _better_of(one: LensFits, other: LensFits, share: float = 1.0) -> LensFits:
+    """For each lens the other fit if its error is less than a `share` of the first one's."""
     better = other.standard_error < np.float32(share) * one.standard_error
     return LensFits(
         np.where(better, other.patch_size, one.patch_size),
@@ -168,15 +161,17 @@ def _surer(one: LensFits, other: LensFits, share: float = 1.0) -> LensFits:
     )
 
 
-def _supported(own: LensFits, expected: NDArray[np.float32], spread: NDArray[np.float32]) -> LensFits:
-    """Weighted mean of own and expected values where they do not contradict each other."""
+def _combine(
+    own: LensFits, predicted: NDArray[np.float32], spread: NDArray[np.float32], correlation: float
+) -> LensFits:
+    """Weighted mean of own and predicted patch sizes if they differ by less than three standard deviations."""
     error = own.standard_error
     with np.errstate(invalid="ignore"):
-        agree = np.abs(expected - own.patch_size) < 3 * np.hypot(spread, error)
+        agree = np.abs(predicted - own.patch_size) < 3 * np.hypot(spread, error)
         weight = np.where(agree & np.isfinite(error), error**2 / (error**2 + spread**2), 0)
         joint = (1 - weight) ** 2 * error**2 + weight**2 * spread**2
-        joint += 2 * _SHARED * weight * (1 - weight) * error * spread
-        patch_size = np.where(weight > 0, own.patch_size + weight * (expected - own.patch_size), own.patch_size)
+        joint += 2 * np.float32(correlation) * weight * (1 - weight) * error * spread
+        patch_size = np.where(weight > 0, own.patch_size + weight * (predicted - own.patch_size), own.patch_size)
         return LensFits(
             patch_size.astype(np.float32),
             np.where(weight > 0, np.sqrt(joint), error).astype(np.float32),

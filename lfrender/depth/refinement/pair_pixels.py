@@ -1,33 +1,103 @@
-"""The pixels of a pair of microimages, one cut out, smoothed and with its slopes, the other laid over it at a shift."""
+"""The pixels of a pair of microimages: one cut out and smoothed, the other interpolated at a shift to the same pixels.
+
+Both are smoothed by a cubic B-spline: the first at whole pixels, the second at the fraction of the shift.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
 from ...flat.microimages import copy_box
 
 __all__ = [
-    "NO_STEP",
-    "SPLINE_MARGIN",
-    "bspline_weights",
-    "cut_smoothed",
-    "first_pixel",
-    "pixel_raster",
-    "resample_shifted",
-]
+    "SPLINE_MARGIN", "Buffers", "Cutout", "Flat", "Overlap", "Raster", "bspline_weights", "cut_smoothed", "first_pixel",
+    "flat_pixels", "new_buffers", "new_cutout", "pixel_raster", "resample_shifted",
+]  # fmt: skip
 
-# Vector loops take up to so many pixels at a time. Places are unsigned: signed ones are looked at for being counted
-# from the end.
+# Vector loops run over whole multiples of this many pixels. Array places are unsigned integers: signed ones are checked
+# for being negative, which prevents vector loops.
 _WHOLE = 64
-#: Between columns, three more pixels are read than there are places.
+#: A row or column of interpolated pixels needs three more pixels than it has places.
 SPLINE_MARGIN = 3
-# Slopes are taken between the pixels on both sides, and smoothing reads one further [px].
+# Slopes read a pixel to either side, and smoothing one further [px].
 _BEYOND = 2
-#: No whole step between two microimages.
-NO_STEP = 2**40
+# Marks buffers that hold no microimage yet: no shift is this long [px].
+_NO_STEP = 2**40
+
+
+class Flat(NamedTuple):
+    """A flat for kernels: its pixels in one line, (height * width,) float32."""
+
+    pixels: NDArray[np.float32]
+    height: int
+    width: int
+
+
+class Raster(NamedTuple):
+    """Pixels of a cut-out microimage, row after row: `side` of `stride` pixels in each row are used.
+
+    `size` is the length of arrays that vector loops may overrun; `columns` and `rows` (size,) are float32.
+    """
+
+    side: int
+    stride: int
+    size: int
+    columns: NDArray[np.float32]
+    rows: NDArray[np.float32]
+
+
+class Cutout(NamedTuple):
+    """A smoothed microimage with its slopes, (size,) float32 each, and its Laplacian, which may be empty."""
+
+    light: NDArray[np.float32]
+    slope_x: NDArray[np.float32]
+    slope_y: NDArray[np.float32]
+    laplacian: NDArray[np.float32]
+
+
+class Buffers(NamedTuple):
+    """Work memory of one thread: the second microimage, its rows interpolated, then its columns too, and the whole
+    step (2,) between both microimages for which the first was copied."""
+
+    box: NDArray[np.float32]
+    lines: NDArray[np.float32]
+    shifted: NDArray[np.float32]
+    step: NDArray[np.int64]
+
+
+class Overlap(NamedTuple):
+    """Where both microimages show the scene: `number` places from `start` on, with some that only one shows.
+
+    Relative to the first pixel of the cutout: both centres, the middle between them, and the first and last column and
+    row that both show; besides the direction of the step between the lenses, in pitches, and the squared radius.
+    """
+
+    start: int
+    number: int
+    ux: np.float32
+    uy: np.float32
+    ax: np.float32
+    ay: np.float32
+    qx: np.float32
+    qy: np.float32
+    mx: np.float32
+    my: np.float32
+    r2: np.float32
+    low_x: np.float32
+    high_x: np.float32
+    low_y: np.float32
+    high_y: np.float32
+
+
+@njit(cache=True, nogil=True, inline="always")
+def flat_pixels(image):
+    return Flat(image.reshape(-1), image.shape[0], image.shape[1])
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -50,21 +120,35 @@ def bspline_weights(f):
 
 @njit(cache=True, nogil=True, inline="always")
 def _whole(count):
-    """The next whole number of what vector loops take at a time."""
+    """The next whole multiple of what vector loops take at a time."""
     return (count + _WHOLE - 1) // _WHOLE * _WHOLE
 
 
 @njit(cache=True, nogil=True)
 def pixel_raster(radius):
-    """Side of the square that holds a microimage, pixels from row to row of one that is cut out, how many they are with
-    what vector loops read beyond, and the column and line of each."""
     side = int(2 * radius) + 1
-    wide = side + SPLINE_MARGIN
-    size = max((side + SPLINE_MARGIN) * (wide + SPLINE_MARGIN), (side + 2 * _BEYOND) ** 2) + 2 * _WHOLE
-    columns, lines = np.empty(size, np.float32), np.empty(size, np.float32)
+    stride = side + SPLINE_MARGIN
+    size = max((side + SPLINE_MARGIN) * (stride + SPLINE_MARGIN), (side + 2 * _BEYOND) ** 2) + 2 * _WHOLE
+    columns, rows = np.empty(size, np.float32), np.empty(size, np.float32)
     for k in range(size):
-        columns[k], lines[k] = k % wide, k // wide
-    return side, wide, size, columns, lines
+        columns[k], rows[k] = k % stride, k // stride
+    return Raster(side, stride, size, columns, rows)
+
+
+# Vector loops read values that have not been set: these must be numbers.
+@njit(cache=True, nogil=True)
+def new_cutout(size, laplacian):
+    return Cutout(
+        np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32),
+        np.zeros(size if laplacian else 0, np.float32),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def new_buffers(size):
+    return Buffers(
+        np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32), np.full(2, _NO_STEP)
+    )
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -76,45 +160,47 @@ def first_pixel(centre, radius, side, size):
 # Without fast math: sums whose order it is free to choose would have other bits where the kernel is compiled than where
 # it is loaded.
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def cut_smoothed(pixels, height, width, left, top, side, wide, box, smooth, own, slope_x, slope_y, bend):
-    """A microimage smoothed by 1, 4, 1 over 6 in both directions, its slopes, and its Laplacian where there is room for
-    it in `bend`, row after row.
+def cut_smoothed(flat, raster, left, top, buffers, out):
+    """Fill the cutout `out` from pixel (left, top) on: smoothed by (1, 4, 1) / 6 in both directions, with slopes.
 
-    `box` and `smooth` are memory to work in.
+    The Laplacian is computed if `out.laplacian` is not empty. Afterwards `buffers` hold no second microimage.
     """
-    across, half, one, two = side + 2 * _BEYOND, np.float32(0.5), np.uint64(1), np.uint64(2)
+    across, half, one, two = raster.side + 2 * _BEYOND, np.float32(0.5), np.uint64(1), np.uint64(2)
+    pixels, box, smooth = flat.pixels, buffers.box, buffers.lines
+    buffers.step[0] = buffers.step[1] = _NO_STEP
     first = left - _BEYOND
     for row in range(across):
-        at, into = min(max(top - _BEYOND + row, 0), height - 1) * width, np.uint64(row * across)
-        if first < 0 or first + across > width:
+        at, into = min(max(top - _BEYOND + row, 0), flat.height - 1) * flat.width, np.uint64(row * across)
+        if first < 0 or first + across > flat.width:
             for k in range(across):
-                box[into + np.uint64(k)] = pixels[np.uint64(at + min(max(first + k, 0), width - 1))]
+                box[into + np.uint64(k)] = pixels[np.uint64(at + min(max(first + k, 0), flat.width - 1))]
         else:
             for k in range(np.uint64(across)):
                 box[into + k] = pixels[np.uint64(at + first) + k]
     line, four, weight = np.uint64(across), np.float32(4.0), np.float32(1 / 36)
     for k in range(np.uint64(across * (across - 2))):
         smooth[k] = box[k] + four * box[k + line] + box[k + line + line]
-    # What lies between the end of one row and the beginning of the next is of no use.
+    # Values between the end of one row and the beginning of the next are not used.
     for k in range(np.uint64(across * (across - 2) - 2)):
         box[k] = weight * (smooth[k] + four * smooth[k + one] + smooth[k + two])
-    for row in range(side):
-        middle, into = np.uint64((row + 1) * across + 1), np.uint64(row * wide)
-        for k in range(np.uint64(side)):
-            own[into + k] = box[middle + k]
+    light, slope_x, slope_y, laplacian = out.light, out.slope_x, out.slope_y, out.laplacian
+    for row in range(raster.side):
+        middle, into = np.uint64((row + 1) * across + 1), np.uint64(row * raster.stride)
+        for k in range(np.uint64(raster.side)):
+            light[into + k] = box[middle + k]
             slope_x[into + k] = half * (box[middle + one + k] - box[middle - one + k])
             slope_y[into + k] = half * (box[middle + line + k] - box[middle - line + k])
-        if len(bend) > 0:
-            for k in range(np.uint64(side)):
+        if len(laplacian) > 0:
+            for k in range(np.uint64(raster.side)):
                 beside = (box[middle + one + k] + box[middle - one + k]) + (
                     box[middle + line + k] + box[middle - line + k]
                 )
-                bend[into + k] = beside - four * box[middle + k]
+                laplacian[into + k] = beside - four * box[middle + k]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
-    """Weighted sums of four values so far `apart`, for `count` places from `start` on."""
+    """Weighted sums of four values so far `apart`, for `number` places from `start` on."""
     first, second = np.uint64(start), np.uint64(start + apart)
     third, fourth = np.uint64(start + 2 * apart), np.uint64(start + 3 * apart)
     for k in range(np.uint64(count)):
@@ -124,14 +210,11 @@ def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def resample_shifted(
-    pixels, height, width, ax, ay, bx, by, radius, s, pitch, left, top, side, wide, at, there, lines, other
-):  # fmt: skip
-    """What the second of two microimages shows at the pixels of the first, which is cut out from (left, top) on.
+def resample_shifted(flat, raster, left, top, ax, ay, bx, by, radius, s, pitch, buffers):
+    """Fill `buffers.shifted` with the second of two microimages at the pixels of the first, and return the `Overlap`.
 
-    Fills `other`, and returns from which place on and how many values that are, 0 if none; the direction of the step
-    between both; and, relative to the first pixel that is cut out, both centres, the middle between them, the squared
-    radius and the first and last column and row that both show.
+    The lenses have their centres at (ax, ay) and (bx, by), and the scene between them has the patch size `s`; the first
+    microimage is cut out from pixel (left, top) on.
     """
     ux, uy = (bx - ax) / pitch, (by - ay) / pitch
     tx, ty = bx - ax + s * ux, by - ay + s * uy
@@ -139,22 +222,22 @@ def resample_shifted(
     cx0, cx1, cx2, cx3 = bspline_weights(np.float32(tx - x0))
     cy0, cy1, cy2, cy3 = bspline_weights(np.float32(ty - y0))
     qx, qy = bx - tx, by - ty
+    side, stride, step = raster.side, raster.stride, buffers.step
     begin = max(int(np.ceil(max(ay, qy) - radius)), max(1, 1 - y0), top)
-    end = min(int(np.floor(min(ay, qy) + radius)), min(height - 2, height - 3 - y0), top + side - 1)
-    start, count = (begin - top) * wide, 0
+    end = min(int(np.floor(min(ay, qy) + radius)), min(flat.height - 2, flat.height - 3 - y0), top + side - 1)
+    start, count = (begin - top) * stride, 0
     if end >= begin:
-        # Most steps stay between the same pixels.
-        if at[0] != x0 or at[1] != y0:
-            copy_box(pixels, width, left + x0 - 1, top + y0 - 1, side + SPLINE_MARGIN, wide, there)
-            at[0], at[1] = x0, y0
-        count = _whole((end + 1 - begin) * wide)
-        _mean_of_four(there, start, 1, _whole((end + 4 - begin) * wide), cx0, cx1, cx2, cx3, lines)
-        _mean_of_four(lines, start, wide, count, cy0, cy1, cy2, cy3, other)
-    # Relative to the first pixel that is cut out.
+        # Most iterations stay between the same pixels.
+        if step[0] != x0 or step[1] != y0:
+            copy_box(flat.pixels, flat.width, left + x0 - 1, top + y0 - 1, side + SPLINE_MARGIN, stride, buffers.box)
+            step[0], step[1] = x0, y0
+        count = _whole((end + 1 - begin) * stride)
+        _mean_of_four(buffers.box, start, 1, _whole((end + 4 - begin) * stride), cx0, cx1, cx2, cx3, buffers.lines)
+        _mean_of_four(buffers.lines, start, stride, count, cy0, cy1, cy2, cy3, buffers.shifted)
     x, y = np.float32(left), np.float32(top)
-    return (
+    return Overlap(
         start, count, ux, uy, ax - x, ay - y, qx - x, qy - y, np.float32(0.5) * (ax + qx) - x,
         np.float32(0.5) * (ay + qy) - y, radius * radius, np.float32(max(1, 1 - x0) - left),
-        np.float32(min(width - 2 - left, width - 3 - x0 - left, side - 1)), np.float32(begin - top),
+        np.float32(min(flat.width - 2 - left, flat.width - 3 - x0 - left, side - 1)), np.float32(begin - top),
         np.float32(end - top),
     )  # fmt: skip

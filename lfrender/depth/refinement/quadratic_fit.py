@@ -1,12 +1,14 @@
-"""Lenses before bent surfaces, measured where their centres see them.
+"""Patch size at the centre of lenses that see curved surfaces: a quadratic patch size over the microimage.
 
-A pair of lenses tells the mean of what both show, some `R / |s|` pitches of the scene to all sides: on a sphere, or at
-the edge of a box, that is not what the middle of a microimage shows. Here a lens is compared with all its neighbours at
-once, under a patch size that may bend inside the microimage: a surface of second degree, as the affine windows of
-Lucas and Kanade (An iterative image registration technique, 1981) are of first.
+A pair of lenses measures the mean over what both show, some `R / |s|` pitches of the scene to all sides: on a sphere,
+or at the edge of a box, that is not the value at the middle of a microimage. Here a lens is compared with all its
+neighbours at once, under a patch size that is a polynomial of second degree in microimage coordinates (the affine
+windows of Lucas and Kanade, An iterative image registration technique, 1981, are of first degree).
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -19,69 +21,119 @@ from ...runtime.normal_equations import solve_cholesky, substitute_factor
 from ...runtime.scheduling import plan_chunks
 from .lens_plane import LensFits
 from .pair_fit import usable_radius
-from .pair_pixels import SPLINE_MARGIN, bspline_weights, cut_smoothed, first_pixel, pixel_raster
+from .pair_pixels import (
+    SPLINE_MARGIN,
+    Cutout,
+    bspline_weights,
+    cut_smoothed,
+    first_pixel,
+    flat_pixels,
+    new_buffers,
+    pixel_raster,
+)
+from .settings import QuadraticFitSettings
 
 __all__ = ["fit_quadratic"]
 
-_ITERATIONS = 4
-# A step that moves no coefficient by more than this [px] was the last.
-_LAST_STEP = np.float32(0.01)
-# Toward the rim slants [px per px] and bends [share of the pitch] change patch sizes by about so much.
-_SLANTED, _BENT = 0.08, 0.02
-# Fits that leave the first value by more than this share of the pitch, or rest on fewer pixels, are given up.
-_LEFT, _FEWEST = 0.06, 60.0
-# The cubic B-spline leaves a quarter of the energy of white noise: so many pixels tell what one independent one would.
-_CORRELATED = 4.0
-# What misleads all pixels of a lens together does not show in what they leave unexplained: factor of a standard error,
-# measured on ray-traced clutter.
-_UNSEEN = np.float32(1.6)
-# Fits that move a lens by less than this share of their standard error are not needed: it knows itself better without.
-_MOVED = 0.5
+_DEFAULT = QuadraticFitSettings()
+# Coefficients of 1, x, y, x^2, xy, y^2.
 _TERMS = 6
 
 
+class _Constants(NamedTuple):
+    """Values of `QuadraticFitSettings` for kernels; `prior` (6,) are inverse variances of the coefficients, and
+    `products` (6, 6) tells which monomial is the product of two terms."""
+
+    iterations: int
+    last_step: np.float32
+    largest_drift: float
+    fewest_pixels: float
+    correlated: float
+    common_error: np.float32
+    prior: NDArray[np.float64]
+    products: NDArray[np.int64]
+
+
+class _Pixels(NamedTuple):
+    """Pixels of a microimage inside a circle (size,): places in px and in radii, brightness, slopes, patch sizes."""
+
+    x: NDArray[np.float32]
+    y: NDArray[np.float32]
+    u: NDArray[np.float32]
+    v: NDArray[np.float32]
+    light: NDArray[np.float32]
+    slope_x: NDArray[np.float32]
+    slope_y: NDArray[np.float32]
+    sizes: NDArray[np.float32]
+
+
+class _Compared(NamedTuple):
+    """The same pixels in one neighbour (size,): brightness, visibility, weights, slopes along the step between the
+    lenses, and residuals; and sums over all of these (27,), see `_moments`."""
+
+    light: NDArray[np.float32]
+    visible: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    slopes: NDArray[np.float32]
+    residuals: NDArray[np.float32]
+    sums: NDArray[np.float32]
+
+
+class _Equations(NamedTuple):
+    """Normal equations, their solution, the coefficients, and offsets of brightness of the neighbours."""
+
+    left: NDArray[np.float64]
+    right: NDArray[np.float64]
+    change: NDArray[np.float64]
+    coefficients: NDArray[np.float32]
+    offsets: NDArray[np.float32]
+
+
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _look(pixels, width, count, x, y, sizes, ux, uy, cx, cy, last_x, last_y, r2, other, share):
-    """What a lens centred at (cx, cy) shows of the places (x, y) of another, moved along (ux, uy) by their patch sizes;
-    `share` is 0 where that is nothing."""
-    one, down = np.float32(1.0), np.uint32(width)
+def _four(pixels, at, c0, c1, c2, c3):
+    return (c0 * pixels[at] + c1 * pixels[at + np.uint32(1)]) + (
+        c2 * pixels[at + np.uint32(2)] + c3 * pixels[at + np.uint32(3)]
+    )
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _interpolate(flat, count, own, ux, uy, cx, cy, r2, other, visible):
+    """Fill `other` with the neighbour centred at (cx, cy) at the pixels of a lens, moved along (ux, uy) by their patch
+    sizes; `visible` is 0 where it does not show them."""
+    x, y, sizes, pixels = own.x, own.y, own.sizes, flat.pixels
+    one, down = np.float32(1.0), np.uint32(flat.width)
+    last_x, last_y = np.float32(flat.width) - np.float32(3.001), np.float32(flat.height) - np.float32(3.001)
     for k in range(np.uint64(count)):
         dx, dy = x[k] + sizes[k] * ux, y[k] + sizes[k] * uy
         px, py = dx + cx, dy + cy
         inside = (dx * dx + dy * dy <= r2) & (px >= one) & (px <= last_x) & (py >= one) & (py <= last_y)
-        share[k] = one if inside else np.float32(0.0)
+        visible[k] = one if inside else np.float32(0.0)
         px, py = min(max(px, one), last_x), min(max(py, one), last_y)
         left, top = np.int32(px), np.int32(py)
         a0, a1, a2, a3 = bspline_weights(px - np.float32(left))
         b0, b1, b2, b3 = bspline_weights(py - np.float32(top))
-        at = np.uint32((top - 1) * np.int32(width) + left - 1)
-        first = (a0 * pixels[at] + a1 * pixels[at + np.uint32(1)]) + (
-            a2 * pixels[at + np.uint32(2)] + a3 * pixels[at + np.uint32(3)]
-        )
+        at = np.uint32((top - 1) * np.int32(flat.width) + left - 1)
+        first = _four(pixels, at, a0, a1, a2, a3)
         at += down
-        second = (a0 * pixels[at] + a1 * pixels[at + np.uint32(1)]) + (
-            a2 * pixels[at + np.uint32(2)] + a3 * pixels[at + np.uint32(3)]
-        )
+        second = _four(pixels, at, a0, a1, a2, a3)
         at += down
-        third = (a0 * pixels[at] + a1 * pixels[at + np.uint32(1)]) + (
-            a2 * pixels[at + np.uint32(2)] + a3 * pixels[at + np.uint32(3)]
-        )
+        third = _four(pixels, at, a0, a1, a2, a3)
         at += down
-        fourth = (a0 * pixels[at] + a1 * pixels[at + np.uint32(1)]) + (
-            a2 * pixels[at + np.uint32(2)] + a3 * pixels[at + np.uint32(3)]
-        )
+        fourth = _four(pixels, at, a0, a1, a2, a3)
         other[k] = (b0 * first + b1 * second) + (b2 * third + b3 * fourth)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _weigh(count, own, other, share, offset, scale2, slope_x, slope_y, ux, uy, weights, slopes, rests):
-    """Weights after Geman and McClure, slopes along (ux, uy) and residuals of all pixels; the sums of the weights, and
-    of the residuals and their squares so weighted."""
+def _weigh(count, own, offset, scale2, ux, uy, compared):
+    """Fill in weights after Geman and McClure, slopes along (ux, uy) and residuals of all pixels; returns the sum of
+    the weights, and weighted sums of the residuals and their squares."""
+    light, slope_x, slope_y, other, visible = own.light, own.slope_x, own.slope_y, compared.light, compared.visible
+    weights, slopes, rests = compared.weights, compared.slopes, compared.residuals
     total = rest = square = np.float32(0.0)
     for k in range(np.uint64(count)):
-        r = own[k] - other[k] - offset
+        r = light[k] - other[k] - offset
         w = scale2 / (scale2 + r * r)
-        w = w * w * share[k]
+        w = w * w * visible[k]
         slopes[k] = ux * slope_x[k] + uy * slope_y[k]
         weights[k], rests[k] = w, r
         total += w
@@ -91,9 +143,10 @@ def _weigh(count, own, other, share, offset, scale2, slope_x, slope_y, ux, uy, w
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _moments(count, x, y, weights, slopes, rests, told):
-    """Add up what changes of s by 1, x, y, x^2, xy and y^2 do to the pixels: in `told` weighted sums of slopes times
-    these (6), with residuals (6), and of squared slopes times all monomials up to the fourth degree (15)."""
+def _moments(count, x, y, compared):
+    """Fill `compared.sums` with weighted sums of slopes times 1, x, y, x^2, xy and y^2 (6), of these with residuals
+    (6), and of squared slopes times all monomials up to the fourth degree (15)."""
+    weights, slopes, rests, sums = compared.weights, compared.slopes, compared.residuals, compared.sums
     zero = np.float32(0.0)
     f0 = f1 = f2 = f3 = f4 = f5 = b0 = b1 = b2 = b3 = b4 = b5 = zero
     for k in range(np.uint64(count)):
@@ -111,8 +164,8 @@ def _moments(count, x, y, weights, slopes, rests, told):
         b3 += wpr * xx
         b4 += wpr * xy
         b5 += wpr * yy
-    told[0], told[1], told[2], told[3], told[4], told[5] = f0, f1, f2, f3, f4, f5
-    told[6], told[7], told[8], told[9], told[10], told[11] = b0, b1, b2, b3, b4, b5
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = f0, f1, f2, f3, f4, f5
+    sums[6], sums[7], sums[8], sums[9], sums[10], sums[11] = b0, b1, b2, b3, b4, b5
     m0 = m1 = m2 = m3 = m4 = m5 = m6 = m7 = m8 = m9 = m10 = m11 = m12 = m13 = m14 = zero
     for k in range(np.uint64(count)):
         xk, yk, w = x[k], y[k], weights[k] * slopes[k] * slopes[k]
@@ -132,27 +185,28 @@ def _moments(count, x, y, weights, slopes, rests, told):
         m12 += xx * yk * yk
         m13 += yy * xk * yk
         m14 += yy * yk * yk
-    told[12], told[13], told[14], told[15], told[16] = m0, m1, m2, m3, m4
-    told[17], told[18], told[19], told[20], told[21] = m5, m6, m7, m8, m9
-    told[22], told[23], told[24], told[25], told[26] = m10, m11, m12, m13, m14
+    sums[12], sums[13], sums[14], sums[15], sums[16] = m0, m1, m2, m3, m4
+    sums[17], sums[18], sums[19], sums[20], sums[21] = m5, m6, m7, m8, m9
+    sums[22], sums[23], sums[24], sums[25], sums[26] = m10, m11, m12, m13, m14
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add_pair(told, total, rest, places, left, right):
-    """Add a pair's part to the normal equations, whatever the difference in brightness between its lenses."""
+def _add_pair(sums, total, rest, products, left, right):
+    """Add a pair to the normal equations, with the difference in brightness of its lenses eliminated."""
     for i in range(_TERMS):
-        right[i] += told[6 + i] - told[i] * rest / total
+        right[i] += sums[6 + i] - sums[i] * rest / total
         for j in range(i + 1):
-            left[i, j] += told[12 + places[i, j]] - told[i] * told[j] / total
+            left[i, j] += sums[12 + products[i, j]] - sums[i] * sums[j] / total
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _step(left, right, noise, known, c, change):
-    """Move the coefficients, which are `known` to be about zero, to where the normal equations have them. By how much
-    at most; `left` becomes its factor."""
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _step(equations, noise, prior):
+    """Move the coefficients to the solution of the normal equations, by at most 1 px each, with a `prior` about zero.
+    Returns the largest change; `equations.left` becomes its Cholesky factor."""
+    left, right, change, c = equations.left, equations.right, equations.change, equations.coefficients
     for i in range(_TERMS):
-        left[i, i] += noise * known[i]
-        right[i] -= noise * known[i] * c[i]
+        left[i, i] += noise * prior[i]
+        right[i] -= noise * prior[i] * c[i]
     solve_cholesky(left, right, change)
     moved = np.float32(0.0)
     for i in range(_TERMS):
@@ -162,32 +216,34 @@ def _step(left, right, noise, known, c, change):
     return moved
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _inside(columns, lines, side, wide, left, top, ax, ay, radius, smoothed, along_x, along_y, about, own, slopes):
-    """Gather the pixels of a microimage in a circle: places in pixels and in radii, brightness and slopes. Their
-    number."""
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _gather_pixels(raster, left, top, ax, ay, radius, cutout, out):
+    """Gather the pixels of a microimage in a circle; returns their number."""
     count = 0
-    for k in range(side * wide):
-        dx, dy = columns[k] + np.float32(left) - ax, lines[k] + np.float32(top) - ay
-        if columns[k] < side and dx * dx + dy * dy <= radius * radius:
-            about[0, count], about[1, count] = dx, dy
-            about[2, count], about[3, count] = dx / radius, dy / radius
-            own[count], slopes[0, count], slopes[1, count] = smoothed[k], along_x[k], along_y[k]
+    for k in range(raster.side * raster.stride):
+        dx, dy = raster.columns[k] + np.float32(left) - ax, raster.rows[k] + np.float32(top) - ay
+        if raster.columns[k] < raster.side and dx * dx + dy * dy <= radius * radius:
+            out.x[count], out.y[count] = dx, dy
+            out.u[count], out.v[count] = dx / radius, dy / radius
+            out.light[count], out.slope_x[count], out.slope_y[count] = (
+                cutout.light[k], cutout.slope_x[k], cutout.slope_y[k],
+            )  # fmt: skip
             count += 1
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _bend(count, c, about, bent):
-    """Patch sizes of all pixels by their coefficients."""
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _evaluate(count, c, own):
+    """Fill in the patch sizes of all pixels from the coefficients."""
     for k in range(count):
-        u, v = about[2, k], about[3, k]
-        bent[k] = c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
+        u, v = own.u[k], own.v[k]
+        own.sizes[k] = c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _standard_errors(factor, right, noise, radius, column):
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _standard_errors(equations, noise, radius, common_error):
     """Standard errors of the patch size at the centre and of the slant, from the factor of the normal equations."""
+    factor, right, column = equations.left, equations.right, equations.change
     height, slope = 0.0, 0.0
     for i in range(3):
         right[:] = 0.0
@@ -197,80 +253,96 @@ def _standard_errors(factor, right, noise, radius, column):
             height = column[0]
         else:
             slope += 0.5 * column[i]
-    return _UNSEEN * np.float32(np.sqrt(noise * height)), _UNSEEN * np.float32(np.sqrt(noise * slope)) / radius
+    height, slope = np.sqrt(noise * height), np.sqrt(noise * slope)
+    return common_error * np.float32(height), common_error * np.float32(slope) / radius
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_neighbours(flat, centres, radius, pitch, lens, neighbours, scale2, count, own, compared, products, equations):
+    """Set up the normal equations from all neighbours of a lens; returns the sum of the weights, and the weighted sum
+    of squared residuals."""
+    left, right, offsets = equations.left, equations.right, equations.offsets
+    left[:], right[:], seen, squares = 0.0, 0.0, np.float32(0.0), np.float32(0.0)
+    for d in range(neighbours.shape[1]):
+        near = neighbours[lens, d]
+        if near < 0:
+            continue
+        bx, by = centres[near, 0], centres[near, 1]
+        ux, uy = (bx - centres[lens, 0]) / pitch, (by - centres[lens, 1]) / pitch
+        _interpolate(flat, count, own, ux, uy, bx, by, radius * radius, compared.light, compared.visible)
+        total, rest, square = _weigh(count, own, offsets[d], scale2, ux, uy, compared)
+        if total < 4:
+            continue
+        _moments(count, own.u, own.v, compared)
+        _add_pair(compared.sums, total, rest, products, left, right)
+        offsets[d] += rest / total
+        seen += total
+        squares += square - rest * rest / total
+    return seen, squares
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fit_lens(lens, flat, raster, centres, radius, pitch, neighbours, start, scale2, k, memory, out):
+    """Fit one lens from its `start` fit, and write it to `out`."""
+    buffers, cutout, own, compared, equations = memory
+    sizes, _, slants, _ = start
+    out_sizes, errors, out_slants, slant_errors = out
+    ax, ay = centres[lens, 0], centres[lens, 1]
+    left, top = first_pixel(ax, radius, raster.side, flat.width), first_pixel(ay, radius, raster.side, flat.height)
+    cut_smoothed(flat, raster, left, top, buffers, cutout)
+    count = _gather_pixels(raster, left, top, ax, ay, radius, cutout, own)
+    c = equations.coefficients
+    c[0], c[1], c[2] = sizes[lens], slants[lens, 0] * radius, slants[lens, 1] * radius
+    c[3:], equations.offsets[:], noise, seen = 0.0, 0.0, 0.0, np.float32(0.0)
+    for _ in range(k.iterations):
+        _evaluate(count, c, own)
+        seen, squares = _add_neighbours(
+            flat, centres, radius, pitch, lens, neighbours, scale2[lens], count, own, compared, k.products, equations
+        )
+        if seen < k.fewest_pixels:
+            break
+        noise = float(k.correlated * squares / seen) + 1e-9
+        if _step(equations, noise, k.prior) < k.last_step:
+            break
+    if seen < k.fewest_pixels or not abs(c[0] - sizes[lens]) < k.largest_drift * pitch:
+        return
+    out_sizes[lens] = c[0]
+    out_slants[lens, 0], out_slants[lens, 1] = c[1] / radius, c[2] / radius
+    errors[lens], slant_errors[lens] = _standard_errors(equations, noise, radius, k.common_error)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _new_memory(size, neighbours):
+    m = np.zeros((16, size), np.float32)
+    return (
+        new_buffers(size),
+        Cutout(m[0], m[1], m[2], np.zeros(0, np.float32)),
+        _Pixels(m[3], m[4], m[5], m[6], m[7], m[8], m[9], m[10]),
+        _Compared(m[11], m[12], m[13], m[14], m[15], np.empty(27, np.float32)),
+        _Equations(
+            np.empty((_TERMS, _TERMS)), np.empty(_TERMS), np.empty(_TERMS), np.empty(_TERMS, np.float32),
+            np.empty(neighbours, np.float32),
+        ),
+    )  # fmt: skip
+
+
+# Numba drops writes to arrays of a NamedTuple in a function that is compiled to run in parallel: all of them are in the
+# functions that it calls.
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _fit_bent(
-    image, centres, radius, pitch, neighbours, sizes, slants, scale2, wanted, known, places, out, errors, out_slants,
-    slant_errors,
-):  # fmt: skip
-    side, wide, size, columns, lines = pixel_raster(radius)
-    height, width = image.shape
-    pixels = image.reshape(-1)
-    last_x, last_y = np.float32(width) - np.float32(3.001), np.float32(height) - np.float32(3.001)
+def _fit_quadratic(image, centres, radius, pitch, neighbours, start, scale2, wanted, constants: _Constants, out):
+    """Fit all `wanted` lenses from the `start` fits and write to `out`, both (patch_size, standard_error, slant,
+    slant_error)."""
     parts, each, stride = plan_chunks(len(centres))
     for part in prange(parts):
-        room, about, slopes = (
-            np.zeros((11, size), np.float32),
-            np.zeros((4, size), np.float32),
-            np.zeros((2, size), np.float32),
-        )
-        box, smooth, smoothed, along_x, along_y, own = room[0], room[1], room[2], room[3], room[4], room[5]
-        bent, other, share, weights, along = room[6], room[7], room[8], room[9], room[10]
-        rests, none, told = np.zeros(size, np.float32), np.zeros(0, np.float32), np.empty(27, np.float32)
-        offsets, c = np.empty(neighbours.shape[1], np.float32), np.empty(_TERMS, np.float32)
-        left, right, change = np.empty((_TERMS, _TERMS)), np.empty(_TERMS), np.empty(_TERMS)
+        raster, flat = pixel_raster(radius), flat_pixels(image)
+        memory = _new_memory(raster.size, neighbours.shape[1])
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
-            errors[lens] = np.inf
-            if not wanted[lens]:
-                continue
-            ax, ay = centres[lens, 0], centres[lens, 1]
-            first, top = first_pixel(ax, radius, side, width), first_pixel(ay, radius, side, height)
-            cut_smoothed(pixels, height, width, first, top, side, wide, box, smooth, smoothed, along_x, along_y, none)
-            count = _inside(
-                columns, lines, side, wide, first, top, ax, ay, radius, smoothed, along_x, along_y, about, own, slopes
-            )
-            c[0], c[1], c[2] = sizes[lens], slants[lens, 0] * radius, slants[lens, 1] * radius
-            c[3:], offsets[:], noise, seen = 0.0, 0.0, 0.0, np.float32(0.0)
-            for _ in range(_ITERATIONS):
-                _bend(count, c, about, bent)
-                left[:], right[:], seen, squares = 0.0, 0.0, np.float32(0.0), np.float32(0.0)
-                for d in range(neighbours.shape[1]):
-                    near = neighbours[lens, d]
-                    if near < 0:
-                        continue
-                    bx, by = centres[near, 0], centres[near, 1]
-                    ux, uy = (bx - ax) / pitch, (by - ay) / pitch
-                    _look(
-                        pixels, width, count, about[0], about[1], bent, ux, uy, bx, by, last_x, last_y, radius * radius,
-                        other, share,
-                    )  # fmt: skip
-                    total, rest, square = _weigh(
-                        count, own, other, share, offsets[d], scale2[lens], slopes[0], slopes[1], ux, uy, weights,
-                        along, rests,
-                    )  # fmt: skip
-                    if total < 4:
-                        continue
-                    _moments(count, about[2], about[3], weights, along, rests, told)
-                    _add_pair(told, total, rest, places, left, right)
-                    offsets[d] += rest / total
-                    seen += total
-                    squares += square - rest * rest / total
-                if seen < _FEWEST:
-                    break
-                noise = float(_CORRELATED * squares / seen) + 1e-9
-                if _step(left, right, noise, known, c, change) < _LAST_STEP:
-                    break
-            if seen < _FEWEST or not abs(c[0] - sizes[lens]) < _LEFT * pitch:
-                continue
-            out[lens] = c[0]
-            out_slants[lens, 0], out_slants[lens, 1] = c[1] / radius, c[2] / radius
-            errors[lens], slant_errors[lens] = _standard_errors(left, right, noise, radius, change)
+            if wanted[lens]:
+                _fit_lens(lens, flat, raster, centres, radius, pitch, neighbours, start, scale2, constants, memory, out)
 
 
-def _places_of_products() -> NDArray[np.int64]:
+def _products_of_terms() -> NDArray[np.int64]:
     """(6, 6) which of the monomials, in the order of `_moments`, is the product of two terms."""
     terms = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
     monomials = [*terms, (3, 0), (2, 1), (1, 2), (0, 3), (4, 0), (3, 1), (2, 2), (1, 3), (0, 4)]
@@ -283,8 +355,9 @@ def fit_quadratic(
     fits: LensFits,
     wanted: NDArray[np.float32],
     scale: NDArray[np.float32],
+    settings: QuadraticFitSettings = _DEFAULT,
 ) -> tuple[LensFits, NDArray[np.float32]]:
-    """The fits with those of the lenses `wanted` at their centres, and how far (n,) float32 they are of these.
+    """The fits mixed with those of a quadratic patch size, and the share (n,) float32 of the latter.
 
     Parameters
     ----------
@@ -292,37 +365,43 @@ def fit_quadratic(
     neighbours : (n, k) int32
         Neighbour rows in all directions, -1 where there is none.
     fits : LensFits
-        First values.
+        Start values.
     wanted : (n,) float32
-        How far they are: 0 not at all, 1 altogether.
+        Largest share of the quadratic fit: 0 not at all, 1 altogether.
     scale : (n,) float32
-        Difference of brightness beyond which two pixels hardly count as the same point.
+        Difference of brightness beyond which two pixels hardly show the same point.
+    settings : QuadraticFitSettings
     """
     radius = usable_radius(gray)
     if not wanted.any() or min(gray.image.shape) < 2 * radius + 2 * SPLINE_MARGIN:
         return fits, np.zeros(len(wanted), np.float32)
-    sizes, slants, slant_errors = fits.patch_size.copy(), fits.slant.copy(), fits.slant_error.copy()
-    errors = np.empty_like(sizes)
-    known = np.array([0.0, *[1 / (_SLANTED * radius) ** 2] * 2, *[1 / (_BENT * gray.pitch) ** 2] * 3])
-    _fit_bent(
-        np.ascontiguousarray(gray.image), gray.centres, np.float32(radius), np.float32(gray.pitch), neighbours,
-        fits.patch_size, fits.slant, (scale * scale).astype(np.float32), wanted > 0, known, _places_of_products(),
-        sizes, errors, slants, slant_errors,
+    slant, curvature = 1 / (settings.likely_slant * radius) ** 2, 1 / (settings.likely_curvature * gray.pitch) ** 2
+    constants = _Constants(
+        settings.iterations, np.float32(settings.last_step), settings.largest_drift, settings.fewest_pixels,
+        settings.correlated, np.float32(settings.common_error), np.array([0.0, *[slant] * 2, *[curvature] * 3]),
+        _products_of_terms(),
     )  # fmt: skip
-    # Nothing comes in at once: answers depend on no threshold that noise may cross.
+    unknown = np.full_like(fits.patch_size, np.inf)
+    out = fits.patch_size.copy(), unknown, fits.slant.copy(), fits.slant_error.copy()
+    _fit_quadratic(
+        np.ascontiguousarray(gray.image), gray.centres, np.float32(radius), np.float32(gray.pitch), neighbours,
+        (fits.patch_size, fits.standard_error, fits.slant, fits.slant_error), (scale * scale).astype(np.float32),
+        wanted > 0, constants, out,
+    )  # fmt: skip
+    sizes, errors, slants, slant_errors = out
+    # The share is continuous, so that noise does not flip lenses across a threshold.
     with np.errstate(divide="ignore", invalid="ignore"):
-        moved = 1 - (_MOVED * errors / (sizes - fits.patch_size)) ** 2
+        moved = 1 - (settings.least_move * errors / (sizes - fits.patch_size)) ** 2
     share = np.where(np.isfinite(errors), wanted * np.clip(moved, 0, 1), 0).astype(np.float32)
-    told = share > 0
     return LensFits(
-        _mixed(share, fits.patch_size, sizes),
-        _mixed(share, fits.standard_error, np.where(told, errors, 0)),
-        _mixed(share[:, None], fits.slant, slants),
-        _mixed(share, fits.slant_error, slant_errors),
+        _mix(share, fits.patch_size, sizes),
+        _mix(share, fits.standard_error, np.where(share > 0, errors, 0)),
+        _mix(share[:, None], fits.slant, slants),
+        _mix(share, fits.slant_error, slant_errors),
     ), share
 
 
-def _mixed(share: NDArray[np.float32], one: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The other as far as it has a `share`, or the one itself where it has none."""
+def _mix(share: NDArray[np.float32], one: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Weighted mean with a `share` of the other; the one itself, even beside NaN, where that is 0."""
     with np.errstate(invalid="ignore"):
         return np.where(share > 0, one + share * (other - one), one).astype(np.float32)

@@ -1,8 +1,15 @@
-"""Lenses on one surface measure it together: each patch size weighed with those of the lenses around it."""
+"""Patch sizes smoothed over the lenses of one surface: robust local planes and paraboloids, weighted by errors.
+
+Each lens is combined with what a weighted plane through its neighbours predicts. The scatter of the neighbours about
+the plane beyond their errors is taken for unevenness of the surface (DerSimonian and Laird, Meta-analysis in clinical
+trials, 1986). A microimage measures the mean over what it shows; on a curved surface that differs from the value at its
+centre, by an amount that the curvature fitted to the neighbours predicts.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -11,33 +18,87 @@ from numpy.typing import NDArray
 from ...flat.lens_graph import distant_rings, two_rings
 from ...runtime.scheduling import plan_chunks
 from .lens_plane import LensFits
+from .settings import SmoothingSettings
 
 __all__ = ["SmoothedFits", "smooth_fits", "smooth_fits_far"]
 
-# Lenses farther apart than this many standard deviations hardly count as one surface, and from the second number on not
-# at all: one that knows itself far better than those about it would else draw them to another surface.
-_APART, _ELSEWHERE = 3.0, 6.0
-# No surface is even, and no slant better known than to this.
-_LEAST_SLANT = 0.002
-# Bends of surfaces [pitches of s per squared pitch of the scene] are about so large. One is believed as far as its
-# square exceeds so many times its variance: on flat surfaces there is none.
-_BENT, _CHANCE = 0.007, 5.0
-# Half the mean square distance [pitches^2] of what a lens sees from its middle, at most: the lenses around tell no bend
-# farther off.
-_FARTHEST = 1.0
-# How far the lenses about one scatter beyond their errors is found in so many rounds.
-_ROUNDS = 3
-# Lenses that together weigh less than one half say nothing.
-_LEAST_WEIGHT = 0.5
-# Neighbours share pixels, pairs, and what misleads them: correlation of their errors. Some error [px] all lenses of a
-# surface share; it grows [pitches] with the cube of |s| / D, as neighbours come to share no more than their rims.
-# Measured on ray-traced scenes.
-_SHARED = 0.03
-_UNSEEN, _UNSEEN_GROWTH = 0.0019, 0.0005
-# Lenses afar are asked so many times: those that they have asked tell of what is farther.
-_TURNS = 2
-# On a plane, errors alone leave so much agreement. Lenses with less count afar by this power of what they have of it.
-_AGREED, _STEEPNESS = np.float32(0.83), 8
+_DEFAULT = SmoothingSettings()
+
+
+class _Constants(NamedTuple):
+    """Fields of `SmoothingSettings` for kernels."""
+
+    outlier: float
+    other_surface: float
+    least_slant: float
+    likely_curvature: float
+    significance: float
+    farthest: float
+    rounds: int
+    least_weight: float
+    correlation: float
+    common_error: float
+    common_error_growth: float
+
+
+class _Lenses(NamedTuple):
+    """All lenses: geometry, fits (n,), how far these are values at centres and not means (0 to 1), and weights."""
+
+    centres: NDArray[np.float32]
+    pitch: float
+    radius: float
+    sizes: NDArray[np.float32]
+    errors: NDArray[np.float32]
+    slants: NDArray[np.float32]
+    slant_errors: NDArray[np.float32]
+    centred: NDArray[np.float32]
+    trust: NDArray[np.float32]
+
+
+class _Gathered(NamedTuple):
+    """Neighbours of one lens (m,): sizes, variances, steps to them [pitches], slants, their variances, how far the
+    sizes are means over microimages, and weights."""
+
+    sizes: NDArray[np.float64]
+    variances: NDArray[np.float64]
+    ahead_x: NDArray[np.float64]
+    ahead_y: NDArray[np.float64]
+    slants_x: NDArray[np.float64]
+    slants_y: NDArray[np.float64]
+    slant_variances: NDArray[np.float64]
+    averaged: NDArray[np.float64]
+    trust: NDArray[np.float64]
+
+
+class _Residuals(NamedTuple):
+    """Neighbours of one lens (m,) relative to its own plane: differences of size, their variances and weights; how much
+    the differences grow with a slant in x and y, and with a curvature; steps [pitches], by which slants fall with a
+    curvature; differences of slant, times s, and their variance. The last two are work memory."""
+
+    difference: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    share: NDArray[np.float64]
+    along_x: NDArray[np.float64]
+    along_y: NDArray[np.float64]
+    curved: NDArray[np.float64]
+    ahead_x: NDArray[np.float64]
+    ahead_y: NDArray[np.float64]
+    turned_x: NDArray[np.float64]
+    turned_y: NDArray[np.float64]
+    turn_variance: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    turn_weights: NDArray[np.float64]
+
+
+class _Output(NamedTuple):
+    """Smoothed fits, significance of curvatures, and shares of inliers, (n,) each but for slants (n, 2)."""
+
+    sizes: NDArray[np.float32]
+    errors: NDArray[np.float32]
+    slants: NDArray[np.float32]
+    slant_errors: NDArray[np.float32]
+    curvature: NDArray[np.float32]
+    inliers: NDArray[np.float32]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -72,30 +133,26 @@ def _plane_sums(count, away, variance, share, along_x, along_y, uneven, weights)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _scatter(count, away, share, along_x, along_y, weights, height, x_slant, y_slant):
-    """Weighted sum of the squares that a plane leaves, and sum of the shares."""
+def _scatter(count, near, height, x_slant, y_slant):
+    """Weighted sum of squared residuals from a plane, and sum of the shares."""
+    difference, share, weights = near.difference, near.share, near.weights
+    along_x, along_y = near.along_x, near.along_y
     scatter = number = 0.0
     for k in range(np.uint64(count)):
-        rest = away[k] - height - x_slant * along_x[k] - y_slant * along_y[k]
+        rest = difference[k] - height - x_slant * along_x[k] - y_slant * along_y[k]
         scatter += weights[k] * rest * rest
         number += share[k]
     return scatter, number
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _expect(count, told, slant_known):
-    """What `count` lenses expect of another: difference from what it says itself, variance, and shared variance; by how
-    much their slant differs from its own, and the variance of that.
-
-    A weighted plane through the differences of what they have `told`. What they scatter about it beyond their variances
-    is as likely the surface's own unevenness (DerSimonian and Laird, Meta-analysis in clinical trials, 1986), which the
-    other lens has as well.
-    """
-    away, variance, share, along_x, along_y, weights = told[0], told[1], told[2], told[3], told[4], told[11]
+def _predict(count, near, slant_known, rounds):
+    """What `count` neighbours predict of a lens by a weighted plane: difference from its own size, variance, and mean
+    variance; difference of slant, and the variance of that."""
     uneven = height = inverse = total = x_slant = y_slant = slanted = 0.0
-    for turn in range(_ROUNDS):
+    for turn in range(rounds):
         squares, a, b, c, d, e, f, p, q, r = _plane_sums(
-            count, away, variance, share, along_x, along_y, uneven, weights
+            count, near.difference, near.variance, near.share, near.along_x, near.along_y, uneven, near.weights
         )
         total = a
         d += slant_known
@@ -104,26 +161,26 @@ def _expect(count, told, slant_known):
         height, inverse = (i00 * p + i01 * q + i02 * r) * over, i00 * over
         x_slant, y_slant = (i01 * p + i11 * q + i12 * r) * over, (i02 * p + i12 * q + i22 * r) * over
         slanted = 0.5 * (i11 + i22) * over
-        if turn == _ROUNDS - 1:
+        if turn == rounds - 1:
             break
-        scatter, freedom = _scatter(count, away, share, along_x, along_y, weights, height, x_slant, y_slant)
+        scatter, freedom = _scatter(count, near, height, x_slant, y_slant)
         freedom -= 1 + (1 - i11 * over * slant_known) + (1 - i22 * over * slant_known)
         uneven += max(scatter - freedom + 1, 0.0) / max(a - squares / a, 1e-9)
     return height, inverse + uneven, count / total, -x_slant, -y_slant, slanted
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _bend_sums(count, told, own):
-    """Weighted sums over `count` lenses of 1, x, y, the bend, their products, and of all that with differences; the sum
-    of the squares of these, and of the shares."""
-    away, variance, share, along_x, along_y, bent = told[0], told[1], told[2], told[3], told[4], told[5]
-    ahead_x, ahead_y, turned_x, turned_y, turn_variance = told[6], told[7], told[8], told[9], told[10]
-    weights, turn_weights = told[11], told[12]
+def _curvature_sums(count, near, own):
+    """Weighted sums over `count` lenses of 1, x, y, the curvature, their products, and of all that with differences; of
+    the squares of these, and of the shares."""
+    away, variance, share, along_x, along_y = near.difference, near.variance, near.share, near.along_x, near.along_y
+    curved, ahead_x, ahead_y, turned_x, turned_y = near.curved, near.ahead_x, near.ahead_y, near.turned_x, near.turned_y
+    turn_variance, weights, turn_weights = near.turn_variance, near.weights, near.turn_weights
     for k in range(np.uint64(count)):
         weights[k], turn_weights[k] = share[k] / variance[k], share[k] / turn_variance[k]
     a = b = c = d = e = f = g = h = i = j = p = q = r = s = squares = number = 0.0
     for k in range(np.uint64(count)):
-        w, x, y, z, rest = weights[k], along_x[k], along_y[k], bent[k], away[k]
+        w, x, y, z, rest = weights[k], along_x[k], along_y[k], curved[k], away[k]
         wx, wy, wz, wr = w * x, w * y, w * z, w * rest
         v, u, n = turn_weights[k], ahead_x[k], ahead_y[k]
         turn_x, turn_y, vo = turned_x[k], turned_y[k], v * own
@@ -147,55 +204,57 @@ def _bend_sums(count, told, own):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bend(count, told, own, own_variance, own_bent, slant_known, bend_known):
-    """How the surface bends [px / pitch^2] that a lens sees at `own`, and `count` others as they have `told`, and the
-    variance of that.
+def _curvature(count, near, own, own_variance, own_curved, slant_known, curvature_known):
+    """Curvature [px / pitch^2] of the surface about a lens, and its variance, by a weighted paraboloid.
 
-    A weighted paraboloid, round since a slant in each direction and one bend are all that so few lenses tell. Over a
-    plane all slants are the same; it changes them. Lenses that scatter about it make it as much less certain.
+    It is round, since one curvature and a slant in each direction are all that so few lenses determine; slants count as
+    well as sizes. Scatter about it increases the variance.
     """
-    a, b, c, d, e, f, g, h, i, j, p, q, r, s, squares, number = _bend_sums(count, told, own)
-    # The lens itself differs by nothing from what it says.
+    a, b, c, d, e, f, g, h, i, j, p, q, r, s, squares, number = _curvature_sums(count, near, own)
+    # The lens itself, whose difference is 0.
     a += 1 / own_variance
-    g += own_bent / own_variance
-    j += own_bent * own_bent / own_variance
+    g += own_curved / own_variance
+    j += own_curved * own_curved / own_variance
     d += slant_known
     f += slant_known
     i00, i01, i02, i11, i12, i22, over = _inverted(a, b, c, d, e, f)
-    # A plane, and by how much it changes with the bend.
+    # A plane, and by how much it changes with the curvature.
     height, by_height = (i00 * p + i01 * q + i02 * r) * over, (i00 * g + i01 * h + i02 * i) * over
     x_slant, by_x = (i01 * p + i11 * q + i12 * r) * over, (i01 * g + i11 * h + i12 * i) * over
     y_slant, by_y = (i02 * p + i12 * q + i22 * r) * over, (i02 * g + i12 * h + i22 * i) * over
     left = s - by_height * p - by_x * q - by_y * r
-    spread = 1 / (j - by_height * g - by_x * h - by_y * i + bend_known)
+    spread = 1 / (j - by_height * g - by_x * h - by_y * i + curvature_known)
     scatter = squares - height * p - x_slant * q - y_slant * r - spread * left * left
     freedom = 3 * number - 1 - (1 - i11 * over * slant_known) - (1 - i22 * over * slant_known)
     return spread * left, spread * max((scatter + 1) / (max(freedom, 0.0) + 1), 1.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _seen_about(size, radius):
+def _mean_reach(size, radius, farthest):
     """Half the mean square distance [pitches^2], on the scene, between what a lens shows and what its centre does."""
-    return min(radius * radius / (4 * size * size), _FARTHEST)
+    return min(radius * radius / (4 * size * size), farthest)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius, seen, told):
-    """Fill `told` from what lenses are `seen` to measure; returns what they count together."""
-    sizes, variance, ahead_x, ahead_y, slants_x, slants_y = seen[0], seen[1], seen[2], seen[3], seen[4], seen[5]
-    slant_variances, shown, trust = seen[6], seen[7], seen[8]
-    away, variances, share, along_x, along_y, bent = told[0], told[1], told[2], told[3], told[4], told[5]
-    out_x, out_y, turned_x, turned_y, turn_variance = told[6], told[7], told[8], told[9], told[10]
+def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius, gathered, constants, near):
+    """Fill `near` from `count` gathered neighbours; returns the sum of their weights."""
+    sizes, variances, trust, averaged = gathered.sizes, gathered.variances, gathered.trust, gathered.averaged
+    ahead_x, ahead_y, slants_x, slants_y = gathered.ahead_x, gathered.ahead_y, gathered.slants_x, gathered.slants_y
+    slant_variances = gathered.slant_variances
+    away, variance, share, along_x, along_y = near.difference, near.variance, near.share, near.along_x, near.along_y
+    curved, out_x, out_y, turned_x, turned_y = near.curved, near.ahead_x, near.ahead_y, near.turned_x, near.turned_y
+    turn_variance = near.turn_variance
+    outlier, other_surface, farthest = constants.outlier, constants.other_surface, constants.farthest
     for k in range(np.uint64(count)):
-        size, noise, ex, ey = sizes[k], variance[k], ahead_x[k], ahead_y[k]
+        size, noise, ex, ey = sizes[k], variances[k], ahead_x[k], ahead_y[k]
         # Over a plane 1 / s is linear in X, with the slant -D * grad(s) / s.
         rest = size * (1 + slant_x * ex + slant_y * ey) - own
         away2, size2 = ex * ex + ey * ey, size * size
         apart = rest * rest / (own_variance + noise + slant_variance * size2 * away2)
-        doubt = 1 / (1 + apart / (_APART * _APART))
-        counts = doubt * doubt * max(1 - apart / (_ELSEWHERE * _ELSEWHERE), 0.0) * trust[k]
-        away[k], variances[k], share[k], along_x[k], along_y[k] = rest, noise, counts, size * ex, size * ey
-        bent[k] = 0.5 * away2 + shown[k] * _seen_about(size, radius)
+        doubt = 1 / (1 + apart / (outlier * outlier))
+        counts = doubt * doubt * max(1 - apart / (other_surface * other_surface), 0.0) * trust[k]
+        away[k], variance[k], share[k], along_x[k], along_y[k] = rest, noise, counts, size * ex, size * ey
+        curved[k] = 0.5 * away2 + averaged[k] * _mean_reach(size, radius, farthest)
         out_x[k], out_y[k] = ex, ey
         turned_x[k], turned_y[k] = own * (slants_x[k] - slant_x), own * (slants_y[k] - slant_y)
         turn_variance[k] = own * own * slant_variances[k]
@@ -206,96 +265,107 @@ def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius,
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ask_around(
-    lens, centres, pitch, radius, two_rings, sizes, errors, slants, slant_errors, centred, trust, seen, told
-):  # fmt: skip
-    """Fill `told` with what the lenses `two_rings` measure. Returns how many they are, and what they count together.
-
-    In its rows: the difference from what the lens says itself, its variance, and how far it counts; by how much it
-    grows with a slant in both directions, and with a bend; by how much slants fall with a bend, by how much they
-    differ, times s, and the variance of either. The last two rows are to work in.
-    """
-    count, near = 0, 1 / np.float64(pitch)
-    for k in range(two_rings.shape[1]):
-        other = two_rings[lens, k]
+def _gather(lens, lenses, rows, constants, gathered, near):
+    """Fill `near` with the neighbours `rows` of a lens; returns how many they are, and the sum of their weights."""
+    centres, slants, slant_errors = lenses.centres, lenses.slants, lenses.slant_errors
+    count, per_pitch = 0, 1 / np.float64(lenses.pitch)
+    least = constants.least_slant * constants.least_slant
+    for k in range(rows.shape[1]):
+        other = rows[lens, k]
         if other < 0:
             break
-        if not np.isfinite(errors[other]):
+        if not np.isfinite(lenses.errors[other]):
             continue
-        seen[0, count], seen[1, count] = sizes[other], np.float64(errors[other]) ** 2
-        seen[2, count] = (np.float64(centres[other, 0]) - centres[lens, 0]) * near
-        seen[3, count] = (np.float64(centres[other, 1]) - centres[lens, 1]) * near
-        seen[4, count], seen[5, count] = slants[other, 0], slants[other, 1]
-        seen[6, count] = np.float64(slant_errors[other]) ** 2 + _LEAST_SLANT**2
-        seen[7, count], seen[8, count] = 1 - centred[other], trust[lens] * trust[other]
+        gathered.sizes[count], gathered.variances[count] = lenses.sizes[other], np.float64(lenses.errors[other]) ** 2
+        gathered.ahead_x[count] = (np.float64(centres[other, 0]) - centres[lens, 0]) * per_pitch
+        gathered.ahead_y[count] = (np.float64(centres[other, 1]) - centres[lens, 1]) * per_pitch
+        gathered.slants_x[count], gathered.slants_y[count] = slants[other, 0], slants[other, 1]
+        gathered.slant_variances[count] = np.float64(slant_errors[other]) ** 2 + least
+        gathered.averaged[count] = 1 - lenses.centred[other]
+        gathered.trust[count] = lenses.trust[lens] * lenses.trust[other]
         count += 1
     weight = _compare(
-        count, np.float64(sizes[lens]), np.float64(errors[lens]) ** 2, np.float64(slants[lens, 0]),
-        np.float64(slants[lens, 1]), np.float64(slant_errors[lens]) ** 2 + _LEAST_SLANT**2, np.float64(radius),
-        seen, told,
+        count, np.float64(lenses.sizes[lens]), np.float64(lenses.errors[lens]) ** 2, np.float64(slants[lens, 0]),
+        np.float64(slants[lens, 1]), np.float64(slant_errors[lens]) ** 2 + least, np.float64(lenses.radius), gathered,
+        constants, near,
     )  # fmt: skip
     return count, weight
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _new_memory(most):
+    def row():
+        return np.empty(most)
+
+    gathered = _Gathered(row(), row(), row(), row(), row(), row(), row(), row(), row())
+    near = _Residuals(
+        row(), row(), row(), row(), row(), row(), row(), row(), row(), row(), row(), row(), row()
+    )  # fmt: skip
+    return gathered, near
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _smooth_lens(lens, lenses, rows, c, gathered, near, out):
+    """Combine one lens, whose error is finite, with the lenses in its `rows`, and write it to `out`."""
+    own, own_variance, pitch = np.float64(lenses.sizes[lens]), np.float64(lenses.errors[lens]) ** 2, lenses.pitch
+    count, weight = _gather(lens, lenses, rows, c, gathered, near)
+    out.inliers[lens] = weight / max(count, 1)
+    if weight < c.least_weight:
+        return
+    slant_known = 1 / (np.float64(lenses.slant_errors[lens]) ** 2 + c.least_slant * c.least_slant)
+    averaged = (1 - lenses.centred[lens]) * _mean_reach(own, lenses.radius, c.farthest)
+    curvature, variance = _curvature(
+        count, near, own, own_variance, averaged, slant_known, 1 / (c.likely_curvature * pitch) ** 2
+    )
+    out.curvature[lens] = curvature * curvature / variance
+    curvature *= max(1 - c.significance * variance / (curvature * curvature), 0.0)
+    # What the curvature adds to all sizes, also to that of the lens itself, is taken from them.
+    uncertain_part = averaged * averaged * variance if curvature != 0 else 0.0
+    for k in range(count):
+        near.difference[k] += curvature * (averaged - near.curved[k])
+    own_variance += uncertain_part
+    predicted, spread, shared, x_slant, y_slant, slanted = _predict(count, near, slant_known, c.rounds)
+    if predicted * predicted > c.outlier * c.outlier * (spread + own_variance):
+        return
+    out.sizes[lens] = own - averaged * curvature + own_variance / (own_variance + spread) * predicted
+    out.slants[lens, 0] += x_slant
+    out.slants[lens, 1] += y_slant
+    out.slant_errors[lens] = np.sqrt(slanted)
+    joint = own_variance * spread / (own_variance + spread) + uncertain_part
+    common = c.common_error_growth * pitch * abs(own / pitch) ** 3
+    out.errors[lens] = np.sqrt(joint + c.correlation * min(shared, own_variance) + c.common_error**2 + common**2)
+
+
+# Numba drops writes to arrays of a NamedTuple in a function that is compiled to run in parallel: all of them are in the
+# functions that it calls.
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _pool(
-    centres, pitch, radius, two_rings, sizes, errors, slants, slant_errors, wanted, centred, trust, out, out_errors,
-    out_slants, out_slant_errors, bent, agreed,
-):  # fmt: skip
-    parts, each, stride = plan_chunks(len(centres))
+def _smooth(lenses: _Lenses, rows, wanted, constants: _Constants, out: _Output):
+    """Combine the `wanted` lenses in `out`, which holds the fits of all."""
+    parts, each, stride = plan_chunks(len(wanted))
     for part in prange(parts):
-        seen, told = np.empty((9, two_rings.shape[1])), np.empty((13, two_rings.shape[1]))
+        gathered, near = _new_memory(rows.shape[1])
         begin = part * stride % parts * each
-        for lens in range(begin, min(begin + each, len(centres))):
-            own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
-            out[lens], out_errors[lens], bent[lens] = sizes[lens], errors[lens], 0.0
-            out_slants[lens], out_slant_errors[lens], agreed[lens] = slants[lens], slant_errors[lens], 1.0
-            if not (wanted[lens] and np.isfinite(own_variance)):
-                continue
-            count, weight = _ask_around(
-                lens, centres, pitch, radius, two_rings, sizes, errors, slants, slant_errors, centred, trust, seen, told
-            )
-            agreed[lens] = weight / max(count, 1)
-            if weight < _LEAST_WEIGHT:
-                continue
-            slant_known = 1 / (np.float64(slant_errors[lens]) ** 2 + _LEAST_SLANT**2)
-            shown = (1 - centred[lens]) * _seen_about(own, radius)
-            bend, doubt = _bend(count, told, own, own_variance, shown, slant_known, 1 / (_BENT * pitch) ** 2)
-            bent[lens] = bend * bend / doubt
-            bend *= max(1 - _CHANCE * doubt / (bend * bend), 0.0)
-            # What all of them show of the bend, the lens itself too, is taken from what they measure.
-            misled = shown * shown * doubt if bend != 0 else 0.0
-            for k in range(count):
-                told[0, k] += bend * (shown - told[5, k])
-            own_variance += misled
-            expected, uncertain, shared, x_slant, y_slant, slanted = _expect(count, told, slant_known)
-            if expected * expected > _APART * _APART * (uncertain + own_variance):
-                continue
-            out[lens] = own - shown * bend + own_variance / (own_variance + uncertain) * expected
-            out_slants[lens, 0] += x_slant
-            out_slants[lens, 1] += y_slant
-            out_slant_errors[lens] = np.sqrt(slanted)
-            joint = own_variance * uncertain / (own_variance + uncertain) + misled
-            unseen = _UNSEEN_GROWTH * pitch * abs(own / pitch) ** 3
-            out_errors[lens] = np.sqrt(joint + _SHARED * min(shared, own_variance) + _UNSEEN**2 + unseen**2)
+        for lens in range(begin, min(begin + each, len(wanted))):
+            if wanted[lens] and np.isfinite(lenses.errors[lens]):
+                _smooth_lens(lens, lenses, rows, constants, gathered, near, out)
 
 
 @dataclass(frozen=True)
 class SmoothedFits:
-    """What lenses measure together.
+    """Fits of lenses, each combined with its neighbours.
 
     Parameters
     ----------
     fits : LensFits
-    bent : (n,) float32
-        How many times its variance the square of the bend is that the lenses about one tell; 0 where they do not.
-    agreed : (n,) float32
-        Share of the lenses about one that agree with it, 0 to 1.
+    curvature_significance : (n,) float32
+        Square of the curvature of the surface about each lens, over its variance; 0 where it is unknown.
+    inlier_share : (n,) float32
+        Mean weight of the neighbours of each lens, 0 to 1.
     """
 
     fits: LensFits
-    bent: NDArray[np.float32]
-    agreed: NDArray[np.float32]
+    curvature_significance: NDArray[np.float32]
+    inlier_share: NDArray[np.float32]
 
 
 def smooth_fits(
@@ -306,13 +376,12 @@ def smooth_fits(
     fits: LensFits,
     wanted: NDArray[np.bool_],
     centred: NDArray[np.float32],
+    settings: SmoothingSettings = _DEFAULT,
 ) -> SmoothedFits:
-    """Patch sizes, slants and their errors of lenses together with those in two rings around them.
+    """Patch sizes, slants and their errors of lenses combined with the lenses in two rings around each.
 
-    A lens is weighed with what a plane through the others expects of it. Others count as far as they agree with it,
-    and the less the more they scatter: what belongs to several surfaces stays as it is. A microimage measures the mean
-    of what it shows, which on a bent surface is not what its centre shows: where lenses tell a bend, the difference is
-    taken from all of them, and the plane is that of what is left.
+    Neighbours are weighted robustly: those that differ from the lens by several standard errors belong to another
+    surface and do not count.
 
     Parameters
     ----------
@@ -322,14 +391,15 @@ def smooth_fits(
     neighbours : (n, k) int32
         Neighbour rows in all directions, -1 where there is none.
     fits : LensFits
-        What each lens measures alone; those of infinite error say nothing to others.
+        What each lens measures alone; those of infinite error are left out.
     wanted : (n,) bool
-        The others stay as they are.
+        The other lenses keep their fits.
     centred : (n,) float32
-        How far lenses measure what their centres show, 0 to 1, and not a mean.
+        0 if the fit of a lens is a mean over its microimage, 1 if it is the value at its centre.
+    settings : SmoothingSettings
     """
     trust = np.ones(len(centres), np.float32)
-    return _together(centres, pitch, radius, two_rings(neighbours), fits, wanted, centred, trust)
+    return _smoothed(centres, pitch, radius, two_rings(neighbours), fits, wanted, centred, trust, settings)
 
 
 def smooth_fits_far(
@@ -339,21 +409,22 @@ def smooth_fits_far(
     neighbours: NDArray[np.int32],
     near: SmoothedFits,
     wanted: NDArray[np.bool_],
+    settings: SmoothingSettings = _DEFAULT,
 ) -> LensFits:
-    """What lenses have `smooth_fits` together with those farther off: planes of many lenses come out as planes.
+    """The result of `smooth_fits` combined with lenses farther off, so that large planes become planes.
 
-    Lenses count as far as those about them agree. Beside a depth edge they see a little of both sides, and err toward
-    the other one together.
+    Lenses count less if few of their own neighbours are inliers: beside depth edges they see a little of both sides,
+    and all err towards the other one.
     """
     centred = np.ones(len(centres), np.float32)
-    trust = np.minimum(near.agreed / _AGREED, 1) ** _STEEPNESS
+    trust = np.minimum(near.inlier_share / np.float32(settings.inlier_share), 1) ** settings.steepness
     fits = near.fits
-    for _ in range(_TURNS):
-        fits = _together(centres, pitch, radius, distant_rings(neighbours), fits, wanted, centred, trust).fits
+    for _ in range(settings.far_rounds):
+        fits = _smoothed(centres, pitch, radius, distant_rings(neighbours), fits, wanted, centred, trust, settings).fits
     return fits
 
 
-def _together(
+def _smoothed(
     centres: NDArray[np.float32],
     pitch: float,
     radius: float,
@@ -362,12 +433,17 @@ def _together(
     wanted: NDArray[np.bool_],
     centred: NDArray[np.float32],
     trust: NDArray[np.float32],
+    settings: SmoothingSettings,
 ) -> SmoothedFits:
-    """As `smooth_fits`, with the lenses `rows` (n, m) of each, which count as far as they and it have `trust` (n,)."""
-    sizes, errors, slant_errors, bent, agreed = (np.empty(len(centres), np.float32) for _ in range(5))
-    slants = np.empty((len(centres), 2), np.float32)
-    _pool(
-        centres, pitch, radius, rows, fits.patch_size.astype(np.float32), fits.standard_error.astype(np.float32),
-        fits.slant, fits.slant_error, wanted, centred, trust, sizes, errors, slants, slant_errors, bent, agreed,
+    """As `smooth_fits`, with the lenses `rows` (n, m) of each, weighted by their `trust` and its own (n,)."""
+    lenses = _Lenses(
+        centres, pitch, radius, fits.patch_size.astype(np.float32), fits.standard_error.astype(np.float32), fits.slant,
+        fits.slant_error, centred, trust,
     )  # fmt: skip
-    return SmoothedFits(LensFits(sizes, errors, slants, slant_errors), bent, agreed)
+    out = _Output(
+        lenses.sizes.copy(), lenses.errors.copy(), fits.slant.astype(np.float32), fits.slant_error.astype(np.float32),
+        np.zeros(len(centres), np.float32), np.ones(len(centres), np.float32),
+    )  # fmt: skip
+    constants = _Constants(*(getattr(settings, name) for name in _Constants._fields))
+    _smooth(lenses, rows, wanted, constants, out)
+    return SmoothedFits(LensFits(out.sizes, out.errors, out.slants, out.slant_errors), out.curvature, out.inliers)
