@@ -1,4 +1,4 @@
-"""How far apart two calibrations put the microimages of one camera."""
+"""Differences of the microimage centres of two calibrations of one camera."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ..runtime.errors import CalibrationError
 
 __all__ = ["LatticeDifference", "compare"]
 
-# A whole lattice vector may be off by this share of itself before the lattices count as two different ones.
-_SAME_VECTOR = 0.25
+# [pitch] basis vectors that differ by more are of different lattices, not of one measured twice; set by hand.
+_LARGEST_BASIS_DIFFERENCE = 0.25
 
 
 @dataclass(frozen=True)
 class LatticeDifference:
-    """Centres of calibration B minus those of calibration A, up to one whole lattice shift for the entire field.
+    """Centres of calibration B minus those of calibration A, up to a lattice shift of the whole flat.
 
     Parameters
     ----------
@@ -29,9 +29,9 @@ class LatticeDifference:
     scale : float
         Pitch of B over pitch of A.
     rotation_degrees : float
-        How far B is turned against A, clockwise on the screen.
-    places, field : (3, 3, 2) float64 [px]
-        Nine places, from the corners to the middle of the flat in rows from the top, and the difference at each.
+        Rotation from A to B, clockwise on the screen.
+    positions, field : (3, 3, 2) float64 [px]
+        Corners, edge middles and middle of the flat, in rows from the top, and the difference at each.
     """
 
     rms: float
@@ -39,15 +39,15 @@ class LatticeDifference:
     mean_shift: NDArray[np.float64]
     scale: float
     rotation_degrees: float
-    places: NDArray[np.float64]
+    positions: NDArray[np.float64]
     field: NDArray[np.float64]
 
 
 def compare(a: Calibration, b: Calibration) -> LatticeDifference:
-    """Compare the centres of two calibrations over the field of the flat.
+    """Compare the centres of two calibrations over the flat.
 
-    Indices of the two may start anywhere and their bases may be any two of one lattice. Where the pitch differs so
-    much that the lattices run out of step, the difference grows beyond half a pitch instead of starting anew.
+    Origins may be any lenses, and bases any two of one lattice. Differences over half a pitch, where the pitches
+    differ, are not reduced to the nearest lens.
 
     Parameters
     ----------
@@ -71,20 +71,22 @@ def compare(a: Calibration, b: Calibration) -> LatticeDifference:
         raise CalibrationError(f"the cameras are for flats of {sizes} px; compare calibrations of flats of one size")
     same = np.rint(a.lattice.basis @ np.linalg.inv(b.lattice.basis))
     leftover = np.linalg.norm(a.lattice.basis - same @ b.lattice.basis, axis=1)
-    if round(abs(np.linalg.det(same))) != 1 or (leftover > _SAME_VECTOR * a.lattice.pitch).any():
+    if round(abs(np.linalg.det(same))) != 1 or (leftover > _LARGEST_BASIS_DIFFERENCE * a.lattice.pitch).any():
         raise CalibrationError(
             f"the lattices are different ones, with pitches of {a.lattice.pitch:.2f} and {b.lattice.pitch:.2f} px, "
             "not one lattice measured twice; look at both with 'lfcal show'"
         )
     centres, indices = a.lattice.centres(), a.lattice.indices() @ same
-    places = _places(a.image_size)
+    width, height = a.image_size
+    grid = np.meshgrid(np.linspace(0, width - 1, 3), np.linspace(0, height - 1, 3))
+    positions = np.stack(grid, axis=-1)
     anchor = np.rint(np.median(b.lattice.to_index(centres) - indices, axis=0))
     offset = (indices + anchor - b.lattice.to_index(centres)) @ b.lattice.basis
     # Differences vary smoothly: a plane through them gives scale and rotation, and their values between the lenses.
     change = np.linalg.lstsq(np.column_stack([np.ones(len(centres)), centres]), offset, rcond=None)[0]
     matrix = np.eye(2) + change[1:]
-    at_places = a.lattice.to_index(places.reshape(-1, 2)) @ same
-    field = (at_places + anchor - b.lattice.to_index(places.reshape(-1, 2))) @ b.lattice.basis
+    at_positions = a.lattice.to_index(positions.reshape(-1, 2)) @ same
+    field = (at_positions + anchor - b.lattice.to_index(positions.reshape(-1, 2))) @ b.lattice.basis
     lengths = np.hypot(*offset.T)
     return LatticeDifference(
         rms=float(np.sqrt(np.mean(lengths**2))),
@@ -92,13 +94,6 @@ def compare(a: Calibration, b: Calibration) -> LatticeDifference:
         mean_shift=offset.mean(0),
         scale=float(np.sqrt(abs(np.linalg.det(matrix)))),
         rotation_degrees=float(np.degrees(np.arctan2(matrix[0, 1] - matrix[1, 0], np.trace(matrix)))),
-        places=places,
+        positions=positions,
         field=field.reshape(3, 3, 2),
     )
-
-
-def _places(image_size: tuple[int, int]) -> NDArray[np.float64]:
-    """(3, 3, 2) corners, edge middles and middle of the flat [px]."""
-    width, height = image_size
-    x, y = np.meshgrid(np.linspace(0, width - 1, 3), np.linspace(0, height - 1, 3))
-    return np.stack([x, y], axis=-1)

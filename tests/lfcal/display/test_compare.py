@@ -23,7 +23,7 @@ def _camera(origin=(450.0, 350.0), basis=_HEXAGON, size=_SIZE):
 
 
 @given(i=st.integers(-9, 9), j=st.integers(-9, 9), dx=st.floats(-4, 4), dy=st.floats(-4, 4))
-def test_shift_is_found_whatever_centre_and_basis_the_lattice_is_told_by(i, j, dx, dy):
+def test_shift_is_found_whatever_origin_and_basis_a_lattice_has(i, j, dx, dy):
     other = np.array([[0, 1], [-1, 1]]) @ _HEXAGON
     moved = _camera((450 + dx, 350 + dy) + np.array([i, j]) @ _HEXAGON, other)
     difference = lfcal.compare(_camera(), moved)
@@ -33,7 +33,7 @@ def test_shift_is_found_whatever_centre_and_basis_the_lattice_is_told_by(i, j, d
     np.testing.assert_allclose(difference.field.reshape(-1, 2), np.tile([dx, dy], (9, 1)), atol=1e-9)
 
 
-def test_scale_and_rotation_are_told_apart_and_grow_beyond_half_a_pitch():
+def test_scale_and_rotation_are_distinguished_and_grow_beyond_half_a_pitch():
     angle = np.radians(0.5)
     turn = 1.02 * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     difference = lfcal.compare(_camera(), _camera(basis=_HEXAGON @ turn))
@@ -55,7 +55,7 @@ def test_different_sizes_are_not_compared():
         lfcal.compare(_camera(), _camera(size=(300, 200)))
 
 
-def test_command_compares_our_file_with_a_published_one(tmp_path):
+def test_command_compares_a_json_file_with_a_published_one(tmp_path):
     _camera().save(tmp_path / "a.json")
     convert(_camera((450.5, 350)), tmp_path / "b.xml")
     result = CliRunner().invoke(main, ["compare", str(tmp_path / "a.json"), str(tmp_path / "b.xml"), "--json"])

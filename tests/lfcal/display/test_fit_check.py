@@ -1,4 +1,4 @@
-"""How far given lattices are from what the pixels show."""
+"""Offsets of given lattices from the microimages of a flat."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ def test_wrong_rotation_is_largest_in_the_corners(white):
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     middle = (np.array(_SIZE) - 1) / 2
     found = lfcal.check_fit(_camera(middle + (origin - middle) @ turn, basis @ turn), image)
-    expected = (found.places - middle) @ (np.eye(2) - turn)
+    expected = (found.positions - middle) @ (np.eye(2) - turn)
     np.testing.assert_allclose(found.offset, expected, atol=0.05)
     assert "corner" in str(found.warning)
 
 
-def test_gaps_taken_for_lenses_are_told(white):
+def test_gaps_taken_for_lenses_are_found(white):
     image, origin, basis = white
     gap = (basis[0] + basis[1]) / (3 if abs(basis[0] @ basis[1]) > 1 else 2)
     found = lfcal.check_fit(_camera(origin + gap, basis), image)
     assert found.max_offset == pytest.approx(np.hypot(*gap), abs=0.2)
 
 
-def test_regions_that_show_nothing_are_unknown(white):
+def test_offsets_of_regions_without_microimages_are_unknown(white):
     image, origin, basis = white
     dark = image.copy()
     dark[:, 450:] = 0
@@ -71,7 +71,7 @@ def test_image_of_another_size_is_refused(white):
 
 
 @pytest.mark.parametrize(("name", "wrong"), [("Fujita2.png", False), ("TempleBoatGiantR32.webp", True)])
-def test_published_file_that_contradicts_the_pixels_is_told(shared, name, wrong):
+def test_published_file_that_contradicts_the_pixels_has_a_warning(shared, name, wrong):
     flat = lfcal.read_flat(shared("captures", name))
     xml = shared("captures", name.split(".")[0] + ".published.xml")
     found = lfcal.check_fit(lfcal.load(xml, flat.shape[1::-1]), flat)

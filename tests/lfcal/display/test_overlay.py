@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import lfcal
 from lfcal.cli.main import main
-from lfcal.display.overlay import _CIRCLE, _DEFECT, _PANEL, _TYPES
+from lfcal.display.settings import STYLE
 from lfcal.gain.defects import Defects
 
 
@@ -24,19 +24,19 @@ def white(whites):
 
 
 def _circle_pixels(picture):
-    return (np.abs(picture.astype(int) - _CIRCLE).max(-1) < 40).sum()
+    return (np.abs(picture.astype(int) - STYLE.circle).max(-1) < 40).sum()
 
 
 def test_circles_are_drawn_in_all_five_crops(white):
     image, camera = white
     picture = lfcal.show(camera, image)
     assert picture.dtype == np.uint8 and picture.shape[2] == 3
-    for x in (0, picture.shape[1] - _PANEL):
-        for y in (0, picture.shape[0] - _PANEL):
-            assert _circle_pixels(picture[y : y + _PANEL, x : x + _PANEL]) > 500
+    for x in (0, picture.shape[1] - STYLE.panel):
+        for y in (0, picture.shape[0] - STYLE.panel):
+            assert _circle_pixels(picture[y : y + STYLE.panel, x : x + STYLE.panel]) > 500
 
 
-def test_circles_follow_the_lattice_and_the_picture_the_flat(white):
+def test_picture_depends_on_lattice_and_flat(white):
     image, camera = white
     lattice = camera.lattice
     moved = lfcal.Calibration(lfcal.Lattice(lattice.origin + 3, lattice.basis, (700, 500), 9.0))
@@ -72,22 +72,22 @@ def test_command_writes_the_picture(white, tmp_path):
     assert refused.exit_code == 2
 
 
-def test_circles_of_each_lens_type_have_a_colour_of_their_own(white):
+def test_circles_of_each_lens_type_have_their_own_colour(white):
     image, camera = white
     types = lfcal.LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]], True)
     picture = lfcal.show(replace(camera, lens_types=types), image).astype(int)
-    counts = [(np.abs(picture - colour).max(-1) < 40).sum() for colour in _TYPES[:3]]
+    counts = [(np.abs(picture - colour).max(-1) < 40).sum() for colour in STYLE.types[:3]]
     assert min(counts) > 500
-    assert (np.abs(picture - _TYPES[3]).max(-1) < 40).sum() < 50
+    assert (np.abs(picture - STYLE.types[3]).max(-1) < 40).sum() < 50
 
 
-def test_lens_without_light_is_crossed_out_where_it_lies(white):
+def test_unlit_lens_is_crossed_out_at_its_centre(white):
     image, camera = white
     lattice = camera.lattice
     near = np.argmin(np.hypot(*(lattice.centres() - (349.5, 249.5)).T))
     missing = replace(camera, defects=Defects(lenses=lattice.indices()[[near]].astype(np.int32)))
     plain, crossed = lfcal.show(camera, image), lfcal.show(missing, image)
-    pink = (np.abs(crossed.astype(int) - _DEFECT).max(-1) < 60) & (plain != crossed).any(-1)
+    pink = (np.abs(crossed.astype(int) - STYLE.defect).max(-1) < 60) & (plain != crossed).any(-1)
     rows, columns = np.nonzero(pink)
     assert len(rows) > 60
     # Arms of the length of the usable radius, 3 or 4 times enlarged, in the centre panel.

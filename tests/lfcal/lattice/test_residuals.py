@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lfcal
-from lfcal.display.overlay import _CIRCLE
+from lfcal.display.settings import STYLE
 from lfcal.lattice.residuals import Residuals
 
 _SIZE = (700, 500)
@@ -58,11 +58,8 @@ def test_systematic_residuals_are_drawn_as_arrows(displaced):
     rng = np.random.default_rng(0)
     noise = 0.01 * rng.standard_normal(indices.shape).astype(np.float32)
     bent = noise + 0.1 * np.sign(indices[:, :1]).astype(np.float32)
-    drawn = [
-        (np.abs(lfcal.show(replace(camera, residuals=Residuals(indices, offset)), image).astype(int) - _CIRCLE).max(-1)
-         < 40).sum()
-        for offset in (noise, bent)
-    ]  # fmt: skip
+    pictures = [lfcal.show(replace(camera, residuals=Residuals(indices, offset)), image) for offset in (noise, bent)]
+    drawn = [(np.abs(picture.astype(int) - STYLE.circle).max(-1) < 40).sum() for picture in pictures]
     assert drawn[1] > drawn[0] + 300
 
 

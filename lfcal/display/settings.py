@@ -1,0 +1,63 @@
+"""Tuned values of the check of a calibration against a flat, and the looks of the picture that shows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["FIT_CHECK", "STYLE", "FitCheckSettings", "OverlayStyle"]
+
+Colour = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class FitCheckSettings:
+    """Tuned values of `fit_check` and `region_offsets`."""
+
+    region: float = 13.0  # [pitch] side of a region: enough lenses for a fit, few enough for a slightly wrong angle
+    smallest_region: int = 128  # [px]
+    edge_window: float = 0.5  # [pitch] of local normalisation: wider than a rim, narrower than detail of the scene
+    bins: int = 36  # of the average microimage along each side
+    tiles: int = 4  # along the longer side of a region, whose averages are compared
+    least_correlation: float = 0.3  # of the average microimages of two halves of a region that shows any
+    largest_scatter: float = 0.05  # [pitch] between the centres of two halves of a region that shows any
+    passes: int = 2  # Gauss-Newton steps of the fit in a region
+    rounds: int = 8  # fits at most, each from the trend of the last: centres 0.1 pitch off shorten the steps
+    converged: float = 0.005  # [pitch] change of the trend at which the rounds end
+    biweight: float = 4.685  # [median deviation] at which Tukey's biweight leaves a region out of the trend
+    trend_steps: int = 20  # of iteratively reweighted least squares
+    least_regions: int = 5  # that must show centres for a trend
+    least_shift: float = 0.25  # [cell side] of a start by the average microimage: nearer starts converge as given
+    warning_offset: float = 0.04  # [pitch] below it no picture shows the error
+    warning_significance: float = 2.0  # [median deviation of the regions from the trend] least of a warning
+
+
+@dataclass(frozen=True)
+class OverlayStyle:
+    """Sizes [px] and colours of the picture that `show` draws."""
+
+    panel: int = 560  # side
+    space: int = 16  # between panels
+    caption: int = 26  # height below a panel
+    header: int = 84  # height above the panels
+    margin: int = 24  # left of the headlines
+    least_zoom: float = 3.0  # of the crops
+    most_zoom: float = 4.0  # of the crops
+    least_pitches: float = 2.5  # across a crop, whatever the zoom
+    pitches: float = 6.0  # across a crop, if the zoom allows
+    grid: tuple[int, int] = (12, 9)  # rectangles of the flat over which residuals are averaged
+    residual_significance: float = 3.0  # [standard errors] least of a residual that is drawn as an arrow
+    background: Colour = (24, 26, 30)
+    paper: Colour = (38, 41, 47)
+    ink: Colour = (232, 234, 237)
+    faint: Colour = (130, 136, 146)
+    grid_line: Colour = (70, 74, 82)
+    circle: Colour = (0, 190, 255)
+    cross: Colour = (255, 190, 40)
+    arrow: Colour = (255, 120, 90)
+    defect: Colour = (255, 60, 200)
+    unknown: Colour = (60, 20, 50)
+    types: tuple[Colour, ...] = ((0, 190, 255), (255, 110, 200), (140, 240, 90), (250, 230, 80))  # circles by lens type
+
+
+FIT_CHECK = FitCheckSettings()
+STYLE = OverlayStyle()
