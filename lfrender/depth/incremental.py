@@ -216,7 +216,7 @@ def _probe(
     textured = texture.clear | texture.faint
     about = (depth.filled_patch_size / np.float32(factor * matcher.factor)).astype(np.float32)
     active = textured if known is None else textured & ~known
-    return LocalMatch(*matcher.probe(active, about), texture.clear, textured)
+    return LocalMatch(*matcher.match_locally(active, about), texture.clear, textured)
 
 
 def find_moved(

@@ -27,7 +27,8 @@ from .matching.matcher import MatchResult
 from .matching.peaks import fill_unresolved
 from .matching.shortcuts import Shortcuts, sample_lenses
 from .plane_depth import confirm_on_plane, find_plane_of_few, fit_regular_plane, plane_depth_map, plane_scene_depth
-from .planes.detection import MIN_TEXTURED, find_plane
+from .planes.detection import find_plane
+from .planes.settings import DETECTION
 from .presets import PRESETS, Preset
 from .surface.densify import densify
 from .surface.second_layer import find_second_layer
@@ -209,7 +210,7 @@ def _plane_among_blank(
 
     Shading is left in where it hardly matters. Beside the depth stands how many lenses were tried, inf where all.
     """
-    if (~blank).sum() < MIN_TEXTURED:
+    if (~blank).sum() < DETECTION.min_textured:
         return None, np.inf
     texture = classify_borderline_texture(gray, lattice, plain, blank, estimate_noise(plain.roughness))
     active = texture.clear | texture.faint

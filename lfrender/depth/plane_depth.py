@@ -15,7 +15,8 @@ from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import count_neighbours, neighbour_rows
 from .estimate import LensEstimates, LensSet
 from .planes.detection import PlaneScene, find_plane
-from .planes.plane_fit import MIN_TEXTURED_SHARE, Plane, fit_plane, has_outlier_cluster
+from .planes.plane_fit import Plane, fit_plane, has_outlier_cluster
+from .planes.settings import PLANE
 from .presets import PRESETS
 from .surface.densify import grid_shape
 from .validity.classify import AGREED, LEAST_EVIDENCE, RESOLVABLE, SURE
@@ -81,14 +82,14 @@ def fit_regular_plane(
     they are few of the `count` lenses of the flat, the plane must face the camera: a slant would be carried too far.
     """
     known = (reason == 0) & np.isfinite(errors)
-    if known.sum() < MIN_TEXTURED_SHARE * (reason != 1).sum():
+    if known.sum() < PLANE.min_textured_share * (reason != 1).sum():
         return None
     own = sizes.astype(np.float64)
     # Lenses beside blank ones see little to measure.
     inner = known & (count_neighbours(reason != 1, neighbours) == (neighbours >= 0).sum(1))
     if inner.sum() < _FEWEST:
         return None
-    plane = fit_plane(centres[inner], own[inner], pitch, facing=bool(known.sum() < MIN_TEXTURED_SHARE * count))
+    plane = fit_plane(centres[inner], own[inner], pitch, facing=bool(known.sum() < PLANE.min_textured_share * count))
     if plane is None or has_outlier_cluster(
         np.where(known, own - plane.at(centres), np.nan), errors.astype(float), neighbours
     ):

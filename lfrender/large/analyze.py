@@ -26,7 +26,8 @@ from ..depth.matching.shortcuts import Shortcuts
 from ..depth.pipeline import SceneStatistics, UnsmoothedEstimates, estimate_lens_by_lens
 from ..depth.plane_depth import fit_regular_plane, plane_depth_map
 from ..depth.planes.detection import add_systematic_error, correlate_with_plane, normalised_plane_correlation
-from ..depth.planes.plane_fit import MIN_TEXTURED_SHARE, Plane, fit_plane
+from ..depth.planes.plane_fit import Plane, fit_plane
+from ..depth.planes.settings import PLANE
 from ..depth.presets import PRESETS
 from ..depth.surface.densify import grid_shape
 from ..depth.validity.classify import LEAST_EVIDENCE
@@ -204,7 +205,7 @@ def _survey(
     )
     overview = replace(overview, sizes=sizes)
     plane = None
-    if flat.shortcuts.plane and np.mean(clear) >= MIN_TEXTURED_SHARE:
+    if flat.shortcuts.plane and np.mean(clear) >= PLANE.min_textured_share:
         plane = fit_plane(centres, sizes.astype(np.float64), flat.lattice.pitch)
     return overview, plane, float(np.median(sure)) if len(sizes) else 0.0
 

@@ -1,6 +1,12 @@
-"""Correlation of neighbouring microimages over signed shifts."""
+"""Matching cost of neighbouring microimages over signed shifts: the cost volume.
+
+The cost is `1 - rho`: one minus the correlation coefficient over the pixels that two microimages share at a shift
+(Lumsdaine and Georgiev 2008, section 4), with noise, remaining shading and small overlaps taken into account.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -13,40 +19,74 @@ from ...flat.microimages import VECTOR_LENGTH, OverlapMasks, Strips, extract_str
 from ...runtime.buffers import allocate_pooled
 from ...runtime.cache import cached
 from ...runtime.scheduling import plan_chunks
+from .settings import COST
 
 __all__ = [
-    "MIN_OVERLAP",
-    "compute_pair_costs",
-    "half_weight_area",
-    "match_cost",
-    "mean_steps",
-    "overlap_masks",
-    "pair_moments",
-    "shading_decay",
-    "shading_doubt",
+    "CostTerms", "LensImages", "Overlap", "StripTable", "compute_pair_costs", "half_weight_area", "in_both",
+    "lens_images",
+    "match_cost", "mean_steps", "moments_cost", "overlap_masks", "pair_moments", "shading_decay", "shading_doubt",
+    "strip_table",
 ]  # fmt: skip
 
-# Part of a difference in mean brightness that counts as mismatch: neighbouring lenses may differ a
-# little in gain, but on a smooth slope their means are all that tells the depth.
-_OFFSET_WEIGHT = np.float32(0.5)
-# Share of a microimage that must be common for a match to count half: some dozens of independent details. A larger
-# one would pull patch sizes toward zero, where more is shared.
-_HALF_TRUST = 0.06
-# Shading that correction leaves behind looks like weak texture without disparity: a match this near
-# zero (in pitches) is doubted by half where the contrast (white = 1) is only this.
-_SHADED_REACH = np.float32(0.08)
-_SHADED = np.float32(0.03)
-#: Where two microimages share less than a third, so many squares of their radius, every pixel at the rim counts.
-MIN_OVERLAP = np.float32(1.0)
-# Centres and shifts are rounded to pixels each on its own, which moves a shift by so many pixels.
+# Centres and shifts are rounded to pixels independently, which moves a shift by up to two pixels each way.
 _ROUNDING = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), -1).reshape(-1, 2)
-# So many pairs of a direction tell its mean step far better than that.
-_PROBES = 500
+# Pairs of a direction over which its mean step is taken.
+_STEP_SAMPLES = 500
+
+
+class LensImages(NamedTuple):
+    """The flat and its lenses as kernels take them: `centres` (n, 2) [px], `mean` and `contrast` (n,) [white = 1]."""
+
+    image: NDArray[np.float32]
+    centres: NDArray[np.float32]
+    radius: np.float32
+    pitch: np.float32
+    mean: NDArray[np.float32]
+    contrast: NDArray[np.float32]
+
+
+class CostTerms(NamedTuple):
+    """Noise [white = 1], shading [share of the mean], overlap with half weight [px^2], and step between rows read."""
+
+    noise: np.float32
+    shading: np.float32
+    half_weight: np.float32
+    row_step: int
+
+
+class StripTable(NamedTuple):
+    """Microimages as `Strips` and the masks of the pixels that two of them share, as kernels take them."""
+
+    values: NDArray[np.float32]
+    middle: NDArray[np.int32]
+    whole: NDArray[np.bool_]
+    half: int
+    width: int
+    size: int
+    columns: NDArray[np.float32]
+    lines: NDArray[np.float32]
+    bunch: int
+    slots: NDArray[np.int32]
+    masks: NDArray[np.float32]
+    ends: NDArray[np.int32]
+    counts: NDArray[np.int32]
+
+
+class Overlap(NamedTuple):
+    """Two discs, at `ax, ay` and `bx, by` from the middle of a strip, and the least `x, y` inside the second strip."""
+
+    ax: np.float32
+    ay: np.float32
+    bx: np.float32
+    by: np.float32
+    low_x: np.float32
+    low_y: np.float32
+    radius2: np.float32
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _row_moments(row, upper, lower, w00, w01, w10, w11, mean):
-    """Sums over one row of pixels and what another lens shows in the rows `upper` and `lower`."""
+    """Sums over one row of pixels and the interpolated row of another lens, between `upper` and `lower`."""
     sa = sb = saa = sbb = sab = np.float32(0.0)
     for k in range(len(row)):
         a = row[k] - mean
@@ -70,7 +110,7 @@ def pair_moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
     sa = sb = saa = sbb = sab = np.float32(0.0)
     count = 0
     r2 = radius * radius
-    # Centre of lens b's disc as seen from lens a's pixels.
+    # Centre of the disc of lens b, seen from the pixels of lens a.
     qx, qy = bx - tx, by - ty
     top = max(int(np.ceil(max(ay, qy) - radius)), max(0, -y0))
     bottom = min(int(np.floor(min(ay, qy) + radius)), min(height - 1, height - 2 - y0))
@@ -98,14 +138,15 @@ def pair_moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step):
     return count, sa, sb, saa, sbb, sab
 
 
-# Python's error model checks every division, which no vector loop can. Places are unsigned: signed ones are looked at
-# for being counted from the end.
+# The error model of NumPy, because Python's checks every division, which prevents vector loops. Indices are unsigned,
+# because signed ones are checked for counting from the end.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _strip_moments(strips, own, other, upper, lower, masks, mask, count, w00, w01, w10, w11):
-    """Sums over the masked pixels of one strip and what another shows `upper` and `lower` values farther."""
+def _strip_moments(strips, own, other, upper, lower, masks, mask, count, weights):
+    """Sums over the masked pixels of one strip and the interpolated ones of another, `upper` and `lower` values on."""
     one = np.uint64(1)
     above, below = np.uint64(other + upper), np.uint64(other + lower)
     a, m = np.uint64(own), np.uint64(mask)
+    w00, w01, w10, w11 = weights
     sa = sb = saa = sbb = sab = np.float32(0.0)
     for k in range(np.uint64(count)):
         b = w00 * strips[above + k] + w01 * strips[above + one + k]
@@ -121,17 +162,23 @@ def _strip_moments(strips, own, other, upper, lower, masks, mask, count, w00, w0
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _rim_moments(strips, columns, lines, own, other, upper, lower, start, count, ex, ey, qx, qy, low_x, low_y, r2,
-                 w00, w01, w10, w11):  # fmt: skip
-    """Number of the pixels of one strip that are within the radius in both microimages, and sums over them."""
+def in_both(x, y, both):
+    """Whether a pixel, counted from the middle of a strip, lies in both discs of an `Overlap`."""
+    a2 = (x - both.ax) * (x - both.ax) + (y - both.ay) * (y - both.ay)
+    b2 = (x - both.bx) * (x - both.bx) + (y - both.by) * (y - both.by)
+    return (max(a2, b2) <= both.radius2) & (x >= both.low_x) & (y >= both.low_y)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _rim_moments(strips, columns, lines, own, other, upper, lower, start, count, both, weights):
+    """As `_strip_moments`, with the number of pixels, over those of a small overlap, each tested by itself."""
     one, zero, unit = np.uint64(1), np.float32(0.0), np.float32(1.0)
     above, below = np.uint64(other + upper), np.uint64(other + lower)
     a, first = np.uint64(own), np.uint64(start)
+    w00, w01, w10, w11 = weights
     number = sa = sb = saa = sbb = sab = zero
     for k in range(np.uint64(count)):
-        x, y = columns[first + k], lines[first + k]
-        own_2, other_2 = (x - ex) * (x - ex) + (y - ey) * (y - ey), (x - qx) * (x - qx) + (y - qy) * (y - qy)
-        inside = (max(own_2, other_2) <= r2) & (x >= low_x) & (y >= low_y)
+        inside = in_both(columns[first + k], lines[first + k], both)
         b = w00 * strips[above + k] + w01 * strips[above + one + k]
         b += w10 * strips[below + k] + w11 * strips[below + one + k]
         b, c = b if inside else zero, strips[a + k] if inside else zero
@@ -146,35 +193,53 @@ def _rim_moments(strips, columns, lines, own, other, upper, lower, start, count,
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def shading_decay(shift, pitch):
-    """How much less a match at this shift is doubted than one at zero: shading that is left stays with its lens."""
-    away = shift / (_SHADED_REACH * pitch)
-    return np.exp(-away * away)
+    """How the weight of shading falls with the shift: shading stays with its lens, so that it matches at zero."""
+    ratio = shift / (COST.shading_reach * pitch)
+    return np.exp(-ratio * ratio)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def shading_doubt(contrast):
-    """How much a match at zero of lenses of this contrast is doubted."""
-    return _SHADED * _SHADED / (_SHADED * _SHADED + contrast * contrast)
+    """Share of a correlation at zero shift that shading may explain, for lenses of this contrast."""
+    return (
+        COST.shading_contrast
+        * COST.shading_contrast
+        / (COST.shading_contrast * COST.shading_contrast + contrast * contrast)
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def match_cost(pixels, variance, residual, apart, floor, half, doubt):
-    """Cost of a pair by the sum of the variances of what both show, the variance of the difference, and its mean."""
-    offset = _OFFSET_WEIGHT * apart * apart
-    quality = (residual + offset + floor) / (variance + offset + floor)
-    trust = np.float32(pixels) / (np.float32(pixels) + half) * (np.float32(1.0) - doubt)
-    return np.float32(1.0) - trust * (np.float32(1.0) - quality)
+def match_cost(pixels, variance, residual, offset, floor, half_weight, doubt):
+    """Cost of a pair.
+
+    `variance` is the sum of both variances, `residual` the variance of the difference and `offset` its mean; `floor` is
+    the variance of noise and shading.
+    """
+    square = COST.offset_weight * offset * offset
+    quality = (residual + square + floor) / (variance + square + floor)
+    weight = np.float32(pixels) / (np.float32(pixels) + half_weight) * (np.float32(1.0) - doubt)
+    return np.float32(1.0) - weight * (np.float32(1.0) - quality)
 
 
-# Without fast math of its own: Numba optimises such a body once where it compiles and twice where it loads it, which
-# would order its sums differently. Those of the rows keep their order.
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def moments_cost(count, sa, sb, saa, sbb, sab, mean_difference, row_step, floor, half_weight, doubt):
+    """`match_cost` of a pair from the sums over the `count` pixels that it shares."""
+    inverse = np.float32(1.0) / np.float32(count)
+    ma, mb = sa * inverse, sb * inverse
+    variance = (saa + sbb) * inverse - ma * ma - mb * mb
+    residual = variance - np.float32(2.0) * (sab * inverse - ma * mb)
+    return match_cost(count * row_step, variance, residual, ma - mb + mean_difference, floor, half_weight, doubt)
+
+
+# No fast math here: Numba optimises such a body once when it compiles and twice when it loads it from the cache, which
+# would add in another order. The row loops above keep their order.
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _pair_costs(
-    image, centres, radius, pitch, rows, means, contrast, active, done, shifts, which, noise, shading, row_step, half,
-    strips, middle, whole, side, width, size, columns, lines, bunch, slots, masks, ends, counts, fresh, out,
-):  # fmt: skip
+def _pair_costs(lenses, rows, active, done, shifts, which, terms, table, fresh, out):
+    image, centres, radius, pitch, means, contrast = lenses
+    noise, shading, half_weight, row_step = terms
+    strips, middle, whole, half, width, size, columns, lines, bunch, slots, masks, ends, counts = table
     reach, length = len(slots) // 2, masks.shape[1]
-    enough, one = MIN_OVERLAP * radius * radius, np.float32(1.0)
+    enough, one = COST.min_overlap * radius * radius, np.float32(1.0)
     pixels, line = strips.reshape(-1), masks.reshape(-1)
     near_zero = np.empty(len(shifts), np.float32)
     for k in range(len(shifts)):
@@ -201,46 +266,40 @@ def _pair_costs(
                     tx, ty = (bx - ax) * grow, (by - ay) * grow
                     floor_x, floor_y = np.floor(tx), np.floor(ty)
                     fx, fy = tx - floor_x, ty - floor_y
+                    weights = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
                     dx, dy = int(floor_x) - gap_x, int(floor_y) - gap_y
                     slot = -1
                     if stripped and abs(dx) <= reach and abs(dy) <= reach:
                         slot = slots[dy + reach, dx + reach]
+                    # Strips are relative to the mean of their lens, the flat is not.
+                    difference = means[lens] - means[other]
                     if slot >= 0 and counts[slot] * row_step > enough:
                         count = np.float32(counts[slot])
                         start = ends[slot, 0]
                         sa, sb, saa, sbb, sab = _strip_moments(
                             pixels, lens * size + start, other * size + start, ends[slot, 2], ends[slot, 3], line,
-                            slot * length + start, ends[slot, 1], (one - fx) * (one - fy), fx * (one - fy),
-                            (one - fx) * fy, fx * fy,
+                            slot * length + start, ends[slot, 1], weights,
                         )  # fmt: skip
-                        apart = means[lens] - means[other]
                     elif slot >= 0:
-                        first, number = overlap_range(dx, dy, side, width, row_step, bunch)
+                        first, number = overlap_range(dx, dy, half, width, row_step, bunch)
                         if number <= 0:
                             continue
                         mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
+                        low_x, low_y = np.float32(-half - dx), np.float32(-half - dy)
+                        both = Overlap(ax - mx, ay - my, bx - tx - mx, by - ty - my, low_x, low_y, radius * radius)
                         count, sa, sb, saa, sbb, sab = _rim_moments(
                             pixels, columns, lines, lens * size + first, other * size + first, ends[slot, 2],
-                            ends[slot, 3], first, number, ax - mx, ay - my, bx - tx - mx, by - ty - my,
-                            np.float32(-side - dx), np.float32(-side - dy), radius * radius,
-                            (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy,
+                            ends[slot, 3], first, number, both, weights,
                         )  # fmt: skip
-                        apart = means[lens] - means[other]
-                        if count < 4:
-                            continue
                     else:
                         count, sa, sb, saa, sbb, sab = pair_moments(
                             image, ax, ay, bx, by, radius, tx, ty, mean, row_step
                         )
-                        apart = np.float32(0.0)
-                        if count < 4:
-                            continue
-                    inverse = one / np.float32(count)
-                    ma, mb = sa * inverse, sb * inverse
-                    variance = (saa + sbb) * inverse - ma * ma - mb * mb
-                    residual = variance - np.float32(2.0) * (sab * inverse - ma * mb)
-                    out[lens, d, k] = match_cost(
-                        count * row_step, variance, residual, ma - mb + apart, floor, half, doubt * near_zero[k]
+                        difference = np.float32(0.0)
+                    if count < 4:
+                        continue
+                    out[lens, d, k] = moments_cost(
+                        count, sa, sb, saa, sbb, sab, difference, row_step, floor, half_weight, doubt * near_zero[k]
                     )
 
 
@@ -249,32 +308,30 @@ def overlap_masks(
     gray: GrayFlat,
     rows: NDArray[np.int32],
     shifts: NDArray[np.float32],
-    about: NDArray[np.float32] | None = None,
+    expected: NDArray[np.float32] | None = None,
 ) -> OverlapMasks:
-    """`make_shift_masks` for the `shifts` tried for all pairs, from what is expected `about` each lens, if
-    anything is."""
-    return make_shift_masks(strips, gray.radius, _shifts_met(gray, rows, shifts, about))
-
-
-def _shifts_met(
-    gray: GrayFlat,
-    rows: NDArray[np.int32],
-    shifts: NDArray[np.float32],
-    about: NDArray[np.float32] | None,
-) -> NDArray[np.int64]:
-    """(m, 2) whole pixels `x, y` by which neighbours are shifted against each other, the same for all pairs of a
-    direction but for rounding."""
+    """`make_shift_masks` for all whole-pixel shifts of pairs at `shifts`, beside the `expected` (n,) if given."""
     tried = shifts
-    if about is not None and len(about):
-        tried = np.arange(about.min() + shifts.min(), about.max() + shifts.max() + 1)
+    if expected is not None and len(expected):
+        tried = np.arange(expected.min() + shifts.min(), expected.max() + shifts.max() + 1)
     steps = mean_steps(gray, rows)
     whole = np.floor((tried / np.float32(gray.pitch))[:, None] * steps[:, None]).astype(int)
-    return (whole.reshape(-1, 1, 2) + _ROUNDING).reshape(-1, 2)
+    return make_shift_masks(strips, gray.radius, (whole.reshape(-1, 1, 2) + _ROUNDING).reshape(-1, 2))
+
+
+def strip_table(strips: Strips, masks: OverlapMasks) -> StripTable:
+    """Strips and masks as kernels take them."""
+    columns, lines = strips.offsets
+    slots, pixels, ends, counts = masks
+    return StripTable(
+        strips.values, strips.centre_pixels, strips.complete, strips.half_width, strips.width, strips.size, columns,
+        lines, VECTOR_LENGTH, slots, pixels, ends, counts,
+    )  # fmt: skip
 
 
 def mean_steps(gray: GrayFlat, rows: NDArray[np.int32]) -> NDArray[np.float32]:
-    """(k, 2) steps `x, y` [px of `gray`] to the neighbours (n, d) in all directions in which there are any."""
-    # Rows belong to a lattice, of which there may be pictures of several sizes.
+    """(k, 2) steps `x, y` [px of `gray`] to the neighbours (n, d), in all directions in which there are any."""
+    # Cached with the rows of the lattice, per pitch, since the same flat may be matched at several scales.
     return cached(rows, ("mean steps", gray.pitch), lambda: _mean_steps(gray.centres, rows))
 
 
@@ -288,7 +345,7 @@ def _mean_steps(centres, rows):
             number += rows[lens, d] >= 0
         if number == 0:
             continue
-        every, seen, count, x, y = max(1, number // _PROBES), 0, 0, 0.0, 0.0
+        every, seen, count, x, y = max(1, number // _STEP_SAMPLES), 0, 0, 0.0, 0.0
         for lens in range(len(rows)):
             other = rows[lens, d]
             if other < 0:
@@ -304,8 +361,8 @@ def _mean_steps(centres, rows):
 
 
 def half_weight_area(gray: GrayFlat) -> float:
-    """So many pixels that two microimages share make a match count half."""
-    return float(_HALF_TRUST * np.pi * gray.radius**2)
+    """Overlap of two microimages [px^2] at which a match has half weight."""
+    return float(COST.half_weight_share * np.pi * gray.radius**2)
 
 
 def compute_pair_costs(
@@ -324,11 +381,10 @@ def compute_pair_costs(
     strips: Strips | None = None,
     masks: OverlapMasks | None = None,
 ) -> NDArray[np.float32]:
-    """How badly each lens agrees with its neighbours if the scene had each of some patch sizes.
+    """Matching cost of each lens with its neighbours at each of some patch sizes.
 
-    The cost is `1 - rho`, the correlation coefficient over the pixels that both microimages show
-    at that shift, half-way invariant to a difference of their means, shrunk toward 1 where noise
-    or shading explain the contrast or where they share few pixels.
+    The cost is `1 - rho`, the correlation coefficient over the pixels that both microimages show at that shift. A
+    difference of their means counts by half; noise, shading and small overlaps pull the cost toward 1.
 
     Parameters
     ----------
@@ -342,7 +398,7 @@ def compute_pair_costs(
     shifts : (k,) float32 [px of `gray`]
         Signed patch sizes to try.
     noise : float
-        Standard deviation of a pixel.
+        Standard deviation of a pixel, white = 1.
     shading : float
         Fixed contrast inside every microimage, as a share of its mean.
     row_step : int
@@ -367,15 +423,16 @@ def compute_pair_costs(
         out = allocate_pooled((len(gray.centres), rows.shape[1], len(shifts)), np.float32)
     which = np.arange(len(shifts)) if which is None else which
     done = np.zeros(len(active), bool) if done is None else done
-    half = np.float32(half_weight_area(gray))
-    if strips is None:
-        strips = extract_strips(gray, means, row_step)
-    if masks is None:
-        masks = overlap_masks(strips, gray, rows, shifts[which])
+    strips = extract_strips(gray, means, row_step) if strips is None else strips
+    masks = overlap_masks(strips, gray, rows, shifts[which]) if masks is None else masks
+    lenses = lens_images(gray, means, contrast)
+    terms = CostTerms(np.float32(noise), np.float32(shading), np.float32(half_weight_area(gray)), row_step)
     _pair_costs(
-        gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), rows, means, contrast, active,
-        done, shifts.astype(np.float32), which, np.float32(noise), np.float32(shading), row_step, half,
-        strips.values, strips.centre_pixels, strips.complete, strips.half_width, strips.width, strips.size,
-        *strips.offsets, VECTOR_LENGTH, *masks, fresh, out,
-    )  # fmt: skip
+        lenses, rows, active, done, shifts.astype(np.float32), which, terms, strip_table(strips, masks), fresh, out
+    )
     return out
+
+
+def lens_images(gray: GrayFlat, means: NDArray[np.float32], contrast: NDArray[np.float32]) -> LensImages:
+    """The flat and the statistics of its lenses (n,) as kernels take them."""
+    return LensImages(gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), means, contrast)

@@ -1,6 +1,6 @@
-"""How well neighbouring microimages agree at a shift that is known, and how far beside it the best one lies.
+"""Matching cost of neighbouring microimages at one expected patch size, and where near it the minimum lies.
 
-One look at the pixels tells both: a step of Gauss and Newton from there, instead of costs on both sides.
+One pass over the pixels gives the cost and its derivatives, and so a Gauss-Newton step, instead of costs on both sides.
 """
 
 from __future__ import annotations
@@ -12,32 +12,37 @@ from numpy.typing import NDArray
 from lfcal.runtime.fastmath import FAST
 
 from ...flat.gray_flat import GrayFlat
-from ...flat.microimages import VECTOR_LENGTH, Strips, overlap_range
+from ...flat.microimages import Strips, overlap_range
 from ...flat.texture import FIXED_PATTERN_CONTRAST, LensStatistics
 from .cost_volume import (
-    MIN_OVERLAP,
+    CostTerms,
+    Overlap,
     half_weight_area,
+    in_both,
+    lens_images,
     match_cost,
+    moments_cost,
     overlap_masks,
     pair_moments,
     shading_decay,
     shading_doubt,
+    strip_table,
 )
+from .settings import COST
 from .sgm import average_pair_costs
 
-__all__ = ["FARTHEST", "probe"]
-
-#: A step farther than this tells its side alone [px].
-FARTHEST = 0.75
+__all__ = ["match_locally"]
 
 
-# Places are unsigned: signed ones are looked at for being counted from the end.
+# Indices are unsigned, because signed ones are checked for counting from the end.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _sums(strips, own, other, upper, lower, masks, mask, count, w00, w01, w10, w11, p00, p01, p10, p11):
-    """Sums over the masked pixels of one strip, those that another shows there, their difference and their slope."""
+def _sums(strips, own, other, upper, lower, masks, mask, count, weights, slopes):
+    """Sums over the masked pixels of one strip, the interpolated ones of another, their difference and derivative."""
     one = np.uint64(1)
     above, below = np.uint64(other + upper), np.uint64(other + lower)
     a, m = np.uint64(own), np.uint64(mask)
+    w00, w01, w10, w11 = weights
+    p00, p01, p10, p11 = slopes
     sa = sb = squares = srr = sp = spp = spr = np.float32(0.0)
     for k in range(np.uint64(count)):
         v00, v01, v10, v11 = strips[above + k], strips[above + one + k], strips[below + k], strips[below + one + k]
@@ -56,25 +61,22 @@ def _sums(strips, own, other, upper, lower, masks, mask, count, w00, w01, w10, w
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _mask(columns, lines, start, count, ex, ey, qx, qy, low_x, low_y, r2, out):
-    """Which pixels of a strip from `start` on are within the radius in both microimages; how many."""
+def _mask(columns, lines, start, count, both, out):
+    """Mask the pixels of a strip from `start` on that lie in both microimages; how many do."""
     first, number = np.uint64(start), np.float32(0.0)
     for k in range(np.uint64(count)):
-        x, y = columns[first + k], lines[first + k]
-        own_2, other_2 = (x - ex) * (x - ex) + (y - ey) * (y - ey), (x - qx) * (x - qx) + (y - qy) * (y - qy)
-        inside = (max(own_2, other_2) <= r2) & (x >= low_x) & (y >= low_y)
-        out[k] = np.float32(1.0) if inside else np.float32(0.0)
+        out[k] = np.float32(1.0) if in_both(columns[first + k], lines[first + k], both) else np.float32(0.0)
         number += out[k]
     return number
 
 
-# Without fast math of its own, as `matching._pair_costs`.
+# No fast math here, as in `cost_volume._pair_costs`.
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _probe_pairs(
-    image, centres, radius, pitch, rows, means, contrast, active, about, noise, shading, row_step, half, strips, middle,
-    whole, side, width, size, columns, lines, bunch, slots, masks, ends, counts, out,
-):  # fmt: skip
-    """Fill `out` (n, d, 3) with the cost of each pair, its gradient and its steepness."""
+def _local_costs(lenses, rows, active, expected, terms, table, out):
+    """Fill `out` (n, d, 3) with the cost of each pair, and its first and second derivative."""
+    image, centres, radius, pitch, means, contrast = lenses
+    noise, shading, half_weight, row_step = terms
+    strips, middle, whole, half, width, size, columns, lines, bunch, slots, masks, ends, counts = table
     reach, length = len(slots) // 2, masks.shape[1]
     one, half_way = np.float32(1.0), np.float32(0.5)
     pixels, line = strips.reshape(-1), masks.reshape(-1)
@@ -90,7 +92,7 @@ def _probe_pairs(
             bx, by = centres[other, 0], centres[other, 1]
             mean = half_way * (means[lens] + means[other])
             floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
-            shift = half_way * (about[lens] + about[other])
+            shift = half_way * (expected[lens] + expected[other])
             doubt = shading_doubt(min(contrast[lens], contrast[other])) * shading_decay(shift, pitch)
             ux, uy = (bx - ax) / pitch, (by - ay) / pitch
             tx, ty = bx - ax + shift * ux, by - ay + shift * uy
@@ -104,55 +106,53 @@ def _probe_pairs(
             if slot < 0:
                 count, sa, sb, saa, sbb, sab = pair_moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step)
                 if count >= 4:
-                    inverse = one / np.float32(count)
-                    ma, mb = sa * inverse, sb * inverse
-                    variance = (saa + sbb) * inverse - ma * ma - mb * mb
-                    residual = variance - np.float32(2.0) * (sab * inverse - ma * mb)
-                    found[0] = match_cost(count * row_step, variance, residual, ma - mb, floor, half, doubt)
+                    found[0] = moments_cost(
+                        count, sa, sb, saa, sbb, sab, np.float32(0.0), row_step, floor, half_weight, doubt
+                    )
                 continue
-            if counts[slot] * row_step > MIN_OVERLAP * radius * radius:
+            if counts[slot] * row_step > COST.min_overlap * radius * radius:
                 count, start, number = np.float32(counts[slot]), ends[slot, 0], ends[slot, 1]
                 mask_of, mask_at = line, slot * length + start
             else:
-                start, number = overlap_range(dx, dy, side, width, row_step, bunch)
+                start, number = overlap_range(dx, dy, half, width, row_step, bunch)
                 if number <= 0:
                     continue
                 mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
-                count = _mask(
-                    columns, lines, start, number, ax - mx, ay - my, bx - tx - mx, by - ty - my, np.float32(-side - dx),
-                    np.float32(-side - dy), radius * radius, shared,
+                both = Overlap(
+                    ax - mx, ay - my, bx - tx - mx, by - ty - my, np.float32(-half - dx), np.float32(-half - dy),
+                    radius * radius,
                 )  # fmt: skip
+                count = _mask(columns, lines, start, number, both, shared)
                 if count < 4:
                     continue
                 mask_of, mask_at = shared, 0
             gx, gy = one - fx, one - fy
-            w00, w01, w10, w11 = gx * gy, fx * gy, gx * fy, fx * fy
-            p00, p01, p10, p11 = -ux * gy - uy * gx, ux * gy - uy * fx, uy * gx - ux * fy, ux * fy + uy * fx
+            weights = gx * gy, fx * gy, gx * fy, fx * fy
+            slopes = -ux * gy - uy * gx, ux * gy - uy * fx, uy * gx - ux * fy, ux * fy + uy * fx
             sa, sb, squares, srr, sp, spp, spr = _sums(
                 pixels, lens * size + start, other * size + start, ends[slot, 2], ends[slot, 3], mask_of, mask_at,
-                number, w00, w01, w10, w11, p00, p01, p10, p11,
+                number, weights, slopes,
             )  # fmt: skip
             inverse = one / count
             ma, mb = sa * inverse, sb * inverse
             variance = squares * inverse - ma * ma - mb * mb
             residual = srr * inverse - (ma - mb) * (ma - mb)
-            apart = ma - mb + means[lens] - means[other]
-            found[0] = match_cost(count * row_step, variance, residual, apart, floor, half, doubt)
+            offset = ma - mb + means[lens] - means[other]
+            found[0] = match_cost(count * row_step, variance, residual, offset, floor, half_weight, doubt)
             found[1], found[2] = spr - sp * (sa - sb) * inverse, spp - sp * sp * inverse
 
 
-def probe(
+def match_locally(
     gray: GrayFlat,
     forward: NDArray[np.int32],
     backward: NDArray[np.int32],
     statistics: LensStatistics,
     active: NDArray[np.bool_],
-    about: NDArray[np.float32],
+    expected: NDArray[np.float32],
     noise: float,
     strips: Strips,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """How badly each lens agrees with its neighbours at the patch size that it is expected to have, how far from
-    that the best one lies, and how well noise lets that be told.
+    """Match each lens with its neighbours at an expected patch size, with one Gauss-Newton step toward the minimum.
 
     Parameters
     ----------
@@ -162,32 +162,31 @@ def probe(
     statistics : LensStatistics
     active : (n,) bool
         Pairs without an active lens are not matched and cost 1.
-    about : (n,) float32 [px of `gray`]
+    expected : (n,) float32 [px of `gray`]
     noise : float
-        Standard deviation of a pixel.
+        Standard deviation of a pixel, white = 1.
     strips : Strips
-        Of `gray`, cut out for the active lenses and those beside them.
+        Of `gray`, cut out for the active lenses and their neighbours.
 
     Returns
     -------
     cost : (n,) float32
-        As `pair_costs`, the mean over the pairs of each lens.
+        As `compute_pair_costs`, the mean over the pairs of each lens.
     offset : (n,) float32 [px of `gray`]
-        To a first order, and at most `FARTHEST`; less under noise, which has slopes of its own.
+        From there to the minimum, to first order and at most `CostSettings.max_offset`; biased toward 0 by noise.
     error : (n,) float32 [px of `gray`]
-        Standard deviation of the offset of one pair of the lens under noise.
+        Standard error of the offset of one pair of the lens under noise.
     """
-    about = about.astype(np.float32)
-    masks = overlap_masks(strips, gray, forward, np.zeros(1, np.float32), about)
+    expected = expected.astype(np.float32)
+    masks = overlap_masks(strips, gray, forward, np.zeros(1, np.float32), expected)
     pairs = np.empty((*forward.shape, 3), np.float32)
-    _probe_pairs(
-        gray.image, gray.centres, np.float32(gray.radius), np.float32(gray.pitch), forward, statistics.mean,
-        statistics.contrast, active, about, np.float32(noise), np.float32(FIXED_PATTERN_CONTRAST), strips.step,
-        np.float32(half_weight_area(gray)), strips.values, strips.centre_pixels, strips.complete, strips.half_width,
-        strips.width, strips.size, *strips.offsets, VECTOR_LENGTH, *masks, pairs,
-    )  # fmt: skip
-    cost, gradient, steepness = average_pair_costs(pairs, forward, backward).T
-    steepness = np.maximum(steepness, np.float32(1e-12))
+    terms = CostTerms(
+        np.float32(noise), np.float32(FIXED_PATTERN_CONTRAST), np.float32(half_weight_area(gray)), strips.step
+    )
+    lenses = lens_images(gray, statistics.mean, statistics.contrast)
+    _local_costs(lenses, forward, active, expected, terms, strip_table(strips, masks), pairs)
+    cost, gradient, curvature = average_pair_costs(pairs, forward, backward).T
+    curvature = np.maximum(curvature, np.float32(1e-12))
     # Both microimages of a pair have noise.
-    error = np.float32(np.sqrt(2) * noise) / np.sqrt(steepness)
-    return np.ascontiguousarray(cost), np.clip(gradient / steepness, -FARTHEST, FARTHEST), error
+    error = np.float32(np.sqrt(2) * noise) / np.sqrt(curvature)
+    return np.ascontiguousarray(cost), np.clip(gradient / curvature, -COST.max_offset, COST.max_offset), error

@@ -1,4 +1,7 @@
-"""The search: which signed shift lets each lens agree with its neighbours, all of them or those that occur."""
+"""Search of the signed shift of every lens: matching costs on a reduced flat, and semi-global matching.
+
+Either all shifts are tried, or only those near depths that occur: in a sparse sample of lenses, or as found elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -16,68 +19,42 @@ from ...runtime.cache import cached
 from ..presets import Preset
 from .ambiguity import measure_ambiguity, overlap_weights
 from .cost_volume import compute_pair_costs, half_weight_area, overlap_masks
-from .local_match import probe
-from .peaks import confidence, find_second_minimum, fit_parabola, least
+from .local_match import match_locally
+from .peaks import confidence, find_minimum, find_second_minimum, fit_parabola
+from .settings import SEARCH, SearchSettings
 from .sgm import aggregate_costs, average_pair_costs
 
 __all__ = ["MatchResult", "Matcher", "match_lenses"]
 
-
-# The search reaches a little beyond the last resolvable shift, so that it has a rising flank on both sides.
-_SEARCHED = 0.82
-# Prices of semi-global matching in units of the match cost (0 perfect, 1 unrelated). On ray-traced and real flats a
-# slant costs little at half the price, and at double the price depth edges begin to suffer.
-_SLOPE_PER_PIXEL, _JUMP = 0.07, 0.8
-# Radii [px] below which microimages have no row to spare, and no shift either.
-_NO_ROW_TO_SPARE, _LEAST_RADIUS, _TINY_STEP = 7.0, 4.0, 0.5
-# A second depth is tried on the pixels when it matches the lens at most this much worse, and the first leaves
-# this much unexplained.
-_SECOND, _UNEXPLAINED = 0.3, 0.2
-# A match that leaves more than this unexplained may have a better one where nobody has looked.
-MISFIT = 0.35
-# Of fewer lenses than this share microimages are cut out for these and their neighbours alone.
-_FEW = 0.2
-# Where pairs agree clearly better on the next best value, it is the right one for this share of the lenses.
-_TURNED = np.float32(0.6)
-# Beyond the last pixel that is shared no correlation is anything.
-_LEAST_TRUST = np.float32(0.02)
-# Lenses that match as well at another shift are torn; texture repeats where this share of them is.
-_TORN, _REPEATED = 0.5, 0.2
-# A sampled lens tells a range of depths that occurs when its match is half explained or better.
-_TELLING = 0.5
-# Lattice directions in which lenses are probed: detail along one of them shows no shift there.
-_PROBED = 2
-# Ranges reach so far beyond the depths of the samples [share of the pitch]: the depths between two samples.
-_MARGIN = 0.12
-# A range needs so many samples: a single one is more likely a false match, and the check finds what is there.
-_SUPPORT = 2
+# Lattice directions of `Matcher.match_locally`: two show a shift of any detail, a third adds little.
+_LOCAL_DIRECTIONS = 2
 
 
 @dataclass(frozen=True)
 class MatchResult:
-    """Answers of the search for every lens, patch sizes in px of the flat.
+    """Result of the search for every lens; patch sizes in px of the flat.
 
     Parameters
     ----------
     patch_size, confidence : (n,) float32
-        Best value and the probability that it is the right optimum.
-    evidence : (n,) float32
-        Correlation of the lens with its neighbours there, 0..1.
-    explained : (n,) float32
-        The same over what the pixels that they share let it be at most.
-    rivals : (n,) float32
-        Probability of the best value among all that correlate as well, whatever neighbours share there.
-    matched, echo : (n,) float32
-        Correlation over what it can be at most, at the best value and at the best of those others, 0 where there is
-        none; pooled with the lenses around it.
+        Best value, and the probability that it is the right minimum.
+    correlation : (n,) float32
+        Mean correlation with the neighbours there, 0..1, weighted down for a small overlap.
+    normalised_correlation : (n,) float32
+        The same without that weight.
+    uniqueness : (n,) float32
+        Probability of the best value among all that correlate as well, whatever their overlap.
+    primary_peak, secondary_peak : (n,) float32
+        Normalised correlation at the best value and at the highest other peak (0 where there is none), mean with the
+        neighbours on the same surface.
     second : (n,) float32
-        Next best value, NaN where no other comes near.
-    second_evidence, second_explained : (n,) float32
-        As `correlation` and `normalised_correlation`, at the next best value.
+        Second-best value, NaN where no other comes near.
+    second_correlation, second_normalised : (n,) float32
+        As `correlation` and `normalised_correlation`, at the second-best value.
     step : float
         Between the values that were tried.
-    untried : float
-        Share of the shifts of all matched lenses that were left out.
+    skipped_share : float
+        Share of the shifts of all matched lenses that were not tried.
     """
 
     patch_size: NDArray[np.float32]
@@ -93,8 +70,8 @@ class MatchResult:
     step: float
     skipped_share: float
 
-    def swap_second(self, lenses: NDArray[np.bool_]) -> MatchResult:
-        """These with the best and the next best value of some `lenses` (n,) exchanged."""
+    def swap_second(self, lenses: NDArray[np.bool_], settings: SearchSettings = SEARCH) -> MatchResult:
+        """Exchange the best and the second-best value of some `lenses` (n,)."""
         return replace(
             self,
             patch_size=np.where(lenses, self.second, self.patch_size),
@@ -103,21 +80,22 @@ class MatchResult:
             second_correlation=np.where(lenses, self.correlation, self.second_correlation),
             normalised_correlation=np.where(lenses, self.second_normalised, self.normalised_correlation),
             second_normalised=np.where(lenses, self.normalised_correlation, self.second_normalised),
-            confidence=np.where(lenses, np.minimum(_TURNED, self.confidence), self.confidence),
+            confidence=np.where(lenses, np.minimum(settings.swapped_confidence, self.confidence), self.confidence),
         )
 
 
 class Matcher:
-    """A flat made as small as the preset asks for, and the shifts to try on it.
+    """A flat reduced as the preset asks, and the shifts to try on it.
 
     Parameters
     ----------
     texture : Texture
     forward, backward : (n, d) int32
         Neighbour rows in `d` directions and in their opposites, -1 where there is none.
-    setting : Preset
-    asked : (n,) bool, optional
+    preset : Preset
+    lenses : (n,) bool, optional
         Lenses that will be matched; all may be by default.
+    settings : SearchSettings
     """
 
     def __init__(
@@ -125,51 +103,55 @@ class Matcher:
         texture: Texture,
         forward: NDArray[np.int32],
         backward: NDArray[np.int32],
-        setting: Preset,
-        asked: NDArray[np.bool_] | None = None,
+        preset: Preset,
+        lenses: NDArray[np.bool_] | None = None,
+        settings: SearchSettings = SEARCH,
     ) -> None:
-        self.factor = max(1, round(texture.flat.pitch / setting.search_pitch))
-        wanted = None if asked is None else dilate_mask(asked, join_opposite(forward, backward))
+        self.settings = settings
+        self.factor = max(1, round(texture.flat.pitch / preset.search_pitch))
+        wanted = None if lenses is None else dilate_mask(lenses, join_opposite(forward, backward))
         self.gray: GrayFlat = downsample(texture.flat, self.factor, wanted)
         self.statistics: LensStatistics = texture.statistics
         if self.factor > 1:
             self.statistics = measure_statistics(self.gray, wanted=wanted)
-        # Of tiny microimages every row is needed, and every half pixel: the depth that few pixels share is biased.
-        row_step = 1 if self.gray.radius < _NO_ROW_TO_SPARE else setting.row_step
-        self.step = setting.step if self.factor > 1 else max(setting.step, setting.full_step)
-        self.step = min(self.step, _TINY_STEP) if self.gray.radius < _LEAST_RADIUS else self.step
-        side = int(np.ceil(_SEARCHED * self.gray.pitch / self.step))
+        radius = self.gray.radius
+        self._row_step = 1 if radius < settings.all_rows_radius else preset.row_step
+        self.step = preset.step if self.factor > 1 else max(preset.step, preset.full_step)
+        self.step = min(self.step, settings.half_step) if radius < settings.half_step_radius else self.step
+        side = int(np.ceil(settings.max_ratio * self.gray.pitch / self.step))
         self.shifts = (np.arange(-side, side + 1) * self.step).astype(np.float32)
         self.forward, self.backward = forward, backward
-        self._noise, self._row_step = texture.noise / self.factor, row_step
+        self._noise = texture.noise / self.factor
+        #: Steps that belong to one minimum.
+        self.tolerance = max(1, round(1.5 / self.step))
 
     @cached_property
-    def rows(self) -> NDArray[np.int32]:
+    def neighbours(self) -> NDArray[np.int32]:
         """(n, 2 d) neighbour rows in all directions, -1 where there is none."""
         return join_opposite(self.forward, self.backward)
 
     @cached_property
-    def trust(self) -> NDArray[np.float32]:
-        """(k,) float32: share of a correlation that is believed at each shift, for the pixels that are shared there."""
+    def overlap_weight(self) -> NDArray[np.float32]:
+        """(k,) float32: weight of a correlation at each shift for the overlap there."""
         return overlap_weights(self.gray, self.forward, self.shifts, half_weight_area(self.gray))
 
     def downscaled(self, texture: Texture) -> Texture:
-        """The texture it was made of, on the smaller flat that it matches."""
+        """The texture of the reduced flat."""
         return replace(texture, flat=self.gray, statistics=self.statistics, noise=self._noise)
 
     def _strips(self, active: NDArray[np.bool_]) -> Strips:
-        """The microimages of the `active` lenses and of those beside them."""
-        wanted = None
-        if active.sum() < _FEW * len(active):
-            wanted = dilate_mask(active, self.rows)
-        return extract_strips(self.gray, self.statistics.mean, self._row_step, wanted)
+        """The microimages of the `active` lenses and of their neighbours."""
+        few = active.sum() < self.settings.few_lenses * len(active)
+        return extract_strips(
+            self.gray, self.statistics.mean, self._row_step, dilate_mask(active, self.neighbours) if few else None
+        )
 
     @cached_property
     def _masks(self) -> OverlapMasks:
         strips = extract_strips(self.gray, self.statistics.mean, self._row_step, np.zeros(len(self.gray.centres), bool))
         return overlap_masks(strips, self.gray, self.forward, self.shifts)
 
-    def pairs(
+    def pair_costs(
         self,
         active: NDArray[np.bool_],
         which: NDArray[np.int64] | None = None,
@@ -182,40 +164,43 @@ class Matcher:
             FIXED_PATTERN_CONTRAST, self._row_step, which, done, out, self._strips(active), self._masks,
         )  # fmt: skip
 
-    def probe(
-        self, active: NDArray[np.bool_], about: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """(n,) float32 costs of the `active` lenses at what is expected `about` each, [px] how far beside it the
-        least costs lie, and the standard error of that for one pair.
-
-        Pairs in two directions tell whether a lens shows what is expected; the third adds little.
-        """
-        forward, backward = (_probed(rows) for rows in (self.forward, self.backward))
-        return probe(self.gray, forward, backward, self.statistics, active, about, self._noise, self._strips(active))
-
-    def costs(self, pair: NDArray[np.float32], wanted: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
+    def lens_costs(self, pair: NDArray[np.float32], wanted: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
         """(m, k) float32: mean over the pairs of each lens, or of each of the `wanted` (n,)."""
         return average_pair_costs(pair, self.forward, self.backward, wanted)
 
-    def populated(self, sizes: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """(k,) bool: shifts near those that belong to patch sizes (m,) [px of the flat] of other lenses."""
+    def match_locally(
+        self, active: NDArray[np.bool_], expected: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Cost, offset and error (n,) of the `active` lenses at `expected` (n,) [px of the reduced flat], as
+        `local_match.match_locally`."""
+        forward, backward = (_local_directions(rows) for rows in (self.forward, self.backward))
+        strips = self._strips(active)
+        return match_locally(self.gray, forward, backward, self.statistics, active, expected, self._noise, strips)
+
+    def shifts_of(self, sizes: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """(k,) bool: shifts near those of patch sizes (m,) [px of the flat]."""
         best = np.rint(sizes / (self.factor * self.step)).astype(int) + len(self.shifts) // 2
-        return _near(np.bincount(np.clip(best, 0, len(self.shifts) - 1), minlength=len(self.shifts)), self)
+        return self.shifts_near(np.clip(best, 0, len(self.shifts) - 1))
 
-    def repeats(self, cost: NDArray[np.float32]) -> bool:
-        """Whether many lenses, of these costs (m, k), match as well at another shift: their texture repeats."""
+    def shifts_near(self, best: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """(k,) bool: shifts near some (m,) that are supported by enough others."""
+        count = np.bincount(best, minlength=len(self.shifts))
+        near, settings = self.tolerance, self.settings
+        margin = max(near, int(np.ceil(settings.range_margin * self.gray.pitch / self.step)))
+        votes = np.convolve(count, np.ones(2 * near + 1, int), "same")
+        at = (count > 0) & (votes >= settings.range_support)
+        return np.convolve(at, np.ones(2 * margin + 1, int), "same") > 0
+
+    def is_periodic(self, cost: NDArray[np.float32]) -> bool:
+        """Whether many lenses, of these costs (m, k), match as well at another shift."""
         best, alone = cost.argmin(1), np.empty((len(cost), 0), np.int32)
-        rivals, *_ = measure_ambiguity(cost, self.trust, alone, best, np.ones(len(cost), bool), self.tolerance())
-        return bool(len(cost) and (rivals < _TORN).mean() > _REPEATED)
-
-    def tolerance(self) -> int:
-        """Steps that belong to one optimum."""
-        return max(1, round(1.5 / self.step))
+        unique, *_ = measure_ambiguity(cost, self.overlap_weight, alone, best, np.ones(len(cost), bool), self.tolerance)
+        return bool(len(cost) and (unique < self.settings.ambiguous).mean() > self.settings.periodic_share)
 
 
-def _probed(rows: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(n, d) neighbour rows in the directions in which lenses are probed; shared, as `neighbour_rows`."""
-    return cached(rows, "probed", lambda: np.ascontiguousarray(rows[:, :_PROBED]))
+def _local_directions(rows: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(n, d) neighbour rows in the first directions only; cached, as `neighbour_rows`."""
+    return cached(rows, "local directions", lambda: np.ascontiguousarray(rows[:, :_LOCAL_DIRECTIONS]))
 
 
 def match_lenses(
@@ -226,7 +211,7 @@ def match_lenses(
     known: NDArray[np.float32] | None = None,
     sizes: NDArray[np.float32] | None = None,
 ) -> MatchResult:
-    """Match signed shifts, lenses supporting each other.
+    """Find the signed shift of every lens (Hirschmueller 2008 on the lattice of lenses).
 
     Parameters
     ----------
@@ -234,85 +219,79 @@ def match_lenses(
     active, clear : (n,) bool
         Lenses to match, and those of them that clearly carry texture.
     sample : (n,) bool, optional
-        Lenses that are matched at all shifts first; the others then only where some of these have their depth,
-        unless that leaves them without a match. None matches all lenses at all shifts.
+        Lenses that are matched at all shifts first; the others then only near the depths of these, unless they do not
+        match there. None matches all lenses at all shifts.
     known : (n,) float32 [px of the flat], optional
-        Patch sizes of lenses that need no answer, to support their neighbours; NaN elsewhere.
+        Known patch sizes, which take part in the aggregation only; NaN elsewhere.
     sizes : (m,) float32 [px of the flat], optional
         Patch sizes that occur, as found elsewhere, instead of those of a `sample`.
     """
-    pair, untried = _all_pairs(matcher, active, clear, sample, sizes)
-    cost = matcher.costs(pair)
-    step = matcher.step
+    settings, step, factor = matcher.settings, matcher.step, matcher.factor
+    pair, skipped = _match_pairs(matcher, active, clear, sample, sizes)
+    cost = matcher.lens_costs(pair)
     wanted = None
     if known is not None:
         settled = np.isfinite(known)
         wanted = ~settled
-        away = np.abs(matcher.shifts - known[settled, None] / matcher.factor)
-        cost[settled] = np.minimum(away / np.float32(matcher.tolerance() * step), 1)
-    total = aggregate_costs(cost, matcher.forward, matcher.backward, _SLOPE_PER_PIXEL * step, _JUMP, wanted)
-    best, _ = least(total)
+        away = np.abs(matcher.shifts - known[settled, None] / factor)
+        cost[settled] = np.minimum(away / np.float32(matcher.tolerance * step), 1)
+    prices = settings.slope_price * step, settings.jump_price
+    total = aggregate_costs(cost, matcher.forward, matcher.backward, *prices, wanted)
+    best, _ = find_minimum(total)
     own = cost[np.arange(len(best)), best]
     other, other_cost = find_second_minimum(cost, best, max(2, round(2 / step)))
-    rival = (own > _UNEXPLAINED) & (other_cost < own + _SECOND)
-    factor, shifts, trust = matcher.factor, matcher.shifts, np.maximum(matcher.trust, _LEAST_TRUST)
-    rivals, matched, echo = measure_ambiguity(cost, matcher.trust, matcher.rows, best, active, matcher.tolerance())
+    has_second = (own > settings.second_if_above) & (other_cost < own + settings.second_cost)
+    second = (matcher.shifts[other] + fit_parabola(cost, other) * step) * factor
+    weight = np.maximum(matcher.overlap_weight, settings.least_weight)
+    unique, primary, secondary = measure_ambiguity(
+        cost, matcher.overlap_weight, matcher.neighbours, best, active, matcher.tolerance
+    )
     return MatchResult(
-        patch_size=((shifts[best] + fit_parabola(total, best) * step) * factor).astype(np.float32),
-        confidence=confidence(total, best, 2 * matcher.forward.shape[1], matcher.tolerance()),
+        patch_size=((matcher.shifts[best] + fit_parabola(total, best) * step) * factor).astype(np.float32),
+        confidence=confidence(total, best, 2 * matcher.forward.shape[1], matcher.tolerance),
         correlation=1 - own,
-        normalised_correlation=((1 - own) / trust[best]).astype(np.float32),
-        uniqueness=rivals,
-        primary_peak=matched,
-        secondary_peak=echo,
-        second=np.where(rival, (shifts[other] + fit_parabola(cost, other) * step) * factor, np.nan).astype(np.float32),
+        normalised_correlation=((1 - own) / weight[best]).astype(np.float32),
+        uniqueness=unique,
+        primary_peak=primary,
+        secondary_peak=secondary,
+        second=np.where(has_second, second, np.nan).astype(np.float32),
         second_correlation=1 - other_cost,
-        second_normalised=((1 - other_cost) / trust[other]).astype(np.float32),
+        second_normalised=((1 - other_cost) / weight[other]).astype(np.float32),
         step=step * factor,
-        skipped_share=untried,
+        skipped_share=skipped,
     )
 
 
-def _all_pairs(
+def _match_pairs(
     matcher: Matcher,
     active: NDArray[np.bool_],
     clear: NDArray[np.bool_],
     sample: NDArray[np.bool_] | None,
     sizes: NDArray[np.float32] | None,
 ) -> tuple[NDArray[np.float32], float]:
-    """Pair costs of all active lenses where it matters, and the share of the work that was left out."""
+    """Pair costs of all active lenses at the shifts that may matter, and the share of them that was not tried."""
     if sample is None and sizes is None:
-        return matcher.pairs(active), 0.0
+        return matcher.pair_costs(active), 0.0
+    settings = matcher.settings
     if sizes is not None:
         sample = np.zeros_like(active)
     assert sample is not None
-    pair = matcher.pairs(sample)
-    if sizes is None and matcher.repeats(matcher.costs(pair, sample)):
-        return matcher.pairs(active, done=sample, out=pair), 0.0
-    populated = _occurring(matcher.costs(pair, sample), matcher) if sizes is None else matcher.populated(sizes)
-    if populated.all():
-        return matcher.pairs(active, done=sample, out=pair), 0.0
-    matcher.pairs(active, which=np.flatnonzero(populated), done=sample, out=pair)
-    best, lowest = least(matcher.costs(pair), populated)
-    # A least value at the end of a range goes on beyond it.
-    end = populated & ~(np.roll(populated, 1) & np.roll(populated, -1))
+    pair = matcher.pair_costs(sample)
+    if sizes is not None:
+        tried = matcher.shifts_of(sizes)
+    else:
+        cost = matcher.lens_costs(pair, sample)
+        if matcher.is_periodic(cost):
+            return matcher.pair_costs(active, done=sample, out=pair), 0.0
+        tried = matcher.shifts_near(cost.argmin(1)[cost.min(1) < settings.range_cost])
+    if tried.all():
+        return matcher.pair_costs(active, done=sample, out=pair), 0.0
+    matcher.pair_costs(active, which=np.flatnonzero(tried), done=sample, out=pair)
+    best, lowest = find_minimum(matcher.lens_costs(pair), tried)
+    # A minimum at the end of a range may continue beyond it.
+    end = tried & ~(np.roll(tried, 1) & np.roll(tried, -1))
     end[[0, -1]] = False
-    doubtful = clear & active & ~sample & ((lowest > MISFIT) | end[best])
-    matcher.pairs(doubtful, which=np.flatnonzero(~populated), done=sample, out=pair)
-    spared = (active & ~sample & ~doubtful).sum() * (~populated).sum()
-    return pair, float(spared / max(1, active.sum() * len(populated)))
-
-
-def _occurring(cost: NDArray[np.float32], matcher: Matcher) -> NDArray[np.bool_]:
-    """(k,) bool: shifts near those that sampled lenses (m, k) agree with their neighbours at."""
-    best = cost.argmin(1)[cost.min(1) < _TELLING]
-    return _near(np.bincount(best, minlength=cost.shape[1]), matcher)
-
-
-def _near(count: NDArray[np.int64], matcher: Matcher) -> NDArray[np.bool_]:
-    """(k,) bool: shifts near those that lenses have, by their number (k,)."""
-    near = matcher.tolerance()
-    margin = max(near, int(np.ceil(_MARGIN * matcher.gray.pitch / matcher.step)))
-    votes = np.convolve(count, np.ones(2 * near + 1, int), "same")
-    at = (count > 0) & (votes >= _SUPPORT)
-    return np.convolve(at, np.ones(2 * margin + 1, int), "same") > 0
+    doubtful = clear & active & ~sample & ((lowest > settings.misfit_cost) | end[best])
+    matcher.pair_costs(doubtful, which=np.flatnonzero(~tried), done=sample, out=pair)
+    skipped = (active & ~sample & ~doubtful).sum() * (~tried).sum()
+    return pair, float(skipped / max(1, active.sum() * len(tried)))

@@ -1,4 +1,4 @@
-"""From match costs to answers: which lenses are resolved, how sure, and what fills the others."""
+"""Minima of the matching cost: the best shift, its sub-step offset and probability, and the second best."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-__all__ = ["confidence", "fill_unresolved", "find_second_minimum", "fit_parabola", "least"]
+__all__ = ["confidence", "fill_unresolved", "find_minimum", "find_second_minimum", "fit_parabola"]
 
-# Cost difference that makes one shift e times as likely as another (measured on simulated scenes).
+# Cost difference, per path, that makes one shift e times as likely as another; measured on simulated scenes.
 _TEMPERATURE = 0.05
+# Rounds of smoothing that spread patch sizes over unresolved lenses.
 _FILL_ROUNDS = 24
-_NOWHERE = np.float32(24.0)
+# exp of minus this does not show in single precision.
+_NEGLIGIBLE = np.float32(24.0)
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -22,8 +24,7 @@ def _confidence(total, best, scale, tolerance, out):
         here = everywhere = np.float32(0.0)
         for k in range(len(own)):
             energy = (own[k] - least) / scale
-            # What is less likely by this does not show in single precision.
-            if energy > _NOWHERE:
+            if energy > _NEGLIGIBLE:
                 continue
             mass = np.exp(-energy)
             everywhere += mass
@@ -33,7 +34,7 @@ def _confidence(total, best, scale, tolerance, out):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _least(cost, among, best, value):
+def _find_minimum(cost, among, best, value):
     for lens in prange(len(best)):
         at, least = 0, np.float32(np.inf)
         own = cost[lens]
@@ -43,17 +44,17 @@ def _least(cost, among, best, value):
         best[lens], value[lens] = at, least
 
 
-def least(
+def find_minimum(
     cost: NDArray[np.float32], among: NDArray[np.bool_] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Shift (n,) of the least cost (n, k) of each lens, the first of equals, and that cost; of those `among` (k,)."""
     best, value = np.empty(len(cost), np.int64), np.empty(len(cost), np.float32)
-    _least(cost, np.empty(0, bool) if among is None else among, best, value)
+    _find_minimum(cost, np.empty(0, bool) if among is None else among, best, value)
     return best, value
 
 
 def confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, tolerance: int) -> NDArray[np.float32]:
-    """Posterior probability that the true shift lies within `tolerance` steps of the chosen one.
+    """(n,) posterior probability that the true shift lies within `tolerance` steps of the chosen one.
 
     Parameters
     ----------
@@ -68,7 +69,7 @@ def confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, 
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _parabola_peak(total, best, out):
+def _fit_parabola(total, best, out):
     half = np.float32(0.5)
     for lens in prange(len(best)):
         at, own = best[lens], total[lens]
@@ -84,7 +85,7 @@ def _parabola_peak(total, best, out):
 def fit_parabola(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArray[np.float32]:
     """(n,) float32: offset of the minimum from `best`, in steps, of the parabola through three costs."""
     out = np.empty(len(total), np.float32)
-    _parabola_peak(total, best, out)
+    _fit_parabola(total, best, out)
     return out
 
 
@@ -131,38 +132,31 @@ def fill_unresolved(
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _second_best(cost, best, apart, index, value):
+def _find_second_minimum(cost, best, distance, index, value):
     for lens in prange(len(cost)):
         at, least = 0, np.float32(np.inf)
         own = cost[lens]
         for k in range(1, len(own) - 1):
             lowest = own[k] <= own[k - 1] and own[k] < own[k + 1]
-            if lowest and own[k] < least and abs(k - best[lens]) >= apart:
+            if lowest and own[k] < least and abs(k - best[lens]) >= distance:
                 at, least = k, own[k]
         index[lens], value[lens] = at, least
 
 
 def find_second_minimum(
-    cost: NDArray[np.float32], best: NDArray[np.int64], apart: int
+    cost: NDArray[np.float32], best: NDArray[np.int64], distance: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """The lowest local minimum of each lens's own cost at least `apart` steps from its best shift.
+    """The lowest other local minimum of the cost (n, k) of each lens, before aggregation.
 
-    A lens across a depth edge matches at both depths; the second is in its own cost, not in the
-    aggregated one.
-
-    Parameters
-    ----------
-    cost : (n, k) float32
-        Cost of each lens before aggregation.
-    best : (n,) int
-        Chosen shift of each lens.
+    A lens across a depth edge matches at both depths; aggregation would hide the second.
 
     Returns
     -------
     index : (n,) int
+        At least `distance` steps from the `best` (n,).
     value : (n,) float32
         Cost there, inf where there is no other minimum.
     """
     index, value = np.empty(len(cost), np.int64), np.empty(len(cost), np.float32)
-    _second_best(cost, best, apart, index, value)
+    _find_second_minimum(cost, best, distance, index, value)
     return index, value

@@ -1,4 +1,4 @@
-"""Agreement between neighbouring lenses: semi-global matching on the lattice."""
+"""Semi-global matching on the lattice of lenses (Hirschmueller 2008, section 2.2)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...runtime.cache import cached
 
 __all__ = ["aggregate_costs", "average_pair_costs"]
 
-# Vector loops take so many labels at a time.
+# Labels that a vector loop takes at a time.
 _LANES = 16
 
 
@@ -44,8 +44,7 @@ def average_pair_costs(
     backward: NDArray[np.int32],
     wanted: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
-    """(m, k) float32 cost of each of the `wanted` (n,) lenses, all by default, and shift: the mean over its pairs with
-    all neighbours."""
+    """(m, k) float32 mean cost with all neighbours, of each of the `wanted` (n,) lenses, all by default."""
     lenses = np.arange(len(pair)) if wanted is None else np.flatnonzero(wanted)
     out = np.empty((len(lenses), pair.shape[2]), np.float32)
     _lens_costs(pair, forward, backward, lenses, out)
@@ -53,8 +52,8 @@ def average_pair_costs(
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _nearer(message, other, places, shift, price):
-    """Each message, or what one that many labels beside it costs with the `price`, in `other`."""
+def _relax(message, other, places, shift, price):
+    """The least of each message and those `shift` labels beside it plus the `price`, in `other`."""
     here, left, right = np.uint64(_LANES), np.uint64(_LANES - shift), np.uint64(_LANES + shift)
     for k in range(np.uint64(places)):
         other[here + k] = min(message[here + k], min(message[left + k], message[right + k]) + price)
@@ -62,14 +61,13 @@ def _nearer(message, other, places, shift, price):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _walk(cost, chain, slope, jump, total):
-    """One path of semi-global matching along the lenses of `chain`, added to `total`.
+    """One path along the lenses of `chain`, added to `total`.
 
-    The least of all messages with the slope to them is found in steps of 1, 2, 4, ... labels: all labels at once, where
-    one after the other each would wait for that before it.
+    The lower envelope of all messages is found in steps of 1, 2, 4, ... labels, for all labels at once: a scan along
+    the labels could not be vectorised.
     """
     labels, first = cost.shape[1], np.uint64(_LANES)
     places = (labels + _LANES - 1) // _LANES * _LANES
-    # Beyond the labels nothing is near.
     message, other = np.full(places + 2 * _LANES, np.inf, np.float32), np.full(places + 2 * _LANES, np.inf, np.float32)
     lows = np.empty(_LANES, np.float32)
     for k in range(np.uint64(labels)):
@@ -93,7 +91,7 @@ def _walk(cost, chain, slope, jump, total):
             message[first + k] = min(message[first + k] - low, jump)
         covered, shift = 0, 1
         while covered < reach:
-            _nearer(message, other, places, shift, np.float32(shift) * slope)
+            _relax(message, other, places, shift, np.float32(shift) * slope)
             message, other = other, message
             covered, shift = covered + shift, min(2 * shift, _LANES)
 
@@ -113,14 +111,14 @@ _Chains = tuple[NDArray[np.int32], NDArray[np.int64]]
 
 
 def _all_chains(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> list[_Chains]:
-    """`_chains` in all directions and their opposites."""
+    """Paths in all lattice directions and their opposites."""
     pairs = [(forward[:, d], backward[:, d]) for d in range(forward.shape[1])]
     return [_chains(*turned) for pair in pairs for turned in (pair, pair[::-1])]
 
 
 @njit(cache=True, nogil=True)
 def _follow(following, before, order, starts):
-    """Fill `order` with all straight rows of lenses, one after the other, `starts` with where each begins."""
+    """Fill `order` with all straight rows of lenses in turn, `starts` with the start of each; return their number."""
     count = chains = 0
     for first in range(len(following)):
         if before[first] >= 0:
@@ -137,7 +135,7 @@ def _follow(following, before, order, starts):
 
 
 def _chains(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> _Chains:
-    """All straight rows of lenses in one lattice direction, one after the other, and where each starts."""
+    """All straight rows of lenses in one lattice direction in turn, and where each starts."""
     order, starts = np.empty(len(forward), np.int32), np.empty(len(forward) + 1, np.int64)
     chains = _follow(np.ascontiguousarray(forward), np.ascontiguousarray(backward), order, starts)
     return order, starts[: chains + 1].copy()
@@ -151,7 +149,7 @@ def aggregate_costs(
     jump: float,
     wanted: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
-    """Sum of path costs from all lattice directions (Hirschmueller, Semi-Global Matching, 2008, section 2.2).
+    """Sum of the path costs from all lattice directions (Hirschmueller, Semi-Global Matching, 2008, section 2.2).
 
     Parameters
     ----------
@@ -164,11 +162,11 @@ def aggregate_costs(
     jump : float
         Largest price between neighbours: a depth edge.
     wanted : (n,) bool, optional
-        Lenses whose sums are asked for; those of others may lack paths.
+        Lenses whose sums are needed; those of others may lack paths.
     """
     wanted = np.ones(len(cost), bool) if wanted is None else wanted
     total = np.zeros_like(cost)
-    # Rows of lenses belong to the lattice, and neighbour rows live as long as that.
+    # Cached with the neighbour rows, which live as long as the lattice.
     found, other = cached(forward, "chains", lambda: (_all_chains(forward, backward), backward))
     for chains, starts in found if other is backward else _all_chains(forward, backward):
         _walk_all(cost, chains, starts, np.float32(slope), np.float32(jump), wanted, total)

@@ -1,4 +1,4 @@
-"""What an analysis may leave out, and the lenses it looks at first to know."""
+"""Shortcuts of an analysis, and the sparse samples of lenses that some of them need."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ __all__ = ["Shortcuts", "sample_lenses"]
 
 @dataclass(frozen=True)
 class Shortcuts:
-    """Which shortcuts an analysis may take.
+    """Which shortcuts an analysis takes.
 
     Parameters
     ----------
     blank : bool
         Lenses without texture are not matched.
     ranges : bool
-        Most lenses are only matched at patch sizes that occur in a sparse sample of them.
+        Most lenses are matched only near patch sizes that occur in a sparse sample of them.
     plane : bool
-        A scene that is one plane is recognised from a sample of its lenses; the others are only checked.
+        A scene that is one plane is measured on a sample of its lenses; the others are only checked.
     still : bool
-        Lenses whose pixels are those of an earlier frame keep their answer.
+        Lenses whose pixels equal those of the previous frame keep their depth.
     steady : bool
-        So do those that show something else at the depth they had: they are only checked. None is without `still`.
+        So do lenses that still match at the depth they had. Needs `still`.
     """
 
     blank: bool = True
@@ -59,13 +59,13 @@ def sample_lenses(indices: NDArray[np.int64], candidates: NDArray[np.bool_], cou
 
     `indices` (n, 2) are those of all lenses on the lattice.
     """
-    share = candidates.sum() / count
-    if share < 2:
+    spacing = candidates.sum() / count
+    if spacing < 2:
         return candidates
-    i = _no_third(int(np.sqrt(share)))
-    return candidates & (indices % (i, _no_third(int(share / i))) == 0).all(1)
+    i = _avoid_threes(int(np.sqrt(spacing)))
+    return candidates & (indices % (i, _avoid_threes(int(spacing / i))) == 0).all(1)
 
 
-def _no_third(every: int) -> int:
-    """`every`, but no multiple of three: steps of it would hit only one lens type of multi-focus arrays."""
+def _avoid_threes(every: int) -> int:
+    """`every`, but no multiple of three, which would sample only one lens type of multi-focus arrays."""
     return every - (every % 3 == 0)

@@ -1,4 +1,8 @@
-"""A plane of the scene: the patch size of all lenses from three numbers, where what they measure proves it."""
+"""A plane of the scene, fitted to the patch sizes of lenses: `1 / s` is linear in the scene coordinates.
+
+A robust linear least-squares fit (IRLS with weights after Geman and McClure), accepted only if a smooth surface through
+the residuals does not leave the plane.
+"""
 
 from __future__ import annotations
 
@@ -11,42 +15,14 @@ from numpy.typing import NDArray
 from ...flat.lens_graph import count_connected
 from ...runtime.normal_equations import solve_cholesky
 from ...runtime.quantiles import median
+from .settings import PLANE, PlaneSettings
 
-__all__ = ["MIN_TEXTURED_SHARE", "Plane", "fit_plane", "has_outlier_cluster", "is_nearly_planar"]
+__all__ = ["Plane", "fit_plane", "has_outlier_cluster", "is_nearly_planar"]
 
-# Share of the lenses that must clearly carry texture, and of those that must lie on the plane.
-MIN_TEXTURED_SHARE, _ON_PLANE = 0.5, 0.9
-# Patch sizes [share of the pitch] between which neither shading nor missing overlap can play a part.
-_NEAREST_ZERO, _LARGEST = 0.1, 0.7
-# A smooth surface of this degree through the lenses may leave the plane by this much [px]: half of what regularity may
-# cost.
-_DEGREE, _EVEN = 3, 0.025
-# A term of it that is so little beside those before it, as of lenses in one line, is left out.
-_NOTHING_NEW = 1e-6
-# A plane is slanted where that explains so many times the variance of an independent measurement: by chance, one in
-# two hundred thousand is.
-_TILTED = 25.0
-# Least scatter [px] of lenses about a plane: what interpolation does to each of them.
-_FLOOR = 0.006
-# Systematic error of a patch size [px] that no number of lenses averages out, what it grows by [pitches] with the cube
-# of |s| / D, as neighbours come to share no more than their rims, and the share of what misleads the pairs of each lens
-# that all lenses of a plane have in common: as measured on 188 planes of random cameras, and those of two ray tracers.
-_UNSEEN, _UNSEEN_GROWTH, _COMMON = 0.0014, 0.0003, 0.4
-# No slant is read from less than this [px], or as if more than one of so many measurements told something new: pairs in
-# opposite directions see the same texture, and each belongs to two lenses.
-_CROOKED, _SHARED = 0.0032, 4
-# Lenses on the plane are at most so many times the scatter away from it.
-_OUTLYING = 4.0
-# A lens strays from the plane by more than so many of its standard errors, and this much [px]; it and so many others
-# beside it on the same side are a surface of their own: fewer are noise.
-_SURE, _OFF, _TOGETHER = 4.0, 0.1, 3
-# A round that moves no lens by more than this [px] was the last.
-_ROUNDS, _SETTLED = 8, 1e-4
-# Nearly on a plane is what is no farther from it than this share of the pitch; this share of the lenses must be.
-_NEARLY, _MOST_NEARLY = 0.06, 0.85
-# So many lenses tell that there is no plane, where they leave it by so many standard deviations of a smooth surface;
-# all of them together need only the second number.
-_FEW, _NO_CHANCE, _UNCERTAIN = 300, 5.0, 2.0
+# Degree of the smooth surface through the residuals.
+_DEGREE = 3
+# A term of it is left out if so little of it is independent of the others, as for lenses in one line.
+_DEPENDENT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -62,10 +38,11 @@ class Plane:
     covariance : (3, 3) float64
         Of `inverse`.
     pitch : float [px]
-    misled : float [px]
-        What the texture that its matches leave unexplained may have done to each lens.
-    tilt : float
-        How many times the variance of an independent measurement a slant would explain of what the plane leaves.
+    systematic_error : float [px]
+        Of each lens, from texture that its matches do not explain.
+    slant_ratio : float
+        Variance that a slant would explain of what a plane that faces the camera leaves, over that of an independent
+        measurement.
     """
 
     inverse: NDArray[np.float64]
@@ -73,7 +50,7 @@ class Plane:
     covariance: NDArray[np.float64]
     pitch: float
     systematic_error: float = 0.0
-    tilt: float = 0.0
+    slant_ratio: float = 0.0
 
     @property
     def slanted(self) -> bool:
@@ -90,14 +67,15 @@ class Plane:
         _over_grid(np.asarray(self.inverse, np.float64), *first, spacing, out)
         return out
 
-    def standard_error(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def standard_error(self, points: NDArray[np.float64], settings: PlaneSettings = PLANE) -> NDArray[np.float64]:
         """(n,) standard error [px] of `at`."""
         x, y = points.T
         c = self.covariance
         variance = c[0, 0] + x * (2 * c[0, 1] + c[1, 1] * x + 2 * c[1, 2] * y) + y * (2 * c[0, 2] + c[2, 2] * y)
         size2 = self.at(points) ** 2
-        shared = np.hypot(_UNSEEN, _UNSEEN_GROWTH * size2 * np.sqrt(size2) / self.pitch**2)
-        return np.hypot(np.hypot(shared, _COMMON * self.systematic_error), size2 * np.sqrt(np.maximum(variance, 0)))
+        growth = settings.shared_error_growth * size2 * np.sqrt(size2) / self.pitch**2
+        shared = np.hypot(np.hypot(settings.shared_error, growth), settings.shared_part * self.systematic_error)
+        return np.hypot(shared, size2 * np.sqrt(np.maximum(variance, 0)))
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -110,83 +88,92 @@ def _over_grid(inverse, left, top, spacing, out):
 
 
 def fit_plane(
-    points: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float, facing: bool = False
+    points: NDArray[np.float64],
+    sizes: NDArray[np.float64],
+    pitch: float,
+    facing: bool = False,
+    settings: PlaneSettings = PLANE,
 ) -> Plane | None:
-    """The plane that lenses lie on: one facing the camera, else a slanted one; None where they do not.
+    """Fit a plane to patch sizes: one that faces the camera, else a slanted one; None where lenses do not lie on it.
 
     Parameters
     ----------
     points : (m, 2) float64 [px]
-        Centres of lenses, spread over the flat.
+        Scene points of the lenses, spread over the flat.
     sizes : (m,) float64 [px]
-        Patch sizes that they have measured.
+        Patch sizes measured there.
     pitch : float [px]
     facing : bool
-        Only a plane that faces the camera, or nearly so, will do.
+        Only a plane that faces the camera, or nearly so, is accepted.
+    settings : PlaneSettings
     """
-    # Without a common middle and scale the sums of large coordinates would lose digits.
+    # Without a common origin and scale the sums of large coordinates would lose digits.
     middle, reach = points.mean(0), float(np.abs(points - points.mean(0)).max()) + 1e-9
     places = (points - middle) / reach
     terms = np.stack([np.ones(len(sizes)), *places.T], 1)
-    every = len(sizes) // _FEW
+    every = len(sizes) // settings.test_lenses
     some = slice(None, None, max(1, every))
     level: Plane | None = None
     for count in (1,) if facing else (1, 3):
-        if every > 1 and _hopeless(places[some], terms[some, :count], sizes[some]):
+        if every > 1 and _is_hopeless(places[some], terms[some, :count], sizes[some], settings):
             continue
-        inverse = _inverse(terms[:, :count], sizes)
+        inverse = _fit_inverse(terms[:, :count], sizes, settings, settings.rounds)
         predicted = 1 / (terms[:, :count] @ inverse)
         size = np.abs(predicted)
-        within = (_NEAREST_ZERO * pitch < size).all() and (size < _LARGEST * pitch).all()
+        within = (settings.min_ratio * pitch < size).all() and (size < settings.max_ratio * pitch).all()
         if not within or np.ptp(np.sign(predicted)) > 0:
             continue
-        scatter = _even(places, sizes - predicted)
-        if scatter is not None:
-            # In terms of the coordinates themselves.
-            change = np.zeros((3, 3))
-            change[0, 0] = 1
-            change[0, 1:] = -middle / reach
-            change[[1, 2], [1, 2]] = 1 / reach
-            change = change[:, :count]
-            weight = np.einsum("ni,nj,n->ij", terms[:, :count], terms[:, :count], predicted**4)
-            covariance = scatter**2 * np.linalg.inv(weight)
-            plane = Plane(change @ inverse, scatter, change @ covariance @ change.T, pitch)
-            if count > 1 or facing:
-                return plane
-            level = replace(plane, tilt=_tilt(places, sizes - predicted, scatter))
-            if level.tilt < _TILTED:
-                return level
+        residual = sizes - predicted
+        scatter = _measure_scatter(places, residual, settings, settings.uncertain)
+        if scatter is None:
+            continue
+        # In terms of the coordinates themselves.
+        change = np.zeros((3, 3))
+        change[0, 0] = 1
+        change[0, 1:] = -middle / reach
+        change[[1, 2], [1, 2]] = 1 / reach
+        change = change[:, :count]
+        weight = np.einsum("ni,nj,n->ij", terms[:, :count], terms[:, :count], predicted**4)
+        covariance = scatter**2 * np.linalg.inv(weight)
+        plane = Plane(change @ inverse, scatter, change @ covariance @ change.T, pitch)
+        if count > 1 or facing:
+            return plane
+        level = replace(plane, slant_ratio=_slant_ratio(places, residual, scatter, settings))
+        if level.slant_ratio < settings.slanted_from:
+            return level
     return level
 
 
-def is_nearly_planar(places: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float) -> bool:
-    """Whether lenses at `places` (m, 2) that were searched to whole pixels may lie on one plane, most of them.
-
-    Of planes at 14 to 35 px pitch 93 % and more do, of scenes with several depths at most 75 %.
-    """
+def is_nearly_planar(
+    places: NDArray[np.float64], sizes: NDArray[np.float64], pitch: float, settings: PlaneSettings = PLANE
+) -> bool:
+    """Whether most lenses at `places` (m, 2) may lie on one plane, from patch sizes searched to whole pixels (m,)."""
     terms = np.column_stack([np.ones(len(sizes)), (places - places.mean(0)) / (np.ptp(places) + 1e-9)])
     with np.errstate(divide="ignore", invalid="ignore"):
-        away = np.abs(sizes - 1 / (terms @ _inverse(terms, sizes, doubted=True)))
-    return bool((away <= _NEARLY * pitch).mean() >= _MOST_NEARLY)
+        away = np.abs(sizes - 1 / (terms @ _fit_inverse(terms, sizes, settings, settings.rounds, near_median=True)))
+    return bool((away <= settings.nearly * pitch).mean() >= settings.nearly_share)
 
 
-def _hopeless(places: NDArray[np.float64], terms: NDArray[np.float64], sizes: NDArray[np.float64]) -> bool:
-    """Whether a few lenses already leave the best plane farther than chance could make them."""
-    return _even(places, sizes - 1 / (terms @ _inverse(terms, sizes, _ROUNDS // 2)), _NO_CHANCE) is None
+def _is_hopeless(
+    places: NDArray[np.float64], terms: NDArray[np.float64], sizes: NDArray[np.float64], settings: PlaneSettings
+) -> bool:
+    """Whether a few lenses already leave the best plane farther than noise explains."""
+    residual = sizes - 1 / (terms @ _fit_inverse(terms, sizes, settings, settings.rounds // 2))
+    return _measure_scatter(places, residual, settings, settings.test_uncertain) is None
 
 
-# One sum after the other: what vector loops or threads add in another order would have other bits.
+# Sums run one after the other: in vector loops or threads, which add in another order, they would have other bits.
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fitted(rows, sizes, rounds, doubted):
-    """`_inverse` for terms (k, n), k at most 3."""
+def _fit_inverse_terms(rows, sizes, rounds, near_median, outlier, min_scatter, settled):
+    """`_fit_inverse` for terms (k, n), k at most 3."""
     count, number = rows.shape
     inverse, left, right = np.zeros(count), np.empty((count, count)), np.empty(count)
     middle = np.median(sizes)
     inverse[0] = 1 / middle
     residual = sizes - middle
     for turn in range(rounds):
-        weighed = turn > 0 or count == 1 or doubted
-        limit = _OUTLYING * max(1.48 * np.median(np.abs(residual)), _FLOOR) if weighed else np.inf
+        weighed = turn > 0 or count == 1 or near_median
+        limit = outlier * max(1.48 * np.median(np.abs(residual)), min_scatter) if weighed else np.inf
         left[:], right[:] = 0.0, 0.0
         for n in range(number):
             s = sizes[n]
@@ -201,52 +188,64 @@ def _fitted(rows, sizes, rounds, doubted):
         solve_cholesky(left, right, inverse)
         change = 0.0
         for n in range(number):
-            told = inverse[0] * rows[0, n]
+            value = inverse[0] * rows[0, n]
             for i in range(1, count):
-                told += inverse[i] * rows[i, n]
-            after = sizes[n] - 1 / told
+                value += inverse[i] * rows[i, n]
+            after = sizes[n] - 1 / value
             change = max(change, abs(after - residual[n]))
             residual[n] = after
-        if change < _SETTLED:
+        if change < settled:
             break
     return inverse
 
 
-def _inverse(
-    terms: NDArray[np.float64], sizes: NDArray[np.float64], rounds: int = _ROUNDS, doubted: bool = False
+def _fit_inverse(
+    terms: NDArray[np.float64],
+    sizes: NDArray[np.float64],
+    settings: PlaneSettings,
+    rounds: int,
+    near_median: bool = False,
 ) -> NDArray[np.float64]:
-    """(k,) robust linear fit to 1 / s, every lens with the same error of s (weights after Geman and McClure).
+    """(k,) robust linear fit to 1 / s, the error of s being the same for all (IRLS, weights after Geman and McClure).
 
-    What is `doubted` must be near the median to count at first.
+    With `near_median` the first round already gives less weight to what is far from the median.
     """
-    return _fitted(np.ascontiguousarray(terms.T), np.ascontiguousarray(sizes), rounds, doubted)
+    return _fit_inverse_terms(
+        np.ascontiguousarray(terms.T), np.ascontiguousarray(sizes), rounds, near_median, settings.outlier,
+        settings.min_scatter, settings.settled,
+    )  # fmt: skip
 
 
-def _even(places: NDArray[np.float64], residual: NDArray[np.float64], deviations: float = _UNCERTAIN) -> float | None:
-    """Scatter [px] of lenses about a plane; None where too few lie on it, or a smooth surface leaves it."""
+def _measure_scatter(
+    places: NDArray[np.float64], residual: NDArray[np.float64], settings: PlaneSettings, deviations: float
+) -> float | None:
+    """Scatter [px] of lenses about a plane; None where too few are inliers, or a smooth surface leaves the plane."""
     scatter = 1.48 * median(np.abs(residual))
-    inside = np.abs(residual) < _OUTLYING * max(scatter, _FLOOR)
-    if not inside.mean() > _ON_PLANE:
+    inside = np.abs(residual) < settings.outlier * max(scatter, settings.min_scatter)
+    if not inside.mean() > settings.min_inliers:
         return None
-    leaves = _leaves(places[inside], residual[inside], deviations * scatter)
-    return None if leaves else scatter
+    return None if _is_bent(places[inside], residual[inside], deviations * scatter, settings.max_bend) else scatter
 
 
-def _tilt(places: NDArray[np.float64], residual: NDArray[np.float64], scatter: float) -> float:
-    """How many times the variance of an independent measurement a slant explains of the residuals of a plane that faces
-    the camera; 0 where systematic errors explain as much."""
-    inside = np.abs(residual) < _OUTLYING * max(scatter, _FLOOR)
+def _slant_ratio(
+    places: NDArray[np.float64], residual: NDArray[np.float64], scatter: float, settings: PlaneSettings
+) -> float:
+    """Variance that a slant explains of the residuals of a level plane, over that of an independent measurement.
+
+    0 where systematic errors explain as much.
+    """
+    inside = np.abs(residual) < settings.outlier * max(scatter, settings.min_scatter)
     away, left = places[inside] - places[inside].mean(0), residual[inside] - residual[inside].mean()
     square, pull = away.T @ away, away.T @ left
-    explained = float(pull @ np.linalg.lstsq(square, pull, rcond=_NOTHING_NEW)[0])
-    systematic = len(left) * _CROOKED**2
-    return explained / (_SHARED * max(scatter, 1e-9) ** 2) if explained > systematic else 0.0
+    explained = float(pull @ np.linalg.lstsq(square, pull, rcond=_DEPENDENT)[0])
+    systematic = len(left) * settings.min_slant**2
+    return explained / (settings.dependent * max(scatter, 1e-9) ** 2) if explained > systematic else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _leaves(places, residual, deviation):
-    """Whether a smooth surface of degree `_DEGREE` through the residuals is anywhere farther from zero than `_EVEN`,
-    and than the scatter leaves uncertain."""
+def _is_bent(places, residual, deviation, max_bend):
+    """Whether a smooth surface of degree `_DEGREE` through the residuals is anywhere farther from zero than `max_bend`
+    and its uncertainty, that of `deviation` per lens."""
     count = (_DEGREE + 1) * (_DEGREE + 2) // 2
     terms = np.empty((count, len(places)))
     value, uncertain = np.zeros(len(places)), np.zeros(len(places))
@@ -257,14 +256,14 @@ def _leaves(places, residual, deviation):
             for n in range(len(places)):
                 term[n] = places[n, 0] ** i * places[n, 1] ** j
             whole = np.sqrt((term * term).sum())
-            # Each term is freed of those before it, twice: once leaves what rounding does.
+            # Gram-Schmidt, twice because of rounding.
             for _ in range(2):
                 for k in range(found):
                     shared = (term * terms[k]).sum()
                     for n in range(len(places)):
                         term[n] -= shared * terms[k, n]
             own = np.sqrt((term * term).sum())
-            if own <= _NOTHING_NEW * whole:
+            if own <= _DEPENDENT * whole:
                 continue
             term /= own
             factor = (term * residual).sum()
@@ -272,12 +271,16 @@ def _leaves(places, residual, deviation):
                 value[n] += factor * term[n]
                 uncertain[n] += term[n] * term[n]
             found += 1
-    # What the scatter of single lenses leaves uncertain about that surface is not held against the plane.
-    return bool((np.abs(value) > _EVEN + deviation * np.sqrt(uncertain)).any())
+    return bool((np.abs(value) > max_bend + deviation * np.sqrt(uncertain)).any())
 
 
-def has_outlier_cluster(residual: NDArray[np.float64], errors: NDArray[np.float64], rows: NDArray[np.int32]) -> bool:
-    """Whether lenses beside each other leave the plane to one side.
+def has_outlier_cluster(
+    residual: NDArray[np.float64],
+    errors: NDArray[np.float64],
+    rows: NDArray[np.int32],
+    settings: PlaneSettings = PLANE,
+) -> bool:
+    """Whether neighbouring lenses leave the plane to the same side: another surface; a single one would be noise.
 
     Parameters
     ----------
@@ -285,7 +288,10 @@ def has_outlier_cluster(residual: NDArray[np.float64], errors: NDArray[np.float6
         Distance of each lens from the plane and its standard error; inf or NaN where not known.
     rows : (n, k) int32
         Neighbour rows, -1 where there is none.
+    settings : PlaneSettings
     """
     with np.errstate(invalid="ignore"):
-        off = np.abs(residual) > np.maximum(_OFF, _SURE * errors)
-        return any((count_connected(off & (side * residual > 0), rows) >= _TOGETHER).any() for side in (-1, 1))
+        off = np.abs(residual) > np.maximum(settings.stray_distance, settings.stray_errors * errors)
+        return any(
+            (count_connected(off & (side * residual > 0), rows) >= settings.stray_neighbours).any() for side in (-1, 1)
+        )

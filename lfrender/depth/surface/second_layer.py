@@ -315,7 +315,7 @@ def find_second_layer(
     at_first = np.abs(shifts - first[:, None] / matcher.factor).argmin(1)
     left = cost[lens, best]
     matched = (left < _MATCHED) & (left < cost[lens, at_first] - _BETTER)
-    sure = confidence(total, best, rows.shape[1], matcher.tolerance()) > _SURE
+    sure = confidence(total, best, rows.shape[1], matcher.tolerance) > _SURE
     found = ((shifts[best] + fit_parabola(total, best) * matcher.step) * matcher.factor).astype(np.float32)
     gap = _APART * texture.flat.pitch
     told = wanted & matched & sure & (np.abs(found - first) > gap)

@@ -46,7 +46,7 @@ def find_textureless(
     sample = sample_lenses(lattice.indices(), texture.faint & blank, _SAMPLE)
     if sample.any():
         matcher = Matcher(texture, *opposite_neighbours(lattice), setting, sample)
-        evidence = 1 - matcher.costs(matcher.pairs(sample), sample)
+        evidence = 1 - matcher.lens_costs(matcher.pair_costs(sample), sample)
         matching = (evidence.max(1) >= LEAST_EVIDENCE) & ~_like_shading(evidence, matcher)
         if matching.sum() >= _ENOUGH:
             return None

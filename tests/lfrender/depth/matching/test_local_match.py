@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from lfrender.depth.matching.cost_volume import compute_pair_costs
-from lfrender.depth.matching.local_match import FARTHEST, probe
+from lfrender.depth.matching.local_match import match_locally
+from lfrender.depth.matching.settings import COST
 from lfrender.depth.matching.sgm import average_pair_costs
 from lfrender.flat.lens_graph import opposite_neighbours
 from lfrender.flat.microimages import extract_strips
@@ -19,7 +20,7 @@ def probed(drawn_flat, patch_size, expected, row_step):
     halves = opposite_neighbours(lattice)
     about = np.full(len(lattice), expected, np.float32)
     strips = extract_strips(gray, statistics.mean, row_step)
-    return gray, lattice, inner, probe(gray, *halves, statistics, active, about, NOISE, strips)
+    return gray, lattice, inner, match_locally(gray, *halves, statistics, active, about, NOISE, strips)
 
 
 # At -14 px of 23 neighbours share little more than their rims.
@@ -42,7 +43,7 @@ def test_the_error_of_the_offset_is_that_which_noise_makes(drawn_flat):
         noisy = replace(gray, image=gray.image + rng.normal(0, NOISE, gray.image.shape).astype(np.float32))
         statistics = measure_statistics(noisy)
         strips = extract_strips(noisy, statistics.mean, 1)
-        _, offset, error = probe(noisy, *one, statistics, active, about, NOISE, strips)
+        _, offset, error = match_locally(noisy, *one, statistics, active, about, NOISE, strips)
         offsets.append(offset)
     measured = np.std(offsets, axis=0)[inner]
     assert np.median(measured / error[inner]) == pytest.approx(np.sqrt(0.5), rel=0.25)
@@ -50,7 +51,7 @@ def test_the_error_of_the_offset_is_that_which_noise_makes(drawn_flat):
 
 def test_far_from_the_best_shift_its_side_is_told(drawn_flat):
     _, _, inner, (cost, offset, _) = probed(drawn_flat, 7.0, 8.2, 1)
-    assert np.median(offset[inner]) == -FARTHEST
+    assert np.median(offset[inner]) == -COST.max_offset
     assert (offset[inner] < 0).mean() > 0.95
     assert np.median(cost[inner]) > 0.1
 

@@ -12,7 +12,11 @@ def found(confidence):
 def test_lenses_that_turn_exchange_both_values_and_are_no_longer_sure():
     before = found([0.9, 0.4])
     turned = before.swap_second(np.array([True, False]))
-    for one, other in (("patch_size", "second"), ("evidence", "second_evidence"), ("explained", "second_explained")):
+    for one, other in (
+        ("patch_size", "second"),
+        ("correlation", "second_correlation"),
+        ("normalised_correlation", "second_normalised"),
+    ):
         a, b = getattr(before, one), getattr(before, other)
         assert getattr(turned, one).tolist() == [b[0], a[1]]
         assert getattr(turned, other).tolist() == [a[0], b[1]]
