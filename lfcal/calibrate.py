@@ -300,7 +300,7 @@ def _measured(found: _Found) -> Calibration:
 
 def _doubt(found: _Found, lattice: Lattice) -> str | None:
     """Why what repeats on the flat may be no microimages, None where it proves to be; CalibrationError if it cannot."""
-    from .detection.aperture import find_shape_doubt
+    from .detection.cell_tests import find_shape_doubt
     from .detection.parallax_test import check_parallax
 
     picture, several = found.picture, found.single is not None
@@ -369,7 +369,8 @@ def _starts(
     import cv2
 
     from .detection.downscale import is_searched_at_half_size
-    from .detection.first_lattice import NO_MICROIMAGES, REPEATS, find_first_lattices, find_first_lattices_at_half_size
+    from .detection.first_lattice import NO_MICROIMAGES, find_first_lattices, find_first_lattices_at_half_size
+    from .detection.settings import DEFAULT
     from .images.preprocessing import sqrt_luminance
 
     error: CalibrationError | None = None
@@ -388,7 +389,7 @@ def _starts(
             large = is_searched_at_half_size((picture.shape[1], picture.shape[0]))
             for start in (find_first_lattices_at_half_size if large else find_first_lattices)(picture):
                 # Two halves of a flat with microimages show the same average one.
-                if start.repeatability < REPEATS:
+                if start.repeatability < DEFAULT.first_lattice.repeatability:
                     raise CalibrationError(NO_MICROIMAGES)
                 found = True
                 yield start

@@ -1,4 +1,7 @@
-"""The flats that a camera is calibrated on: checked, their light brought together, white images told from scenes."""
+"""Validation of the flats given to `calibrate`, and whether they are white images or scenes.
+
+Microimages of a white image are evenly lit inside: their scatter is small against the depth of the gaps between them.
+"""
 
 from __future__ import annotations
 
@@ -13,29 +16,26 @@ from ..lattice.lens_subset import StackedCrops
 from ..runtime.errors import FlatError
 from .first_lattice import FirstLattice
 from .radial_profile import RadialProfile, measure_radial_profile
+from .settings import DEFAULT, CaptureSettings
 
 __all__ = ["check_flats", "choose_white_or_scene", "estimate_white_level", "is_evenly_lit"]
 
-# Squares of sums of larger values leave the range of single precision.
-_LARGEST = 1e30
-# Bits that sensors have, and files of 16 do not tell.
-_BITS = (8, 10, 12, 14)
-# Window, in pitches, in which brightness is levelled to see whether microimages are evenly lit.
-_LEVEL = 2.0
-# Scatter inside the microimages of a white image, as a share of the depth of the gaps.
-_EVEN_INSIDE = 0.15
-_DOUBTLESS = 0.06
-
 
 def check_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
-    """The flats given, one or several, each checked."""
+    """The flats given, one or several, as arrays.
+
+    Raises
+    ------
+    FlatError
+        If one cannot be a flat, or their sizes differ.
+    """
     given: Any = image
     several = isinstance(given, (list, tuple)) and len(given) > 0 and np.ndim(given[0]) >= 2
     if not several and np.ndim(given) != 4:
-        return [_checked(given, "image")]
+        return [_check_flat(given, "image")]
     if len(given) == 0:
         raise FlatError("no flat is given; give at least one")
-    flats = [_checked(flat, f"flat {k}") for k, flat in enumerate(given, 1)]
+    flats = [_check_flat(flat, f"flat {k}") for k, flat in enumerate(given, 1)]
     first = flats[0].shape
     for k, flat in enumerate(flats, 1):
         if flat.shape[:2] != first[:2]:
@@ -47,18 +47,15 @@ def check_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
 
 
 def estimate_white_level(flats: Sequence[NDArray[Any]]) -> float | None:
-    """Largest value of so many bits as the flats use, where their type has more; None otherwise.
-
-    Cameras of 10, 12 and 14 bits store them in files of 16.
-    """
+    """Largest value of the 8, 10, 12 or 14 bits that the sensor has, in 16-bit files; None where that is unknown."""
     if any(flat.dtype.kind not in "ui" or flat.dtype.itemsize == 1 for flat in flats):
         return None
     largest = max(int(flat.max()) for flat in flats)
-    return next((float(2**bits - 1) for bits in _BITS if largest < 2**bits), None)
+    return next((float(2**bits - 1) for bits in (8, 10, 12, 14) if largest < 2**bits), None)
 
 
-def _checked(image: ArrayLike, name: str) -> NDArray[Any]:
-    """The flat as an array, or FlatError saying what is wrong with it."""
+def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:
+    """The flat as an array, or FlatError."""
     flat = np.asarray(image)
     if flat.ndim not in (2, 3) or (flat.ndim == 3 and flat.shape[2] != 3):
         raise FlatError(f"{name} has shape {flat.shape}; give a flat as (height, width) or (height, width, 3)")
@@ -70,9 +67,10 @@ def _checked(image: ArrayLike, name: str) -> NDArray[Any]:
             y, x = np.argwhere(bad)[0]
             where = f"first at x={x}, y={y}" + ("" if name == "image" else f" of {name}")
             raise FlatError(f"{bad.sum()} pixels are NaN or infinite, {where}; fill them in first")
-    # No unsigned number is as large.
-    if flat.dtype.kind != "u" and max(-float(flat.min()), float(flat.max())) > _LARGEST:
-        raise FlatError(f"{name} has values up to {np.abs(flat).max():.3g}; scale them to at most {_LARGEST:.0e} first")
+    # Sums of squares of larger values leave the range of single precision; unsigned ones are never as large.
+    limit = 1e30
+    if flat.dtype.kind != "u" and max(-float(flat.min()), float(flat.max())) > limit:
+        raise FlatError(f"{name} has values up to {np.abs(flat).max():.3g}; scale them to at most {limit:.0e} first")
     if min(flat.shape[:2]) < 16:
         raise FlatError(
             f"{name} of {flat.shape[1]} x {flat.shape[0]} px is too small to be a flat; give the whole sensor"
@@ -81,51 +79,56 @@ def _checked(image: ArrayLike, name: str) -> NDArray[Any]:
 
 
 def choose_white_or_scene(
-    lights: list[NDArray[np.float32]], start: FirstLattice, kind: str
+    lights: list[NDArray[np.float32]], start: FirstLattice, kind: str, settings: CaptureSettings = DEFAULT.capture
 ) -> tuple[bool, list[NDArray[np.float32]]]:
-    """Whether to calibrate on white images, and the lights to do it on."""
+    """Whether to calibrate on white images, and the luminance pictures (h, w) to use: with `kind` "auto" white ones."""
     if kind != "auto":
         return kind == "white", lights
     if len(lights) == 1:
-        return _evenly_lit_at(start, lights[0]), lights
+        return _is_evenly_lit_at(start, lights[0], settings), lights
     from ..images.preprocessing import normalise_locally, sqrt_luminance
 
-    window = _LEVEL * start.lattice.pitch
+    window = settings.level_window * start.lattice.pitch
     whites = [
         light
         for light in lights
-        if is_evenly_lit(normalise_locally(sqrt_luminance(light), window), light, start.lattice)
+        if is_evenly_lit(normalise_locally(sqrt_luminance(light), window), light, start.lattice, settings)
     ]
     return (True, whites) if whites else (False, lights)
 
 
-def _evenly_lit_at(start: FirstLattice, light: NDArray[np.float32]) -> bool:
-    """`is_evenly_lit` at the size at which the lattice of a light was found."""
+def _is_evenly_lit_at(start: FirstLattice, light: NDArray[np.float32], settings: CaptureSettings) -> bool:
+    """`is_evenly_lit` at the size at which the lattice was found."""
     factor = light.shape[0] // start.brightness.shape[0]
     if factor == 1:
-        return is_evenly_lit(start.brightness, light, start.lattice)
+        return is_evenly_lit(start.brightness, light, start.lattice, settings)
     import cv2
 
     height, width = start.brightness.shape
     small: Any = cv2.resize(light[: factor * height, : factor * width], (width, height), interpolation=cv2.INTER_AREA)
-    return is_evenly_lit(start.brightness, small, start.lattice.downscaled(factor))
+    return is_evenly_lit(start.brightness, small, start.lattice.downscaled(factor), settings)
 
 
-def is_evenly_lit(brightness: NDArray[np.float32] | StackedCrops, light: NDArray[np.float32], lattice: Lattice) -> bool:
+def is_evenly_lit(
+    brightness: NDArray[np.float32] | StackedCrops,
+    light: NDArray[np.float32],
+    lattice: Lattice,
+    settings: CaptureSettings = DEFAULT.capture,
+) -> bool:
     """Whether the insides of lit microimages vary by little against the depth of the gaps between them.
 
     Parameters
     ----------
-    brightness : (h, w) float32, or parts of such
-        Locally levelled.
+    brightness : (h, w) float32, or crops
+        Locally normalised (`images.preprocessing.normalise_locally`).
     light : (h, w) float32
-        Of the flat, or of these parts.
+        Luminance of the flat, or of these crops.
     lattice : Lattice [px]
+    settings : CaptureSettings
     """
     return (
-        _scatter_inside(measure_radial_profile(brightness, lattice), lattice) < _EVEN_INSIDE
-        # Scenes have dark places too: lenses are left out only where the others are beyond doubt.
-        or _scatter_inside(measure_radial_profile(brightness, lattice, light=light), lattice) < _DOUBTLESS
+        _scatter_inside(measure_radial_profile(brightness, lattice), lattice) < settings.scatter_inside
+        or _scatter_inside(measure_radial_profile(brightness, lattice, light=light), lattice) < settings.scatter_of_lit
     )
 
 

@@ -1,89 +1,92 @@
-"""Whether an average cell can be a microimage: what repeats in two directions is not always an array of lenses.
+"""Tests whether an average cell can be a microimage: what repeats in two directions need not be an array of lenses.
 
-Light behind a lens depends on two lengths only: how far it falls from the centre of the microimage, and how far from
-the border to the next one. Bricks, windows and cloth depend on more, gratings and waves on less.
+A lens shows the aperture of the main lens, cut by its own border: its light is a function of the distance from the
+centre and of that from the border, and falls towards the border. Bricks, windows and cloth depend on more, gratings and
+waves on less; on a checkerboard dark places have the shape of light ones. Where figures compare two halves of the
+lenses, noise cancels.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import gcd
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.errors import CalibrationError
-from .folding import TileFolds
+from ..lattice.lattice import Lattice
+from ..lattice.lens_subset import StackedCrops, sample_lenses
+from ..runtime.errors import RAW_FLAT_ADVICE, CalibrationError
+from ..runtime.interpolation import interpolate_linear
+from .folding import HIGHEST_HARMONIC, TileFolds
+from .settings import DEFAULT, CellTestSettings
 
-__all__ = ["check_cell", "check_waves", "explained_by", "lengths_of"]
+__all__ = ["AverageCell", "check_cell", "check_edges", "find_shape_doubt", "measure_average_cell"]
 
-_RAW = "give a raw flat from the sensor, of a camera with a microlens array"
-# Energy of the average cell that must lie beside the strongest line of harmonics: stripes have none there, touching
-# lenses twice as long as wide a twentieth.
-_TWO_WAYS = 0.04
-# Least share of the average cell, apart from noise, that the two lengths explain, and light variation (standard
-# deviation over mean) from which on it shows them: of flattened scene captures only the breaks are left.
-_EXPLAINED = 0.8
-# A scene of one kind all over the flat leaves some of itself in the average of a thousand lenses.
-_EXPLAINED_SCENE = 0.65
-# Where less energy than this lies beside one line, rows stand out, as they do in print: nearly all must be explained.
-_LOPSIDED, _EXPLAINED_ROWS = 0.1, 0.93
-_VISIBLE = 0.05
-# Least energy of light beyond the first harmonics. Discs have a twentieth; only a blur of a seventh of the pitch leaves
-# so little of it. Below so many pixels such a blur can be the sensor's, and waves get the benefit of the doubt.
-_HARMONICS = 5e-3
-_SHARP_PITCH = 10.0
-# Finer harmonics than two pixels are aliases of coarser ones.
-_SHORTEST_HARMONIC = 2.2
-_HIGHEST = 6
-_LENGTHS = 16
+# Nodes of piecewise linear functions of a distance.
+_NODES = 16
+# Samples along a cell, an even number.
+_SAMPLES = 18
 _AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
 def check_cell(
     cells: list[NDArray[np.float64]],
     light: NDArray[np.float64],
-    tone: TileFolds,
+    basis: NDArray[np.float64],
     centre: NDArray[np.float64],
     repeatability: float,
+    settings: CellTestSettings = DEFAULT.cell_tests,
 ) -> CalibrationError | None:
-    """CalibrationError where the average cell cannot be that of microimages; returned where a scene may be the cause.
+    """CalibrationError where the average cell cannot be a microimage; returned, not raised, where a scene may be why.
 
     Parameters
     ----------
     cells : list of (bins, bins) float64
         Average cell of each feature; bin `k` covers `[k, k + 1) / bins`.
     light : (bins, bins) float64
-        Average cell of the light itself.
-    tone : TileFolds
-        Square root of the light on the reduced lattice, with bins far smaller than a pixel.
+        Average cell of the luminance.
+    basis : (2, 2) float64 [px]
     centre : (2,) float64
         Microimage centre in fractional lattice coordinates.
     repeatability : float
         Correlation of the average cells of two halves of the flat.
+    settings : CellTestSettings
     """
-    basis = tone.basis
-    beside = _beside_one_line(np.mean([_power(cell) for cell in cells], axis=0))
-    if beside < _TWO_WAYS:
-        raise CalibrationError(f"stripes repeat on the image, in one direction only; {_RAW}")
-    pitch = float(np.sqrt(abs(np.linalg.det(basis))))
-    if light.std() > _VISIBLE * light.mean():
-        # What one half has in common with the other limits what any model can explain of their mean.
+    off_line = _off_line_energy(np.mean([_power(cell) for cell in cells], axis=0))
+    if off_line < settings.off_line_energy:
+        raise CalibrationError(f"stripes repeat on the image, in one direction only; {RAW_FLAT_ADVICE}")
+    if light.std() > settings.visible_contrast * light.mean():
+        # Correlation of two halves limits what any model can explain of their mean.
         possible = 2 * repeatability / (1 + repeatability)
-        lengths = _lengths(basis, len(light), centre)
-        explained = float(np.mean([_explained(cell, lengths) for cell in cells]))
-        if explained < (_EXPLAINED if beside > _LOPSIDED else _EXPLAINED_ROWS) * possible:
-            error = CalibrationError(f"a pattern repeats every {pitch:.1f} px that has no microimages; {_RAW}")
-            if explained < _EXPLAINED_SCENE * possible:
+        distances = _bin_distances(basis, len(light), centre)
+        explained = float(np.mean([_explained_share(cell, distances) for cell in cells]))
+        least = settings.radial_share if off_line > settings.lopsided_energy else settings.radial_share_rows
+        if explained < least * possible:
+            pitch = float(np.sqrt(abs(np.linalg.det(basis))))
+            error = CalibrationError(
+                f"a pattern repeats every {pitch:.1f} px that has no microimages; {RAW_FLAT_ADVICE}"
+            )
+            if explained < settings.radial_share_scene * possible:
                 raise error
             return error
     return None
 
 
-def check_waves(tone: TileFolds) -> None:
-    """CalibrationError where the average cell, as for `check_cell`, has no edge that light behind a lens would have."""
+def check_edges(tone: TileFolds, settings: CellTestSettings = DEFAULT.cell_tests) -> None:
+    """CalibrationError where the average cell has no edge as light behind a lens has.
+
+    Parameters
+    ----------
+    tone : TileFolds
+        Root of the luminance on the reduced lattice, with bins far smaller than a pixel.
+    settings : CellTestSettings
+    """
     pitch = float(np.sqrt(abs(np.linalg.det(tone.basis))))
-    if pitch > _SHARP_PITCH and _beyond_first(tone) < _HARMONICS:
-        raise CalibrationError(f"crossed waves without any edge repeat every {pitch:.1f} px, not microimages; {_RAW}")
+    if pitch > settings.sharp_pitch and _energy_beyond_first(tone, settings.shortest_harmonic) < settings.edge_energy:
+        raise CalibrationError(
+            f"crossed waves without any edge repeat every {pitch:.1f} px, not microimages; {RAW_FLAT_ADVICE}"
+        )
 
 
 def _power(cell: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -100,38 +103,42 @@ def _orders(bins: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return h, k
 
 
-def _beside_one_line(power: NDArray[np.float64]) -> float:
+def _off_line_energy(power: NDArray[np.float64]) -> float:
     """Share of the energy that is not on the strongest line of harmonics through zero."""
     h, k = _orders(len(power))
     lines = [(a, b) for a in range(4) for b in range(-3, 4) if gcd(a, b) == 1]
     return 1 - max(float(power[h * b == k * a].sum()) for a, b in lines)
 
 
-def _beyond_first(tone: TileFolds) -> float:
+def _energy_beyond_first(tone: TileFolds, shortest_harmonic: float) -> float:
     """Share of the energy of the light in harmonics that are not first ones in both directions."""
     total, count = (v.sum(0, dtype=np.float64) for v in (tone.total, tone.count))
     light = total**2 / np.maximum(count, 1)
-    # Deviations weighted with their pixels: where the pitch is a whole number of pixels most bins are empty.
+    # Deviations weighted by their pixels: where the pitch is a whole number of pixels most bins are empty.
     power = np.abs(np.fft.fft2(light - light.sum() / count.sum() * count)) ** 2
     h, k = _orders(tone.bins)
-    most = np.clip(np.hypot(*tone.basis.T) / _SHORTEST_HARMONIC, 1, _HIGHEST)
-    power *= (abs(h) <= most[0]) & (abs(k) <= most[1])
+    highest = np.clip(np.hypot(*tone.basis.T) / shortest_harmonic, 1, HIGHEST_HARMONIC)
+    power *= (abs(h) <= highest[0]) & (abs(k) <= highest[1])
     return float(power[np.maximum(abs(h), abs(k)) > 1].sum() / max(power.sum(), 1e-30))
 
 
-def _lengths(
+def _bin_distances(
     basis: NDArray[np.float64], bins: int, centre: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`lengths_of` the (bins * bins,) bins of a cell from the nearest microimage centre."""
+    """`_distances` of the (bins * bins,) bins of a cell from the nearest microimage centre."""
     column, row = np.meshgrid((np.arange(bins) + 0.5) / bins, (np.arange(bins) + 0.5) / bins)
     offset = np.column_stack([column.ravel(), row.ravel()]) - centre
-    offset -= np.rint(offset)
-    delta = (offset[:, None] - _AROUND) @ basis
-    nearest = np.hypot(delta[..., 0], delta[..., 1]).argmin(1)
-    return lengths_of(basis, delta[np.arange(len(delta)), nearest])
+    return _distances(basis, _from_nearest(offset - np.rint(offset), basis))
 
 
-def lengths_of(
+def _from_nearest(index: NDArray[np.float64], basis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 2) offsets [px] of places at fractional lattice coordinates (n, 2) from the lattice point next to them."""
+    offsets = (index[:, None] - _AROUND) @ basis
+    nearest = np.hypot(offsets[..., 0], offsets[..., 1]).argmin(1)
+    return offsets[np.arange(len(offsets)), nearest]
+
+
+def _distances(
     basis: NDArray[np.float64], offset: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(n,) distances [px] of places, `offset` (n, 2) [px] from the centre, to it and to the border of the cell."""
@@ -140,23 +147,148 @@ def lengths_of(
     return np.hypot(*offset.T), (0.5 * length - offset @ steps.T / length).min(1)
 
 
-def _explained(cell: NDArray[np.float64], lengths: tuple[NDArray[np.float64], NDArray[np.float64]]) -> float:
-    """Share of the variance of a cell that a sum of a function of each length explains, 0..1."""
+def _explained_share(cell: NDArray[np.float64], distances: tuple[NDArray[np.float64], NDArray[np.float64]]) -> float:
+    """Share of the variance of a cell that a sum of a function of each distance explains, 0..1."""
     values = cell.ravel() - cell.mean()
-    left = values - explained_by(values, lengths)
+    left = values - _fit_distances(values, distances)
     return 1 - float(left @ left) / max(float(values @ values), 1e-30)
 
 
-def explained_by(
-    values: NDArray[np.float64], lengths: tuple[NDArray[np.float64], NDArray[np.float64]]
+def _fit_distances(
+    values: NDArray[np.float64], distances: tuple[NDArray[np.float64], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """The sum of a function of each length (n,) that is next to `values` (n,), or to each column of (n, m)."""
-    design = np.hstack([_hats(length) for length in lengths])
+    """Least-squares sum of a piecewise linear function of each distance (n,), to `values` (n,) or columns (n, m)."""
+    columns = []
+    for distance in distances:
+        place = (distance - distance.min()) / max(float(np.ptp(distance)), 1e-12) * (_NODES - 1)
+        columns.append(np.clip(1 - np.abs(place[:, None] - np.arange(_NODES)), 0, None))
+    design = np.hstack(columns)
     fitted: NDArray[np.float64] = design @ np.linalg.lstsq(design, values, rcond=None)[0]
     return fitted
 
 
-def _hats(length: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, _LENGTHS) piecewise linear functions of a length."""
-    place = (length - length.min()) / max(float(np.ptp(length)), 1e-12) * (_LENGTHS - 1)
-    return np.clip(1 - np.abs(place[:, None] - np.arange(_LENGTHS)), 0, None)
+@dataclass(frozen=True)
+class AverageCell:
+    """Figures of the luminance in the average cell.
+
+    Parameters
+    ----------
+    half_correlation : float
+        Correlation of the average cells of two halves of the lenses.
+    unexplained : float
+        Share of what they have in common that is no function of the distances to centre and border.
+    half_shift : float
+        Correlation of a cell with itself half a cell further, over `half_correlation`; the least of three directions.
+    gap_brightness : float
+        Light half way to the neighbours over that in the middle, in the brightest direction.
+    error : float
+        Standard error of `unexplained` and `half_shift`.
+    alternating : float
+        Energy of a difference that most cells have, with either sign, over that of the average cell; 0 if there is
+        none.
+    """
+
+    half_correlation: float
+    unexplained: float
+    half_shift: float
+    gap_brightness: float
+    error: float
+    alternating: float
+
+
+def find_shape_doubt(
+    picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, settings: CellTestSettings = DEFAULT.cell_tests
+) -> str | None:
+    """Why the average cell may be no microimage, None where its shape proves it.
+
+    Parameters
+    ----------
+    picture : (h, w) float32, or crops
+        As made by `images.preprocessing.sqrt_luminance`.
+    lattice : Lattice [px]
+    settings : CellTestSettings
+
+    Raises
+    ------
+    CalibrationError
+        If dark places have the shape of light ones.
+    """
+    cell = measure_average_cell(picture, lattice, settings)
+    if cell is None:
+        return "too few of them are there to tell their shape"
+    margin = settings.standard_errors * cell.error
+    if cell.half_shift + margin < settings.half_shift:
+        raise CalibrationError(
+            f"light and dark places of one shape repeat every {lattice.pitch:.1f} px, as on a checkerboard or in "
+            f"crossed waves, not microimages; {RAW_FLAT_ADVICE}"
+        )
+    if cell.half_shift - margin < settings.half_shift:
+        return "a checkerboard or crossed waves could look like them"
+    if cell.alternating > settings.alternating:
+        return "they are of two kinds in turn, as threads or bricks are"
+    if cell.gap_brightness > settings.gap_brightness:
+        return "their joints are not darker than their middles"
+    if cell.unexplained + margin > settings.unexplained:
+        return "the light in them is not shaped like that behind a lens"
+    return None
+
+
+def measure_average_cell(
+    picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, settings: CellTestSettings = DEFAULT.cell_tests
+) -> AverageCell | None:
+    """Measure the average cell as for `find_shape_doubt`; None where there are too few lenses."""
+    share = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+    column, row = np.meshgrid(share, share)
+    offsets = _from_nearest(np.column_stack([column.ravel(), row.ravel()]), lattice.basis)
+    steps = lattice.steps @ lattice.basis
+    reach = float(np.hypot(*np.vstack([offsets, steps]).T).max()) + 1
+    if isinstance(picture, StackedCrops):
+        _, centres, crop = picture.lenses(lattice, reach)
+        chosen = np.linspace(0, len(centres) - 1, min(settings.lenses, len(centres))).astype(int)
+        centres, picture = (centres - picture.offsets[crop])[chosen], picture.picture
+    else:
+        _, centres = sample_lenses(lattice, reach, settings.lenses)
+    if len(centres) < settings.fewest_lenses:
+        return None
+    cells = interpolate_linear(picture, centres[:, None] + offsets) ** 2
+    level = cells.mean(1)
+    lit = level > settings.dark_lens * np.quantile(level, 0.95)
+    if lit.sum() < settings.fewest_lenses:
+        return None
+    centres, cells, level = centres[lit], cells[lit], level[lit]
+    cells /= level[:, None]
+    a, b = (half.mean(0) - 1 for half in (cells[::2], cells[1::2]))
+    common = float(a @ b)
+    correlation = common / max(float(np.sqrt((a @ a) * (b @ b))), 1e-30)
+    if correlation <= 0:
+        return AverageCell(correlation, 1.0, -1.0, 1.0, float("inf"), 0.0)
+    both = np.column_stack([a, b])
+    left = both - _fit_distances(both, _distances(lattice.basis, offsets))
+    square = b.reshape(_SAMPLES, _SAMPLES)
+    shifts = _SAMPLES // 2 * np.array([(1, 0), (0, 1), (1, 1)])
+    half_shift = min(float(a @ np.roll(square, tuple(shift), (0, 1)).ravel()) / common for shift in shifts)
+    core = cells[:, np.hypot(*offsets.T) < settings.core * np.hypot(*steps.T).min()].mean()
+    gap = max(float((interpolate_linear(picture, centres + step / 2) ** 2 / level).mean()) for step in steps)
+    # Noise is as many independent values as a cell has pixels.
+    values = min(abs(np.linalg.det(lattice.basis)), _SAMPLES**2)
+    return AverageCell(
+        half_correlation=correlation,
+        unexplained=float(left.prod(1).sum()) / common,
+        half_shift=half_shift,
+        gap_brightness=gap / core,
+        error=float((1 - correlation) / correlation / np.sqrt(values)),
+        alternating=_alternating_energy(cells, centres, settings),
+    )
+
+
+def _alternating_energy(cells: NDArray[np.float64], centres: NDArray[np.float64], settings: CellTestSettings) -> float:
+    """`AverageCell.alternating` of cells (n, samples) at `centres` (n, 2) [px], without a linear trend."""
+    middle = centres - centres.mean(0)
+    trend = np.column_stack([np.ones(len(cells)), middle / max(float(np.abs(middle).max()), 1e-12)])
+    left = cells - trend @ np.linalg.lstsq(trend, cells, rcond=None)[0]
+    values, vectors = np.linalg.eigh(left @ left.T / len(cells))
+    # Participation ratio: the share of cells of equal amplitude that would have the same sum of fourth powers.
+    share = 1 / (float(((vectors[:, -1] ** 2) ** 2).sum()) * len(cells))
+    if share < settings.alternating_share or values[-1] < settings.alternating_ratio * values[-2]:
+        return 0.0
+    return float(values[-1] / ((cells.mean(0) - 1) ** 2).sum())

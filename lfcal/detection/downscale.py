@@ -1,7 +1,8 @@
-"""Very large flats: calibrated on averages of square blocks of pixels, since a lattice does not need every pixel."""
+"""Very large flats are calibrated on averages of square blocks of pixels: a lattice does not need every pixel."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +16,7 @@ from ..gain.vignetting import Vignetting
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CalibrationError
+from .settings import DEFAULT, DownscaleSettings
 
 __all__ = [
     "average_blocks",
@@ -25,23 +27,8 @@ __all__ = [
     "upscale_calibration",
 ]
 
-# Flats with more pixels than this are reduced, down to about so many, as long as the pitch stays this long [px].
-_LARGE = 4.8e7
-_ENOUGH = 1.6e7
-# White images with fewer pixels are as soon seen as a whole as in pieces.
-_PIECEWISE = 6e6
-# Flats with fewer pixels are as soon searched at their own size.
-_HALVED = 3e6
-_LEAST_PITCH = 9.0
-# Side of the part in which the pitch is looked for [px], where in the flat in turn, and rows averaged at a time.
-_PART = 2400
-# A smaller part will do where so many pitches are in it.
-_SMALL_PART, _PERIODS = 1024, 12
-_PLACES = ((0.5, 0.5), (0.2, 0.5), (0.8, 0.5), (0.5, 0.2), (0.5, 0.8))
-_ROWS = 32
 
-
-def choose_block_size(flat: NDArray[Any]) -> int:
+def choose_block_size(flat: NDArray[Any], settings: DownscaleSettings = DEFAULT.downscale) -> int:
     """Side [px] of the blocks that a flat (h, w) or (h, w, 3) is to be averaged in: 1 where it is not large.
 
     Raises
@@ -50,74 +37,76 @@ def choose_block_size(flat: NDArray[Any]) -> int:
         If a large flat shows no lattice in its middle, nor beside it.
     """
     height, width = flat.shape[:2]
-    if height * width < _LARGE:
+    if height * width < settings.large:
         return 1
     from ..images.mosaic import has_mosaic
 
-    block = max(1, min(int(_pitch(flat) / _LEAST_PITCH), round(np.sqrt(height * width / _ENOUGH))))
+    pitch = _find_pitch(flat, settings)
+    block = max(1, min(int(pitch / settings.min_pitch), round(np.sqrt(height * width / settings.enough))))
     # Whole cells of a colour mosaic average to grey.
     return block - block % 2 if block > 1 and flat.ndim == 2 and has_mosaic(flat) else block
 
 
-def _pitch(flat: NDArray[Any]) -> float:
+def _find_pitch(flat: NDArray[Any], settings: DownscaleSettings) -> float:
     """Pitch [px] in the first part of a flat that shows one; the array need not fill the sensor."""
     from ..images.preprocessing import luminance, sqrt_luminance
     from .first_lattice import find_first_lattice
 
     height, width = flat.shape[:2]
-    error: CalibrationError | None = None
-    # Most arrays show their pitch in a small part of the middle.
-    left, top = max(0, width - _SMALL_PART) // 2, max(0, height - _SMALL_PART) // 2
-    small = np.ascontiguousarray(flat[top : top + _SMALL_PART, left : left + _SMALL_PART])
-    try:
-        pitch = find_first_lattice(sqrt_luminance(luminance(small))).lattice.pitch
-        if pitch * _PERIODS < _SMALL_PART:
+
+    def pitch_in_part(across: float, down: float, side: int) -> float:
+        left, top = int(across * max(0, width - side)), int(down * max(0, height - side))
+        part = np.ascontiguousarray(flat[top : top + side, left : left + side])
+        return find_first_lattice(sqrt_luminance(luminance(part))).lattice.pitch
+
+    with suppress(CalibrationError):
+        pitch = pitch_in_part(0.5, 0.5, settings.small_part)
+        if pitch * settings.periods < settings.small_part:
             return pitch
-    except CalibrationError:
-        pass
-    for across, down in _PLACES:
-        left, top = int(across * max(0, width - _PART)), int(down * max(0, height - _PART))
-        part = np.ascontiguousarray(flat[top : top + _PART, left : left + _PART])
+    error: CalibrationError | None = None
+    for across, down in settings.places:
         try:
-            return find_first_lattice(sqrt_luminance(luminance(part))).lattice.pitch
+            return pitch_in_part(across, down, settings.part)
         except CalibrationError as failure:
             error = error or failure
     assert error is not None
     raise error
 
 
-def is_searched_in_pieces(size: tuple[int, int]) -> bool:
-    """Whether the lattice of a white image of `size` (width, height) is sought in a piece of it first."""
-    return size[0] * size[1] >= _PIECEWISE
+def is_searched_in_pieces(size: tuple[int, int], settings: DownscaleSettings = DEFAULT.downscale) -> bool:
+    """Whether the lattice of a white image of `size` (width, height) is first looked for in a piece of it."""
+    return size[0] * size[1] >= settings.pieces
 
 
-def is_large_after_averaging(size: tuple[int, int], block: int) -> bool:
-    """Whether a flat of `size` (width, height) is large even when reduced."""
-    return size[0] * size[1] / block**2 >= _LARGE
+def is_large_after_averaging(
+    size: tuple[int, int], block: int, settings: DownscaleSettings = DEFAULT.downscale
+) -> bool:
+    """Whether a flat of `size` (width, height) is large even when averaged in blocks."""
+    return size[0] * size[1] / block**2 >= settings.large
 
 
-def is_searched_at_half_size(size: tuple[int, int]) -> bool:
-    """Whether the first lattice of a flat of `size` (width, height) is sought where that is half as large."""
-    return size[0] * size[1] >= _HALVED
+def is_searched_at_half_size(size: tuple[int, int], settings: DownscaleSettings = DEFAULT.downscale) -> bool:
+    """Whether the first lattice of a flat of `size` (width, height) is looked for at half that size."""
+    return size[0] * size[1] >= settings.half_size
 
 
-def average_blocks(flat: NDArray[Any], block: int) -> NDArray[np.float32]:
-    """(h // block, w // block) mean luminance of the blocks of a flat, in strips that need little memory."""
+def average_blocks(flat: NDArray[Any], block: int, rows: int = 32) -> NDArray[np.float32]:
+    """(h // block, w // block) mean luminance of the blocks of a flat; `rows` of them at a time, to save memory."""
     import cv2
 
     from ..images.preprocessing import luminance
 
     height, width = flat.shape[0] // block, flat.shape[1] // block
     out = np.empty((height, width), np.float32)
-    for top in range(0, height, _ROWS):
-        rows = min(_ROWS, height - top)
-        strip = luminance(np.ascontiguousarray(flat[top * block : (top + rows) * block, : width * block]))
-        out[top : top + rows] = cv2.resize(strip, (width, rows), interpolation=cv2.INTER_AREA)
+    for top in range(0, height, rows):
+        count = min(rows, height - top)
+        strip = luminance(np.ascontiguousarray(flat[top * block : (top + count) * block, : width * block]))
+        out[top : top + count] = cv2.resize(strip, (width, count), interpolation=cv2.INTER_AREA)
     return out
 
 
 def upscale_calibration(camera: Calibration, block: int, image_size: tuple[int, int]) -> Calibration:
-    """The calibration of a flat from that of its reduction.
+    """Calibration of a flat from that of its averages.
 
     Parameters
     ----------
@@ -131,11 +120,11 @@ def upscale_calibration(camera: Calibration, block: int, image_size: tuple[int, 
     shift = (block - 1) / 2
     lattice = Lattice(
         small.origin * block + shift, small.basis * block, image_size, small.radius * block,
-        None if small.distortion is None else _stretched(small.distortion, block, shift),
+        None if small.distortion is None else _upscale_distortion(small.distortion, block, shift),
     )  # fmt: skip
     vignetting = camera.vignetting and Vignetting(camera.vignetting.profile, camera.vignetting.step * block)
-    gain = None if camera.gain_map is None else _magnified(camera.gain_map, small, lattice, block)
-    # Single pixels are not seen on a reduction.
+    gain = None if camera.gain_map is None else _upscale_gain(camera.gain_map, small, lattice, block)
+    # Averages show no defects of single pixels.
     defects = Defects(lenses=camera.defects.lenses)
     residual = camera.residual_rms * block
     return replace(
@@ -145,7 +134,7 @@ def upscale_calibration(camera: Calibration, block: int, image_size: tuple[int, 
     )  # fmt: skip
 
 
-def _stretched(bend: Distortion, block: int, shift: float) -> Distortion:
+def _upscale_distortion(bend: Distortion, block: int, shift: float) -> Distortion:
     return Distortion(
         bend.centre * block + shift, bend.k1, bend.k2, bend.reach * block,
         None if bend.general is None else bend.general * block,
@@ -153,7 +142,7 @@ def _stretched(bend: Distortion, block: int, shift: float) -> Distortion:
     )  # fmt: skip
 
 
-def _magnified(gain: GainMap, small: Lattice, lattice: Lattice, block: int) -> GainMap:
+def _upscale_gain(gain: GainMap, small: Lattice, lattice: Lattice, block: int) -> GainMap:
     own = gain.lens_gain
     if len(own):
         known = {tuple(index): value for index, value in zip(small.indices().tolist(), own.tolist(), strict=True)}

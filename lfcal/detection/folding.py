@@ -1,6 +1,6 @@
-"""Folding: lay all microimages over each other and average them, over the whole flat or tile by tile.
+"""Average microimage of each tile of a flat: pixels are summed by their place in the cell of a lattice.
 
-What the lattice carries adds up, what the scene shows averages out (the average microimage).
+What all microimages have in common adds up, what the scene shows averages out.
 """
 
 from __future__ import annotations
@@ -16,17 +16,19 @@ from numpy.typing import NDArray
 
 __all__ = ["HIGHEST_HARMONIC", "VECTOR_LENGTH", "TileFolds", "compute_cell_bins", "fold_tiles"]
 
-# Finer structure of a microimage than a sixth of the pitch says little about where it lies.
+# Structure of a microimage finer than a sixth of the pitch tells little about its place.
 HIGHEST_HARMONIC = 6
-#: Pixels of a line that are worked on together: rows of microimages are too short for loops of any length.
+#: Pixels of a row handled by one vector loop of fixed length: rows of microimages are too short for others.
 VECTOR_LENGTH = 16
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def compute_cell_bins(u, v, step_u, step_v, bins, begin, count, out):
-    """Set `out` from `begin` on to the bins of a cell, row by row, of `count` pixels of a line that starts at lattice
-    coordinates (u, v). Whole runs of `VECTOR_LENGTH` are set: `out` has room for as many more."""
-    # A cell is 2**32 units each way, so that places in it wrap around by themselves.
+    """Set `out` from `begin` on to the bins, row by row, of `count` pixels of a line from lattice coordinates (u, v).
+
+    Bins are set in whole runs of `VECTOR_LENGTH`: `out` needs room for as many more.
+    """
+    # A cell is 2**32 units each way, so that unsigned places in it wrap around by themselves.
     whole, half, many = 4294967296.0, np.uint32(16), np.uint32(bins)
     across, down = np.uint32(np.int64(step_u * whole)), np.uint32(np.int64(step_v * whole))
     first, upper = np.uint32(np.int64(u * whole)), np.uint32(np.int64(v * whole))
@@ -56,7 +58,7 @@ def _fold(first, second, inverse, side, columns, bins, tiles, totals, count):
             row, other = first[y, x0 : x0 + across], second[y, x0 : x0 + across]
             for k in range(across):
                 n = np.uint64(at[k])
-                # Four that are read and written together are one step for the processor.
+                # Four values read and written together take one vector instruction.
                 a, b, c, d = cells[n, 0], cells[n, 1], cells[n, 2], cells[n, 3]
                 a, b, c, d = a + row[k], b + other[k], c + one, d + one
                 cells[n, 0], cells[n, 1], cells[n, 2], cells[n, 3] = a, b, c, d
@@ -67,7 +69,7 @@ def _fold(first, second, inverse, side, columns, bins, tiles, totals, count):
 
 @dataclass(frozen=True)
 class TileFolds:
-    """Average cell of the lattice in each tile of a flat.
+    """Average cell of a lattice in each tile of a flat.
 
     Parameters
     ----------
@@ -77,11 +79,10 @@ class TileFolds:
     centre : (t, 2) float64 [px]
         Middle of each tile, order x, y.
     basis : (2, 2) float64 [px]
-        Lattice the tiles were folded on.
     grid : (int, int)
         Rows and columns of tiles.
     side : int [px]
-        Of the square tiles; those at the right and lower edge may be smaller.
+        Of the square tiles; those at the right and lower edges may be smaller.
     """
 
     total: NDArray[np.float32]
@@ -96,12 +97,12 @@ class TileFolds:
         """Bins along each lattice vector."""
         return self.total.shape[1]
 
-    def only(self, chosen: NDArray[np.bool_]) -> TileFolds:
-        """The same tiles, those not `chosen` (t,) emptied."""
+    def mask(self, chosen: NDArray[np.bool_]) -> TileFolds:
+        """The same tiles, emptied where not `chosen` (t,)."""
         share = chosen[:, None, None].astype(np.float32)
         return replace(self, total=self.total * share, count=self.count * share)
 
-    def strength(self) -> NDArray[np.float32]:
+    def lattice_power(self) -> NDArray[np.float32]:
         """(t,) squared amplitude of the strongest low harmonic of each tile."""
         near = self.harmonics[:, np.arange(-2, 3)[:, None], np.arange(3)]
         power = near.real**2 + near.imag**2
@@ -112,21 +113,18 @@ class TileFolds:
 
     @cached_property
     def harmonics(self) -> NDArray[np.complex64]:
-        """(t, bins, 7) Fourier coefficients of each tile, index `[t, k, h]` for harmonic `h*b1 + k*b2`, h from 0 to 6.
-
-        Those at negative `h` are the conjugates of the opposite ones.
-        """
+        """(t, bins, 7) Fourier coefficients of each tile, index `[t, k, h]` for harmonic `h*b1 + k*b2`, h up to 6."""
         level = self.total.sum((1, 2), keepdims=True) / np.maximum(self.count.sum((1, 2), keepdims=True), 1)
-        # Summed deviations, not means: bins no pixel fell into must not count as dark.
+        # Sums of deviations: bins without pixels must not count as dark.
         values = self.total - level * self.count
-        # Of so few harmonics a product with their waves is several times as fast as a transform.
+        # For so few harmonics a matrix product is several times as fast as a transform.
         phase = 2 * np.pi / self.bins * np.outer(np.arange(self.bins), np.arange(HIGHEST_HARMONIC + 1))
         waves = np.exp(-1j * phase).astype(np.complex64).view(np.float32)
         rows = (values.reshape(-1, self.bins) @ waves).view(np.complex64).reshape(len(values), self.bins, -1)
         return np.fft.fft(rows, axis=1).astype(np.complex64)
 
-    def halves(self) -> list[NDArray[np.float64]]:
-        """Average cells (bins, bins) of two halves of the tiles, which lie like the colours of a checkerboard."""
+    def half_means(self) -> list[NDArray[np.float64]]:
+        """Average cells (bins, bins) of two halves of the tiles, like the colours of a checkerboard."""
         place = np.rint((self.centre - self.centre[0]) / self.side).astype(int)
         colour = place.sum(1) % 2
         if not 0 < colour.sum() < len(colour):
@@ -137,7 +135,7 @@ class TileFolds:
         """(bins, bins) average cell over the `chosen` tiles, at the resolution of the pixels."""
         total, count = self.total[chosen].sum(0, dtype=np.float64), self.count[chosen].sum(0, dtype=np.float64)
         level = total.sum() / max(count.sum(), 1)
-        # Where the pitch is a whole number of pixels all microimages are sampled alike and leave bins empty.
+        # A pitch of a whole number of pixels leaves bins empty: average over the width of a pixel.
         for axis, length in ((1, np.hypot(*self.basis[0])), (0, np.hypot(*self.basis[1]))):
             width = int(np.ceil(self.bins / length)) | 1
             total, count = (_periodic_box(v, width, axis) for v in (total, count))
@@ -157,7 +155,7 @@ def _periodic_box(values: NDArray[np.float64], width: int, axis: int) -> NDArray
 def fold_tiles(
     pictures: Sequence[NDArray[np.float32]], basis: NDArray[np.float64], side: int, bins: int, most: int | None = None
 ) -> list[TileFolds]:
-    """Fold one or two pictures on a lattice with its origin at (0, 0), tile by tile.
+    """Average one or two pictures over the cells of a lattice with its origin at (0, 0), tile by tile.
 
     Parameters
     ----------
@@ -168,7 +166,7 @@ def fold_tiles(
     bins : int
         Bins along each lattice vector.
     most : int or None
-        Fold only about so many tiles, evenly spread; all of them with None.
+        Use about so many tiles, evenly spread; all of them with None.
     """
     height, width = pictures[0].shape
     rows, columns = max(1, round(height / side)), max(1, round(width / side))

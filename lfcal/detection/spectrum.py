@@ -1,7 +1,7 @@
-"""Candidate microlens periods from the narrow peaks of tiled power spectra.
+"""Candidate bases of the lattice from the narrow peaks of power spectra.
 
 Microimages repeat with one and the same period all over a flat, scene content does not: only the lattice makes
-peaks that are one frequency bin wide and stand at all integer combinations of two frequencies.
+peaks that are one frequency bin wide and lie at all integer combinations of two frequencies.
 """
 
 from __future__ import annotations
@@ -15,29 +15,9 @@ from numpy.typing import NDArray
 
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import reduce_basis
+from .settings import DEFAULT, SpectrumSettings
 
-__all__ = ["NARROW", "Candidate", "Spectrum", "compute_spectra", "compute_spectrum", "find_candidate_bases"]
-
-_WINDOW = 1024
-# Shortest period that leaves a microimage anything to see, and fewest periods across a window.
-_SHORTEST_PERIOD = 4.0
-# Harmonics count almost up to two pixels, where the sensor's own colour mosaic begins.
-_SHORTEST_HARMONIC = 2.2
-_FEWEST_PERIODS = 4.0
-# Side of the box over which the background of the spectrum is averaged [bins].
-_BACKGROUND = 21
-#: Sides [bins] of boxes that leave little but the lattice itself.
-NARROW = (7, 9)
-# One of so many rows tells how far a spectrum spreads.
-_ROWS_APART = 4
-# A node of the reciprocal lattice is occupied above this many standard deviations of the whitened log power.
-_OCCUPIED = 4.0
-_PEAKS = 40
-_SEEDS = 10
-# Lowest nodes (half plane) on which a candidate is judged: the first four shells of a hexagonal lattice.
-_NODES = 12
-# Distance of a peak from its node that is still "on" it [bins].
-_ON_NODE = 1.0
+__all__ = ["Candidate", "Spectrum", "compute_spectra", "find_candidate_bases"]
 
 
 @dataclass(frozen=True)
@@ -49,9 +29,9 @@ class Spectrum:
     prominence : (n, n // 2 + 1) float32
         Log power above its local background, in standard deviations; row `n // 2` is zero vertical frequency.
     size : int [px]
-        Side n of the windows it was taken from.
+        Side n of the windows.
     reduction : int
-        How many times the flat was made smaller first.
+        Factor by which the flat was downscaled first.
     """
 
     prominence: NDArray[np.float32]
@@ -88,29 +68,29 @@ def _windows(height: int, width: int, size: int) -> list[tuple[int, int]]:
     return list(dict.fromkeys([middle, (rows[0], columns[0]), (rows[1], columns[1])]))
 
 
-def compute_spectrum(picture: NDArray[np.float32], reduction: int = 1) -> Spectrum | None:
-    """The wide one of `compute_spectra`, None where the reduced flat is too small."""
-    spectra = compute_spectra(picture, reduction, (_BACKGROUND,))
-    return spectra[0] if spectra else None
-
-
-def compute_spectra(picture: NDArray[np.float32], reduction: int, backgrounds: tuple[int, ...]) -> list[Spectrum]:
-    """Average log power spectrum of brightness and breaks over a few windows, whitened in one way or another.
+def compute_spectra(
+    picture: NDArray[np.float32],
+    reduction: int,
+    backgrounds: tuple[int, ...],
+    settings: SpectrumSettings = DEFAULT.spectrum,
+) -> list[Spectrum]:
+    """Average log power spectrum of brightness and edges over a few windows, less its local background.
 
     Parameters
     ----------
     picture : (h, w) float32
-        As made by `features.tone`.
+        As made by `images.preprocessing.sqrt_luminance`.
     reduction : int
-        Look at the flat made smaller by this factor, which brings long periods into the window.
+        Factor by which the flat is downscaled, which brings long periods into the window.
     backgrounds : tuple of int [bins]
-        Sides of the boxes over which the background is averaged, one for each answer. What comes back in a few lenses
-        only is wider than a bin: in a narrow box it is part of the background.
+        Side of the box over which the background is averaged, for each spectrum wanted. A narrow box removes what
+        repeats over a few lenses only: its peaks are wider than a bin.
+    settings : SpectrumSettings
 
     Returns
     -------
     list of Spectrum
-        Empty where the reduced flat is too small for four of the shortest periods.
+        One for each background; empty where the flat is too small for four of the shortest periods.
     """
     import cv2
 
@@ -118,8 +98,8 @@ def compute_spectra(picture: NDArray[np.float32], reduction: int, backgrounds: t
         smaller: Any = cv2.resize(picture, None, fx=1 / reduction, fy=1 / reduction, interpolation=cv2.INTER_AREA)
         picture = smaller
     height, width = picture.shape
-    size = min(_WINDOW, min(height, width)) // 2 * 2
-    if size < _FEWEST_PERIODS * _SHORTEST_PERIOD:
+    size = min(settings.window, min(height, width)) // 2 * 2
+    if size < settings.fewest_periods * settings.shortest_period:
         return []
     taper = np.hanning(size).astype(np.float32)
     log_power = np.zeros((size, size // 2 + 1), dtype=np.float32)
@@ -133,11 +113,11 @@ def compute_spectra(picture: NDArray[np.float32], reduction: int, backgrounds: t
             log_power += _log_power(levelled)
     log_power /= 2 * len(windows)
     log_power = np.fft.fftshift(log_power, axes=0)
-    return [_whitened(log_power, background, reduction) for background in backgrounds]
+    return [_whiten(log_power, side, reduction, settings.row_step) for side in backgrounds]
 
 
-def _whitened(log_power: NDArray[np.float32], side: int, reduction: int) -> Spectrum:
-    """Log power (n, n // 2 + 1) over its mean in a box."""
+def _whiten(log_power: NDArray[np.float32], side: int, reduction: int, row_step: int) -> Spectrum:
+    """Log power (n, n // 2 + 1) less its mean in a box, over its spread."""
     import cv2
 
     size = len(log_power)
@@ -146,7 +126,7 @@ def _whitened(log_power: NDArray[np.float32], side: int, reduction: int) -> Spec
     mirrored = np.roll(log_power[::-1, margin:0:-1], 1 - size % 2, axis=0)
     background = cv2.blur(np.hstack([mirrored, log_power]), (margin | 1, margin | 1))[:, margin:]
     prominence = log_power - background
-    few = prominence[::_ROWS_APART]
+    few = prominence[::row_step]
     middle = float(np.median(few))
     spread = 1.4826 * float(np.median(np.abs(few - middle))) + 1e-6
     return Spectrum((prominence - middle) / np.float32(spread), size, reduction)
@@ -157,8 +137,8 @@ def _log_power(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     import cv2
 
     size = len(picture)
-    # OpenCV's transform of real numbers, several times as fast as NumPy's: real and imaginary parts lie beside each
-    # other along rows, in the first and last column, which are those of real numbers again, below each other.
+    # OpenCV's transform of real values, several times as fast as NumPy's: real and imaginary parts alternate along
+    # rows; first and last column are transforms of real values themselves, and alternate downwards.
     squares = np.square(cv2.dft(picture))
     power = np.empty((size, size // 2 + 1), np.float32)
     np.add(squares[:, 1:-1:2], squares[:, 2::2], out=power[:, 1:-1])
@@ -171,20 +151,20 @@ def _log_power(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(np.log(power, out=power))
 
 
-def _peaks(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _find_peaks(spectrum: Spectrum, settings: SpectrumSettings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Strongest narrow peaks: frequencies (k, 2) [cycles per px], refined within the bin, and prominences (k,)."""
     import cv2
 
     p = spectrum.prominence
     n = spectrum.size
     highest = cv2.dilate(p, np.ones((5, 5), np.uint8))
-    y, x = np.nonzero((p >= highest) & (p > _OCCUPIED))
+    y, x = np.nonzero((p >= highest) & (p > settings.prominence))
     fy = y - n // 2
     period = n / np.maximum(np.hypot(x, fy), 1e-9)
-    keep = (period >= _SHORTEST_HARMONIC) & (period <= n / _FEWEST_PERIODS) & ((x > 0) | (fy > 0))
+    keep = (period >= settings.shortest_harmonic) & (period <= n / settings.fewest_periods) & ((x > 0) | (fy > 0))
     keep &= (x < p.shape[1] - 1) & (y > 0) & (y < n - 1)
     y, x = y[keep], x[keep]
-    order = np.argsort(-p[y, x], kind="stable")[:_PEAKS]
+    order = np.argsort(-p[y, x], kind="stable")[: settings.peaks]
     y, x = y[order], x[order]
     strength = p[y, x].astype(np.float64)
 
@@ -198,8 +178,8 @@ def _peaks(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return np.column_stack([x + dx, y - n // 2 + dy]) / n, strength
 
 
-def _reduced(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(m, 2, 2) shortest bases of the lattices that pairs span, the shorter vector first (Lagrange-Gauss reduction)."""
+def _reduce_bases(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(m, 2, 2) shortest bases of the lattices that pairs span, shorter vector first (Lagrange-Gauss reduction)."""
     a, b = pairs[:, 0], pairs[:, 1]
     while True:
         swap = ((a * a).sum(1) > (b * b).sum(1))[:, None]
@@ -210,16 +190,20 @@ def _reduced(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
         b = b - times[:, None] * a
 
 
-def _snapped(
-    reciprocal: NDArray[np.float64], peaks: NDArray[np.float64], strength: NDArray[np.float64], size: int
+def _fit_to_peaks(
+    reciprocal: NDArray[np.float64],
+    peaks: NDArray[np.float64],
+    strength: NDArray[np.float64],
+    size: int,
+    node_distance: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Least-squares reciprocal bases (m, 2, 2) through all peaks on their nodes, and which (m, k) peaks those are."""
+    """Least-squares reciprocal bases (m, 2, 2) through all peaks near their nodes, and a mask (m, k) of those."""
     on, before = np.zeros((len(reciprocal), len(peaks)), dtype=bool), np.full((len(reciprocal), len(peaks), 2), np.nan)
     for _ in range(4):
         index = peaks @ np.linalg.inv(reciprocal)
         node = np.rint(index)
         apart = (index - node) @ reciprocal
-        on = (np.hypot(apart[..., 0], apart[..., 1]) * size < _ON_NODE) & (np.abs(node).sum(-1) > 0)
+        on = (np.hypot(apart[..., 0], apart[..., 1]) * size < node_distance) & (np.abs(node).sum(-1) > 0)
         chosen = node * on[..., None]
         gram = chosen.transpose(0, 2, 1) @ chosen
         # Whole numbers: nodes on one line give exactly 0.
@@ -245,38 +229,37 @@ def _lowest_nodes(reciprocal: NDArray[np.float64], count: int) -> NDArray[np.flo
     return np.take_along_axis(nodes, order[..., None], axis=1)
 
 
-def find_candidate_bases(spectrum: Spectrum, count: int = 6) -> list[Candidate]:
+def find_candidate_bases(
+    spectrum: Spectrum, count: int = 6, settings: SpectrumSettings = DEFAULT.spectrum
+) -> list[Candidate]:
     """Lattices whose harmonics explain the peaks, best supported first.
 
     Support is the share of peaks on the nodes of the candidate (a fraction of the true period misses most) times
-    the share of its lowest nodes that are occupied (a multiple of the true period leaves most empty).
+    the share of its lowest nodes that have a peak (a multiple of the true period leaves most without).
 
     Returns
     -------
     list of Candidate
         Empty where no two independent periods stand out.
     """
-    peaks, strength = _peaks(spectrum)
+    peaks, strength = _find_peaks(spectrum, settings)
     if len(peaks) < 3:
         return []
     n = spectrum.size
-    # Low frequencies are the likely fundamentals, strong peaks the sure ones: seeds of both kinds.
-    by_period = np.argsort(np.hypot(*peaks.T), kind="stable")[:_SEEDS]
-    seeds = list(dict.fromkeys([*range(min(_SEEDS, len(peaks))), *by_period.tolist()]))
-    pairs = peaks[np.array(list(combinations(seeds, 2)))]
-    lengths = np.hypot(pairs[..., 0], pairs[..., 1])
-    reciprocal = _reduced(pairs[np.abs(np.linalg.det(pairs)) >= 0.2 * lengths[:, 0] * lengths[:, 1]])
+    reciprocal = _reduce_bases(_peak_pairs(peaks, settings.seeds))
     lengths = np.hypot(reciprocal[..., 0], reciprocal[..., 1])
-    fit = (lengths.min(1) * n >= _FEWEST_PERIODS * 0.9) & (lengths.max(1) <= 1 / (_SHORTEST_PERIOD * np.sqrt(0.75)))
-    reciprocal, on = _snapped(reciprocal[fit], peaks, strength, n)
+    possible = lengths.min(1) * n >= settings.fewest_periods * 0.9
+    possible &= lengths.max(1) <= 1 / (settings.shortest_period * np.sqrt(0.75))
+    reciprocal, on_node = _fit_to_peaks(reciprocal[possible], peaks, strength, n, settings.node_distance)
     area = np.abs(np.linalg.det(reciprocal))
-    sure = (on.sum(1) >= 3) & (area >= 1e-9)
-    reciprocal, on, area = reciprocal[sure], on[sure], area[sure]
-    chance = np.minimum(0.9, np.pi * (_ON_NODE / n) ** 2 / area)
-    covered = np.maximum(0.0, (on @ strength**2 / (strength**2).sum() - chance) / (1 - chance))
-    nodes = _lowest_nodes(reciprocal, _NODES)
+    regular = (on_node.sum(1) >= 3) & (area >= 1e-9)
+    reciprocal, on_node, area = reciprocal[regular], on_node[regular], area[regular]
+    # Share of the peaks that are on nodes by chance.
+    chance = np.minimum(0.9, np.pi * (settings.node_distance / n) ** 2 / area)
+    covered = np.maximum(0.0, (on_node @ strength**2 / (strength**2).sum() - chance) / (1 - chance))
+    nodes = _lowest_nodes(reciprocal, settings.nodes)
     near = np.abs(nodes).max(2) < 0.45
-    occupied = (spectrum.at(nodes.reshape(-1, 2)) > _OCCUPIED).reshape(near.shape) & near
+    occupied = (spectrum.at(nodes.reshape(-1, 2)) > settings.prominence).reshape(near.shape) & near
     support = np.where(near.sum(1) >= 3, covered * occupied.sum(1) / np.maximum(near.sum(1), 1), 0.0)
     distinct: list[Candidate] = []
     for best in np.argsort(-support, kind="stable").tolist():
@@ -286,3 +269,12 @@ def find_candidate_bases(spectrum: Spectrum, count: int = 6) -> list[Candidate]:
         if len(distinct) == count:
             break
     return distinct
+
+
+def _peak_pairs(peaks: NDArray[np.float64], seeds: int) -> NDArray[np.float64]:
+    """(m, 2, 2) pairs of peaks, not nearly parallel, of the strongest ones and those of the lowest frequencies."""
+    by_period = np.argsort(np.hypot(*peaks.T), kind="stable")[:seeds]
+    chosen = list(dict.fromkeys([*range(min(seeds, len(peaks))), *by_period.tolist()]))
+    pairs = peaks[np.array(list(combinations(chosen, 2)))]
+    lengths = np.hypot(pairs[..., 0], pairs[..., 1])
+    return pairs[np.abs(np.linalg.det(pairs)) >= 0.2 * lengths[:, 0] * lengths[:, 1]]

@@ -138,7 +138,7 @@ def _find_shift(regions: list[Region]) -> NDArray[np.float64]:
     basis = regions[0].lattice.basis
     if not all(cell.std() > 0 for cell in cells):
         return np.zeros(2)
-    guess = choose_lens_centre(find_round_centres(cells, [1.0, 1.0], basis), cells[0] ** 2, basis)
+    guess = choose_lens_centre(find_round_centres(cells, basis), cells[0] ** 2, basis)
     index = guess.position - np.rint(guess.position)
     steps = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
     vectors = (index - steps) @ basis

@@ -1,6 +1,9 @@
 """The one family of errors: each says what was wrong, where, and what to do."""
 
-__all__ = ["CalibrationError", "CameraFileError", "FlatError", "LightFieldError"]
+__all__ = ["RAW_FLAT_ADVICE", "CalibrationError", "CameraFileError", "FlatError", "LightFieldError"]
+
+#: Ending of messages about images that show no microimages.
+RAW_FLAT_ADVICE = "give a raw flat from the sensor, of a camera with a microlens array"
 
 
 class LightFieldError(Exception):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -29,3 +30,17 @@ def drawn() -> type:
     from benchmarks.white_images import WhiteImage
 
     return WhiteImage
+
+
+@pytest.fixture
+def set_downscale(monkeypatch):
+    """Gives the functions of `detection.downscale` other settings."""
+    from lfcal.detection import downscale
+    from lfcal.detection.settings import DownscaleSettings
+
+    def apply(**values: float) -> None:
+        settings = DownscaleSettings(**values)
+        for name in ("choose_block_size", "is_large_after_averaging", "is_searched_in_pieces"):
+            monkeypatch.setattr(downscale, name, partial(getattr(downscale, name), settings=settings))
+
+    return apply

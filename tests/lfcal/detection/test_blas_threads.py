@@ -5,7 +5,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import lfcal
-from lfcal.detection import downscale as reduction
+from lfcal.detection import downscale
 
 
 def _threads() -> set[int]:
@@ -14,13 +14,13 @@ def _threads() -> set[int]:
 
 def test_calibrate_works_with_one_blas_thread_and_leaves_two(monkeypatch):
     seen = []
-    block_size = reduction.choose_block_size
+    choose_block_size = downscale.choose_block_size
 
-    def noting(image):
+    def record_threads(image):
         seen.append(_threads())
-        return block_size(image)
+        return choose_block_size(image)
 
-    monkeypatch.setattr(reduction, "choose_block_size", noting)
+    monkeypatch.setattr(downscale, "choose_block_size", record_threads)
     with threadpool_limits(2, "blas"):
         if _threads() != {2}:
             pytest.skip("no BLAS here whose threads can be set")

@@ -34,7 +34,7 @@ def test_lenses_and_gaps_in_turn_are_not_one_lattice():
 
 def test_round_centre_is_found_to_a_bin():
     cell = np.roll(_disc(_SQUARE, 12), (7, 20), axis=(0, 1))
-    best = find_round_centres([cell], [1.0], _SQUARE)[0]
+    best = find_round_centres([cell], _SQUARE)[0]
     np.testing.assert_allclose(best.position, np.array([20.5, 7.5]) / 36)
     assert best.roundness > 0.9
 
@@ -43,7 +43,7 @@ def test_dark_gap_as_round_as_a_lens_is_no_lens():
     # Overlapping discs of a square array leave gaps rounder than the lenses themselves.
     gap = np.roll(_disc(_SQUARE, 6), (18, 18), axis=(0, 1))
     light = 1.0 - 0.9 * gap
-    guesses = find_round_centres([light], [1.0], _SQUARE)
+    guesses = find_round_centres([light], _SQUARE)
     best = choose_lens_centre(guesses, light, _SQUARE)
     assert np.abs((best.position - 0.5 / 36 + 0.5) % 1 - 0.5).max() < 0.05
 

@@ -1,4 +1,4 @@
-"""Patterns whose cells pass for microimages, but not for those of neighbouring lenses, are refused."""
+"""Patterns whose cells look like microimages but show no parallax are refused."""
 
 from __future__ import annotations
 
@@ -15,16 +15,15 @@ from lfcal.images.preprocessing import sqrt_luminance
 _SIZE = (480, 360)
 
 
-def _turned(degrees):
-    y, x = np.mgrid[0 : _SIZE[1], 0 : _SIZE[0]].astype(float)
-    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return cos * x + sin * y + 9.3, cos * y - sin * x + 400.7
+def _place(patterns, degrees):
+    u, v = patterns.rotate(degrees, _SIZE)
+    return u + 9.3, v + 400.7
 
 
-def _hexagons(pitch, degrees):
+def _hexagons(patterns, pitch, degrees):
     """Distance to the nearest centre, how much farther the next one is [px], and a random number of each cell."""
     basis = pitch * np.array([[1.0, 0.0], [0.5, 0.75**0.5]])
-    place = np.stack(_turned(degrees), -1)
+    place = np.stack(_place(patterns, degrees), -1)
     nearest = np.rint(place @ np.linalg.inv(basis))
     index = np.array([nearest + np.array([i, j]) for i in (-1, 0, 1) for j in (-1, 0, 1)])
     far = np.hypot(*np.moveaxis(place - index @ basis, -1, 0))
@@ -33,36 +32,31 @@ def _hexagons(pitch, degrees):
     return far[0], far[1] - far[0], np.random.default_rng(3).normal(0, 1, (211, 211))[own[..., 0] % 211, own[..., 1]]
 
 
-def _photographed(picture):
-    picture = cv2.GaussianBlur(picture, (0, 0), 0.7) + np.random.default_rng(0).normal(0, 3, picture.shape)
-    return np.clip(picture, 0, 255).astype(np.uint8)
-
-
 @pytest.mark.parametrize(("pitch", "degrees"), [(12.3, 4), (26.7, 20)])
-def test_honeycomb_of_cells_of_different_tones_is_refused(pitch, degrees):
-    _, edge, own = _hexagons(pitch, degrees)
+def test_honeycomb_of_cells_of_different_tones_is_refused(patterns, pitch, degrees):
+    _, edge, own = _hexagons(patterns, pitch, degrees)
     with pytest.raises(lfcal.CalibrationError, match="tiles"):
-        lfcal.calibrate(_photographed(np.where(edge < 0.1 * pitch, 40, 140 + 18 * own)))
+        lfcal.calibrate(patterns.photograph(np.where(edge < 0.1 * pitch, 40, 140 + 18 * own)))
 
 
 @pytest.mark.parametrize("pitch", [10.2, 30.7])
-def test_sheet_with_dark_holes_is_refused(pitch):
-    far, _, _ = _hexagons(pitch, 7)
+def test_sheet_with_dark_holes_is_refused(patterns, pitch):
+    far, _, _ = _hexagons(patterns, pitch, 7)
     with pytest.raises(lfcal.CalibrationError, match="dark dots"):
-        lfcal.calibrate(_photographed(np.where(far < 0.32 * pitch, 30.0, 180.0)))
+        lfcal.calibrate(patterns.photograph(np.where(far < 0.32 * pitch, 30.0, 180.0)))
 
 
 @pytest.mark.parametrize(("pitch", "wire", "reason"), [(16.2, 20.0, "shifted|tiles"), (33.3, 220.0, "bright lines")])
-def test_photograph_behind_a_mesh_is_refused(pitch, wire, reason):
-    u, v = _turned(8)
+def test_photograph_behind_a_mesh_is_refused(patterns, pitch, wire, reason):
+    u, v = _place(patterns, 8)
     scene = cv2.resize(cv2.cvtColor(data.coffee(), cv2.COLOR_RGB2GRAY), _SIZE).astype(float)
     mesh = (u % pitch < 0.18 * pitch) | (v % pitch < 0.18 * pitch)
     with pytest.raises(lfcal.CalibrationError, match=reason):
-        lfcal.calibrate(_photographed(np.where(mesh, wire, scene)))
+        lfcal.calibrate(patterns.photograph(np.where(mesh, wire, scene)))
 
 
-def test_cells_that_each_show_something_else_are_refused():
-    u, v = _turned(9)
+def test_cells_with_independent_content_are_refused(patterns):
+    u, v = _place(patterns, 9)
     pitch = 22.3
     inside = [np.floor((w % pitch) / pitch * 7 - 1).astype(int) for w in (u, v)]
     number = np.floor(u / pitch).astype(int) * 7 + np.floor(v / pitch).astype(int) * 13
@@ -70,23 +64,23 @@ def test_cells_that_each_show_something_else_are_refused():
     key = np.where((np.minimum(*inside) >= 0) & (np.maximum(*inside) < 5), sign, 0)
     gap = (u % pitch < 0.2 * pitch) | (v % pitch < 0.2 * pitch)
     with pytest.raises(lfcal.CalibrationError, match="shifted"):
-        lfcal.calibrate(_photographed(np.where(gap, 20.0, 120.0 + 90 * key)))
+        lfcal.calibrate(patterns.photograph(np.where(gap, 20.0, 120.0 + 90 * key)))
 
 
-def test_neighbours_in_a_scene_are_alike_when_moved_by_the_disparity(house):
+def test_neighbours_in_a_scene_match_when_shifted_by_the_disparity(house):
     found = compare_neighbours(sqrt_luminance(house.flat), house.camera.lattice)
-    assert min(found.same, found.across) > 1.6 * found.moved
-    assert found.apart < 0.6 * found.inside
+    assert min(found.unshifted, found.distant) > 1.6 * found.matched
+    assert found.tone_spread < 0.6 * found.texture
 
 
 @pytest.mark.parametrize("decibels", [26, 18])
-def test_noise_does_not_make_a_scene_a_pattern(house, decibels):
+def test_noisy_scene_is_not_taken_for_a_pattern(house, decibels):
     flat = house.flat.astype(float)
     noise = np.sqrt((flat**2).mean()) * 10 ** (-decibels / 20) * np.random.default_rng(1).standard_normal(flat.shape)
     check_parallax(sqrt_luminance(np.maximum(flat + noise, 0)), house.camera.lattice, white=False)
 
 
-def test_lens_types_and_a_lamp_at_one_side_do_not_make_a_white_image_a_pattern(whites):
+def test_white_image_with_lens_types_and_uneven_light_is_not_taken_for_a_pattern(whites):
     basis = whites.turned(whites.HEXAGON, 18.3, 11)
     image, origin = whites.white_image(basis, (600, 450), noise=0.0)
     y, x = np.mgrid[:450, :600]
@@ -95,12 +89,12 @@ def test_lens_types_and_a_lamp_at_one_side_do_not_make_a_white_image_a_pattern(w
     light = image * np.array([1.0, 0.9, 0.8])[kind] * (0.05 + 0.95 / (1 + np.exp((x - 300) / 30)))
     light += 0.05 * light.max() * np.random.default_rng(4).standard_normal(light.shape)
     lattice = lfcal.Lattice(origin, basis, (600, 450), 8.0)
-    assert compare_neighbours(sqrt_luminance(np.maximum(light, 0)), lattice).apart < 0.03
+    assert compare_neighbours(sqrt_luminance(np.maximum(light, 0)), lattice).tone_spread < 0.03
     check_parallax(sqrt_luminance(np.maximum(light, 0)), lattice, white=True)
 
 
 @pytest.mark.parametrize(("pitch", "ratio", "contrast"), [(42.8, -0.6, 1.0), (28.8, -0.2, 0.5), (20.0, 0.35, 0.4)])
-def test_a_scene_that_is_nearly_even_within_its_microimages_is_no_white_image(pitch, ratio, contrast):
+def test_scene_that_is_nearly_even_within_its_microimages_is_no_white_image(pitch, ratio, contrast):
     camera = Camera.design((int(pitch * 31), int(pitch * 23)), pitch, "square", -13.0)
     shot = simulate(SCENES["plane"](camera, ratio=ratio, seed=21), camera, samples=24, noise=(10000, 4))
     faint = contrast * shot.flat + (1 - contrast) * 0.6 * shot.white[..., None].astype(float)
@@ -111,7 +105,7 @@ def test_a_scene_that_is_nearly_even_within_its_microimages_is_no_white_image(pi
 
 
 @pytest.mark.parametrize("moves", [True, False])
-def test_texture_as_fine_as_noise_shows_a_scene_where_neighbours_show_it_too(moves):
+def test_texture_as_fine_as_noise_is_a_scene_only_where_neighbours_match(moves):
     size, pitch, ratio = (620, 500), 24.3, -0.3
     rng = np.random.default_rng(5)
     lattice = lfcal.Lattice([300.2, 250.7], [[pitch, 0.4], [-0.4, pitch]], size, 10.0)
@@ -124,5 +118,5 @@ def test_texture_as_fine_as_noise_shows_a_scene_where_neighbours_show_it_too(mov
     shown = cv2.remap(scene, *place, cv2.INTER_LINEAR) if moves else rng.standard_normal(x.shape)
     picture = (1 + 0.1 * shown / shown.std()).astype(np.float32)
     found = compare_neighbours(picture, lattice)
-    assert found.inside < 2 * found.rough / 1.128
+    assert found.texture < 2 * found.typical_noise / 1.128
     assert shows_scene(picture, lattice) == moves

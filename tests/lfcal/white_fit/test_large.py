@@ -9,7 +9,7 @@ import pytest
 
 import lfcal
 from benchmarks import white_images
-from lfcal.detection import downscale as reduction
+from lfcal.detection import downscale
 from lfcal.lattice import lattice
 from lfcal.lattice.distortion import Distortion
 from lfcal.lattice.lattice import Lattice
@@ -22,9 +22,9 @@ _SIZE = (1300, 1000)
 
 
 @pytest.fixture
-def followed(monkeypatch):
+def followed(monkeypatch, set_downscale):
     """Small images count as large; the lattices that were followed over them."""
-    monkeypatch.setattr(reduction, "_PIECEWISE", 5e5)
+    set_downscale(pieces=5e5)
     monkeypatch.setattr(large, "_PIECE", 300)
     monkeypatch.setattr(large, "_FOLLOW", (14, 100))
     found = []
@@ -39,11 +39,9 @@ def followed(monkeypatch):
 
 
 @pytest.fixture
-def in_parts(followed, monkeypatch):
+def in_parts(followed, monkeypatch, set_downscale):
     """Small images count as too large to be held as a whole."""
-    monkeypatch.setattr(reduction, "_LARGE", 5e5)
-    monkeypatch.setattr(reduction, "_ENOUGH", 2e5)
-    monkeypatch.setattr(reduction, "_PART", 400)
+    set_downscale(pieces=5e5, large=5e5, enough=2e5, part=400)
     monkeypatch.setattr(large, "_SIDE", 160)
     monkeypatch.setattr(large, "_PIXELS", 6e5)
     return followed
@@ -74,7 +72,7 @@ def test_lattice_is_followed_through_a_distortion_of_more_than_half_a_pitch(bent
 
 def test_very_large_image_is_calibrated_on_parts_of_it(bent, in_parts):
     truth, image = bent
-    assert reduction.choose_block_size(image) == 1
+    assert downscale.choose_block_size(image) == 1
     colour = np.dstack([image] * 3)
     camera = lfcal.calibrate(colour)
     assert camera.source == "white"
