@@ -1,0 +1,1 @@
+"""The command line `lfrender`: each command reads its inputs, calls the functions of the package and prints figures."""

@@ -1,4 +1,4 @@
-"""The figures that commands print, and what is stored with a picture of how it was rendered."""
+"""The figures that commands print, and the entries about the rendering that are stored with a picture."""
 
 from __future__ import annotations
 
@@ -13,14 +13,10 @@ if TYPE_CHECKING:
     from ..data.optics import Optics
     from ..data.rendering import Rendering
 
-__all__ = ["camera_figures", "depth_figures", "distance_figures", "picture_figures", "settings_of"]
-
-# Even of a scene that is mostly blank more lenses than this share have no depth only where something is wrong.
-_NOTHING = 0.95
-_MODES = {"telescopic": 1, "binocular": -1, "unresolved": 0}
+__all__ = ["camera_figures", "capture_figures", "picture_figures", "rendering_settings"]
 
 
-def settings_of(
+def rendering_settings(
     depth: DepthMap | None, patch_size: float | None, sharpen: float | Literal["auto"] | None = None
 ) -> dict[str, Any]:
     """How a picture was rendered, as stored in its file."""
@@ -33,7 +29,7 @@ def settings_of(
 
 
 def camera_figures(calibration: Calibration, depth: DepthMap | None = None) -> dict[str, Any]:
-    """Pitch, lenses, how far the calibration is to be trusted, and what to beware of in it and in the depth."""
+    """Pitch, number of lenses, confidence of the calibration, and the warnings about it and about the depth."""
     return {
         "pitch": calibration.lattice.pitch,
         "lenses": len(calibration.lattice),
@@ -43,54 +39,53 @@ def camera_figures(calibration: Calibration, depth: DepthMap | None = None) -> d
     }
 
 
-def _warnings(depth: DepthMap | None) -> list[str]:
+def _warnings(depth: DepthMap | None, most_unresolved: float = 0.95) -> list[str]:
+    """A warning if more lenses are unresolved than in any scene, even one almost without texture."""
     if depth is None:
         return []
     import numpy as np
 
     from ..data.depth_map import REASONS
 
-    # Nothing is wrong with lenses that nobody asked for.
     modes = np.asarray(depth.mode)[np.asarray(depth.reason) != REASONS.index("not analysed")]
     missing = float(np.mean(modes == 0)) if modes.size else 0.0
-    if missing <= _NOTHING:
+    if missing <= most_unresolved:
         return []
     return [f"{missing:.0%} of the lenses have no depth; is this a capture of a scene, and made with this camera?"]
 
 
-def depth_figures(depth: DepthMap) -> dict[str, Any]:
-    """Shares of the modes, why lenses are unresolved, and what shortcuts have saved."""
+def capture_figures(
+    calibration: Calibration, depth: DepthMap | None = None, optics: Optics | None = None
+) -> dict[str, Any]:
+    """The figures of the camera; with a depth map, shares of the modes, of the reasons why lenses are unresolved and of
+    the work that shortcuts saved; with optics, median and range [m] of the distances of nine tenths of the lenses."""
+    figures = camera_figures(calibration, depth)
+    if depth is None:
+        return figures
     import numpy as np
+
+    from ..data.depth_map import REASONS
+    from ..output.depth_picture import MODES
 
     mode = np.asarray(depth.mode)
-    shares = {name: float(np.mean(mode == code)) for name, code in _MODES.items()} if mode.size else {}
     sizes = np.abs(np.asarray(depth.patch_size))[mode != 0]
-    from ..data.depth_map import REASONS
-
-    return {
-        "modes": shares,
+    reasons = np.unique(depth.reason[mode == 0])
+    figures |= {
+        "modes": {name: float(np.mean(mode == code)) for code, name in MODES.items()} if mode.size else {},
         "patch_size_median": float(np.median(sizes)) if sizes.size else float("nan"),
-        "unresolved": {
-            REASONS[code]: float(np.mean(depth.reason == code)) for code in np.unique(depth.reason[mode == 0])
-        },
+        "unresolved": {REASONS[code]: float(np.mean(depth.reason == code)) for code in reasons},
         "saved": depth.saved,
     }
-
-
-def distance_figures(depth: DepthMap, optics: Optics | None) -> dict[str, Any]:
-    """Nearest, middle and farthest distance [m] of nine tenths of the lenses, where the optics are known."""
-    if optics is None:
-        return {}
-    import numpy as np
-
-    known = depth.distance(optics)
-    known = known[~np.isnan(known)]
-    low, median, high = np.quantile(known, (0.05, 0.5, 0.95), method="nearest") if known.size else [float("nan")] * 3
-    return {"distance_median": float(median), "distance_range": [float(low), float(high)]}
+    if optics is not None:
+        known = depth.distance(optics)
+        known = known[~np.isnan(known)]
+        ends = np.quantile(known, (0.05, 0.5, 0.95), method="nearest") if known.size else [float("nan")] * 3
+        figures |= {"distance_median": float(ends[1]), "distance_range": [float(ends[0]), float(ends[2])]}
+    return figures
 
 
 def picture_figures(picture: Rendering) -> dict[str, Any]:
-    """Size, scale, and where the picture lies on the flat."""
+    """Size, scale, share of valid pixels, and affine to the flat."""
     import numpy as np
 
     return {

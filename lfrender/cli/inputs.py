@@ -1,43 +1,134 @@
-"""What commands start from: the camera of a flat, its colours, and its depth, from files or from the pixels."""
+"""The inputs of commands: a flat, its camera and its depth, read from files or computed from the pixels."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import click
 
+from lfcal import CameraFileError
 from lfcal.runtime import console
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES
 
-if TYPE_CHECKING:
-    from typing import Literal
+from ..runtime.background_imports import import_in_background
 
-    import numpy as np
+if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lfcal import Calibration
 
     from ..data.depth_map import DepthMap
-    from ..data.optics import Optics
 
-    Mosaic = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
-
-__all__ = ["analysed", "camera_of", "in_colour", "is_published", "read_camera", "read_depth", "read_optics"]
+__all__ = ["CaptureInput", "is_published", "read_camera"]
 
 
-def read_camera(path: Path, pixels: NDArray[np.generic]) -> Calibration:
-    """A camera file for flats of this size, in our form or as published."""
-    from lfcal import CameraFileError, load
+@dataclass(frozen=True)
+class CaptureInput:
+    """A flat, and the files that its camera and its depth come from.
 
-    size = (pixels.shape[1], pixels.shape[0])
-    if path.suffix.lower() in IMAGE_SUFFIXES and path.exists():
-        raise CameraFileError(
-            f"{path}: is an image, not a camera file; give a white image as --white, or make a camera file of it with "
-            "'lfcal calibrate'"
-        )
-    calibration = load(path, size)
-    return _checked(calibration, pixels) if is_published(path) else calibration
+    Parameters
+    ----------
+    report : Report
+        Gets the stages `read`, `calibrate` and `analyze`.
+    flat : Path
+    camera, white : Path, optional
+        Without both, the camera is calibrated from the flat.
+    depth_file : Path, optional
+        Without it, the depth is analysed.
+    mosaic : str, optional
+        Colour filters, for cameras that do not have them.
+    preset : str
+    """
+
+    report: console.Report
+    flat: Path
+    camera: Path | None = None
+    white: Path | None = None
+    depth_file: Path | None = None
+    mosaic: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
+    preset: str = "balanced"
+
+    #: Fields that are options of commands.
+    OPTIONS: ClassVar = ("flat", "camera", "white", "depth_file", "mosaic", "preset")
+
+    @property
+    def files(self) -> list[Path | None]:
+        """The files that must not be replaced by an output."""
+        return [self.flat, self.camera, self.white, self.depth_file]
+
+    def load(self) -> tuple[NDArray[Any], Calibration, DepthMap]:
+        """The flat in colour, its camera and its depth."""
+        pixels, calibration = self.calibrate(self.read())
+        return pixels, calibration, self.analyze(pixels, calibration)
+
+    def read(self, *modules: str) -> NDArray[Any]:
+        """The pixels of the flat; modules that are needed later are imported meanwhile."""
+        if modules:
+            import_in_background(*modules)
+        with self.report.stage("read"):
+            from lfcal import read_flat
+
+            return read_flat(self.flat)
+
+    def calibrate(self, pixels: NDArray[Any]) -> tuple[NDArray[Any], Calibration]:
+        """The flat in colour, and its camera."""
+        with self.report.stage("calibrate"):
+            calibration = self.find_camera(pixels)
+            if calibration.mosaic is not None and pixels.ndim == 2:
+                from .. import demosaic
+
+                pixels = demosaic(pixels, calibration)
+            return pixels, calibration
+
+    def find_camera(self, pixels: Any) -> Calibration:
+        """The camera of the file, or calibrated from the white image or from the pixels.
+
+        With a camera file of lfcal, `pixels` may be anything with the shape of the flat.
+        """
+        from lfcal import FlatError, calibrate, read_flat
+
+        mosaic = self.mosaic
+        if mosaic is not None and len(pixels.shape) == 3:
+            raise click.UsageError(f"{self.flat} is in colour already; leave out --mosaic")
+        if self.camera:
+            calibration = read_camera(self.camera, pixels)
+            return replace(calibration, mosaic=mosaic) if mosaic is not None else calibration
+        self.report.announce_compilation("lfcal")
+        if self.white is None:
+            with console.name_file_in_errors(self.flat):
+                calibration = calibrate(pixels, mosaic=mosaic)
+            if calibration.source != "white":
+                return calibration
+            warning = "this is a white image, there is no scene in it; give a capture, and this one as --white"
+            return replace(calibration, warnings=(*calibration.warnings, warning))
+        white = read_flat(self.white)
+        if white.shape[:2] != pixels.shape[:2]:
+            sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (white.shape, pixels.shape))
+            raise FlatError(f"{self.white}: white image and flat must be of one size, they have {sizes} px")
+        with console.name_file_in_errors(self.white):
+            return calibrate(white, kind="white", mosaic=mosaic if white.ndim == 2 else None)
+
+    def analyze(self, pixels: NDArray[Any], calibration: Calibration, **options: Any) -> DepthMap:
+        """The depth of the file, or of the flat in colour; `options` as for `lfrender.analyze`."""
+        with self.report.stage("analyze"):
+            if self.depth_file is not None:
+                return self.read_depth()
+            from .. import analyze
+
+            self.report.announce_compilation("lfrender")
+            return analyze(pixels, calibration, preset=self.preset, **options)
+
+    def read_depth(self) -> DepthMap:
+        """The depth of the file."""
+        from ..data.depth_map import DepthFileError, DepthMap
+
+        path = self.depth_file
+        assert path is not None
+        if path.suffix.lower() != ".npz" and path.exists():
+            raise DepthFileError(f"{path}: is no depth map (.npz); make one with 'lfrender analyze'")
+        return DepthMap.load(path)
 
 
 def is_published(path: Path) -> bool:
@@ -45,87 +136,18 @@ def is_published(path: Path) -> bool:
     return path.suffix.lower() != ".json"
 
 
-def _checked(calibration: Calibration, pixels: NDArray[np.generic]) -> Calibration:
-    """A published calibration, with a warning where the pixels contradict it."""
-    from dataclasses import replace
+def read_camera(path: Path, pixels: Any) -> Calibration:
+    """A camera file for flats of this size; a published one gets a warning if the pixels contradict it."""
+    from lfcal import check_fit, load
 
-    from lfcal import check_fit
-
-    misfit = check_fit(calibration, pixels).warning
+    if path.suffix.lower() in IMAGE_SUFFIXES and path.exists():
+        raise CameraFileError(
+            f"{path}: is an image, not a camera file; give a white image as --white, or make a camera file of it with "
+            "'lfcal calibrate'"
+        )
+    calibration = load(path, (pixels.shape[1], pixels.shape[0]))
+    misfit = check_fit(calibration, pixels).warning if is_published(path) else None
     if misfit is None:
         return calibration
     warning = f"as published, {misfit}; calibrate on this flat instead: leave out -c"
     return replace(calibration, warnings=(*calibration.warnings, warning))
-
-
-def camera_of(
-    report: Any, flat: Path, pixels: NDArray[np.generic], camera: Path | None, white: Path | None, mosaic: Mosaic | None
-) -> Calibration:
-    """The camera of a file, or calibrated from a white image or from the flat itself."""
-    if mosaic is not None and pixels.ndim == 3:
-        raise click.UsageError(f"{flat} is in colour already; leave out --mosaic")
-    if camera:
-        from dataclasses import replace
-
-        calibration = read_camera(camera, pixels)
-        return replace(calibration, mosaic=mosaic) if mosaic is not None else calibration
-    from lfcal import FlatError, calibrate, read_flat
-
-    if white is None:
-        report.announce_compilation("lfcal")
-        with console.name_file_in_errors(flat):
-            return _of_scene(calibrate(pixels, mosaic=mosaic))
-    white_pixels = read_flat(white)
-    if white_pixels.shape[:2] != pixels.shape[:2]:
-        sizes = " and ".join(f"{image.shape[1]} x {image.shape[0]}" for image in (white_pixels, pixels))
-        raise FlatError(f"{white}: white image and flat must be of one size, they have {sizes} px")
-    report.announce_compilation("lfcal")
-    with console.name_file_in_errors(white):
-        return calibrate(white_pixels, kind="white", mosaic=mosaic if white_pixels.ndim == 2 else None)
-
-
-def _of_scene(calibration: Calibration) -> Calibration:
-    """A calibration from the flat that is to be drawn, with a warning where there is nothing in it to draw."""
-    if calibration.source != "white":
-        return calibration
-    from dataclasses import replace
-
-    warning = "this is a white image, there is no scene in it; give a capture, and this one as --white"
-    return replace(calibration, warnings=(*calibration.warnings, warning))
-
-
-def in_colour(pixels: NDArray[Any], calibration: Calibration) -> NDArray[Any]:
-    """The flat without its colour mosaic, once for depth and picture."""
-    if calibration.mosaic is None or pixels.ndim == 3:
-        return pixels
-    from .. import demosaic
-
-    return demosaic(pixels, calibration)
-
-
-def read_depth(path: Path) -> DepthMap:
-    """A depth map made by `lfrender analyze`."""
-    from ..data.depth_map import DepthFileError, DepthMap
-
-    if path.suffix.lower() != ".npz" and path.exists():
-        raise DepthFileError(f"{path}: is no depth map (.npz); make one with 'lfrender analyze'")
-    return DepthMap.load(path)
-
-
-def read_optics(path: Path | None) -> Optics | None:
-    """The optics of a file, where one was given."""
-    if path is None:
-        return None
-    from ..data.optics import Optics
-
-    return Optics.load(path)
-
-
-def analysed(
-    report: Any, pixels: NDArray[np.generic], calibration: Calibration, preset: str, **options: Any
-) -> DepthMap:
-    """The depth of a flat in colour; `options` as for `lfrender.analyze`."""
-    from .. import analyze as run
-
-    report.announce_compilation("lfrender")
-    return run(pixels, calibration, preset=preset, **options)

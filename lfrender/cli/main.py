@@ -15,15 +15,15 @@ from .views import refocus, views
 __all__ = ["main"]
 
 
-# What is looked for here and is found in another program.
-_ELSEWHERE = dict.fromkeys(("calibrate", "compare", "convert", "flatten", "info", "show"), "lfcal")
+# Commands that are often typed here by mistake, and the program that has them.
+_OTHER_PROGRAMS = dict.fromkeys(("calibrate", "compare", "convert", "flatten", "info", "show"), "lfcal")
 
 
 @click.group(
     cls=console.CommandGroup,
     name="lfrender",
     context_settings={"help_option_names": ["-h", "--help"]},
-    other_programs=_ELSEWHERE,
+    other_programs=_OTHER_PROGRAMS,
     file_command="render {} -o picture.tif",
 )
 @click.version_option(package_name="lfrender", prog_name="lfrender")

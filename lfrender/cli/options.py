@@ -1,45 +1,135 @@
-"""Options that several commands share."""
+"""Options that several commands share, and how errors in their values are reported."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
 import click
 
+from lfcal import LightFieldError
 from lfcal.runtime import console
 
+from .inputs import CaptureInput
+
 __all__ = [
-    "CAMERA", "INPUT", "OUTPUT", "WITHOUT_CAMERA", "at_most_one", "cluster_options", "flat_argument", "preset_option",
+    "CAMERA", "INPUT", "OUTPUT", "at_most_one", "capture_command", "cluster_options", "connect_cluster",
+    "option_errors", "output_option", "preset_option", "scale_option", "white_option",
 ]  # fmt: skip
 
 INPUT, OUTPUT = console.InputPath(), click.Path(path_type=Path)
 CAMERA = "Camera file of lfcal, or a published calibration (.xml, .cfg)."
-WITHOUT_CAMERA = " Without it, the camera is calibrated from FLAT."
 
-flat_argument = console.single_input("FLAT", "'lfrender batch' renders several")
+preset_option = click.option(
+    "--preset",
+    type=click.Choice(["fast", "balanced", "accurate"]),
+    default="balanced",
+    show_default=True,
+    help="How much time the depth analysis may take.",
+)
+scale_option = click.option(
+    "--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch."
+)
+white_option = click.option("--white", type=INPUT, help="Calibrate from this white image of the same camera.")
+_camera_option = click.option("-c", "--camera", type=INPUT, help=f"{CAMERA} Without it, FLAT itself is calibrated.")
+_depth_option = click.option("--depth", "depth_file", type=INPUT, help="Depth map made by 'lfrender analyze'.")
+_mosaic_option = click.option(
+    "--mosaic",
+    type=click.Choice(["RGGB", "BGGR", "GRBG", "GBRG"]),
+    help="Colour filters of the top left 2 x 2 pixels of a raw mosaic, if the camera file does not have them.",
+)
 
 
-def preset_option(command: Any) -> Any:
-    """Give a command the option `--preset`."""
-    return click.option(
-        "--preset",
-        type=click.Choice(["fast", "balanced", "accurate"]),
-        default="balanced",
-        show_default=True,
-        help="How much time the depth analysis may take.",
-    )(command)
+def output_option(metavar: str, text: str) -> Callable[[Any], Any]:
+    """The option `--output`."""
+    return click.option("-o", "--output", type=OUTPUT, required=True, metavar=metavar, help=text)
+
+
+def capture_command(
+    *examples: str,
+    output: tuple[str, str] | None = None,
+    white: bool = False,
+    depth: bool = True,
+    mosaic: bool = False,
+    preset: bool = True,
+) -> Callable[[Any], click.Command]:
+    """Make a command that works on one capture, with the options that such commands share.
+
+    The function is called with `capture`, a `CaptureInput`, in place of these options, and with its own ones.
+
+    Parameters
+    ----------
+    examples : str
+        Calls to show in the help.
+    output : (str, str), optional
+        Placeholder and help of the option `--output`.
+    white, depth, mosaic, preset : bool
+        Whether there are such options.
+    """
+
+    def decorate(function: Any) -> click.Command:
+        @wraps(function)
+        def run(as_json: bool, quiet: bool, **values: Any) -> Any:
+            at_most_one("--camera", values["camera"], "--white", values.get("white"))
+            given = {name: values.pop(name) for name in CaptureInput.OPTIONS if name in values}
+            return function(capture=CaptureInput(console.Report(as_json, quiet), **given), **values)
+
+        own = run.__dict__.pop("__click_params__", [])
+        # Click shows the option of the outermost decorator first.
+        decorated: Any = console.report_options(run)
+        decorated = preset_option(decorated) if preset else decorated
+        decorated.__click_params__.extend(own)
+        shared = [
+            (mosaic, _mosaic_option), (depth, _depth_option), (white, white_option), (True, _camera_option),
+            (output is not None, output_option(*(output or ("", "")))),
+            (True, console.single_input("FLAT", "'lfrender batch' renders several")),
+        ]  # fmt: skip
+        for wanted, option in shared:
+            decorated = option(decorated) if wanted else decorated
+        return click.command(epilog=console.help_examples(*examples))(decorated)
+
+    return decorate
 
 
 def cluster_options(command: Any) -> Any:
     """Give a command the options `--workers` and `--scheduler`."""
-    scheduler = click.option("--scheduler", metavar="tcp://HOST:PORT", help="Work on tiles on this Dask scheduler.")
-    workers = click.option("--workers", type=click.IntRange(1), help="Work on tiles in so many processes (needs Dask).")
+    scheduler = click.option("--scheduler", metavar="tcp://HOST:PORT", help="Work on this Dask scheduler.")
+    workers = click.option(
+        "--workers", type=click.IntRange(1), help="Work in so many processes of this machine (needs Dask)."
+    )
     return workers(scheduler(command))
 
 
+@contextmanager
+def connect_cluster(workers: int | None, scheduler: str | None) -> Iterator[dict[str, Any]]:
+    """The arguments `client` and `threads` of functions that work on a cluster, none without one."""
+    if workers is None and scheduler is None:
+        yield {}
+        return
+    from ..sequence.cluster import connect
+
+    with connect(workers, scheduler) as client:
+        yield {"client": client, "threads": 1 if workers else None}
+
+
 def at_most_one(*pairs: Any) -> None:
-    """Refuse options that exclude each other: names and values in turn, None for those not given."""
+    """Raise an error if options exclude each other: names and values in turn, None for those not given."""
     given = [name for name, value in zip(pairs[::2], pairs[1::2], strict=True) if value is not None]
     if len(given) > 1:
         raise click.UsageError(f"{given[0]} and {given[1]} exclude each other")
+
+
+@contextmanager
+def option_errors(*values: Any) -> Iterator[None]:
+    """Report a ValueError as an error of usage, if any of these values of options was given."""
+    try:
+        yield
+    except LightFieldError:
+        raise
+    except ValueError as error:
+        if all(value is None for value in values):
+            raise
+        raise click.UsageError(str(error)) from error

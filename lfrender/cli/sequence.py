@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -13,11 +12,22 @@ import click
 from lfcal.runtime import console
 
 from .inputs import read_camera
-from .options import CAMERA, INPUT, OUTPUT, at_most_one, preset_option
+from .options import (
+    CAMERA,
+    INPUT,
+    at_most_one,
+    cluster_options,
+    connect_cluster,
+    output_option,
+    preset_option,
+    scale_option,
+    white_option,
+)
 
 if TYPE_CHECKING:
     from lfcal import Calibration
 
+    from ..sequence.frames import Frames
     from ..sequence.job import FrameResult
 
 __all__ = ["batch"]
@@ -32,26 +42,18 @@ __all__ = ["batch"]
     )
 )
 @console.several_inputs("inputs", "INPUT...")
-@click.option(
-    "-o",
-    "--output",
-    type=OUTPUT,
-    required=True,
-    metavar="FOLDER|FILM",
-    help="Folder for the pictures, or a film: .mp4, or .mkv without any loss.",
-)
-@click.option("-c", "--camera", type=INPUT, help=CAMERA + " Without it, the first frame is calibrated.")
-@click.option("--white", type=INPUT, help="Calibrate from this white image of the same camera.")
-@click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
-@click.option("--format", "suffix", help="Kind of the pictures: tif, png, jpg, webp.  [default: tif]")
+@output_option("FOLDER|FILM", "Folder for the pictures, or a film: .mp4, or .mkv without any loss.")
+@click.option("-c", "--camera", type=INPUT, help=f"{CAMERA} Without it, the first frame is calibrated.")
+@white_option
+@scale_option
+@click.option("--format", "suffix", help="Format of the pictures: tif, png, jpg, webp.  [default: tif]")
 @click.option(
     "--fps",
     type=click.FloatRange(0, 1000, min_open=True),
     help="Pictures a second of a film.  [default: as the input, or 25]",
 )
-@click.option("--overwrite", is_flag=True, help="Render all frames anew; else pictures already there are kept.")
-@click.option("--workers", type=click.IntRange(1), help="Render on so many processes of this machine (needs Dask).")
-@click.option("--scheduler", metavar="tcp://HOST:PORT", help="Render on the workers of this Dask scheduler.")
+@click.option("--overwrite", is_flag=True, help="Render all frames again; else pictures already there are kept.")
+@cluster_options
 @preset_option
 @console.report_options
 def batch(
@@ -80,7 +82,7 @@ def batch(
     report = console.Report(as_json, quiet)
     at_most_one("--camera", camera, "--white", white)
     at_most_one("--workers", workers, "--scheduler", scheduler)
-    options = {"preset": preset, "scale": scale, "overwrite": overwrite}
+    options: dict[str, Any] = {"preset": preset, "scale": scale, "overwrite": overwrite}
     if film := is_video(output):
         if suffix is not None:
             raise click.UsageError(f"{output} is a film: leave out --format")
@@ -96,21 +98,25 @@ def batch(
     calibration = None
     if camera or white:
         with report.stage("calibrate"):
-            calibration = _batch_camera(frames, camera, white)
+            calibration = _find_camera(frames, camera, white)
     report.announce_compilation("lfcal", "lfrender")
-    outcomes, start = [], perf_counter()
-    with report.stage("frames"), report.progress("frames", frames.count) as advance, ExitStack() as opened:
-        for result in _rendered(opened, frames, output, film, calibration, workers, scheduler, options):
-            outcomes.append(result)
+    results, start = [], perf_counter()
+    with (
+        report.stage("frames"),
+        report.progress("frames", frames.count) as advance,
+        connect_cluster(workers, scheduler) as cluster,
+    ):
+        for result in _render(frames, output, film, calibration, cluster, options):
+            results.append(result)
             advance(result.message)
-    rendered = [r for r in outcomes if r.outcome == "rendered"]
-    failed = [r for r in outcomes if r.outcome == "failed"]
+    rendered = [r for r in results if r.outcome == "rendered"]
+    failed = [r for r in results if r.outcome == "failed"]
     figures = {
         "film" if film else "pictures": str(output),
         "rendered": len(rendered),
-        "kept": sum(r.outcome == "kept" for r in outcomes),
+        "kept": sum(r.outcome == "kept" for r in results),
         "failed": len(failed),
-        # Some are worked on at once.
+        # Of wall time: several frames may be worked on at once.
         "seconds_per_frame": (perf_counter() - start) / max(len(rendered), 1),
         "still": sum(r.still for r in rendered) / max(len(rendered), 1),
     }
@@ -118,34 +124,26 @@ def batch(
     return 1 if failed else 0
 
 
-def _rendered(
-    opened: ExitStack,
-    frames: Any,
+def _render(
+    frames: Frames,
     output: Path,
     film: bool,
     calibration: Calibration | None,
-    workers: int | None,
-    scheduler: str | None,
+    cluster: dict[str, Any],
     options: dict[str, Any],
 ) -> Iterator[FrameResult]:
-    """Results of rendering pictures or a film, here or on a cluster, which is closed along with `opened`."""
+    """Results of rendering pictures or a film, here or on a cluster."""
     from .. import render_film, render_frames, render_frames_on
 
-    client = None
-    if workers is not None or scheduler is not None:
-        from ..sequence.cluster import connect
-
-        client = opened.enter_context(connect(workers, scheduler))
-    threads = 1 if workers else None
     if film:
-        return render_film(frames, output, calibration, client=client, threads=threads, **options)
-    if client is None:
+        return render_film(frames, output, calibration, **cluster, **options)
+    if not cluster:
         return render_frames(frames, output, calibration, **options)
-    return render_frames_on(client, frames, output, calibration, threads=threads, **options)
+    return render_frames_on(frames=frames, folder=output, calibration=calibration, **cluster, **options)
 
 
-def _batch_camera(frames: Any, camera: Path | None, white: Path | None) -> Calibration:
-    """The camera of a file or white image, checked against the first frame that can be read where it was published."""
+def _find_camera(frames: Frames, camera: Path | None, white: Path | None) -> Calibration:
+    """The camera of a white image, or of a file, which is checked against the first frame that can be read."""
     from lfcal import FlatError, calibrate, read_flat
 
     if white is not None:

@@ -8,14 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lfcal import LightFieldError
-from lfcal.runtime import console
-
 from ..output.metadata import read_metadata
 from ..output.picture import check_picture, write_picture
-from .figures import camera_figures, depth_figures, picture_figures
-from .inputs import analysed, camera_of, in_colour, read_depth
-from .options import CAMERA, INPUT, OUTPUT, WITHOUT_CAMERA, at_most_one, flat_argument, preset_option
+from .figures import camera_figures, capture_figures, picture_figures
+from .inputs import CaptureInput
+from .options import at_most_one, capture_command, option_errors, scale_option
 
 if TYPE_CHECKING:
     from ..data.rendering import Rendering
@@ -23,15 +20,12 @@ if TYPE_CHECKING:
 __all__ = ["refocus", "views"]
 
 
-@click.command(
-    epilog=console.help_examples(
-        "lfrender refocus flat.png --at 700 420 -o picture.tif",
-        "lfrender refocus flat.png -c camera.json -o stack.tif --stack 12",
-    )
+@capture_command(
+    "lfrender refocus flat.png --at 700 420 -o picture.tif",
+    "lfrender refocus flat.png -c camera.json -o stack.tif --stack 12",
+    output=("PICTURE", "Picture to write: .tif, .png, ..."),
+    preset=False,
 )
-@flat_argument
-@click.option("-o", "--output", type=OUTPUT, required=True, metavar="PICTURE", help="Picture to write: .tif, .png, ...")
-@click.option("-c", "--camera", type=INPUT, help=CAMERA + WITHOUT_CAMERA)
 @click.option(
     "--patch-size",
     "patch_sizes",
@@ -41,87 +35,61 @@ __all__ = ["refocus", "views"]
 )
 @click.option("--at", type=float, nargs=2, metavar="X Y", help="Focus on this place [px of the flat] instead.")
 @click.option("--stack", type=click.IntRange(1), metavar="N", help="N pictures from the farthest depth to the nearest.")
-@click.option("--depth", "depth_file", type=INPUT, help="Depth map by 'lfrender analyze', for --at and --stack.")
 @click.option("--aperture", type=float, default=1.0, show_default=True, help="Part of the aperture used, 0.05 to 1.")
-@click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
-@console.report_options
+@scale_option
 def refocus(
-    flat: Path,
+    capture: CaptureInput,
     output: Path,
-    camera: Path | None,
     patch_sizes: tuple[float, ...],
     at: tuple[float, float] | None,
     stack: int | None,
-    depth_file: Path | None,
     aperture: float,
     scale: float | None,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Render FLAT in focus at one depth, out of focus before and behind it.
 
     Several depths make a focal stack on one grid: pages of one TIFF, or PICTURE_01.png and so on.
     """
-    report = console.Report(as_json, quiet)
     at_most_one("--patch-size", patch_sizes or None, "--at", at, "--stack", stack)
     if not (patch_sizes or at or stack):
         raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
-    check_picture(output, inputs=[flat, camera, depth_file])
-    with report.stage("read"):
-        from lfcal import read_flat
-
-        pixels = read_flat(flat)
-        check_picture(output, pixels.dtype)
-    with report.stage("calibrate"):
-        calibration = camera_of(report, flat, pixels, camera, None, None)
-        pixels = in_colour(pixels, calibration)
-    depth = None
-    if at or stack:
-        with report.stage("analyze"):
-            depth = read_depth(depth_file) if depth_file else analysed(report, pixels, calibration, "balanced")
-    with report.stage("render"):
+    check_picture(output, inputs=capture.files)
+    pixels = capture.read()
+    check_picture(output, pixels.dtype)
+    pixels, calibration = capture.calibrate(pixels)
+    depth = capture.analyze(pixels, calibration) if at or stack else None
+    with capture.report.stage("render"), option_errors(0):
         from .. import focal_stack, stack_depths
         from .. import refocus as run
 
-        report.announce_compilation("lfrender")
-        try:
-            sizes = stack_depths(depth, stack) if depth is not None and stack else list(patch_sizes)
-            if len(sizes) > 1:
-                pictures = focal_stack(pixels, calibration, sizes, aperture=aperture, scale=scale)
-            else:
-                one = sizes[0] if sizes else None
-                pictures = [run(pixels, calibration, one, position=at, depth=depth, aperture=aperture, scale=scale)]
-        except LightFieldError:
-            raise
-        except ValueError as error:
-            raise click.UsageError(str(error)) from error
-    with report.stage("write"):
+        capture.report.announce_compilation("lfrender")
+        sizes = stack_depths(depth, stack) if depth is not None and stack else list(patch_sizes)
+        if len(sizes) > 1:
+            pictures = focal_stack(pixels, calibration, sizes, aperture=aperture, scale=scale)
+        else:
+            one = sizes[0] if sizes else None
+            pictures = [run(pixels, calibration, one, position=at, depth=depth, aperture=aperture, scale=scale)]
+    with capture.report.stage("write"):
         settings = [{"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))]
+        embedded = read_metadata(capture.flat)
         if len(pictures) > 1:
             from .. import write_stack
 
-            paths = write_stack(output, pictures, settings=settings, embedded=read_metadata(flat))
+            paths = write_stack(output, pictures, settings=settings, embedded=embedded)
         else:
-            write_picture(output, pictures[0], settings=settings[0], embedded=read_metadata(flat))
+            write_picture(output, pictures[0], settings=settings[0], embedded=embedded)
             paths = [output]
     written = {"picture": str(output)} if len(paths) == 1 else {"pictures": [str(path) for path in paths]}
     figures = {**picture_figures(pictures[0]), **camera_figures(calibration, depth)}
-    report.finish({**written, "patch_sizes": sizes, **figures})
+    capture.report.finish({**written, "patch_sizes": sizes, **figures})
 
 
-@click.command(
-    epilog=console.help_examples(
-        "lfrender views flat.png -o views --grid 5x5",
-        "lfrender views flat.png -o pair.png --stereo",
-        "lfrender views flat.png -o round.gif --animation 24",
-    )
+@capture_command(
+    "lfrender views flat.png -o views --grid 5x5",
+    "lfrender views flat.png -o pair.png --stereo",
+    "lfrender views flat.png -o round.gif --animation 24",
+    output=("FOLDER|FILE", "Folder of a grid, or one file."),
 )
-@flat_argument
-@click.option(
-    "-o", "--output", type=OUTPUT, required=True, metavar="FOLDER|FILE", help="Folder of a grid, or one file."
-)
-@click.option("-c", "--camera", type=INPUT, help=CAMERA + WITHOUT_CAMERA)
-@click.option("--depth", "depth_file", type=INPUT, help="Depth map made by 'lfrender analyze'.")
 @click.option(
     "--grid", metavar="ROWSxCOLUMNS", help="Pictures on a grid of viewpoints, row1_column1 ... [default: 5x5]"
 )
@@ -134,72 +102,57 @@ def refocus(
     show_default=True,
     help="How far from the middle, as a part of the radius of the microimages: more parallax, less light.",
 )
-@click.option("--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch.")
-@click.option("--format", "suffix", default="tif", show_default=True, help="Kind of the grid's pictures: tif, png, ...")
-@preset_option
-@console.report_options
+@scale_option
+@click.option(
+    "--format", "suffix", default="tif", show_default=True, help="Format of the grid's pictures: tif, png, ..."
+)
 def views(
-    flat: Path,
+    capture: CaptureInput,
     output: Path,
-    camera: Path | None,
-    depth_file: Path | None,
     grid: str | None,
     stereo: bool,
     animation: int | None,
     aperture: float,
     scale: float | None,
     suffix: str,
-    preset: str,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Render FLAT sharp at every depth as seen from other places in the main lens: parallax."""
-    report = console.Report(as_json, quiet)
     at_most_one("--grid", grid, "--stereo", stereo or None, "--animation", animation)
     from .. import circle_offsets, grid_offsets, stereo_pair, write_animation, write_grid
     from .. import views as run
 
+    report = capture.report
     rows, columns = _grid_size(grid or "5x5")
     suffix = f".{suffix.lstrip('.').lower()}"
-    inputs = [flat, camera, depth_file]
-    _check_views(output, animation, stereo, suffix, inputs=inputs)
-    with report.stage("read"):
-        from lfcal import read_flat
-
-        pixels = read_flat(flat)
-        _check_views(output, animation, stereo, suffix, pixels.dtype)
-    with report.stage("calibrate"):
-        calibration = camera_of(report, flat, pixels, camera, None, None)
-        pixels = in_colour(pixels, calibration)
-    with report.stage("analyze"):
-        depth = read_depth(depth_file) if depth_file else analysed(report, pixels, calibration, preset)
+    _check_views(output, animation, stereo, suffix, inputs=capture.files)
+    pixels = capture.read()
+    _check_views(output, animation, stereo, suffix, pixels.dtype)
+    pixels, calibration = capture.calibrate(pixels)
+    depth = capture.analyze(pixels, calibration)
     radius = aperture * calibration.lattice.radius
     with report.stage("render and write"):
         offsets = circle_offsets(animation, radius) if animation else grid_offsets(rows, columns, radius)
         if stereo:
             offsets = [(-radius, 0.0), (radius, 0.0)]
-        try:
+        with option_errors(0):
             pictures = run(pixels, calibration, depth, offsets=offsets, scale=scale)
-        except LightFieldError:
-            raise
-        except ValueError as error:
-            raise click.UsageError(str(error)) from error
-        settings = {"rendering": "views", "aperture": aperture, "preset": depth.preset}
+        options: dict[str, Any] = {
+            "settings": {"rendering": "views", "aperture": aperture, "preset": depth.preset},
+            "embedded": read_metadata(capture.flat),
+        }
         with report.progress("views", len(offsets)) as advance:
-            shown = _told(pictures, advance)
+            counted = _advance_with(pictures, advance)
             if animation:
-                write_animation(output, shown)
+                write_animation(output, counted)
             elif stereo:
-                write_picture(output, stereo_pair(*shown), settings=settings, embedded=read_metadata(flat))
+                write_picture(output, stereo_pair(*counted), **options)
             else:
-                write_grid(output, shown, columns, suffix, settings=settings, embedded=read_metadata(flat))
-    report.finish(
-        {"views": str(output), "offsets": offsets, **camera_figures(calibration, depth), **depth_figures(depth)}
-    )
+                write_grid(output, counted, columns, suffix, **options)
+    report.finish({"views": str(output), "offsets": offsets, **capture_figures(calibration, depth)})
 
 
-def _told(pictures: Iterable[Rendering], advance: Callable[[str], None]) -> Iterator[Rendering]:
-    """The pictures as they are drawn, each of them told."""
+def _advance_with(pictures: Iterable[Rendering], advance: Callable[[str], None]) -> Iterator[Rendering]:
+    """The pictures as they are drawn, with a step of the progress for each."""
     for picture in pictures:
         advance("")
         yield picture
