@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..camera.calibration import Calibration
+from ..gain.gain_map import RegionGain
 from ..runtime.errors import FlatError
 from .settings import FIT_CHECK
 
@@ -108,7 +109,7 @@ def check_fit(calibration: Calibration, image: ArrayLike) -> FitCheck:
     gain = calibration.gain_map
     if gain is not None and len(gain.cut):
         # Mechanical vignetting moves rims: offsets that the gain map shows as well are no misfit.
-        bands = {y: np.nan_to_num(gain.rows(lattice, y, down)) for _, y in corners}
+        bands = {y: np.nan_to_num(RegionGain(gain, lattice).at(0, y, width, down)) for _, y in corners}
         own = [Region.cut(bands[y][:, x : x + across], lattice, x, y) for x, y in corners]
         offset = offset - np.nan_to_num(measure_offsets(own, positions)[0])
         trend = Trend.fit(positions, offset, scatter, trend)

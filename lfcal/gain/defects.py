@@ -1,4 +1,4 @@
-"""Defects: pixels of a white image that are not as bright as the camera makes them, and lenses without light."""
+"""Defects of a flat: pixels that differ from the gain map, and lenses without light."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ __all__ = ["Defects"]
 
 @dataclass(frozen=True)
 class Defects(Frozen):
-    """What of a flat is not to be trusted.
+    """Unreliable pixels and lenses of a flat.
 
     Parameters
     ----------
     pixels : (k, 2) int32
         `x, y` of pixels that are hot, dead or under dust or scratches.
     lenses : (m, 2) int32
-        Lattice indices `i, j` of lenses that are missing or in the dark.
+        Lattice indices `i, j` of lenses that are missing or unlit.
     """
 
     pixels: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 2), np.int32))
@@ -38,12 +38,11 @@ class Defects(Frozen):
             object.__setattr__(self, name, values)
 
     def to_dict(self) -> dict[str, Any]:
-        """Two packed blocks."""
+        """Two encoded arrays."""
         return {"pixels": encode_array(self.pixels.astype("<i4")), "lenses": encode_array(self.lenses.astype("<i4"))}
 
     @classmethod
     def from_dict(cls, data: Any) -> Defects:
-        """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
-        return cls(
-            decode_array(data["pixels"], "<i4").reshape(-1, 2), decode_array(data["lenses"], "<i4").reshape(-1, 2)
-        )
+        """Inverse of `to_dict`; KeyError, TypeError or ValueError if `data` is malformed."""
+        pixels, lenses = (decode_array(data[name], "<i4").reshape(-1, 2) for name in ("pixels", "lenses"))
+        return cls(pixels, lenses)

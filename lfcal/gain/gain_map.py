@@ -1,15 +1,14 @@
 """Gain map: relative illumination at every place of every microimage, compact enough for a camera file.
 
 The light of a lens is its level times the shape of its microimage. The shape is one profile over the distance to the
-centre, stretched in each direction to the rim there, cut by a second disc where the main lens' barrel does so, and
-tilted by a low-order polynomial. What changes over the field is a low-order polynomial of the place in it.
+centre, stretched in each direction to the rim there, cut by a second disc where the barrel of the main lens does so
+(cat-eye), and shaded by a low-order polynomial. What changes over the field is a low-order polynomial of the place.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,23 +16,36 @@ from numpy.typing import NDArray
 from ..lattice.lattice import Lattice
 from ..runtime.frozen import Frozen
 from ..runtime.text_arrays import decode_array, encode_array
+from .settings import DEFAULT, GainSettings
 
-__all__ = ["GainMap", "RegionGain", "count_terms", "field_frame"]
+__all__ = ["GainMap", "MicroimageShape", "RegionGain", "count_terms", "field_frame"]
 
 
-def _readonly(values: Any, kind: type, dimensions: int, name: str) -> NDArray[Any]:
-    array: NDArray[Any] = np.array(values, dtype=kind)
-    if array.ndim != dimensions or not np.isfinite(array).all():
-        raise ValueError(f"{name} must be a finite array of {dimensions} dimension(s)")
-    array.flags.writeable = False
-    return array
+class MicroimageShape(NamedTuple):
+    """Shape of all microimages of a flat, as kernels take it; fields as in `GainMap` unless described here.
+
+    Parameters
+    ----------
+    frame : (3,) float64 [px]
+        `field_frame` of the flat.
+    cut : (6,) float64
+        The five of `GainMap.cut`, 0 if there is no cutting disc, and `GainMap.stray_light`.
+    """
+
+    frame: NDArray[np.float64]
+    radius: float
+    profile: NDArray[np.float64]
+    step: float
+    shading: NDArray[np.float64]
+    rim: NDArray[np.float64]
+    cut: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class GainMap(Frozen):
     """Relative illumination of a camera, 1 at the brightest place of the brightest part of the field.
 
-    Polynomials of the field have the terms `1, X, Y, X^2, X*Y, Y^2, ...` of the place `(X, Y)` of a lens, counted from
+    Polynomials of the field have the terms `1, X, Y, X^2, X*Y, Y^2, ...` of the place `(X, Y)` of a lens, measured from
     the middle of the flat in half diagonals.
 
     Parameters
@@ -42,22 +54,22 @@ class GainMap(Frozen):
         Light over the distance to the centre, at `0, step, 2*step, ...`, of a lens with a round uncut rim.
     step : float [px]
     radius : float [px]
-        Unit of length of `shading`, and where `rim` counts in full.
+        Unit of length of `shading`, and where `rim` applies in full.
     level : (t,) float64
         Polynomial of the natural logarithm of the light of a lens (natural vignetting); `t` = 1, 3, 6, 10 ...
     lens_gain : (n,) float32
-        Light of each lens over that of the polynomial, in the order of `lattice.centres()`; 0 where a lens has none.
-        Empty where all are 1.
+        Light of each lens over that of the polynomial, in the order of `lattice.centres()`; 0 for an unlit lens.
+        Empty if all are 1.
     shading : (5, t) float64
         Polynomials of the factors of `u, v, u^2, u*v, v^2` with `(u, v) = delta / radius`; 1 is added to their sum.
     rim : (1 + 2*m, t) float64 [px]
-        Polynomials of how far the rim lies outside of that of `profile`: mean, then cosine and sine of each harmonic
-        of the direction.
+        Polynomials of how far the rim lies outside that of `profile`: mean, then cosine and sine of each harmonic of
+        the direction.
     cut : (5,) float64 [px]
         Cutting disc: displacement (2) in the middle, displacement added up to the corner, radius, standard deviation
-        of its edge. Empty where there is none.
-    dark : float
-        Light where the cutting disc lets none through.
+        of its edge. Empty if there is none.
+    stray_light : float
+        Light outside the cutting disc.
     """
 
     profile: NDArray[np.float64]
@@ -68,7 +80,7 @@ class GainMap(Frozen):
     shading: NDArray[np.float64]
     rim: NDArray[np.float64]
     cut: NDArray[np.float64]
-    dark: float = 0.0
+    stray_light: float = 0.0
 
     def __post_init__(self) -> None:
         for name, kind, dimensions in (
@@ -76,66 +88,53 @@ class GainMap(Frozen):
             ("shading", np.float64, 2), ("rim", np.float64, 2), ("cut", np.float64, 1),
         ):  # fmt: skip
             object.__setattr__(self, name, _readonly(getattr(self, name), kind, dimensions, name))
-        for name in ("step", "radius", "dark"):
-            object.__setattr__(self, name, float(getattr(self, name)))
-        if not (np.isfinite([self.step, self.radius, self.dark]).all() and self.step > 0 and self.radius > 0):
-            raise ValueError("step and radius of a gain map must be positive numbers of px, dark a finite number")
-        degrees = {count_terms(d) for d in range(9)}
+        numbers = {name: float(getattr(self, name)) for name in ("step", "radius", "stray_light")}
+        for name, value in numbers.items():
+            object.__setattr__(self, name, value)
+        if not (np.isfinite(list(numbers.values())).all() and self.step > 0 and self.radius > 0):
+            raise ValueError("step and radius of a gain map must be positive numbers of px, stray_light finite")
+        sizes = {count_terms(degree) for degree in range(9)}
         tables = (len(self.level), self.shading.shape[1], self.rim.shape[1])
-        if len(self.profile) < 2 or self.shading.shape[0] != 5 or not set(tables) <= degrees:
-            raise ValueError("profile, level, shade or rim of a gain map is of a wrong shape")
+        if len(self.profile) < 2 or self.shading.shape[0] != 5 or not set(tables) <= sizes:
+            raise ValueError("profile, level, shading or rim of a gain map is of a wrong shape")
         if self.rim.shape[0] % 2 != 1 or len(self.cut) not in (0, 5) or (len(self.cut) and not self.cut[4] > 0):
             raise ValueError("rim or cut of a gain map is of a wrong shape")
 
     @classmethod
     def round(cls, profile: Any, step: float, radius: float, cut: Any = ()) -> GainMap:
-        """A map in which all lenses are alike, with one radial profile."""
+        """A map in which all lenses are equal, with one radial profile."""
         none = np.zeros(0, np.float32)
         return cls(profile, step, radius, np.zeros(1), none, np.zeros((5, 1)), np.zeros((1, 1)), np.array(cut))
 
-    def rows(self, lattice: Lattice, top: int, count: int) -> NDArray[np.float32]:
-        """(count, w) rows of `gain` from the row `top` on."""
-        out = np.empty((count, lattice.image_size[0]), np.float32)
-        self.filler(lattice)(out, top, 0)
-        return out
-
     def gain(self, lattice: Lattice) -> NDArray[np.float32]:
-        """(h, w) relative illumination of every pixel of the flat, NaN where none is known."""
-        return self.rows(lattice, 0, lattice.image_size[1])
+        """(h, w) relative illumination of every pixel of the flat, NaN where it is unknown."""
+        return RegionGain(self, lattice).at(0, 0, *lattice.image_size)
 
     def flatten(self, flat: NDArray[Any], lattice: Lattice) -> NDArray[Any]:
-        """`flat` (h, w) or (h, w, c) divided by the gain; pixels with unknown gain are left as they are."""
+        """`flat` (h, w) or (h, w, c) divided by the gain; pixels of unknown gain keep their values."""
         return RegionGain(self, lattice).flatten(flat)[0]
 
-    def filler(self, lattice: Lattice) -> Callable[[NDArray[np.float32], int, int], None]:
-        """What writes the gain of the rows and columns from given ones on into an array."""
-        from .rows import fill, walk
-
-        way = walk(lattice, self.lens_gain)
-        shape = self.shape(lattice)
-        known = way.middles, way.lens_gain, way.starts, way.ahead, self.level, *shape
-        return lambda out, top, left: fill(out, top, left, *known)
-
     def usable_radius(self, lattice: Lattice) -> NDArray[np.float64]:
-        """(n,) largest distance [px] within which a lens has half its light in every direction; 0 without light."""
+        """(n,) largest distance [px] within which a lens has half its light in every direction; 0 if it is unlit."""
         from .kernel import find_usable_radius
 
         centres = lattice.centres()
         limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
         out = np.zeros(len(centres))
-        own = self.lens_gain if len(self.lens_gain) else np.ones(len(centres), np.float32)
-        find_usable_radius(centres, own, limit, out, *self.shape(lattice))
+        lens_gain = self.lens_gain if len(self.lens_gain) else np.ones(len(centres), np.float32)
+        find_usable_radius(centres, lens_gain, limit, out, self.shape(lattice))
         return out
 
-    def shape(self, lattice: Lattice) -> tuple[Any, ...]:
-        """What `gain_kernels.describe` and `light` need of this map."""
+    def shape(self, lattice: Lattice) -> MicroimageShape:
+        """The shape of the microimages of a flat with this lattice."""
         cut = np.zeros(6)
         cut[: len(self.cut)] = self.cut
-        cut[5] = self.dark
-        return field_frame(lattice), self.radius, self.profile, self.step, self.shading, self.rim, cut
+        cut[5] = self.stray_light
+        frame = field_frame(lattice)
+        return MicroimageShape(frame, self.radius, self.profile, self.step, self.shading, self.rim, cut)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings; `lens_gain` as a packed block."""
+        """Plain numbers and strings; `profile` and `lens_gain` as encoded arrays."""
         return {
             "profile": encode_array(self.profile.astype("<f4")),
             "step": self.step,
@@ -145,53 +144,44 @@ class GainMap(Frozen):
             "shade": self.shading.tolist(),
             "rim": self.rim.tolist(),
             "cut": self.cut.tolist(),
-            "dark": self.dark,
+            "dark": self.stray_light,
         }
 
     @classmethod
     def from_dict(cls, data: Any) -> GainMap:
-        """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
+        """Inverse of `to_dict`; KeyError, TypeError or ValueError if `data` is malformed."""
         return cls(
             decode_array(data["profile"], "<f4"), data["step"], data["radius"], data["level"],
             decode_array(data["own"], "<f2"), data["shade"], data["rim"], data["cut"], data["dark"],
         )  # fmt: skip
 
 
-def count_terms(degree: int) -> int:
-    """Number of terms of a polynomial of the field."""
-    return (degree + 1) * (degree + 2) // 2
-
-
-def field_frame(lattice: Lattice) -> NDArray[np.float64]:
-    """(3,) middle x, y and half diagonal of the flat [px]: the frame of field coordinates."""
-    width, height = lattice.image_size
-    return np.array([(width - 1) / 2, (height - 1) / 2, np.hypot(width, height) / 2])
-
-
-# Rows flattened at a time, so that memory does not grow with the part.
-_BAND = 512
-
-
 class RegionGain:
-    """A gain map with its tables for one lattice, made once for all parts of a flat.
+    """Gain of rectangular regions of a flat; its tables are made once for all of them.
 
     Parameters
     ----------
     gain_map : GainMap
     lattice : Lattice
+    settings : GainSettings
     """
 
-    def __init__(self, gain_map: GainMap, lattice: Lattice) -> None:
-        self._fill = gain_map.filler(lattice)
+    def __init__(self, gain_map: GainMap, lattice: Lattice, settings: GainSettings = DEFAULT) -> None:
+        from .rows import make_row_tables
+
+        self._model = make_row_tables(lattice, gain_map.lens_gain, settings), gain_map.level, gain_map.shape(lattice)
+        self._band = settings.band
 
     def at(self, left: int, top: int, width: int, height: int) -> NDArray[np.float32]:
-        """(height, width) gain of the part of the flat that begins at the pixel `left, top`, as `Calibration.gain`."""
+        """(height, width) gain of the region whose first pixel is `left, top`, NaN where it is unknown."""
+        from .rows import fill_gain
+
         out = np.empty((height, width), np.float32)
-        self._fill(out, top, left)
+        fill_gain(out, top, left, *self._model)
         return out
 
     def flatten(self, pixels: NDArray[Any], left: int = 0, top: int = 0) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Divide a part of a flat by its gain.
+        """Divide a region of a flat by its gain.
 
         Parameters
         ----------
@@ -202,20 +192,40 @@ class RegionGain:
         Returns
         -------
         even : array of the shape and type of `pixels`
-            As `Calibration.flatten` has it there.
+            As in `Calibration.flatten`.
         unknown : (h, w) bool
-            Pixels whose gain is not known, which are left as they are.
+            Pixels of unknown gain, which keep their values.
         """
-        from .kernel import divide
+        from .kernel import flatten_rows
+        from .rows import fill_gain
 
         deep = pixels.reshape(*pixels.shape[:2], -1)
         out, unknown = np.empty_like(deep), np.empty(deep.shape[:2], np.bool_)
         highest = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 0.0
-        band = np.empty((min(_BAND, len(deep)), deep.shape[1]), np.float32)
-        for first in range(0, len(deep), _BAND):
-            rows = slice(first, first + _BAND)
+        band = np.empty((min(self._band, len(deep)), deep.shape[1]), np.float32)
+        for first in range(0, len(deep), self._band):
+            rows = slice(first, first + self._band)
             gain = band[: len(deep[rows])]
-            self._fill(gain, top + first, left)
-            divide(deep[rows], gain, out[rows], highest)
+            fill_gain(gain, top + first, left, *self._model)
+            flatten_rows(deep[rows], gain, out[rows], highest)
             np.isnan(gain, out=unknown[rows])
         return out.reshape(pixels.shape), unknown
+
+
+def count_terms(degree: int) -> int:
+    """Number of terms of a polynomial of the field."""
+    return (degree + 1) * (degree + 2) // 2
+
+
+def field_frame(lattice: Lattice) -> NDArray[np.float64]:
+    """(3,) middle x, y and half diagonal of the flat [px]: origin and unit of field coordinates."""
+    width, height = lattice.image_size
+    return np.array([(width - 1) / 2, (height - 1) / 2, np.hypot(width, height) / 2])
+
+
+def _readonly(values: Any, kind: type, dimensions: int, name: str) -> NDArray[Any]:
+    array: NDArray[Any] = np.array(values, dtype=kind)
+    if array.ndim != dimensions or not np.isfinite(array).all():
+        raise ValueError(f"{name} must be a finite array of {dimensions} dimension(s)")
+    array.flags.writeable = False
+    return array

@@ -1,4 +1,8 @@
-"""Kernels of the gain map: what a lens is like, and light at a place of it."""
+"""Gain model of one lens: the coefficients of its shape, and the relative light at a place in it (kernels).
+
+A lens is described by an array: factors of `u, v, u^2, uv, v^2` of its shading [1/px, 1/px^2], displacement x, y of its
+cutting disc [px], then the harmonics of its rim [share of the radius] from `RIM_START` on.
+"""
 
 from __future__ import annotations
 
@@ -7,30 +11,15 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from .settings import KERNEL
+
 __all__ = [
-    "CUT_EDGE_SIGMAS",
-    "LEAST_LIGHT",
-    "RIM_START",
-    "ROOT_HALF",
-    "divide",
-    "evaluate_level",
-    "evaluate_levels",
-    "evaluate_shape",
-    "find_usable_radius",
-    "radial_mean",
-    "relative_light",
+    "RIM_START", "ROOT_HALF", "evaluate_level", "evaluate_levels", "evaluate_shape", "find_usable_radius",
+    "flatten_rows", "radial_mean", "relative_light",
 ]  # fmt: skip
 
-#: Where a lens delivers a smaller share of its light, correction would show noise and stray light: nothing is known.
-LEAST_LIGHT = 0.25
-#: Numbers that describe one lens before those of its rim: shading (5) and displacement of the cutting disc (2).
 RIM_START = 7
-#: Beyond so many standard deviations from its middle the cut is all or nothing.
-CUT_EDGE_SIGMAS = 4.0
 ROOT_HALF = math.sqrt(0.5)
-_DIRECTIONS = 32
-# Places that share the memory for their monomials.
-_TOGETHER = 256
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
@@ -49,27 +38,23 @@ def _monomials(x, y, count, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
-def evaluate_shape(cx, cy, field, radius, shade, rim, cut, powers, lens):
-    """Write what the shape of the lens at `(cx, cy)` is, in px, into `lens`; `powers` gets the field's monomials."""
+def evaluate_shape(cx, cy, shape, powers, lens):
+    """Write the description of the lens at `(cx, cy)` into `lens`; `powers` gets the monomials of the field."""
+    field, radius, shading, rim, cut = shape.frame, shape.radius, shape.shading, shape.rim, shape.cut
     x, y = (cx - field[0]) / field[2], (cy - field[1]) / field[2]
-    _monomials(x, y, max(shade.shape[1], rim.shape[1]), powers)
-    # Side by side: one sum after the other would wait for each of its terms.
+    _monomials(x, y, max(shading.shape[1], rim.shape[1]), powers)
+    # Five sums at a time: in one sum each addition would wait for the one before.
     u = v = uu = uv = vv = 0.0
-    for t in range(shade.shape[1]):
+    for t in range(shading.shape[1]):
         power = powers[t]
-        u += shade[0, t] * power
-        v += shade[1, t] * power
-        uu += shade[2, t] * power
-        uv += shade[3, t] * power
-        vv += shade[4, t] * power
+        u += shading[0, t] * power
+        v += shading[1, t] * power
+        uu += shading[2, t] * power
+        uv += shading[3, t] * power
+        vv += shading[4, t] * power
     over = 1 / radius
-    lens[0], lens[1], lens[2], lens[3], lens[4] = (
-        u * over,
-        v * over,
-        uu * over * over,
-        uv * over * over,
-        vv * over * over,
-    )
+    lens[0], lens[1] = u * over, v * over
+    lens[2], lens[3], lens[4] = uu * over * over, uv * over * over, vv * over * over
     lens[5], lens[6] = cut[0] + cut[2] * x, cut[1] + cut[2] * y
     for row in range(rim.shape[0]):
         total = 0.0
@@ -80,7 +65,7 @@ def evaluate_shape(cx, cy, field, radius, shade, rim, cut, powers, lens):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def evaluate_level(cx, cy, field, level, powers):
-    """Exponential of a polynomial of the field at one place; `powers` gets the field's monomials."""
+    """Exponential of a polynomial of the field at one place; `powers` gets the monomials of the field."""
     _monomials((cx - field[0]) / field[2], (cy - field[1]) / field[2], len(level), powers)
     total = other = 0.0
     whole = len(level) // 2 * 2
@@ -94,17 +79,17 @@ def evaluate_level(cx, cy, field, level, powers):
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def evaluate_levels(centres, field, level, out):
-    """Exponential of a polynomial of the field at places (n, 2)."""
-    places = centres.shape[0]
-    for block in prange((places + _TOGETHER - 1) // _TOGETHER):
+    """`evaluate_level` at places (n, 2)."""
+    places, block_size = centres.shape[0], KERNEL.lens_block
+    for block in prange((places + block_size - 1) // block_size):
         powers = np.empty(64)
-        for n in range(block * _TOGETHER, min((block + 1) * _TOGETHER, places)):
+        for n in range(block * block_size, min((block + 1) * block_size, places)):
             out[n] = evaluate_level(centres[n, 0], centres[n, 1], field, level, powers)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def relative_light(dx, dy, lens, profile, step, cut):
-    """Light at `delta` in a described lens over that of its brightest place, distance on the profile, light uncut."""
+    """Relative light at `(dx, dy)` [px] from the centre of a lens, distance on the profile [px], share not cut off."""
     r = math.sqrt(dx * dx + dy * dy)
     stretched = r
     count = len(lens) - RIM_START
@@ -129,9 +114,9 @@ def relative_light(dx, dy, lens, profile, step, cut):
     if cut[4] > 0:
         ex, ey = dx - lens[5], dy - lens[6]
         depth = (cut[3] - math.sqrt(ex * ex + ey * ey)) / cut[4]
-        if depth < -CUT_EDGE_SIGMAS:
+        if depth < -KERNEL.edge:
             through = 0.0
-        elif depth < CUT_EDGE_SIGMAS:
+        elif depth < KERNEL.edge:
             through = 0.5 * (1 + math.erf(depth * ROOT_HALF))
         value = cut[5] + (value - cut[5]) * through
     value *= 1 + dx * (lens[0] + lens[2] * dx + lens[3] * dy) + dy * (lens[1] + lens[4] * dy)
@@ -139,8 +124,8 @@ def relative_light(dx, dy, lens, profile, step, cut):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def divide(flat, gain, out, highest):
-    """`flat` over `gain` where that is known; rounded and clipped at `highest` where that is above 0."""
+def flatten_rows(flat, gain, out, highest):
+    """`flat` (h, w, c) divided by `gain` (h, w) where that is not NaN; rounded and clipped at `highest` if above 0."""
     for y in prange(out.shape[0]):
         for x in range(out.shape[1]):
             g = gain[y, x]
@@ -155,16 +140,18 @@ def divide(flat, gain, out, highest):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def find_usable_radius(centres, own, limit, out, field, radius, profile, step, shade, rim, cut):
+def find_usable_radius(centres, lens_gain, limit, out, shape):
+    """Least distance [px] over all directions at which the light of each lens falls below one half, up to `limit`."""
+    profile, step, cut, directions = shape.profile, shape.step, shape.cut, KERNEL.directions
     for n in range(centres.shape[0]):
-        if own[n] == 0:
+        if lens_gain[n] == 0:
             continue
         powers = np.empty(64)
-        lens = np.empty(RIM_START + rim.shape[0])
-        evaluate_shape(centres[n, 0], centres[n, 1], field, radius, shade, rim, cut, powers, lens)
+        lens = np.empty(RIM_START + shape.rim.shape[0])
+        evaluate_shape(centres[n, 0], centres[n, 1], shape, powers, lens)
         least = limit
-        for d in range(_DIRECTIONS):
-            c, s = math.cos(2 * math.pi * d / _DIRECTIONS), math.sin(2 * math.pi * d / _DIRECTIONS)
+        for d in range(directions):
+            c, s = math.cos(2 * math.pi * d / directions), math.sin(2 * math.pi * d / directions)
             before, r = relative_light(0.0, 0.0, lens, profile, step, cut)[0], 0.0
             if before < 0.5:
                 least = 0.0
@@ -179,15 +166,16 @@ def find_usable_radius(centres, own, limit, out, field, radius, profile, step, s
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def radial_mean(centres, out, field, radius, profile, step, shade, rim, cut):
-    """Light at distances `0, step, ...`, the mean over all directions of each lens; `out` is of shape (n, k)."""
+def radial_mean(centres, out, shape):
+    """Relative light at distances `0, step, ...`, averaged over all directions of each lens; `out` is (n, k)."""
+    profile, step, cut, directions = shape.profile, shape.step, shape.cut, KERNEL.directions
     for n in range(centres.shape[0]):
         powers = np.empty(64)
-        lens = np.empty(RIM_START + rim.shape[0])
-        evaluate_shape(centres[n, 0], centres[n, 1], field, radius, shade, rim, cut, powers, lens)
+        lens = np.empty(RIM_START + shape.rim.shape[0])
+        evaluate_shape(centres[n, 0], centres[n, 1], shape, powers, lens)
         for k in range(out.shape[1]):
             total = 0.0
-            for d in range(_DIRECTIONS):
-                c, s = math.cos(2 * math.pi * d / _DIRECTIONS), math.sin(2 * math.pi * d / _DIRECTIONS)
+            for d in range(directions):
+                c, s = math.cos(2 * math.pi * d / directions), math.sin(2 * math.pi * d / directions)
                 total += relative_light(k * step * c, k * step * s, lens, profile, step, cut)[0]
-            out[n, k] = total / _DIRECTIONS
+            out[n, k] = total / directions

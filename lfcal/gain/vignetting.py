@@ -1,4 +1,4 @@
-"""Microimage vignetting: how much light a microlens delivers at each place of its own image."""
+"""Microimage vignetting: relative illumination over the distance to the centre of the average microimage."""
 
 from __future__ import annotations
 
@@ -22,6 +22,11 @@ class Vignetting(Frozen):
         Relative illumination at radii `0, step, 2*step, ...`, each in 0..1.
     step : float [px]
         Distance between samples of `profile`.
+
+    Examples
+    --------
+    >>> Vignetting([1.0, 0.9, 0.5], step=2.0).at([1.0, 3.0])
+    array([0.95, 0.7 ])
     """
 
     profile: NDArray[np.float64]

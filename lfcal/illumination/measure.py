@@ -1,4 +1,4 @@
-"""Illumination of a camera as one flat shows it: gain map, vignetting of the average microimage, defects."""
+"""Illumination of a camera from one flat: gain map, vignetting of the average microimage, usable radius and defects."""
 
 from __future__ import annotations
 
@@ -15,19 +15,17 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
 from ..runtime.errors import CalibrationError
 from ..white_fit.model import CatEye
-from .defect_search import MOST, find_defects
-from .gain_fit import fit_gain
-from .lens_light import dark_in_scene, lens_lights
+from .defect_search import find_defects
+from .estimate import estimate_gain
+from .lens_light import find_unlit_in_scene, measure_lens_lights
+from .settings import DEFAULT, DEFECTS
 
 __all__ = ["Illumination", "measure_illumination"]
-
-# Lenses over which the vignetting of the average microimage is taken.
-_LENSES = 64
 
 
 @dataclass(frozen=True)
 class Illumination:
-    """What a flat shows of the light in its microimages.
+    """Illumination of the microimages of a flat.
 
     Parameters
     ----------
@@ -38,8 +36,8 @@ class Illumination:
         Where that falls below half, at most half the distance to the nearest microimage.
     defects : Defects
     warnings : tuple of str
-    unlike : float
-        Share of the pixels of a white image that differ from the gain map; 0 where that was not looked at.
+    outlier_share : float
+        Share of the pixels of a white image that differ from the gain map; 0 if not measured.
     """
 
     gain_map: GainMap
@@ -55,54 +53,57 @@ def measure_illumination(
     lattice: Lattice,
     white: bool,
     cat_eye: CatEye | None = None,
-    look: ReadCrop | None = None,
+    read_crop: ReadCrop | None = None,
 ) -> Illumination:
     """Gain map, vignetting and defects from a flat.
 
     Parameters
     ----------
-    picture : (h, w) float32, or of a white image parts of such
-        Square root of the luminance (`features.tone`).
+    picture : (h, w) float32, or crops of such a white image
+        Square root of the luminance (`images.preprocessing`).
     lattice : Lattice [px]
     white : bool
-        Whether the flat is a white image. A scene capture shows only what all its microimages have in common, and
-        no defects but lenses without light amid others.
+        Whether the flat is a white image. From a scene capture follow only the common shape of its microimages, and of
+        defects only unlit lenses with lit neighbours.
     cat_eye : CatEye or None
-        The disc that cuts microimages, where one is known.
-    look : Look or None
-        At tones of the flat, where `picture` are parts; then lenses without light are the only defects looked for.
+        The disc that cuts microimages, if known.
+    read_crop : ReadCrop or None
+        Needed if `picture` are crops: reads others. Of defects only unlit lenses are found then.
     """
-    fit = fit_gain(picture, lattice, not white, cat_eye)
+    fit = estimate_gain(picture, lattice, not white, cat_eye)
+    gain = fit.gain
     warnings: tuple[str, ...] = ()
-    unlike = 0.0
-    if isinstance(picture, StackedCrops):
-        assert look is not None
-        lights = lens_lights(look, lattice, fit)
+    share = 0.0
+    if not white:
+        assert not isinstance(picture, StackedCrops)
+        unlit = find_unlit_in_scene(picture, lattice, gain)
+        defects = Defects(lenses=lattice.indices()[unlit].astype(np.int32))
+    elif isinstance(picture, StackedCrops):
+        assert read_crop is not None
+        lights = measure_lens_lights(read_crop, lattice, fit)
         gain = lights.gain
-        defects = Defects(lenses=lattice.indices()[lights.dark].astype(np.int32))
-    elif white:
-        lights = lens_lights(picture, lattice, fit)
+        defects = Defects(lenses=lattice.indices()[lights.unlit].astype(np.int32))
+    else:
+        lights = measure_lens_lights(picture, lattice, fit)
         gain = lights.gain
-        defects, unlike = find_defects(picture, lattice, gain, lights.brightest, fit, lights.dark)
-        if unlike > MOST:
+        defects, share = find_defects(picture, lattice, lights, fit)
+        if share > DEFECTS.largest_share:
             warnings = (
-                f"{unlike:.1%} of the pixels differ from the gain map, too many for defects: none are recorded; check "
+                f"{share:.1%} of the pixels differ from the gain map, too many for defects: none are recorded; check "
                 "the white image for structure or saturation",
             )
-    else:
-        gain = fit.gain
-        defects = Defects(lenses=lattice.indices()[dark_in_scene(picture, lattice, gain)].astype(np.int32))
     vignetting, radius = _average(gain, lattice)
-    return Illumination(gain, vignetting, radius, defects, warnings, unlike)
+    return Illumination(gain, vignetting, radius, defects, warnings, share)
 
 
 def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:
-    """Vignetting of the average microimage, and the radius to which it is usable."""
-    centres = np.ascontiguousarray(lattice.points(lattice.indices()[:: max(1, len(lattice) // _LENSES)]))
+    """Vignetting of the average microimage, and its usable radius."""
+    every = max(1, len(lattice) // DEFAULT.average_lenses)
+    centres = np.ascontiguousarray(lattice.points(lattice.indices()[::every]))
     limit = float(np.hypot(*(lattice.steps @ lattice.basis).T).min() / 2)
     rings = int(limit / gain.step) + 2
     light = np.zeros((len(centres), rings))
-    radial_mean(centres, light, *gain.shape(lattice))
+    radial_mean(centres, light, gain.shape(lattice))
     relative = light.mean(0)
     if not relative.max() > 0:
         raise CalibrationError("no light is left in the average microimage; give a white image")

@@ -1,44 +1,107 @@
-"""What a gain map leaves over of the pixels of a sample of lenses, collected over distance, direction and field."""
+"""Residuals of a gain map: pixels of a sample of lenses minus the map, summed over distance, direction and field.
+
+Of every pixel the residual is `v / g - m`, with its luminance `v`, the light `g` of its lens and the relative light `m`
+of the map. The light of a lens is fitted to its inner part first; on scene captures with a plane, and lenses that are
+no plane there have little weight. The sums are normal equations of the terms of the map.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap
-from ..gain.kernel import evaluate_shape, relative_light
-from ..lattice.cell import cell_inradius, cell_normals, is_outside_cell
+from ..gain.kernel import RIM_START, evaluate_shape, relative_light
+from ..lattice.cell import is_outside_cell
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import StackedCrops, sample_lenses, sample_mask
 from ..runtime.fastmath import FAST
+from .sample import Cell, Sample
+from .settings import KERNEL
 
-__all__ = ["DIRECTIONS", "OUTLIER", "GainResiduals", "Sample", "collect_residuals", "draw_sample"]
+__all__ = ["GainResiduals", "ResidualOptions", "collect_residuals"]
 
-DIRECTIONS = 48
-# Residuals beyond so many standard deviations have no say.
-OUTLIER = 4.685
 _ROOT_TAU = math.sqrt(2 * math.pi)
-# The field is parted into so many windows at most, of so many lenses at least.
-_WINDOWS = (8, 6)
-_FEWEST = 6
-# A microimage needs no more pixels than these to be compared; of larger ones rows and columns are left out.
-_LENS_PIXELS = 700
-_LENSES = 200
-# Contrast, beside a plane, at which a lens of a scene counts half.
-_SMOOTH = 0.06
-# Numbers of a pixel's own factors in shading, and parameters of the cutting disc.
-_SHADES, _CUTS = 6, 5
+
+
+class ResidualOptions(NamedTuple):
+    """Which pixels are compared, and how.
+
+    Parameters
+    ----------
+    core : float [px]
+        Radius within which the light of a lens is measured.
+    scene : bool
+        Whether the flat is a scene capture; the light of a lens is then a plane.
+    brightest : float
+        Luminance from which on pixels count as clipped.
+    largest_square : (w, k) float64
+        Largest squared residual, by window and distance, of pixels that are not left out.
+    terms : bool
+        Whether the sums for rim, cut and shading are wanted; else these are zero.
+    """
+
+    core: float
+    scene: bool
+    brightest: float
+    largest_square: NDArray[np.float64]
+    terms: bool
+
+
+class _Sums(NamedTuple):
+    """Sums by window of the field; the normal equations in their lower halves."""
+
+    rings: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    right: NDArray[np.float64]
+    rims: NDArray[np.float64]
+    sector: NDArray[np.float64]
+    dark: NDArray[np.float64]
+    cut_normal: NDArray[np.float64]
+    cut_right: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GainResiduals:
+    """What a gain map leaves unexplained: the profile as it should be, and sums by window of the field.
+
+    Parameters
+    ----------
+    profile : (k,) float64
+    ring_square, ring_count : (w, k) float64
+        Sum of squared residuals, and of weights, over the distance to the centre.
+    shading_normal, shading_right : (w, 6, 6), (w, 6) float64
+        Normal equations of the factors of `u, v, u^2, u*v, v^2, 1`.
+    rim_sum, rim_weight : (w, d) float64
+        The rim lies `rim_sum / rim_weight` px outside that of the map.
+    sector : (w, d, 2) float64
+        Sum of residuals, and of weights of pixels within the inradius of the cell; empty if not asked for.
+    stray_light : float
+        Light outside the cutting disc.
+    cut_normal, cut_right : (5, 5), (5,) float64
+        Normal equations of the cutting disc.
+    """
+
+    profile: NDArray[np.float64]
+    ring_square: NDArray[np.float64]
+    ring_count: NDArray[np.float64]
+    shading_normal: NDArray[np.float64]
+    shading_right: NDArray[np.float64]
+    rim_sum: NDArray[np.float64]
+    rim_weight: NDArray[np.float64]
+    sector: NDArray[np.float64]
+    stray_light: float
+    cut_normal: NDArray[np.float64]
+    cut_right: NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _solve3(m, r):
-    """Plane through the core: Cramer's rule for the symmetric 3 x 3 system; the mean alone where it is singular."""
+    """Solution of a symmetric 3 x 3 system by Cramer's rule; of its first unknown alone if it is singular."""
     a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
     det = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
     if abs(det) <= 1e-9 * abs(a * d * f) + 1e-300:
@@ -50,8 +113,10 @@ def _solve3(m, r):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _own_light(picture, cx, cy, shift, rows, stride, core, scene, brightest, lens, profile, step, cut):
-    """Light of a lens, its relative slope in x and y [1/px], and its say; no say where it is clipped or unlike any."""
+def _fit_lens_light(picture, cx, cy, shift, rows, stride, options, lens, shape):
+    """Light of a lens, its relative slope in x and y [1/px], and its weight: 0 if it is clipped or too steep."""
+    profile, step, cut = shape.profile, shape.step, shape.cut
+    core, scene = options.core, options.scene
     moment, force = np.zeros((3, 3)), np.zeros(3)
     squares, count, clipped = 0.0, 0, 0
     for y in range(math.ceil(cy - core) + shift, math.floor(cy + core) + 1, rows):
@@ -60,11 +125,11 @@ def _own_light(picture, cx, cy, shift, rows, stride, core, scene, brightest, len
         for x in range(math.ceil(cx - half) + shift % stride, math.floor(cx + half) + 1, stride):
             dx = x - cx
             s = relative_light(dx, dy, lens, profile, step, cut)[0]
-            if s < 0.5:
+            if s < KERNEL.least_core_light:
                 continue
             v = picture[y, x] * picture[y, x]
             count += 1
-            clipped += v >= brightest
+            clipped += v >= options.brightest
             force[0] += s * v
             moment[0, 0] += s * s
             if scene:
@@ -77,31 +142,31 @@ def _own_light(picture, cx, cy, shift, rows, stride, core, scene, brightest, len
                 force[1] += a * v
                 force[2] += b * v
                 squares += v * v
-    if count < 4 or force[0] <= 0 or clipped * 20 > count:
+    if count < 4 or force[0] <= 0 or clipped * KERNEL.clipped_share > count:
         return 1.0, 0.0, 0.0, 0.0
     if not scene:
         return force[0] / moment[0, 0], 0.0, 0.0, 1.0
-    gain, gx, gy = _solve3(moment, force)
-    if gain <= 0 or gx * gx + gy * gy > gain * gain:
+    light, gx, gy = _solve3(moment, force)
+    if light <= 0 or gx * gx + gy * gy > light * light:
         return 1.0, 0.0, 0.0, 0.0
-    left = max(squares - gain * force[0] - gx * force[1] - gy * force[2], 0.0) / count
-    # Lenses that show little beside a plane, measured by its light, say what the rim is like.
-    share = _SMOOTH * _SMOOTH / (_SMOOTH * _SMOOTH + left / (gain * gain))
-    return gain, gx / (gain * core), gy / (gain * core), share
+    left = max(squares - light * force[0] - gx * force[1] - gy * force[2], 0.0) / count
+    # Lenses with little contrast beside a plane, relative to its light, show the rim best.
+    weight = KERNEL.contrast * KERNEL.contrast / (KERNEL.contrast * KERNEL.contrast + left / (light * light))
+    return light, gx / (light * core), gy / (light * core), weight
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add(features, count, share, e, normal, right):
-    """Add a pixel to normal equations of `count` unknowns, lower half."""
+def _add_equation(features, count, weight, e, normal, right):
+    """Add a pixel to the normal equations, lower half, of `count` unknowns."""
     for a in range(count):
-        right[a] += share * features[a] * e
+        right[a] += weight * features[a] * e
         for b in range(a + 1):
-            normal[a, b] += share * features[a] * features[b]
+            normal[a, b] += weight * features[a] * features[b]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _push_of_cut(ex, ey, field_x, field_y, s, through, plane, cut, features):
-    """How the light of a pixel changes with shift (2), growth, radius and softness of the cutting disc."""
+def _differentiate_cut(ex, ey, field_x, field_y, s, through, plane, cut, features):
+    """Derivatives of the light of a pixel by shift (2), growth, radius and softness of the cutting disc."""
     far = math.sqrt(ex * ex + ey * ey)
     depth = (cut[3] - far) / cut[4]
     push = (s - cut[5]) / through * math.exp(-0.5 * depth * depth) / (_ROOT_TAU * cut[4]) * plane
@@ -111,28 +176,30 @@ def _push_of_cut(ex, ey, field_x, field_y, s, through, plane, cut, features):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _direction(dx, dy):
-    """The bin of a direction is centred on it."""
-    return math.floor(math.atan2(dy, dx) / (2 * math.pi) * DIRECTIONS + 0.5) % DIRECTIONS
+def _direction_bin(dx, dy):
+    """Bin of a direction; bins are centred on multiples of their width."""
+    return math.floor(math.atan2(dy, dx) / (2 * math.pi) * KERNEL.directions + 0.5) % KERNEL.directions
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=FAST)
-def _compare(
-    picture, centres, places, first, stride, faces, inner, reach, core, scene, brightest, limit, field, radius,
-    profile, step, shade, rim, cut, slope, terms, rings, normal, right, rims, sector, dark, cut_normal, cut_right,
-):  # fmt: skip
+def _add_residuals(picture, sample, cell, options, shape, slope, sums):
+    """Add the pixels of all lenses of a sample to the sums; `slope` (k,) is the derivative of the profile."""
+    centres, places, first, stride = sample.centres, sample.places, sample.first, sample.stride
+    faces, inner, reach = cell.normals, cell.inradius, cell.circumradius
+    scene, limit, terms = options.scene, options.largest_square, options.terms
+    field, radius, profile, step, cut = shape.frame, shape.radius, shape.profile, shape.step, shape.cut
+    rings, rims, sector, dark = sums.rings, sums.rims, sums.sector, sums.dark
+    normal, right, cut_normal, cut_right = sums.normal, sums.right, sums.cut_normal, sums.cut_right
     for window in prange(len(first) - 1):
-        powers, lens, features = np.empty(64), np.empty(7 + rim.shape[0]), np.empty(6)
+        powers, lens, features = np.empty(64), np.empty(RIM_START + shape.rim.shape[0]), np.empty(6)
         for n in range(first[window], first[window + 1]):
             cx, cy = centres[n, 0], centres[n, 1]
-            evaluate_shape(cx, cy, field, radius, shade, rim, cut, powers, lens)
+            evaluate_shape(cx, cy, shape, powers, lens)
             px, py = places[n, 0], places[n, 1]
-            # Pixels left out are others in each lens. What a scene shows differs little from row to row.
+            # Other pixels are left out in each lens. The content of a scene differs little from row to row.
             rows = 2 * stride if scene else stride
             shift = n % rows
-            gain, gx, gy, share = _own_light(
-                picture, px, py, shift, rows, stride, core, scene, brightest, lens, profile, step, cut
-            )
+            gain, gx, gy, share = _fit_lens_light(picture, px, py, shift, rows, stride, options, lens, shape)
             if share == 0:
                 continue
             for y in range(math.ceil(py - reach) + shift, math.floor(py + reach) + 1, rows):
@@ -147,10 +214,10 @@ def _compare(
                     plane = max(1 + gx * dx + gy * dy, 0.2)
                     e = picture[y, x] * picture[y, x] / gain - s * plane
                     if sector.shape[0] > 0:
-                        d = _direction(dx, dy)
+                        d = _direction_bin(dx, dy)
                         sector[window, d, 0] += share * e / plane
                         sector[window, d, 1] += share * (r < inner)
-                    if through < 0.02:
+                    if through < KERNEL.cut_off:
                         dark[window, 0] += share * e
                         dark[window, 1] += share
                     place = stretched / step
@@ -170,175 +237,56 @@ def _compare(
                         continue
                     if 0.001 < through < 0.999:
                         fx, fy = (cx - field[0]) / field[2], (cy - field[1]) / field[2]
-                        _push_of_cut(dx - lens[5], dy - lens[6], fx, fy, s, through, plane, cut, features)
-                        _add(features, _CUTS, share, e, cut_normal[window], cut_right[window])
+                        _differentiate_cut(dx - lens[5], dy - lens[6], fx, fy, s, through, plane, cut, features)
+                        _add_equation(features, 5, share, e, cut_normal[window], cut_right[window])
                     steep = (slope[ring] * (1 - part) + slope[ring + 1] * part) * through * plane * r / radius
-                    if abs(steep) > 0.02:
-                        d = _direction(dx, dy)
+                    if abs(steep) > KERNEL.least_slope:
+                        d = _direction_bin(dx, dy)
                         rims[0, window, d] -= share * steep * e
                         rims[1, window, d] += share * steep * steep
-                    elif s > 0.7 and through > 0.95 and not scene:
+                    elif s > KERNEL.least_shaded_light and through > KERNEL.least_uncut and not scene:
                         u, w = dx / radius, dy / radius
                         features[0], features[1], features[2] = s * u, s * w, s * u * u
                         features[3], features[4], features[5] = s * u * w, s * w * w, s
-                        _add(features, _SHADES, share, e, normal[window], right[window])
-
-
-@dataclass(frozen=True)
-class Sample:
-    """Whole lenses spread over the field, in the order of windows of it.
-
-    Parameters
-    ----------
-    centres, places : (n, 2) float64 [px]
-        On the flat, and in the picture to be read.
-    first : (b * a + 1,) int64
-        Where each window begins.
-    shape : (int, int)
-        Rows `b` and columns `a` of windows.
-    stride : int
-        Every so many rows and columns of a lens are compared.
-    """
-
-    centres: NDArray[np.float64]
-    places: NDArray[np.float64]
-    first: NDArray[np.int64]
-    shape: tuple[int, int]
-    stride: int
-
-    @property
-    def middle(self) -> NDArray[np.float64]:
-        """(b * a, 2) mean place [px] of the lenses of each window."""
-        return np.array([self.centres[a:b].mean(0) if b > a else (0, 0) for a, b in pairwise(self.first)])
-
-    def some(self, every: int) -> Sample:
-        """Every so many of the lenses."""
-        first = (self.first + every - 1) // every
-        return replace(
-            self,
-            centres=np.ascontiguousarray(self.centres[::every]),
-            places=np.ascontiguousarray(self.places[::every]),
-            first=first,
-        )
-
-
-def draw_sample(lattice: Lattice, pixels: float, parts: StackedCrops | None = None) -> Sample:
-    """Sample of lenses, of those in parts if given, with about so many pixels to be compared, but never too few."""
-    cell = abs(float(np.linalg.det(lattice.basis)))
-    stride = max(1, int(math.sqrt(cell / _LENS_PIXELS)))
-    margin = cell_normals(lattice)[1] + 1
-    wanted = max(pixels * stride**2 / cell, _LENSES)
-    if parts is None or parts.size == lattice.image_size:
-        centres = sample_lenses(lattice, margin, wanted)[1]
-        places = centres
-    else:
-        _, centres, part = parts.lenses(lattice, margin)
-        places = centres - parts.offsets[part]
-        chosen = sample_mask(len(centres), wanted / max(len(centres), 1))
-        centres, places = centres[chosen], places[chosen]
-    shrink = min(1.0, math.sqrt(len(centres) / (_FEWEST * _WINDOWS[0] * _WINDOWS[1])))
-    shape = max(1, int(_WINDOWS[1] * shrink)), max(1, int(_WINDOWS[0] * shrink))
-    size = np.array(lattice.image_size)
-    column, row = np.minimum((centres + 0.5) / size * shape[::-1], np.array(shape[::-1]) - 1).astype(int).T
-    window = row * shape[1] + column
-    order = np.argsort(window, kind="stable")
-    first = np.searchsorted(window[order], np.arange(shape[0] * shape[1] + 1))
-    return Sample(
-        np.ascontiguousarray(centres[order]), np.ascontiguousarray(places[order]), first.astype(np.int64), shape, stride
-    )
-
-
-@dataclass(frozen=True)
-class GainResiduals:
-    """What a map leaves over: the profile as it should be, and the rest by window of the field.
-
-    Parameters
-    ----------
-    profile : (k,) float64
-    ring_square, ring_count : (w, k) float64
-        Sum of squared residuals, and pixels, over the distance to the centre.
-    normal, right : (w, 6, 6), (w, 6) float64
-        Normal equations of the factors of `u, v, u^2, u*v, v^2, 1`.
-    rim_up, rim_down : (w, d) float64
-        The rim lies `rim_up / rim_down` px outside of that of the map.
-    sector : (w, d, 2) float64
-        Sum of residuals, and pixels well inside; empty where not asked for.
-    dark : float
-        Light where the cutting disc lets none through.
-    cut_normal, cut_right : (5, 5), (5,) float64
-        Normal equations of the cutting disc.
-    """
-
-    profile: NDArray[np.float64]
-    ring_square: NDArray[np.float64]
-    ring_count: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    right: NDArray[np.float64]
-    rim_up: NDArray[np.float64]
-    rim_down: NDArray[np.float64]
-    sector: NDArray[np.float64]
-    dark: float
-    cut_normal: NDArray[np.float64]
-    cut_right: NDArray[np.float64]
+                        _add_equation(features, 6, share, e, normal[window], right[window])
 
 
 def collect_residuals(
-    picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, sample: Sample, core: float, scene: bool,
-    brightest: float, limit: NDArray[np.float64], sectors: bool = False, terms: bool = True,
+    picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, sample: Sample, options: ResidualOptions,
+    sectors: bool = False,
 ) -> GainResiduals:  # fmt: skip
-    """Compare a sample of lenses with a map.
+    """Compare a sample of lenses with a gain map.
 
     Parameters
     ----------
     picture : (h, w) float32
-        Square root of the luminance (`features.tone`).
+        Square root of the luminance (`images.preprocessing`).
     lattice : Lattice [px]
     gain : GainMap
     sample : Sample
-    core : float [px]
-        Radius within which the light of a lens is measured.
-    scene : bool
-        Whether lenses show something; their light is then a plane.
-    brightest : float
-        Light that has been clipped where many pixels of a lens share it.
-    limit : (w, k) float64
-        Pixels that are off by more, as a share of the light of the lens, have no say.
+    options : ResidualOptions
     sectors : bool
-        Whether residuals are collected over directions whatever their distance.
-    terms : bool
-        Whether rim, cut and shading are asked for; else these are zero.
+        Whether residuals are also summed over directions alone, whatever their distance.
     """
-    faces, reach = cell_normals(lattice)
-    parts, rings = len(sample.first) - 1, len(gain.profile)
-    sums = np.zeros((4, parts, rings))
-    normal, right = np.zeros((parts, _SHADES, _SHADES)), np.zeros((parts, _SHADES))
-    rims, sector = np.zeros((2, parts, DIRECTIONS)), np.zeros((parts * sectors, DIRECTIONS, 2))
-    dark, cut_normal, cut_right = np.zeros((parts, 2)), np.zeros((parts, _CUTS, _CUTS)), np.zeros((parts, _CUTS))
-    kernel: Any = _compare
-    kernel(
-        picture, sample.centres, sample.places, sample.first, sample.stride, faces, cell_inradius(faces), reach, core,
-        scene, brightest, limit**2, *gain.shape(lattice), np.gradient(gain.profile, gain.step), terms, sums,
-        normal, right, rims, sector, dark, cut_normal, cut_right,
+    windows, rings = len(sample.first) - 1, len(gain.profile)
+    sums = _Sums(
+        np.zeros((4, windows, rings)), np.zeros((windows, 6, 6)), np.zeros((windows, 6)),
+        np.zeros((2, windows, KERNEL.directions)), np.zeros((windows * sectors, KERNEL.directions, 2)),
+        np.zeros((windows, 2)), np.zeros((windows, 5, 5)), np.zeros((windows, 5)),
     )  # fmt: skip
-    up, down, square, count = sums
-    normal += np.tril(normal, -1).transpose(0, 2, 1)
+    slope = np.gradient(gain.profile, gain.step)
+    kernel: Any = _add_residuals
+    kernel(picture, sample, Cell.of(lattice), options, gain.shape(lattice), slope, sums)
+    up, down, square, count = sums.rings
+    normal = sums.normal + np.tril(sums.normal, -1).transpose(0, 2, 1)
     pixels = down.sum(0)
     found = np.maximum(gain.profile + up.sum(0) / np.maximum(pixels, 1e-300), 0.0)
-    # Rings hardly any pixel fell into are like those beside them.
+    # Rings with hardly any pixel are interpolated.
     at, filled = np.arange(rings), pixels > 1e-3 * pixels.max()
     profile = np.interp(at, at[filled], found[filled]) if filled.any() else gain.profile
-    behind, pixels_behind = dark.sum(0)
-    gap = gain.dark + behind / pixels_behind if pixels_behind > 0 else float(profile.min())
+    behind, pixels_behind = sums.dark.sum(0)
+    stray = gain.stray_light + behind / pixels_behind if pixels_behind > 0 else float(profile.min())
     return GainResiduals(
-        profile,
-        square,
-        count,
-        normal,
-        right,
-        rims[0],
-        rims[1],
-        sector,
-        max(float(gap), 0.0),
-        cut_normal.sum(0),
-        cut_right.sum(0),
-    )
+        profile, square, count, normal, sums.right, sums.rims[0], sums.rims[1], sums.sector, max(float(stray), 0.0),
+        sums.cut_normal.sum(0), sums.cut_right.sum(0),
+    )  # fmt: skip

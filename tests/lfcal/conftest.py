@@ -44,3 +44,12 @@ def set_downscale(monkeypatch):
             monkeypatch.setattr(downscale, name, partial(getattr(downscale, name), settings=settings))
 
     return apply
+
+
+@pytest.fixture(scope="session")
+def calibrated_white(drawn):
+    """A white image of known light with hot pixels, and the calibration measured from it."""
+    import lfcal
+
+    truth = drawn("hexagonal", 20.3, 5.0, 26.0, size=(800, 600), hot=40)
+    return truth, lfcal.calibrate(truth.image(), kind="white")

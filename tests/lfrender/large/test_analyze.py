@@ -102,7 +102,7 @@ def test_tiles_have_the_pixels_of_the_reduced_whole_flat():
     plain = lfcal.Calibration(shot.truth.calibration.lattice)
     known = lfcal.calibrate(shot.white, kind="white").gain_map
     own = (1 + 0.2 * np.sin(np.arange(len(plain.lattice)))).astype(np.float32)
-    uneven = replace(plain, gain_map=replace(known, own=own))
+    uneven = replace(plain, gain_map=replace(known, lens_gain=own))
     for camera, tolerance in ((plain, 0.0), (uneven, 1e-5)):
         context = FlatContext(camera, "fast", Shortcuts())
         assert context.factor == 2

@@ -27,7 +27,7 @@ def capture():
     plain = shot.truth.calibration
     own = (1 + 0.2 * np.sin(np.arange(len(plain.lattice)))).astype(np.float32)
     own[7] = 0
-    gain = replace(lfcal.calibrate(shot.white, kind="white").gain_map, own=own)
+    gain = replace(lfcal.calibrate(shot.white, kind="white").gain_map, lens_gain=own)
     return shot.flat, plain, replace(plain, gain_map=gain), lfrender.analyze(shot.flat, plain, "fast")
 
 
