@@ -61,7 +61,7 @@ def view(capture: CaptureInput, export: Path | None, port: int, no_browser: bool
 def report(capture: CaptureInput, output: Path) -> None:
     """Write calibration, depth and pictures of FLAT on one page that opens offline."""
     from ..web.report import write_report
-    from ..web.report_pictures import draw_pictures
+    from ..web.report_figures import draw_pictures
 
     check_output(output, {".html", ".htm"}, capture.files)
     progress = capture.report

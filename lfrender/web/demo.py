@@ -1,11 +1,13 @@
-"""The demo: simulate a capture, run the whole chain on nothing but its pixels, compare with the truth."""
+"""The demo: simulate a capture, calibrate, analyse and render it from its pixels alone, and compare with the truth."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
@@ -20,35 +22,23 @@ from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
 from ..flat.lens_graph import nearest_lens
 from ..output.depth_picture import magnification_picture, mode_picture
-from ..output.metrics import (
-    centre_error,
-    compare_pictures,
-    magnification_error,
-    mode_accuracy,
-    resample,
-)
+from ..output.metrics import centre_error, compare_pictures, magnification_error, mode_accuracy, resample
 from ..output.picture import write_picture
-from .demo_page import truth_section
 from .report import write_report
-from .report_pictures import ReportPictures, data_urls, draw_pictures, png_url
+from .report_figures import ReportPictures, cards, data_urls, draw_pictures, png_url, table_rows
 
 __all__ = ["run_demo"]
 
-_FLAT_SIZE = (1600, 1200)
-_PITCH = 23.2
-_ROTATION = 0.7
-_SAMPLES = 32
-_NOISE = (9000.0, 5.0)
-# Beyond this share of D neighbouring microimages share too little for any method.
-_RESOLVABLE = 0.75
-_CROP = (320, 240)
-# For the truth on the page [characters].
-_ROOM = 2_000_000
+_PICTURES = {
+    "all_in_focus": "all in focus",
+    "telescopic": "one patch size, telescopic",
+    "binocular": "one patch size, binocular",
+}
 
 
 @dataclass(frozen=True)
 class _Results:
-    """What the chain made of the capture."""
+    """Calibrations, depth and pictures made from the capture."""
 
     from_scene: Calibration
     from_white: Calibration
@@ -60,13 +50,13 @@ def run_demo(
     folder: str | os.PathLike[str],
     report: Report | None = None,
     *,
-    flat_size: tuple[int, int] = _FLAT_SIZE,
-    samples: int = _SAMPLES,
+    flat_size: tuple[int, int] = (1600, 1200),
+    samples: int = 32,
     seed: int = 1,
 ) -> dict[str, Any]:
     """Simulate the scene `house`, calibrate, analyse and render it, and write pictures and an HTML page.
 
-    The chain sees the flat only; the white image is calibrated as well, for comparison.
+    Only the flat is used; the white image is calibrated as well, for comparison.
 
     Parameters
     ----------
@@ -99,27 +89,28 @@ def run_demo(
     report = report or Report(quiet=True)
     report.announce_compilation("data_synth", "lfcal", "lfrender")
     with report.stage("simulate"):
-        camera = Camera.design(flat_size, _PITCH, "hex", _ROTATION)
-        capture = simulate(SCENES["house"](camera), camera, samples=samples, seed=seed, noise=_NOISE)
-    results = _run_chain(capture, report)
+        camera = Camera.design(flat_size, pitch=23.2, lattice="hex", rotation=0.7)
+        # Noise of a pixel: a full well of 9000 electrons, and 5 of them when it is read.
+        capture = simulate(SCENES["house"](camera), camera, samples=samples, seed=seed, noise=(9000.0, 5.0))
+    results = _process(capture, report)
     with report.stage("compare with the truth"):
         figures, reference = _measure(capture, results)
     white = np.iinfo(capture.flat.dtype).max
     truth = np.rint(reference * white).astype(capture.flat.dtype)
     with report.stage("write"):
-        crop = _crop_where_modes_meet(capture)
+        crop = _crop_of_both_modes(capture)
         _write_pictures(target, capture, results, truth, crop)
     figures = {**figures, "seconds": report.seconds}
-    urls, _ = data_urls({"reference": truth}, _ROOM)
+    urls, _ = data_urls({"reference": truth}, 2_000_000)
     write_report(
         target / "index.html", capture.flat, results.from_scene, results.depth, results.pictures,
         title="One capture, both modes, sharp everywhere", seconds=report.seconds, compare={"truth": truth},
-        further=truth_section(figures, png_url(crop), urls["reference"]), command="lfrender demo",
+        further=_truth_section(figures, png_url(crop), urls["reference"]), command="lfrender demo",
     )  # fmt: skip
     return {"page": str(target / "index.html"), **figures}
 
 
-def _run_chain(capture: Capture, report: Report) -> _Results:
+def _process(capture: Capture, report: Report) -> _Results:
     flat = capture.flat
     with report.stage("calibrate from the capture"):
         from_scene = calibrate(flat, kind="scene")
@@ -133,17 +124,15 @@ def _run_chain(capture: Capture, report: Report) -> _Results:
 
 
 def _measure(capture: Capture, results: _Results) -> tuple[dict[str, Any], NDArray[Any]]:
-    """All figures of merit, and the reference on the grid of the all-in-focus picture."""
-    truth, lattice, sharp = capture.truth, results.from_scene.lattice, results.pictures.sharp
+    """All errors against the truth, and the reference on the grid of the all-in-focus picture."""
+    truth, sharp = capture.truth, results.pictures.sharp
     true_lattice = truth.calibration.lattice
     resolvable = truth.mode != 0
-    one_depth = resolvable & ~truth.mixed
-    lens = nearest_lens(lattice, true_lattice.centres())
+    selections = {"all": resolvable, "one_depth": resolvable & ~truth.mixed}
+    lens = nearest_lens(results.from_scene.lattice, true_lattice.centres())
     mode, size = np.asarray(results.depth.mode)[lens], np.asarray(results.depth.patch_size)[lens]
-    merit = {
-        name: _compare(capture, picture) for name, picture in {"all_in_focus": sharp, **results.pictures.fixed}.items()
-    }
     reference, _ = resample(truth.reference, truth.reference_affine, sharp.image.shape[:2], sharp.affine)
+    pictures = {"all_in_focus": sharp, **results.pictures.fixed}
     figures = {
         "flat_size": list(truth.calibration.image_size),
         "pitch": true_lattice.pitch,
@@ -153,19 +142,12 @@ def _measure(capture: Capture, results: _Results) -> tuple[dict[str, Any], NDArr
             kind: {"centre_error": centre_error(c.lattice, true_lattice), "confidence": float(c.confidence)}
             for kind, c in (("scene", results.from_scene), ("white", results.from_white))
         },
-        "mode_right": {
-            "all": mode_accuracy(mode, truth.mode, resolvable),
-            "one_depth": mode_accuracy(mode, truth.mode, one_depth),
-        },
-        "mode_wrong": {
-            "all": mode_accuracy(-mode, truth.mode, resolvable),
-            "one_depth": mode_accuracy(-mode, truth.mode, one_depth),
-        },
+        "mode_right": {name: mode_accuracy(mode, truth.mode, where) for name, where in selections.items()},
+        "mode_wrong": {name: mode_accuracy(-mode, truth.mode, where) for name, where in selections.items()},
         "magnification_error": {
-            "all": magnification_error(size, truth.patch_size, resolvable),
-            "one_depth": magnification_error(size, truth.patch_size, one_depth),
+            name: magnification_error(size, truth.patch_size, where) for name, where in selections.items()
         },
-        "merit": merit,
+        "merit": {name: _compare(capture, picture) for name, picture in pictures.items()},
         "fixed_patch_size": dict(results.pictures.patch_size),
         "picture_size": list(sharp.image.shape[1::-1]),
         "scale": sharp.scale,
@@ -174,14 +156,14 @@ def _measure(capture: Capture, results: _Results) -> tuple[dict[str, Any], NDArr
     return figures, reference
 
 
-def _compare(capture: Capture, picture: Rendering) -> dict[str, float]:
-    """PSNR and SSIM over the pixels whose depth any method could resolve."""
+def _compare(capture: Capture, picture: Rendering, resolvable: float = 0.75) -> dict[str, float]:
+    """PSNR and SSIM over pixels with `|s| / D` up to `resolvable`; beyond, microimages have too little in common."""
     truth, shape = capture.truth, picture.image.shape[:2]
     reference, inside = resample(truth.reference, truth.reference_affine, shape, picture.affine)
     ratio = np.nan_to_num(np.abs(truth.reference_patch_size), nan=np.inf) / truth.calibration.lattice.pitch
-    unresolvable, _ = resample((ratio > _RESOLVABLE).astype(np.float64), truth.reference_affine, shape, picture.affine)
-    merit = compare_pictures(picture.image, reference, inside & np.asarray(picture.valid) & (unresolvable < 1e-6))
-    return {"psnr": merit.psnr, "ssim": merit.ssim}
+    unresolvable, _ = resample((ratio > resolvable).astype(np.float64), truth.reference_affine, shape, picture.affine)
+    quality = compare_pictures(picture.image, reference, inside & np.asarray(picture.valid) & (unresolvable < 1e-6))
+    return {"psnr": quality.psnr, "ssim": quality.ssim}
 
 
 def _write_pictures(
@@ -204,11 +186,11 @@ def _write_pictures(
         write_picture(folder / f"{name}.png", picture)
 
 
-def _crop_where_modes_meet(capture: Capture) -> NDArray[Any]:
+def _crop_of_both_modes(capture: Capture, largest: tuple[int, int] = (320, 240)) -> NDArray[Any]:
     """The part of the flat that shows both modes most evenly."""
     sign = np.nan_to_num(np.sign(capture.truth.disparity))
     height, width = sign.shape
-    w, h = min(_CROP[0], width), min(_CROP[1], height)
+    w, h = min(largest[0], width), min(largest[1], height)
     windows = [
         np.s_[y : y + h, x : x + w]
         for y in range(0, height - h + 1, h // 2 or 1)
@@ -216,3 +198,40 @@ def _crop_where_modes_meet(capture: Capture) -> NDArray[Any]:
     ]
     balance = [min(np.mean(sign[window] > 0), np.mean(sign[window] < 0)) for window in windows]
     return np.ascontiguousarray(capture.flat[windows[int(np.argmax(balance))]])
+
+
+def _truth_section(figures: Mapping[str, Any], flat_crop: str, reference: str) -> str:
+    """HTML of the comparison with the truth; `flat_crop` and `reference` are data URLs of pictures."""
+    template = Template((files(__package__) / "assets" / "demo.html").read_text(encoding="utf-8"))
+    quality = figures["merit"]
+    psnr = {name: quality[name]["psnr"] for name in quality}
+    best_fixed = max(psnr[name] for name in figures["fixed_patch_size"])
+    calibrations = {"scene": "the capture itself", "white": "the white image"}
+    depths = (
+        ("mode_right", "mode is right", ".1%"),
+        ("mode_wrong", "mode is the opposite one", ".1%"),
+        ("magnification_error", "M, median relative error (unresolved: 1)", ".2%"),
+    )
+    return template.substitute(
+        flat_crop=flat_crop,
+        reference=reference,
+        cards=cards({
+            "all in focus": f"{psnr['all_in_focus']:.1f} dB",
+            "better than the best single patch size": f"{psnr['all_in_focus'] - best_fixed:.1f} dB",
+            "modes right, lenses that see one depth": f"{figures['mode_right']['one_depth']:.1%}",
+            "error of M, median, all lenses": f"{figures['magnification_error']['all']:.1%}",
+            "RMS error of centres, from the capture alone":
+                f"{figures['calibration']['scene']['centre_error']:.3f} px",
+        }),
+        pictures=table_rows(
+            (_PICTURES[name], f"{m['psnr']:.1f} dB", f"{m['ssim']:.3f}") for name, m in quality.items()
+        ),
+        calibrations=table_rows(
+            (calibrations[kind], f"{c['centre_error']:.4f} px", f"{c['confidence']:.2f}")
+            for kind, c in figures["calibration"].items()
+        ),
+        lenses=f"{figures['lenses_judged']:,}",
+        depths=table_rows(
+            (label, *(f"{figures[name][key]:{form}}" for key in ("all", "one_depth"))) for name, label, form in depths
+        ),
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The report of a flat: calibration, depth and pictures on one page that needs nothing else."""
+"""The report of a flat: calibration, depth and pictures on one HTML page that needs no network."""
 
 from __future__ import annotations
 
@@ -16,20 +16,27 @@ from lfcal import Calibration, show
 from lfcal.runtime.output_file import atomic_write
 
 from ..data.depth_map import REASONS, DepthMap
-from ..output.depth_picture import MODE_COLOURS
-from .report_charts import bars, magnification_histogram, magnification_limits, maps, table
-from .report_pictures import ReportPictures, data_urls, draw_pictures, png_url
+from ..output.depth_picture import MODE_COLOURS, MODES, magnification_limits
+from .report_figures import (
+    ReportPictures,
+    bars,
+    cards,
+    data_urls,
+    draw_pictures,
+    magnification_histogram,
+    maps,
+    png_url,
+    table,
+)
 
 __all__ = ["write_report"]
 
-# Largest page [characters]: mail and browsers take that without complaint.
-_MOST = 14_500_000
 _SHORTCUTS = {
     "blank": "lenses without texture, which were not matched",
     "ranges": "shifts that occur in no lens of a sample, which were not tried",
     "plane": "lenses of a scene that is one plane, which were only checked",
-    "still": "lenses that show the same as in the frame before",
-    "roi": "lenses outside the part that was asked for",
+    "still": "lenses that have not changed since the frame before",
+    "roi": "lenses outside the chosen part",
 }
 _SOURCES = {
     "white": "a white image",
@@ -37,8 +44,6 @@ _SOURCES = {
     "published": "a published calibration",
     "truth": "the simulation",
 }
-# Below this confidence of the calibration, and above this share of unresolved lenses, a reader should be told.
-_DOUBTFUL, _MUCH = 0.5, 0.5
 
 
 def write_report(
@@ -53,6 +58,7 @@ def write_report(
     compare: Mapping[str, NDArray] | None = None,
     further: str = "",
     command: str = "lfrender report",
+    largest: int = 14_500_000,
 ) -> None:
     """Write the report of a flat as one HTML file of at most 15 MB that opens offline.
 
@@ -64,16 +70,18 @@ def write_report(
     depth : DepthMap
         Of this flat.
     pictures : ReportPictures, optional
-        Drawn first where they are not given.
+        Drawn if not given.
     title : str
     seconds : mapping of str to float, optional
         Time per stage.
     compare : mapping of str to array, optional
-        Further pictures to compare with, on the grid of the all-in-focus one, by what to call them.
+        Further pictures to compare with, by their names, on the grid of the all-in-focus one.
     further : str
         Sections to add, as HTML.
     command : str
-        What made the page.
+        The command that made the page, for its footer.
+    largest : int
+        Most characters of pictures and maps; mail programs and browsers accept pages of 15 MB.
 
     Raises
     ------
@@ -91,10 +99,10 @@ def write_report(
         **(compare or {}),
         "calibration": show(calibration, flat),
     }
-    room = _MOST - sum(map(len, charts.values())) - len(further)
+    room = largest - sum(map(len, charts.values())) - len(further)
     urls, size = data_urls(shown, room, calibration.white_level)
     web = files(__package__) / "assets"
-    limits = magnification_limits(depth)
+    limits = magnification_limits(depth.magnification)
     names = {"all_in_focus": "all in focus", "traditional": "traditional"}
     names |= {name: f"one patch size, {name}" for name in pictures.fixed} | {name: name for name in compare or {}}
     height, width = pictures.sharp.image.shape[:2]
@@ -105,7 +113,7 @@ def write_report(
         script=(web / "report.js").read_text(encoding="utf-8"),
         summary=_summary(calibration, depth, pictures),
         warnings=_warnings(calibration, depth, size),
-        cards=_cards(calibration, depth, pictures, seconds or {}),
+        cards=_figures(calibration, depth, pictures, seconds or {}),
         sources="".join(_source(name, words, urls[name]) for name, words in names.items()),
         choices=_choices(pictures, names),
         width=round(size * width),
@@ -139,28 +147,28 @@ def _summary(calibration: Calibration, depth: DepthMap, pictures: ReportPictures
 
 
 def _warnings(calibration: Calibration, depth: DepthMap, size: float) -> str:
-    words = list(calibration.warnings)
-    if calibration.confidence < _DOUBTFUL:
-        words.append(f"The calibration is doubtful (confidence {calibration.confidence:.2f}); try a white image.")
+    warnings = list(calibration.warnings)
+    if calibration.confidence < 0.5:
+        warnings.append(f"The calibration is doubtful (confidence {calibration.confidence:.2f}); try a white image.")
     missing = float(np.mean(depth.filled))
-    if missing > _MUCH:
-        words.append(
+    if missing > 0.5:
+        warnings.append(
             f"{missing:.0%} of the lenses have no depth of their own. They are drawn with that of their neighbours."
         )
     if size < 1:
-        words.append(f"The pictures on this page are reduced to {size:.0%} of their width and height.")
-    if not words:
+        warnings.append(f"The pictures on this page are reduced to {size:.0%} of their width and height.")
+    if not warnings:
         return ""
     return (
-        '<section class="warnings" aria-label="Warnings"><h2>To beware of</h2><ul>'
-        + "".join(f"<li>{escape(w[:1].upper() + w[1:])}</li>" for w in words)
+        '<section class="warnings" aria-label="Warnings"><h2>Warnings</h2><ul>'
+        + "".join(f"<li>{escape(text[:1].upper() + text[1:])}</li>" for text in warnings)
         + "</ul></section>"
     )
 
 
-def _cards(calibration: Calibration, depth: DepthMap, pictures: ReportPictures, seconds: Mapping[str, float]) -> str:
+def _figures(calibration: Calibration, depth: DepthMap, pictures: ReportPictures, seconds: Mapping[str, float]) -> str:
     known = depth.magnification[np.isfinite(depth.magnification)]
-    cards = {
+    figures = {
         "lenses with a depth": f"{np.mean(~depth.filled):.1%}",
         "telescopic": f"{np.mean(depth.mode == 1):.1%}",
         "binocular": f"{np.mean(depth.mode == -1):.1%}",
@@ -169,16 +177,17 @@ def _cards(calibration: Calibration, depth: DepthMap, pictures: ReportPictures, 
         "pixels per microlens pitch": f"{pictures.sharp.scale:.1f}",
     }
     if seconds:
-        cards["time"] = f"{sum(seconds.values()):.1f} s"
-    return "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in cards.items())
+        figures["time"] = f"{sum(seconds.values()):.1f} s"
+    return cards(figures)
 
 
 def _choices(pictures: ReportPictures, names: Mapping[str, str]) -> str:
-    # The comparison that tells most comes first.
+    # The pictures that differ most from the all-in-focus one come first.
     order = [*pictures.fixed, *(name for name in names if name not in pictures.fixed and name != "all_in_focus")]
+    sizes = {name: f" ({size:+.2f} px)" for name, size in pictures.patch_size.items()}
     return "".join(
         f'<button type="button" data-choice="{name}" aria-pressed="{"true" if n == 0 else "false"}">'
-        f"{escape(_described(names[name], pictures.patch_size.get(name)))}</button>"
+        f"{escape(names[name] + sizes.get(name, ''))}</button>"
         for n, name in enumerate(order)
     )
 
@@ -187,14 +196,10 @@ def _source(name: str, words: str, url: str) -> str:
     return f'<img data-name="{name}" data-words="{escape(words)}" alt="{escape(words)}" hidden src="{url}">'
 
 
-def _described(name: str, size: float | None) -> str:
-    return name if size is None else f"{name} ({size:+.2f} px)"
-
-
 def _modes_legend(depth: DepthMap) -> str:
     return "".join(
         f'<span><i style="background:rgb{MODE_COLOURS[code]}"></i>{name} {np.mean(depth.mode == code):.1%}</span>'
-        for code, name in ((1, "telescopic"), (-1, "binocular"), (0, "unresolved"))
+        for code, name in MODES.items()
     )
 
 
@@ -228,5 +233,4 @@ def _camera(calibration: Calibration) -> str:
 def _saved(depth: DepthMap) -> str:
     if not depth.saved:
         return "<p>Nothing was skipped: every lens was matched at every shift.</p>"
-    # A shortcut that found nothing to leave out is told as well.
     return bars({_SHORTCUTS.get(name, name): share for name, share in depth.saved.items()}, "{:.1%} of the work")

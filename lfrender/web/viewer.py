@@ -1,4 +1,4 @@
-"""The viewer's page: a light field to be refocused in the browser, as files for any web page."""
+"""The viewer: a web page on which a light field is refocused, as files for any web server or disk."""
 
 from __future__ import annotations
 
@@ -21,10 +21,6 @@ from ..data.depth_map import DepthMap
 from .viewer_scene import viewer_scene
 
 __all__ = ["viewer_files", "write_viewer"]
-
-_MODULES = ("geometry", "scene", "renderer", "viewer")
-# Files that are sent over a network are worth the time.
-_SMALL = 6
 
 
 def viewer_files(
@@ -51,20 +47,19 @@ def viewer_files(
         text = base64.b64encode(content).decode()
         yield f"data/{name}.js", f'lightFieldData("{name}", "{text}");\n'.encode()
     web = files(__package__) / "assets"
-    # Modules as data URLs: browsers fetch no files for a page that was opened from a disk.
-    modules = {f"lfrender/{name}": _data_url((web / f"{name}.js").read_bytes()) for name in _MODULES}
+    # Modules are data URLs: browsers do not fetch files for a page that was opened from a disk.
+    urls = {}
+    for name in ("geometry", "scene", "renderer", "viewer"):
+        script = base64.b64encode((web / f"{name}.js").read_bytes()).decode()
+        urls[f"lfrender/{name}"] = f"data:text/javascript;base64,{script}"
     page = Template((web / "viewer.html").read_text(encoding="utf-8")).substitute(
         title=html.escape(title),
         style=(web / "viewer.css").read_text(encoding="utf-8"),
         shader=(web / "light_field.frag").read_text(encoding="utf-8"),
-        ready=(web / "ready_to_read.frag").read_text(encoding="utf-8"),
-        modules=json.dumps({"imports": modules}),
+        prefilter=(web / "prefilter.frag").read_text(encoding="utf-8"),
+        modules=json.dumps({"imports": urls}),
     )
     yield "index.html", page.encode()
-
-
-def _data_url(script: bytes) -> str:
-    return "data:text/javascript;base64," + base64.b64encode(script).decode()
 
 
 def write_viewer(
@@ -74,7 +69,7 @@ def write_viewer(
     depth: DepthMap,
     title: str = "Light field",
 ) -> Path:
-    """Write the viewer as static files; gives the path of its page.
+    """Write the viewer as static files; returns the path of its page.
 
     The page works where the folder is served, and from a disk. To put it on a web page, use an `iframe`.
 
@@ -97,7 +92,8 @@ def write_viewer(
         (target / "data").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{target}: cannot be made ({error.strerror})") from error
-    for name, content in viewer_files(flat, calibration, depth, title, compression=_SMALL):
+    # Files that are sent over a network are worth the time of compression.
+    for name, content in viewer_files(flat, calibration, depth, title, compression=6):
         with atomic_write(target / name) as temporary:
             temporary.write_bytes(content)
     return target / "index.html"

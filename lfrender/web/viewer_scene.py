@@ -1,4 +1,4 @@
-"""What the viewer's shader needs of a capture: the flat in tiles, and the tables that the drawing kernel reads too."""
+"""The data of the viewer's shader: the flat in tiles, depths of its pixels, and the tables of the blending kernel."""
 
 from __future__ import annotations
 
@@ -22,28 +22,32 @@ from ..flat.lens_blur import measure_lens_blur
 from ..flat.lens_graph import nearest_lens
 from ..flat.lens_type_weights import focus_weights
 from ..flat.validation import check_flat
+from ..output.depth_picture import colour_scale, magnification_limits
 from ..rendering.plan import dilate_mask, lens_offsets
 from ..rendering.refocus import _REACH as _WIDE_REACH
 from ..rendering.render import _AGREEMENT, _COARSE, _REACH, default_scale
 
 __all__ = ["viewer_scene"]
 
-# Side of a tile that every WebGL 2 takes.
-_TILE = 2048
-# Rows and columns that neighbours share, one of them before their own part: each is read alone, and sharpened before.
-_SHARED, _BEFORE = 3, 1
-# Layers of a texture that every WebGL 2 takes.
+# Limits of every WebGL 2: side of a texture, and layers of one.
+_LARGEST_TILE = 2048
 _MOST_TILES = 256
-# Patch sizes of flat pixels go into 16 bits: 0 is unknown, the last code infinitely far, the others -D to D.
+# Rows and columns that neighbouring tiles share, one of them before their own part: each is interpolated and sharpened
+# alone.
+_SHARED = 3
+_BEFORE = 1
+# Codes of the patch sizes of flat pixels, of 16 bits: 0 is unknown, the last one infinitely far, the others -D to D.
 _CODES = 65535
-# Share of the lenses between the ends of the slider, and what is added to both ends of their range.
-_WITHIN, _MORE = (0.01, 0.99), 0.15
-# Patches smaller than this share of the pitch are not found in any capture.
-_SMALLEST = 0.04
 
 
 def viewer_scene(
-    flat: NDArray, calibration: Calibration, depth: DepthMap, title: str, *, tile: int = _TILE, compression: int = 1
+    flat: NDArray,
+    calibration: Calibration,
+    depth: DepthMap,
+    title: str,
+    *,
+    tile: int = _LARGEST_TILE,
+    compression: int = 1,
 ) -> Iterator[tuple[str, bytes]]:
     """The data of the viewer: one JSON object, and pictures and arrays beside it.
 
@@ -63,7 +67,8 @@ def viewer_scene(
     Returns
     -------
     iterator of (str, bytes)
-        Names and contents: `scene.json`, `surface.f32`, `resolved.u8`, `flat-COLUMN-ROW.png`, `seen-COLUMN-ROW.png`.
+        Names and contents: `scene.json`, `surface.f32`, `resolved.u8`, `flat-COLUMN-ROW.png`,
+        `occlusion-COLUMN-ROW.png`.
 
     Raises
     ------
@@ -83,27 +88,28 @@ def viewer_scene(
             "view a part of it, or a smaller copy"
         )
     edge = max(0.5, 0.03 * calibration.lattice.pitch)
-    even, gains, lights, step = _light(pixels, calibration)
-    seen, from_middle = _seen(calibration, depth, edge)
-    described = _tables(calibration, depth, edge, pixels)
-    described |= {"title": title, "size": [width, height]}
-    described["rings"] = {"step": step, "values": _base64(np.column_stack([gains, lights]), np.float32)}
-    with_seen, white = [], white_level(pixels, calibration)
+    even, gains, lights, step = _correct_vignetting(pixels, calibration)
+    codes, central_codes = _occlusion_codes(calibration, depth, edge)
+    scene = _tables(calibration, depth, edge, pixels)
+    scene |= {"title": title, "size": [width, height]}
+    scene["rings"] = {"step": step, "values": _base64(np.column_stack([gains, lights]), np.float32)}
+    with_occlusion, white = [], white_level(pixels, calibration)
     for name, (x, y, side) in tiles.items():
-        part = _cut(seen, x, y, side)
+        part = _cut(codes, x, y, side)
         if part.any():
-            with_seen.append(name)
-            coded = np.dstack([part >> 8, part & 255, _cut(from_middle, x, y, side)]).astype(np.uint8)
-            yield f"seen-{name}.png", _png(coded, compression)
-        yield f"flat-{name}.png", _png(to_eight_bits(_shown(_cut(even, x, y, side)), white), compression)
+            with_occlusion.append(name)
+            coded = np.dstack([part >> 8, part & 255, _cut(central_codes, x, y, side)]).astype(np.uint8)
+            yield f"occlusion-{name}.png", _png(coded, compression)
+        yield f"flat-{name}.png", _png(to_eight_bits(_to_rgb_or_gray(_cut(even, x, y, side)), white), compression)
     last = list(tiles)[-1].split("-")
-    described["tiles"] = {
-        "side": next(iter(tiles.values()))[2], "columns": int(last[0]) + 1, "rows": int(last[1]) + 1, "seen": with_seen,
+    scene["tiles"] = {
+        "side": next(iter(tiles.values()))[2], "columns": int(last[0]) + 1, "rows": int(last[1]) + 1,
+        "occlusion": with_occlusion,
     }  # fmt: skip
     surface = depth.surface
     yield "surface.f32", np.ascontiguousarray(surface.patch_size, "<f4").tobytes()
     yield "resolved.u8", _resolved(calibration, depth).tobytes()
-    yield "scene.json", json.dumps(described).encode()
+    yield "scene.json", json.dumps(scene).encode()
 
 
 def _tiles(size: tuple[int, int], largest: int) -> dict[str, tuple[int, int, int]]:
@@ -115,17 +121,17 @@ def _tiles(size: tuple[int, int], largest: int) -> dict[str, tuple[int, int, int
 
 
 def _cut(pixels: NDArray, left: int, top: int, side: int) -> NDArray:
-    """A tile, as far as the flat reaches and one pixel beyond, where the last one is repeated."""
+    """A tile cut off one pixel beyond the border of the flat, whose last pixels are repeated there."""
     ends = [(k, min(k + side, n + 1), n) for k, n in ((top, pixels.shape[0]), (left, pixels.shape[1]))]
     part = pixels[tuple(slice(max(low, 0), high) for low, high, _ in ends)]
     beyond = [(max(-low, 0), max(high - n, 0)) for low, high, n in ends]
     return np.pad(part, [*beyond, (0, 0)][: pixels.ndim], "edge") if np.any(beyond) else part
 
 
-def _light(
+def _correct_vignetting(
     pixels: NDArray, calibration: Calibration
 ) -> tuple[NDArray, NDArray[np.float32], NDArray[np.float32], float]:
-    """The flat, evenly lit where its lenses differ; over the squared distance from a centre its gain and its light."""
+    """The flat, corrected if its lenses differ; gain and transmission over squared distance from a centre; its step."""
     gains, step = correction_table(calibration)
     lights = (1 / gains).astype(np.float32)
     if has_uneven_lenses(calibration):
@@ -133,33 +139,35 @@ def _light(
     return pixels, gains, lights, step
 
 
-def _seen(calibration: Calibration, depth: DepthMap, edge: float) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """(H, W) codes of the patch size of what each flat pixel sees from aside, and of what it sees from the middle.
+def _occlusion_codes(
+    calibration: Calibration, depth: DepthMap, edge: float
+) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """(H, W) codes of the patch size of the surface that each flat pixel shows, for any viewpoint and the central one.
 
-    From aside, lenses are asked for places farther from them. The second code is 0 for unknown, 255 for the same as
-    from aside, else -D to D.
+    For other viewpoints, lenses are read at places farther from them. The second code is 0 for unknown, 255 for the
+    same as the first, else -D to D.
     """
     lattice = calibration.lattice
     farthest = Viewpoint((lattice.radius, 0.0)).max_parallax(depth.surface, lattice)
     middle = project_surface(depth.surface, lattice, _REACH * lattice.pitch, edge)
     aside = project_surface(depth.surface, lattice, _REACH * lattice.pitch + farthest, edge)
-    coded = _coded(aside, lattice.pitch, _CODES).astype(np.uint16)
-    from_middle = _coded(middle, lattice.pitch, 255).astype(np.uint8)
-    from_middle[np.abs(middle - aside) < 0.5 * edge] = 255
+    coded = _encode(aside, lattice.pitch, _CODES).astype(np.uint16)
+    central = _encode(middle, lattice.pitch, 255).astype(np.uint8)
+    central[np.abs(middle - aside) < 0.5 * edge] = 255
     if has_uneven_lenses(calibration):
         unlit = dilate_mask(np.isnan(calibration.gain()))
-        coded[unlit], from_middle[unlit] = _CODES, 255
-    return coded, from_middle
+        coded[unlit], central[unlit] = _CODES, 255
+    return coded, central
 
 
-def _coded(patch_size: NDArray[np.float32], pitch: float, last: int) -> NDArray[np.float32]:
-    """Whole numbers: 0 for NaN, 1 to `last - 1` for -D to D."""
+def _encode(patch_size: NDArray[np.float32], pitch: float, last: int) -> NDArray[np.float32]:
+    """Integer codes: 0 for NaN, 1 to `last - 1` for -D to D."""
     share = (np.clip(np.nan_to_num(patch_size) / pitch, -1, 1) + 1) / 2
     return np.where(np.isnan(patch_size), 0, np.rint(1 + share * (last - 2))).astype(np.float32)
 
 
 def _resolved(calibration: Calibration, depth: DepthMap) -> NDArray[np.uint8]:
-    """(h, w): 1 where the surface lies over a lens with a depth of its own."""
+    """(h, w): 1 where the nearest lens has a depth of its own."""
     surface = depth.surface
     v, u = np.indices(surface.patch_size.shape)
     points = np.column_stack([u.ravel(), v.ravel()]) * surface.spacing + surface.first
@@ -168,13 +176,13 @@ def _resolved(calibration: Calibration, depth: DepthMap) -> NDArray[np.uint8]:
 
 
 def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDArray) -> dict[str, Any]:
-    """What goes into the JSON object as numbers."""
+    """The tables in the JSON object."""
     lattice, surface = calibration.lattice, depth.surface
     offsets, _ = lens_offsets(lattice, _WIDE_REACH * lattice.pitch)
-    bend, low = lens_displacements(lattice)
+    displacements, low = lens_displacements(lattice)
     cell, shares = focus_weights(calibration.lens_types)
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
-    # Blur is measured as a share of the patch size; one patch size for all lenses gives its width in the flat.
+    # Blur is measured as a share of the patch size: with one patch size for all lenses, times that, it is a width.
     unit = np.full(len(lattice), 2.0, np.float32)
     ends, middle = _planes(depth)
     return {
@@ -184,7 +192,11 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
         "basis": lattice.basis.tolist(),
         "inverse": np.linalg.inv(lattice.basis).tolist(),
         "offsets": _base64(offsets, np.float32),
-        "bend": {"shape": list(bend.shape[:2]), "low": low.tolist(), "values": _base64(bend, np.float32)},
+        "displacements": {
+            "shape": list(displacements.shape[:2]),
+            "low": low.tolist(),
+            "values": _base64(displacements, np.float32),
+        },
         "types": {"side": len(cell), "cell": cell.ravel().tolist(), "shares": _base64(shares, np.float32)},
         "surface": {
             "shape": list(surface.patch_size.shape),
@@ -203,35 +215,34 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
         "coarse": _COARSE,
         "planes": ends,
         "plane": middle,
-        "overlay": _overlay(depth),
+        "overlay": {
+            "limits": list(magnification_limits(depth.magnification)),
+            "ramp": _base64(colour_scale("turbo"), np.uint8),
+        },
     }
 
 
-def _planes(depth: DepthMap) -> tuple[list[float], float]:
-    """Ends of the range of depth as nearness, which grows toward the camera, and the patch size in its middle."""
+def _planes(
+    depth: DepthMap, ends: tuple[float, float] = (0.01, 0.99), margin: float = 0.15, smallest: float = 0.04
+) -> tuple[list[float], float]:
+    """Ends of the slider of depth, and the patch size in the middle.
+
+    Depths are `s` of telescopic and `s + 2 D` of binocular lenses, which grows toward the camera. `ends` are shares of
+    the lenses; `margin` is added at both sides [of the range]; `smallest` is the smallest patch [pitch].
+    """
     known = depth.patch_size[np.isfinite(depth.patch_size)].astype(float)
     known = known if known.size else depth.filled_patch_size.astype(float)
     pitch = depth.pitch
     near = np.sort(np.where(known > 0, known, known + 2 * pitch))
-    low, middle, high = np.quantile(near, (_WITHIN[0], 0.5, _WITHIN[1]), method="nearest")
-    more = _MORE * max(high - low, 0.2 * pitch)
-    least = _SMALLEST * pitch
-    ends = [max(float(low - more), least), min(float(high + more), 2 * pitch - least)]
-    middle = min(max(float(middle), ends[0]), ends[1])
-    return ends, middle if middle < pitch else middle - 2 * pitch
+    low, middle, high = np.quantile(near, (ends[0], 0.5, ends[1]), method="nearest")
+    more = margin * max(high - low, 0.2 * pitch)
+    least = smallest * pitch
+    limits = [max(float(low - more), least), min(float(high + more), 2 * pitch - least)]
+    middle = min(max(float(middle), limits[0]), limits[1])
+    return limits, middle if middle < pitch else middle - 2 * pitch
 
 
-def _overlay(depth: DepthMap) -> dict[str, Any]:
-    """Colours of the magnification and the ends of their scale."""
-    import cv2
-
-    known = depth.magnification[np.isfinite(depth.magnification)]
-    low, high = np.percentile(known, [1, 99]) if known.size else (1.0, 10.0)
-    ramp = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], cv2.COLORMAP_TURBO)[0, :, ::-1]
-    return {"limits": [float(low), float(max(high, 1.2 * low))], "ramp": _base64(ramp, np.uint8)}
-
-
-def _shown(pixels: NDArray) -> NDArray:
+def _to_rgb_or_gray(pixels: NDArray) -> NDArray:
     """The first three channels, or the first alone."""
     return pixels[:, :, :3] if pixels.shape[2] >= 3 else pixels[:, :, :1]
 

@@ -1,4 +1,4 @@
-"""A server for the viewer's page: on this machine alone, and nothing but the page's own files."""
+"""An HTTP server for the viewer's page, reachable from this machine alone, with no other files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["PageServer", "ServerError"]
 
 _HOST = "127.0.0.1"
 _TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8"}
-# Nothing from elsewhere: scripts are inline, in data URLs, or among the files.
+# Nothing is loaded from other hosts: scripts are inline, in data URLs, or among the files.
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline' data:; style-src 'unsafe-inline'; "
     "img-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
@@ -58,13 +58,13 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
     def do_GET(self) -> None:
-        self._answer(with_body=True)
+        self._respond(with_body=True)
 
     def do_HEAD(self) -> None:
-        self._answer(with_body=False)
+        self._respond(with_body=False)
 
-    def _answer(self, with_body: bool) -> None:
-        # A page elsewhere may have its own name point to this machine, to read what is served here.
+    def _respond(self, with_body: bool) -> None:
+        # Protects against DNS rebinding: a page of another host could let its name point to this machine.
         port = self.server.server_port
         known = self.headers.get("Host") in (f"{_HOST}:{port}", f"localhost:{port}")
         path = self.path.partition("?")[0]
@@ -84,4 +84,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(content)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Requests are of no interest on the terminal."""
+        """Requests are not shown on the terminal."""

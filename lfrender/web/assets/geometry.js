@@ -1,12 +1,12 @@
-// Places and depths, in the symbols of docs/method.md: X on the microlens plane, s, q, D. No drawing here.
+// Coordinates and depths, in the symbols of docs/geometry.md: X on the microlens plane, s, q, D.
 
-// Nearness grows toward the camera: telescopic s from 0 to D, then binocular s from -D to 0.
-export const nearness = (s, pitch) => (s > 0 ? s : s + 2 * pitch);
+// Grows toward the camera: telescopic s from 0 to D, then binocular s from -D to 0.
+export const depthOrder = (s, pitch) => (s > 0 ? s : s + 2 * pitch);
 export const patchSize = (near, pitch) => (near < pitch ? near : near - 2 * pitch);
 
 export const modeName = s => (s > 0 ? "telescopic" : "binocular");
 
-// Patch size at place X: linear between grid values, nearest across a depth edge (lfrender/mosaic.py).
+// Patch size at place X: linear between grid values, nearest across a depth edge (lfrender/rendering/blend_pixels.py).
 export function surfaceAt(surface, x, y) {
   const [rows, columns] = surface.shape;
   const gx = clamp((x - surface.first[0]) / surface.spacing, 0, columns - 1);
@@ -21,8 +21,8 @@ export function surfaceAt(surface, x, y) {
   return at(fy > 0.5 ? j1 : j, fx > 0.5 ? i1 : i);
 }
 
-// Patch size that is seen at place Y from viewpoint q, where virtual depth `still` stays (lfrender/warping.py).
-export function sizeSeenAt(scene, x, y, q, still) {
+// Patch size of the surface visible at Y from viewpoint q; virtual depth `still` does not move (lfrender/data/viewpoint.py).
+export function visiblePatchSize(scene, x, y, q, still) {
   const { surface, pitch } = scene;
   const [nearest, farthest] = surface.virtual;
   const aside = Math.hypot(...q), least = pitch / 12;
@@ -41,7 +41,7 @@ export function sizeSeenAt(scene, x, y, q, still) {
 
 export const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
-// What part of the scene a picture of width x height pixels shows: its middle X and the step between pixels.
+// The part of the scene that a picture of width x height pixels shows: the X of its middle and the step between pixels.
 export class Frame {
   constructor(scene) {
     this.size = scene.size;

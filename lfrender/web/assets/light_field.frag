@@ -1,12 +1,12 @@
 #version 300 es
-// The drawing kernel of lfrender/mosaic.py on the graphics card, in the symbols of docs/method.md: a lens at c shows
-// the scene point X at c + q - (X - c) s / D. With WARP defined, the surface as seen from q (lfrender/warping.py).
+// The kernel of lfrender/rendering/blend_pixels.py as a shader, in the symbols of docs/geometry.md: a lens at c shows the
+// scene point X at c + q - (X - c) s / D. With WARP defined, the surface visible from q (lfrender/data/viewpoint.py).
 precision highp float;
 precision highp int;
 precision highp sampler2D;
 precision highp sampler2DArray;
 
-uniform sampler2D surface;       // s of every grid value, and 1 where it was measured
+uniform sampler2D surface;       // s at every grid point, and 1 where it was measured
 uniform vec2 surfaceFirst;
 uniform float cell, edge;
 uniform float pitch;
@@ -56,24 +56,24 @@ void main() {
 
 #else
 
-uniform sampler2DArray flatTiles, seenTiles;
-uniform sampler2D rings, bend, shares, ramp;
+uniform sampler2DArray flatTiles, occlusionTiles;
+uniform sampler2D rings, displacements, shares, ramp;
 uniform highp isampler2D types;
 uniform vec2 flatSize;
 uniform float tileStep, tileSide;
 uniform ivec2 tileCount;
-uniform bool seenKnown;
+uniform bool hasOcclusion;
 uniform float ringStep;
 uniform vec2 origin;
 uniform mat2 basis, inverseBasis;   // columns are the rows of the tables: index = inverseBasis * offset
-uniform ivec2 bendLow;
+uniform ivec2 displacementsLow;
 uniform float radius;               // usable radius times aperture
 uniform float plane;                // the one s of all places, or 0 for the surface
 uniform vec2 first;                 // X of the middle of pixel (0, 0)
 uniform float spacing;              // between pixels, in X
-uniform vec3 offsets[128];          // of lenses from the nearest one, and the least distance that such lenses have
+uniform vec3 offsets[128];          // of lenses from the nearest one, and their least distance from X
 uniform int offsetCount;
-uniform vec2 moved;                 // what has been added to X for the viewpoint
+uniform vec2 moved;                 // what was added to X for the viewpoint
 uniform float blurred, reach, agreement;
 uniform float rows;                 // of the picture
 uniform float most;                 // sub-samples along a pixel's side; fewer while something moves
@@ -82,7 +82,7 @@ uniform vec2 limits;                // ends of the scale of M
 uniform vec3 background;
 
 const int MOST = 37;
-const float HIDDEN = 1e-4;
+const float OCCLUDED_WEIGHT = 1e-4;
 
 float sizeAt(vec2 X) { return plane != 0.0 ? plane : surfaceAt(X).x; }
 
@@ -96,18 +96,18 @@ bool crossesEdge(vec2 X, float s) {
   return false;
 }
 
-vec2 bentBy(ivec2 index) {
-  ivec2 at = clamp(index - bendLow, ivec2(0), textureSize(bend, 0) - 1);
-  return texelFetch(bend, at, 0).rg;
+vec2 displacementOf(ivec2 index) {
+  ivec2 at = clamp(index - displacementsLow, ivec2(0), textureSize(displacements, 0) - 1);
+  return texelFetch(displacements, at, 0).rg;
 }
 
-bool bent() { return textureSize(bend, 0).x > 1; }
+bool isDistorted() { return textureSize(displacements, 0).x > 1; }
 
 vec2 nearestIndex(vec2 X) {
   vec2 o = X - origin, index = round(inverseBasis * o);
-  if (bent()) {
+  if (isDistorted()) {
     for (int turn = 0; turn < 6; turn++) {
-      vec2 next = round(inverseBasis * (o - bentBy(ivec2(index))));
+      vec2 next = round(inverseBasis * (o - displacementOf(ivec2(index))));
       if (next == index) break;
       index = next;
     }
@@ -123,14 +123,14 @@ vec3 tilePlace(vec2 p, out ivec2 inside) {
   return vec3((local + 0.5) / tileSide, float(tile.y * tileCount.x + tile.x));
 }
 
-struct Sight { vec3 colour; float weight; float distance; };
+struct LensSample { vec3 colour; float weight; float distance; };
 
-// What the lens at `offset` from the nearest one contributes to X; its weight is 0 where it shows nothing of it.
-Sight sight(vec2 X, vec2 base, ivec2 index, int o, float s, float limit) {
-  Sight none = Sight(vec3(0.0), 0.0, 1e30);
+// Colour and weight of X in the lens at offset `o` from the nearest one; the weight is 0 if the lens does not show X.
+LensSample sampleLens(vec2 X, vec2 base, ivec2 index, int o, float s, float limit) {
+  LensSample none = LensSample(vec3(0.0), 0.0, 1e30);
   vec2 to = offsets[o].xy, e = base - to;
   ivec2 steps = ivec2(round(inverseBasis * to));
-  if (bent()) e -= bentBy(index + steps);
+  if (isDistorted()) e -= displacementOf(index + steps);
   float d2 = dot(e, e), limit2 = limit * limit, slope = s / pitch, aside = length(view);
   if (d2 > limit2) return none;
   vec2 delta = view - e * slope;
@@ -144,24 +144,24 @@ Sight sight(vec2 X, vec2 base, ivec2 index, int o, float s, float limit) {
   ivec2 inside;
   vec3 place = tilePlace(p, inside);
   vec3 colour = ring.x * textureLod(flatTiles, place, 0.0).rgb;
-  float away = d2 / limit2;
-  if (aside > 0.0) away = max(away, delta2 / radius2);
-  float weight = (1.02 - away) * ring.y * ring.y;
+  float offCentre = d2 / limit2;
+  if (aside > 0.0) offCentre = max(offCentre, delta2 / radius2);
+  float weight = (1.02 - offCentre) * ring.y * ring.y;
   ivec2 kinds = textureSize(types, 0);
   if (kinds.x > 1) {
     ivec2 at = ((index + steps) % kinds + kinds) % kinds;
     int end = textureSize(shares, 0).x - 1, kind = texelFetch(types, at.yx, 0).r;
     weight *= texelFetch(shares, ivec2(clamp(int((slope + 1.0) * 0.5 * float(end) + 0.5), 0, end), kind), 0).r;
   }
-  if (seenKnown) {
-    vec3 code = round(texelFetch(seenTiles, ivec3(inside, int(place.z)), 0).rgb * 255.0);
+  if (hasOcclusion) {
+    vec3 code = round(texelFetch(occlusionTiles, ivec3(inside, int(place.z)), 0).rgb * 255.0);
     float value = code.x * 256.0 + code.y;
     bool unlit = value > 65534.5, known = value > 0.5 && (code.z > 0.5 || aside > 0.0);
-    // From the middle a lens may see less than from aside, or something else.
+    // The surface visible through the centre of the main lens may differ from that visible from a viewpoint beside it.
     float share = aside > 0.0 || code.z > 254.5 ? (value - 1.0) / 65533.0 : (code.z - 1.0) / 253.0;
     float depth = (share * 2.0 - 1.0) * pitch;
     if (unlit || (plane == 0.0 && known && abs(depth - s) > 2.0 * edge)) {
-      weight *= HIDDEN;
+      weight *= OCCLUDED_WEIGHT;
       if (aside > 0.0) {
         float beside = d2 / (pitch * pitch) + 0.05;
         weight /= beside * beside;
@@ -169,28 +169,28 @@ Sight sight(vec2 X, vec2 base, ivec2 index, int o, float s, float limit) {
       d2 += limit2;
     }
   }
-  return Sight(colour, weight, d2);
+  return LensSample(colour, weight, d2);
 }
 
-// Colour at X, and in alpha whether any lens sees it.
+// Colour at X, and in alpha whether any lens shows it.
 vec4 colourAt(vec2 X, float s) {
   vec2 index = nearestIndex(X);
   vec2 base = X - origin - basis * index;
   ivec2 at = ivec2(index);
   float slope = abs(s) / pitch;
   float limit = min((radius + (plane == 0.0 ? length(view) : 0.0)) / max(slope, 1e-6), reach);
-  float beside = bent() ? 0.75 * pitch : length(base), farthest = limit + beside;
+  float beside = isDistorted() ? 0.75 * pitch : length(base), farthest = limit + beside;
   int found = 0;
   vec3 mean = vec3(0.0), central = vec3(0.0);
   float norm = 0.0, best = 1e30;
   for (int o = 0; o < offsetCount; o++) {
     if (offsets[o].z > farthest || found == MOST) break;
-    Sight one = sight(X, base, at, o, s, limit);
+    LensSample one = sampleLens(X, base, at, o, s, limit);
     if (one.distance > 1e29) continue;
     if (one.distance < best) {
       best = one.distance;
       central = one.colour;
-      // One lens is enough: those from here on are farther away.
+      // One lens is enough; all others in the list are farther away.
       if (agreement <= 0.0) farthest = min(farthest, sqrt(best) + beside);
     }
     mean += one.weight * one.colour;
@@ -207,7 +207,7 @@ vec4 colourAt(vec2 X, float s) {
   found = 0;
   for (int o = 0; o < offsetCount; o++) {
     if (offsets[o].z > farthest || found == MOST) break;
-    Sight one = sight(X, base, at, o, s, limit);
+    LensSample one = sampleLens(X, base, at, o, s, limit);
     if (one.distance > 1e29) continue;
     vec3 difference = one.colour - mean;
     float agree = t2 / (t2 + dot(difference, difference) / 3.0);
@@ -229,7 +229,7 @@ vec3 magnificationColour(vec2 X) {
 void main() {
   vec2 pixel = vec2(gl_FragCoord.x - 0.5, rows - 0.5 - gl_FragCoord.y);
   vec2 X = first + pixel * spacing, shown = X - moved;
-  // The picture ends with the flat, as the renderer's does.
+  // The picture ends with the flat, as that of the renderer.
   if (any(lessThan(shown, vec2(-0.5))) || any(greaterThan(shown, flatSize - 0.5))) {
     result = vec4(background, 1.0);
     return;

@@ -4,16 +4,16 @@ import { bytes, floats, picture } from "lfrender/scene";
 
 const VERTEX = `#version 300 es
 void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0); }`;
-// At this agreement colours need not agree: out of focus they differ.
+// With this tolerance all colours are mixed: out of focus they differ.
 const ANY_COLOUR = 1e3;
-// As many as any zoom needs.
+// Sub-samples along a pixel's side: as many as any zoom needs.
 const MOST_SAMPLES = 1e3;
-const NAMES = ["surface", "flatTiles", "seenTiles", "rings", "bend", "shares", "ramp", "types"];
-// Lenses about one that the shader has room for; it mixes 37 at most, the nearest first.
+const NAMES = ["surface", "flatTiles", "occlusionTiles", "rings", "displacements", "shares", "ramp", "types"];
+// Neighbouring lenses in the shader's array; it mixes at most 37, the nearest first.
 const MOST_OFFSETS = 128;
 
 export class Renderer {
-  constructor(canvas, shader, readyShader, scene) {
+  constructor(canvas, shader, prefilterShader, scene) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, powerPreference: "high-performance" });
     if (!gl) throw new Error("This browser offers no WebGL 2, which the viewer draws with. Try another, or switch on hardware acceleration.");
     this.gl = gl;
@@ -21,7 +21,7 @@ export class Renderer {
     gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     this.main = this.program(shader);
-    this.ready = this.program(readyShader);
+    this.prefilter = this.program(prefilterShader);
     this.canWarp = Boolean(gl.getExtension("EXT_color_buffer_float"));
     this.warp = this.canWarp && this.program(shader.replace("#version 300 es", "#version 300 es\n#define WARP"));
     this.makeTables();
@@ -64,13 +64,13 @@ export class Renderer {
       both[2 * n + 1] = scene.surface.resolved[n];
     }
     const rings = floats(scene.rings.values), shares = floats(scene.types.shares);
-    const bend = floats(scene.bend.values), kinds = Math.max(scene.types.side, 1);
+    const displacements = floats(scene.displacements.values), kinds = Math.max(scene.types.side, 1);
     const ramp = bytes(scene.overlay.ramp);
     this.offsets = floats(scene.offsets).subarray(0, 3 * MOST_OFFSETS);
     this.textures = {
       surface: this.table(columns, rows, two, both),
       rings: this.table(rings.length / 2, 1, two, rings),
-      bend: bend.length ? this.table(scene.bend.shape[1], scene.bend.shape[0], two, bend) : this.table(1, 1, two, new Float32Array(2)),
+      displacements: displacements.length ? this.table(scene.displacements.shape[1], scene.displacements.shape[0], two, displacements) : this.table(1, 1, two, new Float32Array(2)),
       shares: this.table(401, shares.length / 401, one, shares),
       types: this.table(kinds, kinds, [gl.R8I, gl.RED_INTEGER, gl.BYTE], new Int8Array(scene.types.side ? scene.types.cell : [0])),
       ramp: this.table(256, 1, [gl.RGB8, gl.RGB, gl.UNSIGNED_BYTE], ramp),
@@ -94,29 +94,29 @@ export class Renderer {
     return { target: gl.TEXTURE_2D_ARRAY, texture };
   }
 
-  // Fetches the flat, tile by tile, and what its pixels see; calls `told(done, all)` after each.
-  async load(told) {
-    const { gl } = this, { tiles } = this.scene, known = new Set(tiles.seen);
+  // Loads the flat and the depths of its pixels tile by tile; calls `progress(done, all)` after each.
+  async load(progress) {
+    const { gl } = this, { tiles } = this.scene, known = new Set(tiles.occlusion);
     const scratch = this.table(tiles.side, tiles.side, [gl.RGB8, gl.RGB, gl.UNSIGNED_BYTE], null);
-    this.textures.seenTiles = this.layers(gl.RGB8, known.size ? tiles.columns * tiles.rows : 1, known.size ? tiles.side : 1, gl.NEAREST);
+    this.textures.occlusionTiles = this.layers(gl.RGB8, known.size ? tiles.columns * tiles.rows : 1, known.size ? tiles.side : 1, gl.NEAREST);
     await this.loadTiles("flatTiles", async (into, layer, name) => {
       await this.upload(scratch, layer, `flat-${name}.png`);
-      this.makeReady(scratch, into, layer);
-      if (known.has(name)) await this.upload(this.textures.seenTiles, layer, `seen-${name}.png`);
-    }, told);
+      this.prefilterTile(scratch, into, layer);
+      if (known.has(name)) await this.upload(this.textures.occlusionTiles, layer, `occlusion-${name}.png`);
+    }, progress);
     gl.deleteTexture(scratch.texture);
   }
 
-  // The flat as it is, for pictures that are no mean over lenses.
-  async loadPlain(told) {
-    await this.loadTiles("plainTiles", (into, layer, name) => this.upload(into, layer, `flat-${name}.png`), told);
+  // The flat without prefilter, for pictures drawn from one lens per place.
+  async loadPlain(progress) {
+    await this.loadTiles("plainTiles", (into, layer, name) => this.upload(into, layer, `flat-${name}.png`), progress);
   }
 
-  async loadTiles(kind, fill, told) {
+  async loadTiles(kind, fill, progress) {
     const { gl } = this, { tiles } = this.scene, all = tiles.columns * tiles.rows, into = this.layers(gl.RGB8, all, tiles.side, gl.LINEAR);
     for (let layer = 0; layer < all; layer++) {
       await fill(into, layer, `${layer % tiles.columns}-${Math.floor(layer / tiles.columns)}`);
-      told(layer + 1, all);
+      progress(layer + 1, all);
     }
     if (gl.getError() === gl.OUT_OF_MEMORY) throw new Error("The graphics card has too little memory for this flat.");
     this.textures[kind] = into;
@@ -130,26 +130,26 @@ export class Renderer {
     bitmap.close();
   }
 
-  // Gives back to a tile, before, what interpolation will blur.
-  makeReady(plain, into, layer) {
+  // Sharpens a tile so that linear interpolation does not blur it.
+  prefilterTile(plain, into, layer) {
     const { gl } = this, target = gl.createFramebuffer();
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, into.texture, 0, layer);
     gl.viewport(0, 0, plain.width, plain.height);
-    gl.useProgram(this.ready.program);
-    this.bindTexture(this.ready.places.plain, 0, plain);
+    gl.useProgram(this.prefilter.program);
+    this.bindTexture(this.prefilter.places.plain, 0, plain);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.deleteFramebuffer(target);
   }
 
   // settings: mode "focus" (one plane, all lenses), "sharp" (every place at its own depth) or "tiles" (one plane, the
-  // nearest lens alone); plane s; aperture 0..1; q; overlay 0..1; most, of sub-samples along a pixel's side. `first` and `spacing` place the pixels.
+  // nearest lens alone); plane s; aperture 0..1; q; overlay 0..1; `most` sub-samples along a pixel's side. `first` and `spacing` place the pixels.
   draw(settings, width, height, first, spacing, target = null) {
     const { gl, scene } = this, { pitch } = scene, sharp = settings.mode === "sharp", tiles = settings.mode === "tiles";
     const plane = sharp ? 0 : settings.plane, q = settings.q, aside = Math.hypot(...q) > 0, scale = pitch / spacing;
     const still = pitch / settings.plane, moved = q.map(n => n * still);
-    const warped = aside && this.canWarp && (sharp || settings.overlay > 0) && this.follow(q, still);
+    const warped = aside && this.canWarp && (sharp || settings.overlay > 0) && this.warpSurface(q, still);
     const full = sharp ? scene.scale : Math.abs(plane);
     const fine = scale * (settings.mode === "focus" ? 1 : scene.coarse) >= full;
     const blur = fine ? 0 : sharp ? scene.blur.share : scene.blur.width / Math.abs(plane);
@@ -171,8 +171,8 @@ export class Renderer {
     gl.uniform2i(places.tileCount, scene.tiles.columns, scene.tiles.rows);
     gl.uniform3fv(places["offsets[0]"], this.offsets);
     gl.uniform1i(places.offsetCount, this.offsets.length / 3);
-    gl.uniform2i(places.bendLow, ...scene.bend.low);
-    gl.uniform1i(places.seenKnown, scene.tiles.seen.length ? 1 : 0);
+    gl.uniform2i(places.displacementsLow, ...scene.displacements.low);
+    gl.uniform1i(places.hasOcclusion, scene.tiles.occlusion.length ? 1 : 0);
     gl.uniformMatrix2fv(places.basis, false, scene.basis.flat());
     gl.uniformMatrix2fv(places.inverseBasis, false, scene.inverse.flat());
     const instead = { surface: warped && "warped", flatTiles: tiles && "plainTiles" };
@@ -181,7 +181,7 @@ export class Renderer {
   }
 
   // The surface as seen from q, into the texture `warped`.
-  follow(q, still) {
+  warpSurface(q, still) {
     const { gl, scene } = this, { surface } = scene, { places } = this.warp;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.warpTarget);
     gl.viewport(0, 0, surface.shape[1], surface.shape[0]);

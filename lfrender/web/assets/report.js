@@ -5,7 +5,7 @@
   const source = name => document.querySelector(`#sources img[data-name="${name}"]`);
   const choices = [...document.querySelectorAll("[data-choice]")];
 
-  // The line is a share of what is seen of the picture, the cut a share of the whole picture.
+  // The position of the line is relative to the visible part of the picture, the cut to the whole picture.
   const seen = () => {
     const frame = view.getBoundingClientRect(), whole = sheet.getBoundingClientRect();
     const left = Math.max(frame.left, whole.left), right = Math.min(frame.left + view.clientWidth, whole.right);

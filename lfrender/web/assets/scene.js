@@ -1,18 +1,18 @@
-// The capture: data files are scripts that hand their content over as base64, so that a page opened from a disk, where
-// browsers fetch nothing, can read them too.
+// The capture. Data files are scripts that call `lightFieldData` with their content in base64: browsers do not fetch files
+// for a page that was opened from a disk.
 
-const handedOver = new Map();
-globalThis.lightFieldData = (name, text) => handedOver.set(name, text);
+const received = new Map();
+globalThis.lightFieldData = (name, text) => received.set(name, text);
 
-function handOver(name) {
+function readFile(name) {
   return new Promise((resolve, reject) => {
     const script = document.createElement("script");
     script.src = `data/${name}.js`;
     script.onload = () => {
-      const text = handedOver.get(name);
-      handedOver.delete(name);
+      const text = received.get(name);
+      received.delete(name);
       script.remove();
-      if (text === undefined) reject(new Error(`data/${name}.js does not hold what it should`));
+      if (text === undefined) reject(new Error(`data/${name}.js is damaged`));
       else resolve(text);
     };
     script.onerror = () => reject(new Error(`data/${name}.js cannot be read`));
@@ -29,13 +29,13 @@ export function bytes(text) {
 export const floats = text => new Float32Array(bytes(text).buffer);
 
 export async function picture(name) {
-  const blob = new Blob([bytes(await handOver(name))], { type: "image/png" });
+  const blob = new Blob([bytes(await readFile(name))], { type: "image/png" });
   return createImageBitmap(blob, { colorSpaceConversion: "none", premultiplyAlpha: "none" });
 }
 
 export async function loadScene() {
-  const scene = JSON.parse(new TextDecoder().decode(bytes(await handOver("scene.json"))));
-  scene.surface.values = floats(await handOver("surface.f32"));
-  scene.surface.resolved = bytes(await handOver("resolved.u8"));
+  const scene = JSON.parse(new TextDecoder().decode(bytes(await readFile("scene.json"))));
+  scene.surface.values = floats(await readFile("surface.f32"));
+  scene.surface.resolved = bytes(await readFile("resolved.u8"));
   return scene;
 }

@@ -1,6 +1,6 @@
-// The page: what mouse, keys and controls do to the settings, and when to draw.
+// The page: settings changed by mouse, keys and controls, and when to draw.
 
-import { Frame, clamp, modeName, nearness, patchSize, sizeSeenAt } from "lfrender/geometry";
+import { Frame, clamp, modeName, depthOrder, patchSize, visiblePatchSize } from "lfrender/geometry";
 import { Renderer } from "lfrender/renderer";
 import { bytes, loadScene } from "lfrender/scene";
 
@@ -22,28 +22,28 @@ class Viewer {
     this.pointer();
     canvas.addEventListener("keydown", event => this.key(event));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.set({}));
-    canvas.addEventListener("webglcontextlost", () => say("The graphics card has been taken away; reload the page."));
+    canvas.addEventListener("webglcontextlost", () => showStatus("The graphics card was reset; reload the page."));
     this.resize();
   }
 
-  // --- what is drawn
+  // --- drawing
 
   set(change) {
     Object.assign(this.settings, change);
     const { scene, settings } = this;
-    settings.plane = patchSize(clamp(nearness(settings.plane, scene.pitch), ...scene.planes), scene.pitch);
+    settings.plane = patchSize(clamp(depthOrder(settings.plane, scene.pitch), ...scene.planes), scene.pitch);
     const length = Math.hypot(...settings.q);
     if (length > scene.radius) settings.q = settings.q.map(n => (n * scene.radius) / length);
-    this.tell();
+    this.showSettings();
     if (settings.mode === "tiles") this.loadPlain();
     this.request();
   }
 
-  // The flat as it is, fetched once it is wanted.
+  // The flat without prefilter, loaded when first needed.
   loadPlain() {
     if (!this.ready) return;
-    this.plain ??= this.renderer.loadPlain((done, all) => say(done < all ? `Loading the flat as it is, ${done} of ${all}` : ""))
-      .then(() => this.request()).catch(error => say(error.message));
+    this.plain ??= this.renderer.loadPlain((done, all) => showStatus(done < all ? `Loading the flat, ${done} of ${all}` : ""))
+      .then(() => this.request()).catch(error => showStatus(error.message));
   }
 
   resize() {
@@ -71,29 +71,29 @@ class Viewer {
     const first = [frame.middle[0] - ((width - 1) / 2) * spacing, frame.middle[1] - ((height - 1) / 2) * spacing];
     const stage = getComputedStyle(canvas.parentElement).backgroundColor.match(/[\d.]+/g).slice(0, 3);
     this.settings.background = stage.map(n => n / 255);
-    // Coarser pixels alone would only need more samples each.
+    // With coarser pixels, one sample each: more would take the time that was saved.
     renderer.draw(factor > 1 ? { ...this.settings, most: 1 } : this.settings, width, height, first, spacing);
-    // At rest too: where the card is slow, the first pictures of a movement are not to wait for one in full.
+    // Measured at rest too, so that on a slow card the first pictures of a movement are coarse already.
     this.time(start, factor);
   }
 
-  // Drawing goes on after the call has returned; the graphics card says when it is done.
+  // Drawing continues after the call has returned, until the graphics card signals the fence.
   time(start, factor) {
     const { gl } = this.renderer, fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
-    // Animation frames come too seldom to tell how long it took.
+    // Polled by timeouts: animation frames are too rare to measure the time.
     const look = () => {
       if (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED) return void setTimeout(look);
       gl.deleteSync(fence);
       const taken = performance.now() - start;
-      // Time goes with the number of pixels.
+      // The time is proportional to the number of pixels.
       if (taken > SLOW) this.coarse = Math.min(COARSEST, factor * Math.sqrt(taken / SLOW));
       else if (taken < SLOW / 3) this.coarse = Math.max(1, factor / 1.25);
     };
     setTimeout(look);
   }
 
-  // Coarser while something moves, and once more in full when it rests.
+  // Draw coarser while something moves, and in full when it rests.
   move(change) {
     this.moving = true;
     clearTimeout(this.rest);
@@ -110,13 +110,13 @@ class Viewer {
     const { scene, settings, frame } = this, [x, y] = frame.at(u, v, this.width, this.height);
     if (x < -0.5 || y < -0.5 || x > scene.size[0] - 0.5 || y > scene.size[1] - 0.5) return;
     const still = scene.pitch / settings.plane, moved = settings.q.map(n => n * still);
-    const s = sizeSeenAt(scene, x, y, settings.q, still);
+    const s = visiblePatchSize(scene, x, y, settings.q, still);
     const { first, spacing, shape, resolved } = scene.surface;
     const column = clamp(Math.round((x - moved[0] - first[0]) / spacing), 0, shape[1] - 1);
     const row = clamp(Math.round((y - moved[1] - first[1]) / spacing), 0, shape[0] - 1);
     const own = resolved[row * shape[1] + column];
     this.set({ plane: s, mode: settings.mode === "sharp" ? "focus" : settings.mode });
-    say(own ? "" : "No depth was found here; focused at that of the places around.");
+    showStatus(own ? "" : "No depth was found here; focused at the depth of its neighbours.");
   }
 
   zoom(factor, u = (this.width - 1) / 2, v = (this.height - 1) / 2) {
@@ -140,7 +140,7 @@ class Viewer {
 
   near(step) {
     const { pitch, planes } = this.scene;
-    this.move({ plane: patchSize(clamp(nearness(this.settings.plane, pitch) + step * (planes[1] - planes[0]), ...planes), pitch) });
+    this.move({ plane: patchSize(clamp(depthOrder(this.settings.plane, pitch) + step * (planes[1] - planes[0]), ...planes), pitch) });
   }
 
   // --- mouse and fingers
@@ -165,7 +165,7 @@ class Viewer {
       canvas.classList.add("moving");
       if (down.size > 1) this.pinch([...down.values()], before, now);
       else if (start.pan) this.pan(du, dv);
-      // The whole aperture is a third of the picture's width; near things follow the hand.
+      // A third of the picture's width moves across the whole aperture; near objects follow the hand.
       else this.look(-(du / this.width) * 6 * this.scene.radius, -(dv / this.width) * 6 * this.scene.radius);
     });
     const end = event => {
@@ -241,10 +241,10 @@ class Viewer {
     $("about").textContent = `${scene.size.join(" × ")} px, pitch ${pitch.toFixed(2)} px`;
   }
 
-  tell() {
+  showSettings() {
     const { scene, settings, frame } = this, s = settings.plane;
     const words = `${modeName(s)}, M ${(scene.pitch / Math.abs(s)).toFixed(2)}, s ${s > 0 ? "+" : "−"}${Math.abs(s).toFixed(2)} px`;
-    $("plane").value = nearness(s, scene.pitch);
+    $("plane").value = depthOrder(s, scene.pitch);
     $("plane").setAttribute("aria-valuetext", words);
     $("plane-value").textContent = words;
     $("aperture").value = settings.aperture;
@@ -278,23 +278,23 @@ class Viewer {
 
 const fileName = title => title.replace(/\.[^.]*$/, "") || "view";
 
-function say(words) {
+function showStatus(words) {
   $("status").textContent = words;
 }
 
 export async function start() {
   try {
-    const scene = await loadScene(), renderer = new Renderer($("picture"), $("shader").textContent.trim(), $("ready").textContent.trim(), scene);
+    const scene = await loadScene(), renderer = new Renderer($("picture"), $("shader").textContent.trim(), $("prefilter").textContent.trim(), scene);
     const viewer = new Viewer(scene, renderer, $("picture"));
-    await renderer.load((done, all) => say(`Loading the flat, ${done} of ${all}`));
+    await renderer.load((done, all) => showStatus(`Loading the flat, ${done} of ${all}`));
     viewer.ready = true;
-    say("");
+    showStatus("");
     viewer.set({});
     // Keys work at once, but not where the page is a part of another.
     if (window === window.top) viewer.canvas.focus({ preventScroll: true, focusVisible: false });
     globalThis.lightField = viewer;
   } catch (error) {
-    say(error.message);
+    showStatus(error.message);
     throw error;
   }
 }

@@ -15,8 +15,7 @@ import lfrender
 from lfrender.cli.main import main
 from lfrender.flat.lens_graph import nearest_lens
 from lfrender.web.report import write_report
-from lfrender.web.report_charts import magnification_histogram, map_grid, maps
-from lfrender.web.report_pictures import data_urls, draw_pictures
+from lfrender.web.report_figures import data_urls, draw_pictures, magnification_histogram, map_grid, maps
 
 from ._browser import errors, start_browser, wait_for
 

@@ -1,5 +1,5 @@
 #version 300 es
-// As `ready_to_read` in lfrender/sharpness.py: what interpolation blurs is given back before, in whole grey levels.
+// As lfrender/flat/prefilter.py: sharpen pixels so that linear interpolation does not blur them, in whole grey levels.
 precision highp float;
 precision highp int;
 precision highp sampler2D;
