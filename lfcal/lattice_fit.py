@@ -1,4 +1,4 @@
-"""Final lattice of a camera: every pixel of a white image, or the edge_strength between microimages of scenes."""
+"""Final lattice of a camera: by every pixel of a white image, or by the edges between the microimages of scenes."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 
 __all__ = ["FinalLattice", "fit_lattice_to_scenes", "fit_lattice_to_white_image"]
 
-# Window, in pitches, in which edges are levelled: wider than a rim, narrower than what the scene shows in a lens.
-_RIM = 0.5
-# A fit that leaves the first lattice by more than this share of the pitch (RMS) has followed something else.
-_FOLLOWED = 0.2
-# Lenses that scatter by more than this share of the pitch have rims too faint to be placed by them one at a time.
-_FAINT = 0.02
-# Part of the cut by which the middle of two discs of one size lies off the centre of the first.
-_SEEN_OFF = 0.5
-# So many lenses tell whether it has.
-_TELLING = 4000
+# [pitch] window in which edges are normalised: wider than a rim, narrower than what the scene shows in a lens.
+_RIM_WINDOW = 0.5
+# [pitch] RMS distance from the first lattice from which on a fit has run away.
+_MAX_DISTANCE = 0.2
+# [pitch] scatter of single lenses from which on rims are too faint to fit single lenses.
+_FAINT_RIMS = 0.02
+# Most of the shift of a microimage's middle over the cut: of two white of one size, half of it.
+_CENTROID_SHARE = 0.5
+# Lenses at which distances are sampled.
+_SAMPLES = 4000
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,11 @@ class FinalLattice:
     errors : LatticeErrors or None
         None where the lattice is the first one.
     cat_eye : CatEye or None
-        The disc that cuts microimages, where one was seen.
+        The disc that cuts microimages (mechanical vignetting), where there is one.
     residuals : Residuals or None
-        Of single microimages; None where these are too unlike one another to be placed singly.
-    strays : float [px]
-        RMS distance over the flat from the first lattice, beyond what distortion and cut microimages make of it.
+        Of single microimages, in white images.
+    displacement : float [px]
+        RMS distance over the flat from the first lattice, less that due to distortion and cut microimages.
     """
 
     lattice: Lattice
@@ -66,13 +66,13 @@ class FinalLattice:
 
 
 def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, start: FirstLattice) -> FinalLattice:
-    """Fit the `sqrt_luminance` picture of a white image, or parts of it."""
+    """Fit a white image (h, w), as made by `sqrt_luminance`, or crops of it; keep `start` where the fit runs away."""
     from .lattice.lens_subset import StackedCrops
     from .white_fit.fit import fit_white
 
     found = start.lattice
     try:
-        discs = fit_white(picture, found)
+        white = fit_white(picture, found)
     except CalibrationError:
         raise
     except ValueError as error:
@@ -80,67 +80,69 @@ def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, star
         raise CalibrationError(
             "the microimages do not keep to one lattice; give a white image with more of them or with less noise"
         ) from error
-    parts = StackedCrops.of(picture)
-    index = found.indices() if parts.size == found.image_size else parts.lenses(found, 0.0)[0]
-    index = index[:: max(1, len(index) // _TELLING)]
-    # What the distortion moves counts only where the start knew of it.
-    near = discs.lattice if found.distortion is not None else replace(discs.lattice, distortion=None)
-    apart = near.points(np.rint(near.to_index(found.points(index)))) - found.points(index)
-    if not np.sqrt((apart**2).sum(1).mean()) < _FOLLOWED * found.pitch:
-        return FinalLattice(found, discs.residual_rms, discs.lenses_used, start.half_difference)
+    crops = StackedCrops.of(picture)
+    index = found.indices() if crops.size == found.image_size else crops.lenses(found, 0.0)[0]
+    places = found.points(index[:: max(1, len(index) // _SAMPLES)])
+    # A distortion that the start does not have is no error of it.
+    near = white.lattice if found.distortion is not None else replace(white.lattice, distortion=None)
+    distance = near.points(np.rint(near.to_index(places))) - places
+    if not np.sqrt((distance**2).sum(1).mean()) < _MAX_DISTANCE * found.pitch:
+        return FinalLattice(found, white.residual_rms, white.lenses_used, start.half_difference)
     return FinalLattice(
-        discs.lattice,
-        discs.residual_rms,
-        discs.lenses_used,
-        discs.half_difference,
-        discs.errors,
-        discs.cat_eye,
-        discs.residuals,
-        _strays(found, discs, found.points(index)),
+        white.lattice,
+        white.residual_rms,
+        white.lenses_used,
+        white.half_difference,
+        white.errors,
+        white.cat_eye,
+        white.residuals,
+        _displacement(white, places),
     )
 
 
-def _strays(found: Lattice, discs: WhiteFit, places: NDArray[np.float64]) -> float:
+def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
     """`FinalLattice.displacement` of a fit at `places` (n, 2) [px], centres on the first lattice.
 
-    That is the straight lattice through what is seen of the microimages: of cut ones the middle lies off the centre by
-    up to half of the cut.
+    The first lattice is straight and goes through the middles of the visible microimages; those of cut ones lie off
+    the centre by up to half of the cut.
     """
     from .white_fit.model import field_position
 
-    lattice = discs.lattice
+    lattice = white.lattice
     centres = lattice.points(np.rint(lattice.to_index(places)))
-    field, eye = field_position(centres, lattice), discs.cat_eye
-    cut = np.zeros(places.shape) if eye is None else eye.displacement(field)
+    cut = (
+        np.zeros(places.shape)
+        if white.cat_eye is None
+        else white.cat_eye.displacement(field_position(centres, lattice))
+    )
     middle = places - places.mean(0)
     base = np.linalg.qr(np.column_stack([np.ones(len(places)), middle / np.abs(middle).max()]))[0]
-    apart, cut = base.T @ (centres - places), base.T @ cut
-    part = np.clip(-(apart * cut).sum() / max(float((cut**2).sum()), 1e-300), 0, _SEEN_OFF)
-    return float(np.sqrt(((apart + part * cut) ** 2).sum() / len(places)))
+    distance, cut = base.T @ (centres - places), base.T @ cut
+    share = np.clip(-(distance * cut).sum() / max(float((cut**2).sum()), 1e-300), 0, _CENTROID_SHARE)
+    return float(np.sqrt(((distance + share * cut) ** 2).sum() / len(places)))
 
 
 def fit_lattice_to_scenes(
     lights: list[NDArray[np.float32]], picture: NDArray[np.float32], start: FirstLattice
 ) -> FinalLattice:
-    """Fit the lights (h, w) of one or several scenes; `picture` is the `sqrt_luminance` of their mean.
+    """Fit one or several scenes of luminance `lights` (h, w); `picture` is the root of their mean.
 
-    Only the edge_strength at the rims are what the lattice predicts: brightness also shows the scene, gaps that cut
-    microimages have moved, and where a camera has flattened its pictures with another white image.
+    Only the edges at the rims are those of the lattice: brightness also shows the scene, gaps of cut microimages, and
+    where a camera has flattened its pictures with another white image.
     """
     from .images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
     from .scene_fit.fit import fit_scene
 
     found = start.lattice
-    rims = normalise_locally(
-        edge_strength(picture if len(lights) == 1 else sqrt_luminance(lights[0])), _RIM * found.pitch
-    )
+    window = _RIM_WINDOW * found.pitch
+    rims = normalise_locally(edge_strength(picture if len(lights) == 1 else sqrt_luminance(lights[0])), window)
     for light in lights[1:]:
-        rims += normalise_locally(edge_strength(sqrt_luminance(light)), _RIM * found.pitch)
+        rims += normalise_locally(edge_strength(sqrt_luminance(light)), window)
     if len(lights) > 1:
         rims /= np.float32(len(lights))
     fit = fit_scene(rims, found)
-    if fit.residual_rms > _FAINT * found.pitch and not fit.half_difference < start.half_difference:
-        # Rims too faint for single lenses: what whole tiles have in common is the better measure.
+    if fit.residual_rms > _FAINT_RIMS * found.pitch and not fit.half_difference < start.half_difference:
+        # Averages of whole tiles are the better measure.
         return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
     lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius, fit.distortion)
     errors = equal_weight_errors(lattice, fit.uncertainty)

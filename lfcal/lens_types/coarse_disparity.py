@@ -1,6 +1,6 @@
-"""Coarse disparity of single lenses: good enough to sort them by depth, far from good enough to draw a picture.
+"""Coarse disparity of single lenses, to sort them by depth.
 
-Adjacent microimages are correlated over a grid of signed patch sizes, the correlations of a few neighbours pooled.
+Adjacent microimages are correlated over a grid of signed patch sizes; correlations are summed over 3 x 3 lenses.
 """
 
 from __future__ import annotations
@@ -13,25 +13,17 @@ from numpy.typing import NDArray
 
 from ..runtime.fastmath import FAST
 from .lens_sample import LensSample
+from .settings import DEFAULT, DisparitySettings
 
 __all__ = ["estimate_coarse_disparity"]
 
-# Signed patch sizes over the pitch that are tried: beyond these neighbours share too little.
-_RATIOS = np.linspace(-0.6, 0.6, 25)
-# Share of the usable radius that is compared, and spacing of its samples over that radius.
-_DISC, _SAMPLES = 0.88, 0.25
-# Correlation a place must reach, and how far it must surpass the next best that is no neighbour on the grid.
-_LEAST, _CLEAR = 0.5, 0.04
-# Variance of a tone that shows nothing.
-_BLANK = 1e-5
 
-
-# Python's error model checks every division, which no vector loop can.
+# The error model of Python checks every division, which prevents vector loops.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _sums(pixels, width, height, cx, cy, first, second, number):
-    """How many of `number` places of one lens and another are on the picture, and sums over what they show there.
+    """Number of pairs of pixels of two lenses on the picture, of `number`, and sums over their values.
 
-    Half a pixel is in the centre (cx, cy), so that cutting off the fraction rounds.
+    The centre (cx, cy) has half a pixel added, so that truncation rounds.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
     last_x, last_y = np.float32(width), np.float32(height)
@@ -40,7 +32,7 @@ def _sums(pixels, width, height, cx, cy, first, second, number):
         xa, ya, xb, yb = cx + first[0, n], cy + first[1, n], cx + second[0, n], cy + second[1, n]
         inside = (min(min(xa, ya), min(xb, yb)) >= zero) & (max(xa, xb) < last_x) & (max(ya, yb) < last_y)
         own, other = np.int32(ya) * np.int32(width) + np.int32(xa), np.int32(yb) * np.int32(width) + np.int32(xb)
-        # The mean of the picture is 1.
+        # Less the mean of the picture, 1, which keeps single precision exact enough.
         a, b = pixels[own if inside else np.int32(0)] - one, pixels[other if inside else np.int32(0)] - one
         a, b = a if inside else zero, b if inside else zero
         count += one if inside else zero
@@ -53,12 +45,13 @@ def _sums(pixels, width, height, cx, cy, first, second, number):
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _correlate(picture, centres, steps, ratios, radius, spacing, common, total):
+def _correlate(picture, centres, steps, ratios, radius, spacing, covariance, variance):
+    """Covariances and mean variances (n, ratios) of lenses and their neighbours, added up over the `steps`."""
     height, width = picture.shape
     pixels = picture.reshape(-1)
     reach = int(radius / spacing)
     pairs, most = len(ratios) * len(steps), (2 * reach + 1) ** 2
-    # Where the pixels compared lie beside the centre of a lens: the same for all lenses.
+    # Offsets of the compared pixels from the centre of a lens: the same for all lenses.
     first, second = np.empty((pairs, 2, most), np.float32), np.empty((pairs, 2, most), np.float32)
     size = np.zeros(pairs, np.int64)
     for pair in range(pairs):
@@ -80,48 +73,51 @@ def _correlate(picture, centres, steps, ratios, radius, spacing, common, total):
             number, a, b, aa, bb, ab = _sums(pixels, width, height, cx, cy, first[pair], second[pair], size[pair])
             if number > 4:
                 k = pair // len(steps)
-                common[lens, k] += (ab - a * b / number) / number
-                total[lens, k] += 0.5 * (aa + bb - (a * a + b * b) / number) / number
+                covariance[lens, k] += (ab - a * b / number) / number
+                variance[lens, k] += 0.5 * (aa + bb - (a * a + b * b) / number) / number
 
 
-def estimate_coarse_disparity(picture: NDArray[np.float32], sample: LensSample) -> NDArray[np.float64]:
+def estimate_coarse_disparity(
+    picture: NDArray[np.float32], sample: LensSample, settings: DisparitySettings = DEFAULT.disparity
+) -> NDArray[np.float64]:
     """Signed patch size over the pitch of the inner lenses of a sample.
 
     Parameters
     ----------
     picture : (h, w) float32
-        Square root of the luminance with mean 1 (`features.tone`).
+        As made by `images.preprocessing.sqrt_luminance`.
     sample : LensSample
+    settings : DisparitySettings
 
     Returns
     -------
     (n,) float64
-        In the order of `sample.inner`, in steps of 0.05; NaN where the place is not clear.
+        In the order of `sample.inner`, in steps of 0.05; NaN where the maximum is low, ambiguous or at an end.
     """
     lattice = sample.lattice
-    radius = _DISC * lattice.radius
+    radius = settings.disc * lattice.radius
+    ratios = np.linspace(-settings.max_ratio, settings.max_ratio, settings.ratios)
     steps = (lattice.steps @ lattice.basis)[: len(lattice.steps) // 2]
-    # Every other lens is enough, as each takes part in what is pooled around its neighbours.
+    # Every other lens is enough, as sums are over 3 x 3 lenses.
     chosen = np.flatnonzero((sample.whole & (sample.index.sum(-1) % 2 == 0)).ravel())
-    sums = np.zeros((2, len(chosen), len(_RATIOS)))
+    sums = np.zeros((2, len(chosen), len(ratios)))
     centres = sample.centre.reshape(-1, 2)[chosen]
-    _correlate(picture, centres, steps, _RATIOS, radius, max(1.0, _SAMPLES * radius), *sums)
-    full = np.zeros((2, sample.whole.size, len(_RATIOS)))
+    _correlate(picture, centres, steps, ratios, radius, max(1.0, settings.sample_step * radius), *sums)
+    full = np.zeros((2, sample.whole.size, len(ratios)))
     full[:, chosen] = sums
-    common, total = full.reshape(2, *sample.whole.shape, len(_RATIOS))
-    score = _pooled(common) / (_pooled(total) + _BLANK)
-    best = score.argmax(-1)
-    highest = score.max(-1)
-    apart = np.abs(np.arange(len(_RATIOS)) - best[..., None]) > 2
-    rival = np.where(apart, score, -1.0).max(-1)
-    # Where the range of the search ends, the best place may lie beyond it.
-    ends = (best == 0) | (best == len(_RATIOS) - 1)
-    known = (highest > _LEAST) & (highest - rival > _CLEAR) & ~ends
-    return np.where(known, _RATIOS[best], np.nan)[:, 1:-1, 1:-1].ravel()
+    covariance, variance = full.reshape(2, *sample.whole.shape, len(ratios))
+    correlation = _sum_3x3(covariance) / (_sum_3x3(variance) + settings.noise_variance)
+    best = correlation.argmax(-1)
+    highest = correlation.max(-1)
+    apart = np.abs(np.arange(len(ratios)) - best[..., None]) > 2
+    second = np.where(apart, correlation, -1.0).max(-1)
+    inside = (best > 0) & (best < len(ratios) - 1)
+    known = (highest > settings.min_correlation) & (highest - second > settings.min_margin) & inside
+    return np.where(known, ratios[best], np.nan)[:, 1:-1, 1:-1].ravel()
 
 
-def _pooled(values: NDArray[Any]) -> NDArray[Any]:
-    """Sums over 3 x 3 lenses of (m, a, b, k), what lies beyond a block left out."""
+def _sum_3x3(values: NDArray[Any]) -> NDArray[Any]:
+    """Sums over 3 x 3 lenses of (m, a, b, k), within each block."""
     for axis in (1, 2):
         ahead: list[Any] = [slice(None)] * 4
         behind = ahead.copy()

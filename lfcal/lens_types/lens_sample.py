@@ -1,7 +1,7 @@
-"""Blocks of neighbouring lenses spread over a flat, and what single lenses show: fine contrast, rim, brightness.
+"""Blocks of neighbouring lenses spread over a flat, and features of single lenses: fine contrast, rim, brightness.
 
-A question about the array as a whole needs a few thousand lenses, not all of them, but each with its neighbours: those
-see nearly the same piece of the scene, so that the difference from them is a property of the lens.
+Neighbours see nearly the same piece of the scene, so that the difference from them is a property of the lens; a few
+thousand lenses are enough.
 """
 
 from __future__ import annotations
@@ -16,26 +16,14 @@ from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
+from .settings import DEFAULT, SampleSettings
 
-__all__ = ["LensFeatures", "LensSample", "measure_lens_features", "sample_lenses"]
+__all__ = ["LensFeatures", "LensSample", "measure_lens_features", "outlier_limit", "sample_lenses"]
 
 # Lenses along a block without its border; whole periods of 2, 3 and 4 lenses.
 _SIDE = 12
-# Blocks of 144 lenses: contrasts of a tenth of the scatter between lenses then stand out by six standard errors.
-_BLOCKS = 48
-# Blocks with fewer of their lenses on the flat are left out where others are to be had.
-_FULL = 0.25
-# Shares of the usable radius: where fine contrast is measured, the core, the light before a rim and just beyond it.
-_INSIDE, _CORE, _BEFORE, _BEYOND = 0.7, (0.0, 0.5), (0.75, 0.95), (1.03, 1.12)
-# The same for a rim whose far side cannot be used.
-_MIDDLE, _EDGE = (0.5, 0.75), (0.8, 0.97)
+# Steps of the distance to the centre in which light is summed.
 _RINGS = 40
-# Distance of compared pixels, and of rows looked at, over the radius: the finest detail a microlens still draws.
-_LAG, _ROWS = 1 / 14, 1 / 14
-# Lenses darker than this share of the median show noise.
-_DARK = 0.03
-# Quantum of an 8-bit picture of mean tone 1: contrasts below it are none.
-_QUANTUM = 1 / 256
 
 
 @dataclass(frozen=True)
@@ -51,7 +39,7 @@ class LensSample:
     whole : (m, side + 2, side + 2) bool
         The microimage lies on the flat as a whole.
     place : (m, side + 2, side + 2, 2) float64 [px]
-        Of the centre in the picture to be read.
+        Centre in the picture that is read, the flat or crops of it.
     """
 
     lattice: Lattice
@@ -62,14 +50,11 @@ class LensSample:
 
     @cached_property
     def inner(self) -> NDArray[np.int64]:
-        """(m * side**2, 2) lattice indices of the lenses that are no border."""
+        """(m * side**2, 2) lattice indices of the lenses without the borders."""
         return self.index[:, 1:-1, 1:-1].reshape(-1, 2)
 
     def subtract_neighbours(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(m * side**2,) of `values` (m, side + 2, side + 2): value of a lens minus the mean of its neighbours.
-
-        NaN where one of them is NaN.
-        """
+        """(m * side**2,) values (m, side + 2, side + 2) of lenses less the mean of their neighbours; NaN if one is."""
         stop = values.shape[1] - 1
         near = [values[:, 1 + i : stop + i, 1 + j : stop + j] for i, j in self.lattice.steps]
         return (values[:, 1:-1, 1:-1] - np.mean(near, axis=0)).ravel()
@@ -77,50 +62,68 @@ class LensSample:
 
 @dataclass(frozen=True)
 class LensFeatures:
-    """What the lenses of a sample show, each array (m, side + 2, side + 2) float64, NaN off the flat.
+    """Features of the lenses of a sample, each array (m, side + 2, side + 2) float64, NaN off the flat.
 
     Parameters
     ----------
     sharpness : logarithm of the mean squared difference of near pixels
-    spill : light just beyond the rim over that just before it, less what is common to all lenses
+    outer_light : light just beyond the rim over that just before it, less the mean profile
         Larger where the edge of the microimage is softer.
-    droop : loss of light just before the rim over that further in, less what is common to all lenses
-        The same from the inner side of the edge, where it depends less on how pixels and lenses happen to meet.
+    inner_loss : loss of light just before the rim over that further in, less the mean profile
+        The same from the inner side of the edge, where it depends less on how pixels fall on it.
     level : logarithm of the mean tone of the core
-    tilt : (2, m, side + 2, side + 2), mean difference of near pixels to the right and down
-        It has a sign, so that over lenses that see different things its mean is zero whatever their focus.
-    falls : float
+    gradient : (2, m, side + 2, side + 2), mean difference of near pixels to the right and down
+        With its sign: over lenses that see different things its mean is zero whatever their focus.
+    rim_ratio : float
         Light just beyond the rim over that just before it, of all lenses together.
     """
 
     sharpness: NDArray[np.float64]
-    spill: NDArray[np.float64]
-    droop: NDArray[np.float64]
+    outer_light: NDArray[np.float64]
+    inner_loss: NDArray[np.float64]
     level: NDArray[np.float64]
-    tilt: NDArray[np.float64]
-    falls: float
+    gradient: NDArray[np.float64]
+    rim_ratio: float
 
 
-def sample_lenses(lattice: Lattice, parts: StackedCrops | None = None) -> LensSample:
-    """Blocks of 12 x 12 lenses, evenly spread over the flat or its parts; all lenses of a small flat."""
-    if parts is not None and len(parts) > 1:
-        return _sample_of_parts(lattice, parts)
+def outlier_limit(values: NDArray[np.float64]) -> float:
+    """Three standard deviations of values (n,), from the median of their sizes; 0 where there are none."""
+    return 3.0 * 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
+
+
+def sample_lenses(
+    lattice: Lattice, crops: StackedCrops | None = None, settings: SampleSettings = DEFAULT.sample
+) -> LensSample:
+    """Blocks of 12 x 12 lenses, evenly spread over the flat or its crops; all lenses of a small flat."""
+    if crops is not None and len(crops) > 1:
+        return _sample_crops(lattice, crops, settings)
     blocks, count = _blocks(lattice.indices())
-    if len(blocks) > _BLOCKS:
-        full = count >= _FULL * _SIDE**2
-        blocks = blocks[full] if full.sum() >= _BLOCKS else blocks
-        blocks = blocks[np.unique(np.linspace(0, len(blocks) - 1, _BLOCKS).round().astype(int))]
+    if len(blocks) > settings.blocks:
+        full = count >= settings.full_block * _SIDE**2
+        blocks = blocks[full] if full.sum() >= settings.blocks else blocks
+        blocks = blocks[np.unique(np.linspace(0, len(blocks) - 1, settings.blocks).round().astype(int))]
+    index, centre = _block_lenses(lattice, blocks)
+    return LensSample(lattice, index, centre, _lie_inside(centre, lattice.image_size, lattice, settings), centre)
+
+
+def _block_lenses(lattice: Lattice, blocks: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Indices and centres of the lenses of blocks (m, 2), with their borders."""
     steps = np.arange(-1, _SIDE + 1)
     within = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
     index = _SIDE * blocks[:, None, None, :] + within
-    centre = lattice.points(index.reshape(-1, 2)).reshape(index.shape)
-    reach = _BEYOND[1] * lattice.radius
-    whole = ((centre >= reach) & (centre <= np.array(lattice.image_size) - 1 - reach)).all(-1)
-    return LensSample(lattice, index, centre, np.asarray(whole), centre)
+    return index, lattice.points(index.reshape(-1, 2)).reshape(index.shape)
+
+
+def _lie_inside(
+    places: NDArray[np.float64], size: tuple[int, int], lattice: Lattice, settings: SampleSettings
+) -> NDArray[np.bool_]:
+    """Whether microimages at places (..., 2) lie inside a picture of `size` (width, height) as a whole."""
+    reach = settings.beyond_rim[1] * lattice.radius
+    return np.asarray(((places >= reach) & (places <= np.array(size) - 1 - reach)).all(-1))
 
 
 def _blocks(indices: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Blocks (m, 2) of 12 x 12 lenses that lenses (n, 2) are in, in order, and how many are in each."""
+    """Blocks (m, 2) of 12 x 12 lenses that lenses (n, 2) are in, in order, and their number in each."""
     own = indices // _SIDE
     low = own.min(0)
     columns = int(own[:, 1].max() - low[1]) + 1
@@ -128,27 +131,23 @@ def _blocks(indices: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.i
     return np.column_stack(np.divmod(key, columns)) + low, count
 
 
-def _sample_of_parts(lattice: Lattice, parts: StackedCrops) -> LensSample:
-    """The fullest blocks of each part."""
-    reach = _BEYOND[1] * lattice.radius
-    indices, _, part = parts.lenses(lattice, reach)
-    each = -(-_BLOCKS // len(parts))
+def _sample_crops(lattice: Lattice, crops: StackedCrops, settings: SampleSettings) -> LensSample:
+    """The fullest blocks of each crop."""
+    indices, _, crop = crops.lenses(lattice, settings.beyond_rim[1] * lattice.radius)
+    each = -(-settings.blocks // len(crops))
     blocks, home = [], []
-    for number in np.unique(part):
-        found, count = _blocks(indices[part == number])
+    for number in np.unique(crop):
+        found, count = _blocks(indices[crop == number])
         blocks.append(found[np.argsort(-count, kind="stable")[:each]])
         home += [number] * len(blocks[-1])
-    steps = np.arange(-1, _SIDE + 1)
-    within = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
-    index = _SIDE * np.concatenate(blocks)[:, None, None, :] + within
-    centre = lattice.points(index.reshape(-1, 2)).reshape(index.shape)
-    inside = centre - parts.corners[home][:, None, None]
-    whole = ((inside >= reach) & (inside <= np.array(parts.size) - 1 - reach)).all(-1)
-    return LensSample(lattice, index, centre, np.asarray(whole), centre - parts.offsets[home][:, None, None])
+    index, centre = _block_lenses(lattice, np.concatenate(blocks))
+    whole = _lie_inside(centre - crops.corners[home][:, None, None], crops.size, lattice, settings)
+    return LensSample(lattice, index, centre, whole, centre - crops.offsets[home][:, None, None])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _look(picture, centres, radius, inside, lag, rows, energy, tilt, light, count):
+def _accumulate(picture, centres, radius, inside, lag, rows, energy, gradient, light, count):
+    """Squared differences and gradients within `inside`, and light by distance to the centre, of each lens."""
     height, width = picture.shape
     rings = light.shape[1]
     per_ring, within = rings / radius, inside * inside
@@ -165,7 +164,7 @@ def _look(picture, centres, radius, inside, lag, rows, energy, tilt, light, coun
                 ring = min(int(math.sqrt(far) * per_ring), rings - 1)
                 light[lens, ring] += value * value
                 count[lens, ring] += 1
-                # Both neighbours and the pixel itself lie within the circle in which contrast is measured.
+                # The pixel and both that it is compared with lie within the circle.
                 if far > within or max(dx, dx + lag) ** 2 + max(dy, dy + lag) ** 2 > within:
                     continue
                 right = picture[y, x + lag] - value
@@ -175,38 +174,39 @@ def _look(picture, centres, radius, inside, lag, rows, energy, tilt, light, coun
                 down += below
                 pairs += 1
         energy[lens] = square / max(2 * pairs, 1)
-        tilt[0, lens], tilt[1, lens] = across / max(pairs, 1), down / max(pairs, 1)
+        gradient[0, lens], gradient[1, lens] = across / max(pairs, 1), down / max(pairs, 1)
 
 
-def measure_lens_features(picture: NDArray[np.float32], sample: LensSample) -> LensFeatures:
+def measure_lens_features(
+    picture: NDArray[np.float32], sample: LensSample, settings: SampleSettings = DEFAULT.sample
+) -> LensFeatures:
     """Measure the lenses of a sample.
 
     Parameters
     ----------
     picture : (h, w) float32
-        Square root of the luminance with mean 1 (`features.tone`).
+        As made by `images.preprocessing.sqrt_luminance`.
     sample : LensSample
+    settings : SampleSettings
     """
     radius = sample.lattice.radius
     chosen = np.flatnonzero(sample.whole.ravel())
     centres = sample.place.reshape(-1, 2)[chosen]
-    lag, rows = (max(1, round(share * radius)) for share in (_LAG, _ROWS))
-    energy, tilt = np.zeros(len(chosen)), np.zeros((2, len(chosen)))
+    lag, rows = (max(1, round(share * radius)) for share in (settings.lag, settings.row_step))
+    energy, gradient = np.zeros(len(chosen)), np.zeros((2, len(chosen)))
     light, count = np.zeros((2, len(chosen), _RINGS))
-    _look(picture, centres, _BEYOND[1] * radius, _INSIDE * radius, lag, rows, energy, tilt, light, count)
-
-    level = _mean(light, count, _CORE)
-    lit = level > _DARK * np.median(level) if len(level) else np.zeros(0, bool)
-    chosen, level, energy, tilt, light, count = (
-        chosen[lit],
-        level[lit],
-        energy[lit],
-        tilt[:, lit],
-        light[lit],
-        count[lit],
+    reach = settings.beyond_rim[1]
+    _accumulate(
+        picture, centres, reach * radius, settings.sharpness_radius * radius, lag, rows, energy, gradient, light, count
     )
-    spill, falls = _beside(light, count, _BEYOND, _BEFORE)
-    droop, _ = _beside(light, count, _EDGE, _MIDDLE)
+    noise = settings.quantum**2
+    rings = _Rings(light, count, reach, noise)
+    level = rings.mean(settings.core)
+    lit = level > settings.dark_lens * np.median(level) if len(level) else np.zeros(0, bool)
+    rings = _Rings(light[lit], count[lit], reach, noise)
+    chosen, level, energy, gradient = chosen[lit], level[lit], energy[lit], gradient[:, lit]
+    outer, rim_ratio = rings.ratio(settings.beyond_rim, settings.before_rim)
+    inner, _ = rings.ratio(settings.edge, settings.middle)
 
     def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
         full = np.full((*values.shape[:-1], sample.whole.size), np.nan)
@@ -214,33 +214,37 @@ def measure_lens_features(picture: NDArray[np.float32], sample: LensSample) -> L
         return full.reshape(values.shape[:-1] + sample.whole.shape)
 
     return LensFeatures(
-        sharpness=spread(np.log(energy + _QUANTUM**2)),
-        spill=spread(spill),
-        droop=spread(-droop),
+        sharpness=spread(np.log(energy + noise)),
+        outer_light=spread(outer),
+        inner_loss=spread(-inner),
         level=spread(np.log(level) / 2),
-        tilt=spread(tilt / np.sqrt(level)),
-        falls=falls,
+        gradient=spread(gradient / np.sqrt(level)),
+        rim_ratio=rim_ratio,
     )
 
 
-def _rings(zone: tuple[float, float]) -> slice:
-    """Rings between two shares of the usable radius."""
-    return slice(*(round(share / _BEYOND[1] * _RINGS) for share in zone))
+@dataclass(frozen=True)
+class _Rings:
+    """Light and number of pixels (n, rings) of lenses, up to `reach` times the usable radius."""
 
+    light: NDArray[np.float64]
+    count: NDArray[np.float64]
+    reach: float
+    noise: float
 
-def _mean(light: NDArray[np.float64], count: NDArray[np.float64], zone: tuple[float, float]) -> NDArray[np.float64]:
-    """(n,) mean light of each lens in a zone."""
-    rings = _rings(zone)
-    return light[:, rings].sum(1) / np.maximum(count[:, rings].sum(1), 1) + _QUANTUM**2
+    def _zone(self, zone: tuple[float, float]) -> slice:
+        return slice(*(round(share / self.reach * _RINGS) for share in zone))
 
+    def mean(self, zone: tuple[float, float]) -> NDArray[np.float64]:
+        """(n,) mean light of each lens in a zone."""
+        rings = self._zone(zone)
+        return self.light[:, rings].sum(1) / np.maximum(self.count[:, rings].sum(1), 1) + self.noise
 
-def _beside(
-    light: NDArray[np.float64], count: NDArray[np.float64], zone: tuple[float, float], other: tuple[float, float]
-) -> tuple[NDArray[np.float64], float]:
-    """(n,) light in a zone over that in another, less what is common to all lenses, and that common share."""
-    rings = _rings(zone)
-    relative, count = light[:, rings] / _mean(light, count, other)[:, None], count[:, rings]
-    # Which pixels fall on a ring differs from lens to lens; the common profile allows for that.
-    expected = count * (relative.sum(0) / np.maximum(count.sum(0), 1))
-    share = float(expected.sum() / max(count.sum(), 1))
-    return (relative - expected).sum(1) / np.maximum(count.sum(1), 1), share
+    def ratio(self, zone: tuple[float, float], other: tuple[float, float]) -> tuple[NDArray[np.float64], float]:
+        """(n,) light in a zone over that in another, less that of the mean profile, and its mean over all lenses."""
+        rings = self._zone(zone)
+        relative, count = self.light[:, rings] / self.mean(other)[:, None], self.count[:, rings]
+        # Which pixels fall on a ring differs from lens to lens; the mean profile allows for that.
+        expected = count * (relative.sum(0) / np.maximum(count.sum(0), 1))
+        share = float(expected.sum() / max(count.sum(), 1))
+        return (relative - expected).sum(1) / np.maximum(count.sum(1), 1), share

@@ -188,7 +188,7 @@ def test_measures_of_lenses_do_not_depend_on_the_number_of_threads(house):
         one = measure_lens_features(picture, sample)
     finally:
         numba.set_num_threads(threads)
-    for name in ("sharpness", "spill", "droop", "level", "tilt"):
+    for name in ("sharpness", "outer_light", "inner_loss", "level", "gradient"):
         np.testing.assert_array_equal(getattr(measure_lens_features(picture, sample), name), getattr(one, name))
 
 
