@@ -19,12 +19,9 @@ from scipy.ndimage import distance_transform_edt
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
+from data_synth.metrics import compare_pictures, resample
 from lfrender.data.surface import Surface
 from lfrender.flat.lens_graph import nearest_lens
-from lfrender.output.metrics import (
-    compare_pictures,
-    resample,
-)
 
 from .truth_flats import SCALES, merit
 

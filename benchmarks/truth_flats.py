@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 import lfcal
 import lfrender
-from lfrender.output.metrics import PictureQuality, compare_pictures, resample
+from data_synth.metrics import PictureQuality, compare_pictures, resample
 
 from .depth_edges import RESOLVABLE, edge_share
 

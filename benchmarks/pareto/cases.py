@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.output.metrics import compare_pictures, resample
+from data_synth.metrics import compare_pictures, resample
 
 __all__ = ["Case", "of_folder", "simulated"]
 

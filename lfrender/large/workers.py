@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from copy import deepcopy
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
@@ -19,36 +19,9 @@ from .tiles import Rectangle, TileReader
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["ClusterWorkers", "LocalWorkers", "Shared", "Workers", "choose_workers"]
+__all__ = ["ClusterWorkers", "LocalWorkers", "Workers", "choose_workers"]
 
 _Task = Callable[[Any, Any, NDArray[Any]], Any]
-
-
-class Shared(Protocol):
-    """What all parts need beside their pixels; it is sent once to each worker of a cluster."""
-
-    @property
-    def calibration(self) -> Calibration: ...
-
-
-class Workers(Protocol):
-    """Processes that work on parts of one flat."""
-
-    @property
-    def count(self) -> int:
-        """How many parts are worked on at a time."""
-
-    def map(self, task: _Task, shared: Shared, items: Iterable[Any], rectangles: Iterable[Rectangle]) -> Iterator[Any]:
-        """The results of `task(shared, item, pixels)` in the order of the items.
-
-        Parameters
-        ----------
-        task : function of a module
-        shared : Shared
-        items : iterable
-        rectangles : iterable of (left, top, right, bottom) [px]
-            Of the part of the flat that belongs to each item; `pixels` (h, w, C) are as `TileReader.read` gives them.
-        """
 
 
 def choose_workers(
@@ -61,28 +34,24 @@ def choose_workers(
 class LocalWorkers:
     """This process; the file is read for the next part while one is worked on."""
 
+    #: How many parts are worked on at a time.
     count = 1
 
     def __init__(self, reader: TileReader) -> None:
         self._reader = reader
 
-    def map(self, task: _Task, shared: Shared, items: Iterable[Any], rectangles: Iterable[Rectangle]) -> Iterator[Any]:
+    def map(self, task: _Task, shared: Any, items: Iterable[Any], rectangles: Iterable[Rectangle]) -> Iterator[Any]:
+        """The results of `task(shared, item, pixels)` in the order of the items.
+
+        `rectangles` are the parts of the flat that belong to the items; `pixels` (h, w, C) are as `TileReader.read`
+        returns them. `shared` is sent once to each worker of a cluster; it has the `calibration`.
+        """
         for item, pixels in zip(items, self._reader.read_ahead(rectangles), strict=True):
             yield task(shared, item, pixels)
 
 
 class ClusterWorkers:
-    """The workers of a cluster, which read the flat themselves.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    source : FlatSource
-        A file that all workers see under the same path.
-    threads : int or None
-        Threads of the kernels in each worker; None leaves it to the machine.
-    settings : LargeSettings
-    """
+    """The workers of a cluster, each with so many `threads`; they read the flat themselves, under the same path."""
 
     def __init__(
         self, client: Client, source: FlatSource, threads: int | None = None, settings: LargeSettings = DEFAULT
@@ -94,9 +63,10 @@ class ClusterWorkers:
 
     @property
     def count(self) -> int:
+        """How many parts are worked on at a time."""
         return max(1, sum(self._client.nthreads().values()))
 
-    def map(self, task: _Task, shared: Shared, items: Iterable[Any], rectangles: Iterable[Rectangle]) -> Iterator[Any]:
+    def map(self, task: _Task, shared: Any, items: Iterable[Any], rectangles: Iterable[Rectangle]) -> Iterator[Any]:
         from ..sequence.cluster import task_result
 
         flat = self._path, self._size, self._threads
@@ -121,17 +91,20 @@ def _raise_errors(result: Any) -> Any:
     return result
 
 
+Workers = LocalWorkers | ClusterWorkers
+
+
 class _Worker:
     """What a worker process keeps from task to task. Kernels run one at a time: each uses several threads itself."""
 
     lock = Lock()
     flat: Any = None
     reader: TileReader | None = None
-    received: Shared | None = None
-    shared: Shared | None = None
+    received: Any = None
+    shared: Any = None
 
     @classmethod
-    def copy(cls, shared: Shared) -> Shared:
+    def copy(cls, shared: Any) -> Any:
         """This worker's own copy: values are cached in it while Dask may be sending the original to others."""
         if cls.shared is None or cls.received is not shared:
             cls.received, cls.shared = shared, deepcopy(shared)
@@ -156,11 +129,11 @@ class _Worker:
         return cls.reader
 
 
-def _identity(shared: Shared) -> Shared:
+def _identity(shared: Any) -> Any:
     return shared
 
 
-def _work(flat: tuple[str, int, int | None], task: _Task, shared: Shared, item: Any, rectangle: Rectangle) -> Any:
+def _work(flat: tuple[str, int, int | None], task: _Task, shared: Any, item: Any, rectangle: Rectangle) -> Any:
     """The result of one part. An error of this toolkit is returned, not raised: Dask would only try it again."""
     with _Worker.lock:
         try:

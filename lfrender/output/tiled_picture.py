@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,41 +26,14 @@ def move_into_place(made: Path, output: Path) -> None:
         raise OutputError(f"{output}: cannot be written ({error.strerror or error})") from error
 
 
-class TileWriter(Protocol):
-    """Writes the tiles of one picture, in any order, into a folder of unfinished work."""
-
-    def open(self, fresh: bool) -> bool:
-        """Start with an empty file, or continue the one in the folder; returns whether there was one to continue."""
-
-    def write(self, tile: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
-        """Write the pixels of `left, top, right, bottom`."""
-
-    def sync(self) -> None:
-        """Wait until the disk holds what was written."""
-
-    def finish(self, output: Path) -> None:
-        """Move the picture to its place, over an earlier one."""
-
-
 def new_writer(
     path: Path, folder: Path, shape: tuple[int, ...], dtype: Any, side: tuple[int, int], description: str,
     **options: Any,
 ) -> TileWriter:  # fmt: skip
     """The writer for the suffix of `path`.
 
-    Parameters
-    ----------
-    path, folder : Path
-        The output, and the folder to work in, beside it.
-    shape : (int, int) or (int, int, int)
-        Rows, columns and channels of the picture.
-    dtype : dtype
-    side : (int, int) [px]
-        Columns and rows of a tile.
-    description : str
-        JSON text to store.
-    options : icc : bytes, compress : bool
-        Of TIFF files.
+    It works in `folder`, beside the output. `shape` is rows, columns and channels of the picture, `side` columns and
+    rows of a tile, `description` the JSON text to store; `icc : bytes` and `compress : bool` are options of TIFF files.
     """
     if path.suffix.lower() == ".zarr":
         return _ZarrWriter(folder / "picture.zarr", shape, dtype, side, description)
@@ -79,6 +52,7 @@ class _TiffWriter:
         self._start = 0
 
     def open(self, fresh: bool) -> bool:
+        """Start with an empty file, or continue the one in the folder; returns whether there was one to continue."""
         import tifffile
 
         found = not fresh and self._path.exists()
@@ -90,6 +64,7 @@ class _TiffWriter:
         return found
 
     def write(self, tile: tuple[int, int, int, int], pixels: NDArray[Any]) -> None:
+        """Write the pixels of `left, top, right, bottom`; tiles come in any order."""
         left, top, right, _ = tile
         pixel = self._dtype.itemsize * int(np.prod(self._shape[2:]))
         row = self._shape[1] * pixel
@@ -102,9 +77,11 @@ class _TiffWriter:
                 view = view[self._file.write(view) :]
 
     def sync(self) -> None:
+        """Wait until the disk holds what was written."""
         os.fsync(self._file.fileno())
 
     def finish(self, output: Path) -> None:
+        """Move the picture to its place, over an earlier one."""
         self._file.close()
         if not self._compress:
             move_into_place(self._path, output)
@@ -173,3 +150,6 @@ class _ZarrWriter:
             shutil.rmtree(earlier, ignore_errors=True)
             move_into_place(output, earlier)
         move_into_place(self._path, output)
+
+
+TileWriter = _TiffWriter | _ZarrWriter

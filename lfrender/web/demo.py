@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_synth import SCENES, Camera, Capture, simulate
+from data_synth.metrics import centre_error, compare_pictures, magnification_error, mode_accuracy, resample
 from lfcal import Calibration, OutputError, calibrate
 from lfcal.runtime.console import Report
 
@@ -22,7 +23,6 @@ from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
 from ..flat.lens_graph import nearest_lens
 from ..output.depth_picture import magnification_picture, mode_picture
-from ..output.metrics import centre_error, compare_pictures, magnification_error, mode_accuracy, resample
 from ..output.picture import write_picture
 from .report import write_report
 from .report_figures import ReportPictures, cards, data_urls, draw_pictures, png_url, table_rows

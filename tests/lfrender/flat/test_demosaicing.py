@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import lfrender
+from data_synth.metrics import compare_pictures, resample
 from lfcal import Calibration, FlatError
 from lfrender.flat.demosaicing import demosaic
-from lfrender.output.metrics import compare_pictures, resample
 
 MOSAICS = ("RGGB", "BGGR", "GRBG", "GBRG")
 

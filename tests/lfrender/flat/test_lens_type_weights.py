@@ -5,9 +5,9 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
+from data_synth.metrics import compare_pictures, resample
 from lfcal import LensTypes
 from lfrender.flat.lens_type_weights import WEIGHT_STEPS, focus_weights
-from lfrender.output.metrics import compare_pictures, resample
 
 FOCUS = (-0.5, -0.33, -0.17)
 CELL = [[(i - j) % 3 for j in range(3)] for i in range(3)]

@@ -9,9 +9,9 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
+from data_synth.metrics import compare_pictures
 from lfcal.lattice.distortion import Distortion
 from lfrender.flat.distorted_lookup import lens_displacements
-from lfrender.output.metrics import compare_pictures
 
 SIZE = (420, 340)
 REACH = float(np.hypot(*SIZE)) / 2

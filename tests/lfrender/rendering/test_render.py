@@ -6,9 +6,9 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
+from data_synth.metrics import compare_pictures, resample
 from lfcal import Calibration, CalibrationError, Lattice
 from lfcal.gain.vignetting import Vignetting
-from lfrender.output.metrics import compare_pictures, resample
 
 
 @functools.cache

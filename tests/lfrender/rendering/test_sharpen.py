@@ -13,8 +13,8 @@ from PIL import Image
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
+from data_synth.metrics import compare_pictures, resample
 from lfrender.cli.main import main
-from lfrender.output.metrics import compare_pictures, resample
 from lfrender.rendering.deconvolution import estimate_noise, power_spectrum, wiener_deconvolve
 
 # Electrons of a full pixel and of read noise: about 1 % and 4 % of white at mid-grey.

@@ -7,15 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from data_synth.metrics import centre_error, compare_pictures, magnification_error, mode_accuracy, resample
 from lfcal import Lattice
 from lfrender.flat.lens_graph import nearest_lens
-from lfrender.output.metrics import (
-    centre_error,
-    compare_pictures,
-    magnification_error,
-    mode_accuracy,
-    resample,
-)
 
 IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
 

@@ -7,12 +7,13 @@ pixels, so that a difference in resolution alone is no error.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfcal import Lattice
+if TYPE_CHECKING:
+    from lfcal import Lattice
 
 __all__ = [
     "PictureQuality",
