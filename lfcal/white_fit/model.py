@@ -1,4 +1,8 @@
-"""Global parameters of a white image's model: how the discs of all lenses follow lattice, distortion and cat-eye."""
+"""Global parameters of a white image's model: lattice, distortion and the disc that cuts the microimages (cat-eye).
+
+A stop in front of or behind the pupil of the main lens cuts microimages off the optical axis to lens shapes (mechanical
+vignetting). The cut is a disc whose offset from the microimage depends on the position in the field.
+"""
 
 from __future__ import annotations
 
@@ -8,38 +12,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
-from .normal_equations import LOCAL_PARAMETERS
+from .settings import MODEL
 
-__all__ = ["CatEye", "WhiteModel", "apply_step", "build_jacobian", "field_position", "step_limits"]
+__all__ = ["LOCAL_PARAMETERS", "CatEye", "WhiteModel", "apply_step", "build_jacobian", "field_position", "step_limits"]
 
-# No step moves a disc, or changes its radius, by more than this share of the radius.
-_LONGEST = 0.1
-# Nor the softness of the cut by more than this share, nor its correlation with the other edge by more than that.
-_SOFTENS, _SHARES = 0.3, 0.2
-# Softest edge of a cutting disc over its radius, and the sharpest edge that pixels of finite size show [px].
-_SOFTEST = 0.1
-_SHARPEST = 0.2
-# Variance of the place in a pixel along one of its sides [px^2].
-_PIXEL = 1 / 12
-# Edges that run alike are never blurred quite alike.
-_MOST_SHARED = 0.98
+# Parameters of a cut lens: x, y; offset of the cutting disc (2), its radius; correlation of the blur; gain.
+LOCAL_PARAMETERS = 7
+# Variance of the position in a pixel along one of its sides [px^2].
+_PIXEL_VARIANCE = 1 / 12
 
 
 @dataclass(frozen=True)
 class CatEye:
     """Disc that cuts the microimages, at `shift + field * (g1 + g2 * |field| + g3 * |field|**2)` from their centres.
 
-    `field` is the place in the field, of length 1 in the corners (`field_position`).
-
     Parameters
     ----------
     shift : (2,) float64 [px]
-        Displacement in the middle of the flat.
+        Offset in the middle of the flat.
     growth : (3,) float64 [px]
-        `g1, g2, g3`, positive outwards.
-    radius, soft : float [px]
+        `g1, g2, g3`, positive outwards; `field` has length 1 in the corners (`field_position`).
+    radius, blur : float [px]
         Radius of the cutting disc and standard deviation of its edge.
-    shared : float
+    correlation : float
         Correlation of the blur of the two edges where they run alike, 0..1: 1 where light passes both discs before
         anything blurs it.
     """
@@ -47,23 +42,24 @@ class CatEye:
     shift: NDArray[np.float64]
     growth: NDArray[np.float64]
     radius: float
-    soft: float
-    shared: float = 0.7
+    blur: float
+    correlation: float = 0.7
 
     @property
-    def least_shared(self) -> float:
-        """Correlation of the blur that pixels alone give both edges: their area is the last that light meets."""
-        return min(_PIXEL / self.soft**2, _MOST_SHARED)
+    def least_correlation(self) -> float:
+        """Correlation from pixels alone, whose area blurs both edges last."""
+        return min(_PIXEL_VARIANCE / self.blur**2, MODEL.most_correlation)
 
-    def blurred(self, soft: float) -> CatEye:
-        """With the softness of its edge on the way to another [px], as far as one step goes and pixels can show."""
-        least, most = (1 - _SOFTENS) * self.soft, (1 + _SOFTENS) * self.soft
-        soft = float(np.clip(np.clip(soft, least, most), _SHARPEST, _SOFTEST * self.radius + _SHARPEST))
-        eye = replace(self, soft=soft)
-        return replace(eye, shared=max(eye.shared, eye.least_shared))
+    def with_blur(self, blur: float) -> CatEye:
+        """With another blur of its edge [px], as far as one step may change it and pixels can show."""
+        least, most = (1 - MODEL.most_blur_change) * self.blur, (1 + MODEL.most_blur_change) * self.blur
+        sharpest = MODEL.least_blur
+        blur = float(np.clip(np.clip(blur, least, most), sharpest, MODEL.most_blur * self.radius + sharpest))
+        eye = replace(self, blur=blur)
+        return replace(eye, correlation=max(eye.correlation, eye.least_correlation))
 
     def displacement(self, field: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n, 2) displacement [px] of the cutting disc at places (n, 2) of the field."""
+        """(n, 2) offset [px] of the cutting disc at positions (n, 2) in the field."""
         far = np.hypot(*field.T)[:, None]
         return self.shift + field * (self.growth[0] + self.growth[1] * far + self.growth[2] * far**2)
 
@@ -77,7 +73,7 @@ class WhiteModel:
 
 
 def field_position(centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
-    """(n, 2) place in the field, of length 1 in the corners."""
+    """(n, 2) position in the field, of length 1 in the corners of the flat."""
     size = np.array(lattice.image_size)
     return (centres - (size - 1) / 2) / (np.hypot(*size) / 2)
 
@@ -85,7 +81,7 @@ def field_position(centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np
 def build_jacobian(
     model: WhiteModel, indices: NDArray[np.int64], orders: tuple[str, ...]
 ) -> tuple[NDArray[np.float64], list[str]]:
-    """Change of the local parameters of each lens with the global ones.
+    """Derivatives of the local parameters of each lens with the global ones.
 
     Parameters
     ----------
@@ -93,12 +89,12 @@ def build_jacobian(
     indices : (n, 2) int64
         Lattice indices of the lenses.
     orders : tuple of {"k1", "centre", "k2", "general", "growth2", "growth3"}
-        Parameters beyond origin, basis and a cat-eye that grows evenly.
+        Parameters beyond origin, basis and a cat-eye that grows in proportion to the field.
 
     Returns
     -------
     (n, 6, p) float64, list of p names
-        Only the two of the place, (n, 2, p), where the model has no cat-eye.
+        Only the two of the position, (n, 2, p), where the model has no cat-eye.
     """
     n, own = len(indices), 2 if model.cat_eye is None else LOCAL_PARAMETERS - 1
     columns: list[NDArray[np.float64]] = []
@@ -130,19 +126,19 @@ def build_jacobian(
             if f"growth{power}" in orders:
                 add(f"growth{power}", 2, field * far ** (power - 1))
         add("radius", 4, np.ones((n, 1)))
-        add("shared", 5, np.ones((n, 1)))
+        add("correlation", 5, np.ones((n, 1)))
     return np.stack(columns, axis=2), names
 
 
 def step_limits(eye: CatEye, names: list[str]) -> NDArray[np.float64]:
-    """(p,) how far the parameters `names` of `build_jacobian` can go in one step; infinite for those of the lattice."""
-    most = _LONGEST * eye.radius
-    limits = {"radius": most, "shift": most, "shared": _SHARES}
+    """(p,) longest step of each of the parameters `names`; infinite for those of the lattice."""
+    most = MODEL.most_move * eye.radius
+    limits = {"radius": most, "shift": most, "correlation": MODEL.most_correlation_change}
     return np.array([most if name.startswith("growth") else limits.get(name, np.inf) for name in names])
 
 
 def apply_step(model: WhiteModel, change: NDArray[np.float64], names: list[str]) -> WhiteModel:
-    """The model after a step `change` (p,) of the parameters `names` of `build_jacobian`."""
+    """The model after a step `change` (p,) of the parameters `names`."""
     by = {name: change[[k for k, other in enumerate(names) if other == name]] for name in names}
     old = model.lattice
     bend = old.distortion if old.distortion is None else old.distortion.updated(by)
@@ -152,15 +148,16 @@ def apply_step(model: WhiteModel, change: NDArray[np.float64], names: list[str])
     eye = model.cat_eye
     if eye is None:
         return WhiteModel(lattice, None)
-    most = _LONGEST * eye.radius
+    most, most_turn = MODEL.most_move * eye.radius, MODEL.most_correlation_change
     growth = np.array([float(by.get(name, [0.0])[0]) for name in ("growth", "growth2", "growth3")])
+    correlation = eye.correlation + np.clip(by["correlation"][0], -most_turn, most_turn)
     return WhiteModel(
         lattice,
         CatEye(
             eye.shift + np.clip(by["shift"], -most, most),
             eye.growth + np.clip(growth, -most, most),
             eye.radius + float(np.clip(by["radius"][0], -most, most)),
-            eye.soft,
-            float(np.clip(eye.shared + np.clip(by["shared"][0], -_SHARES, _SHARES), eye.least_shared, _MOST_SHARED)),
+            eye.blur,
+            float(np.clip(correlation, eye.least_correlation, MODEL.most_correlation)),
         ),
     )

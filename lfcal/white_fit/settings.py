@@ -1,0 +1,208 @@
+"""Tuned values of the fit of a white image, one dataclass a stage; set by hand on simulated white images if not said."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = [
+    "CUTOUTS", "EDGE", "FIT", "GAUSS_NEWTON", "KERNEL", "LARGE", "MODEL", "PROFILE", "RIM", "SHADING", "TUKEY",
+    "VIGNETTING", "FitSettings", "GaussNewtonSettings", "LargeSettings",
+]  # fmt: skip
+
+# Tukey's biweight drops residuals beyond so many standard deviations: 95 % efficient for normal residuals.
+TUKEY = 4.685
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """Tuned values of `fit`: how many lenses each of its three steps uses, and when a parameter is kept."""
+
+    search_pixels: float = 1e5  # pixels with which a cutting disc is searched for
+    search_lenses: int = 150  # and the fewest lenses
+    order_pixels: float = 6e5  # pixels with which the parameters of the model are chosen
+    order_lenses: int = 400  # and the fewest lenses
+    most_order_lenses: int = 8000  # with so many lenses, parameters that matter are significant at any pitch
+    part_lenses: int = 800  # lenses with which a lattice is refined on parts of a flat
+    first_passes: int = 5  # Gauss-Newton passes before a cutting disc is searched for
+    all_pixels: float = 4e6  # flats of so many pixels are used whole
+    target_error: float = 3.5e-4  # [px] standard error of centres at which a larger flat has lenses enough
+    cut_target_error: float = 2e-3  # [px] the same for cut microimages: the model is off by several times this
+    cut_least_pixels: float = 1e5  # fewest pixels for cut microimages
+    cut_most_pixels: float = 2e5  # most pixels for cut microimages
+    cut_lenses: int = 250  # fewest lenses for cut microimages
+    least_shift: float = 0.01  # [px, RMS] a further parameter must move centres by this
+    promising: float = 0.5  # share of `least_shift` that the first step must predict to try a parameter
+    significance: float = 8.0  # standard errors by which a parameter must differ from zero
+    least_gain: float = 0.003  # share of the cost that a parameter must save: less may be the model's fault
+    correlation_error: float = 0.02  # standard error of the blur correlation of cut edges, whatever pixels imply
+
+
+@dataclass(frozen=True)
+class GaussNewtonSettings:
+    """Tuned values of `gauss_newton` and of the robust weights of lenses."""
+
+    passes: int = 15  # at most
+    free_passes: int = 5  # passes in which weights follow the residuals; longer, and the fit does not settle
+    known_passes: int = 2  # the same where the profile comes from a fit
+    # Damping of a step by robust weights: for Tukey's biweight and normal residuals the ratio of the means of second
+    # and first derivative is 0.76 / 0.91, a little more with thinned pixels.
+    step_scale: float = 0.86
+    settled: float = 0.3  # [standard errors] shorter steps end the fit
+    remainder: float = 0.1  # [standard errors] so do steps whose geometric series is shorter than this
+    steady: float = 0.5  # steps that shrink at least by this factor have such a series
+    near: float = 3.0  # [standard errors] a step of whole microimages with a known profile ends the fit: the next
+    near_px: float = 0.05  # [px] is a twentieth, if the step is also short against the blur of an edge
+    most_dampings: int = 60  # doublings of the damping of a step
+    runaway: float = 0.05  # relative change of the basis that no true fit makes
+    brightness_groups: int = 12  # groups of lenses in which noise is measured against brightness
+    outlying_scatter: float = 4.0  # times the usual scatter at its brightness: a lens loses weight beyond
+    outlying_lens: float = 2.5  # [residual RMS] lenses farther off are located one by one
+    single_passes: int = 5  # passes to locate a single lens
+    single_step: float = 0.5  # [px] longest of its steps
+    single_weight: float = 1e-9  # weight of such a lens, so low that no pixel counts as an outlier
+    outlier: float = TUKEY  # [standard deviations] lenses farther off have no weight
+    robust_turns: int = 3  # reweightings of lenses within one step
+
+
+@dataclass(frozen=True)
+class ModelSettings:
+    """Tuned values of `model`: limits of a step of the cutting disc."""
+
+    most_move: float = 0.1  # [disc radius] change of position or radius in one step
+    most_blur_change: float = 0.3  # relative change of the blur in one step
+    most_correlation_change: float = 0.2  # change of the blur correlation in one step
+    most_blur: float = 0.1  # [disc radius] blur of the edge at most, on top of `least_blur`
+    least_blur: float = 0.2  # [px] pixels of finite size blur every edge by this
+    most_correlation: float = 0.98  # edges that run alike are never blurred quite alike
+
+
+@dataclass(frozen=True)
+class KernelSettings:
+    """Tuned values of `kernel`."""
+
+    outlier: float = TUKEY  # [standard deviations] pixels farther off have no weight
+    cut_edge: float = 3.0  # [blur] beyond so far from its middle the edge of the cut is all or nothing
+
+
+@dataclass(frozen=True)
+class ProfileSettings:
+    """Tuned values of `normal_equations`: smoothness of the profile, and thinning of even pixels."""
+
+    slope_weight: float = 1e-4  # weight of squared steps of the profile over that of its pixels
+    bend_weight: float = 0.3  # weight of squared second differences
+    least_light: float = 0.01  # share of the pixels of a ring below which its level is damped
+    even_radius: float = 3.0  # [px] microimages with a larger even inside are thinned there
+    even_margin: float = 0.5  # [px] from the even inside to the edge
+    # (one pixel in so many, a power of two; shift of each row [px]): the first that leaves `least_even_pixels` is used.
+    thinning: tuple[tuple[int, int], ...] = ((64, 14), (16, 6), (4, 2))
+    least_even_pixels: int = 100  # in the even inside of a microimage
+
+
+@dataclass(frozen=True)
+class CutoutSettings:
+    """Tuned values of `cutouts`."""
+
+    fewest_lenses: int = 12  # for a fit
+    ring_step: float = 0.125  # [px] between samples of the profile: edges of discs are about 1 px wide
+    dark: float = 0.03  # share of the light of a bright microimage below which there is none: no lens
+    core: float = 0.4  # side of the square that measures the gain, over the diameter of the inscribed circle
+
+
+@dataclass(frozen=True)
+class EdgeSettings:
+    """Tuned values of `edge_profile`."""
+
+    steep: float = 0.1  # share of the steepest slope of the profile above which it is an edge
+    deepest: float = 3.09  # [blur] beyond, light is within 0.001 of none or all and tells no depth
+    used_depth: float = 2.3  # [blur] depths used to measure the blur
+    fewest_rings: int = 5  # to measure the blur
+    beside: int = 2  # rings beside the edge that may still belong to it
+    least_tail: float = -0.03  # uniform discs and squares have 0.05, normal blur 0, longer tails less
+    most_tail: float = 0.06
+    rounds: int = 4  # alternations between line and tail
+
+
+@dataclass(frozen=True)
+class ShadingSettings:
+    """Tuned values of `shading`."""
+
+    lenses: int = 4000  # that the gain over the field is fitted to
+    inside: float = 0.6  # share of the inscribed radius in which slopes are measured: cuts are rare, edges far
+    significance: float = 6.0  # standard errors beyond which slopes are used
+    outlier: float = 4.0  # [medians of the residuals]
+    gain_outlier: float = 5.0  # [medians of the residuals] for the gain over the field
+
+
+@dataclass(frozen=True)
+class VignettingSettings:
+    """Tuned values of `mechanical_vignetting`."""
+
+    least_gain: float = 0.005  # share of the cost that a cutting disc must save
+    least_depth: float = 0.3  # [px] it must reach into microimages
+    significance: float = 8.0  # standard errors: costs that differ by its square are told apart
+    smaller: float = 0.9  # the cut is the larger disc if shading does not decide and radii differ by this factor
+    settled: float = 1.0  # [standard errors] steps of trial fits may be this long; all lenses follow afterwards
+    first_passes: int = 2  # passes after which shading shows whether the two discs are interchanged
+    least_narrowing: float = 0.01  # [px] cos(2 * angle) of the edge; a cut by one pixel has 20 times this
+    narrowing_significance: float = 6.0  # standard errors of it
+    inner_margin: float = 2.0  # [blur] pixels so far inside both discs measure the shading
+    fewest_pixels: int = 500  # for that
+    outlier: float = 6.0  # [standard deviations] of pixels
+    field_columns: int = 8  # parts of the field in which rims are measured
+    field_rows: int = 6
+    directions: int = 24  # in which rims are measured
+    alternative: float = 1.05  # another disc with at most this times the residual of the best is tried too
+    even: float = 0.5  # share of the radius in which a microimage is even, and darker outwards
+    most_falloff: float = 0.5  # share of the light lost at the side of the cell by shading
+    least_light: float = 0.04  # share of full light that any direction counts as at least
+    start_blur: float = 0.5  # [px]
+
+
+@dataclass(frozen=True)
+class RimSettings:
+    """Tuned values of `rim_fit`."""
+
+    start_growths: tuple[float, ...] = (0.15, 0.35, 0.6)  # [disc radius] displacements in the corner to start from
+    start_radii: tuple[float, ...] = (1.0, 1.1, 1.25)  # [disc radius]
+    start_shares: tuple[float, ...] = (0.0, 0.4)  # part of the displacement that the lattice may have absorbed
+    turns: int = 12  # of Levenberg-Marquardt
+    difference: float = 1e-3  # [px] of numerical derivatives
+    converged: float = 1e-4  # relative fall of the squares that ends the fit
+    # [px] where two rims cross, blur takes light from both: times log(2), for edges blurred by half a pixel together.
+    crossing: float = 0.22
+    distinct: float = 0.1  # share of the residual by which two solutions must differ to count as two
+    explained: float = 0.8  # share of the variance of the rim that a cut must explain
+    least_effect: float = 0.05  # [px, RMS] and how much of it
+
+
+@dataclass(frozen=True)
+class LargeSettings:
+    """Tuned values of `large`."""
+
+    first_side: int = 768  # [px] side of the piece in which the lattice is found
+    first_periods: int = 10  # pitches that must fit into it
+    repeatability: float = 0.8  # correlation of the mean microimages of two halves of a piece
+    piece_pitches: float = 14.0  # side of the pieces on which the lattice is extended, in pitches
+    piece_side: int = 256  # [px] and at least
+    # Distance to the next pieces over that to the last ones: a cubic that moves centres by hardly 0.01 px up to here
+    # moves them by 0.16 px there.
+    spacing: float = 2.5
+    window: float = 2.0  # [pitch] within which pieces are levelled to test that the flat is even
+    even_pitches: float = 6.0  # side of the parts for this test, in pitches: whole lenses and their neighbours
+    even_parts: float = 25.0  # number of such parts, of short pitches
+    fewest_even_parts: float = 9.0  # and of any
+    sample_side: int = 768  # [px] side of the parts that stand for a flat too large for memory
+    sample_pixels: float = 1.6e7  # pixels of all these parts
+
+
+FIT = FitSettings()
+GAUSS_NEWTON = GaussNewtonSettings()
+MODEL = ModelSettings()
+KERNEL = KernelSettings()
+PROFILE = ProfileSettings()
+CUTOUTS = CutoutSettings()
+EDGE = EdgeSettings()
+SHADING = ShadingSettings()
+VIGNETTING = VignettingSettings()
+RIM = RimSettings()
+LARGE = LargeSettings()
