@@ -75,7 +75,7 @@ def estimate_gain(
     rings = int(cell_normals(lattice)[1] / settings.step) + 3
     cut: tuple[float, ...] = ()
     if cat_eye is not None:
-        cut = (*cat_eye.shift, cat_eye.growth.sum(), cat_eye.radius, cat_eye.soft)
+        cut = (*cat_eye.shift, cat_eye.growth.sum(), cat_eye.radius, cat_eye.blur)
     gain = GainMap.round(np.ones(rings), settings.step, limit, cut)
     core = (settings.scene_core if scene else settings.white_core) * limit
     # A white image can be as even as if it were clipped.
@@ -128,7 +128,7 @@ def _find_cut(gain: GainMap, residuals: GainResiduals, sample: Sample, lattice: 
     if found is None:
         return gain
     rim = np.zeros((3, 3))
-    rim[1, 1] = rim[2, 2] = found.own
+    rim[1, 1] = rim[2, 2] = found.lattice_growth
     soft = max(0.35, 0.3 * gain.step)
     return replace(gain, rim=rim, cut=np.array([*found.shift, found.growth, found.radius, soft]))
 

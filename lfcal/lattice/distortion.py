@@ -70,6 +70,11 @@ class Distortion(Frozen):
             raise ValueError(f"middle of a general distortion must be two finite numbers, got {self.middle!r}")
         self._set(general=general, middle=middle)
 
+    @classmethod
+    def zero(cls, image_size: tuple[int, int]) -> Distortion:
+        """A distortion of zero strength about the middle of a flat of this width and height [px]."""
+        return cls((np.array(image_size) - 1) / 2, 0.0, 0.0, float(np.hypot(*image_size) / 2))
+
     def apply(self, points: ArrayLike) -> NDArray[np.float64]:
         """(n, 2) distorted positions of straight lattice points (n, 2) [px]."""
         straight = np.asarray(points, dtype=np.float64)

@@ -1,8 +1,8 @@
-"""Global fit of scene captures: one lattice through all lenses of a flat, most of which may be misled by the scene.
+"""Lattice of scene captures: one fit through all lenses of a flat, most of which the scene may shift.
 
-What the scene shows pushes lenses off, and video compression drags whole parts of a flat along with what moves in
-them. So the lenses that agree best decide. Neighbours are misled alike: how sure the lattice is follows from how parts
-of the flat differ, not from how lenses do.
+Each lens is compared with the mean microimage (`template`). What the scene shows shifts lenses, and video compression
+drags whole parts of a flat along with what moves in them, so the lattice follows the lenses that agree best (`irls`).
+Neighbours are shifted alike: the standard error comes from differences between tiles of the flat, not between lenses.
 """
 
 from __future__ import annotations
@@ -13,52 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice.cell import cell_normals
+from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import select_whole_lenses
+from ..lattice.lens_subset import sample_mask, select_whole_lenses
 from ..lattice.robust_fit import LatticeFit, field_rms
 from ..runtime.errors import CalibrationError
-from .irls import SUREST, LensShifts, error_inflation, find_regular_ratio, solve_irls
-from .radial_distortion import RadialEstimate, estimate_radial, zero_distortion
+from .irls import LensShifts, error_inflation, find_regular_ratio, solve_irls
+from .radial_distortion import RadialEstimate, estimate_radial
+from .settings import FIT, IRLS
 from .template import build_lens_equations
 
-__all__ = ["fit_scene"]
+__all__ = ["fit_scene", "measure_shifts", "select_lenses", "standard_error"]
 
-_GOLDEN = 0.6180339887498949
-_FEWEST_LENSES = 12
-# Microimages of this pitch [px] are looked at pixel by pixel, larger ones more coarsely.
-_FINE_PITCH = 24.0
-# The first steps need only so many lenses.
-_SKETCH_LENSES = 700
-_SKETCH_PASSES = 4
-_PASSES = 10
-# Steps below this share of the standard error change nothing.
-_SETTLED = 0.2
-# So many steps back are combined; those alike to this share are one. No leap is longer than so many single steps.
-_REMEMBERED, _SAME, _FURTHEST = 4, 0.05, 10.0
-# So often it is asked which lenses agree best.
-_CHOICES = 2
-_RUNAWAY = 0.05
-# Lenses of a tile in halves of the flat, and the tiles that are taken for independent of each other.
-_LENSES_PER_TILE = 16
-_FEWEST_TILES = 36
-# Tiles of fewer lenses could all be of one colour; halves of fewer have no lattice of their own.
-_FEWEST_IN_TILE, _FEWEST_IN_HALF = 3, 3
-# More lenses than this make no lattice of a scene any surer.
-_MOST_LENSES = 20000
-# Lenses that say less than this share of what good ones say about their place have no say.
-_GOOD, _SAYS = 0.9, 0.001
-# Lenses whose place is so many times less sure than that of the surest have next to none, if others are enough.
-_DOUBTFUL = 4.0
-_ENOUGH_LENSES = 2000
+_NO_LATTICE = "the microimages do not keep to one lattice; give a sharper flat or a white image"
+_TOO_LITTLE = "the microimages show too little; give a brighter flat or a white image"
 
 
 def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e6) -> LatticeFit:
-    """Fit origin and basis of a lattice, and a radial distortion where the lenses clearly ask for one.
+    """Fit origin and basis of a lattice, and a radial distortion if the lenses clearly show one.
 
     Parameters
     ----------
     picture : (h, w) float32
-        A feature that looks alike in most microimages, such as levelled breaks.
+        A feature that looks alike in most microimages, such as locally normalised edges.
     lattice : Lattice [px]
         Start, right to a fraction of the pitch over the whole flat.
     pixels : float
@@ -69,232 +46,236 @@ def fit_scene(picture: NDArray[np.float32], lattice: Lattice, pixels: float = 4e
     CalibrationError
         If fewer than a dozen whole microimages are on the flat, or they keep to no lattice.
     """
-    start = lattice.basis
-    stride = max(1, round(lattice.pitch / _FINE_PITCH))
-    most = min(max(int(pixels * stride**2 / abs(np.linalg.det(start))), _SKETCH_LENSES), _MOST_LENSES)
-    if min(most, len(lattice)) > 2 * _SKETCH_LENSES:
-        lattice = _settled(picture, lattice, _chosen(lattice, _SKETCH_LENSES), stride, _SKETCH_PASSES).lattice
-    indices = _chosen(lattice, most)
-    seen = _look(picture, lattice, indices, stride)
-    trusted = _trusted(seen.variance)
-    indices, seen = indices[trusted], seen.of(trusted)
-    fit = _bent(picture, _settled(picture, lattice, indices, stride, _PASSES, seen=seen), indices, stride)
-    regular = find_regular_ratio(fit.before.basis, fit.steps)
+    stride = max(1, round(lattice.pitch / FIT.fine_pitch))
+    area = abs(np.linalg.det(lattice.basis))
+    most = min(max(int(pixels * stride**2 / area), FIT.sketch_lenses), FIT.most_lenses)
+    if min(most, len(lattice)) > 2 * FIT.sketch_lenses:
+        sketch = _Fitter(picture, select_lenses(lattice, FIT.sketch_lenses), stride)
+        lattice = sketch.converge(lattice, FIT.sketch_passes).lattice
+    indices = select_lenses(lattice, most)
+    measured = measure_shifts(picture, lattice, indices, stride)
+    certain = _select_certain(measured.variance)
+    fitter, measured = _Fitter(picture, indices[certain], stride), measured.select(certain)
+    fit = fitter.add_distortion(fitter.converge(lattice, FIT.passes, measured=measured))
+    regular = find_regular_ratio(fit.before.basis, fit.shifts)
     if regular is not None:
-        fit = _settled(picture, fit.before, indices, stride, _PASSES, regular, fit.seen)
-        fit = fit if fit.lattice.distortion is None else _bent(picture, fit, indices, stride, regular)
-    lattice, steps, change, share = fit.lattice, fit.steps, fit.change, fit.share
-    error = _standard_error(steps, change, share) * error_inflation(steps, share)
-    tile, colour = _tiles(steps, max(_FEWEST_TILES, len(share) // _LENSES_PER_TILE))
-    sides = [colour[tile] == side for side in (0, 1)]
-    if min(side.sum() for side in sides) < _FEWEST_IN_HALF:
-        raise CalibrationError("the microimages show too little; give a brighter flat or a white image")
-    halves = [solve_irls(steps, side)[0] for side in sides]
-    miss = ((steps.step - steps.design @ change) ** 2).sum(1)
-    scatter = float(np.sqrt(np.average(miss, weights=share)))
-    differ = field_rms(steps.design, halves[0] - halves[1])
-    # Halves are independent, each half as sure as the whole; a fit that has not settled is off by as much as it asks.
-    error = float(np.hypot(max(error, differ / 2), fit.unsettled))
-    return LatticeFit(lattice.origin, lattice.basis, scatter, error, int((share > 0).sum()), differ, lattice.distortion)
+        fitter = replace(fitter, regular=regular)
+        fit = fitter.converge(fit.before, FIT.passes, measured=fit.measured)
+        fit = fit if fit.lattice.distortion is None else fitter.add_distortion(fit)
+    return _summarise(fit)
+
+
+def _summarise(fit: _Converged) -> LatticeFit:
+    lattice, shifts, weight = fit.lattice, fit.shifts, fit.weight
+    error = standard_error(shifts, fit.change, weight) * error_inflation(shifts, weight)
+    tile, parity = _tiles(shifts, max(FIT.tiles, len(weight) // FIT.lenses_per_tile))
+    sides = [parity[tile] == side for side in (0, 1)]
+    if min(side.sum() for side in sides) < FIT.fewest_in_half:
+        raise CalibrationError(_TOO_LITTLE)
+    one, two = (solve_irls(shifts.select(side))[0] for side in sides)
+    miss = ((shifts.shift - shifts.design @ fit.change) ** 2).sum(1)
+    scatter = float(np.sqrt(np.average(miss, weights=weight)))
+    differ = field_rms(shifts.design, one - two)
+    # The variance of each half is twice that of the whole; a fit that has not converged is off by what is left to go.
+    error = float(np.hypot(max(error, differ / 2), fit.remaining))
+    used = int((weight > 0).sum())
+    return LatticeFit(lattice.origin, lattice.basis, scatter, error, used, differ, lattice.distortion)
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """Steps of the lenses that show something, and the variance (n,) [px^2] of the place of each of all."""
+class _Measured:
+    """Shifts of the lenses that show something, and the variance (n,) [px^2] of all, infinite for the others."""
 
-    steps: LensShifts
+    shifts: LensShifts
     variance: NDArray[np.float64]
 
-    def of(self, chosen: NDArray[np.bool_]) -> _Seen:
-        """What the `chosen` (n,) of all lenses show."""
-        some, steps = chosen[np.isfinite(self.variance)], self.steps
-        of_some = replace(steps, design=steps.design[some], step=steps.step[some], variance=steps.variance[some])
-        return _Seen(of_some, self.variance[chosen])
+    def select(self, chosen: NDArray[np.bool_]) -> _Measured:
+        """The `chosen` (n,) of all lenses."""
+        return _Measured(self.shifts.select(chosen[np.isfinite(self.variance)]), self.variance[chosen])
 
 
 @dataclass(frozen=True)
-class _Settled:
-    """A lattice, the one before it, what is seen from there, and the common change and weights of its steps.
+class _Converged:
+    """A lattice, the one before it, what is measured from there, and the common change and weights of the lenses.
 
-    `unsettled` [px] is how far the lattice would still have gone, RMS over the field.
+    `remaining` [px] is how far the lattice would still have moved, RMS over the field.
     """
 
     lattice: Lattice
     before: Lattice
-    seen: _Seen
+    measured: _Measured
     change: NDArray[np.float64]
-    share: NDArray[np.float64]
-    unsettled: float
+    weight: NDArray[np.float64]
+    remaining: float
 
     @property
-    def steps(self) -> LensShifts:
-        return self.seen.steps
+    def shifts(self) -> LensShifts:
+        return self.measured.shifts
 
 
-def _settled(
-    picture: NDArray[np.float32],
-    lattice: Lattice,
-    indices: NDArray[np.int64],
-    stride: int,
-    passes: int,
-    regular: complex | None = None,
-    seen: _Seen | None = None,
-) -> _Settled:
-    """Move the lattice until the lenses at `indices` (n, 2) ask for no more; what is `seen` of them need not be again.
+@dataclass(frozen=True)
+class _Fitter:
+    """Fits a lattice to lenses `indices` (n, 2) of a picture, every `stride`-th pixel; `regular` as of `LensShifts`."""
 
-    Where scenes blur the average microimage a single step falls far short: steps are combined as by Anderson, J. ACM
-    12 (1965), which finds where they lead.
-    """
-    start, path = lattice.basis, _Path([], [])
-    # Which lenses agree best is asked at first, and again where the fit has settled on those: asked at every step, it
-    # would go to and fro between parts of the flat that do not agree, and never settle.
-    weights: NDArray[np.float64] | None = None
-    asked = _CHOICES - 1
-    for turn in range(passes):
-        looked = seen if seen is not None and turn == 0 else _look(picture, lattice, indices, stride)
-        steps, shown = replace(looked.steps, regular=regular), np.isfinite(looked.variance)
-        before = None if weights is None else weights[shown]
-        change, share = solve_irls(steps, before=before if before is not None and before.any() else None)
-        error = _standard_error(steps, change, share)
-        leap = path.leap(lattice, change, steps.design)
-        settled = max(field_rms(steps.design, change), field_rms(steps.design, leap)) < _SETTLED * error
-        if settled and asked and before is not None:
-            asked -= 1
-            other, others = solve_irls(steps)
-            if field_rms(steps.design, other - change) > _SETTLED * error:
-                change, share, path, settled = other, others, _Path([], []), False
-                leap = path.leap(lattice, change, steps.design)
-        weights = np.zeros(len(indices))
-        weights[shown] = share
-        before_lattice, lattice = lattice, _moved(lattice, change if settled or turn == passes - 1 else leap)
-        if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < _RUNAWAY:
-            raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
-        if settled:
-            break
-    seen = replace(looked, steps=steps)
-    return _Settled(lattice, before_lattice, seen, change, share, 0.0 if settled else field_rms(steps.design, leap))
+    picture: NDArray[np.float32]
+    indices: NDArray[np.int64]
+    stride: int
+    regular: complex | None = None
 
+    def converge(self, lattice: Lattice, passes: int, measured: _Measured | None = None) -> _Converged:
+        """Move the lattice until the shifts of the lenses balance; `measured` are those of the first pass, if known.
 
-def _bent(
-    picture: NDArray[np.float32],
-    fit: _Settled,
-    indices: NDArray[np.int64],
-    stride: int,
-    regular: complex | None = None,
-) -> _Settled:
-    """The fit with a radial distortion where that is clearly wanted, else as it is."""
-    before, lattice, pull = fit, fit.lattice, _radial_pull(fit)
-    if lattice.distortion is None and not pull.clear(lattice.pitch):
-        return fit
-    bend = lattice.distortion or zero_distortion(lattice)
-    for _ in range(_PASSES):
-        bend = replace(bend, k1=bend.k1 + pull.k1)
-        fit = _settled(picture, replace(lattice, distortion=bend), indices, stride, _SKETCH_PASSES, regular)
-        lattice, pull = fit.lattice, _radial_pull(fit)
-        if abs(pull.k1) < _SETTLED * pull.error:
-            break
-    return fit if replace(pull, k1=bend.k1).clear(lattice.pitch) else before
+        Where scenes blur the mean microimage a single step falls far short: steps are accelerated (`Acceleration`).
+        """
+        start, path = lattice.basis, Acceleration([], [])
+        # The lenses that agree best are selected at first, and once more when the fit has converged on them: selected
+        # at every step, they would alternate between parts of the flat that do not agree.
+        weights: NDArray[np.float64] | None = None
+        restarts = FIT.restarts
+        for turn in range(passes):
+            if measured is None or turn > 0:
+                measured = measure_shifts(self.picture, lattice, self.indices, self.stride)
+            measured = replace(measured, shifts=replace(measured.shifts, regular=self.regular))
+            shifts, shown = measured.shifts, np.isfinite(measured.variance)
+            before = None if weights is None else weights[shown]
+            change, weight = solve_irls(shifts, before if before is not None and before.any() else None)
+            short = FIT.settled * standard_error(shifts, change, weight)
+            leap = path.leap(lattice, change, shifts.design)
+            settled = max(field_rms(shifts.design, change), field_rms(shifts.design, leap)) < short
+            if settled and restarts and before is not None:
+                restarts -= 1
+                other, others = solve_irls(shifts)
+                if field_rms(shifts.design, other - change) > short:
+                    change, weight, path, settled = other, others, Acceleration([], []), False
+                    leap = path.leap(lattice, change, shifts.design)
+            weights = np.zeros(len(self.indices))
+            weights[shown] = weight
+            from_here, lattice = lattice, move_lattice(lattice, change if settled or turn == passes - 1 else leap)
+            if not np.abs(lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < FIT.runaway:
+                raise CalibrationError(_NO_LATTICE)
+            if settled:
+                break
+        assert measured is not None
+        remaining = 0.0 if settled else field_rms(shifts.design, leap)
+        return _Converged(lattice, from_here, measured, change, weight, remaining)
+
+    def add_distortion(self, fit: _Converged) -> _Converged:
+        """The fit with a radial distortion if that is significant, else as it is."""
+        before, lattice, estimate = fit, fit.lattice, _estimate_radial(fit)
+        if lattice.distortion is None and not estimate.is_significant(lattice.pitch):
+            return fit
+        bend = lattice.distortion or Distortion.zero(lattice.image_size)
+        for _ in range(FIT.passes):
+            bend = replace(bend, k1=bend.k1 + estimate.k1)
+            fit = self.converge(replace(lattice, distortion=bend), FIT.sketch_passes)
+            lattice, estimate = fit.lattice, _estimate_radial(fit)
+            if abs(estimate.k1) < FIT.settled * estimate.error:
+                break
+        return fit if replace(estimate, k1=bend.k1).is_significant(lattice.pitch) else before
 
 
-def _radial_pull(fit: _Settled) -> RadialEstimate:
-    """The distortion that the lenses of a fit ask for beyond the one it has."""
-    tile = _tiles(fit.steps, _FEWEST_TILES)[0]
-    return estimate_radial(fit.before, fit.steps.design, fit.steps.step, fit.share, tile)
+def _estimate_radial(fit: _Converged) -> RadialEstimate:
+    """The distortion that the lenses of a fit show beyond the one it has."""
+    tile = _tiles(fit.shifts, FIT.tiles)[0]
+    return estimate_radial(fit.before, fit.shifts.design, fit.shifts.shift, fit.weight, tile)
 
 
 @dataclass
-class _Path:
-    """Where a fit has been, as (6,) origin and basis, and what the lenses asked for there."""
+class Acceleration:
+    """Anderson's acceleration (J. ACM 12, 1965): lattices (6,) that a fit has passed, and the changes it made there."""
 
-    places: list[NDArray[np.float64]]
-    asked: list[NDArray[np.float64]]
+    lattices: list[NDArray[np.float64]]
+    changes: list[NDArray[np.float64]]
 
     def leap(self, lattice: Lattice, change: NDArray[np.float64], design: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Change (3, 2) after which the lenses should ask for nothing, if what they ask for is linear in the place."""
-        self.places.append(np.vstack([lattice.origin, lattice.basis]).ravel())
-        self.asked.append(change.ravel())
-        if len(self.asked) == 1:
+        """Change (3, 2) after which no more should be needed, if changes are linear in the lattice."""
+        self.lattices.append(np.vstack([lattice.origin, lattice.basis]).ravel())
+        self.changes.append(change.ravel())
+        if len(self.changes) == 1:
             return change
-        recent = slice(-_REMEMBERED - 1, None)
-        moves, turns = np.diff(self.places[recent], axis=0).T, np.diff(self.asked[recent], axis=0).T
-        # Compared by what they do to the centres.
+        recent = slice(-FIT.depth - 1, None)
+        moves, turns = np.diff(self.lattices[recent], axis=0).T, np.diff(self.changes[recent], axis=0).T
+        # In the metric of the movement of the centres.
         root = np.kron(np.linalg.cholesky(design.T @ design / len(design)).T, np.eye(2))
-        part = np.linalg.lstsq(root @ turns, root @ self.asked[-1], rcond=_SAME)[0]
-        further = self.asked[-1] - (moves + turns) @ part
-        length, plain = (float(np.linalg.norm(root @ v)) for v in (further, self.asked[-1]))
-        return (further * min(1.0, _FURTHEST * plain / max(length, 1e-300))).reshape(3, 2)
+        part = np.linalg.lstsq(root @ turns, root @ self.changes[-1], rcond=FIT.alike)[0]
+        further = self.changes[-1] - (moves + turns) @ part
+        length, plain = (float(np.linalg.norm(root @ v)) for v in (further, self.changes[-1]))
+        return (further * min(1.0, FIT.most_leap * plain / max(length, 1e-300))).reshape(3, 2)
 
 
-def _moved(lattice: Lattice, change: NDArray[np.float64]) -> Lattice:
+def move_lattice(lattice: Lattice, change: NDArray[np.float64]) -> Lattice:
     """The lattice after a change (3, 2) of origin and basis."""
     return replace(lattice, origin=lattice.origin + change[0], basis=lattice.basis + change[1:])
 
 
-def _chosen(lattice: Lattice, most: int) -> NDArray[np.int64]:
+def select_lenses(lattice: Lattice, most: int) -> NDArray[np.int64]:
     """Indices of about `most` whole lenses, evenly spread."""
     _, reach = cell_normals(lattice)
     indices, _ = select_whole_lenses(lattice, reach + 1)
-    indices = indices[np.arange(len(indices)) * _GOLDEN % 1 < most / max(len(indices), 1)]
-    if len(indices) < _FEWEST_LENSES:
+    indices = indices[sample_mask(len(indices), most / max(len(indices), 1))]
+    if len(indices) < FIT.fewest_lenses:
         raise CalibrationError(
             f"only {len(indices)} whole microimages of {lattice.pitch:.1f} px pitch fit on the flat, "
-            f"at least {_FEWEST_LENSES} are needed; give the whole sensor"
+            f"at least {FIT.fewest_lenses} are needed; give the whole sensor"
         )
     return indices
 
 
-def _trusted(variance: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(n,) lenses that have a say, as their `variance` (n,) tells: the rest only takes time."""
-    surest = np.quantile(variance, SUREST)
-    enough = np.sort(variance)[min(_ENOUGH_LENSES, len(variance)) - 1]
-    return np.asarray(variance <= max(_DOUBTFUL * surest, enough))
+def _select_certain(variance: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) lenses whose variance (n,) is not so large that they have next to no weight: the rest only takes time."""
+    enough = np.sort(variance)[min(FIT.enough_lenses, len(variance)) - 1]
+    return np.asarray(variance <= max(FIT.doubtful * np.quantile(variance, IRLS.most_certain), enough))
 
 
-def _look(picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.int64], stride: int) -> _Seen:
-    """What the lenses at `indices` (n, 2) show of their steps."""
-    faces, reach = cell_normals(lattice)
+def measure_shifts(
+    picture: NDArray[np.float32], lattice: Lattice, indices: NDArray[np.int64], stride: int
+) -> _Measured:
+    """Shifts of the lenses at `indices` (n, 2) from the lattice, each by itself."""
+    normals, reach = cell_normals(lattice)
     centres = lattice.points(indices)
-    # Where the lattice has moved, so have lenses over the edge of the flat.
+    # A lattice that has moved may have moved lenses over the edge of the flat.
     whole = ((centres >= reach) & (centres <= np.array(picture.shape[::-1]) - 1 - reach)).all(1)
-    if whole.sum() < _FEWEST_LENSES:
-        raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
-    found = build_lens_equations(picture, lattice, np.ascontiguousarray(centres[whole]), faces, stride)
-    # Dark and blank lenses agree with whatever they are asked.
-    told = np.trace(found.normal, axis1=1, axis2=2)
-    clear = told > _SAYS * np.quantile(told, _GOOD)
-    count = int(clear.sum())
-    if count < _FEWEST_LENSES:
-        raise CalibrationError("the microimages show too little; give a brighter flat or a white image")
+    if whole.sum() < FIT.fewest_lenses:
+        raise CalibrationError(_NO_LATTICE)
+    found = build_lens_equations(picture, lattice, np.ascontiguousarray(centres[whole]), normals, stride)
+    # Dark and blank lenses fit any lattice.
+    information = np.trace(found.normal, axis1=1, axis2=2)
+    clear = information > FIT.least_information * np.quantile(information, FIT.good)
+    if clear.sum() < FIT.fewest_lenses:
+        raise CalibrationError(_TOO_LITTLE)
     (xx, xy), (_, yy) = found.normal[clear].transpose(1, 2, 0)
     bx, by = found.right[clear].T
-    # Lenses that show an edge in one direction only say next to nothing about the place along it.
-    ridge = 1e-6 * float(told.mean())
+    # Lenses that show an edge in one direction only tell next to nothing about the position along it.
+    ridge = 1e-6 * float(information.mean())
     xx, yy = xx + ridge, yy + ridge
     determinant = xx * yy - xy * xy
-    step = np.column_stack([yy * bx - xy * by, xx * by - xy * bx]) / determinant[:, None]
-    design = np.column_stack([np.ones(count), indices[whole][clear]])
+    shift = np.column_stack([yy * bx - xy * by, xx * by - xy * bx]) / determinant[:, None]
+    design = np.column_stack([np.ones(len(shift)), indices[whole][clear]])
     variance = np.full(len(indices), np.inf)
     variance[np.flatnonzero(whole)[clear]] = known = found.noise[clear] * (xx + yy) / determinant / 2
-    return _Seen(LensShifts(design, step, known, lattice.basis), variance)
+    return _Measured(LensShifts(design, shift, known, lattice.basis), variance)
 
 
-def _standard_error(steps: LensShifts, change: NDArray[np.float64], share: NDArray[np.float64]) -> float:
-    """Standard error of a centre, RMS over the field [px], from how tiles of the flat pull at the lattice."""
-    tile, colour = _tiles(steps, _FEWEST_TILES)
-    pull = (share[:, None] * (steps.step - steps.design @ change))[:, :, None] * steps.design[:, None, :]
-    total = np.zeros((len(colour), 2, 3))
+def standard_error(shifts: LensShifts, change: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
+    """Standard error of a centre, RMS over the field [px], from the residuals of tiles of the flat.
+
+    A cluster-robust ("sandwich") covariance: Huber, Robust Statistics (1981), section 7.6.
+    """
+    tile, parity = _tiles(shifts, FIT.tiles)
+    pull = (weight[:, None] * (shifts.shift - shifts.design @ change))[:, :, None] * shifts.design[:, None, :]
+    tiles = len(parity)
+    total = np.zeros((tiles, 2, 3))
     np.add.at(total, tile, pull)
-    bread = np.linalg.pinv((steps.design * share[:, None]).T @ steps.design)
+    bread = np.linalg.pinv((shifts.design * weight[:, None]).T @ shifts.design)
     covariance = bread @ np.einsum("tap,taq->pq", total, total) @ bread
-    moments = steps.design.T @ steps.design / len(share)
-    tiles = len(colour)
+    moments = shifts.design.T @ shifts.design / len(weight)
     return float(np.sqrt(max(np.trace(covariance @ moments), 0.0) * tiles / max(tiles - 3, 1)))
 
 
-def _tiles(steps: LensShifts, number: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Tile (n,) of each lens, at most about `number` squares of the flat, and the colour (t,) of each on a board."""
-    places = steps.design[:, 1:] @ steps.basis
-    number = min(number, max(len(places) // _FEWEST_IN_TILE, 1))
+def _tiles(shifts: LensShifts, number: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Tile (n,) of each lens, at most about `number` squares, and the colour (t,) 0 or 1 of each as on a chessboard."""
+    places = shifts.design[:, 1:] @ shifts.basis
+    number = min(number, max(len(places) // FIT.fewest_in_tile, 1))
     extent = np.ptp(places, axis=0) + 1e-6
     side = float(np.sqrt(extent.prod() / number))
     grid = np.maximum(1, np.rint(extent / side)).astype(int)

@@ -1,4 +1,9 @@
-"""The lattice on which most microimages of a scene agree; those far from what the best of them say have no say."""
+"""Lattice through the shifts of single lenses, most of which may be outliers, by iteratively reweighted least squares.
+
+The scale of the residuals comes from the best third of the lenses (a weighted quantile instead of the median), weights
+are Tukey's biweight. The search starts from several parts of the flat, as a part that is dragged by video compression
+may agree within itself.
+"""
 
 from __future__ import annotations
 
@@ -9,67 +14,53 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["SUREST", "LensShifts", "error_inflation", "find_regular_ratio", "solve_irls"]
+from ..lattice.lens_subset import sample_mask
+from .settings import IRLS
 
-# The best third of the lenses says how well lenses agree; those further off than this have no say. Where most of
-# a flat is dragged the same way the half would follow it.
-_AGREEING = 0.35
-_OUTLIER = 3.0
-_FEWEST_IN_PART = 8
-# Lenses surer than this share of all are not told apart. What the scene does to the others grows faster than what it
-# shows beside their rims: a codec moves a whole block along with its content where that outweighs the rims.
-SUREST = 0.02
-_DISTRUST = 3
-# Where lenses do not agree at all, next to nothing of their weight holds the fit in place.
-_LEAST_LEFT = 0.2
-# So many lenses, evenly spread, tell which of several answers is the best; all of them refine it.
-_SEARCHED = 1000
-_GOLDEN = 0.6180339887498949
-_TURNS = 30
-# From turn to turn the common variance changes by less than this factor, nearly always.
-_NEAR = 1.2
-# Bases this near to a regular one, relative to their length, may be one; the test with that many independent places
-# asks for one chance in a hundred.
-_NEARLY_REGULAR = 0.003
-_PLACES = 12
-_SIGNIFICANT = 6.0
+__all__ = ["LensShifts", "error_inflation", "find_regular_ratio", "solve_irls"]
+
+_NEAR = IRLS.near
 
 
 @dataclass(frozen=True)
 class LensShifts:
-    """Where single lenses ask the lattice to go, and what is known of it.
+    """Measured shifts of single lenses from a lattice.
 
     Parameters
     ----------
     design : (n, 3) float64
         Lattice indices with a leading 1.
-    step, variance : (n, 2), (n,) float64 [px, px^2]
-        Steps and how sure they are, as the pixels of each lens by itself tell.
+    shift, variance : (n, 2), (n,) float64 [px, px^2]
+        Shifts and their variances, as the pixels of each lens by itself imply.
     basis : (2, 2) float64 [px]
-        The steps are from this one.
+        Of the lattice that shifts are measured from.
     regular : complex or None
-        `a2 / a1` as complex numbers where the array is known to be regular.
+        `a2 / a1` as complex numbers if the array is known to be regular.
     """
 
     design: NDArray[np.float64]
-    step: NDArray[np.float64]
+    shift: NDArray[np.float64]
     variance: NDArray[np.float64]
     basis: NDArray[np.float64]
     regular: complex | None = None
 
     @cached_property
     def spread(self) -> NDArray[np.float64]:
-        """(n,) variance over that of the surest lenses."""
-        return np.maximum(self.variance / np.quantile(self.variance, SUREST), 1.0)
+        """(n,) variance over that of the most certain lenses."""
+        return np.maximum(self.variance / np.quantile(self.variance, IRLS.most_certain), 1.0)
 
     @cached_property
-    def trust(self) -> NDArray[np.float64]:
-        """(n,) weight of a lens by what is known of it alone."""
-        return self.spread**-_DISTRUST
+    def prior(self) -> NDArray[np.float64]:
+        """(n,) weight of a lens by its variance."""
+        return self.spread**-IRLS.distrust
+
+    def select(self, chosen: NDArray[np.bool_]) -> LensShifts:
+        """The chosen (n,) ones."""
+        return replace(self, design=self.design[chosen], shift=self.shift[chosen], variance=self.variance[chosen])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _weighted(design, step, weight, basis, ratio, change):
+def _fit_weighted(design, shift, weight, basis, ratio, change):
     """Weighted least squares: change (3, 2) of origin and basis."""
     total = 1e-300
     mi = mj = mx = my = 0.0
@@ -77,12 +68,12 @@ def _weighted(design, step, weight, basis, ratio, change):
         total += weight[k]
         mi += weight[k] * design[k, 1]
         mj += weight[k] * design[k, 2]
-        mx += weight[k] * step[k, 0]
-        my += weight[k] * step[k, 1]
+        mx += weight[k] * shift[k, 0]
+        my += weight[k] * shift[k, 1]
     mi, mj, mx, my = mi / total, mj / total, mx / total, my / total
     ii = ij = jj = ix = iy = jx = jy = 0.0
     for k in range(len(weight)):
-        w, i, j, x, y = weight[k], design[k, 1] - mi, design[k, 2] - mj, step[k, 0] - mx, step[k, 1] - my
+        w, i, j, x, y = weight[k], design[k, 1] - mi, design[k, 2] - mj, shift[k, 0] - mx, shift[k, 1] - my
         ii += w * i * i
         ij += w * i * j
         jj += w * j * j
@@ -91,19 +82,19 @@ def _weighted(design, step, weight, basis, ratio, change):
         jx += w * j * x
         jy += w * j * y
     if ratio[1] == 0:
-        # Lenses in one line say nothing across it.
+        # Lenses in one line determine nothing across it.
         ii, jj = ii * (1 + 1e-12) + 1e-300, jj * (1 + 1e-12) + 1e-300
         determinant = ii * jj - ij * ij
         if determinant > 0:
             change[1, 0], change[1, 1] = (jj * ix - ij * jx) / determinant, (jj * iy - ij * jy) / determinant
             change[2, 0], change[2, 1] = (ii * jx - ij * ix) / determinant, (ii * jy - ij * iy) / determinant
         else:
-            # A single lens, or several without weight, say nothing of the basis: such products underflow.
+            # A single lens, or several of next to no weight: such products underflow.
             change[1:] = 0.0
     else:
         # A regular lattice is one complex number a1 beside its origin: c = origin + (i + j * ratio) * a1.
         r, s = ratio
-        # Places against the basis that the steps are from.
+        # Positions against the basis that shifts are measured from.
         ix, iy = ix + ii * basis[0, 0] + ij * basis[1, 0], iy + ii * basis[0, 1] + ij * basis[1, 1]
         jx, jy = jx + ij * basis[0, 0] + jj * basis[1, 0], jy + ij * basis[0, 1] + jj * basis[1, 1]
         size = ii + 2 * r * ij + (r * r + s * s) * jj + 1e-300
@@ -116,16 +107,16 @@ def _weighted(design, step, weight, basis, ratio, change):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _weighted_quantile(values, weight, wanted, about, some, theirs):
-    """Least value below which lies at least the `wanted` weight.
+    """Least value up to which the weights sum to `wanted`.
 
-    By Hoare's selection (Communications of the ACM 4, 1961) among the values near the one it is expected `about`, or
-    among all if it is not there; `some` and `theirs` (n,) is memory to work in.
+    Hoare's selection (Communications of the ACM 4, 1961) among the values near the expected one, `about`, or among all
+    if it is not there; `some` and `theirs` (n,) are work space.
     """
     least, most, under, low, high = about / _NEAR, about * _NEAR, 0.0, 0, 0
     for k in range(len(values)):
         value, heavy = values[k], weight[k]
         under += heavy if value < least else 0.0
-        # Written in any case: a branch would be as often wrong.
+        # Written in any case: a branch would be mispredicted as often as not.
         some[high], theirs[high] = value, heavy
         high += int((value >= least) & (value <= most))
     if under < wanted <= under + theirs[:high].sum():
@@ -135,7 +126,7 @@ def _weighted_quantile(values, weight, wanted, about, some, theirs):
     while True:
         one, other, third = some[low], some[(low + high) // 2], some[high - 1]
         pivot = max(min(one, other), min(max(one, other), third))
-        # What is less comes first, what is more last.
+        # Smaller values are moved to the front, larger ones to the back.
         less, more, at = low, high, low
         below = equal = 0.0
         while at < more:
@@ -161,133 +152,122 @@ def _weighted_quantile(values, weight, wanted, about, some, theirs):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _settle(design, step, spread, trust, basis, ratio, agreeing, outlier, turns, weights, changes, commons):
-    square, some, theirs = np.empty(len(step)), np.empty(len(step)), np.empty(len(step))
-    expected, wanted = -2 * np.log(1 - agreeing), agreeing * trust.sum()
+def _iterate(
+    design, shift, spread, prior, basis, ratio, inliers, outlier, passes, converged, weights, changes, variances
+):
+    square, some, theirs = np.empty(len(shift)), np.empty(len(shift)), np.empty(len(shift))
+    expected, wanted = -2 * np.log(1 - inliers), inliers * prior.sum()
     before = np.empty(6)
     for start in range(len(weights)):
         weight, change = weights[start], changes[start]
-        _weighted(design, step, weight, basis, ratio, change)
-        common = 0.0
-        for _turn in range(turns):
+        _fit_weighted(design, shift, weight, basis, ratio, change)
+        for _turn in range(passes):
             for i in range(6):
                 before[i] = change[i // 2, i % 2]
-            for k in range(len(step)):
-                x = step[k, 0] - change[0, 0] - design[k, 1] * change[1, 0] - design[k, 2] * change[2, 0]
-                y = step[k, 1] - change[0, 1] - design[k, 1] * change[1, 1] - design[k, 2] * change[2, 1]
+            for k in range(len(shift)):
+                x = shift[k, 0] - change[0, 0] - design[k, 1] * change[1, 0] - design[k, 2] * change[2, 0]
+                y = shift[k, 1] - change[0, 1] - design[k, 1] * change[1, 1] - design[k, 2] * change[2, 1]
                 square[k] = (x * x + y * y) / spread[k]
-            # That variance at which just the agreeing share lies within what is expected of it.
-            common = max(_weighted_quantile(square, trust, wanted, common * expected, some, theirs) / expected, 1e-12)
-            for k in range(len(step)):
-                weight[k] = max(1 - square[k] / (common * outlier * outlier), 0.0) ** 2 * trust[k] / common
-            commons[start] = common
-            _weighted(design, step, weight, basis, ratio, change)
+            # The variance at which the share of inliers lies within their quantile of a normal distribution.
+            about = variances[start] * expected
+            variance = max(_weighted_quantile(square, prior, wanted, about, some, theirs) / expected, 1e-12)
+            for k in range(len(shift)):
+                weight[k] = max(1 - square[k] / (variance * outlier * outlier), 0.0) ** 2 * prior[k] / variance
+            variances[start] = variance
+            _fit_weighted(design, shift, weight, basis, ratio, change)
             moved = 0.0
             for i in range(6):
                 moved = max(moved, abs(change[i // 2, i % 2] - before[i]))
-            if moved < 1e-5:
+            if moved < converged:
                 break
 
 
-def _settled(
-    steps: LensShifts, starts: list[NDArray[np.float64]]
+def _solve_from(
+    shifts: LensShifts, starts: list[NDArray[np.float64]]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Changes (s, 3, 2) after robust least squares from starting weights (n,), weights (s, n), common variances (s,).
-
-    How far lenses lie off beside what `LensShifts.spread` says follows from the best share of them.
-    """
+    """Changes (s, 3, 2) from starting weights (n,), weights (s, n), and variances (s,) over `LensShifts.spread`."""
     weights = np.array(starts)
-    changes, commons = np.zeros((len(weights), 3, 2)), np.zeros(len(weights))
-    tied = steps.regular or 0j
+    changes, variances = np.zeros((len(weights), 3, 2)), np.zeros(len(weights))
+    tied = shifts.regular or 0j
     ratio = np.array([tied.real, tied.imag])
-    _settle(
-        steps.design, steps.step, steps.spread, steps.trust, steps.basis, ratio, _AGREEING, _OUTLIER, _TURNS,
-        weights, changes, commons,
+    _iterate(
+        shifts.design, shifts.shift, shifts.spread, shifts.prior, shifts.basis, ratio, IRLS.inliers, IRLS.outlier,
+        IRLS.passes, IRLS.converged, weights, changes, variances,
     )  # fmt: skip
-    return changes, weights, commons
+    return changes, weights, variances
 
 
-def _starts(steps: LensShifts) -> list[NDArray[np.float64]]:
-    """Weights of all steps, and of those on either side of four lines."""
-    weight = steps.trust
-    place = steps.design[:, 1:] - np.median(steps.design[:, 1:], axis=0)
-    starts = [weight]
+def _starting_weights(shifts: LensShifts) -> list[NDArray[np.float64]]:
+    """Weights of all lenses, and of those on either side of four lines."""
+    place = shifts.design[:, 1:] - np.median(shifts.design[:, 1:], axis=0)
+    starts = [shifts.prior]
     for angle in np.arange(8) * np.pi / 4:
         side = place @ [np.cos(angle), np.sin(angle)] > 0
-        if side.sum() >= _FEWEST_IN_PART:
-            starts.append(weight * side)
+        if side.sum() >= IRLS.fewest_in_part:
+            starts.append(shifts.prior * side)
     return starts
 
 
 def solve_irls(
-    steps: LensShifts, chosen: NDArray[np.bool_] | None = None, before: NDArray[np.float64] | None = None
+    shifts: LensShifts, before: NDArray[np.float64] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Change (3, 2) of origin and basis on which most lenses agree best, and the weights of the lenses [1/px^2].
+    """Change (3, 2) of origin and basis, and the weights (n,) of the lenses [1/px^2].
 
-    With `chosen` (n,) only those lenses take part; with weights `before` (n,) it is what these lead to.
+    From weights `before` (n,), or else the best of several starts.
     """
     if before is not None:
-        changes, weights, _ = _settled(steps, [before])
+        changes, weights, _ = _solve_from(shifts, [before])
         return changes[0], weights[0]
-    return _best(steps if chosen is None else _only(steps, chosen))[:2]
+    return _solve_from_all(shifts)[:2]
 
 
-def error_inflation(steps: LensShifts, weight: NDArray[np.float64]) -> float:
-    """By what factor a change is less sure than least squares of these weights (n,), were they fixed, would have it.
+def error_inflation(shifts: LensShifts, weight: NDArray[np.float64]) -> float:
+    """Factor by which the standard error exceeds that of least squares with these weights (n,), were they fixed.
 
-    They follow from the change, and so yield to any error of it: Huber, Robust Statistics (1981), section 7.6.
+    Weights depend on the change, and so yield to any error of it: Huber, Robust Statistics (1981), section 7.6.
     """
-    near = np.sqrt(weight / steps.trust)
+    near = np.sqrt(weight / shifts.prior)
     near /= max(float(near.max()), 1e-300)
     far = 1 - near
-    # Of the weight of a lens, this much is left where the change moves, all directions alike.
-    left = float((steps.trust * near * (near - 2 * far)).sum())
-    fixed = float((steps.trust * near**2).sum())
-    return fixed / max(left, _LEAST_LEFT * fixed)
+    # What is left of the weight of a lens if the change moves, averaged over all directions.
+    left = float((shifts.prior * near * (near - 2 * far)).sum())
+    fixed = float((shifts.prior * near**2).sum())
+    return fixed / max(left, IRLS.least_left * fixed)
 
 
-def _best(steps: LensShifts) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Change (3, 2) on which most lenses agree best, weights (n,) and the common variance.
-
-    A dragged part of the flat may agree as well within itself, so the search starts from several parts of it.
-    """
-    count = len(steps.step)
-    few = steps if count <= _SEARCHED else _only(steps, np.arange(count) * _GOLDEN % 1 < _SEARCHED / count)
-    changes, weights, commons = _settled(few, _starts(few))
-    best = int(np.argmin([_misfit(few, change, commons.min()) for change in changes]))
-    if few is not steps:
-        far = ((steps.step - steps.design @ changes[best]) ** 2).sum(1) / (steps.spread * commons[best])
-        changes, weights, commons = _settled(steps, [np.maximum(1 - far / _OUTLIER**2, 0) ** 2 * steps.trust])
+def _solve_from_all(shifts: LensShifts) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Change (3, 2) of least cost from all starts, weights (n,) and the variance."""
+    count = len(shifts.shift)
+    few = shifts if count <= IRLS.searched else shifts.select(sample_mask(count, IRLS.searched / count))
+    changes, weights, variances = _solve_from(few, _starting_weights(few))
+    best = int(np.argmin([_cost(few, change, variances.min()) for change in changes]))
+    if few is not shifts:
+        residuals = ((shifts.shift - shifts.design @ changes[best]) ** 2).sum(1)
+        far = residuals / (shifts.spread * variances[best])
+        start = np.maximum(1 - far / IRLS.outlier**2, 0) ** 2 * shifts.prior
+        changes, weights, variances = _solve_from(shifts, [start])
         best = 0
-    return changes[best], weights[best], float(commons[best])
+    return changes[best], weights[best], float(variances[best])
 
 
-def _only(steps: LensShifts, chosen: NDArray[np.bool_]) -> LensShifts:
-    return replace(steps, design=steps.design[chosen], step=steps.step[chosen], variance=steps.variance[chosen])
+def _cost(shifts: LensShifts, change: NDArray[np.float64], variance: float) -> float:
+    """Sum of the squared residuals over their variances, bounded, with prior weights."""
+    square = ((shifts.shift - shifts.design @ change) ** 2).sum(1)
+    return float((np.minimum(square / (shifts.spread * variance), IRLS.outlier**2) * shifts.prior).sum())
 
 
-def _misfit(steps: LensShifts, change: NDArray[np.float64], common: float) -> float:
-    """Squared distances of the lenses over their variances, bounded, each as far as it is trusted."""
-    square = ((steps.step - steps.design @ change) ** 2).sum(1)
-    return float((np.minimum(square / (steps.spread * common), _OUTLIER**2) * steps.trust).sum())
+def find_regular_ratio(basis: NDArray[np.float64], shifts: LensShifts) -> complex | None:
+    """`a2 / a1` of the square or hexagonal array that the lenses cannot tell from `basis`, None if there is none.
 
-
-def find_regular_ratio(basis: NDArray[np.float64], steps: LensShifts) -> complex | None:
-    """`a2 / a1` of the regular array that the lenses cannot tell from `basis`, None where there is none.
-
-    Arrays are made regular to a part in ten thousand; scenes mislead by more. A scene has about a dozen places that
-    are misled on their own, whatever the number of lenses, so an F-test is made for as many.
+    An F-test of the fit that is bound to the regular array against the free one.
     """
     a1, a2 = basis @ [1, 1j]
     ratio = complex(a2 / a1)
     regular = min((complex(np.exp(1j * np.pi / 3)), 1j), key=lambda value: abs(ratio - value))
-    if abs(ratio - regular) > _NEARLY_REGULAR:
+    if abs(ratio - regular) > IRLS.nearly_regular:
         return None
-    found = []
-    for known in (None, regular):
-        change, _, common = _best(replace(steps, regular=known))
-        found.append((change, common))
-    least = min(common for _, common in found)
-    free, bound = (_misfit(steps, change, least) for change, _ in found)
-    freedom = 2 * _PLACES - 6
-    return regular if (bound / max(free, 1e-30) - 1) * freedom / 2 < _SIGNIFICANT else None
+    found = [_solve_from_all(replace(shifts, regular=known)) for known in (None, regular)]
+    least = min(variance for _, _, variance in found)
+    free, bound = (_cost(shifts, change, least) for change, _, _ in found)
+    freedom = 2 * IRLS.places - 6
+    return regular if (bound / max(free, 1e-30) - 1) * freedom / 2 < IRLS.significant else None

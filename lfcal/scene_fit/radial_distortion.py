@@ -1,4 +1,4 @@
-"""Whether the lenses of a scene ask for a radial distortion of their lattice, and for how strong a one."""
+"""Radial distortion that the lenses of a scene show: its strength, and whether it is significant."""
 
 from __future__ import annotations
 
@@ -9,62 +9,53 @@ from numpy.typing import NDArray
 
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
+from .settings import DISTORTION
 
-__all__ = ["RadialEstimate", "estimate_radial", "zero_distortion"]
-
-# Distortion must be known to so many standard errors, and move centres by this share of the pitch (RMS): scenes bend a
-# straight lattice by three standard errors and a thousandth of the pitch.
-_SURE, _MATTERS = 8.0, 0.003
+__all__ = ["RadialEstimate", "estimate_radial"]
 
 
 @dataclass(frozen=True)
 class RadialEstimate:
-    """Change of `k1` that lenses ask for, its standard error, and by how many px (RMS) it moves centres.
+    """Change of `k1`, its standard error, and the movement of centres by the whole distortion [px, RMS].
 
     What a straight lattice can follow is left to the basis.
     """
 
     k1: float
     error: float
-    moves: float
+    shift: float
 
-    def clear(self, pitch: float) -> bool:
-        """Whether a distortion of this strength is beyond what scenes feign, at this pitch [px]."""
-        return abs(self.k1) > _SURE * self.error and self.moves > _MATTERS * pitch
-
-
-def zero_distortion(lattice: Lattice) -> Distortion:
-    """A distortion of no strength about the middle of the flat."""
-    middle, reach = (np.array(lattice.image_size) - 1) / 2, float(np.hypot(*lattice.image_size) / 2)
-    return Distortion(middle, 0.0, 0.0, reach)
+    def is_significant(self, pitch: float) -> bool:
+        """Whether a distortion of this strength exceeds what a scene can feign, at this pitch [px]."""
+        return abs(self.k1) > DISTORTION.significance * self.error and self.shift > DISTORTION.least_shift * pitch
 
 
 def estimate_radial(
-    lattice: Lattice, design: NDArray[np.float64], step: NDArray[np.float64], share: NDArray[np.float64],
+    lattice: Lattice, design: NDArray[np.float64], shift: NDArray[np.float64], weight: NDArray[np.float64],
     tile: NDArray[np.int64],
 ) -> RadialEstimate:  # fmt: skip
-    """The distortion that lenses ask for beside a straight change of the lattice.
+    """The distortion that explains shifts of lenses beside a straight change of the lattice.
 
     Parameters
     ----------
     lattice : Lattice [px]
-        The one the steps are from.
+        The one that shifts are measured from.
     design : (n, 3) float64
         Lattice indices with a leading 1.
-    step, share : (n, 2), (n,) float64 [px, 1/px^2]
-        Where single lenses ask the lattice to go, and their weights.
+    shift, weight : (n, 2), (n,) float64 [px, 1/px^2]
+        Measured shifts of single lenses, and their weights.
     tile : (n,) int64
-        Part of the flat each is in: lenses of one are misled alike, so the error follows from how parts differ.
+        Part of the flat of each lens: errors within one are alike, so the standard error comes from their differences.
     """
-    bend = lattice.distortion or zero_distortion(lattice)
+    bend = lattice.distortion or Distortion.zero(lattice.image_size)
     straight = design @ np.vstack([lattice.origin, lattice.basis])
     column = dict(bend.derivatives(straight))["k1"]
-    root = np.sqrt(share)[:, None]
-    both = np.hstack([column, step])
+    root = np.sqrt(weight)[:, None]
+    both = np.hstack([column, shift])
     column, left = np.hsplit(both - design @ np.linalg.lstsq(design * root, both * root, rcond=None)[0], 2)
-    information = float((share[:, None] * column**2).sum())
-    k1 = float((share[:, None] * column * left).sum()) / max(information, 1e-300)
-    pull = np.bincount(tile, (share[:, None] * column * (left - k1 * column)).sum(1))
+    information = float((weight[:, None] * column**2).sum())
+    k1 = float((weight[:, None] * column * left).sum()) / max(information, 1e-300)
+    pull = np.bincount(tile, (weight[:, None] * column * (left - k1 * column)).sum(1))
     freedom = len(pull) / max(len(pull) - 4, 1)
     error = float(np.sqrt((pull**2).sum() * freedom)) / max(information, 1e-300)
     whole = bend.k1 + k1

@@ -1,7 +1,7 @@
-"""Steps of single microimages in scenes: each is compared with the average microimage of the whole flat.
+"""Shifts of single microimages in scenes against the mean microimage of the whole flat.
 
-The average microimage is a picture of one cell of the lattice, not a radial profile: rims and gaps follow the outline
-of the cell. It is made the same under a half turn about its centre, so what a wrong centre would add to it cancels.
+The mean microimage is a picture of one cell of the lattice: rims and gaps follow the outline of the cell. It is made
+symmetric under a half turn about its centre, which cancels what a wrong centre would add to it.
 """
 
 from __future__ import annotations
@@ -15,26 +15,18 @@ from numpy.typing import NDArray
 from ..detection.folding import VECTOR_LENGTH, compute_cell_bins
 from ..lattice.cell import cell_circumradius, cell_row_bounds, row_interval
 from ..lattice.lattice import Lattice
-from ..lattice.robust_fit import TUKEY_CUTOFF
 from ..runtime.fastmath import FAST
+from .settings import TEMPLATE
 
-__all__ = ["LensEquations", "Template", "build_lens_equations", "build_template"]
+__all__ = ["LensEquations", "build_lens_equations"]
 
-# Bins of the average cell per pixel, and the most that are worth their memory.
-_BINS_PER_PX = 3.0
-_MOST_BINS = 210
+# Parts of the lenses that are summed in parallel: a fixed number, so that sums do not depend on that of the threads.
 _CHUNKS = 16
-# Lenses that make an average hardly noisier than all of them would.
-_TEMPLATE_LENSES = 1500
-# Bins are smoothed over so many pixels, about the width of an edge.
-_SMOOTH = 0.5
-# A lens with this many times the usual contrast says no more than one with less.
-_MOST_CONTRAST = 2.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _places(picture, cx, cy, lens, sides, inverse, stride, bins, place, values):
-    """Bins and values of the pixels of a cell, and their number; up to `VECTOR_LENGTH` more may be overwritten."""
+def _gather_pixels(picture, cx, cy, lens, sides, inverse, stride, bins, place, values):
+    """Write bins and values of the pixels of a cell; return their number. Some more may be overwritten."""
     height, width = picture.shape
     number = np.uint64(0)
     for y in range(int(np.ceil(cy + sides[6, 0])) + lens % stride, int(np.floor(cy + sides[6, 1])) + 1, stride):
@@ -50,7 +42,7 @@ def _places(picture, cx, cy, lens, sides, inverse, stride, bins, place, values):
         v = dx * inverse[0, 1] + dy * inverse[1, 1] + 0.5 / bins
         compute_cell_bins(u, v, inverse[0, 0] * stride, inverse[0, 1] * stride, bins, number, count, place)
         pixels = picture[y]
-        # What lies beyond the last row is not to be read.
+        # Memory beyond the last row must not be read.
         if stride == 1 and (y + 1 < height or first + count + VECTOR_LENGTH <= width):
             for start in range(0, count, VECTOR_LENGTH):
                 for lane in range(VECTOR_LENGTH):
@@ -65,7 +57,7 @@ def _places(picture, cx, cy, lens, sides, inverse, stride, bins, place, values):
 
 @njit(cache=True, nogil=True, parallel=True)
 def _fold(picture, centres, sides, room, inverse, stride, bins, chunks, sums):
-    """Add up pixels, their squares and their number in the bins of the cell, for each of the chunks of lenses."""
+    """Sum pixels, their squares and their number in the bins of the cell, for each chunk of lenses."""
     lenses = centres.shape[0]
     one = np.float32(1)
     for chunk in prange(chunks):
@@ -73,18 +65,18 @@ def _fold(picture, centres, sides, room, inverse, stride, bins, chunks, sums):
         place, values = np.empty(room, np.uint32), np.empty(room, np.float32)
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0], centres[lens, 1]
-            number = _places(picture, cx, cy, lens, sides, inverse, stride, bins, place, values)
+            number = _gather_pixels(picture, cx, cy, lens, sides, inverse, stride, bins, place, values)
             for k in range(number):
                 value, n = values[k], np.uint64(place[k])
-                # Four that are read and written together are one step for the processor.
+                # Four values read and written together are one vector instruction.
                 a, b, c, d = cells[n, 0], cells[n, 1], cells[n, 2], cells[n, 3]
                 a, b, c, d = a + value, b + value * value, c + one, d + one
                 cells[n, 0], cells[n, 1], cells[n, 2], cells[n, 3] = a, b, c, d
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _match(values, level, weight, number):
-    """Sums from which the contrast and the offset of a lens follow."""
+def _sum_for_contrast(values, level, weight, number):
+    """Sums for the contrast and the offset of a lens."""
     zero = np.float32(0)
     one = sum_level = square = value = product = zero
     for k in range(number):
@@ -99,25 +91,25 @@ def _match(values, level, weight, number):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _pull(values, level, weight, slope_x, slope_y, number, contrast, offset, cutoff):
-    """Sums that the step of a lens follows from."""
+def _sum_for_shift(values, level, weight, slope_x, slope_y, number, contrast, offset, cutoff):
+    """Sums for the shift of a lens, with robust weights."""
     one, zero = np.float32(1), np.float32(0)
-    xx = xy = yy = bx = by = far = told = zero
+    xx = xy = yy = bx = by = squares = weights = zero
     for k in range(number):
         w = weight[k]
         residual = values[k] - offset - contrast * level[k]
         near = max(one - residual * residual * w * cutoff, zero)
         near *= near
-        told += near
+        weights += near
         w *= near
-        far += w * residual * residual
+        squares += w * residual * residual
         wx, wy = w * slope_x[k], w * slope_y[k]
         xx += wx * slope_x[k]
         xy += wx * slope_y[k]
         yy += wy * slope_y[k]
         bx -= wx * residual
         by -= wy * residual
-    return xx, xy, yy, bx, by, far, told
+    return xx, xy, yy, bx, by, squares, weights
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -131,18 +123,18 @@ def _accumulate(
         slope_x, slope_y = np.empty(room, np.float32), np.empty(room, np.float32)
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0], centres[lens, 1]
-            number = _places(picture, cx, cy, lens, sides, inverse, stride, bins, place, values)
+            number = _gather_pixels(picture, cx, cy, lens, sides, inverse, stride, bins, place, values)
             for k in range(number):
                 at = np.uint64(place[k])
                 level[k], weight[k] = maps[at, 0], maps[at, 1]
                 slope_x[k], slope_y[k] = maps[at, 2], maps[at, 3]
-            one, mean, square, value, product = _match(values, level, weight, number)
+            one, mean, square, value, product = _sum_for_contrast(values, level, weight, number)
             contrast, offset = np.float32(1), np.float32(0)
             determinant = one * square - mean * mean
             if determinant > 1e-9 * one * square:
                 contrast = np.float32(min(max((one * product - mean * value) / determinant, 0.0), most))
                 offset = np.float32((value - contrast * mean) / one)
-            xx, xy, yy, bx, by, far, told = _pull(
+            xx, xy, yy, bx, by, squares, weights = _sum_for_shift(
                 values, level, weight, slope_x, slope_y, number, contrast, offset, cutoff
             )
             normal[lens, 0, 0] = contrast * contrast * xx
@@ -151,32 +143,18 @@ def _accumulate(
             normal[lens, 1, 1] = contrast * contrast * yy
             right[lens, 0] = contrast * bx
             right[lens, 1] = contrast * by
-            noise[lens] = far / max(told, 1e-9)
-
-
-@dataclass(frozen=True)
-class Template:
-    """Average microimage over one cell, the centre of the lens at `[0, 0]`, periodic.
-
-    Parameters
-    ----------
-    maps : (bins, bins, 4) float32
-        Level, inverse variance of a pixel, and slopes of the level in x and y [1/px]; column along `a1`, row along
-        `a2`, `[j, i]` at `i / bins, j / bins` of the cell.
-    """
-
-    maps: NDArray[np.float32]
+            noise[lens] = squares / max(weights, 1e-9)
 
 
 @dataclass(frozen=True)
 class LensEquations:
-    """Least squares of each lens by itself: `normal @ step = right`.
+    """Least squares of each lens by itself: `normal @ shift = right`.
 
     Parameters
     ----------
     normal, right : (n, 2, 2), (n, 2) float64
     noise : (n,) float64
-        Variance of a pixel of the lens about the average microimage, over that of all lenses.
+        Variance of a pixel of the lens about the mean microimage, over that of all lenses.
     """
 
     normal: NDArray[np.float64]
@@ -184,40 +162,65 @@ class LensEquations:
     noise: NDArray[np.float64]
 
 
-def build_template(
+def build_lens_equations(
     picture: NDArray[np.float32],
     lattice: Lattice,
     centres: NDArray[np.float64],
-    faces: NDArray[np.float64],
+    normals: NDArray[np.float64],
     stride: int = 1,
-) -> Template:
-    """Average of `picture` (h, w) over whole cells at `centres` (n, 2) [px] with these `faces` (`cell_faces`)."""
-    bins = _bins(lattice)
+) -> LensEquations:
+    """Normal equations of the shift of each lens, over every pixel of its cell.
+
+    Each lens has its own contrast and offset: blank or dark ones carry no information.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+    lattice : Lattice [px]
+    centres : (n, 2) float64 [px]
+        Of lenses whose cells lie on the picture.
+    normals : (k, 2) float64 [1/px]
+        Of the sides of a cell (`cell_normals`).
+    stride : int
+        Use every `stride`-th pixel each way: enough of large microimages, as neighbouring pixels are alike.
+    """
+    bins = int(min(TEMPLATE.bins_per_pixel * lattice.pitch, TEMPLATE.most_bins))
+    # Space for the pixels of a cell, and for whole vectors beyond them.
+    room = (int(2 * cell_circumradius(normals)) // stride + 3) ** 2 + 2 * VECTOR_LENGTH
+    sides, inverse = cell_row_bounds(normals), np.linalg.inv(lattice.basis)
+    few = np.ascontiguousarray(centres[:: max(1, len(centres) // TEMPLATE.lenses)])
     sums = np.zeros((_CHUNKS, bins * bins, 4), np.float32)
-    inverse = np.linalg.inv(lattice.basis)
-    _fold(picture, centres, cell_row_bounds(faces), _room(faces, stride), inverse, stride, bins, _CHUNKS, sums)
-    width = _SMOOTH * bins / lattice.pitch
-    planes = sums.sum(0, dtype=np.float64).T[:3].reshape(3, bins, bins)
-    total, square, count = (_turned(_smoothed(plane, width)) for plane in planes)
+    _fold(picture, few, sides, room, inverse, stride, bins, _CHUNKS, sums)
+    maps = _average(
+        sums.sum(0, dtype=np.float64), np.asarray(inverse, np.float64), TEMPLATE.blur * bins / lattice.pitch
+    )
+    normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
+    noise = np.zeros(len(centres))
+    _accumulate(
+        picture, centres, sides, room, inverse, stride, bins, _CHUNKS, maps, np.float32(1 / TEMPLATE.outlier**2),
+        TEMPLATE.most_contrast, normal, right, noise,
+    )  # fmt: skip
+    return LensEquations(normal, right, noise)
+
+
+def _average(sums: NDArray[np.float64], inverse: NDArray[np.float64], blur: float) -> NDArray[np.float32]:
+    """(bins * bins, 4) mean microimage: level, inverse variance of a pixel, slopes of the level in x and y [1/px].
+
+    The centre of the lens is bin 0; columns run along `a1`, rows along `a2`, periodic. `sums` are those of `_fold`,
+    `blur` [bins].
+    """
+    bins = round(np.sqrt(len(sums)))
+    planes = sums.T[:3].reshape(3, bins, bins)
+    total, square, count = (_make_symmetric(_blur(plane, blur)) for plane in planes)
     count = np.maximum(count, 1e-9)
     level = total / count
     variance = np.maximum(square / count - level**2, 1e-4 * float(np.var(level)) + 1e-12)
     along = [(np.roll(level, -1, axis) - np.roll(level, 1, axis)) * (bins / 2) for axis in (1, 0)]
     slope = np.stack(along, axis=-1) @ inverse.T
-    return Template(np.dstack([level, 1 / variance, slope]).astype(np.float32))
+    return np.dstack([level, 1 / variance, slope]).astype(np.float32).reshape(bins * bins, -1)
 
 
-def _room(faces: NDArray[np.float64], stride: int) -> int:
-    """Room for the pixels of a cell, and for what is worked on beyond them."""
-    return (int(2 * cell_circumradius(faces)) // stride + 3) ** 2 + 2 * VECTOR_LENGTH
-
-
-def _bins(lattice: Lattice) -> int:
-    """Bins of the average cell along each lattice vector."""
-    return int(min(_BINS_PER_PX * lattice.pitch, _MOST_BINS))
-
-
-def _smoothed(values: NDArray[np.float64], width: float) -> NDArray[np.float64]:
+def _blur(values: NDArray[np.float64], width: float) -> NDArray[np.float64]:
     """A periodic square picture blurred by a Gaussian of standard deviation `width` [samples]."""
     count = len(values)
     passed = np.exp(-2 * (np.pi * width * np.fft.fftfreq(count)) ** 2)
@@ -227,43 +230,6 @@ def _smoothed(values: NDArray[np.float64], width: float) -> NDArray[np.float64]:
     return np.asarray(blur @ values @ blur.T)
 
 
-def _turned(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _make_symmetric(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sum of a periodic picture and the same turned by half a turn about `[0, 0]`."""
     return values + np.roll(values[::-1, ::-1], (1, 1), axis=(0, 1))
-
-
-def build_lens_equations(
-    picture: NDArray[np.float32],
-    lattice: Lattice,
-    centres: NDArray[np.float64],
-    faces: NDArray[np.float64],
-    stride: int = 1,
-) -> LensEquations:
-    """Gauss-Newton steps of the lenses at `centres` (n, 2) [px] of a straight `lattice`, every pixel of their cells.
-
-    Each lens has a contrast of its own, so blank or dark ones say nothing, and an offset. Of large microimages every
-    `stride`-th pixel each way is enough, as what the scene shows is alike in neighbouring pixels.
-    """
-    few = np.ascontiguousarray(centres[:: max(1, len(centres) // _TEMPLATE_LENSES)])
-    template = build_template(picture, lattice, few, faces, stride)
-    normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
-    noise = np.zeros(len(centres))
-    inverse, bins = np.linalg.inv(lattice.basis), _bins(lattice)
-    maps, cutoff = template.maps.reshape(bins * bins, -1), np.float32(1 / TUKEY_CUTOFF**2)
-    _accumulate(
-        picture,
-        centres,
-        cell_row_bounds(faces),
-        _room(faces, stride),
-        inverse,
-        stride,
-        bins,
-        _CHUNKS,
-        maps,
-        cutoff,
-        _MOST_CONTRAST,
-        normal,
-        right,
-        noise,
-    )
-    return LensEquations(normal, right, noise)

@@ -1,4 +1,4 @@
-"""Lenses of a white image that a fit is to look at: chosen evenly, cut out, and given gains and weights."""
+"""Windows of the flat around evenly chosen lenses, with first gains, profile and weights."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from ..images.stack import clipping_level
@@ -14,21 +15,14 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_mask
 from ..lattice.lit_lenses import LitLenses
 from ..runtime.errors import CalibrationError
+from .edge_profile import find_edge
 from .gauss_newton import FitState, median_by_brightness, update_positions, update_weights
 from .model import WhiteModel
-from .normal_equations import Microimages, find_edge, mean_profile
-from .shading import fit_field_slope, fit_shading_slope
-from .windows import cut_windows
+from .normal_equations import Microimages, mean_profile
+from .settings import CUTOUTS
+from .shading import fit_gain_slope, fit_slope
 
-__all__ = ["FEWEST_LENSES", "cut_out_lenses"]
-
-FEWEST_LENSES = 12
-# Distance between samples of the profile [px]: edges of discs are about one pixel wide.
-_STEP = 0.125
-# A microimage darker than this share of a bright one is none: the array does not fill the sensor.
-_DARK = 0.03
-# Side of the square in the middle of a microimage that tells its light, over the diameter inside its cell.
-_CORE = 0.4
+__all__ = ["cut_out_lenses", "cut_windows"]
 
 
 def cut_out_lenses(
@@ -39,76 +33,144 @@ def cut_out_lenses(
     known: Microimages | None,
     before: LitLenses | None = None,
 ) -> tuple[FitState, LitLenses]:
-    """Lenses of about so many pixels in all, but at least so many, with gains from their cores; and all to choose from.
+    """Cut evenly spread lenses out of a flat.
 
-    `before` are those of a like lattice.
+    Parameters
+    ----------
+    tones : StackedCrops
+        Square root of the light.
+    model : WhiteModel
+    pixels : float
+        Of all these lenses together, about.
+    fewest : int
+        Lenses, however many pixels they have.
+    known : Microimages or None
+        Converged ones of about this model, for profile and weights; None to start from the mean profile.
+    before : LitLenses or None
+        Of nearly the same lattice, to save the search.
+
+    Returns
+    -------
+    FitState, LitLenses
+        The chosen lenses, and all to choose from.
     """
     lattice = model.lattice
-    faces, reach = cell_normals(lattice)
+    normals, reach = cell_normals(lattice)
     margin = reach + 2
-    alight = LitLenses.find(tones, lattice, margin, np.sqrt(_DARK), before)
-    every = max(1.0, len(alight.indices) * abs(np.linalg.det(lattice.basis)) / pixels)
-    every = max(1.0, min(every, len(alight.indices) / fewest))
-    taken = alight.select(tones, lattice, margin, sample_mask(len(alight.indices), 1 / every))
+    lit = LitLenses.find(tones, lattice, margin, np.sqrt(CUTOUTS.dark), before)
+    every = max(1.0, len(lit.indices) * abs(np.linalg.det(lattice.basis)) / pixels)
+    every = max(1.0, min(every, len(lit.indices) / fewest))
+    taken = lit.select(tones, lattice, margin, sample_mask(len(lit.indices), 1 / every))
     indices, offset = taken.indices, tones.offsets[taken.part]
     centres = lattice.points(indices)
     # Lenses of a known model hardly move any more.
     light, corners = cut_windows(tones.picture, centres - offset, margin if known is None else reach)
     corners += offset
-    inner = cell_inradius(faces)
-    core, middle = max(1, int(_CORE * inner)), light.shape[1] // 2
+    inradius = cell_inradius(normals)
+    core, middle = max(1, int(CUTOUTS.core * inradius)), light.shape[1] // 2
     gain = light[:, middle - core : middle + core + 1, middle - core : middle + core + 1].mean((1, 2)).astype(float)
-    lit = gain > _DARK * np.quantile(gain, 0.95) if len(gain) else np.zeros(0, dtype=bool)
-    if lit.sum() < FEWEST_LENSES:
+    bright = gain > CUTOUTS.dark * np.quantile(gain, 0.95) if len(gain) else np.zeros(0, dtype=bool)
+    if bright.sum() < CUTOUTS.fewest_lenses:
         raise CalibrationError(
-            f"only {lit.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the flat, "
-            f"at least {FEWEST_LENSES} are needed; give the whole sensor"
+            f"only {bright.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the flat, "
+            f"at least {CUTOUTS.fewest_lenses} are needed; give the whole sensor"
         )
-    rings, full = int(reach / _STEP) + 3, clipping_level(light) if known is None else known.full
-    if not lit.all():
-        indices, centres, gain, corners, light = indices[lit], centres[lit], gain[lit], corners[lit], light[lit]
-    none, tilt = np.zeros_like(centres), fit_field_slope(centres, gain, lattice)
-    discs = Microimages(
-        light, corners, centres, none, gain, np.ones(len(gain)), tilt, 0.0, 0.0,
-        faces, inner, reach, _STEP, np.zeros(rings), np.ones(rings),
-        np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, full,
+    rings = int(reach / CUTOUTS.ring_step) + 3
+    saturation = clipping_level(light) if known is None else known.saturation
+    if not bright.all():
+        indices, centres, gain = indices[bright], centres[bright], gain[bright]
+        corners, light = corners[bright], light[bright]
+    none, slope = np.zeros_like(centres), fit_gain_slope(centres, gain, lattice)
+    lenses = Microimages(
+        light, corners, centres, none, gain, np.ones(len(gain)), slope, 0.0, 0.0,
+        normals, inradius, reach, CUTOUTS.ring_step, np.zeros(rings), np.ones(rings),
+        np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, saturation,
     )  # fmt: skip
     if known is None:
-        level = mean_profile(discs)
-        discs = replace(
-            discs, level=level, weight=np.full(rings, 1 / max(float(np.var(level)), 1e-12)), edge=find_edge(level)
-        )
-        state = update_positions(FitState(model, indices, discs))
-        return update_weights(state, state.discs.steps), alight
-    discs = replace(
-        discs,
-        level=_of_length(known.level, rings),
-        weight=_of_length(known.weight, rings),
-        four=_of_length(known.four, rings),
-        edge=_of_length(known.edge, rings),
-        shared=known.shared,
-        dark=known.dark,
+        profile = mean_profile(lenses)
+        weight = np.full(rings, 1 / max(float(np.var(profile)), 1e-12))
+        lenses = replace(lenses, profile=profile, ring_weight=weight, edge=find_edge(profile))
+        state = update_positions(FitState(model, indices, lenses))
+        return update_weights(state, state.lenses.equations), lit
+    lenses = replace(
+        lenses,
+        profile=_resize(known.profile, rings),
+        ring_weight=_resize(known.ring_weight, rings),
+        harmonic=_resize(known.harmonic, rings),
+        edge=_resize(known.edge, rings),
+        correlation=known.correlation,
+        gap=known.gap,
     )
-    if model.cat_eye is None and not np.isfinite(full):
-        return FitState(model, indices, _alike(discs, known, core, lattice)), alight
-    # Profile and gains share a scale that the new gains settle: cores may be cut, or clipped.
-    state = update_positions(FitState(model, indices, discs))
-    steps = state.discs.steps
-    own = np.clip(steps.right[:, -1] / np.maximum(steps.normal[:, -1, -1], 1e-30), -0.5, 1)
-    state = replace(state, discs=replace(state.discs, gain=state.discs.gain * (1 + own)))
-    return update_weights(state, steps), alight
+    if model.cat_eye is None and not np.isfinite(saturation):
+        return FitState(model, indices, _scale_gains(lenses, known, core, lattice)), lit
+    # Cores may be cut or clipped: the pixels of a lens tell its gain.
+    state = update_positions(FitState(model, indices, lenses))
+    equations = state.lenses.equations
+    own = np.clip(equations.right[:, -1] / np.maximum(equations.normal[:, -1, -1], 1e-30), -0.5, 1)
+    state = replace(state, lenses=replace(state.lenses, gain=state.lenses.gain * (1 + own)))
+    return update_weights(state, equations), lit
 
 
-def _alike(discs: Microimages, known: Microimages, core: int, lattice: Lattice) -> Microimages:
-    """The discs with gains in the scale of the known profile, and with the trust known ones of their light have."""
+def _scale_gains(lenses: Microimages, known: Microimages, core: int, lattice: Lattice) -> Microimages:
+    """The lenses with gains in the scale of the known profile, and weights that known ones of this gain have."""
     square = np.arange(-core, core + 1)
     radii = np.hypot(*np.meshgrid(square, square))
-    light = float(np.interp(radii, np.arange(len(discs.level)) * discs.step, discs.level).mean())
-    gain = discs.gain / max(light, 1e-12)
-    discs = replace(discs, gain=gain, trust=np.interp(gain, *median_by_brightness(known.gain, known.trust)))
-    return replace(discs, tilt=fit_shading_slope(discs, lattice))
+    light = float(np.interp(radii, np.arange(len(lenses.profile)) * lenses.step, lenses.profile).mean())
+    gain = lenses.gain / max(light, 1e-12)
+    weight = np.interp(gain, *median_by_brightness(known.gain, known.lens_weight))
+    lenses = replace(lenses, gain=gain, lens_weight=weight)
+    return replace(lenses, slope=fit_slope(lenses, lattice))
 
 
-def _of_length(values: NDArray[Any], rings: int) -> NDArray[Any]:
-    """Values over the radius for so many rings, the last one carried on: cells grow as their lattice is refined."""
+def _resize(values: NDArray[Any], rings: int) -> NDArray[Any]:
+    """Values over the radius for so many rings, the last one repeated: cells grow as their lattice is refined."""
     return np.pad(values, (0, max(rings - len(values), 0)), mode="edge")[:rings]
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _copy_squares(tones, corners, out):
+    side = out.shape[1]
+    height, width = tones.shape
+    for lens in prange(len(corners)):
+        left, top = corners[lens, 0], corners[lens, 1]
+        if left >= 0 and top >= 0 and left + side <= width and top + side <= height:
+            # Unsigned indices need no test for wrap-around, so that several pixels are moved at once.
+            first = np.uintp(left)
+            for y in range(side):
+                row, line = tones[top + y], out[lens, y]
+                for x in range(np.uintp(side)):
+                    value = row[first + x]
+                    line[x] = value * value
+            continue
+        for y in range(side):
+            row = min(max(top + y, 0), height - 1)
+            for x in range(side):
+                value = tones[row, min(max(left + x, 0), width - 1)]
+                out[lens, y, x] = value * value
+
+
+def cut_windows(
+    tones: NDArray[np.float32], centres: NDArray[np.float64], reach: float
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Squares of light around microimages.
+
+    Parameters
+    ----------
+    tones : (h, w) float32
+        Square root of the light.
+    centres : (n, 2) float64 [px]
+    reach : float [px]
+        Least distance from the centre to the sides of its square.
+
+    Returns
+    -------
+    light : (n, k, k) float32
+        Pixels beyond the flat repeat its border.
+    corners : (n, 2) int64 [px]
+        Flat coordinates x, y of the first pixel of each square.
+    """
+    half = int(np.ceil(reach)) + 1
+    corners = np.rint(centres).astype(np.int64) - half
+    light = np.empty((len(centres), 2 * half + 1, 2 * half + 1), np.float32)
+    _copy_squares(tones, corners, light)
+    return light, corners

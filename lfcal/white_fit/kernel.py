@@ -94,7 +94,7 @@ class Cut(NamedTuple):
 class Sums(NamedTuple):
     """Output: normal matrix (n, p, p), right side (n, p), and coupling (n, p or 1, r) of each lens with the profile.
 
-    `band` (chunks, r, c) collects the part of the profile, `scatter` (n, 2) weighted squared residuals and their number.
+    `band` (chunks, r, c) collects the part of the profile, `scatter` (n, 2) weighted squared residuals and number.
     The `p` parameters are `x, y, gain` or, with a cut, `x, y`, offset and radius of the cut, correlation, gain.
     """
 
@@ -166,7 +166,7 @@ def _through_cut(inward, per_blur, tail, on_rim, alpha, correlation, along_both)
 def _add_to_band(band, ring, after, w, wr, angle, falling, through):
     """Add a pixel to the sums that `sum_by_ring` takes apart.
 
-    Its light follows the profile by the factor `falling` and the harmonic by the factor `through`, both 1 without a cut.
+    Its light follows the profile by the factor `falling` and the harmonic by `through`, both 1 without a cut.
     """
     own, force = w * falling * falling, falling * wr
     turn = angle * through
@@ -327,10 +327,10 @@ def accumulate(lenses, cell, profile, cut, learn, sums):
 def sum_by_ring(band: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sums (r, 8) for each ring of the profile from those (r, 11 or 12) of the pixels between two rings.
 
-    Pixels lie `after` of the way from the ring below to the next. Columns before: `w`, `w * after`, `w * after**2`;
-    weighted residual, and that times `after`; the same two times `angle`; `w * angle**2`, and that times `after`; squared
-    residuals; number; with a cut, the weight without its factor. Columns after: own weight, weight shared with the next
-    ring, right side, weight of all, right side and weight of the fourth harmonic, squared residuals, number.
+    Pixels lie `after` of the way from the ring below to the next. Columns of `band`: `w`, `w * after`, `w * after**2`;
+    weighted residual, and that times `after`; the same two times `angle`; `w * angle**2`, and that times `after`;
+    squared residuals; number; with a cut, the weight without its factor. Columns returned: own weight, weight shared
+    with the next ring, right side, weight of all, right side and weight of the harmonic, squared residuals, number.
     """
     w, wa, waa, force, force_up, turned, turned_up, own, own_up, squares, count = band.T[:11]
 

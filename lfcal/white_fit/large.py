@@ -1,12 +1,12 @@
-"""First lattice of a large white image: found in one piece of the flat, then followed outwards over all of it.
+"""First lattice of a large white image: found in one piece of the flat, then extended outwards over all of it.
 
-A fit needs some lenses from all over the field, not every pixel. Pieces are taken ever farther out, each time so near
-to what is known that a distortion is seen before it has moved centres to the next lens.
+A fit needs some lenses from all over the field, not every pixel. Pieces are taken ever farther out, each so near to
+those before that a distortion is measured before it has moved centres to the next lens.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,82 +20,46 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop, StackedCrops
 from ..runtime.errors import CalibrationError
 from .fit import refine_on_parts
+from .settings import LARGE, LargeSettings
 
 __all__ = ["find_white_lattice", "find_white_lattice_in_array", "sample_grid", "sample_parts", "window_reader"]
 
-# Side of the piece in which the lattice is looked for [px]; at least so many pitches must be in it.
-_PIECE = 768
-_PERIODS = 10
-# Two halves of a piece must show average microimages that correlate at least so much.
-_REPEATS = 0.8
-# Side of the pieces in which it is followed, in pitches and px, and of those by which white images are told.
-_FOLLOW = (14, 256)
-_WIDE = 2.0
-# Pitches across a part in which lenses are seen whole with their surroundings, and so many parts all over the field:
-# of short pitches, and of any.
-_WHOLE = 6
-_EVENLY, _FEWEST_PARTS = 25.0, 9.0
-# From the pieces so far to the next ones. A cubic that moves centres by hardly a hundredth px within those then moves
-# them by a sixth here.
-_FARTHER = 2.5
-# Side [px] and pixels of the parts that stand for a flat too large to be held as a whole.
-_SIDE, _PIXELS = 768, 1.6e7
-
-
-@dataclass(frozen=True)
-class _Piece:
-    x: int
-    y: int
-    side: int
-
-    def apart(self, other: _Piece) -> bool:
-        """Whether two pieces have no pixel in common."""
-        return abs(self.x - other.x) >= max(self.side, other.side) or abs(self.y - other.y) >= max(
-            self.side, other.side
-        )
+# Rings of pieces around the first one, at most; each is farther out by `LargeSettings.spacing`.
+_MOST_RINGS = 64
 
 
 def window_reader(flat: NDArray[Any], filtered: bool) -> ReadCrop:
-    """A look at the square root of the light of a flat (h, w) or (h, w, 3) of raw values, `filtered` by a mosaic."""
+    """Reader of the square root of the light of a flat (h, w) or (h, w, 3), `filtered` by a colour mosaic."""
 
-    def look(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
+    def read(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
         raw = np.ascontiguousarray(flat[y : y + height, x : x + width])
         light = equalise_mosaic(raw) if filtered else luminance(raw)
         return np.sqrt(np.maximum(light, 0, out=light), out=light)
 
-    return look
+    return read
 
 
-def find_white_lattice_in_array(tones: NDArray[np.float32], sure: bool) -> FirstLattice | None:
-    """`find_white_lattice` of the tones (h, w) of a whole flat."""
-
-    def look(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
-        return np.ascontiguousarray(tones[y : y + height, x : x + width])
-
-    return find_white_lattice(look, (tones.shape[1], tones.shape[0]), sure, tries=1)
-
-
-def sample_parts(look: ReadCrop, lattice: Lattice) -> tuple[StackedCrops, ReadCrop]:
-    """StackedCrops of a flat, enough to measure a camera on, and a look at all of it, both of mean tone 1."""
-    parts = sample_grid(look, lattice.image_size, _SIDE, _PIXELS)
+def sample_parts(read: ReadCrop, lattice: Lattice, settings: LargeSettings = LARGE) -> tuple[StackedCrops, ReadCrop]:
+    """Parts of a flat, enough to calibrate on, and a reader of all of it, both scaled to a mean of 1 over the parts."""
+    parts = sample_grid(read, lattice.image_size, settings.sample_side, settings.sample_pixels)
     scale = np.float32(1 / max(float(parts.picture.mean(dtype=np.float64)), 1e-30))
     np.multiply(parts.picture, scale, out=parts.picture)
 
-    def scaled(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
-        tones = look(x, y, width, height)
+    def read_scaled(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
+        tones = read(x, y, width, height)
         tones *= scale
         return tones
 
-    return parts, scaled
+    return parts, read_scaled
 
 
-def sample_grid(look: ReadCrop, size: tuple[int, int], side: int, pixels: float) -> StackedCrops:
+def sample_grid(read: ReadCrop, size: tuple[int, int], side: int, pixels: float) -> StackedCrops:
     """Square parts of a flat, evenly spread from border to border.
 
     Parameters
     ----------
-    look : ReadCrop
-        At tones of the flat, in whatever scale.
+    read : ReadCrop
+        Of the flat, in any scale.
     size : (int, int) [px]
         Width and height of the flat.
     side : int [px]
@@ -105,69 +69,87 @@ def sample_grid(look: ReadCrop, size: tuple[int, int], side: int, pixels: float)
     count = max(pixels / side**2, 1.0)
     columns = max(1, min(round(np.sqrt(count * size[0] / size[1])), size[0] // side))
     rows = max(1, min(round(count / columns), size[1] // side))
-    # Even places, so that a colour mosaic begins alike in all parts.
+    # Even coordinates: a colour mosaic begins with the same colour in all parts.
     xs, ys = (
         np.linspace(0, length - side, n).astype(np.int64) // 2 * 2
         for length, n in zip(size, (columns, rows), strict=True)
     )
-    corners = np.array([(x, y) for y in ys for x in xs], dtype=np.int64)
+    return _stack(read, [(x, y) for y in ys.tolist() for x in xs.tolist()], side)
+
+
+def _stack(read: ReadCrop, corners: list[tuple[int, int]], side: int) -> StackedCrops:
     picture = np.empty((len(corners) * side, side), np.float32)
-    for number, (x, y) in enumerate(corners.tolist()):
-        picture[number * side : (number + 1) * side] = look(x, y, side, side)
-    return StackedCrops(picture, corners, (side, side))
+    for number, (x, y) in enumerate(corners):
+        picture[number * side : (number + 1) * side] = read(x, y, side, side)
+    return StackedCrops(picture, np.array(corners, dtype=np.int64), (side, side))
 
 
-def find_white_lattice(look: ReadCrop, size: tuple[int, int], sure: bool, tries: int) -> FirstLattice | None:
-    """First lattice of a white image, with its distortion; None where the flat is none, or it is not found this way.
+def find_white_lattice_in_array(tones: NDArray[np.float32], sure: bool) -> FirstLattice | None:
+    """`find_white_lattice` in the square root (h, w) of the light of a whole flat."""
+
+    def read(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
+        return np.ascontiguousarray(tones[y : y + height, x : x + width])
+
+    return find_white_lattice(read, (tones.shape[1], tones.shape[0]), sure, tries=1)
+
+
+def find_white_lattice(
+    read: ReadCrop, size: tuple[int, int], sure: bool, tries: int, settings: LargeSettings = LARGE
+) -> FirstLattice | None:
+    """First lattice of a white image, with its distortion; None if the flat is no white image, or no lattice is found.
 
     Parameters
     ----------
-    look : ReadCrop
-        At tones of the flat, in whatever scale.
+    read : ReadCrop
+        Square root of the light, in any scale.
     size : (int, int) [px]
         Width and height of the flat.
     sure : bool
         The flat is known to be a white image.
     tries : int
-        In so many places at most, from the middle outwards, the lattice is looked for.
+        Number of places at most, from the middle outwards, in which the lattice is searched for.
+    settings : LargeSettings
     """
-    found = _found(look, size, sure, tries)
+    found = _find_in_piece(read, size, sure, tries, settings)
     if found is None:
         return None
-    start, piece = found
+    start, corner, first_side = found
     lattice = start.lattice
-    side = max(int(_FOLLOW[0] * lattice.pitch), _FOLLOW[1])
-    pieces = [piece]
-    middle = np.array([piece.x, piece.y]) + piece.side / 2
-    distance = float(piece.side)
-    for _ in range(64):
+    side = max(int(settings.piece_pitches * lattice.pitch), settings.piece_side)
+    pieces: list[tuple[int, int]] = []
+    middle = np.array(corner) + first_side / 2
+    distance = float(first_side)
+    for _ in range(_MOST_RINGS):
         known = len(pieces)
         for dy in (-1, 0, 1):
             for dx in (-1, 0, 1):
-                x, y = (middle + distance * np.array([dx, dy]) - side / 2).astype(int) // 2 * 2
-                one = _Piece(int(np.clip(x, 0, size[0] - side)), int(np.clip(y, 0, size[1] - side)), side)
-                if all(one.apart(other) for other in pieces):
-                    pieces.append(one)
-        distance *= _FARTHER
+                wished = (middle + distance * np.array([dx, dy]) - side / 2).astype(int) // 2 * 2
+                x, y = np.clip(wished, 0, np.array(size) - side).tolist()
+                apart = all(max(abs(x - u), abs(y - v)) >= side for u, v in pieces)
+                if apart and max(abs(x - corner[0]), abs(y - corner[1])) >= max(side, first_side):
+                    pieces.append((x, y))
+        distance *= settings.spacing
         if len(pieces) == known:
             break
         try:
-            lattice = refine_on_parts(_parts(look, pieces[1:], side), lattice)
+            lattice = refine_on_parts(_stack(read, pieces, side), lattice)
         except CalibrationError:
-            # Nothing is lit so near: what is known may reach farther.
+            # Nothing is lit so near: the present lattice may reach farther.
             continue
-    if not sure and not _even(look, size, lattice):
+    if not sure and not _is_even(read, size, lattice, settings):
         return None
     return replace(start, lattice=lattice)
 
 
-def _found(look: ReadCrop, size: tuple[int, int], sure: bool, tries: int) -> tuple[FirstLattice, _Piece] | None:
-    """Lattice of the first piece that shows one, in px of the flat, and where it was."""
-    side = min(_PIECE, *size)
+def _find_in_piece(
+    read: ReadCrop, size: tuple[int, int], sure: bool, tries: int, settings: LargeSettings
+) -> tuple[FirstLattice, tuple[int, int], int] | None:
+    """Lattice of the first piece that shows one, in px of the flat; corner and side of the piece [px]."""
+    side = min(settings.first_side, *size)
     places = [(x, y) for x in (0.5, 0.2, 0.8) for y in (0.5, 0.2, 0.8)]
-    for x, y in sorted(places, key=lambda p: abs(p[0] - 0.5) + abs(p[1] - 0.5))[:tries]:
-        piece = _Piece(int(x * (size[0] - side)) // 2 * 2, int(y * (size[1] - side)) // 2 * 2, side)
-        picture = look(piece.x, piece.y, side, side)
+    for place in sorted(places, key=lambda p: abs(p[0] - 0.5) + abs(p[1] - 0.5))[:tries]:
+        x, y = (int(share * (length - side)) // 2 * 2 for share, length in zip(place, size, strict=True))
+        picture = read(x, y, side, side)
         mean = float(picture.mean())
         if not mean > 0:
             continue
@@ -176,24 +158,21 @@ def _found(look: ReadCrop, size: tuple[int, int], sure: bool, tries: int) -> tup
             start = find_first_lattice(picture)
         except CalibrationError:
             continue
-        if start.repeatability < _REPEATS or start.lattice.pitch * _PERIODS > side:
-            continue
-        if not sure and not is_evenly_lit(start.brightness, picture**2, start.lattice):
-            return None
         own = start.lattice
-        origin = own.origin + np.array([piece.x, piece.y])
-        return replace(start, lattice=Lattice(origin, own.basis, size, own.radius)), piece
+        if start.repeatability < settings.repeatability or own.pitch * settings.first_periods > side:
+            continue
+        if not sure and not is_evenly_lit(start.brightness, picture**2, own):
+            return None
+        moved = Lattice(own.origin + np.array([x, y]), own.basis, size, own.radius)
+        return replace(start, lattice=moved), (x, y), side
     return None
 
 
-def _parts(look: ReadCrop, pieces: list[_Piece], side: int) -> StackedCrops:
-    corners = np.array([(p.x, p.y) for p in pieces], dtype=np.int64)
-    return StackedCrops(np.concatenate([look(p.x, p.y, side, side) for p in pieces]), corners, (side, side))
-
-
-def _even(look: ReadCrop, size: tuple[int, int], lattice: Lattice) -> bool:
+def _is_even(read: ReadCrop, size: tuple[int, int], lattice: Lattice, settings: LargeSettings) -> bool:
     """Whether microimages are evenly lit all over the field."""
-    side = max(int(_WHOLE * lattice.pitch), _FOLLOW[1])
-    parts = sample_grid(look, size, side, max(_EVENLY * _FOLLOW[1] ** 2, _FEWEST_PARTS * side**2))
-    levelled = np.concatenate([normalise_locally(parts.part(k), _WIDE * lattice.pitch) for k in range(len(parts))])
+    side = max(int(settings.even_pitches * lattice.pitch), settings.piece_side)
+    pixels = max(settings.even_parts * settings.piece_side**2, settings.fewest_even_parts * side**2)
+    parts = sample_grid(read, size, side, pixels)
+    window = settings.window * lattice.pitch
+    levelled = np.concatenate([normalise_locally(parts.part(k), window) for k in range(len(parts))])
     return is_evenly_lit(replace(parts, picture=levelled), parts.picture**2, lattice)

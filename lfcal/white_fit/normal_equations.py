@@ -1,7 +1,7 @@
-"""Model of a white image: discs of one radial profile, each with its own gain, cut by a second disc (cat-eye).
+"""Normal equations of a Gauss-Newton step on a white image: built over all lenses, reduced, and solved robustly.
 
-Away from the optical axis a stop in front of or behind the main lens' pupil cuts microimages to lens shapes. The cut
-is a disc too, and its place relative to the microimage changes with the place in the field.
+Unknowns are the global parameters (`model`), the common profile and a gain for each lens. Gains and profile are
+eliminated first (Schur complement), then the global parameters are solved for with robust weights of the lenses.
 """
 
 from __future__ import annotations
@@ -14,32 +14,24 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from ..lattice.cell import clip_rows, is_outside_cell
-from .cut_kernel import accumulate_cut
-from .edge_profile import edge_blur, edge_depths
-from .whole_kernel import accumulate_whole, by_ring, thinned
+from ..lattice.robust_fit import tukey_weights
+from .edge_profile import edge_depths, estimate_edge_blur
+from .kernel import Cell, Cut, Lenses, Profile, Sums, accumulate, sum_by_ring
+from .model import LOCAL_PARAMETERS
+from .settings import GAUSS_NEWTON, PROFILE
 
-__all__ = ["LOCAL_PARAMETERS", "Microimages", "NormalEquations", "build_normal_equations", "find_edge", "mean_profile"]
+__all__ = [
+    "Microimages", "NormalEquations", "ReducedEquations", "build_normal_equations", "eliminate_gains", "invert_2x2",
+    "mean_profile", "regularisation", "solve_robustly",
+]  # fmt: skip
 
-# Parameters of a single lens: place (2), displacement of the cutting disc (2), its radius, the blur both edges share,
-# the gain.
-LOCAL_PARAMETERS = 7
-# Those of a lens that nothing cuts: place and gain.
-_WHOLE = 3
+# Parts of the lenses that are summed in parallel: a fixed number, so that sums do not depend on that of the threads.
 _CHUNKS = 64
-# Share of the steepest slope of the profile above which it is an edge.
-_STEEP = 0.1
-# Weights of steps and of bends of the profile against that of the pixels.
-_STIFF, _SMOOTH = 1e-4, 0.3
-# Share of the pixels of a ring that must see it before it moves freely.
-_SLOW = 0.01
-# The even inside of a microimage is thinned where its radius is at least this [px], up to so far [px] from its edge.
-_LARGE = 3.0
-_MARGIN = 0.5
 
 
 @dataclass(frozen=True)
 class Microimages:
-    """Lenses to be compared with the model, and the model.
+    """Windows of the flat around lenses, and the model that they are compared with.
 
     Parameters
     ----------
@@ -47,131 +39,139 @@ class Microimages:
         Squares of the flat around the lenses.
     corners : (n, 2) int64 [px]
         Flat coordinates of the first pixel of each.
-    centres, cut : (n, 2) float64 [px]
-        Microimage centres and displacements of the cutting discs from them.
-    gain, trust : (n,) float64
+    centres, cut_offset : (n, 2) float64 [px]
+        Microimage centres, and offsets of the cutting discs from them.
+    gain, lens_weight : (n,) float64
         Light of each lens over that of the profile, and its weight in the fit.
-    tilt : (n, 2) float64 [1/px]
+    slope : (n, 2) float64 [1/px]
         Relative change of the gain within the microimage.
-    radius, soft : float [px]
-        Of the cutting disc and of its edge (standard deviation); `soft` is 0 where there is no such disc.
-    faces : (k, 2) float64 [1/px]
-        `delta @ face <= 0.5` inside the cell of a lens.
-    inner, reach : float [px]
+    cut_radius, cut_blur : float [px]
+        Radius of the cutting disc and standard deviation of its edge; `cut_blur` is 0 where there is no such disc.
+    normals : (k, 2) float64 [1/px]
+        `delta @ normal <= 0.5` inside the cell of a lens.
+    inradius, circumradius : float [px]
         Radii of the circles inside and around the cell.
     step : float [px]
-        Between samples of the profile.
-    level, weight : (r,) float64
-        Profile and inverse variance of its pixels at radii `0, step, 2*step...`.
-    four : (r,) float64
-        Amplitude of `cos(4 * angle)` added to the profile: square pixels soften an edge along their sides otherwise
+        Between rings of the profile.
+    profile, ring_weight : (r,) float64
+        Light, and inverse variance of a pixel, at radii `0, step, 2*step...`.
+    harmonic : (r,) float64
+        Amplitude of `cos(4 * direction)` added to the profile: square pixels blur an edge along their sides otherwise
         than across their corners.
     edge : (r,) bool
         Where the profile falls from the disc into the gap (`find_edge`).
-    shared : float
-        Correlation of the blur of the two edges where they run alike, 0..1.
-    dark : float
+    correlation : float
+        `CatEye.correlation`.
+    gap : float
         Light where the cutting disc lets none through.
-    full : float
-        Light from which on pixels are clipped: there may have been any amount more.
+    saturation : float
+        Light from which on pixels are clipped.
     """
 
     light: NDArray[np.float32]
     corners: NDArray[np.int64]
     centres: NDArray[np.float64]
-    cut: NDArray[np.float64]
+    cut_offset: NDArray[np.float64]
     gain: NDArray[np.float64]
-    trust: NDArray[np.float64]
-    tilt: NDArray[np.float64]
-    radius: float
-    soft: float
-    faces: NDArray[np.float64]
-    inner: float
-    reach: float
+    lens_weight: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    cut_radius: float
+    cut_blur: float
+    normals: NDArray[np.float64]
+    inradius: float
+    circumradius: float
     step: float
-    level: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    four: NDArray[np.float64]
+    profile: NDArray[np.float64]
+    ring_weight: NDArray[np.float64]
+    harmonic: NDArray[np.float64]
     edge: NDArray[np.bool_]
-    shared: float
-    dark: float
-    full: float
+    correlation: float
+    gap: float
+    saturation: float
 
     @cached_property
-    def steps(self) -> NormalEquations:
-        """Least squares about this model."""
+    def equations(self) -> NormalEquations:
+        """Normal equations about this model."""
         return build_normal_equations(self)
 
     @cached_property
     def depths(self) -> NDArray[np.float64]:
-        """(r,) normal score of the profile, see `edge_depths`."""
-        return edge_depths(self.level, self.edge, self.dark, self.step)
+        """(r,) normal score of the profile (`edge_depths`)."""
+        return edge_depths(self.profile, self.edge, self.gap, self.step)
 
     @cached_property
     def blur(self) -> tuple[float, float] | None:
-        """Blur of the edge of the microimages and its shape, None where they show none; see `edge_blur`."""
-        return edge_blur(self.depths, self.edge, self.step)
+        """Blur [px] and tail of the edge of the microimages (`estimate_edge_blur`)."""
+        return estimate_edge_blur(self.depths, self.edge, self.step)
 
     @property
     def whole(self) -> bool:
         """Whether no disc cuts the microimages."""
-        return not self.soft > 0
+        return not self.cut_blur > 0
 
     @property
-    def plain(self) -> bool:
-        """Whether no disc cuts the microimages and none of their pixels is clipped: gains from cores are right."""
-        return self.whole and not np.isfinite(self.full)
+    def gains_from_cores(self) -> bool:
+        """Whether the mean of its core gives the gain of a lens: nothing is cut or clipped."""
+        return self.whole and not np.isfinite(self.saturation)
+
+    @property
+    def radius(self) -> float:
+        """Distance from the centre [px] at which the profile falls to the mean of disc and gap."""
+        half = 0.5 * (float(np.median(self.profile[: max(2, len(self.profile) // 2)])) + self.gap)
+        return max(int(np.argmax(self.profile < half)), 1) * self.step
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Least squares of all lenses about the present model, the profile included.
+    """Normal equations about a model, the profile included.
 
     Parameters
     ----------
     normal, right : (n, 7, 7), (n, 7) float64
-        Normal matrix and right side of the local parameters, the gain last; where nothing is cut these are but three.
-    mixed : (n, 7 or 1, r) float64
-        Part of the normal matrix between local parameters and the profile; only of the gains where nothing is cut,
-        since whole microimages move without their profile.
-    profile, force : (r, r), (r,) float64
-        Part of the profile over all lenses; as `mixed`, `four` and `variance` without meaning where only places were
+        Normal matrix and right side of the local parameters, gain last; (n, 3, 3), (n, 3) where nothing is cut.
+    coupling : (n, 7, r) float64
+        Part of the normal matrix between local parameters and the profile. (n, 1, r), of the gains, where nothing is
+        cut: the position of a whole microimage is not correlated with its profile.
+    profile_normal, profile_right : (r, r), (r,) float64
+        Part of the profile over all lenses. These, `harmonic_step` and `variance` are empty if the profile was not
         asked for.
-    four : (r,) float64
-        Step of `Microimages.four`.
+    harmonic_step : (r,) float64
+        Step of `Microimages.harmonic`.
     variance : (r,) float64
         Mean squared residual over the radius, without outliers.
     scatter : (n,) float64
-        Mean of the weighted squared residuals of each lens, outliers at their limit, its `trust` left out.
+        Mean of the weighted squared residuals of each lens, outliers at their limit, `lens_weight` left out.
     cost : float
-        Mean of `scatter` over all pixels.
+        Mean of the same over all pixels.
     """
 
     normal: NDArray[np.float64]
     right: NDArray[np.float64]
-    mixed: NDArray[np.float64]
-    profile: NDArray[np.float64]
-    force: NDArray[np.float64]
-    four: NDArray[np.float64]
+    coupling: NDArray[np.float64]
+    profile_normal: NDArray[np.float64]
+    profile_right: NDArray[np.float64]
+    harmonic_step: NDArray[np.float64]
     variance: NDArray[np.float64]
     scatter: NDArray[np.float64]
     cost: float
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, chunks, total, count):
-    lenses, side = light.shape[0], light.shape[1]
+def _accumulate_profile(light, corners, centres, gain, cell, step, total, count):
+    normals, inradius, circumradius = cell
+    lenses, side, chunks = light.shape[0], light.shape[1], total.shape[0]
     for chunk in prange(chunks):
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
-            top, bottom = clip_rows(cy, reach, 0, side)
+            top, bottom = clip_rows(cy, circumradius, 0, side)
             for y in range(top, bottom):
                 dy = y - cy
-                left, right = clip_rows(cx, np.sqrt(max(reach * reach - dy * dy, 0.0)), 0, side)
+                half = np.sqrt(max(circumradius * circumradius - dy * dy, 0.0))
+                left, right = clip_rows(cx, half, 0, side)
                 for x in range(left, right):
                     dx = x - cx
                     rho = np.sqrt(dx * dx + dy * dy)
-                    if rho > inner and is_outside_cell(dx, dy, faces):
+                    if rho > inradius and is_outside_cell(dx, dy, normals):
                         continue
                     place = rho / step
                     ring = int(place)
@@ -183,74 +183,52 @@ def _accumulate_level(light, corners, centres, gain, faces, inner, reach, step, 
                     count[chunk, ring + 1] += part
 
 
-def find_edge(level: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(r,) where a profile falls from the disc into the gap."""
-    slope = -np.gradient(level)
-    core = float(np.median(level[: max(2, len(level) // 2)]))
-    half = 0.5 * (core + float(np.quantile(level, 0.1)))
-    crossing = int(np.argmax(level < half))
-    near = np.s_[max(crossing - 2, 0) : crossing + 2]
-    gentle = np.flatnonzero(slope < _STEEP * slope[near].max())
-    edge = np.ones(len(level), dtype=bool)
-    edge[: gentle[gentle < crossing - 1].max(initial=-1) + 1] = False
-    edge[gentle[gentle > crossing].min(initial=len(level)) :] = False
-    return edge
-
-
-def _calm(discs: Microimages) -> float:
-    """Radius [px] inside of which a microimage is so even that every few pixels say as much about it as all."""
-    radius = int(np.argmax(discs.edge)) * discs.step - _MARGIN
-    return radius if radius > _LARGE else 0.0
-
-
-def mean_profile(discs: Microimages) -> NDArray[np.float64]:
-    """(r,) mean profile of the lenses, whatever cuts them."""
-    total, count = np.zeros((_CHUNKS, len(discs.level))), np.zeros((_CHUNKS, len(discs.level)))
-    _accumulate_level(
-        discs.light, discs.corners, discs.centres, discs.gain, discs.faces, discs.inner, discs.reach, discs.step,
-        _CHUNKS, total, count,
-    )  # fmt: skip
+def mean_profile(lenses: Microimages) -> NDArray[np.float64]:
+    """(r,) mean radial profile of the lenses, cut or not."""
+    rings = len(lenses.profile)
+    total, count = np.zeros((_CHUNKS, rings)), np.zeros((_CHUNKS, rings))
+    cell = Cell(lenses.normals, lenses.inradius, lenses.circumradius)
+    _accumulate_profile(lenses.light, lenses.corners, lenses.centres, lenses.gain, cell, lenses.step, total, count)
     seen = np.flatnonzero(count.sum(0) > 0)
-    mean: NDArray[np.float64] = np.interp(np.arange(len(discs.level)), seen, total.sum(0)[seen] / count.sum(0)[seen])
+    mean: NDArray[np.float64] = np.interp(np.arange(rings), seen, total.sum(0)[seen] / count.sum(0)[seen])
     return mean
 
 
-def build_normal_equations(discs: Microimages, learn: bool = True) -> NormalEquations:
-    """Gauss-Newton steps of all local parameters of all lenses, over every pixel of their cells.
+def build_normal_equations(lenses: Microimages, learn: bool = True) -> NormalEquations:
+    """Normal equations of the local parameters of all lenses, over every pixel of their cells.
 
-    Of whole microimages, which move without their profile, the profile need not be learnt.
+    Without `learn` those of the profile are left out, which whole microimages do not need to move.
 
     Raises
     ------
     LinAlgError
-        If the model has run away: it is not finite, or explains no pixel.
+        If the model is not finite, or explains no pixel.
     """
-    known = (discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.level, discs.weight, discs.four)
-    if not all(np.isfinite(values).all() for values in (*known, discs.radius, discs.soft, discs.dark)):
+    values = (
+        lenses.centres, lenses.cut_offset, lenses.gain, lenses.lens_weight, lenses.slope, lenses.profile,
+        lenses.ring_weight, lenses.harmonic, lenses.cut_radius, lenses.cut_blur, lenses.gap,
+    )  # fmt: skip
+    if not all(np.isfinite(value).all() for value in values):
         raise np.linalg.LinAlgError("the model of the microimages is not finite")
-    lenses, rings = len(discs.centres), len(discs.level)
-    learn = learn or not discs.whole
-    own = _WHOLE if discs.whole else LOCAL_PARAMETERS
-    normal, right = np.zeros((lenses, own, own)), np.zeros((lenses, own))
-    mixed = np.zeros((lenses if learn else 0, 1 if discs.whole else LOCAL_PARAMETERS, rings))
-    band, scatter = np.zeros((_CHUNKS, rings, 11 if discs.whole else 8)), np.zeros((lenses, 2))
-    slope = np.gradient(discs.level, discs.step)
-    calm = _calm(discs)
-    tables = np.column_stack([discs.level, slope, discs.weight, discs.four])
-    if not discs.whole:
-        steep = discs.blur[1] if discs.blur else 0.0
-        accumulate_cut(
-            discs.light, discs.corners, discs.centres, discs.cut, discs.gain, discs.trust, discs.tilt, discs.radius,
-            discs.soft, discs.faces, discs.inner, discs.reach, discs.step, np.column_stack([tables, discs.depths]),
-            discs.edge, calm, *thinned(calm), discs.shared, steep, discs.dark, discs.full, _CHUNKS, normal, right,
-            mixed, band, scatter,
-        )  # fmt: skip
-    else:
-        accumulate_whole(
-            discs.light, discs.corners, discs.centres, discs.gain, discs.trust, discs.tilt, discs.faces, discs.inner,
-            discs.reach, discs.step, tables, calm, *thinned(calm), discs.full, _CHUNKS, learn, normal, right, mixed,
-            band, scatter,
-        )  # fmt: skip
+    count, rings, whole = len(lenses.centres), len(lenses.profile), lenses.whole
+    learn = learn or not whole
+    own = 3 if whole else LOCAL_PARAMETERS
+    sums = Sums(
+        np.zeros((count, own, own)),
+        np.zeros((count, own)),
+        np.zeros((count if learn else 0, 1 if whole else own, rings)),
+        np.zeros((_CHUNKS, rings, 11 if whole else 12)),
+        np.zeros((count, 2)),
+    )
+    accumulate(
+        Lenses(lenses.light, lenses.corners, lenses.centres, lenses.gain, lenses.lens_weight, lenses.slope),
+        Cell(lenses.normals, lenses.inradius, lenses.circumradius),
+        _kernel_profile(lenses),
+        None if whole else _kernel_cut(lenses),
+        learn,
+        sums,
+    )
+    normal, right, coupling, band, scatter = sums
     for row in range(1, own):
         normal[:, row, :row] = normal[:, :row, row]
     misfit, number = scatter.sum(0)
@@ -259,37 +237,169 @@ def build_normal_equations(discs: Microimages, learn: bool = True) -> NormalEqua
         if not (normal[:, 0, 0] > 0).any():
             raise np.linalg.LinAlgError("the model of the microimages explains no pixel")
         none = np.zeros(0)
-        return NormalEquations(normal, right, mixed, none, none, none, none, spread, cost)
-    rows = by_ring(band.sum(0)) if discs.whole else band.sum(0)
-    main, side, force, total, turned, turned_own, squares, count = rows.T
+        return NormalEquations(normal, right, coupling, none, none, none, none, spread, cost)
+    main, side, force, total, turned, turned_own, squares, pixels = sum_by_ring(band.sum(0)).T
     if not (main > 0).any():
         raise np.linalg.LinAlgError("the model of the microimages explains no pixel")
-    # Rings that hardly a pixel fell into are like their neighbours; where lenses lie alike to the pixels, only the
-    # smoothness of the profile tells where between the pixels an edge is.
+    # Rings that hardly a pixel fell into follow their neighbours. Where all lenses lie alike to the pixels, only the
+    # smoothness of the profile tells where between two pixels an edge is.
     stiff = float(np.median(main[main > 0])) * _stiffness(rings)
     profile = np.diag(main) + np.diag(side[:-1], 1) + np.diag(side[:-1], -1) + stiff
     # Rings that hardly any light reaches through the cutting disc move slowly.
-    profile += _SLOW * np.diag(total)
-    settled = turned_own + _SLOW * (total + max(float(np.median(total)), 1e-30))
+    profile += PROFILE.least_light * np.diag(total)
+    settled = turned_own + PROFILE.least_light * (total + max(float(np.median(total)), 1e-30))
     return NormalEquations(
-        normal, right, mixed, profile, force - stiff @ discs.level, turned / settled, _smooth_variance(squares, count),
-        spread, cost,
+        normal, right, coupling, profile, force - stiff @ lenses.profile, turned / settled,
+        _smooth_variance(squares, pixels), spread, cost,
+    )  # fmt: skip
+
+
+def _kernel_profile(lenses: Microimages) -> Profile:
+    """The profile, with the radius [px] up to which microimages are even, and how many pixels are enough there."""
+    even = int(np.argmax(lenses.edge)) * lenses.step - PROFILE.even_margin
+    even = even if even > PROFILE.even_radius else 0.0
+    choices, fewest = PROFILE.thinning, PROFILE.least_even_pixels
+    thin, aside = next((pair for pair in choices if np.pi * even**2 / pair[0] > fewest), choices[-1])
+    slope = np.gradient(lenses.profile, lenses.step)
+    rings = np.column_stack([lenses.profile, slope, lenses.ring_weight, lenses.harmonic])
+    return Profile(lenses.step, rings, even, thin, aside, lenses.saturation)
+
+
+def _kernel_cut(lenses: Microimages) -> Cut:
+    tail = lenses.blur[1] if lenses.blur else 0.0
+    return Cut(
+        lenses.cut_offset, lenses.cut_radius, lenses.cut_blur, lenses.correlation, tail, lenses.gap, lenses.edge,
+        lenses.depths,
     )  # fmt: skip
 
 
 @lru_cache(8)
 def _stiffness(rings: int) -> NDArray[np.float64]:
-    """(r, r) weights of steps and bends of a profile."""
+    """(r, r) weights of steps and second differences of a profile."""
     flat, bend = np.diff(np.eye(rings), axis=0), np.diff(np.eye(rings), 2, axis=0)
-    stiff: NDArray[np.float64] = _STIFF * flat.T @ flat + _SMOOTH * bend.T @ bend
+    stiff: NDArray[np.float64] = PROFILE.slope_weight * flat.T @ flat + PROFILE.bend_weight * bend.T @ bend
     stiff.flags.writeable = False
     return stiff
 
 
 def _smooth_variance(squares: NDArray[np.float64], count: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(r,) mean square; few pixels say little about their spread, so neighbouring rings are taken together."""
+    """(r,) mean square over five rings, shrunk to that of all by ten pixels."""
     near = np.ones(5)
     total, number = np.convolve(squares, near, "same"), np.convolve(count, near, "same")
     overall = total.sum() / max(number.sum(), 1)
     variance: NDArray[np.float64] = (total + 10 * overall) / (number + 10)
     return variance
+
+
+@dataclass(frozen=True)
+class ReducedEquations:
+    """Normal equations without the gains: of the local parameters (n, m), of the profile (r,), and between them.
+
+    `m` is 6, or 2 where nothing is cut. `coupling` (n, 7, r) still has the row of the gains: that of another parameter
+    is its own row less its `gain_share` (n, m) of the last one. It is empty where nothing is cut.
+    """
+
+    normal: NDArray[np.float64]
+    right: NDArray[np.float64]
+    gain_share: NDArray[np.float64]
+    coupling: NDArray[np.float64]
+    profile_normal: NDArray[np.float64]
+    profile_right: NDArray[np.float64]
+
+    @cached_property
+    def _factors(self) -> NDArray[np.float64]:
+        """Cholesky factors of the profile, used by all solutions of one step."""
+        # Compiled code has loaded this module already.
+        from scipy.linalg.lapack import dpotrf
+
+        factors, failed = dpotrf(self.profile_normal, lower=1)
+        if failed:
+            raise np.linalg.LinAlgError("the pixels do not tell the profile of the microimages")
+        return np.asarray(factors)
+
+    def solve_profile(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(r, k) or (r,) steps of the profile for right sides of that shape; LinAlgError if there are none."""
+        from scipy.linalg.lapack import dpotrs
+
+        return np.asarray(dpotrs(self._factors, right, lower=1)[0])
+
+    def append_gains(self, columns: NDArray[np.float64], half: NDArray[np.bool_] | slice) -> NDArray[np.float64]:
+        """(n, m + 1, p) change of the local parameters of a part of the lenses and of the gains that follow."""
+        return np.concatenate([columns, -(self.gain_share[half][:, None] @ columns)], axis=1)
+
+
+def eliminate_gains(
+    equations: NormalEquations, profile: NDArray[np.float64], reweight: NDArray[np.float64] | None = None
+) -> ReducedEquations:
+    """Schur complement of the gains; `reweight` (n,) is by what factor weights of lenses have changed since."""
+    own = np.maximum(equations.normal[:, -1, -1], 1e-30)
+    share = equations.normal[:, :-1, -1] / own[:, None]
+    normal = equations.normal[:, :-1, :-1] - share[:, :, None] * equations.normal[:, None, :-1, -1]
+    right = equations.right[:, :-1] - share * equations.right[:, [-1]]
+    coupling = equations.coupling[:, : 0 if equations.coupling.shape[1] == 1 else None]
+    if reweight is not None:
+        normal, right = normal * reweight[:, None, None], right * reweight[:, None]
+    if len(equations.profile_right) == 0:
+        none = equations.profile_right
+        return ReducedEquations(normal, right, share, coupling, equations.profile_normal, none)
+    gain = equations.coupling[:, -1]
+    even = gain / np.sqrt(own)[:, None]
+    # Gains and profile share one scale: the norm of the profile is kept.
+    scale = np.trace(equations.profile_normal) / (profile @ profile) * np.outer(profile, profile)
+    return ReducedEquations(
+        normal, right, share, coupling, equations.profile_normal - even.T @ even + scale,
+        equations.profile_right - (equations.right[:, -1] / own) @ gain,
+    )  # fmt: skip
+
+
+def solve_robustly(
+    jacobian: NDArray[np.float64],
+    reduced: ReducedEquations,
+    half: NDArray[np.bool_] | slice,
+    before: NDArray[np.float64] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Change (p,) of the global parameters, covariance (p, p) and weights (n,) of a part of the lenses.
+
+    Weights are Tukey's, of the distance of each lens from the common change. Those of all lenses `before` (n,), in
+    nearly the same state, need only one pass.
+    """
+    columns = np.ascontiguousarray(jacobian[half])
+    normal, right = reduced.normal[half], reduced.right[half]
+    part = len(columns) / len(reduced.normal)
+    lenses, local, globals_ = columns.shape
+    inverse = invert_2x2(normal[:, :2, :2] + regularisation(normal))
+    force, matter = right.reshape(-1), (normal @ columns).reshape(-1, globals_)
+    if reduced.coupling.shape[1]:
+        all_local = reduced.append_gains(columns, half)
+        coupling = reduced.coupling[half].reshape(lenses * (local + 1), -1)
+    weight = np.ones(lenses) if before is None else before[half]
+    for _ in range(GAUSS_NEWTON.robust_passes if before is None else 1):
+        weighted = (weight[:, None, None] * columns).reshape(-1, globals_).T
+        information, pull = weighted @ matter, weighted @ force
+        if reduced.coupling.shape[1]:
+            # The profile changes along with the parameters: what it can explain is no information on them.
+            joint = (weight[:, None, None] * all_local).reshape(len(coupling), -1).T @ coupling
+            taken = reduced.solve_profile(joint.T).T / part
+            information -= taken @ joint.T / weight.mean()
+            pull -= part * taken @ reduced.profile_right
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-30))
+        covariance = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
+        change = covariance @ pull
+        left = right[:, :2] - (matter @ change).reshape(lenses, local)[:, :2]
+        far = left[:, 0] ** 2 * inverse[:, 0, 0] + left[:, 1] ** 2 * inverse[:, 1, 1]
+        far += 2 * left[:, 0] * left[:, 1] * inverse[:, 0, 1]
+        weight, variance = tukey_weights(far)
+    return change, covariance * variance, weight
+
+
+def regularisation(normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(2, 2) added to normal matrices (n, m, m) of positions, so that those of blank lenses can be inverted."""
+    ridge: NDArray[np.float64] = 1e-9 * np.trace(normal[:, :2, :2].sum(0)) / len(normal) * np.eye(2)
+    return ridge
+
+
+def invert_2x2(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 2, 2) inverses of symmetric positive matrices; LAPACK takes several times as long for such small ones."""
+    xx, xy, yy = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    over = 1 / np.maximum(xx * yy - xy * xy, np.finfo(float).tiny)
+    return np.stack([yy * over, -xy * over, -xy * over, xx * over], axis=1).reshape(-1, 2, 2)

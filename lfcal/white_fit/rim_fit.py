@@ -1,7 +1,7 @@
-"""Find the disc that cuts microimages (cat-eye) from where their rims lie in parts of the field.
+"""Two discs that cut each other, fitted to the rims of microimages in parts of the field.
 
-Where lens shapes are cut from two discs, either could be the microimage: rims are the same with both in each other's
-place.
+Both discs are displaced in proportion to the position in the field; the rim is where the first of them ends. Rims are
+the same with the two discs interchanged: which of them is the microimage is not decided here.
 """
 
 from __future__ import annotations
@@ -11,82 +11,55 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RimFit", "fit_best_rim", "fit_rims"]
+from .settings import RIM
 
-# Displacements in the corner and radii, in radii of the microimage, from which the fit starts, and the part of the
-# displacement by which the lattice may have followed what is left of the microimages.
-_GROWTHS = (0.15, 0.35, 0.6)
-_RADII = (1.0, 1.1, 1.25)
-_FOLLOWED = (0.0, 0.4)
-_TURNS = 12
-# Step by which slopes are taken [px], and the share by which the squares must fall for another turn.
-_NUDGE, _ENOUGH = 1e-3, 1e-4
-# Where two rims cross, blur takes light from both: so many px there, times the logarithm of 2, of edges that are half a
-# pixel soft and mostly blurred together.
-_CROSSING = 0.22
-# Cuts whose rims differ in the mean square by less than this share of what one leaves over are the same.
-_OTHER = 0.1
-# A cut must explain this share of the squared deviations of the rim from a circle, and at least so many px (RMS).
-_EXPLAINS, _MATTERS = 0.8, 0.05
+__all__ = ["RimFit", "fit_best_rim", "fit_rims"]
 
 
 @dataclass(frozen=True)
 class RimFit:
-    """A disc cut by another, both displaced in proportion to the place in the field.
+    """A disc cut by another.
 
     Parameters
     ----------
-    own, whole : float [px]
-        Displacement of the microimages themselves in the corner, what the lattice misses, and their radius.
+    lattice_growth, disc_radius : float [px]
+        Displacement of the microimages themselves in the corner, which the lattice misses, and their radius.
     shift : (2,) float64 [px]
     growth, radius : float [px]
         As of `CatEye`.
-    left : float [px^2]
-        Mean square of what the rims are off it.
+    residual : float [px^2]
+        Mean squared residual of the rims.
     """
 
-    own: float
-    whole: float
+    lattice_growth: float
+    disc_radius: float
     shift: NDArray[np.float64]
     growth: float
     radius: float
-    left: float
-
-
-def _rim(
-    parameters: NDArray[np.float64], field: NDArray[np.float64], along: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """(n, d) distance from the centre to the rim of an own disc cut by another."""
-    own, radius, growth, cutting, sx, sy = parameters
-    rims = []
-    for centre, r in ((own * field, radius), (growth * field + (sx, sy), cutting)):
-        ahead = centre @ along.T
-        aside = (centre**2).sum(1)[:, None] - ahead**2
-        rims.append(ahead + np.sqrt(np.maximum(r * r - aside, 0)))
-    apart = np.abs(rims[0] - rims[1])
-    return np.asarray(np.minimum(*rims) - _CROSSING * np.log1p(np.exp(-apart / _CROSSING)))
+    residual: float
 
 
 def fit_best_rim(rim: NDArray[np.float64], weight: NDArray[np.float64], field: NDArray[np.float64]) -> RimFit | None:
-    """The first of `fit_rims`, or None where rims are as good as round, or no pixel shows any."""
+    """The best of `fit_rims`, or None if rims are as good as circular, or no pixel shows any."""
     if not weight.any():
         return None
     mean = float(np.average(rim, weights=weight))
-    plain = float(np.average((rim - mean) ** 2, weights=weight))
-    if plain < _MATTERS**2:
+    circle = float(np.average((rim - mean) ** 2, weights=weight))
+    if circle < RIM.least_effect**2:
         return None
-    found = fit_rims(rim, weight, field)[0]
-    return None if found.left > (1 - _EXPLAINS) * plain or plain - found.left < _MATTERS**2 else found
+    best = fit_rims(rim, weight, field)[0]
+    clear = best.residual <= (1 - RIM.explained) * circle and circle - best.residual >= RIM.least_effect**2
+    return best if clear else None
 
 
 def fit_rims(rim: NDArray[np.float64], weight: NDArray[np.float64], field: NDArray[np.float64]) -> list[RimFit]:
-    """Cuts that explain where rims lie, the best one first: of discs displaced inwards and outwards.
+    """Pairs of discs that explain the rims, the best one first: with the cut displaced outwards, and inwards.
 
     Parameters
     ----------
     rim, weight : (n, d) float64 [px]
         Distance of the rim from the centre in `d` directions, counted from +x clockwise on the screen, in `n` parts
-        of the field, and how much each counts.
+        of the field, and weights of these distances.
     field : (n, 2) float64
         Where the parts lie, of length 1 in the corners.
     """
@@ -95,48 +68,58 @@ def fit_rims(rim: NDArray[np.float64], weight: NDArray[np.float64], field: NDArr
     widest = float(np.percentile(rim[weight > 0], 90))
     share = weight / weight.sum()
 
-    def misfit(p: NDArray[np.float64]) -> float:
-        return float((share * (rim - _rim(p, field, along)) ** 2).sum())
+    def cost(p: NDArray[np.float64]) -> float:
+        return float((share * (rim - _predict_rim(p, field, along)) ** 2).sum())
 
     found: list[tuple[RimFit, NDArray[np.float64]]] = []
-    for growths in (_GROWTHS, [-g for g in _GROWTHS]):
+    for growths in (RIM.start_growths, [-g for g in RIM.start_growths]):
         starts = [
             np.array([-f * g * widest, widest, (1 - f) * g * widest, r * widest, 0.0, 0.0])
-            for g in growths for r in _RADII for f in _FOLLOWED
+            for g in growths for r in RIM.start_radii for f in RIM.start_shares
         ]  # fmt: skip
-        best, left = _settled(min(starts, key=misfit), rim, share, field, along)
-        own, whole, growth, radius, sx, sy = best.tolist()
-        rims = _rim(best, field, along)
-        # Discs of one size may be found twice, each in the other's place.
-        if all((share * (rims - other) ** 2).sum() > _OTHER * left for _, other in found):
-            found.append((RimFit(own, whole, np.array([sx, sy]), growth, radius, left), rims))
-    return sorted((cut for cut, _ in found), key=lambda cut: cut.left)
+        best, left = _levenberg_marquardt(min(starts, key=cost), rim, share, field, along)
+        own, disc, growth, radius, sx, sy = best.tolist()
+        rims = _predict_rim(best, field, along)
+        # Discs of one size may be found twice, once interchanged.
+        if all((share * (rims - other) ** 2).sum() > RIM.distinct * left for _, other in found):
+            found.append((RimFit(own, disc, np.array([sx, sy]), growth, radius, left), rims))
+    return sorted((fit for fit, _ in found), key=lambda fit: fit.residual)
 
 
-def _settled(
+def _predict_rim(
+    parameters: NDArray[np.float64], field: NDArray[np.float64], along: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(n, d) distance from the centre to the nearer of two discs' edges, rounded where these cross."""
+    own, radius, growth, cut_radius, sx, sy = parameters
+    rims = []
+    for centre, r in ((own * field, radius), (growth * field + (sx, sy), cut_radius)):
+        ahead = centre @ along.T
+        aside = (centre**2).sum(1)[:, None] - ahead**2
+        rims.append(ahead + np.sqrt(np.maximum(r * r - aside, 0)))
+    apart = np.abs(rims[0] - rims[1])
+    return np.asarray(np.minimum(*rims) - RIM.crossing * np.log1p(np.exp(-apart / RIM.crossing)))
+
+
+def _levenberg_marquardt(
     best: NDArray[np.float64], rim: NDArray[np.float64], share: NDArray[np.float64], field: NDArray[np.float64],
     along: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], float]:  # fmt: skip
-    """Parameters of `_rim` by damped least squares (Marquardt 1963), and the mean square that is left."""
+    """Parameters of `_predict_rim` by damped least squares (Marquardt 1963), and the mean squared residual."""
     root = np.sqrt(share)
-    miss = root * (rim - _rim(best, field, along))
+    miss = root * (rim - _predict_rim(best, field, along))
     least, damping = float((miss**2).sum()), 1e-2
     fresh = True
-    for _ in range(_TURNS):
+    for _ in range(RIM.turns):
         if fresh:
-            table = np.column_stack(
-                [
-                    ((root * (rim - _rim(best + step, field, along)) - miss) / -_NUDGE).ravel()
-                    for step in _NUDGE * np.eye(6)
-                ]
-            )
+            nearby = (rim - _predict_rim(best + step, field, along) for step in RIM.difference * np.eye(6))
+            table = np.column_stack([((root * other - miss) / -RIM.difference).ravel() for other in nearby])
             normal, force = table.T @ table, table.T @ miss.ravel()
         trial = best + np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + 1e-9 * np.eye(6), force)
-        left = root * (rim - _rim(trial, field, along))
+        left = root * (rim - _predict_rim(trial, field, along))
         cost = float((left**2).sum())
         fresh = cost < least
         if fresh:
-            done = least - cost < _ENOUGH * least
+            done = least - cost < RIM.converged * least
             best, least, miss, damping = trial, cost, left, 0.3 * damping
             if done:
                 break

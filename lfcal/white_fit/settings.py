@@ -1,16 +1,15 @@
-"""Tuned values of the fit of a white image, one dataclass a stage; set by hand on simulated white images if not said."""
+"""Tuned values of the fit of a white image, one dataclass a stage; set by hand where no source is given."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = [
-    "CUTOUTS", "EDGE", "FIT", "GAUSS_NEWTON", "KERNEL", "LARGE", "MODEL", "PROFILE", "RIM", "SHADING", "TUKEY",
-    "VIGNETTING", "FitSettings", "GaussNewtonSettings", "LargeSettings",
-]  # fmt: skip
+from ..lattice.robust_fit import TUKEY_CUTOFF
 
-# Tukey's biweight drops residuals beyond so many standard deviations: 95 % efficient for normal residuals.
-TUKEY = 4.685
+__all__ = [
+    "CUTOUTS", "EDGE", "FIT", "GAUSS_NEWTON", "KERNEL", "LARGE", "MODEL", "PROFILE", "RIM", "SHADING", "VIGNETTING",
+    "FitSettings", "GaussNewtonSettings", "LargeSettings",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -60,8 +59,7 @@ class GaussNewtonSettings:
     single_passes: int = 5  # passes to locate a single lens
     single_step: float = 0.5  # [px] longest of its steps
     single_weight: float = 1e-9  # weight of such a lens, so low that no pixel counts as an outlier
-    outlier: float = TUKEY  # [standard deviations] lenses farther off have no weight
-    robust_turns: int = 3  # reweightings of lenses within one step
+    robust_passes: int = 3  # reweightings of lenses within one step
 
 
 @dataclass(frozen=True)
@@ -80,7 +78,7 @@ class ModelSettings:
 class KernelSettings:
     """Tuned values of `kernel`."""
 
-    outlier: float = TUKEY  # [standard deviations] pixels farther off have no weight
+    outlier: float = TUKEY_CUTOFF  # [standard deviations] pixels farther off have no weight
     cut_edge: float = 3.0  # [blur] beyond so far from its middle the edge of the cut is all or nothing
 
 

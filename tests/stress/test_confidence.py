@@ -223,8 +223,8 @@ def test_profiles_reach_to_the_corners_of_cells_that_have_grown():
     small, large = (
         WhiteModel(lfcal.Lattice(truth.origin, grown * truth.basis, truth.size, 28.0), None) for grown in (0.96, 1.0)
     )
-    known = cut_out_lenses(tones, small, 1e6, 12, None)[0].discs
-    discs = cut_out_lenses(tones, large, 1e6, 12, known)[0].discs
+    known = cut_out_lenses(tones, small, 1e6, 12, None)[0].lenses
+    lenses = cut_out_lenses(tones, large, 1e6, 12, known)[0].lenses
     # Pixels in the corner are shared out to the ring before and the one after them.
-    for values in (discs.level, discs.weight, discs.four, discs.edge):
-        assert len(values) >= int(discs.reach / discs.step) + 2
+    for values in (lenses.profile, lenses.ring_weight, lenses.harmonic, lenses.edge):
+        assert len(values) >= int(lenses.circumradius / lenses.step) + 2

@@ -15,7 +15,7 @@ from lfcal.images.preprocessing import edge_strength, normalise_locally, sqrt_lu
 from lfcal.lattice.distortion import Distortion
 from lfcal.lattice.lattice import Lattice
 from lfcal.lattice.robust_fit import field_rms
-from lfcal.scene_fit.fit import _standard_error, fit_scene
+from lfcal.scene_fit.fit import Acceleration, fit_scene, measure_shifts, move_lattice, select_lenses, standard_error
 from lfcal.scene_fit.irls import LensShifts, _weighted_quantile, error_inflation, solve_irls
 
 
@@ -125,17 +125,15 @@ def test_most_of_a_flat_dragged_along_with_its_texture_has_no_say(whites):
 
 
 def test_a_fit_whose_steps_fall_short_is_followed_to_its_end():
-    from lfcal.scene_fit import fit as scene_fit
-
     lattice = Lattice(np.array([10.0, 12.0]), np.array([[20.0, 0.0], [10.0, 17.0]]), (400, 300), 10.0)
     design = np.column_stack([np.ones(len(lattice)), lattice.indices()])
     wanted = np.array([[0.3, -0.2], [0.02, -0.01], [0.005, 0.03]])
     # Scale is followed by a fifth of what is left, the origin at once.
     share = np.array([[1.0], [0.2], [0.3]])
-    path, now = scene_fit._Path([], []), lattice
+    path, now = Acceleration([], []), lattice
     for _ in range(8):
         left = wanted - np.vstack([now.origin - lattice.origin, now.basis - lattice.basis])
-        now = scene_fit._moved(now, path.leap(now, share * left, design))
+        now = move_lattice(now, path.leap(now, share * left, design))
     miss = design @ (wanted - np.vstack([now.origin - lattice.origin, now.basis - lattice.basis]))
     # Steps as they are asked for would leave a sixth of it, 0.04 px.
     assert np.sqrt((miss**2).sum(1).mean()) < 0.001
@@ -177,14 +175,12 @@ def test_square_lattice_of_70_px_is_fitted_on_every_third_pixel(whites):
 
 
 def test_lenses_that_a_step_moves_over_the_edge_of_the_flat_say_nothing(whites):
-    from lfcal.scene_fit import fit as scene_fit
-
     basis = whites.turned(whites.HEXAGON, 20.3, 3)
     image, origin = whites.white_image(basis, (300, 260))
     lattice = lfcal.Lattice(origin, basis, (300, 260), 10.0)
-    indices = scene_fit._chosen(lattice, 1000)
+    indices = select_lenses(lattice, 1000)
     moved = lfcal.Lattice(origin + np.array([60.0, 0.0]), basis, (300, 260), 10.0)
-    variance = scene_fit._look(image.astype(np.float32), moved, indices, 1).variance
+    variance = measure_shifts(image.astype(np.float32), moved, indices, 1).variance
     over = moved.points(indices)[:, 0] > 299
     assert over.sum() > 10
     assert np.isinf(variance[over]).all()
@@ -213,7 +209,7 @@ def test_standard_error_of_agreeing_lenses_is_the_spread_of_what_they_agree_on()
         step = rng.normal(0, 0.1, (len(design), 2)) * np.sqrt(variance)[:, None]
         steps = LensShifts(design, step, variance, 14.0 * np.eye(2))
         change, share = solve_irls(steps)
-        stated.append(_standard_error(steps, change, share) * error_inflation(steps, share))
+        stated.append(standard_error(steps, change, share) * error_inflation(steps, share))
         found.append(field_rms(steps.design, change))
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(np.sqrt(np.mean(np.square(stated))), rel=0.15)
 

@@ -8,9 +8,8 @@ import pytest
 import lfcal
 from benchmarks.calibration_bound import centre_error
 from benchmarks.white_images import WhiteImage
-from lfcal.white_fit.edge_profile import edge_blur, edge_depths
+from lfcal.white_fit.edge_profile import edge_depths, estimate_edge_blur, find_edge
 from lfcal.white_fit.model import CatEye
-from lfcal.white_fit.normal_equations import find_edge
 
 STEP, RADIUS, GAP = 0.125, 6.0, 0.05
 
@@ -40,7 +39,7 @@ def two_sided(offsets):
 def test_blur_and_its_tails_are_told(kernel, least, most):
     level = profile(kernel)
     edge = find_edge(level)
-    soft, steep = edge_blur(edge_depths(level, edge, GAP, STEP), edge, STEP)
+    soft, steep = estimate_edge_blur(edge_depths(level, edge, GAP, STEP), edge, STEP)
     assert least <= steep <= most
     assert soft == pytest.approx(0.45, rel=0.02 if kernel is normal else 0.2)
 
@@ -56,18 +55,18 @@ def test_depths_do_not_know_of_shading():
 def test_profiles_without_an_edge_tell_no_blur():
     level = np.full(80, 0.7)
     edge = np.zeros(80, dtype=bool)
-    assert edge_blur(edge_depths(level, edge, 0.7, STEP), edge, STEP) is None
+    assert estimate_edge_blur(edge_depths(level, edge, 0.7, STEP), edge, STEP) is None
 
 
 def test_edges_share_at_least_the_blur_of_the_pixels():
     eye = CatEye(np.zeros(2), np.array([1.0, 0.0, 0.0]), 5.0, 0.6, 0.3)
-    assert eye.least_shared == pytest.approx(1 / 12 / 0.36)
+    assert eye.least_correlation == pytest.approx(1 / 12 / 0.36)
     # A step changes the softness by a third at most.
-    sharper = eye.blurred(0.3)
-    assert sharper.soft == pytest.approx(0.42)
-    assert sharper.shared == pytest.approx(1 / 12 / 0.42**2)
-    assert eye.blurred(0.62).shared == 0.3
-    assert eye.blurred(0.1).blurred(0.1).blurred(0.1).blurred(0.1).soft == pytest.approx(0.2)
+    sharper = eye.with_blur(0.3)
+    assert sharper.blur == pytest.approx(0.42)
+    assert sharper.correlation == pytest.approx(1 / 12 / 0.42**2)
+    assert eye.with_blur(0.62).correlation == 0.3
+    assert eye.with_blur(0.1).with_blur(0.1).with_blur(0.1).with_blur(0.1).blur == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize(

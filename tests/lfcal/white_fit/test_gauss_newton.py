@@ -65,7 +65,7 @@ def test_some_lenses_are_enough_where_they_are_cut(drawn, monkeypatch):
 
 
 def test_step_is_held_back_where_least_squares_are_least_sure():
-    names = ["origin", "origin", "growth", "radius", "growth2", "shared"]
+    names = ["origin", "origin", "growth", "radius", "growth2", "correlation"]
     eye = CatEye(np.zeros(2), np.array([1.0, 0.0, 0.0]), 5.0, 0.5)
     limits = step_limits(eye, names)
     assert np.isinf(limits[:2]).all()
@@ -79,17 +79,17 @@ def test_step_is_held_back_where_least_squares_are_least_sure():
     whole = StepResult(
         change, np.zeros(6), 1.0, 0.0, 0.0, 3, names, covariance, columns, None, *np.zeros((2, 3, 2)), np.ones(3)
     )
-    held = gauss_newton._held(whole, limits)
+    held = gauss_newton._damp(whole, limits)
     assert np.abs(held.change / limits).max() <= 1
     assert held.change[2] > 0.25
     assert held.change[2] - held.change[3] == pytest.approx(0.1, abs=0.02)
     np.testing.assert_allclose(held.change[:2], change[:2])
-    assert held.moved == pytest.approx(np.hypot(0.3, 0.2))
-    assert gauss_newton._held(held, limits) is held
+    assert held.shift_rms == pytest.approx(np.hypot(0.3, 0.2))
+    assert gauss_newton._damp(held, limits) is held
     # What is known for certain is held back too, and nothing else with it.
     certain = np.diag([1e-6, 1e-6, 1e-2, 1e-2, 1e-2, 0.0])
     change = np.array([0.3, -0.2, 0.1, 0.1, 0.01, -0.7])
-    held = gauss_newton._held(replace(whole, change=change, covariance=certain), limits)
+    held = gauss_newton._damp(replace(whole, change=change, covariance=certain), limits)
     np.testing.assert_allclose(held.change[:5], change[:5], rtol=0.05)
     assert held.change[5] == -limits[5]
 
@@ -97,15 +97,15 @@ def test_step_is_held_back_where_least_squares_are_least_sure():
 def test_step_of_a_known_profile_leaves_a_tenth_of_itself_at_most(white, monkeypatch):
     truth, image = white
     moves = []
-    original = gauss_newton._solved
+    original = gauss_newton._solve_step
 
     def seen(state, *arguments, **options):
         summary = original(state, *arguments, **options)
-        moves.append((len(state.indices), summary.moved))
+        moves.append((len(state.indices), summary.shift_rms))
         return summary
 
-    monkeypatch.setattr(gauss_newton, "_solved", seen)
-    monkeypatch.setattr(gauss_newton, "_NEAR", 0.0)
+    monkeypatch.setattr(gauss_newton, "_solve_step", seen)
+    monkeypatch.setattr(gauss_newton, "_is_near", lambda step: False)
     start = Lattice(truth.origin + 0.05, truth.basis * 1.00003, truth.size, 5.0)
     from lfcal.white_fit.fit import fit_white
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from lfcal.lattice.lens_subset import StackedCrops, select_whole_lenses
 from lfcal.runtime.errors import CalibrationError
 from lfcal.white_fit import fit as white_fit
 from lfcal.white_fit import large
+from lfcal.white_fit.settings import FIT, LARGE
 
 _SIZE = (1300, 1000)
 
@@ -25,13 +27,12 @@ _SIZE = (1300, 1000)
 def followed(monkeypatch, set_downscale):
     """Small images count as large; the lattices that were followed over them."""
     set_downscale(pieces=5e5)
-    monkeypatch.setattr(large, "_PIECE", 300)
-    monkeypatch.setattr(large, "_FOLLOW", (14, 100))
+    settings = replace(LARGE, first_side=300, piece_side=100)
     found = []
     original = large.find_white_lattice
 
     def seen(*args, **options):
-        found.append(original(*args, **options))
+        found.append(original(*args, **options, settings=settings))
         return found[-1]
 
     monkeypatch.setattr(large, "find_white_lattice", seen)
@@ -42,8 +43,8 @@ def followed(monkeypatch, set_downscale):
 def in_parts(followed, monkeypatch, set_downscale):
     """Small images count as too large to be held as a whole."""
     set_downscale(pieces=5e5, large=5e5, enough=2e5, part=400)
-    monkeypatch.setattr(large, "_SIDE", 160)
-    monkeypatch.setattr(large, "_PIXELS", 6e5)
+    settings = replace(LARGE, sample_side=160, sample_pixels=6e5)
+    monkeypatch.setattr(large, "sample_parts", partial(large.sample_parts, settings=settings))
     return followed
 
 
@@ -121,14 +122,14 @@ def test_scene_with_an_even_middle_is_no_white_image(followed):
 
 
 def test_large_image_is_fitted_with_as_many_lenses_as_are_needed(monkeypatch):
-    for name, value in (("_ALL", 1e5), ("_FEW", (2e4, 50)), ("_SOME", (5e4, 50))):
-        monkeypatch.setattr(white_fit, name, value)
+    settings = replace(FIT, all_pixels=1e5, search_pixels=2e4, search_lenses=50, order_pixels=5e4, order_lenses=50)
+    monkeypatch.setattr(white_fit, "fit_white", partial(white_fit.fit_white, settings=settings))
     truth = white_images.WhiteImage("hexagonal", 14.3, 3.0, 40.0, size=(900, 700))
     image = truth.image()
     camera = lfcal.calibrate(image)
     assert 12 < camera.lenses_used < 0.5 * len(camera.lattice)
     error = np.sqrt((camera.errors.of_centres(camera.lattice) ** 2).mean())
-    assert error < white_fit._FINE
+    assert error < FIT.target_error
     assert _error(camera, truth) < 3 * error
 
 
@@ -153,7 +154,7 @@ def test_lenses_of_a_large_lattice_are_gathered_piece_by_piece(basis, monkeypatc
     straight = Lattice([400.3, 300.2], basis, (800, 600), 4.0)
     points = straight.points(np.column_stack([x, y]))
     on = ((points >= -0.5) & (points < [799.5, 599.5])).all(1)
-    monkeypatch.setattr(lattice, "_TOGETHER", 500)
+    monkeypatch.setattr(lattice, "DEFAULT", replace(lattice.DEFAULT, chunk=500))
     pieces = replace(straight)
     assert {tuple(ij) for ij in pieces.indices().tolist()} == set(zip(x[on].tolist(), y[on].tolist(), strict=True))
     assert len(pieces) == on.sum()

@@ -28,11 +28,11 @@ def _rims(own, whole, growth, radius, shift):
 def test_both_discs_are_found_from_their_common_rim(own, growth, radius):
     rims, field = _rims(own, 10.0, growth, radius, np.array([0.15, -0.1]))
     found = fit_rims(rims, np.ones_like(rims), field)[0]
-    discs = sorted([(found.whole, found.own), (found.radius, found.growth)])
+    discs = sorted([(found.disc_radius, found.lattice_growth), (found.radius, found.growth)])
     if radius > 10.0:
         np.testing.assert_allclose(discs, [(10.0, own), (radius, growth)], atol=0.2)
     assert sorted(way for _, way in discs) == pytest.approx(sorted([own, growth]), abs=0.2)
-    assert np.sqrt(found.left) < 0.1
+    assert np.sqrt(found.residual) < 0.1
 
 
 def test_discs_of_one_size_are_found_once():
