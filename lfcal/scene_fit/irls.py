@@ -15,44 +15,32 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..lattice.lens_subset import sample_mask
-from .settings import IRLS
+from .settings import SCENE
 
 __all__ = ["LensShifts", "error_inflation", "find_regular_ratio", "solve_irls"]
 
-_NEAR = IRLS.near
+_NEAR = SCENE.near
 
 
 @dataclass(frozen=True)
 class LensShifts:
-    """Measured shifts of single lenses from a lattice.
+    """Measured shifts of single lenses from a lattice."""
 
-    Parameters
-    ----------
-    design : (n, 3) float64
-        Lattice indices with a leading 1.
-    shift, variance : (n, 2), (n,) float64 [px, px^2]
-        Shifts and their variances, as the pixels of each lens by itself imply.
-    basis : (2, 2) float64 [px]
-        Of the lattice that shifts are measured from.
-    regular : complex or None
-        `a2 / a1` as complex numbers if the array is known to be regular.
-    """
-
-    design: NDArray[np.float64]
-    shift: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    basis: NDArray[np.float64]
-    regular: complex | None = None
+    design: NDArray[np.float64]  # (n, 3) lattice indices with a leading 1
+    shift: NDArray[np.float64]  # (n, 2) [px]
+    variance: NDArray[np.float64]  # (n,) [px^2] as the pixels of each lens by itself imply
+    basis: NDArray[np.float64]  # (2, 2) [px] of the lattice that shifts are measured from
+    regular: complex | None = None  # `a2 / a1` as complex numbers if the array is known to be regular
 
     @cached_property
     def spread(self) -> NDArray[np.float64]:
         """(n,) variance over that of the most certain lenses."""
-        return np.maximum(self.variance / np.quantile(self.variance, IRLS.most_certain), 1.0)
+        return np.maximum(self.variance / np.quantile(self.variance, SCENE.most_certain), 1.0)
 
     @cached_property
     def prior(self) -> NDArray[np.float64]:
         """(n,) weight of a lens by its variance."""
-        return self.spread**-IRLS.distrust
+        return self.spread**-SCENE.distrust
 
     def select(self, chosen: NDArray[np.bool_]) -> LensShifts:
         """The chosen (n,) ones."""
@@ -191,8 +179,8 @@ def _solve_from(
     tied = shifts.regular or 0j
     ratio = np.array([tied.real, tied.imag])
     _iterate(
-        shifts.design, shifts.shift, shifts.spread, shifts.prior, shifts.basis, ratio, IRLS.inliers, IRLS.outlier,
-        IRLS.passes, IRLS.converged, weights, changes, variances,
+        shifts.design, shifts.shift, shifts.spread, shifts.prior, shifts.basis, ratio, SCENE.inliers, SCENE.outlier,
+        SCENE.irls_passes, SCENE.converged, weights, changes, variances,
     )  # fmt: skip
     return changes, weights, variances
 
@@ -203,7 +191,7 @@ def _starting_weights(shifts: LensShifts) -> list[NDArray[np.float64]]:
     starts = [shifts.prior]
     for angle in np.arange(8) * np.pi / 4:
         side = place @ [np.cos(angle), np.sin(angle)] > 0
-        if side.sum() >= IRLS.fewest_in_part:
+        if side.sum() >= SCENE.fewest_in_part:
             starts.append(shifts.prior * side)
     return starts
 
@@ -232,19 +220,19 @@ def error_inflation(shifts: LensShifts, weight: NDArray[np.float64]) -> float:
     # What is left of the weight of a lens if the change moves, averaged over all directions.
     left = float((shifts.prior * near * (near - 2 * far)).sum())
     fixed = float((shifts.prior * near**2).sum())
-    return fixed / max(left, IRLS.least_left * fixed)
+    return fixed / max(left, SCENE.least_left * fixed)
 
 
 def _solve_from_all(shifts: LensShifts) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Change (3, 2) of least cost from all starts, weights (n,) and the variance."""
     count = len(shifts.shift)
-    few = shifts if count <= IRLS.searched else shifts.select(sample_mask(count, IRLS.searched / count))
+    few = shifts if count <= SCENE.searched else shifts.select(sample_mask(count, SCENE.searched / count))
     changes, weights, variances = _solve_from(few, _starting_weights(few))
     best = int(np.argmin([_cost(few, change, variances.min()) for change in changes]))
     if few is not shifts:
         residuals = ((shifts.shift - shifts.design @ changes[best]) ** 2).sum(1)
         far = residuals / (shifts.spread * variances[best])
-        start = np.maximum(1 - far / IRLS.outlier**2, 0) ** 2 * shifts.prior
+        start = np.maximum(1 - far / SCENE.outlier**2, 0) ** 2 * shifts.prior
         changes, weights, variances = _solve_from(shifts, [start])
         best = 0
     return changes[best], weights[best], float(variances[best])
@@ -253,7 +241,7 @@ def _solve_from_all(shifts: LensShifts) -> tuple[NDArray[np.float64], NDArray[np
 def _cost(shifts: LensShifts, change: NDArray[np.float64], variance: float) -> float:
     """Sum of the squared residuals over their variances, bounded, with prior weights."""
     square = ((shifts.shift - shifts.design @ change) ** 2).sum(1)
-    return float((np.minimum(square / (shifts.spread * variance), IRLS.outlier**2) * shifts.prior).sum())
+    return float((np.minimum(square / (shifts.spread * variance), SCENE.outlier**2) * shifts.prior).sum())
 
 
 def find_regular_ratio(basis: NDArray[np.float64], shifts: LensShifts) -> complex | None:
@@ -264,10 +252,10 @@ def find_regular_ratio(basis: NDArray[np.float64], shifts: LensShifts) -> comple
     a1, a2 = basis @ [1, 1j]
     ratio = complex(a2 / a1)
     regular = min((complex(np.exp(1j * np.pi / 3)), 1j), key=lambda value: abs(ratio - value))
-    if abs(ratio - regular) > IRLS.nearly_regular:
+    if abs(ratio - regular) > SCENE.nearly_regular:
         return None
     found = [_solve_from_all(replace(shifts, regular=known)) for known in (None, regular)]
     least = min(variance for _, _, variance in found)
     free, bound = (_cost(shifts, change, least) for change, _, _ in found)
-    freedom = 2 * IRLS.places - 6
-    return regular if (bound / max(free, 1e-30) - 1) * freedom / 2 < IRLS.significant else None
+    freedom = 2 * SCENE.places - 6
+    return regular if (bound / max(free, 1e-30) - 1) * freedom / 2 < SCENE.irregular else None

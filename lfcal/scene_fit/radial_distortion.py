@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..lattice.distortion import Distortion
 from ..lattice.lattice import Lattice
-from .settings import DISTORTION
+from .settings import SCENE
 
 __all__ = ["RadialEstimate", "estimate_radial"]
 
@@ -27,7 +27,7 @@ class RadialEstimate:
 
     def is_significant(self, pitch: float) -> bool:
         """Whether a distortion of this strength exceeds what a scene can feign, at this pitch [px]."""
-        return abs(self.k1) > DISTORTION.significance * self.error and self.shift > DISTORTION.least_shift * pitch
+        return abs(self.k1) > SCENE.distortion_significance * self.error and self.shift > SCENE.distortion_shift * pitch
 
 
 def estimate_radial(
@@ -36,16 +36,9 @@ def estimate_radial(
 ) -> RadialEstimate:  # fmt: skip
     """The distortion that explains shifts of lenses beside a straight change of the lattice.
 
-    Parameters
-    ----------
-    lattice : Lattice [px]
-        The one that shifts are measured from.
-    design : (n, 3) float64
-        Lattice indices with a leading 1.
-    shift, weight : (n, 2), (n,) float64 [px, 1/px^2]
-        Measured shifts of single lenses, and their weights.
-    tile : (n,) int64
-        Part of the flat of each lens: errors within one are alike, so the standard error comes from their differences.
+    `shift` (n, 2) [px] are measured from the lattice, `weight` (n,) [1/px^2] their weights, `design` (n, 3) the lattice
+    indices with a leading 1. Errors within one `tile` (n,) are alike, so the standard error comes from differences
+    between tiles.
     """
     bend = lattice.distortion or Distortion.zero(lattice.image_size)
     straight = design @ np.vstack([lattice.origin, lattice.basis])

@@ -1,4 +1,4 @@
-"""Tuned values of the lattice fit of scenes, one dataclass a stage; set by hand where no source is given."""
+"""Tuned values of the lattice fit of scenes; set by hand where no source is given."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 from ..lattice.robust_fit import TUKEY_CUTOFF
 
-__all__ = ["DISTORTION", "FIT", "IRLS", "TEMPLATE"]
+__all__ = ["SCENE"]
 
 
 @dataclass(frozen=True)
-class FitSettings:
-    """Tuned values of `fit`."""
+class SceneFitSettings:
+    """Tuned values of `fit`, `irls`, `radial_distortion` and `template`."""
 
     fine_pitch: float = 24.0  # [px] of larger microimages fewer pixels are used, as many as of these
     fewest_lenses: int = 12  # for a fit
@@ -33,12 +33,6 @@ class FitSettings:
     least_information: float = 0.001  # share of it below which a lens is left out: dark or blank
     doubtful: float = 4.0  # times the variance of the most certain lenses beyond which a lens is left out,
     enough_lenses: int = 2000  # if so many remain
-
-
-@dataclass(frozen=True)
-class IrlsSettings:
-    """Tuned values of `irls`."""
-
     # Share of the lenses that gives the scale of the residuals. The median would follow a flat most of which is dragged
     # the same way by video compression.
     inliers: float = 0.35
@@ -50,35 +44,20 @@ class IrlsSettings:
     distrust: int = 3
     least_left: float = 0.2  # share of the weight that holds the fit in place at least, for the standard error
     searched: int = 1000  # lenses that select the best of several solutions
-    passes: int = 30
+    irls_passes: int = 30
     near: float = 1.2  # factor by which the variance changes from pass to pass, nearly always less
     converged: float = 1e-5  # [px] largest change of origin or basis vectors that ends the passes
     nearly_regular: float = 0.003  # relative deviation of a basis that may be regular: arrays are made to 1e-4
     places: int = 12  # parts of a scene with independent errors, whatever the number of lenses
-    significant: float = 6.0  # F value of a deviation from regular: one chance in a hundred
-
-
-@dataclass(frozen=True)
-class DistortionSettings:
-    """Tuned values of `radial_distortion`: scenes feign 3 standard errors and 0.001 of the pitch."""
-
-    significance: float = 8.0  # standard errors
-    least_shift: float = 0.003  # [pitch, RMS]
-
-
-@dataclass(frozen=True)
-class TemplateSettings:
-    """Tuned values of `template`."""
-
+    irregular: float = 6.0  # F value of a significant deviation from regular: one chance in a hundred
+    distortion_significance: float = 8.0  # standard errors; scenes feign 3
+    distortion_shift: float = 0.003  # [pitch, RMS] least movement by a distortion; scenes feign 0.001
     bins_per_pixel: float = 3.0  # of the mean microimage
     most_bins: int = 210  # along each lattice vector; more are not worth their memory
-    lenses: int = 1500  # that are averaged; more hardly lower its noise
+    template_lenses: int = 1500  # that are averaged; more hardly lower its noise
     blur: float = 0.5  # [px] standard deviation, about the width of an edge
-    outlier: float = TUKEY_CUTOFF  # [standard deviations] pixels farther off have no weight
+    pixel_outlier: float = TUKEY_CUTOFF  # [standard deviations] pixels farther off have no weight
     most_contrast: float = 2.0  # times the mean contrast: more does not raise the weight of a lens
 
 
-FIT = FitSettings()
-IRLS = IrlsSettings()
-DISTORTION = DistortionSettings()
-TEMPLATE = TemplateSettings()
+SCENE = SceneFitSettings()

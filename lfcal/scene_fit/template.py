@@ -16,7 +16,7 @@ from ..detection.folding import VECTOR_LENGTH, compute_cell_bins
 from ..lattice.cell import cell_circumradius, cell_row_bounds, row_interval
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
-from .settings import TEMPLATE
+from .settings import SCENE
 
 __all__ = ["LensEquations", "build_lens_equations"]
 
@@ -148,18 +148,11 @@ def _accumulate(
 
 @dataclass(frozen=True)
 class LensEquations:
-    """Least squares of each lens by itself: `normal @ shift = right`.
+    """Least squares of each lens by itself: `normal @ shift = right`."""
 
-    Parameters
-    ----------
-    normal, right : (n, 2, 2), (n, 2) float64
-    noise : (n,) float64
-        Variance of a pixel of the lens about the mean microimage, over that of all lenses.
-    """
-
-    normal: NDArray[np.float64]
-    right: NDArray[np.float64]
-    noise: NDArray[np.float64]
+    normal: NDArray[np.float64]  # (n, 2, 2)
+    right: NDArray[np.float64]  # (n, 2)
+    noise: NDArray[np.float64]  # (n,) variance of a pixel about the mean microimage, over that of all lenses
 
 
 def build_lens_equations(
@@ -169,36 +162,24 @@ def build_lens_equations(
     normals: NDArray[np.float64],
     stride: int = 1,
 ) -> LensEquations:
-    """Normal equations of the shift of each lens, over every pixel of its cell.
+    """Normal equations of the shifts of lenses at `centres` (n, 2) [px], over the pixels of their whole cells.
 
-    Each lens has its own contrast and offset: blank or dark ones carry no information.
-
-    Parameters
-    ----------
-    picture : (h, w) float32
-    lattice : Lattice [px]
-    centres : (n, 2) float64 [px]
-        Of lenses whose cells lie on the picture.
-    normals : (k, 2) float64 [1/px]
-        Of the sides of a cell (`cell_normals`).
-    stride : int
-        Use every `stride`-th pixel each way: enough of large microimages, as neighbouring pixels are alike.
+    Each lens has its own contrast and offset: blank or dark ones carry no information. `normals` are those of
+    `cell_normals`. Of large microimages every `stride`-th pixel each way is enough, as neighbouring ones are alike.
     """
-    bins = int(min(TEMPLATE.bins_per_pixel * lattice.pitch, TEMPLATE.most_bins))
+    bins = int(min(SCENE.bins_per_pixel * lattice.pitch, SCENE.most_bins))
     # Space for the pixels of a cell, and for whole vectors beyond them.
     room = (int(2 * cell_circumradius(normals)) // stride + 3) ** 2 + 2 * VECTOR_LENGTH
     sides, inverse = cell_row_bounds(normals), np.linalg.inv(lattice.basis)
-    few = np.ascontiguousarray(centres[:: max(1, len(centres) // TEMPLATE.lenses)])
+    few = np.ascontiguousarray(centres[:: max(1, len(centres) // SCENE.template_lenses)])
     sums = np.zeros((_CHUNKS, bins * bins, 4), np.float32)
     _fold(picture, few, sides, room, inverse, stride, bins, _CHUNKS, sums)
-    maps = _average(
-        sums.sum(0, dtype=np.float64), np.asarray(inverse, np.float64), TEMPLATE.blur * bins / lattice.pitch
-    )
+    maps = _average(sums.sum(0, dtype=np.float64), np.asarray(inverse, np.float64), SCENE.blur * bins / lattice.pitch)
     normal, right = np.zeros((len(centres), 2, 2)), np.zeros((len(centres), 2))
     noise = np.zeros(len(centres))
     _accumulate(
-        picture, centres, sides, room, inverse, stride, bins, _CHUNKS, maps, np.float32(1 / TEMPLATE.outlier**2),
-        TEMPLATE.most_contrast, normal, right, noise,
+        picture, centres, sides, room, inverse, stride, bins, _CHUNKS, maps, np.float32(1 / SCENE.pixel_outlier**2),
+        SCENE.most_contrast, normal, right, noise,
     )  # fmt: skip
     return LensEquations(normal, right, noise)
 

@@ -19,7 +19,7 @@ from .edge_profile import find_edge
 from .gauss_newton import FitState, median_by_brightness, update_positions, update_weights
 from .model import WhiteModel
 from .normal_equations import Microimages, mean_profile
-from .settings import CUTOUTS
+from .settings import FIT, PIXELS
 from .shading import fit_gain_slope, fit_slope
 
 __all__ = ["cut_out_lenses", "cut_windows"]
@@ -33,31 +33,16 @@ def cut_out_lenses(
     known: Microimages | None,
     before: LitLenses | None = None,
 ) -> tuple[FitState, LitLenses]:
-    """Cut evenly spread lenses out of a flat.
+    """Cut evenly spread lenses out of a flat, and find all lenses that could be chosen.
 
-    Parameters
-    ----------
-    tones : StackedCrops
-        Square root of the light.
-    model : WhiteModel
-    pixels : float
-        Of all these lenses together, about.
-    fewest : int
-        Lenses, however many pixels they have.
-    known : Microimages or None
-        Converged ones of about this model, for profile and weights; None to start from the mean profile.
-    before : LitLenses or None
-        Of nearly the same lattice, to save the search.
-
-    Returns
-    -------
-    FitState, LitLenses
-        The chosen lenses, and all to choose from.
+    Chosen are about as many as have so many `pixels`, but not fewer than `fewest`. Profile and weights are those of
+    `known` lenses of about this model, or the mean profile. Lenses found `before` on nearly the same lattice save the
+    search.
     """
     lattice = model.lattice
     normals, reach = cell_normals(lattice)
     margin = reach + 2
-    lit = LitLenses.find(tones, lattice, margin, np.sqrt(CUTOUTS.dark), before)
+    lit = LitLenses.find(tones, lattice, margin, np.sqrt(PIXELS.dark), before)
     every = max(1.0, len(lit.indices) * abs(np.linalg.det(lattice.basis)) / pixels)
     every = max(1.0, min(every, len(lit.indices) / fewest))
     taken = lit.select(tones, lattice, margin, sample_mask(len(lit.indices), 1 / every))
@@ -67,15 +52,15 @@ def cut_out_lenses(
     light, corners = cut_windows(tones.picture, centres - offset, margin if known is None else reach)
     corners += offset
     inradius = cell_inradius(normals)
-    core, middle = max(1, int(CUTOUTS.core * inradius)), light.shape[1] // 2
+    core, middle = max(1, int(PIXELS.core * inradius)), light.shape[1] // 2
     gain = light[:, middle - core : middle + core + 1, middle - core : middle + core + 1].mean((1, 2)).astype(float)
-    bright = gain > CUTOUTS.dark * np.quantile(gain, 0.95) if len(gain) else np.zeros(0, dtype=bool)
-    if bright.sum() < CUTOUTS.fewest_lenses:
+    bright = gain > PIXELS.dark * np.quantile(gain, 0.95) if len(gain) else np.zeros(0, dtype=bool)
+    if bright.sum() < FIT.fewest_lenses:
         raise CalibrationError(
             f"only {bright.sum()} whole microimages of {lattice.pitch:.1f} px pitch are lit on the flat, "
-            f"at least {CUTOUTS.fewest_lenses} are needed; give the whole sensor"
+            f"at least {FIT.fewest_lenses} are needed; give the whole sensor"
         )
-    rings = int(reach / CUTOUTS.ring_step) + 3
+    rings = int(reach / PIXELS.ring_step) + 3
     saturation = clipping_level(light) if known is None else known.saturation
     if not bright.all():
         indices, centres, gain = indices[bright], centres[bright], gain[bright]
@@ -83,7 +68,7 @@ def cut_out_lenses(
     none, slope = np.zeros_like(centres), fit_gain_slope(centres, gain, lattice)
     lenses = Microimages(
         light, corners, centres, none, gain, np.ones(len(gain)), slope, 0.0, 0.0,
-        normals, inradius, reach, CUTOUTS.ring_step, np.zeros(rings), np.ones(rings),
+        normals, inradius, reach, PIXELS.ring_step, np.zeros(rings), np.ones(rings),
         np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, saturation,
     )  # fmt: skip
     if known is None:
@@ -152,22 +137,9 @@ def _copy_squares(tones, corners, out):
 def cut_windows(
     tones: NDArray[np.float32], centres: NDArray[np.float64], reach: float
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Squares of light around microimages.
+    """Squares of light (n, k, k) reaching at least `reach` px from `centres` (n, 2), and their first pixels (n, 2).
 
-    Parameters
-    ----------
-    tones : (h, w) float32
-        Square root of the light.
-    centres : (n, 2) float64 [px]
-    reach : float [px]
-        Least distance from the centre to the sides of its square.
-
-    Returns
-    -------
-    light : (n, k, k) float32
-        Pixels beyond the flat repeat its border.
-    corners : (n, 2) int64 [px]
-        Flat coordinates x, y of the first pixel of each square.
+    `tones` (h, w) is the square root of the light. Pixels beyond the flat repeat its border.
     """
     half = int(np.ceil(reach)) + 1
     corners = np.rint(centres).astype(np.int64) - half

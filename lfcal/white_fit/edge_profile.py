@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .settings import EDGE
+from .settings import PIXELS
 
 __all__ = ["edge_depths", "estimate_edge_blur", "find_edge"]
 
@@ -24,7 +24,7 @@ def find_edge(profile: NDArray[np.float64]) -> NDArray[np.bool_]:
     half = 0.5 * (core + float(np.quantile(profile, 0.1)))
     crossing = int(np.argmax(profile < half))
     near = np.s_[max(crossing - 2, 0) : crossing + 2]
-    gentle = np.flatnonzero(slope < EDGE.steep * slope[near].max())
+    gentle = np.flatnonzero(slope < PIXELS.steep * slope[near].max())
     edge = np.ones(len(profile), dtype=bool)
     edge[: gentle[gentle < crossing - 1].max(initial=-1) + 1] = False
     edge[gentle[gentle > crossing].min(initial=len(profile)) :] = False
@@ -34,20 +34,12 @@ def find_edge(profile: NDArray[np.float64]) -> NDArray[np.bool_]:
 def edge_depths(profile: NDArray[np.float64], edge: NDArray[np.bool_], gap: float, step: float) -> NDArray[np.float64]:
     """(r,) depth inside the microimage of each radius, in units of the blur of its edge: the normal score of the light.
 
-    Parameters
-    ----------
-    profile : (r,) float64
-        Light at radii `0, step, 2*step...` [px].
-    edge : (r,) bool
-        Where it falls from the disc into the gap (`find_edge`).
-    gap : float
-        Light in the gap.
-    step : float [px]
+    `profile` (r,) is the light at radii `0, step, 2*step...` [px], `edge` where it falls to the light in the `gap`.
     """
     radii = np.arange(len(profile)) * step
     within = np.s_[: max(int(np.argmax(edge)) - 1, 1)]
     # Light inside a microimage falls with the square of the radius, and goes on to do so on its edge.
-    table = np.column_stack([np.ones(len(radii)), radii**2])[:, : 1 + (len(radii[within]) > EDGE.fewest_rings)]
+    table = np.column_stack([np.ones(len(radii)), radii**2])[:, : 1 + (len(radii[within]) > PIXELS.fewest_rings)]
     root = np.sqrt(radii[within] + step)
     inside = table @ np.linalg.lstsq(table[within] * root[:, None], profile[within] * root, rcond=None)[0]
     return np.asarray(np.interp((profile - gap) / np.maximum(inside - gap, 1e-12), *_normal_scores()))
@@ -59,25 +51,25 @@ def estimate_edge_blur(depths: NDArray[np.float64], edge: NDArray[np.bool_], ste
     `depths` (r,) are those of `edge_depths`. The tail is the factor of the third Hermite polynomial in the normal score
     (Cornish and Fisher 1938): positive where tails are shorter than normal.
     """
-    near = np.convolve(edge, np.ones(2 * EDGE.beside + 1), "same") > 0
-    on_edge = np.flatnonzero(near & (np.abs(depths) < EDGE.used_depth))
-    if len(on_edge) < EDGE.fewest_rings:
+    near = np.convolve(edge, np.ones(2 * PIXELS.beside + 1), "same") > 0
+    on_edge = np.flatnonzero(near & (np.abs(depths) < PIXELS.used_depth))
+    if len(on_edge) < PIXELS.fewest_rings:
         return None
     score, weight = depths[on_edge], np.exp(-0.5 * depths[on_edge] ** 2)
     table = np.column_stack([np.ones(len(on_edge)), on_edge * step])
     inverse = np.linalg.pinv(table * weight[:, None])
     tail, hermite = 0.0, np.zeros(len(on_edge))
-    for _ in range(EDGE.rounds):
+    for _ in range(PIXELS.blur_rounds):
         line = inverse @ (weight * (score - tail * hermite))
         straight = table @ line
         hermite = (straight**2 - 3) * straight
         tail = float(weight**2 * hermite @ (score - straight) / max(float(weight**2 * hermite @ hermite), 1e-12))
-        tail = min(max(tail, EDGE.least_tail), EDGE.most_tail)
+        tail = min(max(tail, PIXELS.least_tail), PIXELS.most_tail)
     return (-1 / float(line[1]), tail) if line[1] < 0 else None
 
 
 @lru_cache(1)
 def _normal_scores() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Light through a blurred edge at a row of depths, and these depths."""
-    depths = np.linspace(-EDGE.deepest, EDGE.deepest, 2001)
+    depths = np.linspace(-PIXELS.deepest, PIXELS.deepest, 2001)
     return np.array([0.5 * math.erfc(-depth * math.sqrt(0.5)) for depth in depths.tolist()]), depths

@@ -31,7 +31,7 @@ from .gauss_newton import (
 )
 from .mechanical_vignetting import drop_needless_cut, fit_cutting_disc, resolve_disc_roles
 from .model import CatEye, WhiteModel
-from .settings import CUTOUTS, FIT, FitSettings
+from .settings import FIT, FitSettings
 
 __all__ = ["WhiteFit", "fit_white", "refine_on_parts"]
 
@@ -43,31 +43,15 @@ _GENERAL = 14
 
 @dataclass(frozen=True)
 class WhiteFit:
-    """A fitted lattice and how its microimages agree with it.
-
-    Parameters
-    ----------
-    lattice : Lattice [px]
-    cat_eye : CatEye or None
-        None where microimages are whole.
-    residual_rms : float [px]
-        Robust RMS distance of single microimages from the lattice.
-    errors : LatticeErrors
-        As the scatter of the microimages implies.
-    lenses_used : int
-    half_difference : float [px]
-        RMS distance over the flat between the steps of two independent halves of the microimages.
-    residuals : Residuals [px]
-        Of the single microimages that took part.
-    """
+    """A fitted lattice and how its microimages agree with it."""
 
     lattice: Lattice
-    cat_eye: CatEye | None
-    residual_rms: float
-    errors: LatticeErrors
+    cat_eye: CatEye | None  # None where microimages are whole
+    residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
+    errors: LatticeErrors  # as the scatter of the microimages implies
     lenses_used: int
-    half_difference: float
-    residuals: Residuals
+    half_difference: float  # [px] RMS distance over the flat between the steps of two halves of the microimages
+    residuals: Residuals  # [px] of the single microimages that took part
 
 
 def fit_white(
@@ -118,7 +102,7 @@ def fit_white(
         if np.prod(lattice.image_size) >= settings.all_pixels:
             wanted = min(pixels, state.pixels * (state.uncertainty / settings.target_error) ** 2)
         if wanted > state.pixels:
-            state, _ = cut_out_lenses(tones, state.model, wanted, CUTOUTS.fewest_lenses, state.lenses, lit)
+            state, _ = cut_out_lenses(tones, state.model, wanted, settings.fewest_lenses, state.lenses, lit)
         state, step = finish(state, orders)
     elif state is not first:
         state, step = converge(state, orders, known=True)
@@ -138,20 +122,10 @@ def _summarise(state: FitState, step: StepResult, settings: FitSettings) -> Whit
 
 
 def refine_on_parts(tones: StackedCrops, lattice: Lattice, settings: FitSettings = FIT) -> Lattice:
-    """The lattice fitted to some lenses, with a distortion if it is significant: a start for a larger part of a flat.
+    """The lattice fitted to some lenses of parts of a flat, with a distortion if it is significant.
 
-    Parameters
-    ----------
-    tones : StackedCrops
-        Square root of the light (`preprocessing.sqrt_luminance`).
-    lattice : Lattice [px]
-        Right to a fraction of the pitch in these parts.
-    settings : FitSettings
-
-    Raises
-    ------
-    CalibrationError
-        As for `fit_white`.
+    `tones` are square roots of the light; the lattice is right to a fraction of the pitch in these parts. Raises
+    `CalibrationError` as `fit_white`.
     """
     known = _distortion_orders(lattice)
     few = min(settings.search_pixels, settings.part_lenses * abs(float(np.linalg.det(lattice.basis))))

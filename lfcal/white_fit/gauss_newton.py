@@ -25,7 +25,7 @@ from .normal_equations import (
     regularisation,
     solve_robustly,
 )
-from .settings import GAUSS_NEWTON
+from .settings import SOLVER
 from .shading import field_slope, fit_slope
 
 __all__ = [
@@ -60,44 +60,21 @@ class FitState:
 
 @dataclass(frozen=True)
 class StepResult:
-    """A Gauss-Newton step.
+    """A Gauss-Newton step of `p` global parameters, `m` local ones and `n` lenses."""
 
-    Parameters
-    ----------
-    change, covariance : (p,), (p, p) float64
-        Of the parameters `names`.
-    correlation_response : (p,) float64
-        Derivative of the parameters with a fixed `CatEye.correlation`.
-    shift_rms : float [px]
-        RMS movement of the centres.
-    residual_rms, uncertainty : float [px]
-        RMS distance of single microimages from the lattice, and standard error of a centre, RMS.
-    used : int
-        Lenses of positive weight.
-    jacobian : (n, m, p) float64
-        `build_jacobian`.
-    reduced : ReducedEquations
-    residuals : (n, 2) float64 [px]
-        Of single microimages from the lattice.
-    least_squares_shift : (n, 2) float64 [px]
-        Movement of the centres before steps are scaled and damped.
-    weight : (n,) float64
-        Of the lenses.
-    """
-
-    change: NDArray[np.float64]
-    correlation_response: NDArray[np.float64]
-    shift_rms: float
-    residual_rms: float
-    uncertainty: float
-    used: int
-    names: list[str]
-    covariance: NDArray[np.float64]
-    jacobian: NDArray[np.float64]
+    change: NDArray[np.float64]  # (p,)
+    correlation_response: NDArray[np.float64]  # (p,) derivative of the others with a fixed `CatEye.correlation`
+    shift_rms: float  # [px] movement of the centres
+    residual_rms: float  # [px] of single microimages from the lattice
+    uncertainty: float  # [px] standard error of a centre, RMS
+    used: int  # lenses of positive weight
+    names: list[str]  # (p,)
+    covariance: NDArray[np.float64]  # (p, p)
+    jacobian: NDArray[np.float64]  # (n, m, p) `build_jacobian`
     reduced: ReducedEquations
-    residuals: NDArray[np.float64]
-    least_squares_shift: NDArray[np.float64]
-    weight: NDArray[np.float64]
+    residuals: NDArray[np.float64]  # (n, 2) [px] of single microimages from the lattice
+    least_squares_shift: NDArray[np.float64]  # (n, 2) [px] movement of the centres before scaling and damping
+    weight: NDArray[np.float64]  # (n,) of the lenses
 
 
 def update_positions(state: FitState) -> FitState:
@@ -130,7 +107,7 @@ def _lens_weights(lenses: Microimages, equations: NormalEquations) -> NDArray[np
     spread = np.interp(lenses.gain, bright, typical)
     weight = 1 / np.maximum(spread / np.median(typical), 0.1)
     # Half a microimage at the border of the array is unlike any other.
-    weight *= np.minimum((GAUSS_NEWTON.outlying_scatter * spread / np.maximum(equations.scatter, 1e-30)) ** 4, 1)
+    weight *= np.minimum((SOLVER.outlying_scatter * spread / np.maximum(equations.scatter, 1e-30)) ** 4, 1)
     return np.asarray(weight)
 
 
@@ -139,7 +116,7 @@ def median_by_brightness(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Median gain and median value of the lenses in each of a few groups of like brightness, darkest first."""
     order = np.argsort(gain, kind="stable")
-    groups = min(GAUSS_NEWTON.brightness_groups, len(order))
+    groups = min(SOLVER.brightness_groups, len(order))
     # Groups of one size, without the few brightest lenses: one call of NumPy serves all.
     order = order[: len(order) // groups * groups].reshape(groups, -1)
     middle = order.shape[1] // 2
@@ -179,27 +156,12 @@ def converge(
     state: FitState,
     orders: tuple[str, ...],
     known: bool = False,
-    passes: int = GAUSS_NEWTON.passes,
-    settled: float = GAUSS_NEWTON.settled,
+    passes: int = SOLVER.passes,
+    settled: float = SOLVER.settled,
 ) -> tuple[FitState, StepResult]:
-    """Gauss-Newton passes until steps are short against the standard error.
+    """Gauss-Newton passes until steps are shorter than `settled` standard errors; `known` if the profile was fitted.
 
-    Parameters
-    ----------
-    state : FitState
-    orders : tuple of str
-        Parameters as in `build_jacobian`.
-    known : bool
-        Whether the profile is that of a fit.
-    passes : int
-        At most so many.
-    settled : float [standard errors]
-        Length of a step that ends the fit.
-
-    Raises
-    ------
-    CalibrationError
-        If the microimages show no edges, or keep to no lattice.
+    Raises `CalibrationError` if the microimages show no edges, or keep to no lattice.
     """
     start, before, full_steps, radius, last = state.model.lattice.basis, 0.0, True, 1.0, None
     weight = None
@@ -213,17 +175,17 @@ def converge(
                 radius = min(2 * radius, 1.0) if step.change / limits @ last > 0 else 0.5 * radius
             step = _damp(step, radius * limits)
             last = step.change / limits
-        state = _advance(state, step, turn >= (GAUSS_NEWTON.known_passes if known else GAUSS_NEWTON.free_passes))
-        if not np.abs(state.model.lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < GAUSS_NEWTON.runaway:
+        state = _advance(state, step, turn >= (SOLVER.known_passes if known else SOLVER.free_passes))
+        if not np.abs(state.model.lattice.basis @ np.linalg.inv(start) - np.eye(2)).max() < SOLVER.runaway:
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
         shrinks = step.shift_rms / max(before, 1e-30)
-        to_come = step.shift_rms * shrinks / (1 - shrinks) if shrinks < GAUSS_NEWTON.steady else np.inf
-        if step.shift_rms < settled * step.uncertainty or to_come < GAUSS_NEWTON.remainder * step.uncertainty:
+        to_come = step.shift_rms * shrinks / (1 - shrinks) if shrinks < SOLVER.steady else np.inf
+        if step.shift_rms < settled * step.uncertainty or to_come < SOLVER.remainder * step.uncertainty:
             break
         if (known or turn > 0) and state.lenses.gains_from_cores and _is_near(step):
             break
         # Where all lenses lie alike to the pixels, position and profile are correlated: longer steps go astray.
-        full_steps &= turn == 0 or shrinks < GAUSS_NEWTON.steady
+        full_steps &= turn == 0 or shrinks < SOLVER.steady
         before = step.shift_rms
     return replace(state, last=step), step
 
@@ -239,7 +201,7 @@ def finish(state: FitState, orders: tuple[str, ...]) -> tuple[FitState, StepResu
 
 
 def _is_near(step: StepResult) -> bool:
-    return step.shift_rms < min(GAUSS_NEWTON.near * step.uncertainty, GAUSS_NEWTON.near_px)
+    return step.shift_rms < min(SOLVER.near * step.uncertainty, SOLVER.near_px)
 
 
 def _damp(step: StepResult, limits: NDArray[np.float64]) -> StepResult:
@@ -254,7 +216,7 @@ def _damp(step: StepResult, limits: NDArray[np.float64]) -> StepResult:
     wished = np.where(np.diag(step.covariance) > 0, change, np.clip(change, -limits, limits))
     ease = step.covariance / limits**2
     damping = 0.01 / max(float(np.diag(ease).max()), 1e-200)
-    for _ in range(GAUSS_NEWTON.most_dampings):
+    for _ in range(SOLVER.most_dampings):
         change = np.linalg.solve(np.eye(len(limits)) + damping * ease, wished)
         if np.abs(change / limits).max() <= 1:
             break
@@ -290,9 +252,9 @@ def _solve_step(
     position, positions = jacobian[:, :2], reduced.normal[:, :2, :2]
     left = reduced.right[:, :2] - np.einsum("nij,nj->ni", reduced.normal[:, :2], jacobian @ change)
     inverse = invert_2x2(positions + regularisation(positions))
-    residuals = np.einsum("nij,nj->ni", inverse, left) / GAUSS_NEWTON.step_scale
+    residuals = np.einsum("nij,nj->ni", inverse, left) / SOLVER.step_scale
     shift = position @ change
-    change, covariance = change / (GAUSS_NEWTON.step_scale if full else 1.0), covariance / GAUSS_NEWTON.step_scale**2
+    change, covariance = change / (SOLVER.step_scale if full else 1.0), covariance / SOLVER.step_scale**2
     spread = (position.reshape(-1, position.shape[2]) @ covariance).reshape(position.shape)
     return StepResult(
         change=change,
@@ -364,7 +326,7 @@ def compare_halves(step: StepResult) -> float:
     """RMS distance over the flat between the steps of every other microimage and of the others [px]."""
     parity = np.arange(len(step.jacobian)) % 2
     one, two = (solve_robustly(step.jacobian, step.reduced, parity == half, step.weight)[0] for half in (0, 1))
-    return float(np.sqrt(((step.jacobian[:, :2] @ (one - two)) ** 2).sum(1).mean())) / GAUSS_NEWTON.step_scale
+    return float(np.sqrt(((step.jacobian[:, :2] @ (one - two)) ** 2).sum(1).mean())) / SOLVER.step_scale
 
 
 def predict_shift(state: FitState, more: tuple[str, ...]) -> float:
@@ -376,20 +338,20 @@ def predict_shift(state: FitState, more: tuple[str, ...]) -> float:
     jacobian, _ = build_jacobian(state.model, state.indices, more)
     shift = jacobian[:, :2] @ solve_robustly(jacobian, state.last.reduced, slice(None), state.last.weight)[0]
     further = shift - state.last.least_squares_shift
-    return float(np.sqrt((further**2).sum(1).mean())) / GAUSS_NEWTON.step_scale
+    return float(np.sqrt((further**2).sum(1).mean())) / SOLVER.step_scale
 
 
 def measure_offsets(state: FitState, step: StepResult) -> NDArray[np.float64]:
     """(n, 2) [px] from the centres on the lattice to those that the pixels of single microimages show."""
     offset = step.residuals.copy()
-    far = np.flatnonzero(np.hypot(*offset.T) > GAUSS_NEWTON.outlying_lens * step.residual_rms)
+    far = np.flatnonzero(np.hypot(*offset.T) > SOLVER.outlying_lens * step.residual_rms)
     if len(far) == 0:
         return offset
     # Pixels on their edges are outliers of the common fit: here each one counts.
     lenses = replace(state.lenses, **{name: getattr(state.lenses, name)[far] for name in _OF_LENSES})
-    lenses = replace(lenses, lens_weight=np.full(len(far), GAUSS_NEWTON.single_weight))
-    start, longest = lenses.centres, GAUSS_NEWTON.single_step
-    for _ in range(GAUSS_NEWTON.single_passes):
+    lenses = replace(lenses, lens_weight=np.full(len(far), SOLVER.single_weight))
+    start, longest = lenses.centres, SOLVER.single_step
+    for _ in range(SOLVER.single_passes):
         reduced = eliminate_gains(lenses.equations, lenses.profile)
         normal = reduced.normal[:, :2, :2]
         shift = np.linalg.solve(normal + regularisation(normal), reduced.right[:, :2, None])[..., 0]

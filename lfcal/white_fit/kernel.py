@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from ..lattice.cell import clip_rows, is_outside_cell
 from ..runtime.fastmath import FAST
-from .settings import KERNEL, MODEL
+from .settings import PIXELS, SOLVER
 
-__all__ = ["Cell", "Cut", "Lenses", "Profile", "Sums", "accumulate", "sum_by_ring"]
+__all__ = ["Cell", "Cut", "Profile", "Sums", "Windows", "accumulate", "sum_by_ring"]
 
 # Gauss-Legendre nodes and their weights, for correlations up to the limit (to 1e-4 of the light) and beyond it.
 _THREE_NODES = ((-0.7745966692414834, 5 / 18), (0.0, 8 / 18), (0.7745966692414834, 5 / 18))
@@ -34,13 +34,13 @@ _THREE_NODES_UP_TO = 0.8
 _ROOT_HALF = math.sqrt(0.5)
 _TAU = 2 * math.pi
 _ROOT_TAU = math.sqrt(_TAU)
-_MAX_CORRELATION = MODEL.most_correlation
-_OUTLIER = KERNEL.outlier
-_CUT_EDGE = KERNEL.cut_edge
+_MAX_CORRELATION = SOLVER.most_correlation
+_OUTLIER = PIXELS.outlier
+_CUT_EDGE = PIXELS.cut_edge
 
 
-class Lenses(NamedTuple):
-    """Windows of light and the parameters of each lens, see `Microimages`."""
+class Windows(NamedTuple):
+    """Windows of light and parameters of each lens (`Microimages`)."""
 
     light: NDArray[np.float32]
     corners: NDArray[np.int64]
@@ -51,7 +51,7 @@ class Lenses(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """Normals of the sides of a cell, and the radii of the circles inside and around it [px]."""
+    """Cell of a lens (`Microimages`)."""
 
     normals: NDArray[np.float64]
     inradius: float
@@ -59,50 +59,37 @@ class Cell(NamedTuple):
 
 
 class Profile(NamedTuple):
-    """Radial profile: spacing of its rings [px] and, for each of them, value, slope, weight and fourth harmonic (r, 4).
+    """Radial profile."""
 
-    Up to `even_radius` px from the centre one pixel in `thin`, a power of two, is used, rows shifted by `aside` px.
-    Light of at least `saturation` is clipped.
-    """
-
-    step: float
-    rings: NDArray[np.float64]
-    even_radius: float
-    thin: int
-    aside: int
+    step: float  # [px]
+    rings: NDArray[np.float64]  # (r, 4) value, slope, weight and fourth harmonic
+    even_radius: float  # [px] up to here only some pixels are used:
+    thin: int  # one in so many, a power of two,
+    aside: int  # [px] rows shifted by this against each other
     saturation: float
 
 
 class Cut(NamedTuple):
-    """Cutting disc: its offset (n, 2) from each lens, radius and blur [px], and what the profile shows of the edges.
+    """Cutting disc (`Microimages`, `CatEye`)."""
 
-    `correlation` is that of the blur of the two edges where they run alike, `tail` the shape of the blur
-    (`estimate_edge_blur`), `gap` the light between microimages; `edge` (r,) tells which rings lie on the edge of the
-    microimage and `depth` (r,) how deep (`edge_depths`).
-    """
-
-    offsets: NDArray[np.float64]
-    radius: float
-    blur: float
+    offsets: NDArray[np.float64]  # (n, 2) [px]
+    radius: float  # [px]
+    blur: float  # [px]
     correlation: float
-    tail: float
+    tail: float  # of the blur (`estimate_edge_blur`)
     gap: float
-    edge: NDArray[np.bool_]
-    depth: NDArray[np.float64]
+    edge: NDArray[np.bool_]  # (r,)
+    depth: NDArray[np.float64]  # (r,) `edge_depths`
 
 
 class Sums(NamedTuple):
-    """Output: normal matrix (n, p, p), right side (n, p), and coupling (n, p or 1, r) of each lens with the profile.
+    """Output, of `p` local parameters: `x, y, gain`, or `x, y`, offset and radius of the cut, correlation, gain."""
 
-    `band` (chunks, r, c) collects the part of the profile, `scatter` (n, 2) weighted squared residuals and number.
-    The `p` parameters are `x, y, gain` or, with a cut, `x, y`, offset and radius of the cut, correlation, gain.
-    """
-
-    normal: NDArray[np.float64]
-    right: NDArray[np.float64]
-    coupling: NDArray[np.float64]
-    band: NDArray[np.float64]
-    scatter: NDArray[np.float64]
+    normal: NDArray[np.float64]  # (n, p, p)
+    right: NDArray[np.float64]  # (n, p)
+    coupling: NDArray[np.float64]  # (n, p or 1, r) between local parameters and the profile
+    band: NDArray[np.float64]  # (chunks, r, 11 or 12), see `sum_by_ring`
+    scatter: NDArray[np.float64]  # (n, 2) weighted squared residuals, and their number
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
@@ -134,17 +121,10 @@ def _through_both(alpha, beta, first, second, correlation):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def _through_cut(inward, per_blur, tail, on_rim, alpha, correlation, along_both):
-    """Light through the edge of the cut, and its derivatives.
+    """Light that passes the cut, and its derivatives with the profile, position and radius of the cut, and correlation.
 
-    The place lies `inward` of the edge of the cut and, if `on_rim`, `alpha` inside the edge of the microimage, in units
-    of the blur; `along_both` is the cosine between the two edges.
-
-    Returns
-    -------
-    through : light that passes the cut, over that of the profile
-    falling : its derivative with the profile
-    moving : with a movement of the cut [1/px]
-    turning : with the correlation of the blur
+    The place lies `inward` of the edge of the cut and, if `on_rim`, `alpha` inside that of the microimage, in units of
+    the blur; `along_both` is the cosine between the two edges.
     """
     depth = inward + tail * (inward * inward - 3) * inward
     through = 0.5 * (1 + math.erf(depth * _ROOT_HALF))
@@ -183,9 +163,9 @@ def _add_to_band(band, ring, after, w, wr, angle, falling, through):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=FAST)
-def accumulate(lenses, cell, profile, cut, learn, sums):
+def accumulate(windows, cell, profile, cut, learn, sums):
     """Add up all lenses into `sums`: upper halves of normal matrices; of the profile only to `learn` it."""
-    light, corners, centres, gain, lens_weight, slope = lenses
+    light, corners, centres, gain, lens_weight, slope = windows
     normals, inradius, circumradius = cell
     step, rings, even_radius, thin, aside, saturation = profile
     normal, right, coupling, band, scatter = sums

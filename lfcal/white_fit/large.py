@@ -54,18 +54,7 @@ def sample_parts(read: ReadCrop, lattice: Lattice, settings: LargeSettings = LAR
 
 
 def sample_grid(read: ReadCrop, size: tuple[int, int], side: int, pixels: float) -> StackedCrops:
-    """Square parts of a flat, evenly spread from border to border.
-
-    Parameters
-    ----------
-    read : ReadCrop
-        Of the flat, in any scale.
-    size : (int, int) [px]
-        Width and height of the flat.
-    side : int [px]
-    pixels : float
-        In all parts together, about.
-    """
+    """Square parts of a flat of this `size`, evenly spread from border to border, of about so many pixels in all."""
     count = max(pixels / side**2, 1.0)
     columns = max(1, min(round(np.sqrt(count * size[0] / size[1])), size[0] // side))
     rows = max(1, min(round(count / columns), size[1] // side))
@@ -98,17 +87,8 @@ def find_white_lattice(
 ) -> FirstLattice | None:
     """First lattice of a white image, with its distortion; None if the flat is no white image, or no lattice is found.
 
-    Parameters
-    ----------
-    read : ReadCrop
-        Square root of the light, in any scale.
-    size : (int, int) [px]
-        Width and height of the flat.
-    sure : bool
-        The flat is known to be a white image.
-    tries : int
-        Number of places at most, from the middle outwards, in which the lattice is searched for.
-    settings : LargeSettings
+    `read` gives the square root of the light in any scale, `size` is width and height of the flat [px]. `sure` if it is
+    known to be a white image. The lattice is searched for in at most `tries` places, from the middle outwards.
     """
     found = _find_in_piece(read, size, sure, tries, settings)
     if found is None:

@@ -23,7 +23,7 @@ from .gauss_newton import FitState, converge, evaluate_cost, fit_profile, update
 from .model import CatEye, WhiteModel, field_position
 from .normal_equations import Microimages
 from .rim_fit import RimFit, fit_rims
-from .settings import GAUSS_NEWTON, VIGNETTING
+from .settings import SOLVER, VIGNETTING
 
 __all__ = ["drop_needless_cut", "fit_cutting_disc", "resolve_disc_roles"]
 
@@ -34,14 +34,8 @@ _BLOCK = 512
 def fit_cutting_disc(plain: FitState, alternative: FitState, orders: tuple[str, ...]) -> FitState:
     """`plain` with the best cutting disc, or as it is if none fits clearly better than it and an alternative.
 
-    Parameters
-    ----------
-    plain : FitState
-        Converged without a cut.
-    alternative : FitState
-        Another explanation, such as a distortion.
-    orders : tuple of str
-        Parameters of `plain`, as in `build_jacobian`.
+    `plain` has converged without a cut, with the parameters `orders`; the alternative is another explanation of its
+    residuals, such as a distortion.
     """
     narrowing, error = _measure_narrowing(alternative)
     if narrowing < max(VIGNETTING.least_narrowing, VIGNETTING.narrowing_significance * error):
@@ -91,7 +85,7 @@ def _fit_either_role(
 
 
 def _try_fit(
-    state: FitState, orders: tuple[str, ...], learn: bool = False, passes: int = GAUSS_NEWTON.passes
+    state: FitState, orders: tuple[str, ...], learn: bool = False, passes: int = SOLVER.passes
 ) -> FitState | None:
     """The state converged so far that discs can be told apart, None if it fails; `learn` a profile first."""
     try:
@@ -153,9 +147,8 @@ def _measure_narrowing(state: FitState) -> tuple[float, float]:
     rings = np.column_stack([lenses.profile, slope, lenses.harmonic, lenses.ring_weight])
     out = np.zeros((len(lenses.centres), 2))
     _accumulate_narrowing(
-        lenses.light, lenses.corners, lenses.centres, field_position(lenses.centres, state.model.lattice), lenses.gain,
-        lenses.lens_weight, lenses.slope, lenses.inradius, lenses.step, rings, lenses.edge, lenses.saturation,
-        VIGNETTING.outlier, out,
+        lenses.windows, field_position(lenses.centres, state.model.lattice), lenses.inradius, lenses.step, rings,
+        lenses.edge, lenses.saturation, VIGNETTING.outlier, out,
     )  # fmt: skip
     force, information = out.sum(0).tolist()
     if information <= 0:
@@ -164,10 +157,9 @@ def _measure_narrowing(state: FitState) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _accumulate_narrowing(
-    light, corners, centres, field, gain, lens_weight, gain_slope, inradius, step, rings, edge, saturation, outlier, out
-):
+def _accumulate_narrowing(windows, field, inradius, step, rings, edge, saturation, outlier, out):
     """Per lens (n, 2): right side and normal matrix of the amplitude of `_measure_narrowing`."""
+    light, corners, centres, gain, lens_weight, gain_slope = windows
     for lens in prange(len(centres)):
         cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
         far = max(math.hypot(field[lens, 0], field[lens, 1]), 1e-6)
@@ -208,9 +200,8 @@ def _shading_preference(lenses: Microimages) -> float:
     moments, number = np.zeros((count, 7, 7)), np.zeros(count, np.int64)
     own_reach, cut_reach = (max(radius - margin, 1.0) for radius in (lenses.radius, lenses.cut_radius))
     _shading_moments(
-        lenses.light, lenses.corners, lenses.centres, lenses.cut_offset, lenses.gain, lenses.lens_weight, lenses.slope,
-        (own_reach, cut_reach), lenses.step, lenses.profile, lenses.ring_weight, lenses.saturation, VIGNETTING.outlier,
-        moments, number,
+        lenses.windows, lenses.cut_offset, (own_reach, cut_reach), lenses.step, lenses.profile, lenses.ring_weight,
+        lenses.saturation, VIGNETTING.outlier, moments, number,
     )  # fmt: skip
     if number.sum() < VIGNETTING.fewest_pixels:
         return 0.0
@@ -233,14 +224,12 @@ def _add_products(values, count, products):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _shading_moments(
-    light, corners, centres, cut, gain, lens_weight, gain_slope, reaches, step, profile, weight, saturation, outlier,
-    moments, number,
-):  # fmt: skip
+def _shading_moments(windows, cut, reaches, step, profile, weight, saturation, outlier, moments, number):
     """Per lens the covariances of light and of powers of the distances to the centres of both discs.
 
     Of pixels within `reaches` of the two centres, outliers left out.
     """
+    light, corners, centres, gain, lens_weight, gain_slope = windows
     side, per_step = light.shape[1], 1 / step
     reach, cut_reach = reaches
     per_reach, per_cut_reach = 1 / (reach * reach), 1 / (cut_reach * cut_reach)
@@ -326,10 +315,7 @@ def _measure_rims(state: FitState) -> tuple[NDArray[np.float64], NDArray[np.floa
     part, parts = row * grid[0] + column, grid[0] * grid[1]
     single = np.zeros((len(field), VIGNETTING.directions, 2))
     out = np.zeros((parts, VIGNETTING.directions, 2))
-    _accumulate_excess(
-        lenses.light, lenses.corners, lenses.centres, lenses.gain, lenses.slope, lenses.profile, lenses.inradius,
-        lenses.step, single,
-    )  # fmt: skip
+    _accumulate_excess(lenses.windows, lenses.profile, lenses.inradius, lenses.step, single)
     np.add.at(out, part, single)
     number = np.maximum(np.bincount(part, minlength=parts), 1)
     middle = np.column_stack([np.bincount(part, field[:, axis], parts) / number for axis in (0, 1)])
@@ -350,8 +336,9 @@ def _measure_rims(state: FitState) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _accumulate_excess(light, corners, centres, gain, gain_slope, profile, inradius, step, out):
+def _accumulate_excess(windows, profile, inradius, step, out):
     """Light of lenses minus their profile, by direction, into `out` (n, directions, 2), and pixels there."""
+    light, corners, centres, gain, _, gain_slope = windows
     directions = out.shape[1]
     for lens in prange(len(centres)):
         cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]

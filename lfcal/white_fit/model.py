@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
-from .settings import MODEL
+from .settings import SOLVER
 
 __all__ = ["LOCAL_PARAMETERS", "CatEye", "WhiteModel", "apply_step", "build_jacobian", "field_position", "step_limits"]
 
@@ -26,35 +26,26 @@ _PIXEL_VARIANCE = 1 / 12
 class CatEye:
     """Disc that cuts the microimages, at `shift + field * (g1 + g2 * |field| + g3 * |field|**2)` from their centres.
 
-    Parameters
-    ----------
-    shift : (2,) float64 [px]
-        Offset in the middle of the flat.
-    growth : (3,) float64 [px]
-        `g1, g2, g3`, positive outwards; `field` has length 1 in the corners (`field_position`).
-    radius, blur : float [px]
-        Radius of the cutting disc and standard deviation of its edge.
-    correlation : float
-        Correlation of the blur of the two edges where they run alike, 0..1: 1 where light passes both discs before
-        anything blurs it.
+    `field` is the position in the field, of length 1 in the corners (`field_position`).
     """
 
-    shift: NDArray[np.float64]
-    growth: NDArray[np.float64]
-    radius: float
-    blur: float
+    shift: NDArray[np.float64]  # (2,) [px] offset in the middle of the flat
+    growth: NDArray[np.float64]  # (3,) [px] `g1, g2, g3`, positive outwards
+    radius: float  # [px]
+    blur: float  # [px] standard deviation of its edge
+    # Of the blur of the two edges where they run alike, 0..1: 1 if light passes both discs before anything blurs it.
     correlation: float = 0.7
 
     @property
     def least_correlation(self) -> float:
         """Correlation from pixels alone, whose area blurs both edges last."""
-        return min(_PIXEL_VARIANCE / self.blur**2, MODEL.most_correlation)
+        return min(_PIXEL_VARIANCE / self.blur**2, SOLVER.most_correlation)
 
     def with_blur(self, blur: float) -> CatEye:
         """With another blur of its edge [px], as far as one step may change it and pixels can show."""
-        least, most = (1 - MODEL.most_blur_change) * self.blur, (1 + MODEL.most_blur_change) * self.blur
-        sharpest = MODEL.least_blur
-        blur = float(np.clip(np.clip(blur, least, most), sharpest, MODEL.most_blur * self.radius + sharpest))
+        least, most = (1 - SOLVER.most_blur_change) * self.blur, (1 + SOLVER.most_blur_change) * self.blur
+        sharpest = SOLVER.least_blur
+        blur = float(np.clip(np.clip(blur, least, most), sharpest, SOLVER.most_blur * self.radius + sharpest))
         eye = replace(self, blur=blur)
         return replace(eye, correlation=max(eye.correlation, eye.least_correlation))
 
@@ -81,20 +72,10 @@ def field_position(centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np
 def build_jacobian(
     model: WhiteModel, indices: NDArray[np.int64], orders: tuple[str, ...]
 ) -> tuple[NDArray[np.float64], list[str]]:
-    """Derivatives of the local parameters of each lens with the global ones.
+    """Derivatives of the local parameters of lenses `indices` (n, 2) with the global ones, (n, 6, p), and p names.
 
-    Parameters
-    ----------
-    model : WhiteModel
-    indices : (n, 2) int64
-        Lattice indices of the lenses.
-    orders : tuple of {"k1", "centre", "k2", "general", "growth2", "growth3"}
-        Parameters beyond origin, basis and a cat-eye that grows in proportion to the field.
-
-    Returns
-    -------
-    (n, 6, p) float64, list of p names
-        Only the two of the position, (n, 2, p), where the model has no cat-eye.
+    Only the two of the position, (n, 2, p), where the model has no cat-eye. `orders` are the parameters beyond origin,
+    basis and a cat-eye that grows in proportion to the field: "k1", "centre", "k2", "general", "growth2", "growth3".
     """
     n, own = len(indices), 2 if model.cat_eye is None else LOCAL_PARAMETERS - 1
     columns: list[NDArray[np.float64]] = []
@@ -132,8 +113,8 @@ def build_jacobian(
 
 def step_limits(eye: CatEye, names: list[str]) -> NDArray[np.float64]:
     """(p,) longest step of each of the parameters `names`; infinite for those of the lattice."""
-    most = MODEL.most_move * eye.radius
-    limits = {"radius": most, "shift": most, "correlation": MODEL.most_correlation_change}
+    most = SOLVER.most_move * eye.radius
+    limits = {"radius": most, "shift": most, "correlation": SOLVER.most_correlation_change}
     return np.array([most if name.startswith("growth") else limits.get(name, np.inf) for name in names])
 
 
@@ -148,7 +129,7 @@ def apply_step(model: WhiteModel, change: NDArray[np.float64], names: list[str])
     eye = model.cat_eye
     if eye is None:
         return WhiteModel(lattice, None)
-    most, most_turn = MODEL.most_move * eye.radius, MODEL.most_correlation_change
+    most, most_turn = SOLVER.most_move * eye.radius, SOLVER.most_correlation_change
     growth = np.array([float(by.get(name, [0.0])[0]) for name in ("growth", "growth2", "growth3")])
     correlation = eye.correlation + np.clip(by["correlation"][0], -most_turn, most_turn)
     return WhiteModel(
@@ -158,6 +139,6 @@ def apply_step(model: WhiteModel, change: NDArray[np.float64], names: list[str])
             eye.growth + np.clip(growth, -most, most),
             eye.radius + float(np.clip(by["radius"][0], -most, most)),
             eye.blur,
-            float(np.clip(correlation, eye.least_correlation, MODEL.most_correlation)),
+            float(np.clip(correlation, eye.least_correlation, SOLVER.most_correlation)),
         ),
     )

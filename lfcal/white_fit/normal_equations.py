@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from ..lattice.cell import clip_rows, is_outside_cell
 from ..lattice.robust_fit import tukey_weights
 from .edge_profile import edge_depths, estimate_edge_blur
-from .kernel import Cell, Cut, Lenses, Profile, Sums, accumulate, sum_by_ring
+from .kernel import Cell, Cut, Profile, Sums, Windows, accumulate, sum_by_ring
 from .model import LOCAL_PARAMETERS
-from .settings import GAUSS_NEWTON, PROFILE
+from .settings import PIXELS, SOLVER
 
 __all__ = [
     "Microimages", "NormalEquations", "ReducedEquations", "build_normal_equations", "eliminate_gains", "invert_2x2",
@@ -31,63 +31,29 @@ _CHUNKS = 64
 
 @dataclass(frozen=True)
 class Microimages:
-    """Windows of the flat around lenses, and the model that they are compared with.
+    """Windows of the flat around `n` lenses, and the model that they are compared with: a profile of `r` rings."""
 
-    Parameters
-    ----------
-    light : (n, k, k) float32
-        Squares of the flat around the lenses.
-    corners : (n, 2) int64 [px]
-        Flat coordinates of the first pixel of each.
-    centres, cut_offset : (n, 2) float64 [px]
-        Microimage centres, and offsets of the cutting discs from them.
-    gain, lens_weight : (n,) float64
-        Light of each lens over that of the profile, and its weight in the fit.
-    slope : (n, 2) float64 [1/px]
-        Relative change of the gain within the microimage.
-    cut_radius, cut_blur : float [px]
-        Radius of the cutting disc and standard deviation of its edge; `cut_blur` is 0 where there is no such disc.
-    normals : (k, 2) float64 [1/px]
-        `delta @ normal <= 0.5` inside the cell of a lens.
-    inradius, circumradius : float [px]
-        Radii of the circles inside and around the cell.
-    step : float [px]
-        Between rings of the profile.
-    profile, ring_weight : (r,) float64
-        Light, and inverse variance of a pixel, at radii `0, step, 2*step...`.
-    harmonic : (r,) float64
-        Amplitude of `cos(4 * direction)` added to the profile: square pixels blur an edge along their sides otherwise
-        than across their corners.
-    edge : (r,) bool
-        Where the profile falls from the disc into the gap (`find_edge`).
-    correlation : float
-        `CatEye.correlation`.
-    gap : float
-        Light where the cutting disc lets none through.
-    saturation : float
-        Light from which on pixels are clipped.
-    """
-
-    light: NDArray[np.float32]
-    corners: NDArray[np.int64]
-    centres: NDArray[np.float64]
-    cut_offset: NDArray[np.float64]
-    gain: NDArray[np.float64]
-    lens_weight: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    cut_radius: float
-    cut_blur: float
-    normals: NDArray[np.float64]
-    inradius: float
-    circumradius: float
-    step: float
-    profile: NDArray[np.float64]
-    ring_weight: NDArray[np.float64]
+    light: NDArray[np.float32]  # (n, k, k) squares of the flat around the lenses
+    corners: NDArray[np.int64]  # (n, 2) [px] flat coordinates of the first pixel of each
+    centres: NDArray[np.float64]  # (n, 2) [px]
+    cut_offset: NDArray[np.float64]  # (n, 2) [px] of the cutting discs from the centres
+    gain: NDArray[np.float64]  # (n,) light of each lens over that of the profile
+    lens_weight: NDArray[np.float64]  # (n,)
+    slope: NDArray[np.float64]  # (n, 2) [1/px] relative change of the gain within the microimage
+    cut_radius: float  # [px]
+    cut_blur: float  # [px] standard deviation of the edge of the cutting disc, 0 if there is none
+    normals: NDArray[np.float64]  # (k, 2) [1/px] `delta @ normal <= 0.5` inside the cell of a lens
+    inradius: float  # [px] of the circle inside the cell
+    circumradius: float  # [px] of the circle around the cell
+    step: float  # [px] between rings of the profile
+    profile: NDArray[np.float64]  # (r,) light at radii `0, step, 2*step...`
+    ring_weight: NDArray[np.float64]  # (r,) inverse variance of a pixel
+    # (r,) amplitude of `cos(4 * direction)`: square pixels blur an edge along their sides unlike across their corners.
     harmonic: NDArray[np.float64]
-    edge: NDArray[np.bool_]
-    correlation: float
-    gap: float
-    saturation: float
+    edge: NDArray[np.bool_]  # (r,) where the profile falls from the disc into the gap (`find_edge`)
+    correlation: float  # `CatEye.correlation`
+    gap: float  # light where the cutting disc lets none through
+    saturation: float  # light from which on pixels are clipped
 
     @cached_property
     def equations(self) -> NormalEquations:
@@ -103,6 +69,16 @@ class Microimages:
     def blur(self) -> tuple[float, float] | None:
         """Blur [px] and tail of the edge of the microimages (`estimate_edge_blur`)."""
         return estimate_edge_blur(self.depths, self.edge, self.step)
+
+    @property
+    def windows(self) -> Windows:
+        """What kernels read of each lens."""
+        return Windows(self.light, self.corners, self.centres, self.gain, self.lens_weight, self.slope)
+
+    @property
+    def cell(self) -> Cell:
+        """Cell of a lens, for kernels."""
+        return Cell(self.normals, self.inradius, self.circumradius)
 
     @property
     def whole(self) -> bool:
@@ -123,41 +99,26 @@ class Microimages:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Normal equations about a model, the profile included.
+    """Normal equations about a model, the profile included; its parts are empty if it was not asked for.
 
-    Parameters
-    ----------
-    normal, right : (n, 7, 7), (n, 7) float64
-        Normal matrix and right side of the local parameters, gain last; (n, 3, 3), (n, 3) where nothing is cut.
-    coupling : (n, 7, r) float64
-        Part of the normal matrix between local parameters and the profile. (n, 1, r), of the gains, where nothing is
-        cut: the position of a whole microimage is not correlated with its profile.
-    profile_normal, profile_right : (r, r), (r,) float64
-        Part of the profile over all lenses. These, `harmonic_step` and `variance` are empty if the profile was not
-        asked for.
-    harmonic_step : (r,) float64
-        Step of `Microimages.harmonic`.
-    variance : (r,) float64
-        Mean squared residual over the radius, without outliers.
-    scatter : (n,) float64
-        Mean of the weighted squared residuals of each lens, outliers at their limit, `lens_weight` left out.
-    cost : float
-        Mean of the same over all pixels.
+    Local parameters are `p = 7`, the gain last, or 3 where nothing is cut. The positions of whole microimages are not
+    correlated with their profile, so `coupling` has only the row of the gains then.
     """
 
-    normal: NDArray[np.float64]
-    right: NDArray[np.float64]
-    coupling: NDArray[np.float64]
-    profile_normal: NDArray[np.float64]
-    profile_right: NDArray[np.float64]
-    harmonic_step: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    scatter: NDArray[np.float64]
-    cost: float
+    normal: NDArray[np.float64]  # (n, p, p)
+    right: NDArray[np.float64]  # (n, p)
+    coupling: NDArray[np.float64]  # (n, 7 or 1, r) between local parameters and the profile
+    profile_normal: NDArray[np.float64]  # (r, r) of the profile over all lenses
+    profile_right: NDArray[np.float64]  # (r,)
+    harmonic_step: NDArray[np.float64]  # (r,) step of `Microimages.harmonic`
+    variance: NDArray[np.float64]  # (r,) mean squared residual, without outliers
+    scatter: NDArray[np.float64]  # (n,) mean of the weighted squared residuals, outliers at their limit
+    cost: float  # the same over all pixels
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _accumulate_profile(light, corners, centres, gain, cell, step, total, count):
+def _accumulate_profile(windows, cell, step, total, count):
+    light, corners, centres, gain, _, _ = windows
     normals, inradius, circumradius = cell
     lenses, side, chunks = light.shape[0], light.shape[1], total.shape[0]
     for chunk in prange(chunks):
@@ -187,8 +148,7 @@ def mean_profile(lenses: Microimages) -> NDArray[np.float64]:
     """(r,) mean radial profile of the lenses, cut or not."""
     rings = len(lenses.profile)
     total, count = np.zeros((_CHUNKS, rings)), np.zeros((_CHUNKS, rings))
-    cell = Cell(lenses.normals, lenses.inradius, lenses.circumradius)
-    _accumulate_profile(lenses.light, lenses.corners, lenses.centres, lenses.gain, cell, lenses.step, total, count)
+    _accumulate_profile(lenses.windows, lenses.cell, lenses.step, total, count)
     seen = np.flatnonzero(count.sum(0) > 0)
     mean: NDArray[np.float64] = np.interp(np.arange(rings), seen, total.sum(0)[seen] / count.sum(0)[seen])
     return mean
@@ -221,8 +181,8 @@ def build_normal_equations(lenses: Microimages, learn: bool = True) -> NormalEqu
         np.zeros((count, 2)),
     )
     accumulate(
-        Lenses(lenses.light, lenses.corners, lenses.centres, lenses.gain, lenses.lens_weight, lenses.slope),
-        Cell(lenses.normals, lenses.inradius, lenses.circumradius),
+        lenses.windows,
+        lenses.cell,
         _kernel_profile(lenses),
         None if whole else _kernel_cut(lenses),
         learn,
@@ -246,8 +206,8 @@ def build_normal_equations(lenses: Microimages, learn: bool = True) -> NormalEqu
     stiff = float(np.median(main[main > 0])) * _stiffness(rings)
     profile = np.diag(main) + np.diag(side[:-1], 1) + np.diag(side[:-1], -1) + stiff
     # Rings that hardly any light reaches through the cutting disc move slowly.
-    profile += PROFILE.least_light * np.diag(total)
-    settled = turned_own + PROFILE.least_light * (total + max(float(np.median(total)), 1e-30))
+    profile += PIXELS.least_light * np.diag(total)
+    settled = turned_own + PIXELS.least_light * (total + max(float(np.median(total)), 1e-30))
     return NormalEquations(
         normal, right, coupling, profile, force - stiff @ lenses.profile, turned / settled,
         _smooth_variance(squares, pixels), spread, cost,
@@ -256,9 +216,9 @@ def build_normal_equations(lenses: Microimages, learn: bool = True) -> NormalEqu
 
 def _kernel_profile(lenses: Microimages) -> Profile:
     """The profile, with the radius [px] up to which microimages are even, and how many pixels are enough there."""
-    even = int(np.argmax(lenses.edge)) * lenses.step - PROFILE.even_margin
-    even = even if even > PROFILE.even_radius else 0.0
-    choices, fewest = PROFILE.thinning, PROFILE.least_even_pixels
+    even = int(np.argmax(lenses.edge)) * lenses.step - PIXELS.even_margin
+    even = even if even > PIXELS.even_radius else 0.0
+    choices, fewest = PIXELS.thinning, PIXELS.least_even_pixels
     thin, aside = next((pair for pair in choices if np.pi * even**2 / pair[0] > fewest), choices[-1])
     slope = np.gradient(lenses.profile, lenses.step)
     rings = np.column_stack([lenses.profile, slope, lenses.ring_weight, lenses.harmonic])
@@ -277,7 +237,7 @@ def _kernel_cut(lenses: Microimages) -> Cut:
 def _stiffness(rings: int) -> NDArray[np.float64]:
     """(r, r) weights of steps and second differences of a profile."""
     flat, bend = np.diff(np.eye(rings), axis=0), np.diff(np.eye(rings), 2, axis=0)
-    stiff: NDArray[np.float64] = PROFILE.slope_weight * flat.T @ flat + PROFILE.bend_weight * bend.T @ bend
+    stiff: NDArray[np.float64] = PIXELS.slope_weight * flat.T @ flat + PIXELS.bend_weight * bend.T @ bend
     stiff.flags.writeable = False
     return stiff
 
@@ -293,18 +253,18 @@ def _smooth_variance(squares: NDArray[np.float64], count: NDArray[np.float64]) -
 
 @dataclass(frozen=True)
 class ReducedEquations:
-    """Normal equations without the gains: of the local parameters (n, m), of the profile (r,), and between them.
+    """Normal equations without the gains, of `m = 6` local parameters, or 2 where nothing is cut.
 
-    `m` is 6, or 2 where nothing is cut. `coupling` (n, 7, r) still has the row of the gains: that of another parameter
-    is its own row less its `gain_share` (n, m) of the last one. It is empty where nothing is cut.
+    `coupling` still has the row of the gains: that of another parameter is its own row less its `gain_share` of the
+    last one. It is empty where nothing is cut.
     """
 
-    normal: NDArray[np.float64]
-    right: NDArray[np.float64]
-    gain_share: NDArray[np.float64]
-    coupling: NDArray[np.float64]
-    profile_normal: NDArray[np.float64]
-    profile_right: NDArray[np.float64]
+    normal: NDArray[np.float64]  # (n, m, m)
+    right: NDArray[np.float64]  # (n, m)
+    gain_share: NDArray[np.float64]  # (n, m)
+    coupling: NDArray[np.float64]  # (n, 7, r)
+    profile_normal: NDArray[np.float64]  # (r, r)
+    profile_right: NDArray[np.float64]  # (r,)
 
     @cached_property
     def _factors(self) -> NDArray[np.float64]:
@@ -373,7 +333,7 @@ def solve_robustly(
         all_local = reduced.append_gains(columns, half)
         coupling = reduced.coupling[half].reshape(lenses * (local + 1), -1)
     weight = np.ones(lenses) if before is None else before[half]
-    for _ in range(GAUSS_NEWTON.robust_passes if before is None else 1):
+    for _ in range(SOLVER.robust_passes if before is None else 1):
         weighted = (weight[:, None, None] * columns).reshape(-1, globals_).T
         information, pull = weighted @ matter, weighted @ force
         if reduced.coupling.shape[1]:

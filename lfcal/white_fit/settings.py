@@ -6,16 +6,14 @@ from dataclasses import dataclass
 
 from ..lattice.robust_fit import TUKEY_CUTOFF
 
-__all__ = [
-    "CUTOUTS", "EDGE", "FIT", "GAUSS_NEWTON", "KERNEL", "LARGE", "MODEL", "PROFILE", "RIM", "SHADING", "VIGNETTING",
-    "FitSettings", "GaussNewtonSettings", "LargeSettings",
-]  # fmt: skip
+__all__ = ["FIT", "LARGE", "PIXELS", "SOLVER", "VIGNETTING", "FitSettings", "LargeSettings"]
 
 
 @dataclass(frozen=True)
 class FitSettings:
     """Tuned values of `fit`: how many lenses each of its three steps uses, and when a parameter is kept."""
 
+    fewest_lenses: int = 12  # for a fit
     search_pixels: float = 1e5  # pixels with which a cutting disc is searched for
     search_lenses: int = 150  # and the fewest lenses
     order_pixels: float = 6e5  # pixels with which the parameters of the model are chosen
@@ -37,8 +35,8 @@ class FitSettings:
 
 
 @dataclass(frozen=True)
-class GaussNewtonSettings:
-    """Tuned values of `gauss_newton` and of the robust weights of lenses."""
+class SolverSettings:
+    """Tuned values of `gauss_newton`, of the limits of its steps, and of the robust weights of lenses."""
 
     passes: int = 15  # at most
     free_passes: int = 5  # passes in which weights follow the residuals; longer, and the fit does not settle
@@ -53,39 +51,30 @@ class GaussNewtonSettings:
     near_px: float = 0.05  # [px] is a twentieth, if the step is also short against the blur of an edge
     most_dampings: int = 60  # doublings of the damping of a step
     runaway: float = 0.05  # relative change of the basis that no true fit makes
+    robust_passes: int = 3  # reweightings of lenses within one step
     brightness_groups: int = 12  # groups of lenses in which noise is measured against brightness
     outlying_scatter: float = 4.0  # times the usual scatter at its brightness: a lens loses weight beyond
     outlying_lens: float = 2.5  # [residual RMS] lenses farther off are located one by one
     single_passes: int = 5  # passes to locate a single lens
     single_step: float = 0.5  # [px] longest of its steps
     single_weight: float = 1e-9  # weight of such a lens, so low that no pixel counts as an outlier
-    robust_passes: int = 3  # reweightings of lenses within one step
-
-
-@dataclass(frozen=True)
-class ModelSettings:
-    """Tuned values of `model`: limits of a step of the cutting disc."""
-
-    most_move: float = 0.1  # [disc radius] change of position or radius in one step
-    most_blur_change: float = 0.3  # relative change of the blur in one step
+    most_move: float = 0.1  # [disc radius] change of position or radius of the cutting disc in one step
+    most_blur_change: float = 0.3  # relative change of its blur in one step
     most_correlation_change: float = 0.2  # change of the blur correlation in one step
-    most_blur: float = 0.1  # [disc radius] blur of the edge at most, on top of `least_blur`
+    most_blur: float = 0.1  # [disc radius] blur of its edge at most, on top of `least_blur`
     least_blur: float = 0.2  # [px] pixels of finite size blur every edge by this
     most_correlation: float = 0.98  # edges that run alike are never blurred quite alike
 
 
 @dataclass(frozen=True)
-class KernelSettings:
-    """Tuned values of `kernel`."""
+class PixelSettings:
+    """Tuned values of `cutouts`, `kernel`, `normal_equations`, `edge_profile` and `shading`."""
 
+    dark: float = 0.03  # share of the light of a bright microimage below which there is none: no lens
+    core: float = 0.4  # side of the square that measures the gain, over the diameter of the inscribed circle
+    ring_step: float = 0.125  # [px] between rings of the profile: edges of discs are about 1 px wide
     outlier: float = TUKEY_CUTOFF  # [standard deviations] pixels farther off have no weight
     cut_edge: float = 3.0  # [blur] beyond so far from its middle the edge of the cut is all or nothing
-
-
-@dataclass(frozen=True)
-class ProfileSettings:
-    """Tuned values of `normal_equations`: smoothness of the profile, and thinning of even pixels."""
-
     slope_weight: float = 1e-4  # weight of squared steps of the profile over that of its pixels
     bend_weight: float = 0.3  # weight of squared second differences
     least_light: float = 0.01  # share of the pixels of a ring below which its level is damped
@@ -94,22 +83,6 @@ class ProfileSettings:
     # (one pixel in so many, a power of two; shift of each row [px]): the first that leaves `least_even_pixels` is used.
     thinning: tuple[tuple[int, int], ...] = ((64, 14), (16, 6), (4, 2))
     least_even_pixels: int = 100  # in the even inside of a microimage
-
-
-@dataclass(frozen=True)
-class CutoutSettings:
-    """Tuned values of `cutouts`."""
-
-    fewest_lenses: int = 12  # for a fit
-    ring_step: float = 0.125  # [px] between samples of the profile: edges of discs are about 1 px wide
-    dark: float = 0.03  # share of the light of a bright microimage below which there is none: no lens
-    core: float = 0.4  # side of the square that measures the gain, over the diameter of the inscribed circle
-
-
-@dataclass(frozen=True)
-class EdgeSettings:
-    """Tuned values of `edge_profile`."""
-
     steep: float = 0.1  # share of the steepest slope of the profile above which it is an edge
     deepest: float = 3.09  # [blur] beyond, light is within 0.001 of none or all and tells no depth
     used_depth: float = 2.3  # [blur] depths used to measure the blur
@@ -117,23 +90,17 @@ class EdgeSettings:
     beside: int = 2  # rings beside the edge that may still belong to it
     least_tail: float = -0.03  # uniform discs and squares have 0.05, normal blur 0, longer tails less
     most_tail: float = 0.06
-    rounds: int = 4  # alternations between line and tail
-
-
-@dataclass(frozen=True)
-class ShadingSettings:
-    """Tuned values of `shading`."""
-
-    lenses: int = 4000  # that the gain over the field is fitted to
-    inside: float = 0.6  # share of the inscribed radius in which slopes are measured: cuts are rare, edges far
-    significance: float = 6.0  # standard errors beyond which slopes are used
-    outlier: float = 4.0  # [medians of the residuals]
-    gain_outlier: float = 5.0  # [medians of the residuals] for the gain over the field
+    blur_rounds: int = 4  # alternations between line and tail
+    gain_lenses: int = 4000  # lenses that the gain over the field is fitted to
+    gain_outlier: float = 5.0  # [median residual] of that fit
+    slope_inside: float = 0.6  # share of the inscribed radius in which slopes are measured: cuts are rare, edges far
+    slope_significance: float = 6.0  # standard errors beyond which slopes are used
+    slope_outlier: float = 4.0  # [median residual]
 
 
 @dataclass(frozen=True)
 class VignettingSettings:
-    """Tuned values of `mechanical_vignetting`."""
+    """Tuned values of `mechanical_vignetting` and `rim_fit`."""
 
     least_gain: float = 0.005  # share of the cost that a cutting disc must save
     least_depth: float = 0.3  # [px] it must reach into microimages
@@ -154,16 +121,10 @@ class VignettingSettings:
     most_falloff: float = 0.5  # share of the light lost at the side of the cell by shading
     least_light: float = 0.04  # share of full light that any direction counts as at least
     start_blur: float = 0.5  # [px]
-
-
-@dataclass(frozen=True)
-class RimSettings:
-    """Tuned values of `rim_fit`."""
-
     start_growths: tuple[float, ...] = (0.15, 0.35, 0.6)  # [disc radius] displacements in the corner to start from
     start_radii: tuple[float, ...] = (1.0, 1.1, 1.25)  # [disc radius]
     start_shares: tuple[float, ...] = (0.0, 0.4)  # part of the displacement that the lattice may have absorbed
-    turns: int = 12  # of Levenberg-Marquardt
+    rim_passes: int = 12  # of Levenberg-Marquardt
     difference: float = 1e-3  # [px] of numerical derivatives
     converged: float = 1e-4  # relative fall of the squares that ends the fit
     # [px] where two rims cross, blur takes light from both: times log(2), for edges blurred by half a pixel together.
@@ -194,13 +155,7 @@ class LargeSettings:
 
 
 FIT = FitSettings()
-GAUSS_NEWTON = GaussNewtonSettings()
-MODEL = ModelSettings()
-KERNEL = KernelSettings()
-PROFILE = ProfileSettings()
-CUTOUTS = CutoutSettings()
-EDGE = EdgeSettings()
-SHADING = ShadingSettings()
+SOLVER = SolverSettings()
+PIXELS = PixelSettings()
 VIGNETTING = VignettingSettings()
-RIM = RimSettings()
 LARGE = LargeSettings()

@@ -18,7 +18,7 @@ from ..lattice.cell import clip_rows
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
 from .normal_equations import Microimages
-from .settings import SHADING
+from .settings import PIXELS
 
 __all__ = ["field_slope", "fit_gain_slope", "fit_slope"]
 
@@ -32,7 +32,7 @@ def fit_gain_slope(centres: NDArray[np.float64], gain: NDArray[np.float64], latt
     x, y = ((centres - scale) / scale).T
     powers = [(a, b) for a in range(_DEGREE + 1) for b in range(_DEGREE + 1 - a)]
     xs, ys = _powers(x), _powers(y)
-    few = slice(None, None, max(1, len(gain) // SHADING.lenses))
+    few = slice(None, None, max(1, len(gain) // PIXELS.gain_lenses))
     log, table = np.log(gain[few]), np.column_stack([xs[a][few] * ys[b][few] for a, b in powers])
     keep = np.ones(len(log), dtype=bool)
     factors: NDArray[Any] = np.zeros(len(powers))
@@ -43,7 +43,7 @@ def fit_gain_slope(centres: NDArray[np.float64], gain: NDArray[np.float64], latt
         some = table[keep]
         factors = np.asarray(np.linalg.lstsq(some.T @ some, some.T @ log[keep], rcond=None)[0], np.float64)
         miss = np.abs(log - table @ factors)
-        keep = miss < SHADING.gain_outlier * np.median(miss) + 1e-6
+        keep = miss < PIXELS.gain_outlier * np.median(miss) + 1e-6
     dx, dy = np.zeros(len(gain)), np.zeros(len(gain))
     for (a, b), factor in zip(powers, factors.tolist(), strict=True):
         if a:
@@ -62,8 +62,9 @@ def _powers(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=FAST)
-def _measure_slopes(light, corners, centres, gain, slope, profile, step, reach, out):
+def _measure_slopes(windows, profile, step, reach, out):
     """(n, 3): slope of the light of each lens beyond `slope`, relative to its profile [1/px], and its weight [px^2]."""
+    light, corners, centres, gain, _, slope = windows
     lenses, side = light.shape[0], light.shape[1]
     per_step = 1 / step
     for lens in prange(lenses):
@@ -94,21 +95,12 @@ def field_slope(lenses: Microimages, lattice: Lattice) -> NDArray[np.float64]:
 
 
 def fit_slope(lenses: Microimages, lattice: Lattice) -> NDArray[np.float64]:
-    """(n, 2) relative slope of the light inside each microimage [1/px]: `field_slope` and a linear function of place.
-
-    Parameters
-    ----------
-    lenses : Microimages
-        With gains and profile that fit.
-    lattice : Lattice
-    """
+    """(n, 2) relative slope of the light inside each microimage [1/px]: `field_slope` and a linear function."""
     gain, slope = np.maximum(lenses.gain, 1e-12), field_slope(lenses, lattice)
     if np.isfinite(lenses.saturation):
         return slope
-    found, reach = np.zeros((len(gain), 3)), SHADING.inside * lenses.inradius
-    _measure_slopes(
-        lenses.light, lenses.corners, lenses.centres, gain, slope, lenses.profile, lenses.step, reach, found
-    )
+    found, windows = np.zeros((len(gain), 3)), lenses.windows._replace(gain=gain, slope=slope)
+    _measure_slopes(windows, lenses.profile, lenses.step, PIXELS.slope_inside * lenses.inradius, found)
     # A slope that grows with the distance from an axis, which may lie beside the middle.
     far = np.ascontiguousarray((lenses.centres - (np.array(lattice.image_size) - 1) / 2).T)
     slopes, weight = np.ascontiguousarray(found[:, :2].T), np.ascontiguousarray(found[:, 2])
@@ -121,10 +113,10 @@ def fit_slope(lenses: Microimages, lattice: Lattice) -> NDArray[np.float64]:
         solution = np.linalg.lstsq(normal, right, rcond=None)[0]
         linear = solution[:2, None] + solution[2] * far
         miss = np.abs(slopes - linear) * root
-        keep = some & (miss < SHADING.outlier * np.median(miss if some.all() else miss[:, some]) + 1e-12)
+        keep = some & (miss < PIXELS.slope_outlier * np.median(miss if some.all() else miss[:, some]) + 1e-12)
     variance = float((miss[keep] ** 2).mean())
     information = _linear_equations(far, slopes, weight * keep)[0] / max(variance, 1e-30)
-    if solution @ information @ solution < SHADING.significance**2:
+    if solution @ information @ solution < PIXELS.slope_significance**2:
         return slope
     return slope + linear.T
 
