@@ -19,8 +19,6 @@ from .refinement.neighbour_prior import refine_patch_sizes
 from .refinement.quadratic_fit import fit_quadratic
 from .refinement.smoothing import smooth_fits, smooth_fits_far
 from .validity.classify import (
-    RESOLVABLE,
-    SURE,
     classify_lenses,
     looks_like_shading,
     match_proves_texture,
@@ -30,6 +28,7 @@ from .validity.classify import (
     shift_may_be_zero,
 )
 from .validity.periodicity import find_periodic_texture, sees_little_of_scene
+from .validity.settings import CLASSIFY
 from .validity.uncertainty import correlates_poorly, inflate_errors, signal_share, systematic_error
 
 __all__ = ["DEFAULT_RATIO", "LensEstimates", "LensSet", "PreviousEstimates", "estimate_lenses"]
@@ -137,7 +136,7 @@ class PreviousEstimates:
         if known.sum() <= (resolved & ~self.kept).sum() or (self.reason[self.kept] == 2).any():
             return None
         # Where the scene may repeat, the confidence of all lenses has been cut to this.
-        return np.zeros(len(resolved), bool), bool(self.confidence[known].max() <= SURE)
+        return np.zeros(len(resolved), bool), bool(self.confidence[known].max() <= CLASSIFY.sure)
 
 
 @dataclass(frozen=True)
@@ -239,7 +238,7 @@ def estimate_lenses(
     textured = near & ((texture.clear & ~doubtful) | (doubtful & match_proves_texture(found, pitch)))
     maybe = near & doubtful & ~textured & match_suggests_texture(found)
     wanted = textured | maybe
-    telling = (wanted | ~near) & (np.minimum(found.confidence, found.uniqueness) >= SURE)
+    telling = (wanted | ~near) & (np.minimum(found.confidence, found.uniqueness) >= CLASSIFY.sure)
     occurring = found.patch_size[telling] if sizes is None else sizes
     alone, refined, error, found = _refined(lenses, setting, found, wanted, occurring)
     textured |= maybe & shift_exceeds_shading(refined, error, pitch)
@@ -262,7 +261,7 @@ def estimate_lenses(
     little = sees_little_of_scene(texture.flat.centres, depths, shown, pitch)
     perhaps = perhaps or correlates_poorly(explained, signal, reason == 0, little)
     reason[again] = 2
-    sure = SURE * sure if perhaps else sure
+    sure = CLASSIFY.sure * sure if perhaps else sure
     alone = replace(
         alone, standard_error=np.where(reason == 0, inflate_errors(alone.standard_error, explained), np.inf)
     )
@@ -329,6 +328,6 @@ def _within_reach(guess: NDArray, refined: NDArray, reason: NDArray[np.int8], pi
     Costs that are all alike have their minimum at an end of the range. Drawn there, a blank place would be read at
     the rims of microimages.
     """
-    astray = (reason == 1) & (np.abs(guess) > RESOLVABLE * pitch)
+    astray = (reason == 1) & (np.abs(guess) > CLASSIFY.resolvable * pitch)
     known = refined[reason == 0]
     return np.where(astray, np.median(known) if known.size else DEFAULT_RATIO * pitch, guess)

@@ -33,7 +33,8 @@ from .presets import PRESETS, Preset
 from .surface.densify import densify
 from .surface.second_layer import find_second_layer
 from .surface.thin_structures import find_thin_structures
-from .validity.classify import SHADED_REACH, SURE, occurs_among
+from .validity.classify import occurs_among
+from .validity.settings import CLASSIFY
 from .validity.textureless import find_textureless
 
 __all__ = ["SceneStatistics", "UnsmoothedEstimates", "estimate_depth_map", "estimate_lens_by_lens", "prepare_flat"]
@@ -281,7 +282,7 @@ def _spread_out(
     depth = DepthMap(
         patch_size=np.where(crossed, middle, np.where(resolved, answers.patch_size, np.nan)),
         standard_error=np.where(crossed, np.maximum(error, answers.found.step), np.where(resolved, error, np.inf)),
-        confidence=np.where(crossed | ~resolved, SURE * sure, sure),
+        confidence=np.where(crossed | ~resolved, CLASSIFY.sure * sure, sure),
         filled_patch_size=np.where(crossed, middle, drawn),
         surface=surface,
         pitch=lattice.pitch,
@@ -334,7 +335,7 @@ def _seconds(
     around = occurring if shortcuts.ranges else None
     rest = find_second_layer(lenses.texture, lenses.forward, lenses.backward, drawn, evidence, setting, around)
     # Shading matches itself near zero: a depth there must occur by itself.
-    rest[(np.abs(rest) < SHADED_REACH * lenses.pitch) & ~occurs_among(rest, occurring, gap)] = np.nan
+    rest[(np.abs(rest) < CLASSIFY.shading_reach * lenses.pitch) & ~occurs_among(rest, occurring, gap)] = np.nan
     others[:, 1] = rest
     thin = find_thin_structures(lenses.texture, lenses.forward, lenses.backward, drawn, others, lenses.near, gap)
     # Its place is that of the second best, which is false more often, but where the other one is free.

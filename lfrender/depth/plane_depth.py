@@ -18,9 +18,9 @@ from .planes.detection import PlaneScene, find_plane
 from .planes.plane_fit import Plane, fit_plane, has_outlier_cluster
 from .planes.settings import PLANE
 from .presets import PRESETS
-from .surface.densify import grid_shape
-from .validity.classify import AGREED, LEAST_EVIDENCE, RESOLVABLE, SURE
+from .surface.scene_grid import grid_shape
 from .validity.periodicity import find_periodic_texture
+from .validity.settings import CLASSIFY
 
 __all__ = ["confirm_on_plane", "find_plane_of_few", "fit_regular_plane", "plane_depth_map", "plane_scene_depth"]
 
@@ -34,12 +34,12 @@ def plane_scene_depth(
     found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str, saved: dict[str, float]
 ) -> DepthMap:
     """One plane for all lenses that show it."""
-    shown = found.correlation >= LEAST_EVIDENCE
+    shown = found.correlation >= CLASSIFY.least_correlation
     usual = shown & (found.correlation >= _TYPICAL * np.median(found.correlation[shown]))
     shown &= usual | (count_neighbours(usual, neighbour_rows(lattice, lattice.steps)) >= 2)
     sizes = found.plane.at(lattice.centres())
     again, perhaps = find_periodic_texture(gray, lattice.indices(), sizes, shown)
-    sure = found.confidence * (SURE if perhaps else 1.0)
+    sure = found.confidence * (CLASSIFY.sure if perhaps else 1.0)
     reason = np.where(shown, np.where(again, 2, 0), 1)
     return plane_depth_map(found.plane, lattice, preset, reason, sure * shown, saved)
 
@@ -114,7 +114,7 @@ def find_plane_of_few(
 def confirm_on_plane(plane: Plane, answers: LensEstimates, lenses: LensSet) -> LensEstimates:
     """What lenses that all lie on a plane answer: it confirms what few pairs at the border of the flat could not."""
     own, reason = plane.at(lenses.centres), answers.reason
-    near_plane = np.abs(answers.patch_size - own) <= 2 * AGREED * lenses.pitch
-    near_plane &= np.abs(own) <= RESOLVABLE * lenses.pitch
-    sure = near_plane & (answers.found.confidence >= SURE)
+    near_plane = np.abs(answers.patch_size - own) <= 2 * CLASSIFY.agreeing_error * lenses.pitch
+    near_plane &= np.abs(own) <= CLASSIFY.resolvable * lenses.pitch
+    sure = near_plane & (answers.found.confidence >= CLASSIFY.sure)
     return replace(answers, reason=np.where((reason == 3) & sure, 0, reason).astype(np.int8))

@@ -29,8 +29,8 @@ from ..depth.planes.detection import add_systematic_error, correlate_with_plane,
 from ..depth.planes.plane_fit import Plane, fit_plane
 from ..depth.planes.settings import PLANE
 from ..depth.presets import PRESETS
-from ..depth.surface.densify import grid_shape
-from ..depth.validity.classify import LEAST_EVIDENCE
+from ..depth.surface.scene_grid import grid_shape
+from ..depth.validity.settings import CLASSIFY
 from ..depth.validity.textureless import find_textureless
 from ..flat.gray_flat import GrayFlat, make_gray_flat
 from ..flat.gray_flat import has_uneven_lenses as uneven_lenses
@@ -286,7 +286,7 @@ def _check_plane(
         correlation[flat.rows(part)] = found[0]
         explained.append(found[1])
     plane = add_systematic_error(plane, np.concatenate(explained))
-    matched = correlation >= LEAST_EVIDENCE
+    matched = correlation >= CLASSIFY.least_correlation
     skipped = 1 - len(flat.overview.sizes) / len(lattice)
     reason = np.where(matched, 0, 1)
     return plane_depth_map(plane, lattice, flat.preset, reason, confidence * matched, {"plane": max(0.0, skipped)})

@@ -18,7 +18,7 @@ from lfcal import Calibration, CalibrationError, FlatSource, Lattice
 
 from ..data.region import crop_lattice
 from ..depth.presets import Preset
-from ..depth.surface.densify import grid_shape
+from ..depth.surface.scene_grid import grid_shape
 from ..flat.demosaicing import SUPPORT, demosaic
 from .settings import DEFAULT, LargeSettings
 

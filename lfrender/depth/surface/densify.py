@@ -1,4 +1,9 @@
-"""From the depth of lenses to the depth of every scene point, edges settled on the pixels."""
+"""The depth of every scene point from the depths of the lenses around it, with depth edges located on the pixels.
+
+Lenses that agree are interpolated. Where they do not, each of their depths is a hypothesis whose mismatch is measured
+on the pixels, and semi-global matching (Hirschmueller, Stereo processing by semiglobal matching and mutual
+information, 2008) along rows and columns chooses one per point.
+"""
 
 from __future__ import annotations
 
@@ -10,30 +15,29 @@ from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
 
 from ...data.surface import Surface
-from ...flat.distorted_lookup import lens_displacements
 from ...flat.gray_flat import GrayFlat
-from ...flat.lens_graph import lens_grid, neighbour_rows
+from ...flat.lens_graph import neighbour_rows
 from ...runtime.buffers import allocate_scratch
 from ...runtime.cache import cached
-from .hypotheses import MAX_HYPOTHESES, find_agreeing_lenses, propose_hypotheses
+from ..same_surface import same_surface
+from .hypotheses import MAX_HYPOTHESES, find_agreeing_lenses, hypothesis_constants, propose_hypotheses
+from .photoconsistency import view_constants
+from .scene_grid import grid_shape, scene_grid
+from .settings import DensifySettings
 from .update_mask import mark_changed_points
 
-__all__ = ["densify", "grid_shape"]
+__all__ = ["densify"]
 
-# Lenses within this many pitches vote for depths, those within the second number look at them.
-_VOTING, _LOOKING = 1.45, 2.1
-# Specks are smaller than about half of a square of so many grid values to each side.
-_SPECK = 1
-# Price of a depth edge between neighbouring grid values, and of a slant by one gap.
-_JUMP, _SLANT = np.float32(0.35), np.float32(0.1)
+_DEFAULT = DensifySettings()
+_NOTHING = np.empty((0, 0), np.float32)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
-def _walk(depths, costs, single, gap, part, total):
-    """One path of semi-global matching over the candidates of a line of scene points.
+def _aggregate(depths, costs, single, gap, jump, slant, part, total):
+    """Add one path of semi-global matching along a line of scene points to `total`.
 
-    Where there is a `single` one it is chosen in any case, and tells the next point no more than its depth. A step
-    costs `part` of the prices.
+    Where there is a `single` hypothesis it is chosen in any case, and passes on no more than its depth. A step costs
+    `part` of the prices.
     """
     most = len(depths)
     message = np.zeros(most, np.float32)
@@ -46,18 +50,18 @@ def _walk(depths, costs, single, gap, part, total):
         lowest = np.float32(np.inf)
         for k in range(most):
             s = depths[k, p]
-            # Candidates come first, unused places after them.
+            # Hypotheses come first, unused places after them.
             if np.isnan(s):
                 break
             best = np.float32(0.0)
             if p > 0:
-                best = part * _JUMP
+                best = part * jump
                 for q in range(1 if single[p - 1] else most):
                     t = depths[q, p - 1]
                     if np.isnan(t):
                         break
                     apart = abs(s - t) / gap
-                    best = min(best, previous[q] - low + part * min(_JUMP, _SLANT * apart if apart < 1 else _JUMP))
+                    best = min(best, previous[q] - low + part * min(jump, slant * apart if apart < 1 else jump))
             message[k] = costs[k, p] + best
             total[k, p] += message[k]
             lowest = min(lowest, message[k])
@@ -67,8 +71,8 @@ def _walk(depths, costs, single, gap, part, total):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _settle(depths, costs, gap, part, total, out):
-    """Choose one candidate per scene point with the support of its row and column, both ways."""
+def _choose(depths, costs, gap, jump, slant, part, total, out):
+    """Choose one hypothesis per scene point by paths along its row and column, both ways."""
     most, rows, columns = depths.shape
     single, turned = np.empty((rows, columns), np.bool_), np.empty((columns, rows), np.bool_)
     for v in prange(rows):
@@ -80,14 +84,17 @@ def _settle(depths, costs, gap, part, total, out):
                 some = True
                 for k in range(most):
                     total[k, v, u] = 0.0
-        # A line on which no point has two candidates has nothing to settle.
         if some:
-            _walk(depths[:, v], costs[:, v], single[v], gap, part, total[:, v])
-            _walk(depths[:, v, ::-1], costs[:, v, ::-1], single[v, ::-1], gap, part, total[:, v, ::-1])
+            _aggregate(depths[:, v], costs[:, v], single[v], gap, jump, slant, part, total[:, v])
+            _aggregate(
+                depths[:, v, ::-1], costs[:, v, ::-1], single[v, ::-1], gap, jump, slant, part, total[:, v, ::-1]
+            )
     for u in prange(columns):
         if not turned[u].all():
-            _walk(depths[:, :, u], costs[:, :, u], turned[u], gap, part, total[:, :, u])
-            _walk(depths[:, ::-1, u], costs[:, ::-1, u], turned[u, ::-1], gap, part, total[:, ::-1, u])
+            _aggregate(depths[:, :, u], costs[:, :, u], turned[u], gap, jump, slant, part, total[:, :, u])
+            _aggregate(
+                depths[:, ::-1, u], costs[:, ::-1, u], turned[u, ::-1], gap, jump, slant, part, total[:, ::-1, u]
+            )
     for v in prange(rows):
         for u in range(columns):
             best = 0
@@ -101,10 +108,10 @@ def _settle(depths, costs, gap, part, total, out):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _without_specks(chosen, depths, gap, out):
-    """Give contested points that most of the points about them contradict the median of those."""
+def _remove_specks(chosen, depths, gap, reach, out):
+    """Replace points with several hypotheses that differ from most points about them by the median of those."""
     rows, columns = chosen.shape
-    side = 2 * _SPECK + 1
+    side = 2 * reach + 1
     for v in prange(rows):
         window = np.empty(side * side, np.float32)
         for u in range(columns):
@@ -113,28 +120,21 @@ def _without_specks(chosen, depths, gap, out):
             if np.isnan(depths[1, v, u]):
                 continue
             count = agree = 0
-            for y in range(max(0, v - _SPECK), min(rows, v + _SPECK + 1)):
-                for x in range(max(0, u - _SPECK), min(columns, u + _SPECK + 1)):
+            for y in range(max(0, v - reach), min(rows, v + reach + 1)):
+                for x in range(max(0, u - reach), min(columns, u + reach + 1)):
                     window[count] = chosen[y, x]
                     count += 1
-                    agree += abs(chosen[y, x] - here) <= gap
+                    agree += same_surface(chosen[y, x], here, gap)
             if 2 * agree < count:
                 out[v, u] = np.sort(window[:count])[count // 2]
 
 
-def grid_shape(lattice: Lattice, cells: int) -> tuple[tuple[int, int], tuple[float, float], float]:
-    """Rows and columns of the grid of scene points, `cells` per pitch, the first of them, and their spacing [px]."""
-    width, height = lattice.image_size
-    spacing = lattice.pitch / cells
-    return (int(np.ceil(height / spacing)) + 1, int(np.ceil(width / spacing)) + 1), (-0.5, -0.5), spacing
-
-
-def _steps_nearby(lattice: Lattice) -> NDArray[np.int64]:
-    """(k, 2) index steps to the lenses that look at the same points, the nearest first, as the kernel sorts them."""
+def _steps_nearby(lattice: Lattice, reach: float) -> NDArray[np.int64]:
+    """(k, 2) index steps to the lenses within `reach` [pitches], the nearest first, as the kernels sort them."""
     span = np.arange(-3, 4)
     steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
     distance = np.linalg.norm(steps @ lattice.basis, axis=1)
-    return steps[np.argsort(distance, kind="stable")[: int((distance < _LOOKING * lattice.pitch).sum())]]
+    return steps[np.argsort(distance, kind="stable")[: int((distance < reach * lattice.pitch).sum())]]
 
 
 def densify(
@@ -145,15 +145,13 @@ def densify(
     trust: NDArray[np.float32],
     noise: float,
     cells: int,
-    settled: NDArray[np.bool_] | None = None,
+    unchanged: NDArray[np.bool_] | None = None,
     before: Surface | None = None,
+    settings: DensifySettings = _DEFAULT,
 ) -> Surface:
     """Patch size of every scene point from the patch sizes of the lenses around it.
 
-    Where they agree the answer is their weighted mean. Where they do not, each candidate depth is
-    tried on the pixels, where the better half of the views decides (an occluder hides the rest), and
-    the candidates of neighbouring points support each other (semi-global matching, Hirschmueller 2008):
-    first on a grid of twice the spacing, then between its values where these differ.
+    First on a grid of twice the spacing, then between its values where these differ.
 
     Parameters
     ----------
@@ -163,31 +161,34 @@ def densify(
     values : (n,) float32 [px]
         Patch size of each lens, finite.
     seconds : (n, 2) float32 [px]
-        Other patch sizes that it may show as well: the next best, and that of what the first leaves unexplained; NaN
-        where there is none.
+        Other patch sizes that it may show as well: the second-best match, and the second layer; NaN where there is
+        none.
     trust : (n,) float32
         Weight of each lens, positive.
     noise : float
         Standard deviation of a pixel of `gray`.
     cells : int
-        Grid values per pitch: with 7, a depth edge moves less than a traditional pixel.
-    settled : (n,) bool, optional
+        Grid values per pitch: with 7, a depth edge is located to less than a traditional pixel.
+    unchanged : (n,) bool, optional
         Lenses whose surroundings stay as in the surface `before`, if that is of the whole flat.
+    before : Surface, optional
+    settings : DensifySettings
     """
     pitch = lattice.pitch
     shape, start, spacing = grid_shape(lattice, cells)
-    grid, low = lens_grid(lattice)
-    ring = cached(lattice, "looking", lambda: _steps_nearby(lattice))
-    gap = np.float32(max(0.75, 0.04 * pitch))
-    inverse, bend, indices = np.linalg.inv(lattice.basis), lens_displacements(lattice), lattice.indices()
-    calm = find_agreeing_lenses(values, seconds, trust, indices, grid, low, ring, gap)
-    old = np.empty((0, 0), np.float32)
-    if before is not None and before.patch_size.shape == shape and before.first == start:
-        old = before.patch_size
-    if settled is None:
-        old = old[:0, :0]
+    ring = cached(lattice, "looking", lambda: _steps_nearby(lattice, settings.viewing_reach))
+    gap = np.float32(max(settings.least_same_surface, settings.same_surface * pitch))
+    grid = scene_grid(lattice, start[0], spacing)
+    step, floor = max(1.0, pitch / settings.patch_pitch), settings.noise * noise * noise
+    constants = hypothesis_constants(
+        gap, pitch, settings.voting_reach * pitch, view_constants(gray.radius, step, floor)
+    )
+    agreeing = find_agreeing_lenses(values, seconds, trust, lattice.indices(), grid, ring, gap, constants.trusted)
+    known = before is not None and before.patch_size.shape == shape and before.first == start
+    old = before.patch_size if before is not None and known and unchanged is not None else _NOTHING
     table = np.empty((len(values), 6), np.float32)
     table[:, :2], table[:, 2], table[:, 3], table[:, 4:] = gray.centres, trust, values, seconds
+    around = neighbour_rows(lattice, ring)
 
     def settle(
         shape: tuple[int, int], part: float, old: NDArray[np.float32], coarse: NDArray[np.float32], purpose: str
@@ -195,28 +196,24 @@ def densify(
         depths, costs, totals = (
             allocate_scratch(name, (MAX_HYPOTHESES, *shape), np.float32) for name in ("depths", "costs", "totals")
         )
-        around, unsettled = neighbour_rows(lattice, ring), allocate_scratch("unsettled", old.shape, np.bool_)
+        points, changed = grid._replace(spacing=spacing / part), allocate_scratch("unsettled", old.shape, np.bool_)
         if old.size:
-            mark_changed_points(
-                settled, gray.centres, indices, around, ring, lattice.origin, lattice.basis, inverse, *bend, start[0],
-                spacing / part, unsettled,
-            )  # fmt: skip
+            mark_changed_points(unchanged, gray.centres, lattice.indices(), around, ring, points, changed)
         propose_hypotheses(
-            gray.image, table, around, np.float32(gray.radius), np.float32(pitch), calm, grid, low, lattice.origin,
-            inverse, *bend, ring, gap, np.float32(4 * noise * noise), start[0], spacing / part,
-            np.float32((_VOTING * pitch) ** 2), np.float32(max(1.0, pitch / 48)), unsettled, old, coarse, depths, costs,
-        )  # fmt: skip
+            gray.image, table, around, ring, agreeing, points, constants, changed, old, coarse, depths, costs
+        )
         chosen = allocate_scratch(purpose, shape, np.float32)
-        # A step between grid values counts as part of those that it stands for, as what they mismatch does.
-        _settle(depths, costs, gap, np.float32(part), totals, chosen)
+        # A step of a coarser grid stands for several steps, and so does its mismatch: both are scaled alike.
+        jump, slant = np.float32(settings.jump), np.float32(settings.slant)
+        _choose(depths, costs, gap, jump, slant, np.float32(part), totals, chosen)
         return depths, chosen
 
-    # Only where values of twice the spacing disagree those between them are asked: along depth edges.
+    # Points between values of twice the spacing that agree are interpolated: only depth edges are computed in full.
     half = shape[0] // 2 + 1, shape[1] // 2 + 1
-    _, coarse = settle(half, 0.5, _every_other(old, half), np.empty((0, 0), np.float32), "coarse")
+    _, coarse = settle(half, 0.5, _every_other(old, half), _NOTHING, "coarse")
     depths, chosen = settle(shape, 1.0, old, coarse, "chosen")
     out = np.empty_like(chosen)
-    _without_specks(chosen, depths, gap, out)
+    _remove_specks(chosen, depths, gap, settings.speck, out)
     return Surface(out, start, spacing)
 
 

@@ -1,4 +1,7 @@
-"""What each microimage pixel sees: the surface carried into every lens, nearer places hiding farther ones."""
+"""What each microimage pixel sees: the surface projected into every lens, with a depth buffer.
+
+Only lenses with a depth edge in reach are projected; in all others each pixel sees the one surface that is there.
+"""
 
 from __future__ import annotations
 
@@ -18,29 +21,29 @@ from ...runtime.scheduling import coprime_stride
 
 __all__ = ["project_surface"]
 
-# A lattice, and what else is the same from frame to frame: `reach`, `edge` and `part`.
-_Settings = tuple[Lattice, float, float, tuple[int, int, int, int] | None]
+# Lattice, reach, tolerance and part of a projection: if all are the same, only changed lenses are projected again.
+_Geometry = tuple[Lattice, float, float, tuple[int, int, int, int] | None]
 
-# Side of the squares of grid values whose range is known: where lenses see no edge in these, none looks at the values.
+# Side of the squares of grid values whose range is computed first: without an edge in these, values are not read.
 _SQUARE = 4
-# What is left free between two lenses to each side [px]: more than rounding of their centres.
-_APART = 0.01
-# Height of the bands of a flat that one thread works on, one after the other, in pitches.
+# Left free at each side between two microimages [px]: more than rounding of their centres.
+_GAP = 0.01
+# Height of the bands of a flat that threads work on [pitches].
 _BAND = 2
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
 def depth_order(s, pitch):
-    """Grows toward the camera: telescopic places first, then through the microlenses to binocular ones.
+    """A monotonic function of nearness to the camera: telescopic patch sizes first, then binocular ones.
 
-    With the image at a = D * b / s in front of the microlenses (GEOMETRY.md), nearer objects have their
-    image farther back: s rises from 0 to D, goes on at -D behind the microlenses, and rises to 0 again.
+    With the image at a = D * b / s in front of the microlenses, nearer objects have their image farther back: s rises
+    from 0 to D, goes on at -D behind the microlenses, and rises to 0 again.
     """
     return s if s > 0 else s + 2 * pitch
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _ranges(surface, lows, highs):
+def _compute_ranges(surface, lows, highs):
     """Fill `lows` and `highs` with the least and largest value of each square of the surface."""
     for v in prange(lows.shape[0]):
         for u in range(lows.shape[1]):
@@ -53,7 +56,7 @@ def _ranges(surface, lows, highs):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _level(lows, highs, low_v, high_v, low_u, high_u, edge):
+def _is_smooth(lows, highs, low_v, high_v, low_u, high_u, edge):
     """Whether the values of all squares that hold these rows and columns differ by less than an `edge`."""
     low, high = np.float32(np.inf), np.float32(-np.inf)
     for v in range(low_v // _SQUARE, high_v // _SQUARE + 1):
@@ -63,10 +66,10 @@ def _level(lows, highs, low_v, high_v, low_u, high_u, edge):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _enter(
+def _project(
     surface, lows, highs, first_x, first_y, spacing, centres, lenses, radius, pitch, reach, edge, corner, edged, out
 ):  # fmt: skip
-    """Set `out` to the depth of what is seen through some `lenses`, `edged` where they have a depth edge in reach."""
+    """Set `out` to the depth that pixels of some `lenses` see, and `edged` if these have a depth edge in reach."""
     rows, columns = surface.shape
     left, top = corner
     right, bottom = left + out.shape[1], top + out.shape[0]
@@ -77,7 +80,7 @@ def _enter(
         high_u = min(columns - 1, int(np.floor((cx + reach - first_x) / spacing)))
         low_v = max(0, int(np.ceil((cy - reach - first_y) / spacing)))
         high_v = min(rows - 1, int(np.floor((cy + reach - first_y) / spacing)))
-        if _level(lows, highs, low_v, high_v, low_u, high_u, edge):
+        if _is_smooth(lows, highs, low_v, high_v, low_u, high_u, edge):
             edged[lens] = False
             continue
         lowest = highest = surface[min(low_v, rows - 1), min(low_u, columns - 1)]
@@ -95,12 +98,12 @@ def _enter(
             for u in range(low_u, high_u + 1):
                 s = surface[v, u]
                 near = depth_order(s, pitch)
-                # The farthest surface hides nothing.
+                # The farthest surface occludes nothing.
                 if near <= farthest + edge:
                     continue
                 tilt = s * per_pitch
                 dx, dy = -np.float32(first_x + u * spacing - cx) * tilt, -across_y * tilt
-                # The grid value stands for a square of this size in the microimage.
+                # The grid value covers a square of this size in the microimage.
                 half = np.float32(0.5) * abs(tilt) * spacing + np.float32(0.25)
                 if dx * dx + dy * dy > square(radius + half):
                     continue
@@ -110,14 +113,14 @@ def _enter(
                             continue
                         if (x - cx) * (x - cx) + (y - cy) * (y - cy) > radius * radius:
                             continue
-                        # True where nothing is known as yet.
+                        # True for NaN as well: nothing was projected to this pixel yet.
                         if not depth_order(out[y - top, x - left], pitch) >= near:
                             out[y - top, x - left] = s
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _take_out(centres, lenses, radius, corner, edged, out):
-    """Make unknown again what was entered of some lenses that were `edged`."""
+def _erase(centres, lenses, radius, corner, edged, out):
+    """Set the pixels of lenses that were `edged` to NaN."""
     left, top = corner
     for lens in lenses:
         if not edged[lens]:
@@ -131,9 +134,8 @@ def _take_out(centres, lenses, radius, corner, edged, out):
 
 
 @njit(cache=True, nogil=True)
-def _banded(centres, chosen, top, tall, order, ends):
-    """Fill `order` with the `chosen` lenses of one band of `tall` rows after the other, each of which `ends` at a place
-    in it."""
+def _sort_into_bands(centres, chosen, top, tall, order, ends):
+    """Sort the `chosen` lenses by bands of `tall` rows into `order`; `ends` are the places after the last of each."""
     band = np.empty(len(chosen), np.int64)
     ends[:] = 0
     for k in range(len(chosen)):
@@ -148,11 +150,11 @@ def _banded(centres, chosen, top, tall, order, ends):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _lens_depths(
+def _project_chosen(
     surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, chosen, fresh, edged, out
 ):  # fmt: skip
-    """Enter the lenses of rows `chosen` (m,) into `out`, which is filled first where it is `fresh`."""
-    # Depth edges come in clusters. What a thread has filled lies in its caches: there it enters lenses too.
+    """Project the surface into the lenses of rows `chosen` (m,); a `fresh` output is filled with NaN first."""
+    # Depth edges are clustered: the stride spreads them over the threads. Bands stay in the cache of their thread.
     tall = max(int(_BAND * pitch), 1)
     bands = (out.shape[0] + tall - 1) // tall
     stride = coprime_stride(max(bands, 1))
@@ -161,15 +163,15 @@ def _lens_depths(
         out[first : first + tall] = np.nan
     rows, columns = (surface.shape[0] + _SQUARE - 1) // _SQUARE, (surface.shape[1] + _SQUARE - 1) // _SQUARE
     lows, highs = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
-    _ranges(surface, lows, highs)
+    _compute_ranges(surface, lows, highs)
     order, ends = np.empty(len(chosen), np.int64), np.empty(bands, np.int64)
-    _banded(centres, chosen, corner[1], tall, order, ends)
+    _sort_into_bands(centres, chosen, corner[1], tall, order, ends)
     for number in prange(bands):
         band = number * stride % bands
         lenses = order[ends[band - 1] if band else 0 : ends[band]]
         if not fresh:
-            _take_out(centres, lenses, radius, corner, edged, out)
-        _enter(
+            _erase(centres, lenses, radius, corner, edged, out)
+        _project(
             surface, lows, highs, first_x, first_y, spacing, centres, lenses, radius, pitch, reach, edge, corner, edged,
             out,
         )  # fmt: skip
@@ -183,19 +185,19 @@ def project_surface(
     part: tuple[int, int, int, int] | None = None,
     edged: NDArray[np.bool_] | None = None,
     purpose: str | None = None,
-    following: bool = False,
+    incremental: bool = False,
 ) -> NDArray[np.float32]:
-    """(H, W) float32 [px]: patch size of what each flat pixel sees through its lens.
+    """(H, W) float32 [px]: patch size of the surface that each flat pixel sees through its lens.
 
-    NaN where that is unknown, or hides nothing: around lenses with no depth edge in reach, and on the farthest surface
-    that a lens shows.
+    NaN where that is unknown, or occludes nothing: around lenses with no depth edge in reach, and on the farthest
+    surface that a lens shows.
 
     Parameters
     ----------
     surface : Surface
     lattice : Lattice
     reach : float [px]
-        Scene points farther than this from a lens are not looked for in it.
+        Scene points farther than this from a lens are not projected into it.
     edge : float [px]
         Patch sizes that differ by less belong to one surface.
     part : (left, top, right, bottom) [px], optional
@@ -203,15 +205,15 @@ def project_surface(
     edged : (n,) bool, optional
         Set to whether lenses have a depth edge in reach, False for those that have no such pixel.
     purpose : str, optional
-        The answer lies in `allocate_scratch` memory for this.
-    following : bool
-        Make it from the last answer for that purpose where only the surface is another: nobody has written into it.
+        The result lies in `allocate_scratch` memory for this.
+    incremental : bool
+        Update the last result for that purpose, into which nobody has written, if only the surface differs.
     """
     left, top, right, bottom = part or (0, 0, *lattice.image_size)
     shape = (bottom - top, right - left)
     out = np.empty(shape, np.float32) if purpose is None else allocate_scratch(purpose, shape, np.float32)
     # No two lenses share a pixel, unless the lattice is distorted.
-    radius = min(lattice.radius, float(np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min()) / 2 - _APART)
+    radius = min(lattice.radius, float(np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min()) / 2 - _GAP)
     centres = lattice.centres()
     inside: NDArray[np.bool_] = np.ones(len(centres), bool)
     if part is not None:
@@ -219,22 +221,22 @@ def project_surface(
         inside = np.asarray(((centres >= near[0]) & (centres <= near[1])).all(1))
         centres = centres[inside]
     places = centres.astype(np.float32)
-    settings = lattice, reach, edge, part
-    before = None if purpose is None else _entered.__dict__.pop(purpose, None)
-    if before is None or not following or not before.leads_to(surface, settings, out):
+    geometry = lattice, reach, edge, part
+    before = None if purpose is None else _last.__dict__.pop(purpose, None)
+    if before is None or not incremental or not before.can_update(surface, geometry, out):
         chosen, fresh, found = np.arange(len(places)), True, np.empty(len(places), bool)
     else:
         differs = np.zeros(len(places), bool)
         mark_changed_places(before.surface, surface, centres, reach + surface.spacing, differs)
         chosen, fresh, found = np.flatnonzero(differs), False, before.edged
-    _lens_depths(
+    _project_chosen(
         surface.patch_size, np.float32(surface.first[0]), np.float32(surface.first[1]), np.float32(surface.spacing),
         places, np.float32(radius), np.float32(lattice.pitch), np.float32(reach), np.float32(edge), (left, top), chosen,
         fresh, found, out,
     )  # fmt: skip
-    # Lenses that share pixels could not be taken out one by one; what is no view is no scratch memory.
+    # Lenses that share pixels cannot be erased one by one; an array that is no view is not scratch memory.
     if purpose is not None and out.base is not None and lattice.distortion is None:
-        setattr(_entered, purpose, _Entered(surface, settings, found, out))
+        setattr(_last, purpose, _Projection(surface, geometry, found, out))
     if edged is not None:
         edged[:] = False
         edged[inside] = found
@@ -242,21 +244,21 @@ def project_surface(
 
 
 @dataclass(frozen=True)
-class _Entered:
-    """What was entered into scratch memory last."""
+class _Projection:
+    """The last projection into some scratch memory."""
 
     surface: Surface
-    settings: _Settings
+    geometry: _Geometry
     edged: NDArray[np.bool_]
     out: NDArray[np.float32]
 
-    def leads_to(self, surface: Surface, settings: _Settings, out: NDArray[np.float32]) -> bool:
-        """Whether what follows, in the same memory, can go on from it."""
+    def can_update(self, surface: Surface, geometry: _Geometry, out: NDArray[np.float32]) -> bool:
+        """Whether only the values of the surface differ."""
         grids = [(of.patch_size.shape, of.first, of.spacing) for of in (self.surface, surface)]
         memory = [(of.ctypes.data, of.shape) for of in (self.out, out)]
-        same = settings[0] is self.settings[0] and settings[1:] == self.settings[1:]
+        same = geometry[0] is self.geometry[0] and geometry[1:] == self.geometry[1:]
         return same and grids[0] == grids[1] and memory[0] == memory[1]
 
 
-# Of the last frame; frames may be drawn in several threads at once.
-_entered = local()
+# By purpose; frames may be rendered in several threads at once.
+_last = local()

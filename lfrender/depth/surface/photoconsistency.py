@@ -1,36 +1,70 @@
-"""Views of a small patch of the scene through the lenses around it, and how badly they agree at some depth."""
+"""Mismatch of the views of a small patch of the scene, at some depth, through the lenses around it.
+
+The most central lenses are compared on 3 x 3 samples, each normalised by contrast; the mean over the better part of the
+views is robust against occlusion.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-__all__ = ["MOST_VIEWS", "UNKNOWN", "WORK", "sample_views", "view_mismatch"]
+from .settings import PhotoconsistencySettings
 
-#: The most central lenses, so many of them, are asked what they show.
-MOST_VIEWS = 6
-# So many of them are each compared with all others: an occluder may hide the place from the first.
+__all__ = ["MAX_VIEWS", "WORK", "PatchViews", "sample_views", "view_constants", "view_mismatch"]
+
+_DEFAULT = PhotoconsistencySettings()
+#: Only so many lenses, the most central ones, are compared.
+MAX_VIEWS = 6
+# Each of so many views is compared with all others: the first may be occluded.
 _REFERENCES = 2
-# Share of the views that must agree: nothing hides the nearest candidate, while half of the views of one behind it may
-# be hidden.
-_OPEN, _HALF = np.float32(0.7), np.float32(0.5)
-#: Mismatch of places that tell nothing: too few views show them, or noise explains their contrast.
-UNKNOWN = np.float32(0.5)
-# A candidate behind another that mismatches in so many views, as if all were hidden, counts half as much as it would.
-_HALF_VIEWS = np.float32(2.0)
-# Views are the lanes of one vector register. What is done with them lies known ways apart in one piece of memory, or no
-# compiler would take them together: 4 x 4 pixels, places between these, 3 x 3 samples, their moments, and mismatches.
-# Patches on which candidate depths compete are 3 x 3 samples. No order of sums is left to the compiler.
+# Views are the lanes of one vector register. Their values lie known distances apart in one array, so that the compiler
+# combines them into vector instructions: 4 x 4 pixels, fractions, 3 x 3 samples, their moments, and mismatches. No
+# order of sums is left to the compiler.
 _EIGHT = np.uint64(8)
 _FX, _FY = np.uint64(128), np.uint64(136)
 _P0, _P1, _P2, _P3, _P4, _P5, _P6, _P7, _P8 = (np.uint64(144 + 8 * k) for k in range(9))
 _MEAN, _VARIANCE, _COST = np.uint64(216), np.uint64(224), np.uint64(232)
-#: Float32 values of memory that one depth is tried in, finite: from place `base` of `work` on.
+#: Float32 values of work memory for one depth, finite: from place `base` of `work` on.
 WORK = 240
+
+
+class ViewConstants(NamedTuple):
+    """Float32 values of `PhotoconsistencySettings`, the radius of a microimage [px], the distance between samples [px],
+    and the mismatch `floor` that noise explains."""
+
+    visible_share: np.float32
+    occluded_share: np.float32
+    unknown: np.float32
+    occluded_views: np.float32
+    radius: np.float32
+    step: np.float32
+    floor: np.float32
+
+
+class PatchViews(NamedTuple):
+    """A flat (H, W) and its `pixels` in one line, the centres of nearby lenses [px], the nearest first, and memory."""
+
+    image: NDArray[np.float32]
+    pixels: NDArray[np.float32]
+    near_x: NDArray[np.float32]
+    near_y: NDArray[np.float32]
+    work: NDArray[np.float32]
+
+
+def view_constants(
+    radius: float, step: float, floor: float, settings: PhotoconsistencySettings = _DEFAULT
+) -> ViewConstants:
+    named = (getattr(settings, name) for name in ViewConstants._fields[:4])
+    return ViewConstants(*map(np.float32, (*named, radius, step, floor)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _sample(image, x, y):
+    """Bilinear interpolation, clamped to the image."""
     height, width = image.shape
     x = min(max(x, np.float32(0.0)), np.float32(width - 1.001))
     y = min(max(y, np.float32(0.0)), np.float32(height - 1.001))
@@ -43,8 +77,7 @@ def _sample(image, x, y):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fetch(pixels, stride, px, py, work, lane):
-    """Put the 4 x 4 pixels about (px, py) into the place `lane` of `work` and every eighth on, and how far between
-    them it lies."""
+    """Put the 4 x 4 pixels about (px, py) into the place `lane` of `work` and every eighth on, and its fractions."""
     i, j = int(px), int(py)
     at, into = np.uint64(j - 1) * stride + np.uint64(i - 1), lane
     for _ in range(4):
@@ -80,7 +113,7 @@ def _interpolate(work, base):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _moments(work, base):
+def _compute_moments(work, base):
     """Mean and variance of the samples of each lane."""
     ninth = np.float32(1 / 9)
     for m in range(_EIGHT):
@@ -94,9 +127,9 @@ def _moments(work, base):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _compare(work, base, r, floor):
+def _compare(work, base, r, unknown, floor):
     """Mismatch of the samples of each lane with those of lane `r`."""
-    ninth, half = np.float32(1 / 9), UNKNOWN * floor
+    ninth, half = np.float32(1 / 9), unknown * floor
     mean, variance = work[base + _MEAN + r], work[base + _VARIANCE + r] + floor
     r0, r1, r2 = work[base + _P0 + r], work[base + _P1 + r], work[base + _P2 + r]
     r3, r4, r5 = work[base + _P3 + r], work[base + _P4 + r], work[base + _P5 + r]
@@ -117,13 +150,13 @@ def _ordered(a, b):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _mean_of_best(work, base, views, r, number):
-    """Mean of the `number` least costs of `views` lanes but `r`."""
+    """Mean of the `number` smallest costs of `views` lanes except `r`."""
     work[base + _COST + r] = np.inf
-    for m in range(np.uint64(views), np.uint64(MOST_VIEWS)):
+    for m in range(np.uint64(views), np.uint64(MAX_VIEWS)):
         work[base + _COST + m] = np.inf
     a, b, c = work[base + _COST], work[base + _COST + np.uint64(1)], work[base + _COST + np.uint64(2)]
     d, e, f = work[base + _COST + np.uint64(3)], work[base + _COST + np.uint64(4)], work[base + _COST + np.uint64(5)]
-    # A network sorts six values without branches, which nothing would foretell.
+    # A sorting network of six values, without branches that the processor would mispredict.
     a, b = _ordered(a, b)
     c, d = _ordered(c, d)
     e, f = _ordered(e, f)
@@ -148,52 +181,56 @@ def _mean_of_best(work, base, views, r, number):
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _within(px, py, step, width, height):
-    """Whether the 4 x 4 pixels about a place are all that its samples are read from."""
+    """Whether all samples about a place are interpolated from the 4 x 4 pixels about it."""
     return step == 1 and px >= 1 and py >= 1 and px < width - 2 and py < height - 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sample_views(image, pixels, near_x, near_y, count, x, y, slope, radius, step, work, base):
-    """Put what the lenses around (x, y) show of it if it had the depth `slope`, s / D, into `work`.
+def sample_views(views, constants, count, x, y, slope, base):
+    """Put the pixels of the first `count` lenses at scene point (x, y), at depth `slope` = s / D, into the work memory.
 
-    The `count` lenses have their centres at `near_x`, `near_y`, the nearest first; `pixels` are those of the image in
-    one line. Returns how many lenses show it, the first in any case.
+    Returns how many lenses show the point; the first counts in any case.
     """
-    height, width = image.shape
-    views = 0
+    height, width = views.image.shape
+    near_x, near_y, radius = views.near_x, views.near_y, constants.radius
+    seen = 0
     for m in range(count):
         dx, dy = -(x - near_x[m]) * slope, -(y - near_y[m]) * slope
         # Those after it are farther.
         if m > 0 and dx * dx + dy * dy > radius * radius:
             break
         px, py = near_x[m] + dx, near_y[m] + dy
-        if _within(px, py, step, width, height):
-            _fetch(pixels, np.uint64(width), px, py, work, base + np.uint64(m))
-        views += 1
-    return views
+        if _within(px, py, constants.step, width, height):
+            _fetch(views.pixels, np.uint64(width), px, py, views.work, base + np.uint64(m))
+        seen += 1
+    return seen
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def view_mismatch(image, near_x, near_y, x, y, slope, step, floor, nearest, views, work, base):
-    """Mean mismatch of the better part of the views of (x, y) found by `sample_views` with one of the most central."""
+def view_mismatch(views, constants, x, y, slope, nearest, seen, base):
+    """Mean mismatch of the better part of the `seen` views found by `sample_views` with one of the most central.
+
+    0 for equal views, about 1 for unrelated ones. More views must agree on the `nearest` depth: nothing occludes it.
+    """
+    image, work, near_x, near_y = views.image, views.work, views.near_x, views.near_y
     height, width = image.shape
-    if views < 2:
-        return UNKNOWN
+    step, unknown = constants.step, constants.unknown
+    if seen < 2:
+        return unknown
     _interpolate(work, base)
-    for m in range(views):
+    for m in range(seen):
         px, py = near_x[m] - (x - near_x[m]) * slope, near_y[m] - (y - near_y[m]) * slope
         if not _within(px, py, step, width, height):
             for k in range(9):
                 value = _sample(image, px + (k % 3 - 1) * step, py + (k // 3 - 1) * step)
                 work[base + _P0 + np.uint64(8 * k + m)] = value
-    _moments(work, base)
-    share = _OPEN if nearest else _HALF
-    number = max(1, int(share * (views - 1) + np.float32(0.5)))
-    # An occluder may hide the place from the most central view as well.
+    _compute_moments(work, base)
+    share = constants.visible_share if nearest else constants.occluded_share
+    number = max(1, int(share * (seen - 1) + np.float32(0.5)))
     least = np.float32(np.inf)
     for r in range(np.uint64(_REFERENCES)):
-        _compare(work, base, r, floor)
-        least = min(least, _mean_of_best(work, base, views, r, number))
-    if not nearest and least > UNKNOWN:
-        least = UNKNOWN + (least - UNKNOWN) * np.float32(views) / (np.float32(views) + _HALF_VIEWS)
+        _compare(work, base, r, unknown, constants.floor)
+        least = min(least, _mean_of_best(work, base, seen, r, number))
+    if not nearest and least > unknown:
+        least = unknown + (least - unknown) * np.float32(seen) / (np.float32(seen) + constants.occluded_views)
     return least

@@ -1,12 +1,13 @@
-"""A second depth inside a microimage: what its first depth leaves unexplained is matched again.
+"""A second depth inside a microimage: pixels that the first depth does not explain are matched again on their own.
 
 A thin branch fills too little of a microimage to show in the correlation of the whole. But its pixels are those that
-no neighbour confirms at the depth of the rest, and they agree with the neighbours at another depth.
+no neighbour confirms at the first depth, and they correlate with the neighbours at another one.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -15,45 +16,36 @@ from numpy.typing import NDArray
 from lfcal.runtime.fastmath import FAST, square
 
 from ...flat.lens_graph import join_opposite
-from ...flat.microimages import copy_box
 from ...flat.texture import Texture
 from ...runtime.scheduling import plan_chunks
 from ..matching.matcher import Matcher
 from ..matching.peaks import confidence, fit_parabola
 from ..matching.sgm import aggregate_costs
 from ..presets import Preset
-from .window_differences import window_differences, window_variance
+from ..refinement.pair_pixels import flat_pixels
+from ..same_surface import same_surface
+from .settings import SecondLayerSettings
+from .window_differences import (
+    add_where_within,
+    copy_windows,
+    inner_columns,
+    new_windows,
+    window_differences,
+    window_variance,
+)
 
 __all__ = ["find_second_layer"]
 
-# Pitch [px] it is matched at, where the flat's is larger: a rod a tenth of a pitch wide is four pixels wide there.
-_PITCH = 40
-# Lenses that correlate more than this with their neighbours have nothing unexplained that could be matched.
-_EXPLAINED = 0.8
-# A place is unexplained when, over 3 x 3 pixels, it differs from the better half of the neighbours by this share of
-# the variance about it, by the second share of that of the lens, and by so many times that of the noise.
-_SHARE, _OF_LENS, _NOISES = np.float32(1.0), np.float32(0.2), 6.0
-# Such 3 x 3 pixels reach a pixel farther.
-_BORDER = np.float32(1.0)
-# So much of a microimage must be unexplained: less is an edge that interpolation has blurred.
-_LEAST = 0.012
-# Share of a microimage that must be unexplained, and shown by the neighbour too, for a match to count half.
-_HALF_TRUST = 0.012
-# Part of a difference in mean brightness that counts as mismatch, as in the first match.
-_OFFSET_WEIGHT = np.float32(0.5)
-# Prices of semi-global matching, per pixel of shift and at most: lower than of the first depth, since thin things end.
-_SLOPE, _JUMP = 0.07, 0.3
-# Lenses without a remainder have no opinion: they match anywhere as well as this. Where the rest matches worse
-# than the second number, or is less sure than the third, it has no depth of its own.
-_NEUTRAL, _MATCHED, _SURE = 0.8, 0.65, 0.5
-# It must match better than at the first depth by this much, and as many lenses beside it must show the same.
-_BETTER, _TOGETHER = 0.1, 1
-# It is another depth when it differs from the first by this share of the pitch.
-_APART = 0.04
-# Beyond the depths that occur, but for so many outliers, it reaches as far as the search does beyond its samples.
-_OUTSIDE, _MARGIN = 0.005, 0.12
-# A least value has one shift on either side of it.
-_LEAST_SHIFTS = 3
+_DEFAULT = SecondLayerSettings()
+
+
+class _Masked(NamedTuple):
+    """Masked pixels of a microimage, one after the other: columns, rows, places in the flat, and brightness."""
+
+    x: NDArray[np.float32]
+    y: NDArray[np.float32]
+    places: NDArray[np.int64]
+    light: NDArray[np.float32]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -68,9 +60,9 @@ def _insert(values, count, value):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
 def _better_half(views, size, seen, at, values):
-    """Mean of the better half of what the `seen` neighbours leave at place `at`; -1 where fewer than two show it."""
+    """Mean square difference of the better half of the `seen` neighbours at place `at`; -1 if fewer than two see it."""
     count = 0
-    # Branches that nothing foretells would cost more than all steps of the sorting.
+    # Sorting without branches: mispredicted ones would cost more than all steps of it.
     for k in range(seen):
         value = views[np.uint64(k * size + at)]
         count += int(value < np.inf)
@@ -86,77 +78,70 @@ def _better_half(views, size, seen, at, values):
     return total / (9 * half) if count > 1 else np.float32(-1.0)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _count_within(views, size, count, seen, limit, out):
-    """How many of the `seen` neighbours leave no more than `limit` at each of so many places."""
-    one, none, most = np.float32(1), np.float32(0), np.float32(limit)
-    out[:count] = 0
-    for n in range(seen):
-        first = np.uint64(n * size)
-        for k in range(np.uint64(count)):
-            out[k] += one if views[first + k] <= most else none
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _mark_unexplained(image, centres, radius, pitch, rows, lens, s, least, row_step, windows, views, mask):
+    """Set `mask` (H, W) to 1 at pixels of a lens that differ from the better half of its neighbours at patch size `s`
+    by more than `least` and their variance, and to 0 at the others; returns the share of the former."""
+    flat = flat_pixels(image)
+    ax, ay = centres[lens, 0], centres[lens, 1]
+    copy_windows(flat, ax, ay, windows)
+    stride, left, top = windows.stride, windows.corner[0], windows.corner[1]
+    size, most = stride * stride, rows.shape[1]
+    values, confirming, limits = np.empty(most, np.float32), np.zeros(size, np.float32), np.empty(size, np.float32)
+    limits[:] = 9 * least
+    begin_row = 1 + -(top + 1) % row_step
+    number = (stride - 2 - begin_row) // row_step + 1
+    seen = total = unexplained = 0
+    for k in range(most):
+        other = rows[lens, k]
+        if other >= 0:
+            window_differences(
+                flat, windows, ax, ay, centres[other, 0], centres[other, 1], radius, s, pitch, begin_row, row_step,
+                views, seen * size,
+            )  # fmt: skip
+            add_where_within(views, seen * size, limits, number * stride, confirming)
+            seen += 1
+    for row in range(number):
+        y = top + begin_row + row * row_step
+        first, last = inner_columns(y, ax, ay, radius, flat.height, flat.width)
+        total += max(last - first + 1, 0)
+        for x in range(first, last + 1):
+            mask[y, x] = 0
+            at = row * stride + x - left
+            # If half of all neighbours confirm a pixel, so does the better half.
+            if 2 * confirming[at] >= seen:
+                continue
+            difference = _better_half(views, size, seen, at, values)
+            # The variance is only computed where it matters.
+            if difference > least and difference > window_variance(image, x, y) + least:
+                mask[y, x] = 1
+                unexplained += 1
+    return unexplained / max(total, 1)
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _unexplained(image, centres, radius, pitch, rows, sizes, wanted, contrast, floor, row_step, mask, shares):
-    """Set `mask` (H, W) to 1 at the pixels of `wanted` lenses that `sizes` do not explain, and to 0 at the others."""
-    height, width = image.shape
-    pixels = image.reshape(-1)
-    side = int(np.ceil(radius)) + 1
-    most, wide = rows.shape[1], 2 * side + 2
-    size = wide * wide
+def _mark_all_unexplained(
+    image, centres, radius, pitch, rows, sizes, wanted, contrast, floor, share_of_lens, row_step, mask, shares
+):  # fmt: skip
+    """As `_mark_unexplained` for all `wanted` lenses, with the `shares` (n,) of their pixels."""
     parts, each, stride = plan_chunks(len(centres))
     for part in prange(parts):
-        own, there = np.empty(size, np.float32), np.zeros(size + 2 * wide, np.float32)
-        squares, lines = np.empty(size, np.float32), np.zeros(size, np.float32)
-        views, values = np.empty(most * size, np.float32), np.empty(most, np.float32)
-        confirming = np.empty(size, np.float32)
+        windows = new_windows(radius)
+        views = np.empty(rows.shape[1] * windows.stride * windows.stride, np.float32)
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
             shares[lens] = 0.0
-            if not wanted[lens]:
-                continue
-            ax, ay = centres[lens, 0], centres[lens, 1]
-            left, top = int(ax) - side, int(ay) - side
-            least = floor + _OF_LENS * contrast[lens] * contrast[lens]
-            begin_row = 1 + -(top + 1) % row_step
-            number = (wide - 2 - begin_row) // row_step + 1
-            copy_box(pixels, width, left, top, wide, wide, own)
-            seen = total = unexplained = 0
-            for k in range(most):
-                other = rows[lens, k]
-                if other >= 0:
-                    window_differences(
-                        pixels, height, width, ax, ay, centres[other, 0], centres[other, 1], radius, sizes[lens],
-                        pitch, left, top, wide, begin_row, row_step, own, there, squares, lines, views, seen * size,
-                    )  # fmt: skip
-                    seen += 1
-            _count_within(views, size, number * wide, seen, 9 * least, confirming)
-            for row in range(number):
-                y = top + begin_row + row * row_step
-                half = radius * radius - (y - ay) * (y - ay)
-                if half < 0 or y < 1 or y >= height - 1:
-                    continue
-                half = np.sqrt(half)
-                first, last = max(1, int(np.ceil(ax - half))), min(width - 2, int(np.floor(ax + half)))
-                total += max(last - first + 1, 0)
-                for x in range(first, last + 1):
-                    mask[y, x] = 0
-                    at = row * wide + x - left
-                    # Where half of all confirm it, so does the better half.
-                    if 2 * confirming[at] >= seen:
-                        continue
-                    difference = _better_half(views, size, seen, at, values)
-                    # What is below the least need not be compared with the variance about it.
-                    if difference > least and difference > _SHARE * window_variance(image, x, y) + least:
-                        mask[y, x] = 1
-                        unexplained += 1
-            shares[lens] = unexplained / max(total, 1)
+            if wanted[lens]:
+                least = floor + share_of_lens * contrast[lens] * contrast[lens]
+                shares[lens] = _mark_unexplained(
+                    image, centres, radius, pitch, rows, lens, sizes[lens], least, row_step, windows, views, mask
+                )
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _masked(image, mask, ax, ay, radius, row_step, xs, ys, places, values):
-    """Put the masked pixels of a microimage one after the other; returns how many there are."""
+def _gather_masked(image, mask, ax, ay, radius, row_step, out):
+    """Gather the masked pixels of a microimage; returns how many there are."""
+    xs, ys, places, values = out.x, out.y, out.places, out.light
     height, width = mask.shape
     count = 0
     top, bottom = max(0, int(np.ceil(ay - radius))), min(height - 1, int(np.floor(ay + radius)))
@@ -170,8 +155,11 @@ def _masked(image, mask, ax, ay, radius, row_step, xs, ys, places, values):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _moments(pixels, height, width, xs, ys, places, values, number, bx, by, radius, tx, ty, mean):
-    """Sums over those of `number` pixels of one lens whose partner, `(tx, ty)` away, lies in the other."""
+def _moments(flat, own, number, bx, by, radius, tx, ty, mean):
+    """Number of those of some pixels of one lens whose partner, `(tx, ty)` away, lies in the other lens, and sums of
+    their brightness less the `mean`, of its squares and products."""
+    xs, ys, places, values = own.x, own.y, own.places, own.light
+    pixels, height, width = flat.pixels, flat.height, flat.width
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
     fx, fy = np.float32(tx - x0), np.float32(ty - y0)
     w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
@@ -206,23 +194,27 @@ def _moments(pixels, height, width, xs, ys, places, values, number, bx, by, radi
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _costs(image, mask, centres, radius, pitch, rows, means, wanted, shifts, floor, half, row_step, out):
-    """Mismatch of the masked pixels of each `wanted` lens with the better half of its neighbours, at every shift."""
-    height, width = image.shape
-    pixels = image.reshape(-1)
+def _match_masked(
+    image, mask, centres, radius, pitch, rows, means, wanted, shifts, floor, half, offset_weight, row_step, out
+):  # fmt: skip
+    """Mismatch of the masked pixels of each `wanted` lens with the better half of its neighbours, at every shift.
+
+    A match over `half` pixels counts half, and so does the share `offset_weight` of a difference in mean brightness.
+    """
     most = square(2 * int(radius) + 3)
     parts, each, stride = plan_chunks(len(centres))
     for part in prange(parts):
-        values = np.empty(rows.shape[1], np.float32)
-        xs, ys, own = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
-        places = np.empty(most, np.int64)
+        flat, values = flat_pixels(image), np.empty(rows.shape[1], np.float32)
+        own = _Masked(
+            np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.int64),
+            np.empty(most, np.float32),
+        )  # fmt: skip
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
-            out[lens] = _NEUTRAL
             if not wanted[lens]:
                 continue
             ax, ay = centres[lens, 0], centres[lens, 1]
-            number = _masked(image, mask, ax, ay, radius, row_step, xs, ys, places, own)
+            number = _gather_masked(image, mask, ax, ay, radius, row_step, own)
             for k in range(len(shifts)):
                 grow = 1 + shifts[k] / pitch
                 shown = 0
@@ -232,15 +224,14 @@ def _costs(image, mask, centres, radius, pitch, rows, means, wanted, shifts, flo
                         continue
                     bx, by = centres[other, 0], centres[other, 1]
                     count, sa, sb, saa, sbb, sab = _moments(
-                        pixels, height, width, xs, ys, places, own, number, bx, by, radius, (bx - ax) * grow,
-                        (by - ay) * grow, means[lens],
-                    )  # fmt: skip
+                        flat, own, number, bx, by, radius, (bx - ax) * grow, (by - ay) * grow, means[lens]
+                    )
                     if count < 4:
                         continue
                     inverse = np.float32(1.0) / count
                     ma, mb = sa * inverse, sb * inverse
                     variance = (saa + sbb) * inverse - ma * ma - mb * mb
-                    offset = _OFFSET_WEIGHT * (ma - mb) * (ma - mb)
+                    offset = offset_weight * (ma - mb) * (ma - mb)
                     residual = variance - 2 * (sab * inverse - ma * mb) + offset
                     quality = (residual + floor) / (variance + offset + floor)
                     trust = count * row_step / (count * row_step + half)
@@ -257,14 +248,15 @@ def find_second_layer(
     forward: NDArray[np.int32],
     backward: NDArray[np.int32],
     first: NDArray[np.float32],
-    evidence: NDArray[np.float32],
+    correlation: NDArray[np.float32],
     setting: Preset,
-    around: NDArray[np.float32] | None = None,
+    occurring: NDArray[np.float32] | None = None,
+    settings: SecondLayerSettings = _DEFAULT,
 ) -> NDArray[np.float32]:
-    """Patch size of what the first patch size of each lens leaves unexplained; NaN where there is nothing.
+    """Patch size of the pixels of each lens that its first patch size does not explain; NaN if there are none.
 
-    Pixels that no better half of the neighbours confirms are correlated again over all shifts, on their own, and
-    the lenses support each other as in the first search: a branch runs through one lens after the other.
+    Pixels that the better half of the neighbours does not confirm are correlated over all shifts, and semi-global
+    matching smooths the result: a branch runs through one lens after the other.
 
     Parameters
     ----------
@@ -273,52 +265,82 @@ def find_second_layer(
         Neighbour rows in `d` directions and in their opposites, -1 where there is none.
     first : (n,) float32 [px]
         Finite.
-    evidence : (n,) float32
+    correlation : (n,) float32
         Correlation of each lens with its neighbours there.
     setting : Preset
-    around : (m,) float32 [px], optional
-        Patch sizes that occur; only shifts between these and a little beyond are tried. None tries all.
+    occurring : (m,) float32 [px], optional
+        Patch sizes that occur; only shifts between these and a little beyond are tried. All by default.
+    settings : SecondLayerSettings
 
     Returns
     -------
     (n,) float32 [px]
     """
     second = np.full(len(first), np.nan, np.float32)
-    wanted = (texture.clear | texture.faint) & (evidence < _EXPLAINED)
+    wanted = (texture.clear | texture.faint) & (correlation < settings.matched_whole)
     if not wanted.any():
         return second
-    matcher = Matcher(texture, forward, backward, replace(setting, search_pitch=max(setting.search_pitch, _PITCH)))
-    gray, shifts, noise = matcher.gray, matcher.shifts, texture.noise / matcher.factor
-    if around is not None and len(around):
-        low, high = np.quantile(around, [_OUTSIDE, 1 - _OUTSIDE]) / matcher.factor
-        margin = _MARGIN * gray.pitch
-        shifts = shifts[(shifts >= low - margin) & (shifts <= high + margin)]
-        if len(shifts) < _LEAST_SHIFTS:
-            return second
+    pitch = max(setting.search_pitch, settings.least_pitch)
+    matcher = Matcher(texture, forward, backward, replace(setting, search_pitch=pitch))
+    shifts = _shifts_to_try(matcher, occurring, settings)
+    if len(shifts) < settings.least_shifts:
+        return second
     rows = join_opposite(forward, backward)
-    mask, shares = np.zeros(gray.image.shape, np.float32), np.empty(len(first), np.float32)
-    radius, pitch = np.float32(gray.radius), np.float32(gray.pitch)
-    _unexplained(
-        gray.image, gray.centres, radius - _BORDER, pitch, rows, (first / matcher.factor).astype(np.float32), wanted,
-        matcher.statistics.contrast, np.float32(_NOISES * noise * noise), setting.row_step,
-        mask, shares,
-    )  # fmt: skip
-    wanted &= shares > _LEAST
-    cost = np.empty((len(first), len(shifts)), np.float32)
-    _costs(
-        gray.image, mask, gray.centres, radius, pitch, rows, matcher.statistics.mean, wanted, shifts,
-        np.float32(2 * noise * noise), np.float32(_HALF_TRUST * np.pi * radius * radius), setting.row_step, cost,
-    )  # fmt: skip
-    total = aggregate_costs(cost, forward, backward, _SLOPE * matcher.step, _JUMP)
+    small = (first / matcher.factor).astype(np.float32)
+    cost = _match_unexplained(texture, matcher, shifts, rows, small, wanted, setting.row_step, settings)
+    total = aggregate_costs(cost, forward, backward, settings.slope_cost * matcher.step, settings.jump_cost)
     best = total.argmin(1)
     lens = np.arange(len(best))
     at_first = np.abs(shifts - first[:, None] / matcher.factor).argmin(1)
-    left = cost[lens, best]
-    matched = (left < _MATCHED) & (left < cost[lens, at_first] - _BETTER)
-    sure = confidence(total, best, rows.shape[1], matcher.tolerance) > _SURE
+    least = cost[lens, best]
+    matched = (least < settings.largest_cost) & (least < cost[lens, at_first] - settings.least_gain)
+    sure = confidence(total, best, rows.shape[1], matcher.tolerance) > settings.least_confidence
     found = ((shifts[best] + fit_parabola(total, best) * matcher.step) * matcher.factor).astype(np.float32)
-    gap = _APART * texture.flat.pitch
-    told = wanted & matched & sure & (np.abs(found - first) > gap)
+    gap = settings.same_surface * texture.flat.pitch
+    told = wanted & matched & sure & ~same_surface(found, first, gap)
     beside = np.where((rows >= 0) & told[rows], found[rows], np.nan)
-    like = (np.abs(beside - found[:, None]) < gap) | ((rows >= 0) & (np.abs(first[rows] - found[:, None]) < gap))
-    return np.where(told & (like.sum(1) >= _TOGETHER), found, second).astype(np.float32)
+    like = same_surface(beside, found[:, None], gap)
+    like |= (rows >= 0) & same_surface(first[rows], found[:, None], gap)
+    return np.where(told & (like.sum(1) >= settings.supporting), found, second).astype(np.float32)
+
+
+def _shifts_to_try(
+    matcher: Matcher, occurring: NDArray[np.float32] | None, settings: SecondLayerSettings
+) -> NDArray[np.float32]:
+    """Shifts [px of the search] in the range of the patch sizes that occur, and a little beyond."""
+    shifts = matcher.shifts
+    if occurring is None or not len(occurring):
+        return shifts
+    low, high = np.quantile(occurring, [settings.outliers, 1 - settings.outliers]) / matcher.factor
+    margin = settings.margin * matcher.gray.pitch
+    return shifts[(shifts >= low - margin) & (shifts <= high + margin)]
+
+
+def _match_unexplained(
+    texture: Texture,
+    matcher: Matcher,
+    shifts: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    first: NDArray[np.float32],
+    wanted: NDArray[np.bool_],
+    row_step: int,
+    settings: SecondLayerSettings,
+) -> NDArray[np.float32]:
+    """Mismatch (n, k) of the unexplained pixels of `wanted` lenses at all shifts; those with too few are not wanted
+    afterwards."""
+    gray, noise = matcher.gray, texture.noise / matcher.factor
+    mask, shares = np.zeros(gray.image.shape, np.float32), np.empty(len(first), np.float32)
+    radius, pitch = np.float32(gray.radius), np.float32(gray.pitch)
+    _mark_all_unexplained(
+        gray.image, gray.centres, radius - np.float32(settings.border), pitch, rows, first, wanted,
+        matcher.statistics.contrast, np.float32(settings.noise * noise * noise), np.float32(settings.share_of_lens),
+        row_step, mask, shares,
+    )  # fmt: skip
+    wanted &= shares > settings.least_share
+    cost = np.full((len(first), len(shifts)), settings.neutral_cost, np.float32)
+    _match_masked(
+        gray.image, mask, gray.centres, radius, pitch, rows, matcher.statistics.mean, wanted, shifts,
+        np.float32(2 * noise * noise), np.float32(settings.half_trust * np.pi * radius * radius),
+        np.float32(settings.offset_weight), row_step, cost,
+    )  # fmt: skip
+    return cost

@@ -1,11 +1,13 @@
-"""Thin things before a far surface, from lens to lens.
+"""Thin structures before a far surface, propagated from lens to lens.
 
-Microimages that are shifted by half a pitch share no more than their rims: at that depth nothing confirms what the
-middle of a lens shows, so that a branch there is not missed either (`remainder.py`). But a branch runs on, and at the
-depth that one lens tells of it the next one shows a few pixels that its neighbours confirm.
+Microimages that are shifted by half a pitch share only their rims: at that depth no neighbour confirms the middle of a
+lens, so that a branch there does not show as a second layer either. But a branch runs on: at the depth that one lens
+has for it, the next one shows a few pixels that its neighbours confirm.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -15,62 +17,57 @@ from lfcal.runtime.fastmath import FAST
 
 from ...flat.gray_flat import downsample
 from ...flat.lens_graph import join_opposite
-from ...flat.microimages import copy_box
 from ...flat.texture import Texture
-from .window_differences import window_differences, window_variance
+from ..refinement.pair_pixels import flat_pixels
+from ..same_surface import same_surface
+from .settings import ThinStructureSettings
+from .window_differences import (
+    add_where_within,
+    copy_windows,
+    inner_columns,
+    new_windows,
+    window_differences,
+    window_variance,
+)
 
 __all__ = ["find_thin_structures"]
 
-# Lenses beyond this share of the pitch share too little with others.
-_SHARING_LITTLE = 0.4
-# Pitch [px] at which lenses are compared, about, where the flat's is larger: 3 x 3 pixels fit into a twentieth of it.
-_PITCH = 60
-# Of places that vary over 3 x 3 pixels by more than so many times the least difference, one is confirmed by lenses that
-# differ from it by no more than a share of that, and this: so many times the noise. That takes half of all neighbours,
-# and so many.
-_TEXTURED, _CONFIRMED, _NOISES, _FEWEST = np.float32(3.0), np.float32(0.7), 4.0, 2.0
-# A thing is seen where so much of a microimage is confirmed, at least the second number of places, and so many times as
-# much as at depths this share of the pitch beside it: whatever repeats is confirmed there as well.
-_LEAST, _FEWEST_PLACES, _MORE, _BESIDE = 0.005, 3, 2.0, 0.13
-# Such 3 x 3 pixels reach a pixel farther.
-_BORDER = 1.0
-# Lenses ask those beside them so many times at most: so many lenses long a thing may be.
-_LONGEST = 60
-# Patch sizes that differ by less than this share of a gap are tried once.
-_SAME = 0.5
+_DEFAULT = ThinStructureSettings()
 # Patch sizes tried on one lens are told apart within so many numbers.
 _KEYS = 1 << 20
-# What is known of each lens.
-_FIRST, _REST, _TOLD, _SECOND = range(4)
+# Columns of the known patch sizes of each lens.
+_FIRST, _LAYER, _FOUND, _SECOND = range(4)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _add_where_within(view, limits, number, out):
-    """Count one more at each of so many places where another lens differs by no more than the limit there."""
-    one, none = np.float32(1), np.float32(0)
-    for k in range(np.uint64(number)):
-        out[k] += one if view[k] <= limits[k] else none
+class _Constants(NamedTuple):
+    """Values of `ThinStructureSettings` for kernels; `floor` is the variance that counts as none, `beside` is in px."""
+
+    textured: np.float32
+    confirmed: np.float32
+    floor: np.float32
+    beside: np.float32
+    fewest_views: float
+    least_share: float
+    fewest_pixels: int
+    over_chance: float
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _confirm(
-    pixels, height, width, centres, lens, radius, s, pitch, rows, left, top, wide, own, there, squares, lines, view,
-    limits, out,
-):  # fmt: skip
-    """Set `out` to 1 where half of the neighbours of a lens confirm at `s` what it shows, to within `limits`, and to 0
-    elsewhere; returns how often."""
-    number, seen = (wide - 2) * wide, 0
+def _confirm(flat, windows, centres, lens, radius, s, pitch, rows, fewest, view, limits, out):
+    """Set `out` to 1 at pixels of a lens that half of its neighbours confirm at `s` to within `limits`, and to 0
+    elsewhere; returns their number."""
+    number, seen = (windows.stride - 2) * windows.stride, 0
     out[:number] = 0
     for k in range(rows.shape[1]):
         other = rows[lens, k]
         if other >= 0:
             window_differences(
-                pixels, height, width, centres[lens, 0], centres[lens, 1], centres[other, 0], centres[other, 1], radius,
-                s, pitch, left, top, wide, 1, 1, own, there, squares, lines, view, 0,
+                flat, windows, centres[lens, 0], centres[lens, 1], centres[other, 0], centres[other, 1], radius, s,
+                pitch, 1, 1, view, 0,
             )  # fmt: skip
-            _add_where_within(view, limits, number, out)
+            add_where_within(view, 0, limits, number, out)
             seen += 1
-    enough, count = np.float32(max(0.5 * seen, _FEWEST)), 0
+    enough, count = np.float32(max(0.5 * seen, fewest)), 0
     for k in range(number):
         out[k] = np.float32(1) if out[k] >= enough else np.float32(0)
         count += int(out[k])
@@ -78,87 +75,76 @@ def _confirm(
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _set_limits(image, ax, ay, radius, left, top, wide, floor, limits):
-    """Sums over 3 x 3 squared differences up to which places of a microimage are confirmed, -1 where they show too
-    little texture to tell; returns how many places there are."""
+def _set_limits(image, ax, ay, radius, windows, c, limits):
+    """Sums of squared differences up to which windows of a microimage are confirmed, -1 where they have too little
+    texture; returns the number of its pixels."""
     height, width = image.shape
+    left, top = windows.corner[0], windows.corner[1]
     limits[:] = -1
     total = 0
-    for v in range(1, wide - 1):
-        y = top + v
-        half = radius * radius - (y - ay) * (y - ay)
-        if half < 0 or y < 1 or y >= height - 1:
-            continue
-        half = np.sqrt(half)
-        for x in range(max(1, int(np.ceil(ax - half))), min(width - 2, int(np.floor(ax + half))) + 1):
+    for v in range(1, windows.stride - 1):
+        first, last = inner_columns(top + v, ax, ay, radius, height, width)
+        for x in range(first, last + 1):
             total += 1
-            varied = window_variance(image, x, y)
-            if varied >= _TEXTURED * floor:
-                limits[(v - 1) * wide + x - left] = 9 * (_CONFIRMED * varied + floor)
+            variance = window_variance(image, x, top + v)
+            if variance >= c.textured * c.floor:
+                limits[(v - 1) * windows.stride + x - left] = 9 * (c.confirmed * variance + c.floor)
     return total
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _confirmed_share(image, centres, radius, pitch, rows, lens, s, first, c):
+    """Share of the pixels of a lens that are confirmed at `s`, and not at `first`; 0 where that may be chance."""
+    flat, windows = flat_pixels(image), new_windows(radius)
+    size, fewest = windows.stride * windows.stride, c.fewest_views
+    view, limits = np.empty(size, np.float32), np.empty(size, np.float32)
+    here, elsewhere = np.empty(size, np.float32), np.empty(size, np.float32)
+    copy_windows(flat, centres[lens, 0], centres[lens, 1], windows)
+    total = _set_limits(image, centres[lens, 0], centres[lens, 1], radius, windows, c, limits)
+    least = max(int(c.least_share * total), c.fewest_pixels)
+    count = _confirm(flat, windows, centres, lens, radius, s, pitch, rows, fewest, view, limits, here)
+    if count < least:
+        return 0.0
+    _confirm(flat, windows, centres, lens, radius, first, pitch, rows, fewest, view, limits, elsewhere)
+    for k in range((windows.stride - 2) * windows.stride):
+        if elsewhere[k] > 0:
+            limits[k] = -1
+            count -= int(here[k])
+    chance = 0
+    for turn in range(2):
+        other = s + (c.beside if turn else -c.beside)
+        found = _confirm(flat, windows, centres, lens, radius, other, pitch, rows, fewest, view, limits, elsewhere)
+        chance = max(chance, found)
+    return count / total if count >= least and count > c.over_chance * chance else 0.0
+
+
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
-def _shown(image, centres, radius, pitch, rows, lenses, sizes, firsts, floor, beside, out):
-    """How much of some `lenses` (m,) is confirmed at `sizes` (m,), and not at `firsts`; 0 where that may be chance."""
-    height, width = image.shape
-    pixels = image.reshape(-1)
-    side = int(np.ceil(radius)) + 1
-    wide = 2 * side + 2
-    size = wide * wide
+def _measure_shares(image, centres, radius, pitch, rows, lenses, sizes, firsts, constants: _Constants, out):
+    """As `_confirmed_share` for some `lenses` (m,), with `sizes` and `firsts` (m,)."""
     for task in prange(len(lenses)):
-        lens, s = lenses[task], sizes[task]
-        out[task] = 0.0
-        own, there, view = np.empty(size, np.float32), np.zeros(size + 2 * wide, np.float32), np.empty(size, np.float32)
-        squares, lines, limits = np.empty(size, np.float32), np.zeros(size, np.float32), np.empty(size, np.float32)
-        here, elsewhere = np.empty(size, np.float32), np.empty(size, np.float32)
-        left, top = int(centres[lens, 0]) - side, int(centres[lens, 1]) - side
-        copy_box(pixels, width, left, top, wide, wide, own)
-        total = _set_limits(image, centres[lens, 0], centres[lens, 1], radius, left, top, wide, floor, limits)
-        least = max(int(_LEAST * total), _FEWEST_PLACES)
-        count = _confirm(
-            pixels, height, width, centres, lens, radius, s, pitch, rows, left, top, wide, own, there, squares, lines,
-            view, limits, here,
-        )  # fmt: skip
-        if count < least:
-            continue
-        _confirm(
-            pixels, height, width, centres, lens, radius, firsts[task], pitch, rows, left, top, wide, own, there,
-            squares, lines, view, limits, elsewhere,
-        )  # fmt: skip
-        for k in range((wide - 2) * wide):
-            if elsewhere[k] > 0:
-                limits[k] = -1
-                count -= int(here[k])
-        chance = 0
-        for turn in range(2):
-            other = s + (beside if turn else -beside)
-            chance = max(chance, _confirm(
-                pixels, height, width, centres, lens, radius, other, pitch, rows, left, top, wide, own, there, squares,
-                lines, view, limits, elsewhere,
-            ))  # fmt: skip
-        if count >= least and count > _MORE * chance:
-            out[task] = count / total
+        out[task] = _confirmed_share(
+            image, centres, radius, pitch, rows, lenses[task], sizes[task], firsts[task], constants
+        )
 
 
-def _nearness(sizes: NDArray[np.float32], pitch: float) -> NDArray[np.float32]:
-    """As `visibility.nearness`, of many."""
+def _depth_order(sizes: NDArray[np.float32], pitch: float) -> NDArray[np.float32]:
+    """As `occlusion.depth_order`, of many."""
     return np.where(sizes > 0, sizes, sizes + 2 * pitch)
 
 
-def _news(
+def _new_hypotheses(
     known: NDArray[np.float32], rows: NDArray[np.int32], lenses: NDArray[np.int64], gap: float, pitch: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """What those beside some `lenses` (m,) know and these do not, before their first: lenses, and patch sizes [px].
+    """Patch sizes [px] of neighbours that some `lenses` (m,) do not have, before their first one: lenses, and sizes.
 
-    What is no more than their second best counts as unknown: where it is told as well, it is no false one.
+    The second-best match of a lens counts as one it does not have: confirmed by a neighbour it is no false match.
     """
     beside = rows[lenses]
-    heard = np.where((beside >= 0)[:, :, None], known[beside], np.nan).reshape(len(lenses), -1)
-    own = known[lenses][:, None, [_FIRST, _REST, _TOLD]]
-    apart = ~(np.abs(heard[:, :, None] - own) <= gap).any(2)
-    at, which = np.nonzero(apart & (_nearness(heard, pitch) > _nearness(known[lenses, _FIRST, None], pitch)))
-    return lenses[at], heard[at, which]
+    others = np.where((beside >= 0)[:, :, None], known[beside], np.nan).reshape(len(lenses), -1)
+    own = known[lenses][:, None, [_FIRST, _LAYER, _FOUND]]
+    new = ~same_surface(others[:, :, None], own, gap).any(2)
+    at, which = np.nonzero(new & (_depth_order(others, pitch) > _depth_order(known[lenses, _FIRST, None], pitch)))
+    return lenses[at], others[at, which]
 
 
 def _best_of_each(lens: NDArray[np.int64], share: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -176,10 +162,11 @@ def find_thin_structures(
     backward: NDArray[np.int32],
     first: NDArray[np.float32],
     others: NDArray[np.float32],
-    asked: NDArray[np.bool_],
+    wanted: NDArray[np.bool_],
     gap: float,
+    settings: ThinStructureSettings = _DEFAULT,
 ) -> NDArray[np.float32]:
-    """Patch sizes of what lenses show before the surface of their first, as lenses beside them tell of it.
+    """Patch sizes of thin structures that lenses show before their first surface, propagated from their neighbours.
 
     Parameters
     ----------
@@ -189,53 +176,59 @@ def find_thin_structures(
     first : (n,) float32 [px]
         Finite.
     others : (n, 2) float32 [px]
-        Second best patch size of each lens, and that of what the first leaves unexplained; NaN where there is none.
-    asked : (n,) bool
-        The other lenses are left alone.
+        Second-best patch size of each lens, and that of its second layer; NaN where there is none.
+    wanted : (n,) bool
+        The other lenses are left out.
     gap : float [px]
         Patch sizes that differ by less belong to one surface.
+    settings : ThinStructureSettings
 
     Returns
     -------
     (n,) float32 [px]
-        NaN where nothing is told, or where a lens beside it has that patch size as its first.
+        NaN where there is no such structure, or where a neighbour has that patch size as its first.
     """
     pitch = texture.flat.pitch
-    asked = asked & (texture.clear | texture.faint) & (np.abs(first) > _SHARING_LITTLE * pitch)
+    wanted = wanted & (texture.clear | texture.faint) & (np.abs(first) > settings.least_patch_size * pitch)
     rows = join_opposite(forward, backward)
-    if not asked.any():
+    if not wanted.any():
         return np.full(len(first), np.nan, np.float32)
-    factor = max(1, round(pitch / _PITCH))
+    factor = max(1, round(pitch / settings.pitch))
     gray, noise = downsample(texture.flat, factor), texture.noise / factor
+    constants = _Constants(
+        np.float32(settings.textured), np.float32(settings.confirmed), np.float32(settings.noise * noise * noise),
+        np.float32(settings.beside * gray.pitch), settings.fewest_views, settings.least_share, settings.fewest_pixels,
+        settings.over_chance,
+    )  # fmt: skip
 
-    def shown(lenses: NDArray[np.int64], sizes: NDArray[np.float32]) -> NDArray[np.float32]:
+    def confirmed(lenses: NDArray[np.int64], sizes: NDArray[np.float32]) -> NDArray[np.float32]:
         out = np.empty(len(lenses), np.float32)
-        _shown(
-            gray.image, gray.centres, np.float32(gray.radius - _BORDER), np.float32(gray.pitch), rows, lenses,
-            sizes / np.float32(factor), (first[lenses] / factor).astype(np.float32),
-            np.float32(_NOISES * noise * noise), np.float32(_BESIDE * gray.pitch), out,
+        _measure_shares(
+            gray.image, gray.centres, np.float32(gray.radius - settings.border), np.float32(gray.pitch), rows, lenses,
+            sizes / np.float32(factor), (first[lenses] / factor).astype(np.float32), constants, out,
         )  # fmt: skip
         return out
 
-    # A second best patch size is false in every fourth lens: others hear of those that are confirmed.
-    second = np.flatnonzero(asked & np.isfinite(others[:, 0]))
-    sure = second[shown(second, others[second, 0]) > 0]
+    # A second-best patch size is false in every fourth lens: only confirmed ones are propagated.
+    second = np.flatnonzero(wanted & np.isfinite(others[:, 0]))
+    sure = second[confirmed(second, others[second, 0]) > 0]
     known = np.full((len(first), 4), np.nan, np.float32)
-    known[:, _FIRST], known[:, _REST], known[sure, _SECOND] = first, others[:, 1], others[sure, 0]
-    told = known[:, _TOLD]
+    known[:, _FIRST], known[:, _LAYER], known[sure, _SECOND] = first, others[:, 1], others[sure, 0]
+    found = known[:, _FOUND]
     fresh, tried = np.ones(len(first), bool), np.empty(0, np.int64)
-    for _ in range(_LONGEST):
-        lenses = np.flatnonzero(asked & np.isnan(told) & ((rows >= 0) & fresh[rows]).any(1))
+    for _ in range(settings.longest):
+        lenses = np.flatnonzero(wanted & np.isnan(found) & ((rows >= 0) & fresh[rows]).any(1))
         if not len(lenses):
             break
-        lens, size = _news(known, rows, lenses, gap, pitch)
-        keys, once = np.unique(lens * _KEYS + np.rint(size / (_SAME * gap)).astype(np.int64), return_index=True)
+        lens, size = _new_hypotheses(known, rows, lenses, gap, pitch)
+        step = settings.same_hypothesis * gap
+        keys, once = np.unique(lens * _KEYS + np.rint(size / step).astype(np.int64), return_index=True)
         once = once[~np.isin(keys, tried)]
         lens, size, tried = lens[once], size[once], np.union1d(tried, keys)
-        best = _best_of_each(lens, shown(lens, size))
-        told[lens[best]] = size[best]
+        best = _best_of_each(lens, confirmed(lens, size))
+        found[lens[best]] = size[best]
         fresh[:] = False
         fresh[lens[best]] = True
-    # What a lens beside has as its first is tried on the places about this one in any case.
-    spoken = (np.abs(np.where(rows >= 0, first[rows], np.nan) - told[:, None]) <= gap).any(1)
-    return np.where(spoken, np.nan, told).astype(np.float32)
+    # The first patch size of a neighbour is a hypothesis for the points about this lens in any case.
+    redundant = same_surface(np.where(rows >= 0, first[rows], np.nan), found[:, None], gap).any(1)
+    return np.where(redundant, np.nan, found).astype(np.float32)

@@ -1,7 +1,7 @@
-"""Textures that repeat: what lenses see of the scene is seen again so near that other depths explain it as well.
+"""Periodic textures: found by autocorrelation of the scene, since every shift by a period matches as well.
 
-At any of these depths neighbouring microimages match, those beyond reach among them, so that the shifts that can be
-matched do not tell of all. The scene itself does: drawn from its lenses, a part of it is laid over itself.
+Some of these shifts may lie beyond those that the search tries, so that no secondary peak shows there. The scene itself
+tells: a part of it is drawn from its lenses and correlated with itself.
 """
 
 from __future__ import annotations
@@ -17,51 +17,22 @@ from lfcal.runtime.fastmath import FAST
 
 from ...flat.gray_flat import GrayFlat
 from ...runtime.quantiles import median
+from .settings import PeriodicitySettings
 
 __all__ = ["autocorrelation", "find_periodic_texture", "is_periodic", "sees_little_of_scene"]
 
-# Pixels of the scene over one pitch of a microimage, at most: periods of a quarter of it keep their shape.
-_FINE = 18.0
-# Half the side of a part of the scene, and the longest lag, in pitches of a microimage: depths are as far apart as a
-# period is long, and beyond these none is left.
-_REACH, _LONGEST = 2.0, 1.2
-# Share of the radius within which microimages are free of rims that nobody corrects.
-_INNER = 0.9
-# Lenses this far apart on the scene, in pitches of a microimage, overlap some three times.
-_APART = 0.5
-# Patch sizes within this factor are one surface, if a slanted one.
-_SURFACE = 3.0
-# So much of what is seen of the scene, and of a microimage, must be laid over itself.
-_SHARE, _LAID = 0.2, 0.25
-# Of this share of the weight of a pixel and more, a place counts as seen.
-_SEEN = 0.25
-# Variance where two parts lie over each other, as a share of that of all: flat places match anything.
-_CONTRAST = 0.1
-# Correlation below which a texture has ended.
-_ENDED = 0.3
-# Correlation at which a texture comes again, in one direction and in another, where at least so many microimages'
-# worth of the scene is seen: the more there is of it, the less of it repeats by chance. Where neighbours see a wave at
-# depths that are not quite its own, it comes again less clearly: as from the second numbers on, it may repeat.
-_AGAIN = ((20.0, 0.5, 0.45), (8.0, 0.65, 0.6), (3.0, 0.75, 0.7))
-_PERHAPS = ((20.0, 0.5, 0.4), (8.0, 0.5, 0.45), (3.0, 0.6, 0.3))
-# Lags with a larger cosine between them are one direction.
-_ALONG = 0.87
-# Lenses that see less than so many microimages' worth of it together all see nearly the same.
-_ALIKE = 8.0
-# Parts of the scene along each side of what the lenses cover, at most; fewer lenses tell nothing.
-_PARTS, _FEWEST = 2, 8
+_DEFAULT = PeriodicitySettings()
 
 
-# Python's error model checks every division, which no vector loop can. Places are unsigned: signed ones are looked at
-# for being counted from the end.
+# Python's error model checks every division, which no vector loop can. Array places are unsigned integers: signed ones
+# are checked for being negative.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _lay_out(image, centres, sizes, lenses, middle, own, pitch, radius, stride, zoom, light, weight):
-    """Draw what `lenses` see into `light`, and how much each place counts into `weight`, both (side, side)."""
+def _draw(image, centres, sizes, lenses, middle, own, pitch, radius, stride, zoom, light, weight):
+    """Draw what `lenses` see of the scene into `light`, and its weights into `weight`, both (side, side)."""
     side = light.shape[0]
     half, one = np.float32((side - 1) / 2), np.float32(1.0)
     height, width = image.shape
-    # Rows of the flat lie on rows of the drawing: only along these each pixel has a place of its own. Pixels go to two
-    # buffers by turns, or each would wait for the one before it.
+    # Rows of the flat lie on rows of the drawing. Pixels go to two buffers in turn, or each would wait for the last.
     bright, count = np.empty(2 * side, np.float32), np.empty(2 * side, np.float32)
     second = np.uint64(side)
     for lens in lenses:
@@ -107,20 +78,20 @@ def _lay_out(image, centres, sizes, lenses, middle, own, pitch, radius, stride, 
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _lay_out_parts(image, centres, sizes, lenses, ends, middles, owns, pitch, radius, stride, zoom, lights, weights):
-    """`_lay_out` each part of the scene into its own drawing; its `lenses` end before the place that `ends` tells."""
+def _draw_parts(image, centres, sizes, lenses, ends, middles, owns, pitch, radius, stride, zoom, lights, weights):
+    """Draw each part of the scene; its `lenses` end before its place in `ends`."""
     for part in prange(len(ends)):
         start = ends[part - 1] if part > 0 else 0
-        _lay_out(
+        _draw(
             image, centres, sizes, lenses[start : ends[part]], middles[part], owns[part], pitch, radius, stride, zoom,
             lights[part], weights[part],
         )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _overlaps(light, reach):
-    """(3, 2 * reach + 1, 2 * reach + 1): of all places that lie over others at each lag, how many they are, and the
-    sums of `light` (n, n) and of its square there."""
+def _overlap_sums(light, reach):
+    """(3, 2 * reach + 1, 2 * reach + 1): number of places that overlap others at each lag, and the sums of `light`
+    (n, n) and of its square there."""
     side = len(light)
     sums, squares = np.zeros((side + 1, side + 1)), np.zeros((side + 1, side + 1))
     for y in range(side):
@@ -141,20 +112,22 @@ def _overlaps(light, reach):
     return out
 
 
-def _laid_over(light: NDArray[np.float32], seen: NDArray[np.bool_], reach: int) -> NDArray[np.float32]:
-    """(4, 2 * reach + 1, 2 * reach + 1): as `_overlaps` of what is seen, and the sums of products."""
-    # What is carried round the border lies beyond the longest lag.
+def _lag_sums(light: NDArray[np.float32], seen: NDArray[np.bool_], reach: int) -> NDArray[np.float32]:
+    """(4, 2 * reach + 1, 2 * reach + 1): as `_overlap_sums` of what is seen, and the sums of products."""
+    # Padding keeps what is carried round the border beyond the longest lag.
     size = fft.next_fast_len(len(light) + reach, real=True)
     lags = np.arange(-reach, reach + 1)
     if seen.all() and reach < len(light):
         power = np.abs(fft.rfft2(light, (size, size))) ** 2
-        return np.stack([*_overlaps(light, reach), fft.irfft2(power, (size, size))[lags[:, None], lags]])
+        return np.stack([*_overlap_sums(light, reach), fft.irfft2(power, (size, size))[lags[:, None], lags]])
     of_light, of_seen, of_square = fft.rfft2(np.stack([light, seen, light * light]), (size, size))
     both = np.stack([of_seen, of_light, of_square, of_light]) * np.conj([of_seen, of_seen, of_seen, of_light])
     return np.asarray(fft.irfft2(both, (size, size))[:, lags[:, None], lags])
 
 
-def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int, least: float) -> NDArray[np.float32]:
+def autocorrelation(
+    picture: NDArray, seen: NDArray[np.bool_], reach: int, least: float, settings: PeriodicitySettings = _DEFAULT
+) -> NDArray[np.float32]:
     """(2 * reach + 1, 2 * reach + 1) correlation of a picture with itself at lags up to `reach` px, 0 in the middle.
 
     Only what is seen in both counts.
@@ -165,14 +138,15 @@ def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int, least
     seen : (n, n) bool
     reach : int [px]
     least : float
-        Lags at which fewer pixels lie over each other get -1, and so do those at which these are flat.
+        Lags at which fewer pixels overlap get -1, and so do those at which these are flat.
+    settings : PeriodicitySettings
     """
     light = np.where(seen, picture - picture[seen].mean(), 0).astype(np.float32)
-    common, here, square, like = _laid_over(light, seen, reach)
+    common, here, square, like = _lag_sums(light, seen, reach)
     count = np.maximum(np.rint(common), 1)
     spread = square - here**2 / count
     # At the opposite lag the other of both is moved.
-    limit = _CONTRAST * (light**2).sum() / seen.sum() * count
+    limit = settings.least_variance * (light**2).sum() / seen.sum() * count
     product = spread * spread[::-1, ::-1]
     known = (count >= least) & (spread > limit) & (spread > limit)[::-1, ::-1]
     covariance = like - here * here[::-1, ::-1] / count
@@ -180,23 +154,22 @@ def autocorrelation(picture: NDArray, seen: NDArray[np.bool_], reach: int, least
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _comes_again(correlation):
-    """Largest correlation beyond that with which the texture has ended about no lag, and the largest of those in
-    another direction; -1 where there is none."""
+def _find_peaks(correlation, decayed, same_direction):
+    """Largest correlation outside the central peak, which ends where it has `decayed`, and the largest one in another
+    direction; -1 if there is none."""
     side = len(correlation)
     middle = side // 2
     same, stack = np.zeros((side, side), np.bool_), np.empty((side * side, 2), np.int64)
     waiting = 0
-    if correlation[middle, middle] > _ENDED:
+    if correlation[middle, middle] > decayed:
         same[middle, middle], stack[0, 0], stack[0, 1], waiting = True, middle, middle, 1
     while waiting:
         waiting -= 1
         v, u = stack[waiting]
         for y, x in ((v - 1, u), (v + 1, u), (v, u - 1), (v, u + 1)):
-            if 0 <= y < side and 0 <= x < side and not same[y, x] and correlation[y, x] > _ENDED:
+            if 0 <= y < side and 0 <= x < side and not same[y, x] and correlation[y, x] > decayed:
                 same[y, x], stack[waiting, 0], stack[waiting, 1] = True, y, x
                 waiting += 1
-    # Directions are compared by their cosine, over the lengths of both lags.
     first = second = np.float32(-1.0)
     best_y = best_x = 0
     for turn in range(2):
@@ -207,28 +180,32 @@ def _comes_again(correlation):
                     continue
                 if turn == 0 and value > first:
                     first, best_y, best_x = value, y, x
-                along = abs(x * best_x + y * best_y) > _ALONG * np.sqrt(away2 * (best_x * best_x + best_y * best_y))
+                both = np.sqrt(away2 * (best_x * best_x + best_y * best_y))
+                along = abs(x * best_x + y * best_y) > same_direction * both
                 if turn == 1 and not along:
                     second = max(second, value)
     return first, second
 
 
-def is_periodic(correlation: NDArray[np.float32], seen: float) -> tuple[bool, bool]:
-    """Whether a texture comes again along two directions, and whether it may.
+def is_periodic(
+    correlation: NDArray[np.float32], seen: float, settings: PeriodicitySettings = _DEFAULT
+) -> tuple[bool, bool]:
+    """Whether a texture repeats along two directions, and whether it may.
 
     Parameters
     ----------
     correlation : (m, m)
         As `autocorrelation`.
-    seen : float
-        So many microimages' worth of the scene.
+    seen : float [microimages]
+        Area of the scene.
+    settings : PeriodicitySettings
     """
-    first, second = _comes_again(correlation)
-    certain, perhaps = (
+    first, second = _find_peaks(correlation, settings.decayed, settings.same_direction)
+    certain, possible = (
         any(seen >= least and first > one and second > other for least, one, other in limits)
-        for limits in (_AGAIN, _PERHAPS)
+        for limits in (settings.certain, settings.possible)
     )
-    return certain, perhaps
+    return certain, possible
 
 
 @dataclass(frozen=True)
@@ -240,11 +217,15 @@ class _Part:
 
 
 def find_periodic_texture(
-    gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, resolved: NDArray[np.bool_]
+    gray: GrayFlat,
+    indices: NDArray[np.int64],
+    sizes: NDArray,
+    resolved: NDArray[np.bool_],
+    settings: PeriodicitySettings = _DEFAULT,
 ) -> tuple[NDArray[np.bool_], bool]:
-    """Lenses (n,) that see a part of the scene whose texture repeats, and whether that of most parts may.
+    """Lenses (n,) that see a part of the scene whose texture is periodic, and whether that of most parts may be.
 
-    Where most of the parts do for certain, all lenses do.
+    If most of the parts are periodic for certain, all resolved lenses are returned.
 
     Parameters
     ----------
@@ -254,36 +235,49 @@ def find_periodic_texture(
     sizes : (n,) [px of `gray`]
         Patch sizes; those of the resolved lenses count.
     resolved : (n,) bool
+    settings : PeriodicitySettings
     """
     certain = np.zeros(len(sizes), bool)
     known = np.flatnonzero(resolved & (np.abs(sizes) > 0))
-    if len(known) < _FEWEST:
+    if len(known) < settings.fewest_lenses:
         return certain, False
     x, y = gray.centres[known, 0], gray.centres[known, 1]
-    own = sizes[known]
-    left, top, right, bottom = x.min(), y.min(), x.max(), y.max()
-    reach = _REACH * gray.pitch**2 / median(np.abs(own))
+    reach = settings.reach * gray.pitch**2 / median(np.abs(sizes[known]))
+    columns, rows = (_spread_evenly(v.min(), v.max(), reach, settings.parts) for v in (x, y))
+    places = [(u, v) for v in rows for u in columns]
     verdicts: list[tuple[bool, bool]] = []
-    places = [(u, v) for v in _evenly(top, bottom, reach) for u in _evenly(left, right, reach)]
-    # Opposite corners first: where neither is in doubt, most parts are not.
+    # Opposite corners first: if neither is in doubt, most parts are not.
     for some in (places[::3], places[1:3]):
         if not some or (len(verdicts) == 2 and not np.any(verdicts)):
             break
-        parts = []
-        for u, v in some:
-            middle = int(((x - np.float32(u)) ** 2 + (y - np.float32(v)) ** 2).argmin())
-            extent = np.float32((_REACH + 0.5) * gray.pitch**2 / abs(float(own[middle])))
-            near = np.flatnonzero((np.abs(x - x[middle]) < extent) & (np.abs(y - y[middle]) < extent))
-            factor = own[near] / own[middle]
-            parts.append(_Part(known[near[(factor > 1 / _SURFACE) & (factor < _SURFACE)]], int(known[middle])))
-        for part, verdict in zip(parts, _parts_repeat(gray, indices, sizes, parts), strict=True):
+        parts = [_part_about(gray, sizes, known, u, v, settings) for u, v in some]
+        for part, verdict in zip(parts, _are_parts_periodic(gray, indices, sizes, parts, settings), strict=True):
             verdicts.append(verdict)
             certain[part.lenses] |= verdict[0]
     most = np.mean(verdicts, axis=0) > 0.5
     return certain | (resolved & most[0]), bool(most[1])
 
 
-def sees_little_of_scene(centres: NDArray, sizes: NDArray, resolved: NDArray[np.bool_], pitch: float) -> bool:
+def _part_about(
+    gray: GrayFlat, sizes: NDArray, known: NDArray[np.int64], u: float, v: float, settings: PeriodicitySettings
+) -> _Part:
+    """The part of the scene about a place [px] that the `known` lenses see."""
+    x, y, own = gray.centres[known, 0], gray.centres[known, 1], sizes[known]
+    middle = int(((x - np.float32(u)) ** 2 + (y - np.float32(v)) ** 2).argmin())
+    extent = np.float32((settings.reach + 0.5) * gray.pitch**2 / abs(float(own[middle])))
+    near = np.flatnonzero((np.abs(x - x[middle]) < extent) & (np.abs(y - y[middle]) < extent))
+    factor = own[near] / own[middle]
+    one_surface = (factor > 1 / settings.same_surface) & (factor < settings.same_surface)
+    return _Part(known[near[one_surface]], int(known[middle]))
+
+
+def sees_little_of_scene(
+    centres: NDArray,
+    sizes: NDArray,
+    resolved: NDArray[np.bool_],
+    pitch: float,
+    settings: PeriodicitySettings = _DEFAULT,
+) -> bool:
     """Whether all lenses together see so little more of the scene than one that it hardly shows if it repeats.
 
     Of lenses at `centres` (n, 2) [px] those that are `resolved` (n,) count, with their patch `sizes` (n,) [px].
@@ -292,54 +286,59 @@ def sees_little_of_scene(centres: NDArray, sizes: NDArray, resolved: NDArray[np.
         return False
     size = float(np.median(np.abs(sizes[resolved])))
     across = [float(np.ptp(centres[resolved, k])) * size / pitch**2 + 1 for k in (0, 1)]
-    return across[0] * across[1] < _ALIKE
+    return across[0] * across[1] < settings.little_area
 
 
-def _evenly(first: float, last: float, reach: float) -> NDArray[np.float64]:
-    """Middles of parts of this half side between two places [px], the outer ones as far from these."""
-    count = int(np.clip((last - first) / (2 * reach), 1, _PARTS))
+def _spread_evenly(first: float, last: float, reach: float, most: int) -> NDArray[np.float64]:
+    """Middles of parts of half side `reach` between two places [px], the outer ones as far from these."""
+    count = int(np.clip((last - first) / (2 * reach), 1, most))
     return first + (np.arange(count) + 0.5) * (last - first) / count
 
 
-def _spread_evenly(
-    lenses: NDArray[np.int64], middle: int, indices: NDArray[np.int64], pitch: float, own: float
-) -> NDArray[np.int64]:
-    """Those of some lenses that overlap on the scene no more than they need."""
-    share = max(1.0, (_APART * pitch / own) ** 2)
+def _thin_out(part: _Part, indices: NDArray[np.int64], spacing: float) -> NDArray[np.int64]:
+    """Every so many of the lenses of a part, so that they are about `spacing` steps of the lattice apart."""
+    share = max(1.0, spacing**2)
     apart = int(np.sqrt(share))
-    return lenses[((indices[lenses] - indices[middle]) % (apart, int(share / apart)) == 0).all(1)]
+    steps = (indices[part.lenses] - indices[part.middle]) % (apart, int(share / apart))
+    return part.lenses[(steps == 0).all(1)]
 
 
-def _parts_repeat(
-    gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, parts: list[_Part]
+def _are_parts_periodic(
+    gray: GrayFlat, indices: NDArray[np.int64], sizes: NDArray, parts: list[_Part], settings: PeriodicitySettings
 ) -> list[tuple[bool, bool]]:
-    """Whether parts of the scene repeat, and whether they may."""
+    """`is_periodic` for parts of the scene."""
     pitch, middles = gray.pitch, [part.middle for part in parts]
     owns = np.asarray(sizes, np.float64)[middles]
-    chosen = [
-        _spread_evenly(part.lenses, part.middle, indices, pitch, own) for part, own in zip(parts, owns, strict=True)
-    ]
-    zoom = min(1.0, _FINE / pitch)
-    side = 2 * int(np.ceil(_REACH * pitch * zoom)) + 1
+    chosen = [_thin_out(part, indices, settings.spacing * pitch / own) for part, own in zip(parts, owns, strict=True)]
+    zoom = min(1.0, settings.resolution / pitch)
+    side = 2 * int(np.ceil(settings.reach * pitch * zoom)) + 1
     lights, weights = np.zeros((2, len(parts), side, side), np.float32)
-    stride, radius = max(1, round(0.7 / zoom)), _INNER * gray.radius
-    _lay_out_parts(
+    stride, radius = max(1, round(0.7 / zoom)), settings.inner * gray.radius
+    _draw_parts(
         gray.image, gray.centres, np.asarray(sizes, np.float64), np.concatenate(chosen),
         np.cumsum([len(lenses) for lenses in chosen]), gray.centres[middles].astype(float), owns, pitch, radius, stride,
         zoom, lights, weights,
     )  # fmt: skip
-    area, limit = np.pi * (radius * zoom) ** 2, _SEEN / (zoom * stride) ** 2
-    reach = int(np.ceil(_LONGEST * pitch * zoom))
-    return [_drawing_repeats(light, weight, limit, area, reach) for light, weight in zip(lights, weights, strict=True)]
+    area, limit = np.pi * (radius * zoom) ** 2, settings.least_weight / (zoom * stride) ** 2
+    reach = int(np.ceil(settings.longest_lag * pitch * zoom))
+    return [
+        _is_drawing_periodic(light, weight, limit, area, reach, settings)
+        for light, weight in zip(lights, weights, strict=True)
+    ]
 
 
-def _drawing_repeats(
-    light: NDArray[np.float32], weight: NDArray[np.float32], limit: float, area: float, reach: int
+def _is_drawing_periodic(
+    light: NDArray[np.float32],
+    weight: NDArray[np.float32],
+    limit: float,
+    area: float,
+    reach: int,
+    settings: PeriodicitySettings,
 ) -> tuple[bool, bool]:
-    """`is_periodic` for a drawing, of which is seen what has more than this weight; a microimage is so large on it."""
+    """`is_periodic` for a drawing, where weights above `limit` are seen and a microimage covers an `area` [px^2]."""
     seen = weight > limit
-    if seen.sum() < max(1.0, _AGAIN[-1][0] * area):
+    if seen.sum() < max(1.0, settings.certain[-1][0] * area):
         return False, False
-    least = max(_SHARE * float(seen.sum()), _LAID * area)
+    least = max(settings.least_overlap * float(seen.sum()), settings.least_overlap_area * area)
     picture = light / np.where(seen, weight, 1)
-    return is_periodic(autocorrelation(picture, seen, reach, least), float(seen.sum()) / area)
+    return is_periodic(autocorrelation(picture, seen, reach, least, settings), float(seen.sum()) / area, settings)

@@ -1,4 +1,4 @@
-"""Lenses of several types, focused at different depths: how much more one blurs than the next, and what that saves."""
+"""How much more one lens type blurs than another, and how much less pairs scatter once that is known."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_lenses_focused_farther_from_the_scene_blur_more():
     assert more[0, 2] < more[0, 1] < -0.05 and more[1, 2] < -0.05
 
 
-def test_types_of_which_no_pair_is_known_count_as_like_the_others():
+def test_types_without_known_pairs_get_no_difference():
     _, gray, kinds = measured(kinds=True)
     sizes = np.full((len(kinds), 3), np.nan, np.float32)
     forward, _ = opposite_neighbours(flat().truth.calibration.lattice)
@@ -80,7 +80,7 @@ def test_types_of_which_no_pair_is_known_count_as_like_the_others():
     assert not nothing.blurs.any() and nothing.curve == 0
 
 
-def test_a_sample_is_spread_over_the_lenses_with_a_first_value():
+def test_a_sample_is_spread_over_the_lenses_with_a_start_value():
     start = np.where(np.arange(5000) % 2, np.float32(3.0), np.float32(np.nan))
     some = np.flatnonzero(np.isfinite(sample_start_values(start)))
     assert 100 < len(some) < 300 and (some % 2 == 1).all()

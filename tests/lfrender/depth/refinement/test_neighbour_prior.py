@@ -1,3 +1,5 @@
+"""Patch sizes of lenses refined with what their neighbours predict."""
+
 import numpy as np
 
 from lfrender.depth.refinement.neighbour_prior import refine_patch_sizes
@@ -25,7 +27,7 @@ def test_a_lens_that_starts_far_off_is_brought_back_by_its_neighbours(drawn_flat
     assert np.median(np.abs(lenses.patch_size + 8.0)[inner]) < 0.01
 
 
-def test_a_lens_turns_to_the_other_value_on_which_its_pairs_agree(drawn_flat):
+def test_a_lens_takes_the_second_best_match_if_its_pairs_agree_on_it(drawn_flat):
     gray, lattice, truth, inner = drawn_flat(-8.0, detail=1.0)
     false = inner & (np.arange(len(truth)) % 7 == 0)
     start = np.where(false, 7.0, truth)
@@ -34,7 +36,7 @@ def test_a_lens_turns_to_the_other_value_on_which_its_pairs_agree(drawn_flat):
     assert (np.abs(lenses.patch_size + 8.0)[inner] < 0.1).mean() > 0.99
 
 
-def test_lenses_on_the_other_side_of_a_depth_edge_do_not_pull(drawn_flat):
+def test_lenses_on_the_other_side_of_a_depth_edge_have_no_influence(drawn_flat):
     left, lattice, _, inner = drawn_flat(-6.0)
     right = drawn_flat(-7.2, seed=6)[0]
     nearer = np.arange(left.image.shape[1]) < 210

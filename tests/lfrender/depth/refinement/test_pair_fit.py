@@ -1,3 +1,5 @@
+"""Patch sizes of pairs, and planes through the pairs of each lens."""
+
 import dataclasses
 
 import numpy as np
@@ -26,7 +28,7 @@ def test_pairs_of_a_plane_have_no_common_error_at_any_fraction_of_a_pixel(drawn_
         assert np.abs(error).max() < 0.005, f"{s} px: off by {error} px along the lattice directions"
 
 
-def test_each_lens_of_a_slanted_plane_answers_for_its_own_centre(drawn_flat):
+def test_each_lens_of_a_slanted_plane_measures_its_own_centre(drawn_flat):
     gray, lattice, truth, inner = drawn_flat(-6.5, slant=(0.03, -0.02))
     assert np.ptp(truth[inner]) > 1.5
     _, lenses = measure(gray, lattice, truth + 0.3)
@@ -56,7 +58,7 @@ def test_neighbours_on_two_surfaces_are_fitted_from_both_sides(drawn_flat):
     assert not (pairs.patch_size[edge, 0, 1] < 0).any()
 
 
-def test_lenses_without_a_first_value_are_left_alone(drawn_flat):
+def test_lenses_without_a_start_value_are_left_out(drawn_flat):
     gray, lattice, truth, inner = drawn_flat(5.0)
     start = np.where(np.arange(len(truth)) % 2, truth, np.nan)
     _, lenses = measure(gray, lattice, start)
@@ -65,7 +67,7 @@ def test_lenses_without_a_first_value_are_left_alone(drawn_flat):
     assert np.isfinite(lenses.patch_size[1::2][inner[1::2]]).all()
 
 
-def test_slopes_of_noise_do_not_hold_a_fit_back_at_its_start(drawn_flat):
+def test_slopes_of_noise_do_not_bias_a_fit_toward_its_start(drawn_flat):
     gray, lattice, truth, inner = drawn_flat(-6.5, noise=0.06, detail=0.4)
     error = {}
     for known in (0.06, 0.0):
@@ -87,7 +89,7 @@ def test_shading_left_in_microimages_hardly_moves_their_pairs(drawn_flat):
     assert error[1] < 1.3 * error[0] + 0.004, f"{error} px without and with shading"
 
 
-def test_pairs_that_scatter_by_more_than_their_noise_widen_the_error_beyond_their_scatter(drawn_flat):
+def test_excess_scatter_of_pairs_raises_the_error_by_more_than_itself(drawn_flat):
     gray, lattice, _truth, inner = drawn_flat(6.0)
     rows = neighbour_rows(lattice, lattice.steps)
     half = rows.shape[1] // 2
@@ -100,7 +102,7 @@ def test_pairs_that_scatter_by_more_than_their_noise_widen_the_error_beyond_thei
         pairs = PairFits(sizes, np.full(sizes.shape, 0.02**2, np.float32), np.zeros((*sizes.shape, 2), np.float32))
         lenses = fit_lens_planes(gray, rows[:, :half], rows[:, half:], pairs, start)
         median.append(np.median(lenses.standard_error[inner]))
-    # Three times the scatter, less what the robust fit takes for outliers (2.7), and up to 1.4 times that.
+    # Three times the scatter, less outliers of the robust fit (2.7 times), and up to 1.4 times that.
     assert median[1] / median[0] > 3
 
 

@@ -1,4 +1,4 @@
-"""Lenses before balls are measured where their centres see them."""
+"""Lenses that see a ball are measured at their centres."""
 
 import dataclasses
 import functools
@@ -35,19 +35,19 @@ def on_ball(truth):
 def test_lenses_on_a_ball_are_measured_at_their_centres(monkeypatch):
     shot = ball()
     truth = shot.truth
-    judged = on_ball(truth)
-    assert judged.sum() >= 12
+    on_it = on_ball(truth)
+    assert on_it.sum() >= 12
     error = {}
     for bends in (True, False):
         monkeypatch.setitem(PRESETS, "balanced", dataclasses.replace(PRESETS["balanced"], quadratic_fit=bends))
         depth = lfrender.analyze(shot.flat, truth.calibration)
-        error[bends] = (depth.patch_size - truth.patch_size)[judged]
+        error[bends] = (depth.patch_size - truth.patch_size)[on_it]
     assert abs(np.median(error[True])) < 0.01
     assert np.median(np.abs(error[True])) < 0.6 * np.median(np.abs(error[False])), error
 
 
-def bent(gray, lattice, sizes):
-    """What `fit_quadratic` makes of lenses that measure these sizes, and no slants."""
+def fitted(gray, lattice, sizes):
+    """`fit_quadratic` from these sizes, without slants."""
     n = len(sizes)
     fits = LensFits(
         sizes.astype(np.float32), np.full(n, 0.02, np.float32), np.zeros((n, 2), np.float32), np.ones(n, np.float32)
@@ -57,21 +57,21 @@ def bent(gray, lattice, sizes):
 
 
 @pytest.mark.parametrize("slant", [(0.0, 0.0), (0.04, -0.03)])
-def test_lenses_find_back_to_their_plane_and_stay_there(drawn_flat, slant):
+def test_lenses_return_to_their_plane_and_stay_there(drawn_flat, slant):
     gray, lattice, truth, inner = drawn_flat(-5.0, slant=slant, noise=0.005)
-    fits, share = bent(gray, lattice, truth + 0.2)
+    fits, share = fitted(gray, lattice, truth + 0.2)
     assert np.median(share[inner]) > 0.8
     assert np.median(np.abs(fits.patch_size - truth)[inner]) < 0.03
     # The slant that is drawn is that of the middle lens, and grows with s.
     off = fits.slant - np.outer(truth / -5.0, slant)
     np.testing.assert_allclose(np.median(off[inner], axis=0), 0, atol=0.004)
-    fits, _ = bent(gray, lattice, truth)
+    fits, _ = fitted(gray, lattice, truth)
     assert np.median(np.abs(fits.patch_size - truth)[inner]) < 0.01
 
 
-def test_lenses_that_show_too_little_keep_their_answer(drawn_flat):
+def test_lenses_that_show_too_little_keep_their_first_fit(drawn_flat):
     gray, lattice, truth, _ = drawn_flat(-5.0)
     few = dataclasses.replace(gray, radius=3.0)
-    fits, share = bent(few, lattice, truth)
+    fits, share = fitted(few, lattice, truth)
     assert not share.any()
     np.testing.assert_array_equal(fits.patch_size, truth.astype(np.float32))

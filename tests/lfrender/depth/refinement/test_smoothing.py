@@ -1,3 +1,5 @@
+"""Fits smoothed over planes, curved surfaces and depth edges."""
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ def cameras(kind="hex"):
 
 
 def fits(sizes, noise=NOISE, seed=0):
-    """Lenses that measure their sizes with some noise, and slants of which they know little."""
+    """Fits of these sizes with some noise, and slants of large errors."""
     rng = np.random.default_rng(seed)
     errors = np.broadcast_to(np.float32(noise), len(sizes)).copy()
     measured = (sizes + errors * rng.standard_normal(len(sizes))).astype(np.float32)
@@ -25,8 +27,8 @@ def fits(sizes, noise=NOISE, seed=0):
     return LensFits(measured, errors, slants, np.full(len(sizes), 0.02, np.float32))
 
 
-def together(centres, neighbours, own, wanted=None):
-    """Sizes and errors of lenses pooled, of which those that are not wanted measure at their centres."""
+def smoothed(centres, neighbours, own, wanted=None):
+    """Smoothed sizes and errors; lenses that are not wanted count as measured at their centres."""
     wanted = np.ones(len(centres), bool) if wanted is None else wanted
     joint = smooth_fits(centres, 20.0, RADIUS, neighbours, own, wanted, (~wanted).astype(np.float32))
     return joint.fits.patch_size, joint.fits.standard_error
@@ -34,11 +36,11 @@ def together(centres, neighbours, own, wanted=None):
 
 @pytest.mark.parametrize("kind", ["hex", "square"])
 @pytest.mark.parametrize("slant", [0.0, 0.0004])
-def test_lenses_of_a_plane_halve_their_error_and_know_it(kind, slant):
+def test_lenses_of_a_plane_halve_their_error_and_state_it(kind, slant):
     _, centres, neighbours = cameras(kind)
     truth = 1 / (-1 / 9.0 + (centres[:, 0] - 300) * slant / 9)
     own = fits(truth)
-    sizes, errors = together(centres, neighbours, own)
+    sizes, errors = smoothed(centres, neighbours, own)
     away = np.abs(sizes - truth)
     assert np.median(away) < 0.5 * np.median(np.abs(own.patch_size - truth))
     assert 0.6 < np.mean(away <= errors) < 0.85
@@ -49,27 +51,27 @@ def test_depth_edges_stay_sharp():
     _, centres, neighbours = cameras()
     left = centres[:, 0] < 300
     truth = np.where(left, -9.0, -8.0)
-    sizes, _ = together(centres, neighbours, fits(truth))
+    sizes, _ = smoothed(centres, neighbours, fits(truth))
     assert np.abs(sizes - truth).max() < 4 * NOISE
     at_edge = np.abs(centres[:, 0] - 300) < 20
     assert np.abs((sizes - truth)[at_edge & left].mean()) < 0.02
 
 
-def test_a_doubtful_lens_between_two_depths_keeps_its_doubt():
-    """What disagrees by far more than its errors tells little, however sure each of it is."""
+def test_an_uncertain_lens_between_two_depths_keeps_its_large_error():
+    """Neighbours that differ by far more than their errors have little weight, however small these are."""
     _, centres, neighbours = cameras()
     truth = np.where(centres[:, 0] < 300, -9.0, -8.0)
     own = fits(truth, 0.01)
     doubtful = np.abs(centres[:, 0] - 300) < 10
     own.standard_error[doubtful] = 0.6
     own.patch_size[doubtful] = -8.5
-    _, errors = together(centres, neighbours, own)
+    _, errors = smoothed(centres, neighbours, own)
     assert np.median(errors[doubtful]) > 0.15
     assert np.median(errors[~doubtful]) < 0.01
 
 
-def together_afar(centres, neighbours, own):
-    """As `together`, with those afar."""
+def smoothed_far(centres, neighbours, own):
+    """As `smoothed`, with distant lenses."""
     wanted = np.ones(len(centres), bool)
     near = smooth_fits(centres, 20.0, RADIUS, neighbours, own, wanted, (~wanted).astype(np.float32))
     fits = smooth_fits_far(centres, 20.0, RADIUS, neighbours, near, wanted)
@@ -83,73 +85,71 @@ def test_planes_of_many_lenses_come_out_as_planes(kind, slant):
     _, centres, neighbours = cameras(kind)
     truth = 1 / (-1 / 9.0 + (centres[:, 0] - 300) * slant / 9)
     own = fits(truth)
-    near, _ = together(centres, neighbours, own)
-    sizes, errors = together_afar(centres, neighbours, own)
+    near, _ = smoothed(centres, neighbours, own)
+    sizes, errors = smoothed_far(centres, neighbours, own)
     away = np.abs(sizes - truth)
     assert np.median(away) < 0.5 * np.median(np.abs(near - truth))
     assert 0.6 < np.mean(away <= errors) < 0.95
 
 
-def test_lenses_that_those_about_them_doubt_mislead_few_afar():
-    """As beside depth edges, where lenses see a little of the other side and err to it together."""
+def test_lenses_with_few_inlier_neighbours_hardly_bias_distant_ones():
+    """As beside depth edges, where lenses see a little of the other side and all err toward it."""
     _, centres, neighbours = cameras()
     across = (centres[:, 0] - 300) / 20
-    torn = np.abs(across) % 10 < 2
+    mixed = np.abs(across) % 10 < 2
     truth, away = np.full(len(centres), -9.0), []
     for seed in range(4):
         own = fits(truth, seed=seed)
         own.slant_error[:] = 0.002
-        own.patch_size[torn] += 5 * NOISE * np.random.default_rng(seed).uniform(0, 1, torn.sum()).astype(np.float32)
-        sizes, _ = together_afar(centres, neighbours, own)
-        away.append((sizes - truth)[~torn].mean())
+        own.patch_size[mixed] += 5 * NOISE * np.random.default_rng(seed).uniform(0, 1, mixed.sum()).astype(np.float32)
+        sizes, _ = smoothed_far(centres, neighbours, own)
+        away.append((sizes - truth)[~mixed].mean())
     assert np.mean(away) < 0.23 * NOISE
 
 
-def test_depth_edges_stay_sharp_afar():
+def test_depth_edges_stay_sharp_with_distant_lenses():
     _, centres, neighbours = cameras()
     left = centres[:, 0] < 300
     truth = np.where(left, -9.0, -8.5)
     own = fits(truth)
     own.slant_error[:] = 0.004
-    sizes, _ = together_afar(centres, neighbours, own)
+    sizes, _ = smoothed_far(centres, neighbours, own)
     assert np.abs(sizes - truth).max() < 4 * NOISE
     at_edge = np.abs(centres[:, 0] - 300) < 20
     assert np.abs((sizes - truth)[at_edge & left].mean()) < 0.02
 
 
-def bowl(centres, bend, noise=0.002):
-    """What lenses see in their centres of a surface of this bend [px / pitch^2], what they tell of it without noise,
-    how they measure that, and which look at its level part.
-
-    A microimage tells the mean of what it shows, the more of it the smaller the patch.
+def bowl(centres, curvature, noise=0.002):
+    """A surface of this curvature [px / pitch^2]: sizes at the centres of lenses, their means over microimages, fits of
+    these with noise, and which lenses see its central part.
     """
     away = (centres - centres.mean(0)) / 20.0
-    truth = -9.0 + 0.5 * bend * (away**2).sum(1)
-    told = truth + 0.5 * bend * (RADIUS / truth) ** 2 / 2
+    truth = -9.0 + 0.5 * curvature * (away**2).sum(1)
+    told = truth + 0.5 * curvature * (RADIUS / truth) ** 2 / 2
     own = fits(told, noise)
-    own.slant[:] = -bend * away / truth[:, None] + 0.004 * np.random.default_rng(1).standard_normal(away.shape)
+    own.slant[:] = -curvature * away / truth[:, None] + 0.004 * np.random.default_rng(1).standard_normal(away.shape)
     own.slant_error[:] = 0.004
     return truth, told, own, (np.abs(away) < 5).all(1)
 
 
-@pytest.mark.parametrize("bend", [0.01, 0.02, 0.04])
-def test_bent_surfaces_are_measured_where_the_centres_of_lenses_see_them(bend):
+@pytest.mark.parametrize("curvature", [0.01, 0.02, 0.04])
+def test_curved_surfaces_are_measured_at_the_centres_of_lenses(curvature):
     _, centres, neighbours = cameras()
-    truth, told, own, inner = bowl(centres, bend)
-    sizes, errors = together(centres, neighbours, own)
+    truth, told, own, inner = bowl(centres, curvature)
+    sizes, errors = smoothed(centres, neighbours, own)
     before = np.median((own.patch_size - truth)[inner])
-    assert before > 0.2 * bend
+    assert before > 0.2 * curvature
     assert abs(np.median((sizes - truth)[inner])) < 0.1 * before + 0.0005
     assert np.median(np.abs(sizes - truth)[inner]) < 1.2 * np.median(np.abs(own.patch_size - told)[inner])
     assert np.mean((np.abs(sizes - truth) <= errors)[inner]) > 0.5
 
 
-@pytest.mark.parametrize("bend", [0.01, 0.02, 0.04])
-def test_bent_surfaces_stay_so_afar(bend):
+@pytest.mark.parametrize("curvature", [0.01, 0.02, 0.04])
+def test_curved_surfaces_stay_so_with_distant_lenses(curvature):
     _, centres, neighbours = cameras()
-    truth, _, own, inner = bowl(centres, bend)
-    sizes, _ = together_afar(centres, neighbours, own)
-    near, _ = together(centres, neighbours, own)
+    truth, _, own, inner = bowl(centres, curvature)
+    sizes, _ = smoothed_far(centres, neighbours, own)
+    near, _ = smoothed(centres, neighbours, own)
     assert np.median(np.abs(sizes - truth)[inner]) < 1.1 * np.median(np.abs(near - truth)[inner])
 
 
@@ -166,46 +166,46 @@ def test_curvature_is_significant_on_a_curved_surface_and_hardly_elsewhere():
     assert np.mean(significance(fits(np.full(len(centres), -9.0))) > 3) < 0.1
 
 
-def test_lenses_that_were_freed_of_a_bend_before_count_as_such():
+def test_lenses_already_corrected_for_curvature_are_not_corrected_again():
     _, centres, neighbours = cameras()
     truth, told, own, inner = bowl(centres, 0.02)
     wanted = np.zeros(len(truth), bool)
     wanted[::7] = True
     own.patch_size[~wanted] += (truth - told)[~wanted].astype(np.float32)
-    sizes, _ = together(centres, neighbours, own, wanted)
+    sizes, _ = smoothed(centres, neighbours, own, wanted)
     assert abs(np.median((sizes - truth)[inner & wanted])) < 0.0015
     np.testing.assert_array_equal(sizes[~wanted], own.patch_size[~wanted])
 
 
-def test_lenses_that_know_nothing_say_nothing():
+def test_lenses_of_unknown_error_have_no_influence():
     _, centres, neighbours = cameras()
     truth = np.full(len(centres), -9.0)
     own, wanted = fits(truth), np.ones(len(centres), bool)
     own.standard_error[::3] = np.inf
     own.patch_size[::3] = np.nan
     wanted[1::3] = False
-    sizes, errors = together(centres, neighbours, own, wanted)
+    sizes, errors = smoothed(centres, neighbours, own, wanted)
     assert np.isnan(sizes[::3]).all() and np.isinf(errors[::3]).all()
     np.testing.assert_array_equal(sizes[1::3], own.patch_size[1::3])
     assert np.isfinite(sizes[2::3]).all()
     assert np.median(np.abs(sizes - truth)[2::3]) < 0.6 * np.median(np.abs(own.patch_size - truth)[2::3])
 
 
-def test_an_analysis_pools_what_its_lenses_measure(monkeypatch):
+def test_an_analysis_smooths_what_its_lenses_measure(monkeypatch):
     """Behind branches, where no plane is recognised for all."""
     camera = Camera.design((420, 320), 16.0, "hex")
     shot = simulate(SCENES["house"](camera, seed=21), camera, samples=32, seed=21, noise=(4000, 3))
     truth = shot.truth
-    judged = (truth.mode != 0) & ~truth.mixed & (truth.contrast > 0.03)
+    known = (truth.mode != 0) & ~truth.mixed & (truth.contrast > 0.03)
 
     def errors():
         depth = lfrender.analyze(shot.flat, truth.calibration)
-        return np.abs(depth.patch_size - truth.patch_size)[judged], depth.standard_error[judged]
+        return np.abs(depth.patch_size - truth.patch_size)[known], depth.standard_error[known]
 
     away, stated = errors()
     monkeypatch.setattr(LensEstimates, "pooled", lambda answers, *_: answers)
     single, single_stated = errors()
-    assert judged.sum() > 100
+    assert known.sum() > 100
     assert np.nanmedian(away) < 0.7 * np.nanmedian(single)
     assert np.median(stated) < 0.7 * np.median(single_stated)
     assert np.mean(away <= stated) > 0.55

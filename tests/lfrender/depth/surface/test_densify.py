@@ -1,4 +1,4 @@
-"""Depth edges between lenses are settled on the pixels, to the grid of the surface."""
+"""Depth edges between lenses are located on the pixels, to the grid of the surface."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_values_far_from_an_edge_are_those_of_the_lenses_about_them(edged_flat):
     assert np.abs(found.patch_size - (6 + 0.004 * x))[inside, inside].max() < 0.02
 
 
-def test_a_coarse_grid_that_reaches_beyond_all_lenses_leaves_no_place_without_depth():
+def test_a_coarse_grid_beyond_all_lenses_leaves_no_point_without_depth():
     # In the corners of a small flat of long cells no lens lies near.
     flat = PlaneFlat(
         ratio=1.0, slant=(0.0095, 0.051), cell="oblong", pitch=6.0, degrees=137.14443558389954, size=(80, 40),

@@ -1,4 +1,4 @@
-"""What microimage pixels see at depth edges: nearer places hide farther ones."""
+"""What microimage pixels see at depth edges: nearer points occlude farther ones."""
 
 from __future__ import annotations
 
@@ -51,30 +51,30 @@ def test_only_lenses_within_reach_of_a_step_are_edged(stepped):
     assert not edged.any()
 
 
-def test_what_follows_another_surface_is_as_made_anew(stepped):
+def test_an_incremental_update_equals_a_new_projection(stepped):
     lattice, surface = stepped
     moved = surface.patch_size.copy()
     moved[30:60, 40:75] = NEAR
     surfaces = [surface, Surface(moved, surface.first, surface.spacing), surface]
     edged = np.zeros((2, len(lattice)), bool)
 
-    def entered(surface, lattice=lattice, part=None, following=True):
-        return project_surface(surface, lattice, REACH, 0.7, part, edged[0], "test", following)
+    def projected(surface, lattice=lattice, part=None, incremental=True):
+        return project_surface(surface, lattice, REACH, 0.7, part, edged[0], "test", incremental)
 
-    entered(surfaces[0], following=False)
+    projected(surfaces[0], incremental=False)
     before = edged[0].copy()
     for number, after in enumerate(surfaces[1:]):
-        seen = entered(after)
+        seen = projected(after)
         assert np.array_equal(seen, project_surface(after, lattice, REACH, 0.7, edged=edged[1]), equal_nan=True)
         assert np.array_equal(edged[0], edged[1])
         assert (number == 1) == np.array_equal(edged[0], before)
-    # Only what may differ is entered anew: what lies elsewhere in that memory stays as it is.
+    # Only lenses that may differ are projected anew; other memory is left untouched.
     far = np.flatnonzero(np.linalg.norm(lattice.centres() - [380, 330], axis=1) < 15)[0]
     x, y = lattice.centres()[far].round().astype(int)
-    entered(surfaces[0])[y, x] = 123.0
-    assert entered(surfaces[1])[y, x] == 123.0 and entered(surfaces[1], following=False)[y, x] != 123.0
-    # What another flat has left in that memory is not gone on from.
-    entered(surfaces[1], part=(100, 50, 420, 380))
+    projected(surfaces[0])[y, x] = 123.0
+    assert projected(surfaces[1])[y, x] == 123.0 and projected(surfaces[1], incremental=False)[y, x] != 123.0
+    # The projection of another lattice or part is not updated.
+    projected(surfaces[1], part=(100, 50, 420, 380))
     turned = Lattice(lattice.origin, np.asarray(lattice.basis)[::-1], lattice.image_size, lattice.radius)
-    entered(surfaces[1], turned)
-    assert np.array_equal(entered(surface), project_surface(surface, lattice, REACH, 0.7), equal_nan=True)
+    projected(surfaces[1], turned)
+    assert np.array_equal(projected(surface), project_surface(surface, lattice, REACH, 0.7), equal_nan=True)

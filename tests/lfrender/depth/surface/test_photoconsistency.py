@@ -1,4 +1,4 @@
-"""Views of a patch side by side in a vector register: the same mismatch as written out view by view."""
+"""The mismatch of views computed in vector lanes is the same as written out view by view."""
 
 from __future__ import annotations
 
@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from lfrender.depth.surface.photoconsistency import MOST_VIEWS, UNKNOWN, WORK, sample_views, view_mismatch
+from lfrender.depth.surface.photoconsistency import (
+    MAX_VIEWS,
+    WORK,
+    PatchViews,
+    sample_views,
+    view_constants,
+    view_mismatch,
+)
 
 RNG = np.random.default_rng(4)
 IMAGE = RNG.random((60, 70)).astype(np.float32)
@@ -37,16 +44,15 @@ def _written_out(x_of, y_of, x, y, slope, step, nearest):
 def _tried(x_of, y_of, x, y, slope, radius, step, nearest, base=0):
     work = np.zeros(3 * WORK, np.float32)
     place = np.float32(x), np.float32(y), np.float32(slope)
-    near = np.array(x_of, np.float32), np.array(y_of, np.float32)
-    views = sample_views(
-        IMAGE, IMAGE.reshape(-1), *near, len(x_of), *place, np.float32(radius), np.float32(step), work, np.uint64(base)
-    )
-    return views, view_mismatch(IMAGE, *near, *place, np.float32(step), FLOOR, nearest, views, work, np.uint64(base))
+    views = PatchViews(IMAGE, IMAGE.reshape(-1), np.array(x_of, np.float32), np.array(y_of, np.float32), work)
+    constants = view_constants(radius, step, FLOOR)
+    seen = sample_views(views, constants, len(x_of), *place, np.uint64(base))
+    return seen, view_mismatch(views, constants, *place, nearest, seen, np.uint64(base))
 
 
 @pytest.mark.parametrize("nearest", [True, False])
 @pytest.mark.parametrize("step", [1.0, 1.6])
-@pytest.mark.parametrize("count", [2, 5, MOST_VIEWS])
+@pytest.mark.parametrize("count", [2, 5, MAX_VIEWS])
 def test_mismatch_is_that_of_the_better_share_of_the_views(count, step, nearest):
     for turn in range(20):
         x, y = RNG.uniform(25, 45), RNG.uniform(20, 40)
@@ -66,4 +72,4 @@ def test_views_at_the_border_of_the_flat_are_read_there():
 def test_lenses_that_do_not_reach_the_place_are_left_out():
     x_of, y_of = [30.0, 34.0, 55.0], [30.0, 30.0, 30.0]
     assert _tried(x_of, y_of, 31.0, 30.0, 0.5, 4.0, 1.0, True)[0] == 2
-    assert _tried(x_of[:1], y_of[:1], 31.0, 30.0, 0.5, 4.0, 1.0, True) == (1, UNKNOWN)
+    assert _tried(x_of[:1], y_of[:1], 31.0, 30.0, 0.5, 4.0, 1.0, True) == (1, 0.5)

@@ -1,4 +1,4 @@
-"""Thin things before a far surface are followed from lens to lens."""
+"""Thin structures before a far surface are propagated from lens to lens."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def rod_before_a_wall(drawn_flat):
     return dataclasses.replace(wall, image=image), lattice
 
 
-def told(rod_before_a_wall, size):
-    """What lenses hear if one in the middle of the rod says `size`, how far they are from it [pitches], and which of
-    them are off its wide end and the border."""
+def propagated(rod_before_a_wall, size):
+    """What lenses find if one in the middle of the rod has `size` as second layer, how far they are from the rod
+    [pitches], and which of them are off its wide end and the border."""
     gray, lattice = rod_before_a_wall
     centres = lattice.centres()
     away = centres - MIDDLE
@@ -45,22 +45,22 @@ def told(rod_before_a_wall, size):
     others[np.linalg.norm(away, axis=1).argmin(), 1] = size
     every = np.ones(len(centres), bool)
     texture = SimpleNamespace(flat=gray, noise=0.002, clear=every, faint=~every)
-    answers = find_thin_structures(texture, *opposite_neighbours(lattice), first, others, every, 1.2)
+    found = find_thin_structures(texture, *opposite_neighbours(lattice), first, others, every, 1.2)
     narrow = (away @ ALONG > -60) & (away @ ALONG < 130)
-    return answers, np.abs(away @ np.array([ALONG[1], -ALONG[0]])) / lattice.pitch, narrow
+    return found, np.abs(away @ np.array([ALONG[1], -ALONG[0]])) / lattice.pitch, narrow
 
 
-def test_lenses_along_a_rod_hear_of_it_from_one_that_knows(rod_before_a_wall):
-    answers, across, narrow = told(rod_before_a_wall, ROD + 0.2)
+def test_a_rod_is_propagated_from_one_lens_to_all_along_it(rod_before_a_wall):
+    found, across, narrow = propagated(rod_before_a_wall, ROD + 0.2)
     beside = narrow & (across < 0.5)
-    assert np.isfinite(answers[beside]).mean() > 0.8
-    assert np.abs(answers[np.isfinite(answers)] - ROD).max() < 0.5
+    assert np.isfinite(found[beside]).mean() > 0.8
+    assert np.abs(found[np.isfinite(found)] - ROD).max() < 0.5
     # A microimage shows the scene as far as its radius over |s|.
-    assert np.isfinite(answers[narrow & (across > 0.5 * WIDTH + 10.2 / abs(ROD) + 0.1)]).mean() < 0.02
+    assert np.isfinite(found[narrow & (across > 0.5 * WIDTH + 10.2 / abs(ROD) + 0.1)]).mean() < 0.02
 
 
-def test_nobody_hears_of_a_depth_that_nothing_has(rod_before_a_wall):
-    assert not np.isfinite(told(rod_before_a_wall, -9.0)[0]).any()
+def test_a_depth_without_content_is_not_propagated(rod_before_a_wall):
+    assert not np.isfinite(propagated(rod_before_a_wall, -9.0)[0]).any()
 
 
 def test_a_thin_rod_before_a_far_wall_is_in_the_dense_map(rod_before_a_wall):

@@ -8,7 +8,7 @@ from lfrender.depth.matching.matcher import MatchResult
 from lfrender.depth.validity.classify import classify_lenses, initial_reasons
 
 
-def test_unresolved_lenses_say_why():
+def test_unresolved_lenses_have_the_right_reason():
     sizes = np.array([5, 5, 5, 5, 19], np.float32)
     confidence, evidence = np.array([1, 1, 0.3, 0.3, 1], np.float32), np.array([1, 1, 0.8, 0.1, 0.8], np.float32)
     found = MatchResult(
@@ -29,7 +29,7 @@ def test_unresolved_lenses_say_why():
     assert initial_reasons(textured, found, sizes, np.ones(5, bool), 23.0).tolist() == [0, 1, 2, 3, 3]
 
 
-def test_little_contrast_that_matches_nothing_is_too_little_texture():
+def test_low_contrast_without_a_match_counts_as_too_little_texture():
     sizes, faint = np.full(4, 5, np.float32), np.full(4, 0.1, np.float32)
     found = MatchResult(sizes, 3 * faint, faint, faint, np.ones(4), faint, np.zeros(4), sizes, faint, faint, 1.0, 0.0)
     # Contrast four and ten times the noise.

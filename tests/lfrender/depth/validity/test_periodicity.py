@@ -1,4 +1,4 @@
-"""Textures that repeat: told from the scene itself, where the shifts within reach do not tell."""
+"""Periodic textures, found by autocorrelation of the scene."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def _wave(period, side=61):
     return np.sin(2 * np.pi * x / period) + np.sin(2 * np.pi * y / period)
 
 
-def test_a_wave_laid_over_itself_comes_again_after_its_period():
+def test_the_autocorrelation_of_a_wave_peaks_at_its_period():
     seen = np.ones((61, 61), bool)
     seen[40:, :20] = False
     found = autocorrelation(5 + _wave(12.0), seen, 20, 100.0)
@@ -23,11 +23,11 @@ def test_a_wave_laid_over_itself_comes_again_after_its_period():
     assert found[20, 32] > 0.99 and found[32, 20] > 0.99
     assert found[26, 26] < -0.95
     assert is_periodic(found, 10.0) == (True, True)
-    # Of less than three microimages nobody can tell.
+    # Less than three microimages are too few.
     assert is_periodic(found, 2.0) == (False, False)
 
 
-def test_lags_at_which_too_little_is_seen_or_all_is_even_do_not_count():
+def test_lags_of_little_overlap_or_flat_overlap_do_not_count():
     seen = np.zeros((61, 61), bool)
     seen[:, :15] = seen[:, 46:] = True
     picture = np.random.default_rng(0).standard_normal((61, 61))
@@ -36,12 +36,12 @@ def test_lags_at_which_too_little_is_seen_or_all_is_even_do_not_count():
     assert autocorrelation(picture, np.ones((61, 61), bool), 50, 20.0)[50, 98] == -1
 
 
-def test_random_texture_does_not_repeat():
+def test_random_texture_is_not_periodic():
     picture = np.random.default_rng(1).standard_normal((61, 61))
     assert is_periodic(autocorrelation(picture, np.ones((61, 61), bool), 20, 100.0), 10.0) == (False, False)
 
 
-# The wrong depths within reach matched as well as any right one: all lenses were sure of them.
+# Wrong depths within reach match as well as the right one beyond it.
 @pytest.mark.parametrize(
     "plane",
     [
@@ -57,7 +57,7 @@ def test_waves_beyond_reach_are_not_taken_for_planes_nearer_by(plane):
 
 
 @pytest.mark.parametrize("ratio", [-0.3, 0.15, 0.5])
-def test_planes_of_rich_texture_do_not_repeat(ratio):
+def test_planes_of_rich_texture_are_not_periodic(ratio):
     plane = PlaneFlat(ratio, pitch=14.0, size=(260, 200))
     depth = lfrender.analyze(plane.flat(), plane.calibration)
     assert (depth.mode != 0).mean() > 0.95
@@ -85,6 +85,6 @@ def test_a_wave_on_half_of_a_plane_is_found_with_shortcuts():
     depth = lfrender.analyze(flat, rich.calibration)
     assert "plane" in depth.saved
     x = rich.lattice.centres()[:, 0]
-    # Around the parts that are looked at; the exhaustive search leaves all of that half unresolved.
+    # Only around the parts that are drawn; the exhaustive search leaves all of that half unresolved.
     assert (depth.mode[x > 500] == 0).mean() > 0.5
     assert (depth.mode[x < 400] != 0).mean() > 0.9

@@ -1,4 +1,4 @@
-"""Confidence and standard errors: what is doubtful says so."""
+"""Confidence and standard errors of lenses and planes."""
 
 import functools
 from dataclasses import replace
@@ -18,24 +18,24 @@ from lfrender.depth.validity.uncertainty import (
     repeats_with_neighbours,
 )
 
-# Lens 0 in the middle of a hexagon of six; the others look at it alone.
+# Lens 0 in the middle of a hexagon of six; the others have it as their only neighbour.
 _ROWS = np.array([[1, 2, 3, 4, 5, 6], *([[0, -1, -1, -1, -1, -1]] * 6)], np.int32)
 
 
-def test_an_error_grows_with_the_texture_that_a_match_leaves_unexplained():
+def test_an_error_grows_with_the_texture_that_is_not_matched():
     wide = inflate_errors(np.full(3, 0.1), np.array([1.0, 0.7, 0.4]))
     assert abs(wide[0] - 0.1) < 0.01
     assert 1.2 < wide[1] / wide[0] < 1.4
     assert 1.7 < wide[2] / wide[0] < 2.2
 
 
-def test_scattered_pairs_and_lenses_that_stand_alone_take_confidence():
+def test_scattered_pairs_and_isolated_depths_reduce_confidence():
     sizes = np.array([-6.0, *[-6.1] * 6])
-    explained = np.full(7, 0.5)
-    firm = combine_confidence(np.ones(7), sizes, np.full(7, 0.05), explained, _ROWS, 23.0)[0]
-    loose = combine_confidence(np.ones(7), sizes, np.full(7, 0.9), explained, _ROWS, 23.0)[0]
-    alone = combine_confidence(np.ones(7), np.array([4.0, *[-6.1] * 6]), np.full(7, 0.05), explained, _ROWS, 23.0)[0]
-    unmeasured = combine_confidence(np.ones(7), sizes, np.full(7, np.inf), explained, _ROWS, 23.0)[0]
+    correlation = np.full(7, 0.5)
+    firm = combine_confidence(np.ones(7), sizes, np.full(7, 0.05), correlation, _ROWS, 23.0)[0]
+    loose = combine_confidence(np.ones(7), sizes, np.full(7, 0.9), correlation, _ROWS, 23.0)[0]
+    alone = combine_confidence(np.ones(7), np.array([4.0, *[-6.1] * 6]), np.full(7, 0.05), correlation, _ROWS, 23.0)[0]
+    unmeasured = combine_confidence(np.ones(7), sizes, np.full(7, np.inf), correlation, _ROWS, 23.0)[0]
     assert firm > 0.98
     assert loose < 0.5
     assert alone < 0.51
@@ -51,11 +51,11 @@ def test_a_faint_lens_is_confirmed_by_two_good_ones_beside_it_and_not_by_one():
     assert not confirmed_by_neighbours(resolved, sizes, good, _ROWS, 23.0)[0]
 
 
-def test_lenses_torn_between_two_depths_are_ambiguous_together_unless_one_depth_occurs_elsewhere():
-    torn = np.full(7, 0.3)
-    assert repeats_with_neighbours(np.ones(7, bool), torn, np.zeros(7, bool), np.zeros(7, bool), _ROWS).all()
-    # One in three of a larger flat is torn: the lens in the middle with half of its neighbours.
-    rivals = np.array([*torn[:4], *np.ones(8)])
+def test_ambiguous_neighbours_are_periodic_unless_one_depth_occurs_elsewhere():
+    ambiguous = np.full(7, 0.3)
+    assert repeats_with_neighbours(np.ones(7, bool), ambiguous, np.zeros(7, bool), np.zeros(7, bool), _ROWS).all()
+    # One in three of a larger flat is ambiguous: the lens in the middle with half of its neighbours.
+    rivals = np.array([*ambiguous[:4], *np.ones(8)])
     rows = np.vstack([[[1, 2, 3, 4, 5, 6]], np.full((11, 6), -1)]).astype(np.int32)
     resolved, nowhere, quiet = np.ones(12, bool), np.zeros(12, bool), np.zeros(12, bool)
     assert repeats_with_neighbours(resolved, rivals, quiet, nowhere, rows).tolist() == [True, *[False] * 11]
@@ -63,15 +63,15 @@ def test_lenses_torn_between_two_depths_are_ambiguous_together_unless_one_depth_
     assert not repeats_with_neighbours(resolved, np.where(np.arange(12) == 3, 1.0, rivals), quiet, nowhere, rows).any()
 
 
-def test_texture_that_explains_itself_at_two_shifts_repeats_and_two_depths_in_one_lens_do_not():
+def test_periodic_texture_has_a_secondary_peak_and_two_depths_in_one_lens_have_not():
     matched, echo = np.array([0.95, 0.6, 0.5, 0.9]), np.array([0.5, 0.35, 0.35, 0.22])
-    # Of the third half is noise: what is left matches twice over.
+    # Half of the third is noise: the rest matches at both shifts.
     signal = np.array([1.0, 1.0, 0.5, 1.0])
     apart = np.zeros(4, bool)
     assert has_secondary_peak(matched, echo, signal, apart).tolist() == [True, False, True, False]
-    # What all lenses show alike they match by chance alike, but not as well as what repeats.
+    # Lenses of the same content match by chance alike, but not as well as periodic texture.
     assert has_secondary_peak(matched, echo, signal, ~apart).tolist() == [False, False, True, False]
-    # Where most lenses repeat, those between them do too, whatever they match by chance.
+    # If most lenses are periodic, those between them are too.
     most = np.array([False, True, True, True, True, False, False])
     sure = np.ones(7)
     assert repeats_with_neighbours(np.ones(7, bool), sure, most, np.zeros(7, bool), _ROWS)[:5].all()
@@ -105,7 +105,6 @@ def test_planes_near_zero_patch_size_are_resolved_by_how_they_move(ratio):
     shot = _traced_near_zero(ratio)
     depth = lfrender.analyze(shot.flat, shot.truth.calibration)
     error = np.abs(depth.patch_size - shot.truth.patch_size)
-    # It was 0.026 of them at 0.02 D.
     assert (depth.mode == -1).mean() > 0.9
     assert np.nanquantile(error, 0.95) < 0.05
 
@@ -127,7 +126,7 @@ def _periodic(ratio, period):
     return simulate(SCENES["periodic"](camera, ratio=ratio, period=period), camera, samples=16, seed=2)
 
 
-def test_a_texture_that_repeats_along_the_lattice_claims_nothing_wrong():
+def test_a_texture_that_repeats_along_the_lattice_yields_no_confident_wrong_depth():
     for ratio, period in ((-0.45, 0.6), (0.3, 0.4)):
         shot = _periodic(ratio, period)
         depth = lfrender.analyze(shot.flat, shot.truth.calibration)
@@ -135,7 +134,7 @@ def test_a_texture_that_repeats_along_the_lattice_claims_nothing_wrong():
         assert (wrong & (depth.confidence > 0.5)).mean() < 0.01
 
 
-def test_what_misleads_each_lens_of_a_plane_widens_the_error_of_the_plane():
+def test_systematic_errors_of_lenses_raise_the_error_of_their_plane():
     points = np.random.default_rng(1).uniform(0, 400, (200, 2))
     sizes = 9.0 + 0.05 * np.random.default_rng(2).standard_normal(200)
     plane = fit_plane(points, sizes, 25.0)

@@ -1,0 +1,96 @@
+"""Tuned values of validity tests, one frozen dataclass per stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["CLASSIFY", "ClassifySettings", "PeriodicitySettings", "TexturelessSettings", "UncertaintySettings"]
+
+
+@dataclass(frozen=True)
+class UncertaintySettings:
+    """Tuned values of `uncertainty`."""
+
+    matched_factor: float = 0.95  # of a standard error if all texture is matched; on ray-traced scenes
+    unmatched_factor: float = 2.7  # of it, added in squares, times the share of texture not matched; on the same
+    unrelated_error: float = 0.035  # [pitch] standard error of pairs of unrelated content
+    unmeasured: float = 0.4  # confidence left to lenses that could not be measured on their pixels: less than even
+    doubtful: float = 0.6  # a lens that correlates less than this, and of whose neighbours
+    alone: float = 0.3  # fewer than this share have its depth, may have met its match by chance:
+    chance: float = 0.5  # factor of its confidence
+    same_surface: float = 0.06  # [pitch] neighbours at the same depth; half of it for one depth anywhere; set by hand
+    least_same_surface: float = 0.3  # [px] at least, for half of it
+    ambiguous: float = 0.5  # uniqueness of a match below which its lens is ambiguous,
+    clearly_ambiguous: float = 1 / 3  # or below this where most lenses are not: another shift is twice as likely
+    secondary_peak: float = 0.3  # over the first; less on nine of ten lenses whose texture does not repeat
+    secondary_peak_alike: float = 0.6  # the same if all lenses see the same content, which they match by chance alike
+    near_zero: float = 0.05  # [pitch] patch sizes at which they may; beyond, waves out of reach have peaks of half
+    both_peaks: float = 1.1  # sum of two peaks over a perfect match: two depths in one lens reach 1
+    least_signal: float = 0.1  # share of the variance that is no noise, at least: below, correlation tells nothing
+    confirming: float = 0.25  # correlation of lenses that confirm a neighbour,
+    confirming_lenses: int = 2  # so many of them
+    clear_signal: float = 0.8  # if the signal is this share of the variance, a correct map has
+    clear_correlation: float = 0.55  # a median correlation above this; 0.58 on captures, periodic textures 0.3 to 0.75
+    clear_signal_alike: float = 0.5  # the same two if all lenses see nearly the same content;
+    clear_correlation_alike: float = 0.8  # planes reach 0.85 there
+
+
+@dataclass(frozen=True)
+class ClassifySettings:
+    """Tuned values of `classify`, and of the stages that use its classes."""
+
+    resolvable: float = 0.75  # [pitch] beyond this patch size neighbouring microimages share too little
+    sure: float = 0.5  # confidence and uniqueness of resolved lenses, and the factor of a confidence in doubt
+    occurring_share: float = 0.005  # of the lenses that have a depth, for it to be one that occurs
+    proven_confidence: float = 0.95  # of a match that proves faint texture,
+    least_correlation: float = 0.12  # and its correlation: of lenses without texture one in a hundred has both
+    shading_reach: float = 0.2  # [pitch] shading matches at smaller patch sizes too,
+    shading_correlation: float = 0.5  # where a match must correlate this much
+    still: float = 0.005  # [pitch] smaller shifts may be errors of the lattice, with which shading stays in place
+    still_error: float = 0.002  # [pitch] standard error of a larger shift that proves texture,
+    still_sigmas: float = 8.0  # and so many standard errors
+    shared: float = 0.25  # correlation below which a lens shares no content with its neighbours
+    faint_signal: float = 1 - 1 / 5**2  # signal share of a contrast of five times the noise: less may be file coding
+    by_chance: float = 0.4  # correlation that unrelated content reaches at some shift
+    hardly_shared: float = 0.6  # [pitch] beyond this patch size,
+    agreeing_error: float = 0.02  # [pitch] pairs must agree to this: unrelated content scatters
+    uncertainty: UncertaintySettings = UncertaintySettings()
+
+
+@dataclass(frozen=True)
+class TexturelessSettings:
+    """Tuned values of `textureless`."""
+
+    sample: int = 32  # lenses that seem to show only noise and are matched
+    enough: int = 3  # of them that match like faint texture: of noise, one in a hundred correlates half as much
+    correlation_length: float = 3.0  # [px] over this shift texture as fine as noise
+    decay: float = 0.5  # correlates with itself by less than this share of its peak
+
+
+@dataclass(frozen=True)
+class PeriodicitySettings:
+    """Tuned values of `periodicity`; lengths on the scene in pitches of a microimage, areas in microimages."""
+
+    resolution: float = 18.0  # [px] of the drawn scene per pitch, at most: periods of a quarter keep their shape
+    reach: float = 2.0  # half the side of a part of the scene
+    longest_lag: float = 1.2  # depths are a period apart, and beyond this none is left
+    inner: float = 0.9  # share of the radius of microimages without uncorrected rims
+    spacing: float = 0.5  # of the lenses that are drawn, so that about three overlap
+    same_surface: float = 3.0  # factor of patch sizes of one surface, maybe a slanted one
+    least_overlap: float = 0.2  # share of what is seen that must overlap itself at a lag,
+    least_overlap_area: float = 0.25  # and its area
+    least_weight: float = 0.25  # of a pixel at which a place counts as seen
+    least_variance: float = 0.1  # share of the variance of all, in the overlap: flat places match anything
+    decayed: float = 0.3  # correlation below which the central peak has ended
+    # Least area, and the correlations at which a texture repeats in one direction and in another: the more is seen, the
+    # less repeats by chance. Where neighbours see a wave at wrong depths, its peaks are lower: then it may repeat.
+    certain: tuple[tuple[float, float, float], ...] = ((20.0, 0.5, 0.45), (8.0, 0.65, 0.6), (3.0, 0.75, 0.7))
+    possible: tuple[tuple[float, float, float], ...] = ((20.0, 0.5, 0.4), (8.0, 0.5, 0.45), (3.0, 0.6, 0.3))
+    same_direction: float = 0.87  # cosine between two lags
+    little_area: float = 8.0  # lenses that together see less all see nearly the same
+    parts: int = 2  # along each side of the scene, at most
+    fewest_lenses: int = 8  # of a part
+
+
+#: Defaults, for stages that use the classes.
+CLASSIFY = ClassifySettings()
