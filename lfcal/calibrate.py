@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .camera.calibration import Calibration
-from .images.mosaic import Mosaic, check_mosaic, equalise_mosaic, has_mosaic
+from .images.mosaic import check_mosaic, equalise_mosaic, has_mosaic
 from .runtime.errors import CalibrationError
+from .runtime.image_formats import Mosaic
 
 if TYPE_CHECKING:
     from .lattice.lattice import Lattice

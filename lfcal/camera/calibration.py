@@ -18,6 +18,7 @@ from ..lattice.lattice import Lattice
 from ..lattice.residuals import Residuals
 from ..lattice.standard_errors import LatticeErrors
 from ..runtime.errors import CalibrationError, CameraFileError, FlatError
+from ..runtime.image_formats import MOSAICS
 from ..runtime.output_file import atomic_write
 from .lens_types import LensTypes
 
@@ -32,6 +33,8 @@ _ROW_ORDER_VERSION = 1
 @dataclass(frozen=True)
 class Calibration:
     """Where the microimages of a camera are, how they are lit, and how well both are known.
+
+    Methods for gain raise CalibrationError where the camera has neither gain map nor vignetting.
 
     Parameters
     ----------
@@ -55,7 +58,7 @@ class Calibration:
         Colour filters of the top left 2 x 2 pixels of its flats, row by row: `"RGGB"`, `"BGGR"`, `"GRBG"` or
         `"GBRG"`; None where flats have no colour mosaic or its colours are not known.
     gain_map : GainMap or None
-        Relative illumination at every place of every microimage; None where only `vignetting` is known.
+        Relative illumination at every position in every microimage; None where only `vignetting` is known.
     defects : Defects
         Pixels and lenses to leave out.
     errors : LatticeErrors or None
@@ -92,8 +95,8 @@ class Calibration:
     white_level: float | None = None
 
     def __post_init__(self) -> None:
-        if self.mosaic not in (None, "RGGB", "BGGR", "GRBG", "GBRG"):
-            raise ValueError(f"mosaic must be RGGB, BGGR, GRBG, GBRG or None, got {self.mosaic!r}")
+        if self.mosaic not in (None, *MOSAICS):
+            raise ValueError(f"mosaic must be {', '.join(MOSAICS)} or None, got {self.mosaic!r}")
         if self.white_level is not None and not 0 < self.white_level < np.inf:
             raise ValueError(f"white_level must be positive or None, got {self.white_level!r}")
 
@@ -181,15 +184,7 @@ class Calibration:
     def gain(self) -> NDArray[np.float32]:
         """Relative illumination of every pixel, 1 at the brightest place of the field.
 
-        Returns
-        -------
-        (h, w) float32
-            NaN where it is unknown: in gaps, where microimages are cut off, in lenses without light.
-
-        Raises
-        ------
-        CalibrationError
-            If the camera has neither gain map nor vignetting.
+        (h, w) float32, NaN where it is unknown: in gaps, where microimages are cut off, in unlit lenses.
         """
         return self._gain_map().gain(self.lattice)
 
@@ -211,8 +206,6 @@ class Calibration:
         ------
         FlatError
             If `flat` is no picture, or not of the size the camera is for.
-        CalibrationError
-            If the camera has neither gain map nor vignetting.
         """
         pixels = np.asarray(flat)
         if pixels.ndim not in (2, 3) or pixels.dtype.kind not in "uf" or 0 in pixels.shape:
@@ -224,44 +217,23 @@ class Calibration:
             )
         return self._gain_map().flatten(pixels, self.lattice)
 
-    def part_gain(self) -> RegionGain:
-        """The gain of parts of a flat, for flats too large for `gain` and `flatten`.
-
-        Raises
-        ------
-        CalibrationError
-            If the camera has neither gain map nor vignetting.
-        """
+    def region_gain(self) -> RegionGain:
+        """The gain of parts of a flat, for flats too large for `gain` and `flatten`."""
         return RegionGain(self._gain_map(), self.lattice)
 
     def usable_radius(self) -> NDArray[np.float64]:
         """Radius up to which each microimage is lit.
 
-        Returns
-        -------
-        (n,) float64 [px]
-            In the order of `lattice.centres()`: radius of the largest circle about the centre with at least half the
-            light of the brightest place of the lens, at most half the distance to the nearest microimage. Where
-            mechanical vignetting cuts a microimage it is the distance to the cut. 0 for lenses without light.
-
-        Raises
-        ------
-        CalibrationError
-            If the camera has neither gain map nor vignetting.
+        (n,) float64 [px] in the order of `lattice.centres()`: radius of the largest circle about the centre with at
+        least half the light of the brightest place of the lens, at most half the distance to the nearest microimage.
+        Where mechanical vignetting cuts a microimage it is the distance to the cut. 0 for unlit lenses.
         """
         return self._gain_map().usable_radius(self.lattice)
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the mean residuals over the flat, or the centres of the lattice where residuals are not measured.
 
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes, optional
-            By default the current one (`pip install 'lfrender[plots]'`).
-
-        Returns
-        -------
-        matplotlib.axes.Axes
+        On Matplotlib axes, by default the current ones (`pip install 'lfrender[plots]'`), which are returned.
         """
         from .plotting import plot_calibration
 

@@ -16,11 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["calibration_card", "plot_calibration"]
 
-# Rectangles of the flat over which residuals are averaged.
-_GRID = (12, 9)
-# Side of the drawing of a lattice [CSS px], and pitches across it.
-_SIDE = 200
-_PITCHES = 5.0
+# Colours of lens types.
 _TYPE_COLOURS = ("#2d7dd2", "#e6721a", "#3a9d5d", "#8e5bb5")
 
 
@@ -53,8 +49,8 @@ def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
         ax.scatter(*centres.T, s=2, linewidths=0)
         ax.set_title("Centres of the microimages")
     else:
-        places, mean, error = calibration.residuals.mean_over_grid(lattice, *_GRID)
-        arrows = ax.quiver(*places.T, *mean.T, np.hypot(*mean.T) / error, angles="xy", cmap="viridis")
+        positions, mean, error = calibration.residuals.mean_over_grid(lattice)
+        arrows = ax.quiver(*positions.T, *mean.T, np.hypot(*mean.T) / error, angles="xy", cmap="viridis")
         ax.figure.colorbar(arrows, ax=ax, label="length over its standard error")
         longest = float(np.hypot(*mean.T).max(initial=0.0))
         ax.set_title(f"Mean residuals of the lattice, at most {longest:.2g} px")
@@ -64,12 +60,13 @@ def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
 
 def _lattice_svg(lattice: Lattice, types: LensTypes | None = None) -> str:
     """Inline SVG of the lenses at the middle of a flat: usable circles, coloured by type, and the basis as arrows."""
-    scale = _SIDE / (_PITCHES * lattice.pitch)
+    side, pitches = 200, 5.0  # CSS px, and pitches across them
+    scale = side / (pitches * lattice.pitch)
     # A reduced basis has at least 60 degrees between its vectors: all lenses of the drawing lie within six steps.
     span = np.arange(-6, 7)
     index = lattice.middle + np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
-    at = (lattice.points(index) - lattice.points(lattice.middle[None])) * scale + _SIDE / 2
-    near = (np.abs(at - _SIDE / 2) < _SIDE / 2 + lattice.radius * scale).all(1)
+    at = (lattice.points(index) - lattice.points(lattice.middle[None])) * scale + side / 2
+    near = (np.abs(at - side / 2) < side / 2 + lattice.radius * scale).all(1)
     kinds = np.zeros(len(index), int) if types is None else types.of(index)
     circles = "".join(
         f"<circle cx='{x:.1f}' cy='{y:.1f}' r='{lattice.radius * scale:.1f}' fill='{colour}' "
@@ -78,11 +75,11 @@ def _lattice_svg(lattice: Lattice, types: LensTypes | None = None) -> str:
         for colour in [_TYPE_COLOURS[int(kind) % len(_TYPE_COLOURS)]]
     )
     arrows = "".join(
-        f"<line x1='{_SIDE / 2}' y1='{_SIDE / 2}' x2='{x:.1f}' y2='{y:.1f}' stroke='currentColor' stroke-width='1.5'/>"
+        f"<line x1='{side / 2}' y1='{side / 2}' x2='{x:.1f}' y2='{y:.1f}' stroke='currentColor' stroke-width='1.5'/>"
         f"<circle cx='{x:.1f}' cy='{y:.1f}' r='2.5' fill='currentColor'/>"
-        for x, y in lattice.basis * scale + _SIDE / 2
+        for x, y in lattice.basis * scale + side / 2
     )
     return (
-        f"<svg width='{_SIDE}' height='{_SIDE}' viewBox='0 0 {_SIDE} {_SIDE}' role='img' "
-        f"aria-label='{describe_orientation(lattice)[0]} lattice, {_PITCHES:.0f} pitches wide'>{circles}{arrows}</svg>"
+        f"<svg width='{side}' height='{side}' viewBox='0 0 {side} {side}' role='img' "
+        f"aria-label='{describe_orientation(lattice)[0]} lattice, {pitches:.0f} pitches wide'>{circles}{arrows}</svg>"
     )

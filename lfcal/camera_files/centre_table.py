@@ -19,7 +19,7 @@ HEADER = "i,j,x,y"
 def parse_centre_table(text: str, image_size: tuple[int, int] | None) -> Calibration:
     """Least-squares lattice through the centres of a table."""
     if image_size is None:
-        raise CameraFileError("does not say how large its flats are; give image_size as (width, height)")
+        raise CameraFileError("has no image size; give image_size as (width, height)")
     try:
         rows = list(csv.reader(text.splitlines()))
         if not rows or [name.strip() for name in rows[0]] != HEADER.split(","):

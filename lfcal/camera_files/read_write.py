@@ -1,6 +1,6 @@
 """Camera files: reading any known format, recognised by its content, and writing the one that a suffix names.
 
-Published files say where somebody else found the lattice. Some contradict themselves (a rotation given twice), some
+Published files hold lattices that others have found. Some contradict themselves (a rotation given twice), some
 are good to a few pixels only: what is read from them carries warnings, and calibrating on a flat is the better choice.
 """
 
@@ -51,24 +51,12 @@ def _starts_with_pair(line: str) -> bool:
 
 @dataclass(frozen=True)
 class CameraFormat:
-    """One camera file format.
+    """One camera file format."""
 
-    Parameters
-    ----------
-    parse : callable
-        Calibration from the text of a file, and the image size or None.
-    format : callable
-        Text of a calibration.
-    recognise : callable
-        Whether a file is of this format, from its first line that is not empty.
-    is_exact : bool
-        Any lattice can be written; else what was written is read again and compared.
-    """
-
-    parse: Callable[[str, tuple[int, int] | None], Calibration]
-    format: Callable[[Calibration], str]
-    recognise: Callable[[str], bool]
-    is_exact: bool = False
+    parse: Callable[[str, tuple[int, int] | None], Calibration]  # from the text of a file and the image size
+    format: Callable[[Calibration], str]  # the text of a file
+    recognise: Callable[[str], bool]  # from the first line that is not empty
+    is_exact: bool = False  # any lattice can be written; else what was written is read again and compared
 
 
 #: Every camera file format by its suffix. A new one is a line here and a module with its two functions.
@@ -94,7 +82,7 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
         JSON of `Calibration.save`, `RayCalibData` or `TSPCCalibData` XML, key : value lines, or a table of centres
         `i,j,x,y`.
     image_size : (int, int) or None [px]
-        Width and height of the flats; needed for XML and tables, which do not say.
+        Width and height of the flats; needed for XML and tables, which lack it.
 
     Raises
     ------

@@ -32,7 +32,7 @@ def parse_xml(text: str, image_size: tuple[int, int] | None) -> Calibration:
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise CameraFileError(f"not valid XML ({error})") from error
     if image_size is None:
-        raise CameraFileError("does not say how large its flats are; give image_size as (width, height)")
+        raise CameraFileError("has no image size; give image_size as (width, height)")
     if root.tag == "RayCalibData":
         return _parse_raytrix(root, image_size)
     if root.tag == "TSPCCalibData":
@@ -107,7 +107,7 @@ def _parse_raytrix(root: Any, image_size: tuple[int, int]) -> Calibration:
 
 
 def _types_at(offsets: NDArray[np.float64], lattice: Lattice) -> LensTypes | None:
-    """Types of a hexagonal array from the places (3, 2) [px] of one lens of each against the origin."""
+    """Types of a hexagonal array from the positions (3, 2) [px] of one lens of each relative to the origin."""
     if len(offsets) != 3 or len(lattice.steps) != 6:
         return None
     index = offsets @ np.linalg.inv(lattice.basis)

@@ -1,4 +1,4 @@
-"""Command line of lfcal: calibrate a camera from one image, look at a camera file."""
+"""Command line of lfcal: calibrate a camera from images; show, compare, convert and apply camera files."""
 
 from __future__ import annotations
 
@@ -7,36 +7,25 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from ..runtime.console import (
-    CommandGroup,
-    InputPath,
-    Report,
-    help_examples,
-    name_file_in_errors,
-    report_options,
-    several_inputs,
-)
-from ..runtime.image_formats import TIFF_SUFFIXES
+from ..runtime import console
+from ..runtime.image_formats import MOSAICS, TIFF_SUFFIXES, Mosaic
 from ..runtime.output_file import atomic_write, check_output
 
 if TYPE_CHECKING:
     from ..camera.calibration import Calibration
-    from ..camera.lens_types import LensTypes
 
 __all__ = ["main"]
 
-_INPUT, _OUTPUT = InputPath(), click.Path(path_type=Path)
-
-
-# What is looked for here and is found in another program.
-_ELSEWHERE = dict.fromkeys(("analyze", "batch", "demo", "refocus", "render", "report", "view", "views"), "lfrender")
+_INPUT, _OUTPUT = console.InputPath(), click.Path(path_type=Path)
+# Commands that users look for here.
+_LFRENDER_COMMANDS = "analyze", "batch", "demo", "refocus", "render", "report", "view", "views"
 
 
 @click.group(
-    cls=CommandGroup,
+    cls=console.CommandGroup,
     name="lfcal",
     context_settings={"help_option_names": ["-h", "--help"]},
-    other_programs=_ELSEWHERE,
+    other_programs=dict.fromkeys(_LFRENDER_COMMANDS, "lfrender"),
     file_command="calibrate {} -o camera.json",
 )
 @click.version_option(package_name="lfrender", prog_name="lfcal")
@@ -45,13 +34,13 @@ def main() -> None:
 
 
 @main.command(
-    epilog=help_examples(
+    epilog=console.help_examples(
         "lfcal calibrate white.png -o camera.json",
         "lfcal calibrate white1.png white2.png -o camera.json",
         "lfcal calibrate scene.tif --kind scene --mosaic rggb -o camera.json",
     )
 )
-@several_inputs("images", "IMAGE...")
+@console.several_inputs("images", "IMAGE...")
 @click.option("-o", "--output", type=_OUTPUT, required=True, metavar="CAMERA.json", help="Camera file to write.")
 @click.option(
     "--kind",
@@ -62,15 +51,15 @@ def main() -> None:
 )
 @click.option(
     "--mosaic",
-    type=click.Choice(["RGGB", "BGGR", "GRBG", "GBRG"], case_sensitive=False),
+    type=click.Choice(MOSAICS, case_sensitive=False),
     help="Colour filters of the top left 2 x 2 pixels, row by row, of a raw mosaic. Without it a mosaic is detected.",
 )
-@report_options
+@console.report_options
 def calibrate(
     images: tuple[Path, ...],
     output: Path,
     kind: Literal["auto", "white", "scene"],
-    mosaic: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None,
+    mosaic: Mosaic | None,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -78,7 +67,7 @@ def calibrate(
 
     Several white images, or several captures of one camera, are combined.
     """
-    report = Report(as_json, quiet)
+    report = console.Report(as_json, quiet)
     check_output(output, {".json"}, images)
     with report.stage("read"):
         from .. import FlatError, read_flat
@@ -92,38 +81,38 @@ def calibrate(
                     f"{flats[0].shape[0]} px; give flats of one camera"
                 )
     report.announce_compilation("lfcal")
-    with report.stage("calibrate"), name_file_in_errors(images[0] if len(images) == 1 else f"{images[0]} ..."):
+    with report.stage("calibrate"), console.name_file_in_errors(images[0] if len(images) == 1 else f"{images[0]} ..."):
         camera = run(flats if len(flats) > 1 else flats[0], kind=kind, mosaic=mosaic)
     camera.save(output)
     report.finish({"camera": str(output), **describe(camera)})
 
 
-def _sized(command: Any) -> Any:
-    """Give a command the two ways to say how large the flats of a published file are."""
+def _size_options(command: Any) -> Any:
+    """Give a command the options for the size of the flats of a published file."""
     command = click.option("--image", type=_INPUT, help="An image of that size, instead of --size.")(command)
-    return click.option(
-        "--size", metavar="WxH", help="Size of the flats [px], for files that do not say (.xml, .csv)."
-    )(command)
+    return click.option("--size", metavar="WxH", help="Size of the flats [px], for files without it (.xml, .csv).")(
+        command
+    )
 
 
-@main.command(epilog=help_examples("lfcal info camera.json", "lfcal info calibration.xml --image flat.png"))
+@main.command(epilog=console.help_examples("lfcal info camera.json", "lfcal info calibration.xml --image flat.png"))
 @click.argument("camera", type=_INPUT)
-@_sized
-@report_options
+@_size_options
+@console.report_options
 def info(camera: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
     """Show what is in the camera file CAMERA."""
-    calibration = _read(camera, _size(size, image))
-    Report(as_json, quiet).finish({"camera": str(camera), **describe(calibration)})
+    calibration = _read(camera, _read_size(size, image))
+    console.Report(as_json, quiet).finish({"camera": str(camera), **describe(calibration)})
 
 
-@main.command(epilog=help_examples("lfcal show camera.json --image white.png -o show.png"))
+@main.command(epilog=console.help_examples("lfcal show camera.json --image white.png -o show.png"))
 @click.argument("camera", type=_INPUT)
 @click.option("--image", type=_INPUT, required=True, help="A white image or scene capture of that camera.")
 @click.option("-o", "--output", type=_OUTPUT, required=True, metavar="SHOW.png", help="Picture to write.")
-@report_options
+@console.report_options
 def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) -> None:
     """Draw the centres and circles of CAMERA over the centre and corners of an image."""
-    report = Report(as_json, quiet)
+    report = console.Report(as_json, quiet)
     check_output(output, {".png"}, [camera, image])
     with report.stage("read"):
         from .. import read_flat
@@ -142,14 +131,14 @@ def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) ->
     report.finish({"picture": str(output), **describe(calibration)})
 
 
-@main.command(epilog=help_examples("lfcal flatten flat.png -c camera.json -o even.tif"))
+@main.command(epilog=console.help_examples("lfcal flatten flat.png -c camera.json -o even.tif"))
 @click.argument("flat", type=_INPUT)
 @click.option("-c", "--camera", type=_INPUT, required=True, help="Camera file with a gain map.")
 @click.option("-o", "--output", type=_OUTPUT, required=True, metavar="FLAT.tif", help="Flattened flat to write.")
-@report_options
+@console.report_options
 def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) -> None:
-    """Divide FLAT by the gain of CAMERA, so that microimages are evenly lit; where that is unknown it stays as is."""
-    report = Report(as_json, quiet)
+    """Divide FLAT by the gain of CAMERA, so that microimages are evenly lit; pixels of unknown gain stay."""
+    report = console.Report(as_json, quiet)
     check_output(output, TIFF_SUFFIXES, [flat, camera])
     with report.stage("read"):
         from .. import read_flat
@@ -157,7 +146,7 @@ def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) 
         pixels = read_flat(flat)
         calibration = _read(camera, (pixels.shape[1], pixels.shape[0]))
     report.announce_compilation("lfcal")
-    with report.stage("flatten"), name_file_in_errors(flat):
+    with report.stage("flatten"), console.name_file_in_errors(flat):
         even = calibration.flatten(pixels)
     with report.stage("write"), atomic_write(output) as temporary:
         import tifffile
@@ -166,17 +155,16 @@ def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) 
     report.finish({"written": str(output), "size": [even.shape[1], even.shape[0]], "type": str(even.dtype)})
 
 
-@main.command(epilog=help_examples("lfcal compare monday.json friday.json"))
+@main.command(epilog=console.help_examples("lfcal compare monday.json friday.json"))
 @click.argument("a", type=_INPUT)
 @click.argument("b", type=_INPUT)
-@_sized
-@report_options
+@_size_options
+@console.report_options
 def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
-    """Say how far apart the cameras A and B put the microimages: B minus A, in pixels."""
+    """Differences of the microimage centres of cameras A and B: B minus A, in pixels."""
     from .. import compare as run
 
-    given = _size(size, image)
-    first, second = _read_pair(a, b, given)
+    first, second = _read_pair(a, b, _read_size(size, image))
     difference = run(first, second)
     figures = {
         "rms": round(difference.rms, 6),
@@ -185,38 +173,34 @@ def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: boo
         "scale": round(difference.scale, 9),
         "rotation_degrees": round(difference.rotation_degrees, 7),
     }
-    names = ("top", "middle", "bottom"), ("left", "centre", "right")
-    field = {
-        f"{row} {column}": difference.field[r, c].round(6)
-        for r, row in enumerate(names[0])
-        for c, column in enumerate(names[1])
-    }
+    names = [f"{row} {column}" for row in ("top", "middle", "bottom") for column in ("left", "centre", "right")]
+    field = dict(zip(names, difference.field.reshape(-1, 2).round(6), strict=True))
     warnings = [f"{path}: {w}" for path, camera in ((a, first), (b, second)) for w in camera.warnings]
-    Report(as_json, quiet).finish({"a": str(a), "b": str(b), **figures, "field": field, "warnings": warnings})
+    console.Report(as_json, quiet).finish({"a": str(a), "b": str(b), **figures, "field": field, "warnings": warnings})
 
 
 @main.command(
-    epilog=help_examples(
+    epilog=console.help_examples(
         "lfcal convert camera.json -o calibration.xml", "lfcal convert calibration.xml --image flat.png -o camera.json"
     )
 )
 @click.argument("camera", type=_INPUT)
 @click.option("-o", "--output", type=_OUTPUT, required=True, metavar="FILE", help=".xml, .cfg, .csv or .json to write.")
-@_sized
-@report_options
+@_size_options
+@console.report_options
 def convert(camera: Path, output: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
-    """Write CAMERA in a form that other programs read, or theirs in ours."""
+    """Write CAMERA in the format of another program, or a camera of another program in ours."""
     from ..camera_files.read_write import FORMATS
     from ..camera_files.read_write import convert as run
 
     check_output(output, FORMATS, [camera, image])
-    calibration = _read(camera, _size(size, image))
+    calibration = _read(camera, _read_size(size, image))
     run(calibration, output)
-    Report(as_json, quiet).finish({"written": str(output), **describe(calibration)})
+    console.Report(as_json, quiet).finish({"written": str(output), **describe(calibration)})
 
 
-def _size(size: str | None, image: Path | None) -> tuple[int, int] | None:
-    """Width and height [px] that `--size` or `--image` name."""
+def _read_size(size: str | None, image: Path | None) -> tuple[int, int] | None:
+    """Width and height [px] from `--size` or `--image`, None without either."""
     if size is not None and image is not None:
         raise click.UsageError("--size and --image exclude each other")
     if image is not None:
@@ -237,7 +221,7 @@ def _size(size: str | None, image: Path | None) -> tuple[int, int] | None:
 
 
 def _read(path: Path, size: tuple[int, int] | None) -> Calibration:
-    """A camera file of any form, or an error that names the option that says what is missing."""
+    """A camera file of any format; an error about its missing size names the options for it."""
     from .. import load
     from ..runtime.errors import CameraFileError
 
@@ -245,12 +229,12 @@ def _read(path: Path, size: tuple[int, int] | None) -> Calibration:
         return load(path, size)
     except CameraFileError as error:
         if size is None and "image_size" in str(error):
-            raise CameraFileError(f"{path}: does not say how large its flats are; add --size WxH or --image") from error
+            raise CameraFileError(f"{path}: has no image size; add --size WxH or --image") from error
         raise
 
 
 def _read_pair(a: Path, b: Path, size: tuple[int, int] | None) -> tuple[Calibration, Calibration]:
-    """Two cameras, the size of one taken for the other where that does not say."""
+    """Two cameras; the size of one is taken for the other where its file does not have it."""
     from ..runtime.errors import CameraFileError
 
     try:
@@ -264,10 +248,10 @@ def _read_pair(a: Path, b: Path, size: tuple[int, int] | None) -> tuple[Calibrat
 
 
 def describe(camera: Calibration) -> dict[str, Any]:
-    """The figures of a calibration a person asks for, in words and pixels."""
+    """The figures of a calibration that commands print."""
     from ..lattice.orientation import describe_orientation
 
-    lattice = camera.lattice
+    lattice, types = camera.lattice, camera.lens_types
     shape, rows, rotation = describe_orientation(lattice)
     return {
         "size": list(camera.image_size),
@@ -280,7 +264,14 @@ def describe(camera: Calibration) -> dict[str, Any]:
         "basis": lattice.basis,
         "lenses": len(lattice),
         "source": camera.source,
-        "lens_types": _types(camera.lens_types),
+        "lens_types": types
+        and {
+            "count": types.count,
+            "by_focus": types.ordered,
+            "confidence": types.confidence,
+            "focus": types.focus,
+            "cell": types.cell,
+        },
         "lenses_used": camera.lenses_used,
         "residual_rms": camera.residual_rms,
         "confidence": camera.confidence,
@@ -289,14 +280,6 @@ def describe(camera: Calibration) -> dict[str, Any]:
         "defect_lenses": len(camera.defects.lenses),
         "warnings": list(camera.warnings),
     }
-
-
-def _types(types: LensTypes | None) -> dict[str, Any] | None:
-    """The types of a multi-focus array, `focus` as s / D in the order of their numbers; None where none were seen."""
-    if types is None:
-        return None
-    found = {"count": types.count, "by_focus": types.ordered, "confidence": types.confidence}
-    return found | {"focus": types.focus, "cell": types.cell}
 
 
 if __name__ == "__main__":

@@ -12,9 +12,6 @@ from ..runtime.errors import CalibrationError
 
 __all__ = ["LatticeDifference", "compare"]
 
-# [pitch] basis vectors that differ by more are of different lattices, not of one measured twice; set by hand.
-_LARGEST_BASIS_DIFFERENCE = 0.25
-
 
 @dataclass(frozen=True)
 class LatticeDifference:
@@ -43,7 +40,7 @@ class LatticeDifference:
     field: NDArray[np.float64]
 
 
-def compare(a: Calibration, b: Calibration) -> LatticeDifference:
+def compare(a: Calibration, b: Calibration, largest_change: float = 0.25) -> LatticeDifference:
     """Compare the centres of two calibrations over the flat.
 
     Origins may be any lenses, and bases any two of one lattice. Differences over half a pitch, where the pitches
@@ -53,6 +50,8 @@ def compare(a: Calibration, b: Calibration) -> LatticeDifference:
     ----------
     a, b : Calibration
         For flats of one size.
+    largest_change : float [pitch]
+        Basis vectors that differ by more are of different lattices; set by hand.
 
     Raises
     ------
@@ -71,7 +70,7 @@ def compare(a: Calibration, b: Calibration) -> LatticeDifference:
         raise CalibrationError(f"the cameras are for flats of {sizes} px; compare calibrations of flats of one size")
     same = np.rint(a.lattice.basis @ np.linalg.inv(b.lattice.basis))
     leftover = np.linalg.norm(a.lattice.basis - same @ b.lattice.basis, axis=1)
-    if round(abs(np.linalg.det(same))) != 1 or (leftover > _LARGEST_BASIS_DIFFERENCE * a.lattice.pitch).any():
+    if round(abs(np.linalg.det(same))) != 1 or (leftover > largest_change * a.lattice.pitch).any():
         raise CalibrationError(
             f"the lattices are different ones, with pitches of {a.lattice.pitch:.2f} and {b.lattice.pitch:.2f} px, "
             "not one lattice measured twice; look at both with 'lfcal show'"

@@ -1,4 +1,4 @@
-"""Anti-aliased drawing on RGB pictures (h, w, 3) uint8 at sub-pixel positions, with OpenCV."""
+"""Anti-aliased drawing on RGB pictures at sub-pixel positions, with OpenCV."""
 
 from __future__ import annotations
 
@@ -9,63 +9,52 @@ from numpy.typing import ArrayLike, NDArray
 
 from .settings import Colour
 
-__all__ = ["draw_arrow", "draw_circle", "draw_curve", "draw_line", "draw_rectangle", "draw_text"]
+__all__ = ["Canvas"]
 
-# Fractional bits of the positions that OpenCV takes as whole numbers.
+# Fractional bits of the positions that OpenCV takes as integers.
 _BITS = 4
-
-Picture = NDArray[np.uint8]
 
 
 def _fixed(value: float) -> int:
     return round(value * (1 << _BITS))
 
 
-def _point(position: NDArray[np.float64]) -> tuple[int, int]:
-    return _fixed(position[0]), _fixed(position[1])
+def _point(position: ArrayLike) -> tuple[int, int]:
+    x, y = np.asarray(position)
+    return _fixed(x), _fixed(y)
 
 
-def draw_circle(picture: Picture, centre: NDArray[np.float64], radius: float, colour: Colour, thickness: int) -> None:
-    """A circle; filled where `thickness` is -1."""
-    import cv2
+class Canvas:
+    """A picture (h, w, 3) uint8 with functions that draw on it; positions are `x, y` [px]."""
 
-    cv2.circle(picture, _point(centre), _fixed(radius), colour, thickness, cv2.LINE_AA, _BITS)
+    def __init__(self, picture: NDArray[np.uint8]) -> None:
+        import cv2
 
+        self.picture = picture
+        self._cv2, self._how = cv2, (cv2.LINE_AA, _BITS)
 
-def draw_line(picture: Picture, start: ArrayLike, end: ArrayLike, colour: Colour, thickness: int) -> None:
-    """A line between two positions."""
-    import cv2
+    def circle(self, centre: ArrayLike, radius: float, colour: Colour, thickness: int) -> None:
+        """A circle, filled where `thickness` is -1."""
+        self._cv2.circle(self.picture, _point(centre), _fixed(radius), colour, thickness, *self._how)
 
-    ends = _point(np.asarray(start)), _point(np.asarray(end))
-    cv2.line(picture, *ends, colour, thickness, cv2.LINE_AA, _BITS)
+    def line(self, start: ArrayLike, end: ArrayLike, colour: Colour, thickness: int) -> None:
+        """A line between two positions."""
+        self._cv2.line(self.picture, _point(start), _point(end), colour, thickness, *self._how)
 
+    def arrow(self, start: ArrayLike, end: ArrayLike, colour: Colour, thickness: int, tip: float) -> None:
+        """An arrow whose tip is a share `tip` of its length."""
+        self._cv2.arrowedLine(self.picture, _point(start), _point(end), colour, thickness, *self._how, tip)
 
-def draw_arrow(
-    picture: Picture, start: NDArray[np.float64], step: NDArray[np.float64], colour: Colour, thickness: int, tip: float
-) -> None:
-    """An arrow whose tip is a share `tip` of its length."""
-    import cv2
+    def rectangle(self, corner: ArrayLike, opposite: ArrayLike, colour: Colour) -> None:
+        """The outline of a rectangle."""
+        self._cv2.rectangle(self.picture, _point(corner), _point(opposite), colour, 1, *self._how)
 
-    cv2.arrowedLine(picture, _point(start), _point(start + step), colour, thickness, cv2.LINE_AA, _BITS, tip)
+    def curve(self, positions: list[Any], colour: Colour) -> None:
+        """Lines from each position to the next."""
+        points: Any = np.array([_point(position) for position in positions], np.int32)
+        self._cv2.polylines(self.picture, [points], False, colour, 2, *self._how)
 
-
-def draw_rectangle(picture: Picture, corner: NDArray[np.float64], size: NDArray[np.float64], colour: Colour) -> None:
-    """The outline of a rectangle."""
-    import cv2
-
-    cv2.rectangle(picture, _point(corner), _point(corner + size), colour, 1, cv2.LINE_AA, _BITS)
-
-
-def draw_curve(picture: Picture, positions: list[NDArray[np.float64]], colour: Colour) -> None:
-    """Lines from each position to the next."""
-    import cv2
-
-    curve: Any = np.array([_point(position) for position in positions], np.int32)
-    cv2.polylines(picture, [curve], False, colour, 2, cv2.LINE_AA, _BITS)
-
-
-def draw_text(picture: Picture, words: str, place: tuple[int, int], colour: Colour, size: float) -> None:
-    """Text from a left lower corner."""
-    import cv2
-
-    cv2.putText(picture, words, place, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
+    def text(self, words: str, place: tuple[int, int], colour: Colour, size: float) -> None:
+        """Text from its left lower corner."""
+        font = self._cv2.FONT_HERSHEY_SIMPLEX
+        self._cv2.putText(self.picture, words, place, font, size, colour, 1, self._cv2.LINE_AA)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..camera.calibration import Calibration
 from ..lattice.orientation import describe_orientation
-from .drawing import draw_circle, draw_line, draw_text
+from .drawing import Canvas
 from .fit_check import FitCheck, check_fit
 from .panels import draw_figures
 from .settings import STYLE
@@ -58,24 +58,25 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     }
     side = panel + STYLE.caption
     rows = STYLE.header + 2 * (side + STYLE.space) + STYLE.space
-    canvas = np.empty((rows, 3 * (panel + STYLE.space) + STYLE.space, 3), np.uint8)
-    canvas[:] = STYLE.background
+    picture = np.empty((rows, 3 * (panel + STYLE.space) + STYLE.space, 3), np.uint8)
+    picture[:] = STYLE.background
+    canvas = Canvas(picture)
     first, second = _describe(calibration, fit)
-    draw_text(canvas, first, (STYLE.margin, 34), STYLE.ink, 0.75)
-    draw_text(canvas, second, (STYLE.margin, 64), STYLE.faint, 0.6)
+    canvas.text(first, (STYLE.margin, 34), STYLE.ink, 0.75)
+    canvas.text(second, (STYLE.margin, 64), STYLE.faint, 0.6)
 
     def corner(row: int, column: int) -> tuple[int, int]:
         return STYLE.space + column * (panel + STYLE.space), STYLE.header + row * (side + STYLE.space)
 
     for (row, column), (name, centre) in crops.items():
         x, y = corner(row, column)
-        canvas[y : y + panel, x : x + panel] = _draw_crop(calibration, flat, np.array(centre), panel / reach)
+        picture[y : y + panel, x : x + panel] = _draw_crop(calibration, flat, np.array(centre), panel / reach)
         start = f"x {centre[0] - reach / 2 + 0.5:.0f}, y {centre[1] - reach / 2 + 0.5:.0f}"
         words = f"{name}, {panel / reach:.2g} times, from {start}"
-        draw_text(canvas, words, (x + 2, y + panel + 19), STYLE.faint, 0.5)
+        canvas.text(words, (x + 2, y + panel + 19), STYLE.faint, 0.5)
     x, y = corner(1, 1)
-    canvas[y : y + side, x : x + panel] = draw_figures(calibration, fit, side)
-    return canvas
+    picture[y : y + side, x : x + panel] = draw_figures(calibration, fit, side)
+    return picture
 
 
 def _describe(calibration: Calibration, fit: FitCheck) -> tuple[str, str]:
@@ -129,18 +130,18 @@ def _draw_crop(
     diagonal = np.array([radius, radius]) / np.sqrt(2)
     # A dark line below a light one is visible on any background; blending leaves the pixels visible.
     for thickness, share, dark in ((3, 0.45, True), (1, 0.95, False)):
-        layer = panel.copy()
+        layer = Canvas(panel.copy())
         defect, cross = ((0, 0, 0), (0, 0, 0)) if dark else (STYLE.defect, STYLE.cross)
         for at in on_panel(pixels[visible(pixels, 0)]):
-            draw_circle(layer, at, 0.8 * zoom + 2, defect, thickness)
+            layer.circle(at, 0.8 * zoom + 2, defect, thickness)
         for at in on_panel(missing[visible(missing, lattice.pitch)]):
             for step in (diagonal, diagonal * [1, -1]):
-                draw_line(layer, at - step, at + step, defect, thickness + 1)
+                layer.line(at - step, at + step, defect, thickness + 1)
         for at, kind in zip(on_panel(centres[near]), kinds, strict=True):
-            draw_circle(layer, at, radius, (0, 0, 0) if dark else STYLE.types[kind], thickness)
+            layer.circle(at, radius, (0, 0, 0) if dark else STYLE.types[kind], thickness)
             for step in (np.array([arm, 0]), np.array([0, arm])):
-                draw_line(layer, at - step, at + step, cross, thickness)
-        panel = cv2.addWeighted(layer, share, panel, 1 - share, 0)
+                layer.line(at - step, at + step, cross, thickness)
+        panel = cv2.addWeighted(layer.picture, share, panel, 1 - share, 0)
     return panel
 
 

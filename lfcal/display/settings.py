@@ -44,7 +44,6 @@ class OverlayStyle:
     most_zoom: float = 4.0  # of the crops
     least_pitches: float = 2.5  # across a crop, whatever the zoom
     pitches: float = 6.0  # across a crop, if the zoom allows
-    grid: tuple[int, int] = (12, 9)  # rectangles of the flat over which residuals are averaged
     residual_significance: float = 3.0  # [standard errors] least of a residual that is drawn as an arrow
     background: Colour = (24, 26, 30)
     paper: Colour = (38, 41, 47)

@@ -25,8 +25,6 @@ __all__ = [
 #: Largest flat that is read [px]: twice a 25,000 x 22,000 sensor, and what OpenCV accepts out of the box.
 MAX_PIXELS = 1 << 30
 
-_PNG_SIGNATURE_BYTES = 8
-
 
 def check_size(width: int, height: int) -> None:
     """FlatError unless an image of this size may be read."""
@@ -54,12 +52,13 @@ def decode_png(data: bytes) -> NDArray[Any]:
 
 def _png_data_chunks(data: bytes) -> list[memoryview]:
     """The IDAT chunks of a PNG file, whose chunks are all there up to IEND with correct checksums."""
-    view, at, idat = memoryview(data), _PNG_SIGNATURE_BYTES, []
+    # The first chunk follows a signature of 8 bytes.
+    view, at, idat = memoryview(data), 8, []
     while True:
         if at + 12 > len(data):
             raise FlatError("truncated PNG: the end marker is missing")
         length, kind = struct.unpack_from(">I4s", data, at)
-        if (kind == b"IHDR") != (at == _PNG_SIGNATURE_BYTES):
+        if (kind == b"IHDR") != (at == 8):
             raise FlatError("damaged PNG: the header chunk is not in its place")
         if at + 12 + length > len(data):
             raise FlatError(f"truncated PNG: {at + 12 + length - len(data)} bytes are missing")

@@ -6,26 +6,24 @@ local mean instead; where the scene is coloured, a filter with zeros at the thre
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
+from ..runtime.image_formats import MOSAICS
 from .settings import MOSAIC
 
-__all__ = ["Mosaic", "check_mosaic", "equalise_mosaic", "has_mosaic", "remove_mosaic"]
-
-#: Colour filters of the top left 2 x 2 pixels, row by row.
-Mosaic = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
+__all__ = ["check_mosaic", "equalise_mosaic", "has_mosaic", "remove_mosaic"]
 
 
 def check_mosaic(mosaic: str | None, flat: NDArray[Any]) -> None:
     """ValueError where `mosaic` is no name of one, FlatError where the flat is in colour already."""
     if mosaic is None:
         return
-    if mosaic not in get_args(Mosaic):
-        raise ValueError(f"mosaic must be one of {', '.join(get_args(Mosaic))} or None, got {mosaic!r}")
+    if mosaic not in MOSAICS:
+        raise ValueError(f"mosaic must be one of {', '.join(MOSAICS)} or None, got {mosaic!r}")
     if flat.ndim == 3:
         raise FlatError(f"the flat is in colour, so it has no {mosaic} mosaic any more; give it without 'mosaic'")
 

@@ -52,17 +52,9 @@ def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def sqrt_luminance(image: NDArray[Any]) -> NDArray[np.float32]:
-    """Square root of the luminance, scaled to mean 1; photon noise is then the same in light and shade.
+    """(h, w) float32 square root of the luminance of raw values (h, w) or (h, w, 3), scaled to mean 1.
 
-    Parameters
-    ----------
-    image : (h, w) or (h, w, 3) array of finite numbers
-        Raw values; negative ones (dark noise) count as 0.
-
-    Returns
-    -------
-    (h, w) float32
-        All zero where the image is all zero.
+    Photon noise is then the same in light and shade. Negative values (dark noise) count as 0.
     """
     if image.ndim == 2 and image.dtype in _DIRECT_TYPES:
         grey = np.empty(image.shape, np.float32)
@@ -194,13 +186,9 @@ def _normalise(picture, half, together, floor, clip, out):
 
 
 def normalise_locally(picture: NDArray[np.float32], window: float) -> NDArray[np.float32]:
-    """Picture minus its local mean over its local standard deviation, clipped.
+    """(picture - local mean) / local standard deviation, clipped, for a picture (h, w).
 
-    Parameters
-    ----------
-    picture : (h, w) float32
-    window : float [px]
-        Side of the square over which mean and standard deviation are taken; the picture is mirrored at its borders.
+    `window` is the side of the square of mean and deviation [px]; the picture is mirrored at its borders.
     """
     half = max(3, int(window) | 1) // 2
     out = np.empty_like(picture)

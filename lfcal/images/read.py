@@ -136,7 +136,7 @@ def checked_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
     if pixels.dtype.kind == "f":
         bad = pixels.size - int(np.count_nonzero(np.isfinite(pixels)))
         if bad:
-            raise FlatError(f"{bad} values are NaN or infinite; replace them by what the neighbours say")
+            raise FlatError(f"{bad} values are NaN or infinite; replace them by the mean of their neighbours")
     return np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("="))
 
 

@@ -24,15 +24,7 @@ def select_contrasted(lights: Sequence[NDArray[np.float32]]) -> list[int]:
 def combine_whites(lights: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
     """Weighted least-squares estimate of the light from all white images, by their exposures.
 
-    Parameters
-    ----------
-    lights : sequence of (h, w) float32
-        Linear light; exposures and black levels may differ.
-
-    Returns
-    -------
-    (h, w) float32
-        In the scale of the best exposed one.
+    `lights` (h, w) are linear, with any exposures and black levels; the result is in the scale of the best exposed one.
     """
     if len(lights) == 1:
         return lights[0]

@@ -7,9 +7,10 @@ decoded, and of a Zarr array the chunks. Formats that cannot be read in parts, s
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from threading import Lock
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,8 @@ __all__ = ["FlatSource", "open_flat"]
 _LARGEST_SEGMENT = 1 << 27
 
 
-class _Reader(Protocol):
-    def read(self, rows: slice, columns: slice) -> NDArray[Any]: ...
+#: Reads the pixels of some rows and columns.
+_Read = Callable[[slice, slice], NDArray[Any]]
 
 
 class FlatSource:
@@ -44,12 +45,11 @@ class FlatSource:
         Whether parts are read from the file; else the flat is in memory.
     """
 
-    def __init__(self, path: Path, reader: _Reader, shape: tuple[int, ...], file: Any = None) -> None:
-        self.path, self._reader, self._file = path, reader, file
-        self.in_parts = not isinstance(reader, _Memory)
+    def __init__(self, path: Path, read: _Read, shape: tuple[int, ...], file: Any = None, in_parts: bool = True):
+        self.path, self._read, self._file, self.in_parts = path, read, file, in_parts
         self._size = shape[0], shape[1]
         with file_errors(path):
-            corner = checked_pixels(reader.read(slice(0, 1), slice(0, 1)))
+            corner = checked_pixels(read(slice(0, 1), slice(0, 1)))
         self.shape: tuple[int, ...] = (*self._size, *corner.shape[2:])
         self.dtype = corner.dtype
 
@@ -59,11 +59,7 @@ class FlatSource:
         return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
 
     def read(self, left: int, top: int, right: int, bottom: int) -> NDArray[Any]:
-        """Pixels of the columns `left` to `right` and rows `top` to `bottom`, the latter not included.
-
-        Returns
-        -------
-        (bottom - top, right - left) or (bottom - top, right - left, 3) array
+        """Pixels of the columns from `left` to before `right` and rows from `top` to before `bottom`.
 
         Raises
         ------
@@ -76,7 +72,7 @@ class FlatSource:
         if not (0 <= left < right <= width and 0 <= top < bottom <= height):
             raise ValueError(f"part {left, top, right, bottom} is not on a flat of {width} x {height} px")
         with file_errors(self.path):
-            return checked_pixels(self._reader.read(slice(top, bottom), slice(left, right)))
+            return checked_pixels(self._read(slice(top, bottom), slice(left, right)))
 
     def close(self) -> None:
         """Close the file; no part can be read any more."""
@@ -113,13 +109,13 @@ def open_flat(path: str | os.PathLike[str], page: int | None = None) -> FlatSour
     if source.is_dir() and is_zarr(source):
         with file_errors(source):
             array = open_zarr(source, MAX_PIXELS)
-        return FlatSource(source, array, array.shape)
+        return FlatSource(source, array.read, array.shape)
     if source.suffix.lower() in TIFF_SUFFIXES and source.is_file():
         tiff = _open_tiff(source, page)
         if tiff is not None:
             return tiff
     pixels = read_flat(source, page)
-    return FlatSource(source, _Memory(pixels), pixels.shape)
+    return FlatSource(source, lambda rows, columns: pixels[rows, columns], pixels.shape, in_parts=False)
 
 
 def _open_tiff(source: Path, number: int | None) -> FlatSource | None:
@@ -130,7 +126,7 @@ def _open_tiff(source: Path, number: int | None) -> FlatSource | None:
             page = select_tiff_page(tiff, number)
             reader = _Rows(page) if _is_contiguous(page) else _Segments(tiff, page)
             if isinstance(reader, _Rows) or reader.segment_bytes <= _LARGEST_SEGMENT:
-                return FlatSource(source, reader, (page.imagelength, page.imagewidth), tiff)
+                return FlatSource(source, reader.read, (page.imagelength, page.imagewidth), tiff)
         # Reading it as a whole finds another way, or reports the error.
         except Exception:
             pass
@@ -141,16 +137,6 @@ def _open_tiff(source: Path, number: int | None) -> FlatSource | None:
 def _is_contiguous(page: Any) -> bool:
     """Whether the rows of a page lie one after the other in the file, without compression."""
     return bool(page.is_memmappable and page.is_contiguous and page.fillorder == 1 and page.axes in ("YX", "YXS"))
-
-
-class _Memory:
-    """A flat in memory."""
-
-    def __init__(self, pixels: NDArray[Any]) -> None:
-        self._pixels = pixels
-
-    def read(self, rows: slice, columns: slice) -> NDArray[Any]:
-        return self._pixels[rows, columns]
 
 
 class _Rows:

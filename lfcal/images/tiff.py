@@ -96,7 +96,7 @@ def read_tiff(source: Path, number: int | None) -> NDArray[Any]:
                 raise
             if number:
                 raise FlatError("compressed in a way that is read for the first page only; save without it") from error
-            # OpenCV knows the common compressions that tifffile leaves to an optional package.
+            # OpenCV reads the common compressions that tifffile leaves to an optional package.
             grey = page.samplesperpixel < 3 and page.photometric.name != "PALETTE"
             return decode_with_opencv(source.read_bytes(), grey=grey)
         return convert_tiff_pixels(pixels, page)

@@ -32,14 +32,7 @@ _BLOSC_HEADER = struct.Struct("<4xI4xI")
 class ZarrFlat:
     """A grey or colour picture in a Zarr array.
 
-    Parameters
-    ----------
-    array : zarr.Array
-        Of shape (h, w), (h, w, c) or (c, h, w).
-    channels_first : bool
-        The channels are the first axis.
-    folder : Path
-        Of the chunks.
+    `array` is a `zarr.Array` (h, w), (h, w, c), or (c, h, w) with `channels_first`; its chunks are in `folder`.
     """
 
     array: Any
@@ -53,13 +46,7 @@ class ZarrFlat:
         return (*shape[1:], shape[0]) if self.channels_first else shape
 
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
-        """Pixels as stored, channels along the last axis.
-
-        Raises
-        ------
-        FlatError
-            If a chunk is missing, which Zarr itself reads as black.
-        """
+        """Pixels as stored, channels last; FlatError if a chunk is missing, which Zarr itself reads as black."""
         self._check_chunks(rows, columns)
         if self.channels_first:
             return np.moveaxis(np.asarray(self.array[:, rows, columns]), 0, -1)
@@ -72,11 +59,11 @@ class ZarrFlat:
     def _check_chunks(self, rows: slice, columns: slice) -> None:
         """FlatError where a chunk with these pixels is missing or truncated."""
         channels = slice(0, self.shape[2]) if len(self.shape) == 3 else None
-        places = [channels, rows, columns] if self.channels_first else [rows, columns, channels]
+        parts = [channels, rows, columns] if self.channels_first else [rows, columns, channels]
         sides = self.array.metadata.chunk_grid.chunk_shape
         chunks = (
             range(part.start // side, -(-part.stop // side))
-            for part, side in zip([p for p in places if p is not None], sides, strict=True)
+            for part, side in zip([p for p in parts if p is not None], sides, strict=True)
         )
         blosc = _is_blosc(self.array.metadata)
         bytes_each = math.prod(sides) * self.array.dtype.itemsize

@@ -26,7 +26,7 @@ class Distortion(Frozen):
     half the diagonal of the flat. The subtracted constants leave to the basis what a straight lattice can follow:
     without its distortion the lattice is about the best straight one.
     General, for film and scanners: `sum of general[:, k] * x**p * y**q` over the powers `p, q` = 20, 11, 02, 30, 21,
-    12, 03 of the place `x, y` relative to `middle`, in units of half the diagonal.
+    12, 03 of the position `x, y` relative to `middle`, in units of half the diagonal.
 
     Parameters
     ----------

@@ -147,7 +147,7 @@ class Lattice(Frozen):
         first, last = self._row_ends(rows, low[0], high[0])
         across, down = np.abs(self.basis[0])
         steep = down > DEFAULT.steep_slope * across
-        found, places = [], []
+        found, order = [], []
         block = max(1, DEFAULT.chunk // (high[0] - low[0] + 1))
         for start in range(0, len(rows), block):
             few = slice(start, start + block)
@@ -160,9 +160,9 @@ class Lattice(Frozen):
             found.append(ij.take(inside, 0))
             if steep:
                 band = (y[inside] * (2 / self.pitch)).astype(np.int64)
-                places.append(band * width + x[inside].astype(np.int64))
+                order.append(band * width + x[inside].astype(np.int64))
         indices = np.concatenate(found)
-        return indices[np.argsort(np.concatenate(places))] if steep else indices
+        return indices[np.argsort(np.concatenate(order))] if steep else indices
 
     def _row_ends(self, rows: NDArray[np.int64], low: int, high: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """First and last `i` (n,) of the lenses of rows `j` (n,) that may lie on the flat, within `low` to `high`."""

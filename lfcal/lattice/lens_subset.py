@@ -9,16 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .lattice import Lattice
+from .settings import DEFAULT
 
 __all__ = ["ReadCrop", "StackedCrops", "sample_lenses", "sample_mask", "select_whole_lenses"]
 
 #: Reads a rectangle of a flat, (height, width) float32, given its x, y, width and height [px].
 ReadCrop = Callable[[int, int, int, int], NDArray[np.float32]]
-
-# Steps of the golden ratio sample evenly, whatever the period of the lenses.
-_GOLDEN = 0.6180339887498949
-# Lattices of more lenses are sampled before lenses at the border are left out, which are few among so many.
-_SAMPLE_FIRST = 60_000
 
 
 def select_whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -33,7 +29,7 @@ def select_whole_lenses(lattice: Lattice, margin: float) -> tuple[NDArray[np.int
 
 def sample_lenses(lattice: Lattice, margin: float, wanted: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """About `wanted` of `select_whole_lenses`, evenly spread; in very large flats fewer by those at the border."""
-    if len(lattice) <= _SAMPLE_FIRST:
+    if len(lattice) <= DEFAULT.sample_first:
         indices, centres = select_whole_lenses(lattice, margin)
         rows = _sample_rows(len(indices), wanted)
         return indices[rows], centres[rows]
@@ -46,7 +42,8 @@ def sample_lenses(lattice: Lattice, margin: float, wanted: float) -> tuple[NDArr
 
 def sample_mask(number: int, share: float) -> NDArray[np.bool_]:
     """(number,) mask that is True for this share of its entries, evenly spread."""
-    fraction = np.arange(number) * _GOLDEN
+    # Steps of the golden ratio sample evenly, whatever the period of the lenses.
+    fraction = np.arange(number) * 0.6180339887498949
     # Twenty times as fast as a remainder.
     fraction -= np.floor(fraction)
     return fraction < share

@@ -19,13 +19,7 @@ __all__ = ["LitLenses", "find_lit_lenses"]
 class LitLenses:
     """Lenses of a flat, or of crops of it, that are lit.
 
-    Parameters
-    ----------
-    lattice : Lattice [px]
-        Whose lenses they are.
-    indices : (n, 2) int64
-    part : (n,) int64
-        Number of the crop that each is in.
+    They are lenses `indices` (n, 2) of `lattice`, each in the crop with number `part` (n,).
     """
 
     lattice: Lattice
@@ -104,15 +98,8 @@ def find_lit_lenses(
     Stray light also reaches pixels without a lens, so lenses are found by the step to the gaps around them where
     gaps are visible, else by the brightness of their core.
 
-    Parameters
-    ----------
-    picture : (h, w) float32
-        Light, or its square root.
-    lattice : Lattice [px]
-    indices, centres : (n, 2)
-        Lenses, their centres in the picture at least 1.5 px inside.
-    dark : float
-        Share of the step (or brightness) of a bright lens below which a lens is dark.
+    `picture` (h, w) is light or its square root; `centres` (n, 2) are at least 1.5 px inside it. A lens is dark below
+    the share `dark` of the step (or brightness) of a bright lens.
     """
     if len(centres) == 0:
         return np.zeros(0, dtype=bool)

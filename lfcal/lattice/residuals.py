@@ -42,7 +42,7 @@ class Residuals(Frozen):
         self._set(indices=indices, offset=offset)
 
     def mean_over_grid(
-        self, lattice: Lattice, across: int, down: int
+        self, lattice: Lattice, across: int = DEFAULT.residual_grid[0], down: int = DEFAULT.residual_grid[1]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Mean residuals in a grid of rectangles of the flat, without outliers.
 

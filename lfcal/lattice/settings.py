@@ -18,6 +18,8 @@ class LatticeSettings:
     largest_centre_step: float = 0.1  # [half the diagonal] of the distortion centre in one Gauss-Newton step
     inverse_iterations: int = 12  # of undistorting; each gains two digits at the distortions of real lenses
     residual_outlier: float = 4.0  # [median length] longer residuals are faults of single lenses; set by hand
+    residual_grid: tuple[int, int] = (12, 9)  # rectangles across and down the flat over which residuals are averaged
+    sample_first: int = 60_000  # [lenses] larger lattices are sampled before the few lenses at the border are left out
     steep_slope: float = 0.25  # of rows of lenses; from there on lenses are numbered in rows of pixels instead
     most_pixels: int = 1 << 31  # more than any camera has
     most_lenses: int = 1 << 27  # more than any camera has

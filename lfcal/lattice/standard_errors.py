@@ -24,8 +24,8 @@ class LatticeErrors(Frozen):
     Parameters
     ----------
     names : tuple of p str
-        `"origin"`, `"a1"`, `"a2"`, each for x and y [px]; where there is a distortion its fitted parameters `"k1"`,
-        `"k2"`, `"centre"` (twice, [px]) or `"general"` (14 times, [px]).
+        `"origin"`, `"a1"`, `"a2"`, each for x and y [px]; then `"k1"`, `"k2"`, `"centre"` (twice, [px]) or `"general"`
+        (14 times, [px]) as far as they were fitted.
     covariance : (p, p) float64
     """
 

@@ -1,4 +1,4 @@
-"""What the command lines share: one-line errors, stages with their times, and a report for people or programs."""
+"""What command lines share: errors in one line, timed stages, and figures as text or as JSON."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ __all__ = [
     "single_input",
 ]
 
-_USER_ERROR = 2
-# Where a command keeps whether `--verbose` was given.
+_USER_ERROR = 2  # exit code
+# Where the context of a command keeps whether `--verbose` was given.
 _VERBOSE = "lfcal.verbose"
 
 
@@ -42,7 +42,7 @@ class CommandGroup(click.Group):
     Parameters
     ----------
     other_programs : mapping of str to str, optional
-        Commands of other programs that users look for here, and the program that has each: named in the error.
+        Commands of other programs that users look for here, and the program that has each, for the error message.
     file_command : str, optional
         Command to propose where a file is given in the place of a command, with `{}` for the file.
     """
@@ -70,7 +70,7 @@ class CommandGroup(click.Group):
     def main(self, *args: Any, **kwargs: Any) -> Any:
         kwargs["standalone_mode"] = False
         try:
-            # A library's warnings are for developers; what a user has to know is in the warnings of a result.
+            # Python warnings are for developers; results have warnings of their own for users.
             with warnings.catch_warnings():
                 if not sys.warnoptions:
                     warnings.simplefilter("ignore")
@@ -79,11 +79,10 @@ class CommandGroup(click.Group):
             click.echo(error.ctx.get_help() if error.ctx else str(error), err=True)
             sys.exit(_USER_ERROR)
         except click.UsageError as error:
-            # What was given makes no sense to the parser; errors of a command's own say all there is to say.
-            words = error.format_message()
+            message = error.format_message()
             if error.ctx:
-                words += f"{'' if words.endswith(('.', '?', ')')) else '.'} See '{error.ctx.command_path} --help'."
-            self._fail(words)
+                message += f"{'' if message.endswith(('.', '?', ')')) else '.'} See '{error.ctx.command_path} --help'."
+            self._fail(message)
         except click.ClickException as error:
             self._fail(error.format_message())
         except LightFieldError as error:
@@ -91,7 +90,7 @@ class CommandGroup(click.Group):
         except MemoryError:
             self._fail("not enough memory for an image of this size")
         except BrokenPipeError:
-            # The reader of our output has gone; without this Python complains again when it flushes at exit.
+            # The reader of our output has ended; without this Python reports it again when it flushes at exit.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             sys.exit(1)
         except OSError as error:
@@ -99,7 +98,7 @@ class CommandGroup(click.Group):
         except (KeyboardInterrupt, click.Abort):
             click.echo("interrupted", err=True)
             sys.exit(130)
-        # Without this the interpreter looks through all objects of all libraries for garbage before it exits.
+        # Saves the garbage collection of all objects of all libraries at exit.
         gc.freeze()
         sys.exit(code if isinstance(code, int) else 0)
 
@@ -118,7 +117,7 @@ class Report:
     quiet : bool
         Print nothing but warnings; with `as_json`, nothing but the JSON object.
     log_stages : bool
-        Print a line for each stage where there is no terminal to show it on: for long commands.
+        Print a line for each stage where there is no terminal, for long commands.
     """
 
     def __init__(self, as_json: bool = False, quiet: bool = False, log_stages: bool = False) -> None:
@@ -132,7 +131,7 @@ class Report:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time a stage; on a terminal, say that it is running."""
+        """Time a stage, and show it on a terminal while it runs."""
         start = time.perf_counter()
         self._stage = name
         if self._terminal is not None:
@@ -143,14 +142,14 @@ class Report:
                 click.echo(f"{name} ...")
             yield
         self.seconds[name] = time.perf_counter() - start
-        if _verbose():
+        if _is_verbose():
             click.echo(f"{name}: {self.seconds[name]:.3f} s", err=True)
 
     @contextmanager
     def progress(self, name: str, total: int | None, before: int = 0) -> Iterator[Callable[[str], None]]:
-        """Gives what is to be called after each of `total` steps, some of them done `before`, with a remark or "".
+        """Gives a function to call after each of `total` steps, of which some were done `before`, with a remark or "".
 
-        On a terminal a bar shows rate and remaining time; else only remarks are printed, on stderr.
+        On a terminal a bar shows rate and remaining time; else remarks are printed on stderr.
         """
         if self._terminal is None:
             yield lambda remark: click.echo(remark, err=True) if remark and not self.quiet else None
@@ -161,19 +160,19 @@ class Report:
 
     @contextmanager
     def counted_progress(self, name: str) -> Iterator[Callable[[int, int], None]]:
-        """As `progress`, for work that tells how many steps are done, and out of how many, after the first of them."""
+        """Gives a function to call with the numbers of finished and of all steps, known from the first call on."""
         with ExitStack() as shown:
             advance: list[Callable[[str], None]] = []
 
-            def told(done: int, count: int) -> None:
+            def step(done: int, count: int) -> None:
                 if not advance:
                     advance.append(shown.enter_context(self.progress(name, count, done - 1)))
                 advance[0]("")
 
-            yield told
+            yield step
 
     def announce_compilation(self, *packages: str) -> None:
-        """Say, once, that kernels are being compiled if these packages have none compiled so far."""
+        """Print once that kernels are being compiled, if Numba's cache has none of these packages."""
         if self.quiet or self._announced or all(_has_compiled_kernels(name) for name in packages):
             return
         self._announced = True
@@ -184,7 +183,7 @@ class Report:
         """Print the figures, with the seconds of all stages, and the warnings among them on stderr."""
         figures = {**figures, "seconds": {name: round(value, 4) for name, value in self.seconds.items()}}
         if self.as_json:
-            click.echo(json.dumps(_plain(figures)))
+            click.echo(json.dumps(_to_json_types(figures)))
             return
         for warning in figures.get("warnings", ()):
             click.echo(f"warning: {warning}", err=True)
@@ -197,7 +196,7 @@ class Report:
 
 @contextmanager
 def name_file_in_errors(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Make errors of this toolkit name the file they are about, where they do not yet."""
+    """Put the name of a file before errors that do not have it."""
     try:
         yield
     except LightFieldError as error:
@@ -212,7 +211,7 @@ def report_options(command: Callable[..., Any]) -> Callable[..., Any]:
         "--verbose",
         is_flag=True,
         expose_value=False,
-        callback=_note_verbose,
+        callback=_store_verbose,
         help="Print each stage on stderr, with its seconds, as soon as it has ended.",
     )
     command = verbose(command)
@@ -225,17 +224,17 @@ def help_examples(*lines: str) -> str:
     return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
 
 
-def _note_verbose(context: click.Context, _option: click.Parameter, wanted: bool) -> None:
-    context.meta[_VERBOSE] = wanted
+def _store_verbose(context: click.Context, _option: click.Parameter, value: bool) -> None:
+    context.meta[_VERBOSE] = value
 
 
-def _verbose() -> bool:
+def _is_verbose() -> bool:
     context = click.get_current_context(silent=True)
     return context is not None and bool(context.meta.get(_VERBOSE))
 
 
 def _has_compiled_kernels(package: str) -> bool:
-    """Whether Numba's cache holds anything for a package, at any of the three places Numba may keep it."""
+    """Whether Numba's cache has kernels of a package, in any of its three folders."""
     spec = sys.modules.get(package)
     if spec is None or not spec.__file__:
         return True
@@ -243,28 +242,28 @@ def _has_compiled_kernels(package: str) -> bool:
     folders = {file.parent for file in modules if "\n@njit" in file.read_text(encoding="utf-8")}
     if not folders:
         return True
-    named = os.environ.get("NUMBA_CACHE_DIR")
-    places = [folder.glob("__pycache__/*.nbi") for folder in folders]
-    for cache in [Path(named)] if named else [Path.home() / ".cache/numba", Path.home() / "Library/Caches/numba"]:
-        places.extend(cache.glob(f"{folder.name}_*/*.nbi") for folder in folders)
-    return any(next(iter(place), None) for place in places)
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    caches = [folder.glob("__pycache__/*.nbi") for folder in folders]
+    for cache in [Path(given)] if given else [Path.home() / ".cache/numba", Path.home() / "Library/Caches/numba"]:
+        caches.extend(cache.glob(f"{folder.name}_*/*.nbi") for folder in folders)
+    return any(next(iter(files), None) for files in caches)
 
 
-def _plain(value: Any) -> Any:
-    """`value` as JSON can hold it: NumPy to Python, NaN and infinity to null."""
+def _to_json_types(value: Any) -> Any:
+    """`value` in types of JSON: NumPy to Python, NaN and infinity to null."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _to_json_types(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [_to_json_types(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return str(value) if isinstance(value, os.PathLike) else value
 
 
 def _rows(figures: Mapping[str, Any]) -> dict[str, str]:
-    """Name and text of each figure; a group of groups becomes one row for each of them."""
+    """Name and text of each figure; a mapping of mappings becomes one row for each of them."""
     rows = {}
     for name, value in figures.items():
         if isinstance(value, Mapping) and any(isinstance(item, Mapping) for item in value.values()):
@@ -275,7 +274,7 @@ def _rows(figures: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _text(value: Any) -> str:
-    value = _plain(value)
+    value = _to_json_types(value)
     if isinstance(value, dict):
         return ", ".join(f"{key.replace('_', ' ')} {_text(item)}" for key, item in value.items())
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""Pictures of any type as screens show them: with 8 bits."""
+"""Conversion of pictures of any type to 8 bits."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ def to_eight_bits(pixels: NDArray, white: float | None = None) -> NDArray[np.uin
     Parameters
     ----------
     pixels : array
-        uint8, which stay as they are, other whole numbers, or floats, in which 1 is white and NaN black.
+        uint8, which stay as they are, other integers, or floats with 1 for white and NaN for black.
     white : float, optional
-        What is white in whole numbers, as `Calibration.white_level`; by default the largest that their type holds.
+        Integer that is white, as `Calibration.white_level`; by default the largest of the type.
     """
     if pixels.dtype == np.uint8:
         return pixels

@@ -1,4 +1,4 @@
-"""The one family of errors: each says what was wrong, where, and what to do."""
+"""The errors of this toolkit: each message says what was wrong, where, and what to do."""
 
 __all__ = ["RAW_FLAT_ADVICE", "CalibrationError", "CameraFileError", "FlatError", "LightFieldError"]
 
@@ -7,7 +7,7 @@ RAW_FLAT_ADVICE = "give a raw flat from the sensor, of a camera with a microlens
 
 
 class LightFieldError(Exception):
-    """Anything this toolkit refuses to do; the message names the cause and the remedy."""
+    """Base of all errors that users can cause and mend."""
 
 
 class FlatError(LightFieldError, ValueError):
@@ -15,7 +15,7 @@ class FlatError(LightFieldError, ValueError):
 
 
 class CalibrationError(LightFieldError, ValueError):
-    """No trustworthy microlens lattice was found, or a lattice does not fit a flat."""
+    """No reliable microlens lattice was found, or a lattice does not fit a flat."""
 
 
 class CameraFileError(LightFieldError, ValueError):

@@ -1,12 +1,13 @@
-"""Which liberties kernels take with floating point: any order of sums, but NaN keeps its meaning.
+"""Floating-point options of Numba kernels: sums may be reordered, but NaN keeps its meaning.
 
-A kernel with these liberties that others call is to be inlined (`forceinline`): else it may be linked to another copy
-of itself, whose sums are in another order, just compiled than from Numba's cache.
+Results must not depend on what a process has compiled before, so there are three rules (checked by a test):
 
-Nothing may depend on what a process has compiled before, or the same kernel rounds otherwise in another process.
-Numba compiles `x ** 2` once, with the liberties of the kernel that asks for it first: kernels with liberties have
-products instead. And a kernel that says nothing of liberties has those of its first caller: one with callers of both
-kinds says `fastmath=False`.
+- A kernel with these options that other kernels call is inlined (`forceinline`). Otherwise it may be linked to another
+  copy of itself with sums in another order, depending on whether it is just compiled or comes from Numba's cache.
+- Kernels with these options use products instead of `x ** 2`, which Numba compiles only once, with the options of the
+  first kernel that needs it.
+- A kernel without options of its own takes those of its first caller; one with callers of both kinds states
+  `fastmath=False`.
 """
 
 from numba import njit
@@ -18,5 +19,5 @@ FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 @njit(cache=True, nogil=True, inline="always")
 def square(value):
-    """The value times itself."""
+    """The square of a value, for kernels with `FAST`."""
     return value * value

@@ -1,11 +1,18 @@
-"""The image formats that flats are read from: each with its suffixes and the bytes that its files begin with."""
+"""The image formats that flats are read from, with their suffixes and first bytes; the colour mosaics they may hold."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Literal, get_args
 
-__all__ = ["IMAGE_FORMATS", "IMAGE_SUFFIXES", "TIFF_SUFFIXES", "ImageFormat", "identify_format"]
+__all__ = [
+    "IMAGE_FORMATS", "IMAGE_SUFFIXES", "MOSAICS", "TIFF_SUFFIXES", "ImageFormat", "Mosaic", "identify_format"
+]  # fmt: skip
+
+#: Colour filters of the top left 2 x 2 pixels, row by row.
+Mosaic = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
+MOSAICS = get_args(Mosaic)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Pictures between their pixels."""
+"""Linear interpolation of pictures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["interpolate_linear"]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _read(picture, places, out):
+def _interpolate(picture, places, out):
     height, width = picture.shape
     for k in range(len(places)):
         x, y = places[k, 0], places[k, 1]
@@ -22,7 +22,7 @@ def _read(picture, places, out):
 
 
 def interpolate_linear(picture: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(...,) the picture at `places` (..., 2) [px], linear between its pixels."""
+    """(...,) bilinear interpolation of a picture at positions `places` (..., 2) [px]."""
     values = np.empty(places.shape[:-1])
-    _read(picture, places.reshape(-1, 2), values.reshape(-1))
+    _interpolate(picture, places.reshape(-1, 2), values.reshape(-1))
     return values

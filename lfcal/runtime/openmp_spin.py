@@ -1,7 +1,7 @@
-"""How long threads stay awake between two kernels: those of GNU OpenMP go on for some milliseconds, for nothing.
+"""Limit the time that GNU OpenMP threads spin between two kernels, by default some milliseconds.
 
-Within a frame kernels follow each other after some hundredths of a millisecond. Between the steps of a calibration a
-thread that sleeps costs no time, and one that waits costs as much of the processor as one that works.
+Within a frame kernels follow each other after some hundredths of a millisecond, so spinning pays. Between the steps of
+a calibration a spinning thread only takes processor time from others.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import os
 
 __all__: list[str] = []
 
-# Turns of the loop in which a thread waits before it sleeps, measured as 0.1 to 0.15 ms: with fewer, frames take
-# longer. It counts when the first kernel is run.
-_TURNS = 20_000
+# Spins before a thread sleeps, measured as 0.1 to 0.15 ms; with fewer, frames take longer. Read by OpenMP when the
+# first kernel runs.
+_SPIN_COUNT = 20_000
 
 if "OMP_WAIT_POLICY" not in os.environ:
-    os.environ.setdefault("GOMP_SPINCOUNT", str(_TURNS))
+    os.environ.setdefault("GOMP_SPINCOUNT", str(_SPIN_COUNT))

@@ -1,4 +1,4 @@
-"""Output files that appear whole or not at all."""
+"""Writing files atomically: an output appears whole or not at all."""
 
 from __future__ import annotations
 
@@ -19,10 +19,9 @@ class OutputError(LightFieldError, OSError):
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a new file in the folder of `path` to write into, and move it there if nothing went wrong.
+    """Give a temporary file beside `path` to write into, and rename it to `path` if there was no error.
 
-    The new file has the suffix of `path`, for writers that choose the format by it, and the permissions any other
-    new file of this user has.
+    It has the suffix of `path`, for writers that choose the format by it, and the usual permissions of new files.
 
     Raises
     ------
@@ -40,7 +39,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         raise OutputError(f"{target}: cannot be written ({error.strerror or error})") from error
     finally:
-        # The folder itself may not be there or not be changeable: that is already reported above.
+        # A missing or read-only folder is reported above.
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
 
@@ -48,7 +47,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 def check_output(
     path: str | os.PathLike[str], suffixes: Collection[str], inputs: Iterable[str | os.PathLike[str] | None] = ()
 ) -> None:
-    """Refuse an output that could not be written, before anything is computed for it.
+    """Refuse an output that cannot be written, before anything is computed for it.
 
     Parameters
     ----------
@@ -57,7 +56,7 @@ def check_output(
     suffixes : collection of str
         Allowed endings such as `".json"`, compared without regard to case.
     inputs : iterable of path-like or None
-        Files that are read for it and must not be replaced by it.
+        Files that are read, which the output must not replace.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Files and folders on a command line as people type them: patterns, several where one is wanted, typos."""
+"""Files and folders on a command line: patterns, several where one is wanted, misspelt names."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .errors import LightFieldError
 
 __all__ = ["InputPath", "several_inputs", "single_input", "suggest_similar_names"]
 
-# Where a command keeps the inputs it was given.
+# Where the context of a command keeps the inputs it was given.
 _INPUTS = "lfcal.inputs"
 
 
 class InputPath(click.Path):
-    """A file or folder to be read; a pattern that the shell has left as it is stands for the one path that matches."""
+    """A file or folder to be read; a pattern that the shell has not expanded stands for the one path that matches."""
 
     name = "path"
 
@@ -29,24 +29,24 @@ class InputPath(click.Path):
         super().__init__(path_type=Path)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        found = _matching(os.fspath(value))
-        if len(found) > 1:
-            self.fail(f"{value} stands for {len(found)} files, one is wanted", param, ctx)
+        paths = _expand(os.fspath(value))
+        if len(paths) > 1:
+            self.fail(f"{value} stands for {len(paths)} files, one is wanted", param, ctx)
         if ctx is not None:
-            ctx.meta.setdefault(_INPUTS, []).append(found[0])
-        return super().convert(found[0], param, ctx)
+            ctx.meta.setdefault(_INPUTS, []).append(paths[0])
+        return super().convert(paths[0], param, ctx)
 
 
-def single_input(name: str, instead: str = "") -> Callable[[Any], Any]:
-    """An argument that is one file; `instead` says which command takes several."""
+def single_input(name: str, hint: str = "") -> Callable[[Any], Any]:
+    """An argument that is one file; `hint` names the command for several."""
 
     def one(ctx: click.Context, param: click.Parameter, values: Sequence[str]) -> Path:
-        paths = [path for value in values for path in _matching(value)]
+        paths = _all_inputs(ctx, param, values)
         if len(paths) > 1:
-            # Words after a file are mostly options that lack their dashes.
-            more = f"; {instead}" if instead and all(path.exists() for path in paths) else ""
-            raise click.UsageError(f"{name} is one file, got {len(paths)}: {_listed(paths)}{more}", ctx)
-        ctx.meta.setdefault(_INPUTS, []).extend(paths)
+            # Words after a file are mostly options without their dashes: then the hint does not help.
+            end = f"; {hint}" if hint and all(path.exists() for path in paths) else ""
+            listed = ", ".join(map(str, paths[:3])) + (", ..." if len(paths) > 3 else "")
+            raise click.UsageError(f"{name} is one file, got {len(paths)}: {listed}{end}", ctx)
         return paths[0]
 
     return click.argument(name.lower(), metavar=name, nargs=-1, required=True, callback=one, type=click.Path())
@@ -54,48 +54,43 @@ def single_input(name: str, instead: str = "") -> Callable[[Any], Any]:
 
 def several_inputs(name: str, metavar: str) -> Callable[[Any], Any]:
     """An argument that is any number of files and folders."""
+    return click.argument(name, metavar=metavar, nargs=-1, required=True, callback=_all_inputs, type=click.Path())
 
-    def all_of(ctx: click.Context, param: click.Parameter, values: Sequence[str]) -> tuple[Path, ...]:
-        paths = tuple(path for value in values for path in _matching(value))
-        ctx.meta.setdefault(_INPUTS, []).extend(paths)
-        return paths
 
-    return click.argument(name, metavar=metavar, nargs=-1, required=True, callback=all_of, type=click.Path())
+def _all_inputs(ctx: click.Context, _param: click.Parameter, values: Sequence[str]) -> tuple[Path, ...]:
+    paths = tuple(path for value in values for path in _expand(value))
+    ctx.meta.setdefault(_INPUTS, []).extend(paths)
+    return paths
 
 
 @contextmanager
 def suggest_similar_names(ctx: click.Context) -> Iterator[None]:
-    """Let errors about inputs that are not there name the files that are called like them."""
+    """Add the names of similar files to errors about inputs that do not exist."""
     try:
         yield
     except (LightFieldError, OSError) as error:
         absent = [path for path in ctx.meta.get(_INPUTS, ()) if not path.exists() and str(path) in str(error)]
-        near = [name for path in absent[:1] for name in _alike(path)]
-        if not near:
+        similar = [name for path in absent[:1] for name in _similar_names(path)]
+        if not similar:
             raise
-        raise click.ClickException(f"{_words(error)}; did you mean {' or '.join(near)}?") from error
+        message = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
+        raise click.ClickException(f"{message}; did you mean {' or '.join(similar)}?") from error
 
 
-def _words(error: Exception) -> str:
-    if isinstance(error, OSError) and error.filename:
-        return f"{error.filename}: {error.strerror}"
-    return str(error)
-
-
-def _matching(text: str) -> list[Path]:
-    """The paths a word stands for: itself where it is there, else what it matches as a pattern."""
+def _expand(text: str) -> list[Path]:
+    """The paths that a word stands for: itself if it exists, else what it matches as a pattern."""
     if os.path.exists(text) or not text:
         return [Path(text)]
-    # Behind an equals sign shells leave the tilde as it is.
+    # Shells do not expand a tilde after an equals sign.
     text = os.path.expanduser(text)
     if not has_magic(text):
         return [Path(text)]
-    # What matches nothing is refused by its name, as any file that is not there.
+    # A pattern without matches is refused by its name, as any missing file.
     return [Path(path) for path in sorted(glob(text, recursive=True)) or [text]]
 
 
-def _alike(path: Path) -> list[str]:
-    """Files in the folder of a path that are called like it, or folders like its own where that is not there."""
+def _similar_names(path: Path) -> list[str]:
+    """At most two similar names in the folder of a path, or similar folders where that does not exist."""
     missing = path
     while not missing.parent.exists() and missing.parent != missing:
         missing = missing.parent
@@ -104,10 +99,6 @@ def _alike(path: Path) -> list[str]:
     except OSError:
         return []
     near = get_close_matches(missing.name, names, 2, 0.7)
-    # The same name with another ending is what is meant most often.
+    # The most frequent mistake is a wrong suffix.
     same = sorted(name for name in names if Path(name).stem == missing.stem and name not in near)
     return [str(missing.with_name(name)) for name in [*same, *near][:2]]
-
-
-def _listed(paths: Sequence[Path]) -> str:
-    return ", ".join(map(str, paths[:3])) + (", ..." if len(paths) > 3 else "")

@@ -1,4 +1,4 @@
-"""What a terminal shows while a command works: the stage with its seconds, or a bar with rate and remaining time."""
+"""Progress on a terminal: the stage with its seconds, or a bar with rate and remaining time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["Terminal"]
 
 
 class Terminal:
-    """The last line of the terminal, which one display has at a time: a bar hides the stage that it belongs to."""
+    """The last line of the terminal, for one display at a time: a bar hides its stage while it is shown."""
 
     def __init__(self) -> None:
         from rich.console import Console
@@ -21,7 +21,7 @@ class Terminal:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Show a stage and how long it has taken so far."""
+        """Show a stage and its seconds so far."""
         from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
         columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
@@ -31,10 +31,7 @@ class Terminal:
 
     @contextmanager
     def bar(self, name: str, total: int | None, before: int = 0) -> Iterator[Callable[[str], None]]:
-        """Show steps out of `total`, of which some were done `before`.
-
-        Gives what is to be called after each, with a remark to print or "".
-        """
+        """Show steps out of `total`, of which some were done `before`; see `Report.progress`."""
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}")
@@ -52,7 +49,7 @@ class Terminal:
 
     @contextmanager
     def _shown(self, display: Any) -> Iterator[Any]:
-        """Put a display in the place of the one before, which comes back after it."""
+        """Show a display instead of the current one, which is shown again afterwards."""
         if self._displays:
             self._displays[-1].stop()
         self._displays.append(display)

@@ -1,4 +1,4 @@
-"""Long rows of numbers as text in camera files."""
+"""Arrays as text in camera files."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ __all__ = ["decode_array", "encode_array"]
 
 
 def encode_array(values: NDArray[Any]) -> str:
-    """Numbers as text: bytes in little-endian order, deflated, base64."""
+    """An array as text: its bytes, deflated, in base64."""
     return base64.b64encode(zlib.compress(values.tobytes(), 9)).decode("ascii")
 
 
 def decode_array(text: str, kind: str) -> NDArray[Any]:
-    """Numbers from `encode_array`; ValueError where the text is damaged."""
+    """A flat array of type `kind` from `encode_array`; ValueError where the text is damaged."""
     try:
         return np.frombuffer(zlib.decompress(base64.b64decode(text, validate=True)), kind)
     except zlib.error as error:

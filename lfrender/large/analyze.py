@@ -125,7 +125,7 @@ class FlatContext:
 
     @cached_property
     def _gain(self) -> Any:
-        return self.calibration.part_gain() if uneven_lenses(self.calibration) else None
+        return self.calibration.region_gain() if uneven_lenses(self.calibration) else None
 
     def gray_tile(self, part: LensTile, pixels: NDArray[Any]) -> GrayFlat:
         """A part of the flat as it is analysed, its vignetting corrected as on the whole flat."""

@@ -289,7 +289,7 @@ class RenderPlan:
 
     @cached_property
     def _part_gain(self) -> Any:
-        return self.calibration.part_gain() if has_uneven_lenses(self.calibration) else None
+        return self.calibration.region_gain() if has_uneven_lenses(self.calibration) else None
 
     @cached_property
     def _bend(self) -> tuple[NDArray[np.float32], NDArray[np.int64]]:

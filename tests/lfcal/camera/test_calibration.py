@@ -1,4 +1,4 @@
-"""Camera files: what is written comes back, what is damaged is refused."""
+"""Calibrations: saved and loaded without loss; damaged files are refused."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def camera():
     return lfcal.Calibration(lattice, vignetting, "white", 0.01, 40, 0.97, ("look",), white_level=4095.0)
 
 
-def test_saved_camera_comes_back_exactly(camera, tmp_path):
+def test_saved_camera_is_loaded_exactly(camera, tmp_path):
     camera.save(tmp_path / "camera.json")
     back = lfcal.load(tmp_path / "camera.json")
     assert back.to_dict() == camera.to_dict()
     np.testing.assert_array_equal(back.lattice.basis, camera.lattice.basis)
 
 
-def test_unmeasured_residual_comes_back_as_nan(camera, tmp_path):
+def test_unmeasured_residual_is_loaded_as_nan(camera, tmp_path):
     lfcal.Calibration(camera.lattice).save(tmp_path / "camera.json")
     assert np.isnan(lfcal.load(tmp_path / "camera.json").residual_rms)
 
@@ -74,19 +74,19 @@ def test_camera_file_keeps_the_standard_errors(tmp_path):
     assert kept[np.hypot(*middle.T) < 20].max() < 0.7 * kept[np.hypot(*middle.T) > 0.85 * corner].min()
 
 
-def test_the_condition_of_a_fit_tells_a_strip_from_a_field_whatever_the_unit():
+def test_the_condition_of_a_fit_is_larger_for_strips_and_independent_of_the_unit():
     from lfcal.lattice.standard_errors import LatticeErrors, equal_weight_errors
 
     def condition(size, origin):
         return equal_weight_errors(lfcal.Lattice(origin, [[10.0, 0.0], [0.0, 10.0]], size, 4.0), 0.02).condition
 
     assert 1 <= condition((300, 300), (150.0, 150.0)) < 1.2
-    # Counted from a corner, place and basis are told apart less well.
+    # With the origin in a corner, origin and basis are correlated.
     assert 4 < condition((300, 300), (5.0, 5.0)) < 6
     assert condition((900, 20), (455.0, 5.0)) > 2
     errors = equal_weight_errors(lfcal.Lattice((5.0, 5.0), [[10.0, 0.0], [0.0, 10.0]], (300, 300), 4.0), 0.02)
     assert errors.scaled(8.0).condition == pytest.approx(errors.condition)
-    # All parameters are one and the same number.
+    # All parameters are fully correlated.
     assert LatticeErrors(errors.names, np.full((6, 6), 1e-6)).condition > 1e6
 
 

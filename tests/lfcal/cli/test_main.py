@@ -1,4 +1,4 @@
-"""The lfcal command: what it writes and prints, and how it refuses."""
+"""The lfcal command: output, figures and refusals."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_images_of_different_sizes_are_refused_by_name(house_files, tmp_path):
     assert not (tmp_path / "camera.json").exists()
 
 
-def test_info_says_what_calibrate_said(house_files):
+def test_info_prints_the_figures_of_calibrate(house_files):
     result = run("info", house_files / "camera.json", "--json")
     assert result.exit_code == 0
     figures = json.loads(result.stdout)
@@ -142,7 +142,7 @@ def test_bad_images_are_one_line_and_leave_no_file(bad_images, tmp_path, name):
     assert os.listdir(tmp_path) == ["bad"]
 
 
-def test_decoders_say_nothing_of_their_own(tmp_path, house):
+def test_decoders_print_no_messages(tmp_path, house):
     tifffile.imwrite(tmp_path / "damaged.tif", house.white, metadata=None)
     data = bytearray((tmp_path / "damaged.tif").read_bytes())
     data[60:90] = bytes(range(60, 90))

@@ -1,4 +1,4 @@
-"""Flats with a colour filter mosaic: centres as good as without, whatever the mosaic and whether it is named or not."""
+"""Flats with a colour filter mosaic: centres as good as without, for every mosaic, stated or detected."""
 
 from __future__ import annotations
 

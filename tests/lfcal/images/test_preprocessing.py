@@ -1,4 +1,4 @@
-"""Features and folds are what their definitions say, at borders and with several threads too."""
+"""Normalised pictures and folds match their definitions, also at borders and with several threads."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lfcal.images.preprocessing import normalise_locally
 @pytest.mark.parametrize(
     ("shape", "window"), [((70, 90), 7.9), ((300, 41), 18.6), ((41, 300), 200.0), ((9, 12), 60.0), ((2, 3), 3.0)]
 )
-def test_pictures_are_levelled_by_mean_and_spread_about_each_pixel(shape, window):
+def test_pictures_are_normalised_by_mean_and_standard_deviation_about_each_pixel(shape, window):
     picture = np.random.default_rng(2).gamma(4, 0.25, shape).astype(np.float32)
     side, exact = max(3, int(window) | 1), picture.astype(float)
     # That mode is SciPy's name for mirrored ends that are not repeated.
@@ -30,7 +30,7 @@ def test_pictures_are_levelled_by_mean_and_spread_about_each_pixel(shape, window
         numba.set_num_threads(threads)
 
 
-def test_folds_hold_every_pixel_of_a_tile_in_the_bin_of_its_place():
+def test_folds_average_the_pixels_of_a_tile_by_their_position_in_the_cell():
     rng, bins = np.random.default_rng(3), 12
     picture = rng.standard_normal((130, 170)).astype(np.float32)
     basis = np.array([[18.6, 0.3], [9.1, 16.2]])

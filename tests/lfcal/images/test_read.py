@@ -1,4 +1,4 @@
-"""Reading flats: pixels as stored for every format, and a clear refusal for everything that is not whole."""
+"""Reading flats: pixels as stored for every format; damaged and truncated files are refused."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def encoded(pixels, extension):
 
 
 @pytest.mark.parametrize("extension", [".png", ".tif", ".webp", ".bmp", ".ppm"])
-def test_rgb_comes_back_exactly_and_in_rgb_order(tmp_path, rgb8, extension):
+def test_rgb_is_read_exactly_and_in_rgb_order(tmp_path, rgb8, extension):
     path = tmp_path / f"flat{extension}"
     path.write_bytes(encoded(rgb8, extension))
     flat = read_flat(path)
@@ -57,7 +57,7 @@ def test_jpeg_is_rgb_and_close(tmp_path, rgb8):
 
 
 @pytest.mark.parametrize("extension", [".png", ".tif", ".bmp", ".pgm", ".jpg", ".webp"])
-def test_the_name_does_not_decide_the_format(tmp_path, rgb8, extension):
+def test_format_is_recognised_by_content_whatever_the_name(tmp_path, rgb8, extension):
     path = tmp_path / f"flat{extension}"
     path.write_bytes(png_bytes(rgb8))
     np.testing.assert_array_equal(read_flat(path), rgb8)
@@ -135,7 +135,7 @@ def test_tiff_with_lzw_compression(tmp_path, rgb16):
     np.testing.assert_array_equal(read_flat(path), rgb16)
 
 
-def test_tiff_big_endian_comes_in_native_order(tmp_path, rgb16):
+def test_tiff_big_endian_is_read_in_native_order(tmp_path, rgb16):
     path = tmp_path / "flat.tif"
     tifffile.imwrite(path, rgb16, byteorder=">", photometric="rgb")
     flat = read_flat(path)
@@ -152,13 +152,13 @@ def test_float_tiff_is_float32(tmp_path, rgb8, dtype):
     np.testing.assert_array_equal(flat, (rgb8 / 256).astype(np.float32))
 
 
-def test_white_is_zero_tiff_is_turned_over(tmp_path, rgb8):
+def test_white_is_zero_tiff_is_inverted(tmp_path, rgb8):
     path = tmp_path / "flat.tif"
     tifffile.imwrite(path, rgb8[..., 0], photometric="miniswhite")
     np.testing.assert_array_equal(read_flat(path), 255 - rgb8[..., 0])
 
 
-def test_thumbnail_in_a_tiff_is_passed_over_and_a_second_picture_refused(tmp_path, rgb8):
+def test_thumbnail_in_a_tiff_is_skipped_and_a_second_picture_refused(tmp_path, rgb8):
     with tifffile.TiffWriter(tmp_path / "thumb.tif") as tiff:
         tiff.write(rgb8[::4, ::4].copy(), subfiletype=1, photometric="rgb")
         tiff.write(rgb8, photometric="rgb")
@@ -183,7 +183,7 @@ def test_netpbm_values_are_not_rescaled(tmp_path, maximum, ascii_):
     np.testing.assert_array_equal(flat, values)
 
 
-def test_orientation_tag_is_not_obeyed(tmp_path, rgb8):
+def test_orientation_tag_is_ignored(tmp_path, rgb8):
     exif = Image.Exif()
     exif[0x0112] = 6
     Image.fromarray(rgb8).save(tmp_path / "flat.jpg", exif=exif, quality=100, subsampling=0)
@@ -204,7 +204,7 @@ def test_float64_beyond_float32_is_refused(tmp_path):
         read_flat(tmp_path / "flat.tif")
 
 
-def test_what_is_no_image_file_is_named(tmp_path):
+def test_other_files_and_folders_are_refused_by_name(tmp_path):
     (tmp_path / "empty.png").touch()
     (tmp_path / "text.png").write_text("this is not a picture\n" * 9)
     for name, reason in [
@@ -220,7 +220,7 @@ def test_what_is_no_image_file_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("extension", [".png", ".jpg", ".bmp", ".ppm"])
-def test_header_promising_too_many_pixels_is_refused_before_decoding(tmp_path, rgb8, extension):
+def test_header_with_too_many_pixels_is_refused_before_decoding(tmp_path, rgb8, extension):
     data = bytearray(encoded(rgb8, extension))
     big = 65500 if extension == ".jpg" else 40000
     if extension == ".png":
@@ -240,7 +240,7 @@ def test_header_promising_too_many_pixels_is_refused_before_decoding(tmp_path, r
         read_flat(path)
 
 
-def test_png_with_sound_checksums_but_missing_rows_is_refused(tmp_path, rgb8, rgb16):
+def test_png_with_correct_checksums_but_missing_rows_is_refused(tmp_path, rgb8, rgb16):
     for pixels in (rgb8, rgb16):
         data = png_bytes(pixels)
         at = data.index(b"IDAT")
@@ -267,7 +267,7 @@ def lossless_files(rgb8, rgb16, tmp_path):
     yield "flat.tif", (tmp_path / "lzw.tif").read_bytes(), rgb16
 
 
-def test_truncated_files_are_refused_or_read_right(tmp_path, rgb8, rgb16):
+def test_truncated_files_are_refused_or_read_correctly(tmp_path, rgb8, rgb16):
     refused = 0
     for name, data, pixels in lossless_files(rgb8, rgb16, tmp_path):
         for end in {*np.linspace(1, len(data) - 1, 40).astype(int), len(data) // 2, len(data) - 1}:
@@ -282,7 +282,7 @@ def test_truncated_files_are_refused_or_read_right(tmp_path, rgb8, rgb16):
     assert refused > 250
 
 
-def test_truncated_jpeg_is_refused_or_read_right(tmp_path, rgb8):
+def test_truncated_jpeg_is_refused_or_read_correctly(tmp_path, rgb8):
     rng = np.random.default_rng(5)
     noisy = (rgb8 // 2 + rng.integers(0, 100, rgb8.shape)).astype(np.uint8)
     data = encoded(noisy, ".jpg")
@@ -299,7 +299,7 @@ def test_truncated_jpeg_is_refused_or_read_right(tmp_path, rgb8):
         np.testing.assert_array_equal(read_flat(path), whole)
 
 
-def test_flipped_bits_never_escape_as_another_error(tmp_path, rgb8, rgb16, capfd):
+def test_flipped_bits_raise_no_other_error(tmp_path, rgb8, rgb16, capfd):
     rng = np.random.default_rng(11)
     files = [*lossless_files(rgb8, rgb16, tmp_path), ("flat.jpg", encoded(rgb8, ".jpg"), rgb8)]
     for name, data, pixels in files:

@@ -1,4 +1,4 @@
-"""Several flats of one camera: together better than each, and not spoiled by useless ones."""
+"""Several flats of one camera: their combination is better than each; useless flats are left out."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_four_white_images_halve_the_error_of_one(whites, noisy):
 
 
 @pytest.mark.parametrize("useless", ["dark", "saturated", "eight times as bright"])
-def test_a_useless_flat_does_not_spoil_a_good_one(whites, useless):
+def test_a_useless_flat_does_not_change_the_centres_of_a_good_one(whites, useless):
     basis = whites.turned(whites.HEXAGON, 14.3, 3)
     good, origin = whites.white_image(basis, _SIZE)
     noise = np.random.default_rng(1).normal(600, 400, good.shape)

@@ -1,4 +1,4 @@
-"""Flats read part by part: the pixels that reading them as a whole gives, from all the ways they may be stored."""
+"""Flats read part by part: the pixels of `read_flat`, however the file is stored."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_file_of_another_kind_is_read_as_a_whole(tmp_path):
     assert_parts_are_those_of_the_whole(tmp_path / "flat.png", in_parts=False)
 
 
-def test_damage_and_numbers_that_are_none_are_reported_with_the_file_name(tmp_path):
+def test_damage_and_nan_are_reported_with_the_file_name(tmp_path):
     path = tmp_path / "flat.tif"
     tifffile.imwrite(path, picture("uint8", (3,)), photometric="rgb")
     path.write_bytes(path.read_bytes()[:-100])

@@ -1,4 +1,4 @@
-"""Distortion: centres and indices stay inverse to each other, files keep it, nothing changes without it."""
+"""Distortion: centres and indices are inverse to each other; files keep it."""
 
 from __future__ import annotations
 
@@ -58,6 +58,6 @@ def test_general_distortion_is_inverted_and_kept(tmp_path):
 
 
 @pytest.mark.parametrize("values", [([0, 0], 0.5, 0.0, 500.0), ([0, 0], 0.0, 0.0, 0.0), ([np.nan, 0], 0.0, 0.0, 1.0)])
-def test_impossible_distortion_is_refused(values):
+def test_too_strong_distortion_is_refused(values):
     with pytest.raises(ValueError, match="distortion"):
         Distortion(*values)

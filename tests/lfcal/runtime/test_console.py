@@ -1,4 +1,4 @@
-"""The part of the command lines that all share."""
+"""What command lines share: errors, stages, figures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What pictures of any type look like with 8 bits."""
+"""Conversion of pictures of any type to 8 bits."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a camera file holds cannot be written to, wherever it comes from."""
+"""Arrays of frozen dataclasses are read-only, also in copies and out of pickles."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def arrays(frozen):
     ],
 )
 def test_arrays_stay_read_only_in_copies_and_out_of_pickles(frozen, again):
-    there = again(frozen)
-    assert len(arrays(there)) >= 2
-    for name, values in arrays(there).items():
+    other = again(frozen)
+    assert len(arrays(other)) >= 2
+    for name, values in arrays(other).items():
         np.testing.assert_array_equal(values, getattr(frozen, name))
         assert not values.flags.writeable
         assert values.flags.c_contiguous

@@ -1,4 +1,4 @@
-"""Threads do not stay awake for long between kernels, unless the environment says so."""
+"""OpenMP threads spin briefly between kernels, unless the environment sets it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
     ("name", "value", "expected"),
     [("NOTHING", "", "20000"), ("GOMP_SPINCOUNT", "7", "7"), ("OMP_WAIT_POLICY", "active", "None")],
 )
-def test_the_environment_says_how_long_threads_wait(name, value, expected):
+def test_the_environment_overrides_the_spin_count(name, value, expected):
     environment = {k: v for k, v in os.environ.items() if k not in ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")}
     code = "import os, lfcal; print(os.environ.get('GOMP_SPINCOUNT'))"
     run = subprocess.run(

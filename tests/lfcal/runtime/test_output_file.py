@@ -31,7 +31,7 @@ def test_nothing_is_left_and_the_old_file_stays_when_writing_fails(tmp_path):
     assert (tmp_path / "a.json").read_text() == "old"
 
 
-def test_operating_system_errors_name_the_file(tmp_path):
+def test_operating_system_errors_have_the_name_of_the_file(tmp_path):
     with pytest.raises(OutputError, match=r"a\.json: cannot be written"), atomic_write(tmp_path / "no" / "a.json"):
         pass
 

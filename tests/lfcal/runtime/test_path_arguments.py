@@ -1,4 +1,4 @@
-"""Files on a command line: patterns, several where one is wanted, names that are nearly those of files."""
+"""Files on a command line: patterns, several where one is wanted, misspelt names."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def tool():
     return lambda *words: CliRunner().invoke(program, words)
 
 
-def test_a_pattern_that_the_shell_left_stands_for_the_files_it_matches(folder, tool):
+def test_a_pattern_that_the_shell_did_not_expand_stands_for_the_files_it_matches(folder, tool):
     assert tool("many", "frame_*.png", "flat.png").stdout == "frame_1.png frame_2.png flat.png\n"
     assert tool("one", "fl*.png", "--white", "w*.png").stdout == "flat.png white.png\n"
     # A file may be called like a pattern.
@@ -53,7 +53,7 @@ def test_a_pattern_that_the_shell_left_stands_for_the_files_it_matches(folder, t
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("one", "frame_*.png"), "FLAT is one file, got 2: frame_1.png, frame_2.png; 'tool many' takes several"),
         (("one", "flat.png", "white.png"), "got 2: flat.png, white.png; 'tool many'"),
@@ -65,19 +65,19 @@ def test_a_pattern_that_the_shell_left_stands_for_the_files_it_matches(folder, t
         (("one", "flat.png", "--whit", "white.png"), "Did you mean '--white'?"),
     ],
 )
-def test_what_is_not_understood_is_answered_with_what_may_be_meant(folder, tool, words, told):
+def test_errors_suggest_what_may_be_meant(folder, tool, words, message):
     result = tool(*words)
     assert result.exit_code == 2
-    assert told in result.stderr
+    assert message in result.stderr
     assert result.stderr.count("\n") == 1
 
 
-def test_a_name_that_is_like_no_other_is_refused_without_a_guess(folder, tool):
+def test_a_name_without_similar_ones_is_refused_without_a_suggestion(folder, tool):
     assert tool("one", "sunset.jpg").stderr == "tool: sunset.jpg: cannot be read\n"
 
 
 def test_commands_of_the_other_program_and_a_missing_command_are_recognised(folder):
-    for program, words, told in (
+    for program, words, message in (
         (lfrender.cli.main.main, ("calibrate", "flat.png"), "Did you mean 'lfcal calibrate'?"),
         (lfcal.cli.main.main, ("render", "flat.png"), "Did you mean 'lfrender render'?"),
         (lfrender.cli.main.main, ("flat.png",), "Did you mean 'lfrender render flat.png -o picture.tif'?"),
@@ -85,30 +85,30 @@ def test_commands_of_the_other_program_and_a_missing_command_are_recognised(fold
     ):
         result = CliRunner().invoke(program, words)
         assert result.exit_code == 2
-        assert told in result.stderr
+        assert message in result.stderr
 
 
-def test_every_command_of_one_program_is_known_to_the_other():
+def test_each_program_knows_the_commands_of_the_other():
     programs = {"lfcal": lfcal.cli.main.main, "lfrender": lfrender.cli.main.main}
     for name, other in (("lfcal", "lfrender"), ("lfrender", "lfcal")):
         assert programs[name].other_programs == dict.fromkeys(programs[other].commands, other)
 
 
-def test_images_and_cameras_are_not_taken_for_each_other(house_files, tmp_path):
+def test_an_image_as_camera_and_a_camera_as_depth_are_refused(house_files, tmp_path):
     flat, camera, output = (
         str(path) for path in (house_files / "flat.png", house_files / "camera.json", tmp_path / "x.png")
     )
-    for words, told in (
+    for words, message in (
         (("-c", str(house_files / "white.png")), "is an image, not a camera file"),
         (("--depth", camera), "is no depth map"),
     ):
         result = CliRunner().invoke(lfrender.cli.main.main, ["render", flat, "-o", output, *words])
         assert result.exit_code == 2
-        assert told in result.stderr
+        assert message in result.stderr
     assert not Path(output).exists()
 
 
-def test_a_white_image_in_the_place_of_a_flat_is_told(house_files, tmp_path):
+def test_a_white_image_as_flat_has_a_warning(house_files, tmp_path):
     output = str(tmp_path / "x.png")
     result = CliRunner().invoke(
         lfrender.cli.main.main, ["render", str(house_files / "white.png"), "--traditional", "-o", output]

@@ -1,4 +1,4 @@
-"""What a terminal shows of long work, and that nothing of it goes anywhere else."""
+"""Progress on a terminal, and none without one."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ WORK = """
 import time
 from lfcal.runtime.console import Report
 report = Report(quiet={quiet})
-with report.stage("render"), report.counted_progress("tiles") as told:
+with report.stage("render"), report.counted_progress("tiles") as step:
     for done in range(4, 11):
-        told(done, 10)
+        step(done, 10)
         if done == 7:
             time.sleep(0.3)
 report.finish({{}})
@@ -42,7 +42,7 @@ def on_a_terminal(code):
     return shown.decode()
 
 
-def test_a_bar_tells_stage_steps_rate_and_remaining_time():
+def test_a_bar_shows_stage_steps_rate_and_remaining_time():
     shown = on_a_terminal(WORK.format(quiet=False))
     assert "render, tiles" in shown
     # Seven of ten, of which three were done before.
@@ -51,7 +51,7 @@ def test_a_bar_tells_stage_steps_rate_and_remaining_time():
     assert "0:00:" in shown
 
 
-def test_nothing_is_shown_where_quiet_is_asked_for_or_no_terminal_is():
+def test_nothing_is_shown_when_quiet_or_without_a_terminal():
     assert on_a_terminal(WORK.format(quiet=True)) == ""
     done = subprocess.run([sys.executable, "-c", WORK.format(quiet=False)], capture_output=True, text=True)
     assert done.returncode == 0
