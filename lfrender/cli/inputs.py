@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
 
 from lfcal import CameraFileError
 from lfcal.runtime import console
-from lfcal.runtime.image_formats import IMAGE_SUFFIXES
+from lfcal.runtime.image_formats import IMAGE_SUFFIXES, Mosaic
 
 from ..runtime.background_imports import import_in_background
 
@@ -47,7 +47,7 @@ class CaptureInput:
     camera: Path | None = None
     white: Path | None = None
     depth_file: Path | None = None
-    mosaic: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
+    mosaic: Mosaic | None = None
     preset: str = "balanced"
 
     #: Fields that are options of commands.

@@ -12,6 +12,7 @@ import click
 
 from lfcal import LightFieldError
 from lfcal.runtime import console
+from lfcal.runtime.image_formats import MOSAICS
 
 from .inputs import CaptureInput
 
@@ -38,7 +39,7 @@ _camera_option = click.option("-c", "--camera", type=INPUT, help=f"{CAMERA} With
 _depth_option = click.option("--depth", "depth_file", type=INPUT, help="Depth map made by 'lfrender analyze'.")
 _mosaic_option = click.option(
     "--mosaic",
-    type=click.Choice(["RGGB", "BGGR", "GRBG", "GBRG"]),
+    type=click.Choice(MOSAICS),
     help="Colour filters of the top left 2 x 2 pixels of a raw mosaic, if the camera file does not have them.",
 )
 
