@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
-from lfrender.sequence.cluster import connect
+from lfrender.sequence.cluster import connect, render_frames_on
 
 _SIZE, _PITCH = (900, 700), 23.2
 _NOISE = 1.5
@@ -58,7 +58,7 @@ def _timed(workers: int, folder: Path, camera: lfcal.Calibration, preset: str) -
             before = client.run(time.process_time)
             start = time.perf_counter()
             results = list(
-                lfrender.render_frames_on(client, frames, folder / f"{name}{workers}", camera, preset=preset, threads=1)
+                render_frames_on(client, frames, folder / f"{name}{workers}", camera, preset=preset, threads=1)
             )
             wall = time.perf_counter() - start
             after = client.run(time.process_time)

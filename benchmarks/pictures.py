@@ -20,6 +20,7 @@ import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import compare_pictures, resample
+from lfrender.data.depth_map import default_scale
 from lfrender.data.surface import Surface
 from lfrender.flat.lens_graph import nearest_lens
 
@@ -42,7 +43,7 @@ def _rows(folder: Path) -> str:
     depth = lfrender.analyze(flat, calibration)
     pitch = calibration.lattice.pitch
     lines = []
-    for scale in (*(share * pitch for share in SCALES), lfrender.default_scale(depth)):
+    for scale in (*(share * pitch for share in SCALES), default_scale(depth)):
         found = [
             merit(lfrender.render(flat, calibration, which, scale=scale), folder, pitch)
             for which in (depth, _true_depth(folder, depth))
@@ -111,7 +112,7 @@ def _simulated_rows(name: str, how: _Simulated) -> str:
         return f"{found.psnr:.1f} dB / {found.ssim:.3f}"
 
     lines = []
-    for scale in (*(share * camera.pitch for share in SCALES), lfrender.default_scale(depth)):
+    for scale in (*(share * camera.pitch for share in SCALES), default_scale(depth)):
         pictures = [lfrender.render(shot.flat, calibration, which, scale=scale) for which in (depth, true)]
         pictures.append(lfrender.render(shot.flat, calibration, tiled, scale=scale, blend=False))
         pictures.append(lfrender.render(shot.flat, calibration, depth, scale=scale, sharpen="auto"))

@@ -16,6 +16,7 @@ from typing import Any
 
 import lfcal
 import lfrender
+from lfrender.web.viewer import write_viewer
 
 _SIZE = (1080, 900)
 _SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -78,7 +79,7 @@ def main(arguments: list[str]) -> None:
     camera = lfcal.calibrate(flat)
     depth = lfrender.analyze(flat, camera)
     with tempfile.TemporaryDirectory() as folder:
-        page = lfrender.write_viewer(folder, flat, camera, depth)
+        page = write_viewer(folder, flat, camera, depth)
         browser = _browser(arguments[1:])
         try:
             browser.get(page.as_uri())

@@ -28,6 +28,15 @@ def test_names_of_sub_packages_in_the_reference_exist(package):
         assert pkgutil.resolve_name(f"{package}.{dotted}").__doc__
 
 
+@pytest.mark.parametrize("package", ["lfcal", "lfrender"])
+def test_names_that_the_reference_lists_by_sub_package_exist(package):
+    text = (DOCS / "api.rst").read_text(encoding="utf-8")
+    part = text.partition(f".. currentmodule:: {package}\n")[2].partition(".. currentmodule::")[0]
+    for name in re.findall(r"^   (\w+(?:\.\w+)+)$", part, re.MULTILINE):
+        module, _, attribute = f"{package}.{name}".rpartition(".")
+        assert hasattr(import_module(module), attribute), name
+
+
 def test_every_page_is_in_a_table_of_contents():
     pages = {str(path.relative_to(DOCS).with_suffix("")) for path in DOCS.rglob("*.md") if "built" not in str(path)}
     blocks = re.findall(r"```{toctree}\n(.*?)```", (DOCS / "index.md").read_text(encoding="utf-8"), re.DOTALL)

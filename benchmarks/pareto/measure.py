@@ -13,6 +13,7 @@ import numpy as np
 
 import lfcal
 import lfrender
+from lfrender.data.depth_map import default_scale
 
 from .baselines import hough_lattice, matched_patch_sizes, tiled
 from .cases import Case
@@ -92,7 +93,7 @@ def measure(case: Case, runs: int = 2) -> Iterator[Row]:
         depths[preset] = lfrender.analyze(flat, true, preset)
     yield row("analysis", "baseline: template", lambda: matched_patch_sizes(flat, lattice), case.depth_errors)
     depth, sizes = depths["balanced"], matched_patch_sizes(flat, lattice)
-    for name, scale in (("full resolution", lfrender.default_scale(depth)), ("0.3 D", 0.3 * lattice.pitch)):
+    for name, scale in (("full resolution", default_scale(depth)), ("0.3 D", 0.3 * lattice.pitch)):
         for blend in (True, False):
             yield row(
                 "rendering", f"{'blended' if blend else 'nearest lens'}, {name}",

@@ -18,6 +18,7 @@ import tifffile
 
 import lfcal
 import lfrender
+from lfrender.large.render import LargePicture
 from lfrender.large.settings import LargeSettings
 
 from .plane_flats import PlaneFlat
@@ -31,7 +32,7 @@ _SIZE, _PATCH, _TILE = (900, 700), 9.0, 40
 _LIFE = 1.5
 
 
-def _render(folder: Path, name: str) -> lfrender.LargePicture:
+def _render(folder: Path, name: str) -> LargePicture:
     camera = lfcal.load(folder / "camera.json")
     with lfcal.open_flat(folder / "flat.tif") as source:
         return lfrender.render_large(

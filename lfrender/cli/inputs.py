@@ -77,7 +77,7 @@ class CaptureInput:
         with self.report.stage("calibrate"):
             calibration = self.find_camera(pixels)
             if calibration.mosaic is not None and pixels.ndim == 2:
-                from .. import demosaic
+                from ..flat.demosaicing import demosaic
 
                 pixels = demosaic(pixels, calibration)
             return pixels, calibration

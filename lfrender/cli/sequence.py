@@ -133,7 +133,9 @@ def _render(
     options: dict[str, Any],
 ) -> Iterator[FrameResult]:
     """Results of rendering pictures or a film, here or on a cluster."""
-    from .. import render_film, render_frames, render_frames_on
+    from .. import render_frames
+    from ..sequence.cluster import render_frames_on
+    from ..sequence.film import render_film
 
     if film:
         return render_film(frames, output, calibration, **cluster, **options)

@@ -59,8 +59,9 @@ def refocus(
     pixels, calibration = capture.calibrate(pixels)
     depth = capture.analyze(pixels, calibration) if at or stack else None
     with capture.report.stage("render"), option_errors(0):
-        from .. import focal_stack, stack_depths
+        from .. import focal_stack
         from .. import refocus as run
+        from ..rendering.refocus import stack_depths
 
         capture.report.announce_compilation("lfrender")
         sizes = stack_depths(depth, stack) if depth is not None and stack else list(patch_sizes)
@@ -73,7 +74,7 @@ def refocus(
         settings = [{"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))]
         embedded = read_metadata(capture.flat)
         if len(pictures) > 1:
-            from .. import write_stack
+            from ..output.picture import write_stack
 
             paths = write_stack(output, pictures, settings=settings, embedded=embedded)
         else:
@@ -118,8 +119,9 @@ def views(
 ) -> None:
     """Render FLAT sharp at every depth as seen from other places in the main lens: parallax."""
     at_most_one("--grid", grid, "--stereo", stereo or None, "--animation", animation)
-    from .. import circle_offsets, grid_offsets, stereo_pair, write_animation, write_grid
     from .. import views as run
+    from ..output.views import stereo_pair, write_animation, write_grid
+    from ..rendering.viewpoints import circle_offsets, grid_offsets
 
     report = capture.report
     rows, columns = _grid_size(grid or "5x5")

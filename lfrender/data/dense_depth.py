@@ -1,4 +1,4 @@
-"""The depth of every pixel of the picture, as a map of its own."""
+"""Patch size of every pixel of the picture that `render` draws, and its files."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.output_file import atomic_write, check_output
 
-from .depth_map import DepthMap
-from .surface import Surface, patch_size_at
+from .depth_map import DepthMap, default_scale
+from .rendering import check_scale
+from .surface import sample_surface
 
-__all__ = ["DENSE_FORMATS", "DenseDepth", "dense_depth", "sample_surface", "write_dense"]
+__all__ = ["DENSE_FORMATS", "DenseDepth", "dense_depth", "write_dense"]
 
 DENSE_FORMATS = (".tif", ".tiff", ".pfm")
 
@@ -39,27 +39,8 @@ class DenseDepth:
     pitch: float
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _sample(surface, grid_x, grid_y, cell, edge, first, spacing, out):
-    for v in prange(out.shape[0]):
-        y = np.float32(first + v * spacing)
-        for u in range(out.shape[1]):
-            out[v, u] = patch_size_at(surface, np.float32(first + u * spacing), y, grid_x, grid_y, cell, edge)
-
-
-def sample_surface(surface: Surface, pitch: float, shape: tuple[int, int], spacing: float) -> NDArray[np.float32]:
-    """Patch size [px] at every pixel of a picture of this shape, whose pixels are `spacing` apart on the flat."""
-    out = np.empty(shape, np.float32)
-    single = np.float32
-    _sample(
-        surface.patch_size, single(surface.first[0]), single(surface.first[1]), single(surface.spacing),
-        single(max(0.5, 0.03 * pitch)), 0.5 * spacing - 0.5, spacing, out,
-    )  # fmt: skip
-    return out
-
-
 def dense_depth(depth: DepthMap, scale: float | None = None) -> DenseDepth:
-    """Patch size at every pixel of the picture that `render` draws at `scale`, as it draws it.
+    """Patch size at every pixel of the picture that `render` draws at `scale`, as the kernels read it.
 
     Between the grid values of `DepthMap.surface` it is linear on one surface, and the nearest across a depth edge.
 
@@ -74,12 +55,8 @@ def dense_depth(depth: DepthMap, scale: float | None = None) -> DenseDepth:
     ValueError
         If `scale` is not between 0 and four times the pitch.
     """
-    from ..rendering.render import default_scale
-
-    scale = default_scale(depth) if scale is None else float(scale)
     pitch = depth.pitch
-    if not (np.isfinite(scale) and 0 < scale <= 4 * pitch):
-        raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * pitch:.0f}), got {scale}")
+    scale = check_scale(default_scale(depth) if scale is None else scale, pitch)
     spacing = pitch / scale
     width, height = depth.image_size
     shape = (max(1, round(height / spacing)), max(1, round(width / spacing)))

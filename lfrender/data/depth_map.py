@@ -1,4 +1,4 @@
-"""The answer of the depth analysis: patch size, mode, magnification and confidence of every lens."""
+"""Result of the depth analysis: patch size, mode, magnification and confidence of every lens, and its files."""
 
 from __future__ import annotations
 
@@ -15,15 +15,20 @@ from lfcal import LightFieldError
 from lfcal.runtime.frozen import Frozen
 from lfcal.runtime.output_file import atomic_write
 
+from ..runtime.quantiles import quantile
 from .optics import Optics
+from .settings import DEFAULT, DataSettings
 from .surface import Surface
 
-__all__ = ["BINOCULAR", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap"]
+__all__ = ["BINOCULAR", "REASONS", "TELESCOPIC", "UNRESOLVED", "DepthFileError", "DepthMap", "default_scale"]
 
-TELESCOPIC, BINOCULAR, UNRESOLVED = 1, -1, 0
+#: Codes of `DepthMap.mode`.
+TELESCOPIC = 1
+BINOCULAR = -1
+UNRESOLVED = 0
 #: Why a lens is unresolved, by the code in `DepthMap.reason`; 0 is resolved.
 REASONS = ("resolved", "too little texture", "ambiguous", "image plane on the microlenses", "not analysed")
-# Of version 1 the lenses of some arrays are in another order.
+# Of the files; version 1 had the lenses of some arrays in another order.
 _VERSION = 2
 
 
@@ -32,7 +37,7 @@ class DepthFileError(LightFieldError, ValueError):
 
 
 def _finite(values: NDArray[np.float32]) -> bool:
-    """Whether all values are, none of which is so large that their sum is not: one that is not makes it another."""
+    """Whether all values are finite: a sum that is finite holds no other, and is faster than a mask."""
     with np.errstate(invalid="ignore"):
         return bool(np.isfinite(values.sum()))
 
@@ -46,14 +51,14 @@ class DepthMap(Frozen):
     patch_size : (n,) float32 [px]
         Signed patch size `s` of GEOMETRY.md: positive telescopic, negative binocular, NaN where unresolved.
     standard_error : (n,) float32 [px]
-        Of `patch_size`, from the scatter of what the lens measures with each neighbour; inf where unknown. The lenses
-        of a scene that is one plane have one answer and one error together.
+        Of `patch_size`, from the scatter over the pairs with each neighbour; inf where unknown. If the whole scene is
+        one plane, all lenses share the error of that plane.
     confidence : (n,) float32
         0..1, the probability that `patch_size` is the right optimum of the match.
     drawn : (n,) float32 [px]
         `patch_size`, with unresolved lenses filled from their neighbours; finite.
     surface : Surface
-        `filled_patch_size`, carried on to a regular grid of scene points with depth edges settled on the pixels.
+        `filled_patch_size` densified to a regular grid of scene points, with depth edges located on the pixels.
     pitch : float [px]
     image_size : (int, int) [px]
         Width and height of the flat.
@@ -63,8 +68,8 @@ class DepthMap(Frozen):
         0 resolved, 1 too little texture, 2 ambiguous or periodic, 3 image plane on the microlenses, 4 not analysed.
         By default unresolved lenses are 1 where their confidence is 0, else 2.
     saved : dict of str to float
-        What each shortcut has saved, as a share of the whole work: the lenses it has left out, for `ranges` the
-        shifts it has left out. Empty where none was taken.
+        Share of the work that each shortcut left out: of the lenses, for `ranges` of the shifts. Empty if none was
+        taken.
     """
 
     patch_size: NDArray[np.float32]
@@ -114,16 +119,13 @@ class DepthMap(Frozen):
 
     @cached_property
     def curvature(self) -> NDArray[np.float32]:
-        """(n,) float32 [1/px^2]: of the log likelihood at its peak, `1 / standard_error^2`; 0 where unknown.
-
-        How well the answer is conditioned: twice as much light, or twice as many pairs, double it.
-        """
+        """(n,) float32 [1/px^2]: of the log likelihood at its peak, `1 / standard_error^2`; 0 where unknown."""
         with np.errstate(divide="ignore"):
             return (1 / self.standard_error.astype(np.float64) ** 2).astype(np.float32)
 
     @cached_property
     def filled(self) -> NDArray[np.bool_]:
-        """(n,) bool: lenses that are drawn with their neighbours' depth since they have none of their own."""
+        """(n,) bool: unresolved lenses, whose `filled_patch_size` is interpolated from neighbours."""
         return np.isnan(self.patch_size)
 
     def distance(self, optics: Optics) -> NDArray[np.float64]:
@@ -186,7 +188,7 @@ class DepthMap(Frozen):
         """
         remedy = "make one with 'lfrender analyze'"
         try:
-            # NumPy leaves a damaged file open that it opens itself.
+            # np.load leaves a damaged file open if it opened it itself.
             with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as data:
                 version = int(data["version"])
                 if version != _VERSION:
@@ -215,9 +217,20 @@ class DepthMap(Frozen):
             raise
         except OSError as error:
             raise DepthFileError(f"{path}: cannot be read as a depth file ({error.strerror or error})") from error
-        # Damaged bytes drive the readers of ZIP files and of array headers to whatever error there is.
+        # Damaged bytes can raise nearly any error in the readers of ZIP files and array headers.
         except Exception as error:
             raise DepthFileError(f"{path}: not a whole depth file ({_one_line(error)}); {remedy}") from error
+
+
+def default_scale(depth: DepthMap, settings: DataSettings = DEFAULT) -> float:
+    """Output pixels per pitch that keep the flat's resolution where patches are largest [px per pitch].
+
+    Full resolution after Lumsdaine and Georgiev 2008, section 4: as many output pixels per lens as its patch has.
+    """
+    sizes = np.abs(depth.patch_size[np.isfinite(depth.patch_size)])
+    if sizes.size == 0:
+        return 1.0
+    return max(1.0, quantile(sizes, settings.full_resolution_share))
 
 
 def _one_line(error: Exception) -> str:

@@ -14,8 +14,6 @@ from lfcal import CameraFileError
 
 __all__ = ["Optics"]
 
-_MILLIMETRES = 1e-3
-
 
 @dataclass(frozen=True)
 class Optics:
@@ -63,7 +61,7 @@ class Optics:
         with np.errstate(divide="ignore", invalid="ignore"):
             before = 1 / (ratio * (1 + b / far) / b + 1 / far)
             vergence = 1 / self.focal_length - 1 / (far - before)
-            found = _MILLIMETRES / vergence
+            found = 1e-3 / vergence  # mm to m
         return np.where((far - before > 0) & (vergence >= 0), found, np.nan)
 
     def positions(self, points: NDArray[np.float64], ratio: ArrayLike, middle: ArrayLike) -> NDArray[np.float64]:

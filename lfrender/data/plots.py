@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from lfcal import Calibration
 from lfcal.runtime import notebook
 
-from .depth_map import DepthMap
-from .rendering import Rendering
+if TYPE_CHECKING:
+    from .depth_map import DepthMap
+    from .rendering import Rendering
 
 __all__ = ["depth_html", "napari_layers", "plot_depth", "plot_rendering", "rendering_html"]
 
@@ -87,10 +88,10 @@ def napari_layers(
     depth: DepthMap | None = None,
     rendering: Rendering | None = None,
 ) -> list[tuple[Any, dict[str, Any], str]]:
-    """What is given, as layers that lie on each other in napari.
+    """Layers of napari, one for each argument that is given, all in the coordinates of the flat.
 
     Add them by `for layer in napari_layers(...): viewer.add_layer(napari.layers.Layer.create(*layer))`.
-    All share the flat's pixels as coordinates, order `y, x`.
+    Coordinates are flat pixels, order `y, x`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A part of a flat analysed alone, and its answer put back among all lenses."""
+"""Analysis of a part of a flat: cropping the flat and its lattice, and embedding the depth of the part again."""
 
 from __future__ import annotations
 
@@ -14,14 +14,12 @@ from ..flat.gray_flat import GrayFlat
 from ..flat.lens_graph import lens_grid
 from ..runtime.cache import cached_latest
 from .depth_map import DepthMap
+from .settings import DEFAULT, DataSettings
 from .surface import Surface
 
 __all__ = ["check_region", "crop_flat", "crop_lattice", "embed_region", "rescale_depth", "select_lenses"]
 
-# Lenses this many pitches outside support those inside: as far as shading is taken to be common.
-_AROUND = 4.5
-# Parts end at multiples of so many pitches: that of the next frame is most often the same.
-_STEP = 1.0
+# Code in `DepthMap.reason`.
 _NOT_ANALYSED = 4
 
 
@@ -48,11 +46,14 @@ def select_lenses(roi: tuple[float, float, float, float], lattice: Lattice) -> N
     return inside
 
 
-def crop_flat(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tuple[GrayFlat, Lattice]:
-    """The part of a flat that shows the lenses `inside` and those around them, and its lattice, in its own pixels."""
+def crop_flat(
+    gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_], settings: DataSettings = DEFAULT
+) -> tuple[GrayFlat, Lattice]:
+    """Crop a flat and its lattice to the lenses `inside` and those around that support them."""
     centres = lattice.centres()[inside]
     size = np.array(lattice.image_size)
-    around, step = _AROUND * lattice.pitch, int(np.ceil(_STEP * lattice.pitch))
+    around = settings.region_margin * lattice.pitch
+    step = int(np.ceil(settings.region_step * lattice.pitch))
     low = np.maximum(0, np.floor((centres.min(0) - around) / step) * step).astype(int)
     high = np.minimum(size, np.ceil((centres.max(0) + around) / step) * step + 1).astype(int)
     sub = cached_latest(lattice, "part", (*low.tolist(), *high.tolist()), lambda: crop_lattice(lattice, low, high))
@@ -66,7 +67,7 @@ def crop_flat(gray: GrayFlat, lattice: Lattice, inside: NDArray[np.bool_]) -> tu
 
 
 def crop_lattice(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int64]) -> Lattice:
-    """The lattice of the part of a flat from the pixel `low` (2,) to before `high` (2,), in its own pixels."""
+    """The lattice of the pixels from `low` (2,) to `high` (2,), not included, in the pixels of that part."""
     distortion = lattice.distortion
     if distortion is not None:
         middle = None if distortion.middle is None else distortion.middle - low
@@ -76,27 +77,27 @@ def crop_lattice(lattice: Lattice, low: NDArray[np.int64], high: NDArray[np.int6
 
 
 def embed_region(depth: DepthMap, sub: Lattice, lattice: Lattice, inside: NDArray[np.bool_]) -> DepthMap:
-    """The depth of a part as that of the whole flat, whose lenses are not analysed but for those `inside`.
+    """Depth of the whole flat from that of a part; lenses that are not `inside` get the reason "not analysed".
 
-    The surface stays that of the part: readers take its nearest value beyond its border.
+    The surface stays that of the part: beyond its border it is read at the nearest value.
     """
     n, rows = len(lattice), _rows_of(sub, lattice)
     patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
     confidence, reason = np.zeros(n, np.float32), np.full(n, _NOT_ANALYSED, np.int8)
     chosen = inside[rows]
-    drawn = np.full(n, np.median(depth.filled_patch_size[chosen]), np.float32)
+    filled = np.full(n, np.median(depth.filled_patch_size[chosen]), np.float32)
     for whole, part in (
         (patch_size, depth.patch_size),
         (error, depth.standard_error),
         (confidence, depth.confidence),
         (reason, depth.reason),
-        (drawn, depth.filled_patch_size),
+        (filled, depth.filled_patch_size),
     ):
         whole[rows[chosen]] = part[chosen]
     corner = lattice.origin - sub.origin
     first = (depth.surface.first[0] + float(corner[0]), depth.surface.first[1] + float(corner[1]))
     return DepthMap(
-        patch_size, error, confidence, drawn, Surface(depth.surface.patch_size, first, depth.surface.spacing),
+        patch_size, error, confidence, filled, Surface(depth.surface.patch_size, first, depth.surface.spacing),
         lattice.pitch, lattice.image_size, depth.preset, reason, {**depth.saved, "roi": 1 - float(inside.mean())},
     )  # fmt: skip
 
@@ -109,10 +110,7 @@ def _rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
 
 
 def rescale_depth(depth: DepthMap, lattice: Lattice, factor: float, saved: dict[str, float] | None = None) -> DepthMap:
-    """The depth of the same lenses in pixels `factor` times as small, `lattice` being in those.
-
-    `saved` is what has been saved if that is something else.
-    """
+    """The same depth in pixels `factor` times as small, those of `lattice`; `saved` replaces that of `depth`."""
     first_x, first_y = ((x + 0.5) * factor - 0.5 for x in depth.surface.first)
     surface = Surface(
         (depth.surface.patch_size * np.float32(factor)), (first_x, first_y), depth.surface.spacing * factor

@@ -1,4 +1,4 @@
-"""A rendered picture and where its pixels lie on the microlens plane."""
+"""A rendered picture, and where its pixels lie on the microlens plane."""
 
 from __future__ import annotations
 
@@ -8,7 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Rendering"]
+__all__ = ["Rendering", "check_patch_size", "check_scale"]
+
+
+def check_scale(scale: float, pitch: float) -> float:
+    """The scale [px per pitch] as a float, or a ValueError that says which are possible."""
+    if not (np.isfinite(scale) and 0 < scale <= 4 * pitch):
+        raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * pitch:.0f}), got {scale}")
+    return float(scale)
+
+
+def check_patch_size(patch_size: float, pitch: float) -> None:
+    """Raise a ValueError unless `|patch_size|` [px] lies between 0 and the pitch."""
+    if not 0 < abs(patch_size) < pitch:
+        raise ValueError(f"patch_size must lie between 0 and the pitch {pitch:.1f} px, got {patch_size}")
 
 
 @dataclass(frozen=True)
@@ -26,7 +39,7 @@ class Rendering:
     scale : float
         Output pixels per microlens pitch, `P`.
     white : float, optional
-        What is white in whole numbers, where that is less than the largest that their type holds.
+        White level of an integer image, if it is less than the largest value of the type.
     """
 
     image: NDArray

@@ -1,8 +1,9 @@
-"""The depth of every scene point."""
+"""The depth of every scene point: patch sizes on a regular grid, and how they are interpolated."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -10,23 +11,36 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
-__all__ = ["Surface", "mark_changed_places", "patch_size_at"]
+from .settings import DEFAULT, DataSettings
 
-# Side of the squares of grid values of which it is known whether any differ.
-_SQUARE = 4
+__all__ = ["DepthGrid", "Surface", "edge_step", "mark_changed_places", "patch_size_at", "sample_surface"]
+
+# Side of the blocks of grid values that are compared first, so that lenses amid equal blocks are skipped.
+_BLOCK = 4
+
+
+class DepthGrid(NamedTuple):
+    """A surface as kernels read it, all in float32 [px]."""
+
+    patch_size: Any  # (h, w)
+    x: Any  # scene coordinates of the first grid value
+    y: Any
+    spacing: Any
+    edge: Any  # patch sizes that differ by less belong to one surface
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def patch_size_at(surface, x, y, grid_x, grid_y, cell, edge):
-    """Patch size at scene point (x, y): linear between grid values, nearest across a depth edge."""
+def patch_size_at(grid, x, y):
+    """Patch size at scene point (x, y) of a `DepthGrid`: linear between its values, nearest across a depth edge."""
+    surface = grid.patch_size
     rows, columns = surface.shape
-    gx = min(max((x - grid_x) / cell, np.float32(0.0)), np.float32(columns - 1))
-    gy = min(max((y - grid_y) / cell, np.float32(0.0)), np.float32(rows - 1))
+    gx = min(max((x - grid.x) / grid.spacing, np.float32(0.0)), np.float32(columns - 1))
+    gy = min(max((y - grid.y) / grid.spacing, np.float32(0.0)), np.float32(rows - 1))
     i, j = min(int(gx), max(columns - 2, 0)), min(int(gy), max(rows - 2, 0))
     i1, j1 = min(i + 1, columns - 1), min(j + 1, rows - 1)
     fx, fy = gx - i, gy - j
     a, b, c, d = surface[j, i], surface[j, i1], surface[j1, i], surface[j1, i1]
-    if max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) < edge:
+    if max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) < grid.edge:
         return (1 - fy) * ((1 - fx) * a + fx * b) + fy * ((1 - fx) * c + fx * d)
     return surface[j1 if fy > 0.5 else j, i1 if fx > 0.5 else i]
 
@@ -41,7 +55,7 @@ def _nearest(values, first_x, first_y, spacing, points, out):
 
 @njit(cache=True, nogil=True)
 def _differ(old, new, top, bottom, left, right):
-    """Whether any of the values of some rows and columns are not the same."""
+    """Whether any value of some rows and columns differs."""
     for v in range(top, bottom):
         for u in range(left, right):
             if old[v, u] != new[v, u]:
@@ -53,13 +67,12 @@ def _differ(old, new, top, bottom, left, right):
 def _mark_changes(old, new, first_x, first_y, spacing, centres, reach, changed):
     """Set `changed` of lenses with a value within `reach` that differs between two surfaces."""
     rows, columns = new.shape
-    # Which squares of values hold any that differ: where none about a lens does, nobody looks at their values.
-    down, across = (rows + _SQUARE - 1) // _SQUARE, (columns + _SQUARE - 1) // _SQUARE
+    down, across = (rows + _BLOCK - 1) // _BLOCK, (columns + _BLOCK - 1) // _BLOCK
     some = np.empty((down, across), np.bool_)
     for j in prange(down):
         for i in range(across):
-            v, u = j * _SQUARE, i * _SQUARE
-            some[j, i] = _differ(old, new, v, min(v + _SQUARE, rows), u, min(u + _SQUARE, columns))
+            v, u = j * _BLOCK, i * _BLOCK
+            some[j, i] = _differ(old, new, v, min(v + _BLOCK, rows), u, min(u + _BLOCK, columns))
     for lens in prange(len(centres)):
         if changed[lens]:
             continue
@@ -67,13 +80,21 @@ def _mark_changes(old, new, first_x, first_y, spacing, centres, reach, changed):
         side = reach / spacing
         top, bottom = max(0, int(np.ceil(y - side))), min(rows, int(np.floor(y + side)) + 1)
         left, right = max(0, int(np.ceil(x - side))), min(columns, int(np.floor(x + side)) + 1)
-        for j in range(top // _SQUARE, (bottom + _SQUARE - 1) // _SQUARE):
-            for i in range(left // _SQUARE, (right + _SQUARE - 1) // _SQUARE):
+        for j in range(top // _BLOCK, (bottom + _BLOCK - 1) // _BLOCK):
+            for i in range(left // _BLOCK, (right + _BLOCK - 1) // _BLOCK):
                 if some[j, i] and not changed[lens]:
-                    v, u = j * _SQUARE, i * _SQUARE
+                    v, u = j * _BLOCK, i * _BLOCK
                     changed[lens] = _differ(
-                        old, new, max(v, top), min(v + _SQUARE, bottom), max(u, left), min(u + _SQUARE, right)
+                        old, new, max(v, top), min(v + _BLOCK, bottom), max(u, left), min(u + _BLOCK, right)
                     )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _sample(grid, first, spacing, out):
+    for v in prange(out.shape[0]):
+        y = np.float32(first + v * spacing)
+        for u in range(out.shape[1]):
+            out[v, u] = patch_size_at(grid, np.float32(first + u * spacing), y)
 
 
 @dataclass(frozen=True)
@@ -94,6 +115,11 @@ class Surface:
     first: tuple[float, float]
     spacing: float
 
+    def as_grid(self, edge: float) -> DepthGrid:
+        """What kernels read; patch sizes that differ by less than `edge` [px] belong to one surface."""
+        x, y, spacing, step = np.array([*self.first, self.spacing, edge], np.float32)
+        return DepthGrid(self.patch_size, x, y, spacing, step)
+
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """(n,) float32 [px]: patch size of the grid value nearest to scene points (n, 2)."""
         out = np.empty(len(points), np.float32)
@@ -101,11 +127,20 @@ class Surface:
         return out
 
 
+def edge_step(pitch: float, settings: DataSettings = DEFAULT) -> float:
+    """Patch sizes that differ by less than this belong to one surface [px]."""
+    return max(settings.edge_pixels, settings.edge_share * pitch)
+
+
+def sample_surface(surface: Surface, pitch: float, shape: tuple[int, int], spacing: float) -> NDArray[np.float32]:
+    """Patch size [px] at every pixel of a picture of this shape, whose pixels are `spacing` apart on the flat."""
+    out = np.empty(shape, np.float32)
+    _sample(surface.as_grid(edge_step(pitch)), 0.5 * spacing - 0.5, spacing, out)
+    return out
+
+
 def mark_changed_places(
     before: Surface, after: Surface, places: NDArray[np.floating], reach: float, changed: NDArray[np.bool_]
 ) -> None:
-    """Set `changed` (n,) where a grid value within `reach` [px] to each side of `places` (n, 2) is another one.
-
-    The grids are the same.
-    """
+    """Set `changed` (n,) where a grid value differs within `reach` [px] of `places` (n, 2); the grids are the same."""
     _mark_changes(before.patch_size, after.patch_size, *after.first, after.spacing, places, reach, changed)

@@ -1,4 +1,4 @@
-"""The surface as it is seen from a place in the main lens' aperture, nearer places hiding farther ones."""
+"""Warping of the surface to another viewpoint in the main lens' aperture, by ray casting with occlusion."""
 
 from __future__ import annotations
 
@@ -11,50 +11,48 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
 
+from .settings import DEFAULT, DataSettings
 from .surface import Surface, patch_size_at
 
-__all__ = ["Viewpoint"]
-
-# Patches of less than a twelfth of the pitch are not found in any capture; without a bound, parallax has a pole.
-_LARGEST_MAGNIFICATION = 12.0
+__all__ = ["Viewpoint", "virtual_depth"]
 
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A place in the main lens' aperture, and what stays in place when the view moves there.
+    """A point `q` in the main lens' aperture, and the depth that has no parallax between it and the middle.
 
-    A pixel at `q + delta` in lens `c` shows `X = c - (q + delta) D / s`. Seen from `q`, the place `X` hence lies at
-    `X + q D / s`: there, all lenses show it beside `q` as they show `X` itself beside their centres.
+    A pixel at `q + delta` in lens `c` shows the scene point `X = c - (q + delta) D / s`. Seen from `q`, `X` is drawn
+    at `X + q D / s`, where every lens is read about `q` instead of about its centre.
 
     Parameters
     ----------
     offset : (float, float) [px]
-        `q`, the position in every microimage at which the view is seen, relative to its centre, order `x, y`.
+        `q`, order `x, y`, relative to the centres of the microimages.
     still : float
-        Signed virtual depth `D / s` of places that lie where they lie from the middle of the aperture.
+        Signed virtual depth `D / s` of scene points that keep their place in all views.
     """
 
     offset: tuple[float, float] = (0.0, 0.0)
     still: float = 0.0
 
     def max_parallax(self, surface: Surface, lattice: Lattice) -> float:
-        """How far places of `surface` move at most [px]."""
+        """Largest displacement of a point of `surface` [px]."""
         if not any(self.offset):
             return 0.0
         return float(np.hypot(*self.offset) * np.abs(virtual_depth(surface.patch_size, lattice.pitch)).max())
 
     def warp_surface(self, surface: Surface, lattice: Lattice, edge: float) -> tuple[Surface, NDArray[np.float64]]:
-        """The surface over the places at which it is seen, and how far the picture's frame moves.
+        """The surface as seen from here, and the shift of the picture's frame.
 
-        What is hidden from the middle of the aperture continues the farther of the surfaces beside it.
+        Where it uncovers what the middle view hides, the farther of the surfaces beside it is continued.
 
         Parameters
         ----------
         surface : Surface
-            As seen from the middle.
+            As seen from the middle of the aperture.
         lattice : Lattice
         edge : float [px]
-            Patch sizes that differ by less belong to one surface.
+            As `edge_step`.
 
         Returns
         -------
@@ -69,53 +67,58 @@ class Viewpoint:
         if warped.size > 1:
             depths = virtual_depth(surface.patch_size, lattice.pitch)
             warped = np.empty_like(surface.patch_size)
-            single = np.float32
+            grid = Surface(surface.patch_size, (0.0, 0.0), surface.spacing).as_grid(edge)
             _warp(
-                surface.patch_size, single(surface.spacing), single(self.offset[0]), single(self.offset[1]),
-                single(self.still), depths.min(), depths.max(), single(lattice.pitch), single(edge), warped,
+                grid, np.array(self.offset, np.float32), np.float32(self.still), depths.min(), depths.max(),
+                _least_size(lattice.pitch), np.float32(lattice.pitch), warped,
             )  # fmt: skip
         first = (surface.first[0] + moved[0], surface.first[1] + moved[1])
         return Surface(warped, first, surface.spacing), moved
 
 
+def _least_size(pitch: float, settings: DataSettings = DEFAULT) -> np.float32:
+    """Bound of `|s|` [px], since `D / s` has a pole at 0."""
+    return np.float32(pitch / settings.largest_magnification)
+
+
 def virtual_depth(patch_size: NDArray[np.float32], pitch: float) -> NDArray[np.float32]:
     """Signed virtual depth `D / s`, bounded where `s` is near zero."""
-    least = np.float32(pitch / _LARGEST_MAGNIFICATION)
+    least = _least_size(pitch)
     bounded = np.where(np.abs(patch_size) < least, np.copysign(least, patch_size), patch_size)
     depth: NDArray[np.float32] = (np.float32(pitch) / bounded).astype(np.float32)
     return depth
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _warp(surface, cell, view_x, view_y, still, nearest, farthest, pitch, edge, out):
+def _warp(grid, view, still, nearest, farthest, least, pitch, out):
     """Follow the ray of every grid value of `out` (h, w) from near to far until it meets the surface.
 
-    Positions are counted from the first grid value. At virtual depth `t`, the ray to the place `Y` passes over
+    Positions are relative to the first grid value. At virtual depth `t`, the ray of the pixel `Y` passes over
     `Y - q (t - still)`.
     """
-    rows, columns = surface.shape
+    rows, columns = grid.patch_size.shape
+    view_x, view_y, cell = view[0], view[1], grid.spacing
     aside = np.sqrt(view_x * view_x + view_y * view_y)
-    least = pitch / np.float32(_LARGEST_MAGNIFICATION)
     zero = np.float32(0.0)
-    # Half a grid value per step: no part of the surface is stepped over.
+    # Half a grid value per step, so that no part of the surface is missed.
     steps = max(1, int(np.ceil((farthest - nearest) * aside / (np.float32(0.5) * cell))))
     step = (farthest - nearest) / steps
     for v in prange(rows):
         for u in range(columns):
             before, above = zero, zero
-            found = surface[v, u]
+            found = grid.patch_size[v, u]
             for k in range(steps + 1):
                 depth = nearest + k * step
                 x = u * cell - view_x * (depth - still)
                 y = v * cell - view_y * (depth - still)
-                found = patch_size_at(surface, x, y, zero, zero, cell, edge)
+                found = patch_size_at(grid, x, y)
                 bounded = found if abs(found) >= least else (least if found >= 0 else -least)
                 left = pitch / bounded - depth
                 if left <= 0:
-                    if k > 0 and abs(found - before) < edge:
+                    if k > 0 and abs(found - before) < grid.edge:
                         found = before + (found - before) * above / (above - left)
                     elif k > 0:
-                        # The ray has passed behind the rim of a nearer surface.
+                        # The ray passed behind the rim of a nearer surface.
                         found = before
                     break
                 before, above = found, left

@@ -38,7 +38,7 @@ def depth_picture(depth: DepthMap, lattice: Lattice, least_width: int = 240) -> 
     (h + 56, w, 3) uint8
     """
     from ..data.dense_depth import dense_depth
-    from ..rendering.render import default_scale
+    from ..data.depth_map import default_scale
 
     scale = max(default_scale(depth), least_width * depth.pitch / depth.image_size[0])
     grid = dense_depth(depth, min(scale, 4 * depth.pitch))

@@ -1,11 +1,12 @@
-"""Blended pictures, some rows at a time: what one lens adds to them is found for all of its pixels together.
+"""Blending lens by lens: a lens is laid over all pixels of a few rows that it shows, with vector instructions.
 
-The same mean as that of `mosaic.draw_rows`, in another order of work: there every pixel asks which lenses show it,
-here every lens is laid over the pixels that it shows. A few rows lie column by column in memory, so that a lens shows
-one run of pixels (`lens_runs`). Pixels that need more than one reading are left to the other kernel.
+Computes the robust mean of `blend_pixels` for the usual picture: integers of up to three channels, the middle view, one
+sample per output pixel. It leaves the pixels that need several samples to that kernel.
 """
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -13,7 +14,7 @@ from numba import njit, prange
 from lfcal.runtime.fastmath import FAST
 
 from .lens_runs import (
-    ACROSS,
+    COLUMNS,
     FOURTH,
     LANES,
     LINE,
@@ -23,32 +24,47 @@ from .lens_runs import (
     SECOND,
     SECTION,
     THIRD,
-    agree,
-    lay_lenses,
-    whole_groups,
+    Band,
+    Buffers,
+    Source,
+    add_agreeing,
+    count_pixels,
+    read_lenses,
 )
+from .settings import WEIGHTS
 
 __all__ = ["blend_rows"]
 
 # Bands of rows that one thread blends one after the other with the same buffers.
 _TOGETHER = 4
-# An output pixel that is larger in the flat by no more than this is read at one place [px].
-_OVER = np.float32(1.05)
+
+
+class _RowMemory(NamedTuple):
+    """Memory of one thread for the patch sizes along a row, and the columns that are drawn."""
+
+    along: Any  # (ROWS, SECTION) float32 [px]: patch sizes
+    place: Any  # (SECTION,) int32: grid value left of each pixel
+    level: Any  # float32 [px]: grid values interpolated between two rows of the grid
+    near: Any  # float32 [px]: grid values of the nearer row
+    edge: Any  # bool: the grid cell holds a depth edge
+    columns: Any  # (SECTION,) int32: columns that are drawn
+    some: Any  # (SECTION,) bool: some row wants the column
+    before: Any  # int64: groups of columns that are drawn before each
+    ratio: Any  # (LINE,) int32: entry of the shares
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _depths_along(
-    surface, x, y, spacing, grid_x, grid_y, cell, edge, columns, count, places, level, near, torn, sizes
-):  # fmt: skip
-    """Fill `sizes` with the patch sizes at some columns of a row, as `patch_size_at`; the four arguments before it are
-    memory to work in."""
+def _sample_row(depth, x, y, spacing, count, memory, sizes):
+    """Fill `sizes` with the patch sizes at the first `count` columns that are drawn, as `patch_size_at`."""
+    surface, columns, places, level = depth.patch_size, memory.columns, memory.place, memory.level
+    near, edge = memory.near, memory.edge
     rows, wide = surface.shape
     last_x, last_y, last = np.float32(wide - 1), np.float32(rows - 1), np.int32(max(wide - 2, 0))
     for k in range(count):
-        gx = min(max((np.float32(x + columns[k] * spacing) - grid_x) / cell, np.float32(0.0)), last_x)
+        gx = min(max((np.float32(x + columns[k] * spacing) - depth.x) / depth.spacing, np.float32(0.0)), last_x)
         places[k] = min(np.int32(gx), last)
         sizes[k] = gx - np.float32(places[k])
-    gy = min(max((np.float32(y) - grid_y) / cell, np.float32(0.0)), last_y)
+    gy = min(max((np.float32(y) - depth.y) / depth.spacing, np.float32(0.0)), last_y)
     j = min(int(gy), max(rows - 2, 0))
     above, below, fy = surface[j], surface[min(j + 1, rows - 1)], gy - np.float32(j)
     start, number = places[0], min(places[count - 1] + 2, wide) - places[0]
@@ -60,20 +76,21 @@ def _depths_along(
     for k in range(number):
         right = min(start + k + 1, wide - 1)
         a, b, c, d = above[start + k], above[right], below[start + k], below[right]
-        torn[k] = max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) >= edge
+        edge[k] = max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) >= depth.edge
     for k in range(count):
         at, fx = np.uint64(np.uint32(places[k] - start)), sizes[k]
         one = np.uint64(1)
-        if torn[at]:
+        if edge[at]:
             sizes[k] = near[at + one] if fx > np.float32(0.5) else near[at]
         else:
             sizes[k] = (np.float32(1.0) - fx) * level[at] + fx * level[at + one]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _column_by_column(along, columns, count, pitch, radius, reach, across, sizes, slope, limits):
-    """From the patch sizes `along` each row of a band, and its columns, those of its pixels as they lie in memory, with
-    their share of the pitch and the squared distance at which lenses are read."""
+def _fill_band(memory, count, pitch, radius, reach, band):
+    """Put patch sizes and columns in the order of memory, column by column, with slope and squared reach."""
+    along, columns = memory.along, memory.columns
+    across, sizes, slope, limits = band.column, band.size, band.slope, band.limit2
     for k in range(count):
         for r in range(ROWS):
             sizes[ROWS * k + r] = along[r, k]
@@ -83,7 +100,7 @@ def _column_by_column(along, columns, count, pitch, radius, reach, across, sizes
         tilt = sizes[k] * per_pitch
         limit = min(radius / max(abs(tilt), np.float32(1e-6)), reach)
         slope[k], limits[k] = tilt, limit * limit
-    # Lanes beyond the last pixel find nothing.
+    # Lanes beyond the last pixel are in reach of no lens.
     beyond = ROWS * count
     slope[beyond : beyond + 2 * LANES] = 0
     limits[beyond : beyond + 2 * LANES] = -1
@@ -92,7 +109,7 @@ def _column_by_column(along, columns, count, pitch, radius, reach, across, sizes
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _normalise(sums, count):
-    """Make means of the weighted `sums` of `count` pixels."""
+    """Divide the weighted `sums` of `count` pixels by their weights."""
     for k in range(count):
         weight = sums[k]
         inverse = np.float32(1.0) / (weight if weight > 0 else np.float32(1.0))
@@ -102,8 +119,9 @@ def _normalise(sums, count):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _store(totals, sizes, wanted, row, columns, count, end, largest, half, top, marks, out, valid, left, section):
-    """Round and store the pixels of one row of a band that are read at one place; columns from `end` on are none."""
+def _store(totals, sizes, wanted, row, columns, count, end, largest, channels, output, v, left, section):
+    """Round and store row `v` of the picture, `row` of the band; columns from `end` on do not exist."""
+    out, valid, half, top = output.image[v], output.valid[v], output.half, output.top
     for k in range(count):
         if columns[k] >= end:
             continue
@@ -115,19 +133,18 @@ def _store(totals, sizes, wanted, row, columns, count, end, largest, half, top, 
             continue
         valid[u] = totals[at] > 0
         out[u, 0] = min(totals[SECOND + at] + half, top)
-        if len(marks) > 1:
+        if len(channels) > 1:
             out[u, 1] = min(totals[THIRD + at] + half, top)
-        if len(marks) > 2:
+        if len(channels) > 2:
             out[u, 2] = min(totals[FOURTH + at] + half, top)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _wanted_columns(wanted, first, end, section, count, some, before, columns):
-    """Fill `columns` with those of the groups in which any of the rows from `first` to `end` is wanted, and `before`
-    with how many such groups are before each; returns how many columns there are. All of them where `wanted` is (0, 0);
-    `some` is memory to work in."""
-    groups = (count + ACROSS - 1) // ACROSS
-    some[: ACROSS * groups] = wanted.size == 0
+def _wanted_columns(wanted, first, end, section, count, memory):
+    """List the columns of all groups in which some row from `first` to `end` is wanted; returns their number."""
+    some, before, columns = memory.some, memory.before, memory.columns
+    groups = (count + COLUMNS - 1) // COLUMNS
+    some[: COLUMNS * groups] = wanted.size == 0
     for v in range(first, end if wanted.size else first):
         for k in range(count):
             some[k] |= wanted[v, section + k]
@@ -135,17 +152,17 @@ def _wanted_columns(wanted, first, end, section, count, some, before, columns):
     for g in range(groups):
         before[g] = found
         any_here = False
-        for k in range(ACROSS * g, ACROSS * (g + 1)):
-            columns[ACROSS * found + k - ACROSS * g] = k
+        for k in range(COLUMNS * g, COLUMNS * (g + 1)):
+            columns[COLUMNS * found + k - COLUMNS * g] = k
             any_here |= some[k]
         found += any_here
     before[groups] = found
-    return ACROSS * found
+    return COLUMNS * found
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _shares_along(shares, slope, count, places, share):
-    """How much each type of lenses counts along a row; `places` is memory to work in."""
+def _fill_shares(shares, slope, count, places, share):
+    """Weight of each lens type at every pixel."""
     last = np.float32(shares.shape[1] - 1)
     for k in range(count):
         ratio = (slope[k] + np.float32(1.0)) * (np.float32(0.5) * last) + np.float32(0.5)
@@ -155,92 +172,123 @@ def _shares_along(shares, slope, count, places, share):
             share[t * LINE + k] = shares[t, np.uint64(np.uint32(places[k]))]
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def blend_rows(
-    flat, marks, seen, edged, gains, lights, light_step, centres, kinds, shares, radius, pitch, surface, grid_x, grid_y,
-    cell, edge, scale, first, spacing, reach, tolerance, corner, size, start, wanted, half, top, out, valid, left,
-    threads,
-):  # fmt: skip
-    """Fill `out` (h, w, C) as `mosaic.draw_rows` does, for whole numbers in the middle view.
+@njit(cache=True, nogil=True)
+def _allocate_row(columns, cell, spacing):
+    """Memory for rows of a picture on a depth grid whose cells are `cell` wide."""
+    beneath = int((min(SECTION, columns) + COLUMNS) * spacing / cell) + 4
+    return _RowMemory(
+        np.empty((ROWS, SECTION), np.float32), np.empty(SECTION, np.int32), np.empty(beneath, np.float32),
+        np.empty(beneath, np.float32), np.empty(beneath, np.bool_), np.empty(SECTION, np.int32),
+        np.empty(SECTION, np.bool_), np.empty(SECTION // COLUMNS + 1, np.int64), np.empty(LINE, np.int32),
+    )  # fmt: skip
 
-    `flat` (H, W) uint32 or uint64 are pixels as `prefilter_packed`. Lenses have their `centres` (n, 2) on the flat,
-    sorted by y, are of the type `kinds` (n,) and `edged` (n,) where `seen` tells anything of them. Pixels that need
-    more than one reading are marked in `left` (h, w), and are to be drawn by the other kernel. So many `threads` share
-    the work. The other arguments are those of that one.
-    """
-    rows, columns, _ = out.shape
-    glow = np.empty(2 * len(gains), np.float32)
-    for k in range(len(gains)):
-        glow[2 * k], glow[2 * k + 1] = gains[k], lights[k] * lights[k]
-    glow_pairs = glow.view(np.uint64)
-    line, seen_line = flat.reshape(-1), seen.reshape(-1)
-    t2, per_channel = tolerance * tolerance, np.float32(1 / len(marks))
-    last_ratio, types = shares.shape[1] - 1, len(shares)
+
+@njit(cache=True, nogil=True)
+def _allocate_band(types):
+    """Memory for a band; all types of lenses count alike until their shares are filled in."""
     row_of = np.empty(LANES, np.int32)
     for k in range(LANES):
         row_of[k] = k % ROWS
-    bands, tall = (rows + ROWS - 1) // ROWS, 0
+    return Band(
+        np.empty(LINE, np.int32), row_of, np.empty(LINE, np.float32), np.empty(LINE, np.float32),
+        np.empty(LINE, np.float32), np.ones(types * LINE, np.float32),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _allocate_buffers(line, runs, lenses):
+    """Memory for so many runs of pixels, and lenses beside a band."""
+    corners, light = np.empty(QUEUE * 4 * LANES, line.dtype), np.empty(QUEUE * 2 * LANES, np.float32)
+    return Buffers(
+        np.empty(QUEUE * 3 * LANES, np.float32), np.empty(QUEUE * 3 * LANES, np.int32), corners,
+        corners.view(np.uint64), light, light.view(np.uint64), np.empty(runs * 4 * LANES, np.float32),
+        np.empty((runs, 3), np.int64), np.empty((2, lenses), np.int32), np.empty(4 * LINE, np.float32),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _blend_section(
+    source, channels, depth, grid, tolerance, output, left, upper, section, memory, band, buffers, totals
+):
+    """Blend at most `SECTION` columns from column `section` on, of the band whose first row is `upper`."""
+    rows, columns, _ = output.image.shape
+    lenses, spacing, first = source.lenses, grid.spacing, grid.first
+    lower, row = min(upper + ROWS, rows), grid.start[1] + upper
+    count, column = min(SECTION, columns - section), grid.start[0] + section
+    left[upper:lower, section : section + count] = False
+    asked = _wanted_columns(grid.wanted, upper, lower, section, count, memory)
+    if asked == 0:
+        return
+    for r in range(ROWS):
+        _sample_row(
+            depth, first[0] + column * spacing, first[1] + (row + r) * spacing, spacing, asked, memory, memory.along[r]
+        )  # fmt: skip
+    _fill_band(memory, asked, lenses.pitch, lenses.radius, np.float32(source.reach), band)
+    lanes = ROWS * asked
+    if lenses.shares.shape[1] > 1:
+        _fill_shares(lenses.shares, band.slope, lanes, memory.ratio, band.share)
+    buffers.sums[:] = 0
+    totals[:] = 0
+    y = first[1] + row * spacing
+    lowest = np.searchsorted(lenses.centres[:, 1], y - source.reach)
+    highest = np.searchsorted(lenses.centres[:, 1], y + (ROWS - 1) * spacing + source.reach)
+    found = read_lenses(source, band, lowest, highest, first, row, column, spacing, count, memory.before, buffers)
+    _normalise(buffers.sums, np.uint64(lanes))
+    t2, per_channel = tolerance * tolerance, np.float32(1 / len(channels))
+    for n in range(found):
+        at, u, pixels = np.uint64(n) * PER_RUN, np.uint64(buffers.runs[n, 0]), count_pixels(buffers.runs[n, 2])
+        add_agreeing(buffers.values, at, buffers.sums, u, pixels, t2, per_channel, totals)
+    _normalise(totals, np.uint64(lanes))
+    largest = (np.float32(1.0) + WEIGHTS.one_sample) * grid.scale
+    for v in range(upper, lower):
+        wanted = grid.wanted[v] if grid.wanted.size else grid.wanted[:0, 0]
+        _store(
+            totals, band.size, wanted, v - upper, memory.columns, asked, count, largest, channels, output, v, left[v],
+            section,
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _most_runs(centres, grid, bands, reach):
+    """Most lenses that lie beside a band, and most runs of pixels that they show in a section of it."""
+    tall = 0
     for band in range(bands):
-        y = first[1] + (start[1] + ROWS * band) * spacing
-        above, below = y - reach, y + (ROWS - 1) * spacing + reach
+        y = grid.first[1] + (grid.start[1] + ROWS * band) * grid.spacing
+        above, below = y - reach, y + (ROWS - 1) * grid.spacing + reach
         tall = max(tall, np.searchsorted(centres[:, 1], below) - np.searchsorted(centres[:, 1], above))
-    most = tall * (ROWS * (int(2 * reach / spacing) + 1 + 2 * ACROSS) // LANES + 2)
-    # Values of the surface beneath a row.
-    beneath = int((min(SECTION, columns) + ACROSS) * spacing / cell) + 4
+    return tall, tall * (ROWS * (int(2 * reach / grid.spacing) + 1 + 2 * COLUMNS) // LANES + 2)
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def blend_rows(channels, flat, light, lenses, depth, grid, weighting, output, left, threads):
+    """Draw the pixels of a `Grid` into an `Output`, on so many `threads`.
+
+    As `blend_pixels`, with packed pixels (h, w) uint32 or uint64 in `flat` (`prefilter_packed`) and `SortedLenses`.
+    Pixels that need more than one sample are marked in `left` (h, w) instead.
+    """
+    rows, columns, _ = output.image.shape
+    lights = np.empty(2 * len(light.gains), np.float32)
+    for k in range(len(light.gains)):
+        lights[2 * k], lights[2 * k + 1] = light.gains[k], light.lights[k] * light.lights[k]
+    light_pairs = lights.view(np.uint64)
+    line, depth_line, stride = flat.pixels.reshape(-1), flat.depth.reshape(-1), np.uint64(flat.pixels.shape[1])
+    bands = (rows + ROWS - 1) // ROWS
+    tall, most = _most_runs(lenses.centres, grid, bands, weighting.reach)
     groups = (bands + _TOGETHER - 1) // _TOGETHER
     each = -(-groups // threads)
     for number in prange(each * threads):
-        # What is wanted comes in clusters: every thread has rows from top to bottom.
+        # Wanted pixels come in clusters: every thread gets rows from top to bottom.
         group = number % each * threads + number // each
-        slope, limits, sizes = np.empty(LINE, np.float32), np.empty(LINE, np.float32), np.empty(LINE, np.float32)
-        places, level = np.empty(SECTION, np.int32), np.empty(beneath, np.float32)
-        near, torn = np.empty(beneath, np.float32), np.empty(beneath, np.bool_)
-        along, chosen = np.empty((ROWS, SECTION), np.float32), np.empty(SECTION, np.int32)
-        across = np.empty(LINE, np.int32)
-        some, before = np.empty(SECTION, np.bool_), np.empty(SECTION // ACROSS + 1, np.int64)
-        ratios, share = np.empty(LINE, np.int32), np.ones(types * LINE, np.float32)
-        sums, totals = np.empty(4 * LINE, np.float32), np.empty(4 * LINE, np.float32)
-        work, whole = np.empty(QUEUE * 3 * LANES, np.float32), np.empty(QUEUE * 3 * LANES, np.int32)
-        quads, lamps = np.empty(QUEUE * 4 * LANES, flat.dtype), np.empty(QUEUE * 2 * LANES, np.float32)
-        values, runs = np.empty(most * 4 * LANES, np.float32), np.empty((most, 3), np.int64)
-        ranges = np.empty((2, tall), np.int32)
-        for band in range(group * _TOGETHER, min((group + 1) * _TOGETHER, bands)):
-            upper, lower = ROWS * band, min(ROWS * (band + 1), rows)
-            y = first[1] + (start[1] + upper) * spacing
-            lowest = np.searchsorted(centres[:, 1], y - reach)
-            highest = np.searchsorted(centres[:, 1], y + (ROWS - 1) * spacing + reach)
+        source = Source(
+            line, depth_line, stride, flat.corner, flat.size, light_pairs, light.step, lenses, depth.edge,
+            weighting.reach,
+        )  # fmt: skip
+        memory = _allocate_row(columns, depth.spacing, grid.spacing)
+        band, buffers = _allocate_band(len(lenses.shares)), _allocate_buffers(line, most, tall)
+        totals = np.empty(4 * LINE, np.float32)
+        for n in range(group * _TOGETHER, min((group + 1) * _TOGETHER, bands)):
             for section in range(0, columns, SECTION):
-                count, column = min(SECTION, columns - section), start[0] + section
-                left[upper:lower, section : section + count] = False
-                asked = _wanted_columns(wanted, upper, lower, section, count, some, before, chosen)
-                if asked == 0:
-                    continue
-                for r in range(ROWS):
-                    _depths_along(
-                        surface, first[0] + column * spacing, first[1] + (start[1] + upper + r) * spacing, spacing,
-                        grid_x, grid_y, cell, edge, chosen, asked, places, level, near, torn, along[r],
-                    )  # fmt: skip
-                _column_by_column(
-                    along, chosen, asked, pitch, radius, np.float32(reach), across, sizes, slope, limits
+                _blend_section(
+                    source, channels, depth, grid, weighting.tolerance, output, left, ROWS * n, section, memory, band,
+                    buffers, totals,
                 )  # fmt: skip
-                lanes = ROWS * asked
-                if last_ratio > 0:
-                    _shares_along(shares, slope, lanes, ratios, share)
-                sums[:] = 0
-                totals[:] = 0
-                found = lay_lenses(
-                    line, seen_line, edged, glow_pairs, light_step, centres, kinds, lowest, highest, first,
-                    start[1] + upper, spacing, column, radius, reach, edge, count, before, across, row_of, slope,
-                    limits, sizes, share, size, flat.shape[1], corner, work, whole, quads, lamps, values, ranges, runs,
-                    sums,
-                )  # fmt: skip
-                _normalise(sums, np.uint64(lanes))
-                for n in range(found):
-                    at, u = np.uint64(n) * PER_RUN, np.uint64(runs[n, 0])
-                    agree(values, at, sums, u, whole_groups(runs[n, 2]), t2, per_channel, totals)
-                _normalise(totals, np.uint64(lanes))
-                for v in range(upper, lower):
-                    _store(
-                        totals, sizes, wanted[v] if wanted.size else wanted[:0, 0], v - upper, chosen, asked, count,
-                        _OVER * scale, half, top, marks, out[v], valid[v], left[v], section,
-                    )  # fmt: skip

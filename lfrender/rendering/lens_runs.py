@@ -1,10 +1,12 @@
-"""Runs of pixels that one lens shows in some rows of a picture: where they are read, and what they add.
+"""Runs of pixels that one lens shows in a band of rows: where the lens is read for them, and what it adds.
 
-A few rows lie column by column in memory, so that a lens shows one run of pixels, which take the same steps, as vector
-instructions want it (`row_blending`).
+The pixels of a band of `ROWS` rows lie column by column in memory, so that one lens shows a contiguous run of them,
+which vector instructions work on (`blend_rows`).
 """
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -12,47 +14,128 @@ from numba import njit
 from lfcal.runtime.fastmath import FAST
 
 from ..runtime.intrinsics import prefetch, two_at
-from .blend_pixels import OCCLUDED_WEIGHT
+from .settings import WEIGHTS
 
 __all__ = [
-    "ACROSS", "FOURTH", "LANES", "LINE", "PER_RUN", "QUEUE", "ROWS", "SECOND", "SECTION", "THIRD", "agree",
-    "lay_lenses", "whole_groups",
+    "COLUMNS", "FOURTH", "LANES", "LINE", "PER_RUN", "QUEUE", "ROWS", "SECOND", "SECTION", "THIRD", "Band", "Buffers",
+    "SortedLenses", "Source", "add_agreeing", "count_pixels", "read_lenses",
 ]  # fmt: skip
 
-# So many rows, and columns of them, are a group of pixels, one vector register of single precision. So many pixels are
-# worked on together at most, in whole groups, and not fewer of these than the last number, or no compiler takes them
-# together. Counts and places are unsigned: signed ones are looked at for being counted from the end.
-ROWS, _GROUP, LANES, _FEWEST = 4, 8, 96, 2
-ACROSS = _GROUP // ROWS
-#: Columns of a picture that are blended at once, so that places of the buffers lie a known way apart.
+# A vector register of single precision holds a group of pixels: so many rows, and columns of them.
+ROWS = 4
+COLUMNS = 2
+_GROUP = ROWS * COLUMNS
+# Pixels that are worked on together at most, in whole groups; fewer than two groups no compiler turns into vectors.
+LANES = 96
+_FEWEST = 2
+# Columns of a picture that are blended together, so that places of the buffers lie a known way apart. All counts and
+# places are unsigned: signed ones are checked for being counted from the end.
 SECTION = 512
 LINE = ROWS * SECTION + 2 * LANES
-SECOND, THIRD, FOURTH = np.uint64(LINE), np.uint64(2 * LINE), np.uint64(3 * LINE)
-# Runs whose places are found before the first of them is read, and after how many pixels of a run memory is asked for.
-QUEUE, _AHEAD = 3, np.uint64(16)
-# Weight of a lens at the rim of its reach.
-_RIM = np.float32(1.02)
-# Where the second, third and fourth value of all pixels of a run begin, and what belongs to the next run.
-_ONE, _F, _W, _THREE = np.uint64(1), np.uint64(LANES), np.uint64(2 * LANES), np.uint64(3 * LANES)
-_BOTH, _WORK, PER_RUN = np.uint64(2 * LANES), np.uint64(3 * LANES), np.uint64(4 * LANES)
+SECOND = np.uint64(LINE)
+THIRD = np.uint64(2 * LINE)
+FOURTH = np.uint64(3 * LINE)
+# Runs whose places are found before the first of them is read.
+QUEUE = 3
+# Pixels of a run per prefetched line of memory.
+_AHEAD = np.uint64(16)
+# Where the second, third and fourth value of all pixels of a run begin.
+_ONE = np.uint64(1)
+_F = np.uint64(LANES)
+_W = np.uint64(2 * LANES)
+_THREE = np.uint64(3 * LANES)
+# Where the next run begins in buffers of two, three and four values per pixel.
+_BOTH = _W
+_WORK = _THREE
+PER_RUN = np.uint64(4 * LANES)
+
+
+class SortedLenses(NamedTuple):
+    """The lenses by y."""
+
+    centres: Any  # (n, 2) float64 [px]
+    types: Any  # (n,) int64: 0 if all are alike
+    edged: Any  # (n,) bool: `Flat.depth` is set on their pixels
+    shares: Any  # (types, r) float32: weight of a type over s / D from -1 to 1
+    radius: Any  # float32 [px]
+    pitch: Any  # float32 [px]
+
+
+class Source(NamedTuple):
+    """What lenses are read from."""
+
+    line: Any  # (h w,) uint32 or uint64: packed pixels of the flat
+    depth: Any  # (h w,) float32 [px]: patch size that each pixel shows
+    stride: Any  # uint64: pixels from a row to the next
+    corner: Any  # (2,) int [px]: flat coordinates of the first pixel
+    size: Any  # (2,) int [px]: of the whole flat
+    lights: Any  # (k,) uint64: gain and weight, two float32, over the squared distance from the lens centre
+    light_step: Any  # [px^2]
+    lenses: SortedLenses
+    edge: Any  # patch sizes that differ by less belong to one surface [px]
+    reach: Any  # [px]
+
+
+class Band(NamedTuple):
+    """Scene points of the pixels of a band, in the order of memory."""
+
+    column: Any  # (LINE,) int32
+    row: Any  # (LANES,) int32
+    slope: Any  # (LINE,) float32: s / D
+    limit2: Any  # (LINE,) float32: squared distance up to which lenses show it [px^2]
+    size: Any  # (LINE,) float32: patch size [px]
+    share: Any  # (types LINE,) float32: weight of each lens type
+
+
+class Buffers(NamedTuple):
+    """Memory of one thread for runs of pixels."""
+
+    work: Any  # float32: position between pixels fx, fy and weight of each reading
+    place: Any  # int32: pixel of the flat and entry of the light table of each reading
+    corners: Any  # the four packed pixels about each reading
+    corner_pairs: Any  # the same memory, two of 32 bits at a time
+    light: Any  # float32: gain and weight of each reading
+    light_pairs: Any  # the same memory, two at a time
+    values: Any  # float32: weight and three channels of each reading
+    runs: Any  # (runs, 3) int64: first pixel, whether the lens is `edged`, groups
+    ranges: Any  # (2, n) int32: first and last column of each lens
+    sums: Any  # (4 LINE,) float32: weights and weighted channels of each pixel
+
+
+class _Lens(NamedTuple):
+    """A lens relative to a band."""
+
+    n_x: Any  # int32: column and row of the band's first pixel, from the pixel nearest to the centre
+    n_y: Any
+    e_x: Any  # float32 [px]: that pixel less the centre
+    e_y: Any
+    at_x: Any  # int32: the centre, whole pixels
+    at_y: Any
+    inner_x: Any  # float32 [px]: the rest of it
+    inner_y: Any
+    type_at: Any  # where the shares of its type begin
+    border: Any  # it may reach beyond the border of the flat
 
 
 @njit(cache=True, nogil=True, inline="always")
-def whole_groups(groups):
+def count_pixels(groups):
     """Pixels of so many groups."""
     return np.uint64(groups) * np.uint64(_GROUP)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _place(
-    columns, rows, n_x, n_y, e_x, e_y, spacing, inner_x, inner_y, at_x, at_y, slope, limits, share, u, kind, border,
-    width, height, stride, corner_x, corner_y, per_light_step, last_ring, lanes, work, whole, at,
-):  # fmt: skip
-    """Where some pixels read a lens, which may reach beyond the `border` of the flat, and how much that counts.
+def _place(source, band, lens, spacing, per_light_step, u, lanes, work, whole, at):
+    """Where some pixels from `u` on read a lens, and with which weight.
 
-    Leaves the parts of a pixel and the weight in `work`, and in `whole` the pixel of the flat and the place in the
-    light table. All numbers are of 32 bits: sums of whole ones would be of 64, half as many at a time.
+    Leaves the position between pixels and the weight in `work`, and in `whole` the pixel of the flat and the entry of
+    the light table. All numbers are of 32 bits: integer sums would be of 64, half as many at a time.
     """
+    columns, rows, slope, limits, share = band.column, band.row, band.slope, band.limit2, band.share
+    n_x, n_y, e_x, e_y, at_x, at_y = lens.n_x, lens.n_y, lens.e_x, lens.e_y, lens.at_x, lens.at_y
+    inner_x, inner_y, type_at, border = lens.inner_x, lens.inner_y, lens.type_at, lens.border
+    width, height, stride = np.int32(source.size[0]), np.int32(source.size[1]), np.int32(source.stride)
+    corner_x, corner_y = np.int32(source.corner[0]), np.int32(source.corner[1])
+    last_entry = np.float32(len(source.lights) - 1)
     last_x, last_y = np.int32(width - 2), np.int32(height - 2)
     end_x, end_y = np.float32(width - 1), np.float32(height - 1)
     for k in range(lanes):
@@ -71,18 +154,18 @@ def _place(
             fx = np.float32(1.0) if ix > last_x else fx
             fy = np.float32(1.0) if iy > last_y else fy
             ix, iy = min(max(ix, np.int32(0)), last_x), min(max(iy, np.int32(0)), last_y)
-        weight = (_RIM - d2 / limit) * share[kind + u + k]
+        weight = (WEIGHTS.rim - d2 / limit) * share[type_at + u + k]
         work[at + k] = fx
         work[at + _F + k] = fy
         work[at + _W + k] = weight if ok else np.float32(0.0)
         place = np.int32(np.int32(np.int32(iy - corner_y) * stride) + np.int32(ix - corner_x))
         whole[at + k] = place if ok else np.int32(0)
-        whole[at + _F + k] = np.int32(min(d2 * tilt * tilt * per_light_step, last_ring))
+        whole[at + _F + k] = np.int32(min(d2 * tilt * tilt * per_light_step, last_entry))
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _ask_for(line, down, whole, at, lanes):
-    """Have the memory fetched that some pixels are read from soon: lenses lie at too odd steps to be foreseen."""
+def _prefetch_run(line, down, whole, at, lanes):
+    """Prefetch the memory that a run reads: the processor cannot predict the steps from lens to lens."""
     for first in range(np.uint64(0), lanes, _AHEAD):
         for k in range(first, first + np.uint64(ROWS)):
             prefetch(line, np.uint64(np.uint32(whole[at + k])))
@@ -92,46 +175,52 @@ def _ask_for(line, down, whole, at, lanes):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _fetch(line, down, whole, at, lanes, glow, quads, quads_at, pairs, pair_at, lamps, lamp_at):
-    """The four pixels about each place, two by two where `pairs` are two of the `quads`, and what multiplies them."""
+def _fetch(source, buffers, q, lanes):
+    """The four pixels about each place, two by two where they have 32 bits, and the gain and weight of its light."""
+    line, down, lights, whole, at = source.line, source.stride, source.lights, buffers.place, q * _WORK
+    corners, corners_at, pairs, pair_at = buffers.corners, q * PER_RUN, buffers.corner_pairs, q * _BOTH
+    light_pairs, light_at = buffers.light_pairs, q * _F
     for k in range(lanes):
         pixel = np.uint64(np.uint32(whole[at + k]))
-        ring = np.uint64(np.uint32(whole[at + _F + k]))
-        if len(pairs) < len(quads):
+        entry = np.uint64(np.uint32(whole[at + _F + k]))
+        if len(pairs) < len(corners):
             pairs[pair_at + k] = two_at(line, pixel)
             pairs[pair_at + _F + k] = two_at(line, pixel + down)
         else:
-            quads[quads_at + k + k], quads[quads_at + _ONE + k + k] = line[pixel], line[pixel + _ONE]
+            corners[corners_at + k + k], corners[corners_at + _ONE + k + k] = line[pixel], line[pixel + _ONE]
             pixel += down
-            quads[quads_at + _BOTH + k + k], quads[quads_at + _BOTH + _ONE + k + k] = line[pixel], line[pixel + _ONE]
-        lamps[lamp_at + k] = glow[ring]
+            corners[corners_at + _BOTH + k + k] = line[pixel]
+            corners[corners_at + _BOTH + _ONE + k + k] = line[pixel + _ONE]
+        light_pairs[light_at + k] = lights[entry]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _between(a, b, c, d, lowest, w00, w01, w10, w11):
+def _interpolate(a, b, c, d, lowest, w00, w01, w10, w11):
     """Weighted sum of the `lowest` bits of four pixels."""
     upper = w00 * np.float32(np.int32(a & lowest)) + w01 * np.float32(np.int32(b & lowest))
     return upper + (w10 * np.float32(np.int32(c & lowest)) + w11 * np.float32(np.int32(d & lowest)))
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _add(quads, quads_at, lamps, lamp_at, work, at, values, base, sums, u, lanes):
-    """Values of some readings, kept in `values`, and added to the `sums` of their pixels."""
-    bits = quads.dtype.type(2 * quads.itemsize)
-    lowest = (quads.dtype.type(1) << bits) - quads.dtype.type(1)
+def _add(buffers, q, base, u, lanes):
+    """Interpolate some readings, keep them in `values` from `base` on, and add them to the sums of their pixels."""
+    corners, corners_at, light, light_at = buffers.corners, q * PER_RUN, buffers.light, q * _BOTH
+    work, at, values, sums = buffers.work, q * _WORK, buffers.values, buffers.sums
+    bits = corners.dtype.type(2 * corners.itemsize)
+    lowest = (corners.dtype.type(1) << bits) - corners.dtype.type(1)
     for k in range(lanes):
-        fx, fy, gain = work[at + k], work[at + _F + k], lamps[lamp_at + k + k]
-        weight = work[at + _W + k] * lamps[lamp_at + _ONE + k + k]
+        fx, fy, gain = work[at + k], work[at + _F + k], light[light_at + k + k]
+        weight = work[at + _W + k] * light[light_at + _ONE + k + k]
         gx, gy = gain * fx, np.float32(1.0) - fy
         w01, w11 = gx * gy, gx * fy
         w00, w10 = gain * gy - w01, gain * fy - w11
-        a, b = quads[quads_at + k + k], quads[quads_at + _ONE + k + k]
-        c, d = quads[quads_at + _BOTH + k + k], quads[quads_at + _BOTH + _ONE + k + k]
-        v0 = _between(a, b, c, d, lowest, w00, w01, w10, w11)
+        a, b = corners[corners_at + k + k], corners[corners_at + _ONE + k + k]
+        c, d = corners[corners_at + _BOTH + k + k], corners[corners_at + _BOTH + _ONE + k + k]
+        v0 = _interpolate(a, b, c, d, lowest, w00, w01, w10, w11)
         a, b, c, d = a >> bits, b >> bits, c >> bits, d >> bits
-        v1 = _between(a, b, c, d, lowest, w00, w01, w10, w11)
+        v1 = _interpolate(a, b, c, d, lowest, w00, w01, w10, w11)
         a, b, c, d = a >> bits, b >> bits, c >> bits, d >> bits
-        v2 = _between(a, b, c, d, lowest, w00, w01, w10, w11)
+        v2 = _interpolate(a, b, c, d, lowest, w00, w01, w10, w11)
         values[base + k] = weight
         values[base + _F + k] = v0
         values[base + _W + k] = v1
@@ -143,11 +232,11 @@ def _add(quads, quads_at, lamps, lamp_at, work, at, values, base, sums, u, lanes
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def agree(values, base, sums, u, lanes, t2, per_channel, totals):
-    """Add readings to the `totals` of their pixels as far as they agree with the means in `sums`."""
+def add_agreeing(values, base, means, u, lanes, t2, per_channel, totals):
+    """Add readings to the `totals` of their pixels, weighted by how close they are to the `means` (Geman-McClure)."""
     for k in range(lanes):
         v0, v1, v2 = values[base + _F + k], values[base + _W + k], values[base + _THREE + k]
-        e0, e1, e2 = v0 - sums[SECOND + u + k], v1 - sums[THIRD + u + k], v2 - sums[FOURTH + u + k]
+        e0, e1, e2 = v0 - means[SECOND + u + k], v1 - means[THIRD + u + k], v2 - means[FOURTH + u + k]
         agree = t2 / (t2 + (e0 * e0 + e1 * e1 + e2 * e2) * per_channel)
         weight = values[base + k] * agree * agree
         totals[u + k] += weight
@@ -157,48 +246,43 @@ def agree(values, base, sums, u, lanes, t2, per_channel, totals):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _hide(seen, edge, stride, sizes, u, whole, at, lanes, work):
-    """Take the weight from readings whose nearest pixel sees another depth. Leaves that pixel in `whole`."""
+def _reduce_occluded(depth, edge, stride, sizes, u, whole, at, lanes, work):
+    """Reduce the weight of readings whose nearest pixel shows another depth; leaves that pixel in `whole`."""
     half = np.float32(0.5)
     for k in range(lanes):
         right = np.int32(1) if work[at + k] >= half else np.int32(0)
         below = stride if work[at + _F + k] >= half else np.int32(0)
         whole[at + k] = np.int32(np.int32(whole[at + k] + right) + below)
     for k in range(lanes):
-        depth = seen[np.uint64(np.uint32(whole[at + k]))]
-        # A branch that cannot be foretold would cost more.
-        work[at + _W + k] *= OCCLUDED_WEIGHT if abs(depth - sizes[u + k]) > np.float32(2.0) * edge else np.float32(1.0)
+        shown = depth[np.uint64(np.uint32(whole[at + k]))]
+        # Without a branch, which could not be predicted.
+        occluded = abs(shown - sizes[u + k]) > np.float32(2.0) * edge
+        work[at + _W + k] *= WEIGHTS.occluded if occluded else np.float32(1.0)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _read_queue(
-    line, seen, glow, edge, stride, sizes, runs, begin, end, work, whole, quads, pairs, lamps, lamp_pairs, values, sums
-):  # fmt: skip
+def _read_queue(source, sizes, begin, end, buffers):
     """Read the runs from `begin` to `end`, whose places are found.
 
-    Loops over several of them: what is written by single values cannot be read as vectors at once.
+    One loop over all of them for each step: values that were stored one by one cannot be loaded as vectors at once.
     """
+    runs = buffers.runs
     for n in range(begin, end):
-        q, lanes = np.uint64(n % QUEUE), whole_groups(runs[n, 2])
-        _fetch(
-            line, stride, whole, q * _WORK, lanes, glow, quads, q * PER_RUN, pairs, q * _BOTH, lamp_pairs, q * _F
-        )  # fmt: skip
+        _fetch(source, buffers, np.uint64(n % QUEUE), count_pixels(runs[n, 2]))
     for n in range(begin, end):
-        q = np.uint64(n % QUEUE)
         if runs[n, 1]:
-            lanes = whole_groups(runs[n, 2])
-            _hide(seen, edge, np.int32(stride), sizes, np.uint64(runs[n, 0]), whole, q * _WORK, lanes, work)
+            _reduce_occluded(
+                source.depth, source.edge, np.int32(source.stride), sizes, np.uint64(runs[n, 0]), buffers.place,
+                np.uint64(n % QUEUE) * _WORK, count_pixels(runs[n, 2]), buffers.work,
+            )  # fmt: skip
     for n in range(begin, end):
-        q, lanes = np.uint64(n % QUEUE), whole_groups(runs[n, 2])
-        _add(
-            quads, q * PER_RUN, lamps, q * _BOTH, work, q * _WORK, values, np.uint64(n) * PER_RUN, sums,
-            np.uint64(runs[n, 0]), lanes,
-        )  # fmt: skip
+        q, lanes = np.uint64(n % QUEUE), count_pixels(runs[n, 2])
+        _add(buffers, q, np.uint64(n) * PER_RUN, np.uint64(runs[n, 0]), lanes)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _columns_of(centres, lowest, highest, x, top, bottom, spacing, column, reach, count, ranges):
-    """Fill `ranges` (2, n) with the first column, and the one beyond the last, of what some lenses show in a band."""
+def _find_columns(centres, lowest, highest, x, top, bottom, spacing, column, reach, count, ranges):
+    """Fill `ranges` with the first column that each lens shows from `top` to `bottom`, and the one after the last."""
     per_spacing, first, end = 1 / spacing, np.int32(column), np.int32(count)
     for n in range(np.uint64(highest - lowest)):
         lens = np.uint64(lowest) + n
@@ -209,59 +293,58 @@ def _columns_of(centres, lowest, highest, x, top, bottom, spacing, column, reach
         ranges[1, n] = min(np.int32(np.floor((across + wide) * per_spacing)) + np.int32(1) - first, end)
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+def _locate_lens(source, lens, first, row, column, spacing):
+    """Place of a lens relative to a band, counted from the first pixel of the picture, whatever part is drawn."""
+    cx, cy = source.lenses.centres[lens, 0], source.lenses.centres[lens, 1]
+    per_spacing = 1 / spacing
+    anchor_x = int(np.rint((cx - first[0]) * per_spacing))
+    anchor_y = int(np.rint((cy - first[1]) * per_spacing))
+    at_x, at_y = np.floor(cx), np.floor(cy)
+    # Interpolation reads two pixels beyond a place at most.
+    low = source.lenses.radius + 2
+    high_x, high_y = np.int32(source.size[0]) - 1 - low, np.int32(source.size[1]) - 1 - low
+    return _Lens(
+        np.int32(column - anchor_x), np.int32(row - anchor_y), np.float32(first[0] + anchor_x * spacing - cx),
+        np.float32(first[1] + anchor_y * spacing - cy), np.int32(at_x), np.int32(at_y), np.float32(cx - at_x),
+        np.float32(cy - at_y), np.uint64(source.lenses.types[lens]) * np.uint64(LINE),
+        not (low <= cx <= high_x and low <= cy <= high_y),
+    )  # fmt: skip
+
+
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def lay_lenses(
-    line, seen, edged, glow, light_step, centres, kinds, lowest, highest, first, row, spacing, column, radius, reach,
-    edge, count, before, across, rows, slope, limits, sizes, share, size, stride, corner, work, whole, quads, lamps,
-    values, ranges, runs, sums,
-):  # fmt: skip
-    """Read all lenses that show a part of a band, and add them up; returns how many runs of pixels that are."""
-    width, height = np.int32(size[0]), np.int32(size[1])
-    corner_x, corner_y = np.int32(corner[0]), np.int32(corner[1])
-    down, step, per_spacing = np.uint64(stride), np.float32(spacing), 1 / spacing
-    last_ring, per_light_step = np.float32(len(glow) - 1), np.float32(1 / light_step)
-    pairs, lamp_pairs = quads.view(np.uint64), lamps.view(np.uint64)
+def read_lenses(source, band, lowest, highest, first, row, column, spacing, count, before, buffers):
+    """Add up the readings of the lenses `lowest` to `highest` in a part of a band; returns the number of runs.
+
+    `row` and `column` are those of its first pixel in the picture, whose pixel (0, 0) lies at `first`; `before` counts
+    the groups of columns that are drawn before each of its `count` columns.
+    """
+    lenses, runs, ranges = source.lenses, buffers.runs, buffers.ranges
+    step, per_light_step = np.float32(spacing), np.float32(1 / source.light_step)
     found = done = 0
     top, bottom = first[1] + row * spacing, first[1] + (row + ROWS - 1) * spacing
-    _columns_of(centres, lowest, highest, first[0], top, bottom, spacing, column, reach, count, ranges)
-    # Interpolation reads two pixels beyond a place at most.
-    low, high_x, high_y = radius + 2, width - 3 - radius, height - 3 - radius
-    for lens in range(lowest, highest):
-        begin, end = ranges[0, lens - lowest], ranges[1, lens - lowest]
+    _find_columns(
+        lenses.centres, lowest, highest, first[0], top, bottom, spacing, column, source.reach, count, ranges
+    )  # fmt: skip
+    for number in range(lowest, highest):
+        begin, end = ranges[0, number - lowest], ranges[1, number - lowest]
         if begin >= end:
             continue
-        cx, cy = centres[lens, 0], centres[lens, 1]
-        # As seen from the first pixel of the picture, whatever part of it is drawn.
-        anchor_x = int(np.rint((cx - first[0]) * per_spacing))
-        anchor_y = int(np.rint((cy - first[1]) * per_spacing))
-        e_x = np.float32(first[0] + anchor_x * spacing - cx)
-        e_y = np.float32(first[1] + anchor_y * spacing - cy)
-        at_x, at_y = np.floor(cx), np.floor(cy)
-        border = not (low <= cx <= high_x and low <= cy <= high_y)
-        end = _GROUP * before[(end + ACROSS - 1) // ACROSS]
-        for u in range(_GROUP * before[begin // ACROSS], end, LANES):
+        lens = _locate_lens(source, number, first, row, column, spacing)
+        end = _GROUP * before[(end + COLUMNS - 1) // COLUMNS]
+        for u in range(_GROUP * before[begin // COLUMNS], end, LANES):
             if found == done + QUEUE:
-                _read_queue(
-                    line, seen, glow, edge, down, sizes, runs, done, found, work, whole, quads, pairs, lamps,
-                    lamp_pairs, values, sums,
-                )  # fmt: skip
+                _read_queue(source, band.size, done, found, buffers)
                 done = found
-            runs[found, 0], runs[found, 1] = u, edged[lens]
+            runs[found, 0], runs[found, 1] = u, lenses.edged[number]
             runs[found, 2] = max((min(u + LANES, end) - u) // _GROUP, _FEWEST)
-            q, lanes = np.uint64(found % QUEUE), whole_groups(runs[found, 2])
-            kind = np.uint64(kinds[lens]) * np.uint64(LINE)
+            at, lanes = np.uint64(found % QUEUE) * _WORK, count_pixels(runs[found, 2])
             _place(
-                across, rows, np.int32(column - anchor_x), np.int32(row - anchor_y), e_x, e_y, step,
-                np.float32(cx - at_x), np.float32(cy - at_y), np.int32(at_x), np.int32(at_y), slope, limits, share,
-                np.uint64(u), kind, border, width, height, np.int32(stride), corner_x, corner_y, per_light_step,
-                last_ring, lanes, work, whole, q * _WORK,
+                source, band, lens, step, per_light_step, np.uint64(u), lanes, buffers.work, buffers.place, at
             )  # fmt: skip
-            _ask_for(line, down, whole, q * _WORK, lanes)
-            if edged[lens]:
-                _ask_for(seen, down, whole, q * _WORK, lanes)
+            _prefetch_run(source.line, source.stride, buffers.place, at, lanes)
+            if lenses.edged[number]:
+                _prefetch_run(source.depth, source.stride, buffers.place, at, lanes)
             found += 1
-    _read_queue(
-        line, seen, glow, edge, down, sizes, runs, done, found, work, whole, quads, pairs, lamps, lamp_pairs, values,
-        sums,
-    )  # fmt: skip
+    _read_queue(source, band.size, done, found, buffers)
     return found

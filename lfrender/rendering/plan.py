@@ -1,6 +1,6 @@
-"""What a picture is drawn from, prepared once, and any part of the picture drawn from the part of the flat it needs.
+"""A picture to be rendered: what the kernels read is prepared once, and any part is drawn from the flat it needs.
 
-Kernels work in the coordinates of the whole flat and picture, so a picture is the same bit for bit in one part or many.
+Kernels work in the coordinates of the whole flat and picture, so that a picture has the same bits in one part or many.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
 
-from ..data.surface import Surface
+from ..data.rendering import Rendering
+from ..data.surface import DepthGrid, Surface, edge_step
 from ..data.viewpoint import Viewpoint
 from ..depth.surface.occlusion import project_surface
 from ..flat.distorted_lookup import lens_displacements
@@ -24,24 +25,29 @@ from ..flat.gray_flat import correction_table, has_uneven_lenses, white_level
 from ..flat.lens_type_weights import focus_weights
 from ..flat.prefilter import prefilter_flat, prefilter_packed
 from ..runtime.cache import cached
-from .blend_pixels import blend_pixels
+from .blend_pixels import Flat, Grid, Lenses, Light, Output, Weighting, blend_pixels
 from .blend_rows import blend_rows
 from .fixed_patch import covers_all_patches, render_patches
+from .lens_runs import SortedLenses
+from .settings import DEFAULT
 
-__all__ = ["Part", "RenderPlan", "convert_to_dtype", "lens_offsets"]
+__all__ = [
+    "Part",
+    "RenderPlan",
+    "constant_surface",
+    "convert_to_dtype",
+    "dilate_mask",
+    "finish_picture",
+    "lens_offsets",
+]
 
 #: Columns and rows `left, top, right, bottom` of a picture or a flat [px], the last two not included.
 Part = tuple[int, int, int, int]
 
-# Lenses at which the spacing of a distorted lattice is looked at: it changes slowly over the field.
-_PROBES = 500
-# Interpolation reads a pixel further than its place, and what is given back to it before another one.
-_BEYOND = 4
-
 
 @dataclass(frozen=True)
 class RenderPlan:
-    """A picture to be drawn.
+    """A picture to be rendered.
 
     Parameters
     ----------
@@ -52,11 +58,11 @@ class RenderPlan:
     blend : bool
         The mean over all lenses that agree on a point, or the lens alone whose centre is nearest.
     blur : float
-        As `lens_blur.measure_lens_blur`.
-    reach : float
-        Lenses farther than this many pitches from a scene point are not read.
-    agreement : float
-        Difference from the mean colour, as a share of white, at which a lens counts a quarter.
+        As `measure_lens_blur`.
+    reach : float [pitch]
+        Lenses farther than this from a scene point are not read.
+    agreement : float [white]
+        Difference from the mean colour at which a lens counts a quarter.
     aperture : float
         Part of the radius of microimages that is read.
     viewpoint : Viewpoint
@@ -67,8 +73,8 @@ class RenderPlan:
     scale: float
     blend: bool
     blur: float
-    reach: float
-    agreement: float
+    reach: float = DEFAULT.reach
+    agreement: float = DEFAULT.agreement
     aperture: float = 1.0
     viewpoint: Viewpoint = field(default_factory=Viewpoint)
 
@@ -91,10 +97,10 @@ class RenderPlan:
 
     @cached_property
     def halo(self) -> int:
-        """How far from the scene points of a part of the picture the flat is read [px]."""
+        """How far from scene points the flat is read [px]."""
         lattice = self.calibration.lattice
         aside = float(np.hypot(*self.viewpoint.offset)) + float(np.abs(self._moved).max())
-        return int(np.ceil(self.reach * lattice.pitch + lattice.radius + 2 * aside + self.spacing)) + _BEYOND
+        return int(np.ceil(self.reach * lattice.pitch + lattice.radius + 2 * aside + self.spacing)) + DEFAULT.margin
 
     def required_part(self, part: Part) -> Part:
         """The part of the flat that a part of the picture is drawn from."""
@@ -143,12 +149,12 @@ class RenderPlan:
         image : (rows, columns, C) float32, or of the type of `pixels`
             In the flat's units.
         valid : (rows, columns) bool
-            Pixels that some lens has seen.
+            Pixels that some lens shows.
         """
         part = part or (0, 0, *self.size)
         shape = (part[3] - part[1], part[2] - part[0], pixels.shape[2])
-        if not self._is_patches:
-            return self._rows(pixels, corner, part, np.empty(shape, pixels.dtype if stored else np.float32))
+        if not self._shows_patches:
+            return self._blend(pixels, corner, part, np.empty(shape, pixels.dtype if stored else np.float32))
         size, first = float(np.copysign(self.scale, self.surface.patch_size[0, 0])), 0.5 * self.spacing - 0.5
         lattice = self.calibration.lattice
         return render_patches(pixels, corner, lattice, size, first, self.aperture * lattice.radius, *self._gains, part)
@@ -156,16 +162,16 @@ class RenderPlan:
     def render_changed(
         self, pixels: NDArray[Any], wanted: NDArray[np.bool_], image: NDArray[Any], valid: NDArray[np.bool_]
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """As `draw` of a whole picture that is stored, but for pixels that are not `wanted` (rows, columns).
+        """As `draw` of the whole picture, but only the `wanted` pixels (rows, columns).
 
-        Those are taken from an earlier picture: `image` (rows, columns, C) and what was `valid` of it.
+        The others are taken from an earlier picture, `image` (rows, columns, C) and `valid`.
         """
         image, valid = image.copy(), valid.copy()
         if wanted.any():
-            self._rows(pixels, (0, 0), (0, 0, *self.size), image, valid, wanted)
+            self._blend(pixels, (0, 0), (0, 0, *self.size), image, valid, wanted)
         return image, valid
 
-    def _rows(
+    def _blend(
         self,
         pixels: NDArray[Any],
         corner: tuple[int, int],
@@ -174,60 +180,80 @@ class RenderPlan:
         valid: NDArray[np.bool_] | None = None,
         wanted: NDArray[np.bool_] | None = None,
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Fill `image` with a part of the picture from all lenses in reach of each pixel, rounded to its type."""
-        lattice, pitch, single = self.calibration.lattice, self.calibration.lattice.pitch, np.float32
+        """Blend a part of the picture into `image`, rounded to its type."""
         valid = np.empty(image.shape[:2], bool) if valid is None else valid
         wanted = np.empty((0, 0), bool) if wanted is None else wanted
-        whole = image.dtype.kind in "ui"
-        white = white_level(pixels, self.calibration)
-        edged = np.zeros(len(lattice), bool)
-        seen_depth = self._seen_depth(corner, pixels.shape, edged, wanted.size > 0)
+        channels = (0,) * pixels.shape[2]
+        tolerance = np.float32(self.agreement * white_level(pixels, self.calibration) if self.blend else 0.0)
+        edged = np.zeros(len(self.calibration.lattice), bool)
+        pixels, shown, light = self._lit(pixels, corner, edged, wanted.size > 0)
+        read = Flat(pixels, shown, np.array(corner), np.array(self.calibration.image_size))
+        first = 0.5 * self.spacing - 0.5 + self._moved
+        grid = Grid(first, self.spacing, np.float32(self.scale), np.array(part[:2]), wanted)
+        blurred, view = np.float32((self.blur * self.scale) ** 2), np.array(self.viewpoint.offset, np.float32)
+        weighting = Weighting(self.reach * self.calibration.lattice.pitch, tolerance, blurred, view)
+        half, top = (0.5, np.iinfo(image.dtype).max) if image.dtype.kind in "ui" else (0.0, np.inf)
+        output = Output(image, valid, np.float32(half), np.float32(top))
+        # Only a mean over many lenses is as sharp as the flat if the blur of the interpolation is compensated.
+        if not self._suits_rows(pixels):
+            ready = prefilter_flat(pixels) if self.blend else pixels
+        else:
+            packed, left = prefilter_packed(pixels), np.empty(valid.shape, bool)
+            blend_rows(
+                channels, read._replace(pixels=packed), light, self._sorted_lenses(edged), self._depth_grid, grid,
+                weighting, output, left, get_num_threads(),
+            )  # fmt: skip
+            if not left.any():
+                return image, valid
+            ready, grid = packed.view(pixels.dtype).reshape(*packed.shape, 4), grid._replace(wanted=left)
+        blend_pixels(
+            channels, read._replace(pixels=ready), light, self._lenses, self._depth_grid, grid,
+            weighting._replace(reach=np.float32(weighting.reach)), output,
+        )  # fmt: skip
+        return image, valid
+
+    def _lit(
+        self, pixels: NDArray[Any], corner: tuple[int, int], edged: NDArray[np.bool_], following: bool
+    ) -> tuple[NDArray[Any], NDArray[np.float32], Light]:
+        """The pixels, the patch size that each shows, and the light of the lenses; sets the lenses that are `edged`.
+
+        If the gain differs from lens to lens, pixels are divided by it, and those that are unlit are infinitely far.
+        """
+        shown = self._shown_depth(corner, pixels.shape, edged, following)
         gains, step = self._gains
         lights = 1 / gains
         if self._part_gain is not None:
             gains = np.ones_like(gains)
             pixels, unknown = self._part_gain.flatten(pixels, *corner)
-            if not seen_depth.size:
-                seen_depth = np.full(pixels.shape[:2], np.nan, single)
-            seen_depth[dilate_mask(unknown)] = np.inf
+            if not shown.size:
+                shown = np.full(pixels.shape[:2], np.nan, np.float32)
+            shown[dilate_mask(unknown)] = np.inf
             edged[:] = True
-        drawn = self._seen_surface
-        marks, radius, reach = (0,) * pixels.shape[2], single(self.aperture * lattice.radius), self.reach * pitch
-        depths = (
-            single(pitch), drawn.patch_size, single(drawn.first[0]), single(drawn.first[1]), single(drawn.spacing),
-            single(self._edge), single(self.scale), 0.5 * self.spacing - 0.5 + self._moved, self.spacing,
-        )  # fmt: skip
-        tolerance = single(self.agreement * white if self.blend else 0.0)
-        view = np.array(self.viewpoint.offset, single)
-        place = np.array(corner), np.array(lattice.image_size), np.array(part[:2])
-        light = gains, lights, single(step)
-        stored = single(0.5 if whole else 0.0), single(np.iinfo(image.dtype).max if whole else np.inf), image, valid
-        # Only a mean over many lenses has the sharpness of the flat where what interpolation blurs is given back.
-        if self._read_once(pixels) and not view.any():
-            packed = prefilter_packed(pixels)
-            order, centres, kinds = self._sorted_lenses
-            left = np.empty(image.shape[:2], bool)
-            blend_rows(
-                packed, marks, seen_depth, edged[order], *light, centres, kinds, self._shares[1], radius, *depths,
-                float(reach), tolerance, *place, wanted, *stored, left, get_num_threads(),
-            )  # fmt: skip
-            if not left.any():
-                return image, valid
-            ready, wanted = packed.view(pixels.dtype).reshape(*packed.shape, 4), left
-        else:
-            ready = prefilter_flat(pixels) if self.blend else pixels
-        blend_pixels(
-            ready, marks, seen_depth, *light, lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, *self._bend,
-            *self._offsets, *self._shares, radius, *depths, single((self.blur * self.scale) ** 2), single(reach),
-            tolerance, view, *place, wanted, *stored,
-        )  # fmt: skip
-        return image, valid
+        return pixels, shown, Light(gains, lights, np.float32(step))
 
-    def _read_once(self, pixels: NDArray[Any]) -> bool:
-        """Whether most output pixels are the mean over single readings of whole numbers, as `blend_rows` wants it."""
-        # Its places in the flat are whole numbers of 31 bits.
-        small = pixels.shape[0] * pixels.shape[1] < 2**31
-        return self.blend and self.blur == 0 and pixels.dtype.kind == "u" and pixels.shape[2] <= 3 and small
+    @property
+    def _depth_grid(self) -> DepthGrid:
+        return self._seen_surface.as_grid(self._edge)
+
+    @property
+    def _lenses(self) -> Lenses:
+        lattice = self.calibration.lattice
+        return Lenses(
+            lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, *self._bend, *self._offsets, *self._shares,
+            np.float32(self.aperture * lattice.radius), np.float32(lattice.pitch),
+        )  # fmt: skip
+
+    def _sorted_lenses(self, edged: NDArray[np.bool_]) -> SortedLenses:
+        camera, lattice = self.calibration, self.calibration.lattice
+        order, centres, types = cached(camera, "sorted lenses", lambda: _sort_lenses(camera))
+        radius, pitch = np.float32(self.aperture * lattice.radius), np.float32(lattice.pitch)
+        return SortedLenses(centres, types, edged[order], self._shares[1], radius, pitch)
+
+    def _suits_rows(self, pixels: NDArray[Any]) -> bool:
+        """Whether `blend_rows` can draw most pixels."""
+        # Its places in the flat are integers of 31 bits.
+        packable = pixels.dtype.kind == "u" and pixels.shape[2] <= 3 and pixels.shape[0] * pixels.shape[1] < 2**31
+        return self.blend and self.blur == 0 and not any(self.viewpoint.offset) and packable
 
     @cached_property
     def _shares(self) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
@@ -235,11 +261,7 @@ class RenderPlan:
         return cached(camera, "focus shares", lambda: focus_weights(camera.lens_types))
 
     @property
-    def _sorted_lenses(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
-        return cached(self.calibration, "sorted lenses", lambda: _sorted_lenses(self.calibration))
-
-    @property
-    def _is_patches(self) -> bool:
+    def _shows_patches(self) -> bool:
         """Whether the picture consists of patches of the flat, pixel by pixel."""
         lattice, sizes = self.calibration.lattice, self.surface.patch_size
         if self.blend or sizes.size > 1 or lattice.distortion is not None or has_uneven_lenses(self.calibration):
@@ -248,13 +270,13 @@ class RenderPlan:
             return False
         return covers_all_patches(lattice, self.scale, self.aperture * lattice.radius)
 
-    def _seen_depth(
+    def _shown_depth(
         self, corner: tuple[int, int], shape: tuple[int, ...], edged: NDArray[np.bool_], following: bool
     ) -> NDArray[np.float32]:
-        """What each pixel of a part of the flat sees, (0, 0) where nothing can hide anything.
+        """Patch size that each pixel of a part of the flat shows, (0, 0) if nothing can occlude anything.
 
-        Sets the lenses that are `edged` (n,): of the others it tells nothing. A picture `following` another differs
-        from that in some places.
+        Sets the lenses that are `edged` (n,): on the others it is not known. `following`: the surface differs in some
+        places only from that of the picture before.
         """
         if not self.blend or self.surface.patch_size.size <= 1:
             return np.empty((0, 0), np.float32)
@@ -262,7 +284,7 @@ class RenderPlan:
         reach = self.reach * lattice.pitch + self._parallax
         part = (*corner, corner[0] + shape[1], corner[1] + shape[0])
         whole = shape[:2] == self._shape
-        # Unlit pixels are entered into it as well where the light of the lenses differs.
+        # `_lit` enters unlit pixels if the light differs from lens to lens: that memory is another.
         purpose = "seen depth" if self._part_gain is None else "seen depth and light"
         return project_surface(
             self.surface, lattice, reach, self._edge, None if whole else part, edged, purpose,
@@ -275,8 +297,7 @@ class RenderPlan:
 
     @property
     def _edge(self) -> float:
-        """Patch sizes that differ by less belong to one surface [px]."""
-        return max(0.5, 0.03 * self.calibration.lattice.pitch)
+        return edge_step(self.calibration.lattice.pitch)
 
     @cached_property
     def _parallax(self) -> float:
@@ -313,8 +334,8 @@ class RenderPlan:
         return self._seen_from[1]
 
 
-def _sorted_lenses(calibration: Calibration) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
-    """Lenses by y, their centres in that order, and their types, 0 where all count alike."""
+def _sort_lenses(calibration: Calibration) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    """Order of the lenses by y, their centres in that order, and their types, 0 if all count alike."""
     centres, cell = calibration.lattice.centres(), focus_weights(calibration.lens_types)[0]
     order = np.argsort(centres[:, 1], kind="stable")
     kinds = np.zeros(len(order), np.int64)
@@ -324,17 +345,36 @@ def _sorted_lenses(calibration: Calibration) -> tuple[NDArray[np.int64], NDArray
     return order, np.ascontiguousarray(centres[order]), kinds
 
 
+def constant_surface(patch_size: float) -> Surface:
+    """The surface of one patch size [px] for all scene points."""
+    return Surface(np.full((1, 1), patch_size, np.float32), (0.0, 0.0), 1.0)
+
+
+def finish_picture(
+    image: NDArray,
+    valid: NDArray[np.bool_],
+    affine: NDArray[np.float64],
+    scale: float,
+    flat: NDArray,
+    calibration: Calibration,
+) -> Rendering:
+    """A picture (h, w, C) as a `Rendering` with the dtype and the number of dimensions of the flat."""
+    if np.ndim(flat) == 2 and image.shape[2] == 1:
+        image = image[:, :, 0]
+    return Rendering(convert_to_dtype(image, np.asarray(flat).dtype), affine, valid, scale, calibration.white_level)
+
+
 def convert_to_dtype(image: NDArray, dtype: np.dtype) -> NDArray:
-    """Round and clip to the range of `dtype`, in place; a picture of that type is stored as it is."""
+    """Round and clip to the range of `dtype`, in place."""
     if dtype.kind == "f" or image.dtype == dtype:
         return image.astype(dtype, copy=False)
-    # As the kernels do it, which cut off.
+    # As the kernels round: add a half and truncate.
     image += image.dtype.type(0.5)
     return np.clip(image, 0, np.iinfo(dtype).max, out=image).astype(dtype)
 
 
 def dilate_mask(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """These pixels and those beside them, which cannot be read without them."""
+    """These pixels and their neighbours, whose interpolation needs them."""
     import cv2
 
     return cv2.dilate(pixels.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool)
@@ -357,7 +397,7 @@ def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], N
     distance = np.linalg.norm(offsets, axis=1)
     if lattice.distortion is not None:
         ij = lattice.indices()
-        some = ij[:: max(1, len(ij) // _PROBES)]
+        some = ij[:: max(1, len(ij) // DEFAULT.spacing_lenses)]
         here = lattice.points(some)
         distance = np.array([np.linalg.norm(lattice.points(some + step) - here, axis=1).min() for step in steps])
     order = np.argsort(distance, kind="stable")

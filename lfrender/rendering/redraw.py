@@ -1,4 +1,4 @@
-"""Which pixels of a picture are drawn again after an earlier frame: those in which some changed lens takes part."""
+"""Incremental rendering: only pixels that changed since an earlier frame are drawn, the others are taken from it."""
 
 from __future__ import annotations
 
@@ -8,19 +8,26 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
+from ..data.depth_map import DepthMap
+from ..data.rendering import Rendering
 from ..data.surface import Surface, mark_changed_places
+from ..depth.incremental import changed_since
+from ..flat.validation import check_flat
 from .plan import RenderPlan
 
-__all__ = ["find_changed_pixels"]
+__all__ = ["find_changed_pixels", "redraw"]
+
+# Rows that one thread marks together.
+_STRIP = 16
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _mark_pixels(places, side, strip, out):
-    """Set `out` no farther than `side` from `places` (m, 2) in it, `strip` rows of it at a time, and unset the rest."""
+def _mark_pixels(places, side, out):
+    """Set the pixels of `out` within `side` of some of `places` (m, 2), and unset the rest."""
     rows, columns = out.shape
-    for s in prange((rows + strip - 1) // strip):
-        top, bottom = s * strip, min(rows, (s + 1) * strip)
-        # How many more lenses reach a pixel than the one to its left.
+    for strip in prange((rows + _STRIP - 1) // _STRIP):
+        top, bottom = strip * _STRIP, min(rows, (strip + 1) * _STRIP)
+        # How many more lenses reach a pixel than the one to its left, summed up along the row below.
         more = np.zeros((bottom - top, columns + 1), np.int32)
         for n in range(len(places)):
             x, y = places[n, 0], places[n, 1]
@@ -39,33 +46,55 @@ def _mark_pixels(places, side, strip, out):
                 out[v, u] = reached > 0
 
 
-def find_changed_pixels(drawing: RenderPlan, before: Surface, changed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def find_changed_pixels(plan: RenderPlan, before: Surface, changed: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(rows, columns) bool: pixels of the picture that may differ from those of an earlier frame.
 
-    They are read from a lens that shows something else, or from one in reach of which the depth is another, so that
-    what hides what may have changed in it. All others would be drawn from the same depth and pixels.
-
-    Parameters
-    ----------
-    drawing : Drawing
-        Of the frame, all in focus.
-    before : Surface
-        Of the earlier frame.
-    changed : (n,) bool
-        Lenses that show something else.
+    They are in reach of a lens that is `changed` (n,), or near which the surface differs from `before`: there, what
+    occludes what may have changed. All others would be drawn from the same depth and pixels.
     """
-    columns, rows = drawing.size
-    lattice, now = drawing.calibration.lattice, drawing.surface
+    columns, rows = plan.size
+    lattice, now = plan.calibration.lattice, plan.surface
     if before.patch_size.shape != now.patch_size.shape or before.first != now.first or before.spacing != now.spacing:
         return np.ones((rows, columns), bool)
     centres = lattice.centres()
-    reach = drawing.reach * lattice.pitch
+    reach = plan.reach * lattice.pitch
     stale = changed.copy()
-    # A place between grid values depends on all four of them.
+    # The depth between grid values depends on all four of them.
     mark_changed_places(before, now, centres, reach + 1.5 * now.spacing, stale)
     wanted = np.empty((rows, columns), bool)
-    # Pixels are read at several places where patches are larger, all of them within the pixel.
-    farthest = reach + drawing.spacing
-    places = (centres[stale] - (0.5 * drawing.spacing - 0.5)) / drawing.spacing
-    _mark_pixels(places, farthest / drawing.spacing, 16, wanted)
+    # Large patches are sampled several times per output pixel, all within the pixel.
+    farthest = reach + plan.spacing
+    places = (centres[stale] - (0.5 * plan.spacing - 0.5)) / plan.spacing
+    _mark_pixels(places, farthest / plan.spacing, wanted)
     return wanted
+
+
+def redraw(
+    plan: RenderPlan, pixels: NDArray, depth: DepthMap, earlier: NDArray, before: DepthMap, picture: Rendering
+) -> tuple[NDArray, NDArray[np.bool_]]:
+    """Draw the pixels (h, w, C) that may differ from the `picture` of an `earlier` flat with the depth map `before`.
+
+    Returns
+    -------
+    image : (rows, columns, C) array
+    valid : (rows, columns) bool
+        Pixels that some lens shows.
+
+    Raises
+    ------
+    ValueError
+        If the earlier flat or its picture is of another size, dtype or number of channels.
+    """
+    channels = picture.image.shape[2] if picture.image.ndim == 3 else 1
+    if picture.image.dtype != pixels.dtype or channels != pixels.shape[2]:
+        raise ValueError(
+            f"the earlier picture is {channels} x {picture.image.dtype}, the flat {pixels.shape[2]} x {pixels.dtype}; "
+            "draw without previous"
+        )
+    earlier = check_flat(earlier, plan.calibration)
+    columns, rows = plan.size
+    if picture.image.shape[:2] != (rows, columns) or earlier.shape != pixels.shape or earlier.dtype != pixels.dtype:
+        raise ValueError("the earlier frame or its picture is of another kind or size; draw without previous")
+    changed = changed_since(before, depth, earlier, pixels, plan.calibration)
+    wanted = find_changed_pixels(plan, before.surface, changed)
+    return plan.render_changed(pixels, wanted, picture.image.reshape(rows, columns, -1), picture.valid)

@@ -10,25 +10,14 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 
 from ..data.depth_map import DepthMap
-from ..data.rendering import Rendering
-from ..data.surface import Surface
+from ..data.rendering import Rendering, check_patch_size, check_scale
 from ..data.viewpoint import virtual_depth
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
-from .render import convert_to_dtype, render_plan
+from .plan import RenderPlan, constant_surface, finish_picture
+from .settings import DEFAULT, RenderSettings
 
 __all__ = ["focal_stack", "refocus", "stack_depths"]
-
-# The widest blur takes in lenses up to so many pitches away: as many as the drawing kernel mixes.
-_REACH = 3.0
-# Colours differ where a picture is out of focus, and are to be mixed all the same.
-_ANY_COLOUR = 1e3
-# With less of the aperture, a place may lie between the parts of all microimages that are left.
-_LEAST_APERTURE = 0.05
-# A stack spans what lies between these shares of the lenses, the farthest and the nearest.
-_FARTHEST, _NEAREST = 0.02, 0.98
-# Least |D / s| that a depth can be told at (`analysis.py`): between it and its opposite, no picture is in focus.
-_LEAST_MAGNIFICATION = 4 / 3
 
 
 def refocus(
@@ -76,25 +65,18 @@ def refocus(
     if position is not None:
         patch_size = _depth_at(position, pixels, calibration, depth)
     assert patch_size is not None
-    if not 0 < abs(patch_size) < lattice.pitch:
-        raise ValueError(f"patch_size must lie between 0 and the pitch {lattice.pitch:.1f} px, got {patch_size}")
-    if not _LEAST_APERTURE <= aperture <= 1:
-        raise ValueError(f"aperture must lie between {_LEAST_APERTURE} and 1, got {aperture}")
-    scale = abs(patch_size) if scale is None else scale
-    if not (np.isfinite(scale) and 0 < scale <= 4 * lattice.pitch):
-        raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * lattice.pitch:.0f}), got {scale}")
-    surface = Surface(np.full((1, 1), patch_size, np.float32), (0.0, 0.0), 1.0)
+    check_patch_size(patch_size, lattice.pitch)
+    if not DEFAULT.least_aperture <= aperture <= 1:
+        raise ValueError(f"aperture must lie between {DEFAULT.least_aperture} and 1, got {aperture}")
+    scale = check_scale(abs(patch_size) if scale is None else scale, lattice.pitch)
     coarse = scale < abs(patch_size)
     blur = measure_lens_blur(pixels, calibration, np.full(len(lattice), patch_size, np.float32)) if coarse else 0.0
-    image, valid, affine = render_plan(
-        pixels, calibration, surface, float(scale), True, blur, reach=_REACH, aperture=aperture,
-        agreement=_ANY_COLOUR, stored=True,
+    plan = RenderPlan(
+        calibration, constant_surface(patch_size), scale, True, blur, DEFAULT.refocus_reach, DEFAULT.refocus_agreement,
+        aperture,
     )  # fmt: skip
-    if np.ndim(flat) == 2 and pixels.shape[2] == 1:
-        image = image[:, :, 0]
-    return Rendering(
-        convert_to_dtype(image, np.asarray(flat).dtype), affine, valid, float(scale), calibration.white_level
-    )
+    image, valid = plan.draw(pixels, stored=True)
+    return finish_picture(image, valid, plan.affine, scale, flat, calibration)
 
 
 def focal_stack(
@@ -127,7 +109,7 @@ def focal_stack(
     return [refocus(flat, calibration, s, aperture=aperture, scale=scale) for s in sizes]
 
 
-def stack_depths(depth: DepthMap, count: int) -> list[float]:
+def stack_depths(depth: DepthMap, count: int, settings: RenderSettings = DEFAULT) -> list[float]:
     """Patch sizes for a focal stack through a scene, from far to near [px].
 
     They are evenly spaced in the virtual depth `D / s`, as is the blur between one and the next.
@@ -147,13 +129,15 @@ def stack_depths(depth: DepthMap, count: int) -> list[float]:
         raise ValueError(f"a stack has at least one picture, got {count}")
     resolved = depth.patch_size[np.isfinite(depth.patch_size)]
     if not resolved.size:
-        raise ValueError("no lens is resolved, so nothing tells the depths of a stack; give patch sizes")
+        raise ValueError("no lens is resolved, so the depths of a stack are unknown; give patch sizes")
     ratio = virtual_depth(resolved, depth.pitch).astype(float)
-    # Without the stretch about the microlenses where nothing is resolved, far telescopic places to near binocular ones.
-    far, near = -np.quantile(np.sign(ratio) * _LEAST_MAGNIFICATION - ratio, [_FARTHEST, _NEAREST])
+    # From far telescopic places to near binocular ones, without the gap about the microlenses: no depth is resolved
+    # there, and no picture is in focus.
+    least = settings.least_magnification
+    far, near = -np.quantile(np.sign(ratio) * least - ratio, [settings.stack_far, settings.stack_near])
     steps = np.linspace(far, near, count) if count > 1 else np.array([(far + near) / 2])
     signs = np.where(steps == 0, np.sign(np.median(ratio)), np.sign(steps))
-    return [float(depth.pitch / value) for value in steps + signs * _LEAST_MAGNIFICATION]
+    return [float(depth.pitch / value) for value in steps + signs * least]
 
 
 def _depth_at(

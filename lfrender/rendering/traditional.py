@@ -13,7 +13,7 @@ from ..data.rendering import Rendering
 from ..flat.gray_flat import correction_table, has_uneven_lenses
 from ..flat.lens_graph import lens_grid
 from ..flat.validation import check_flat
-from .render import convert_to_dtype
+from .plan import finish_picture
 
 __all__ = ["traditional"]
 
@@ -74,21 +74,14 @@ def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
     first = 0.5 * pitch - 0.5
     v, u = np.mgrid[:rows, :columns]
     points = np.stack([u, v], -1).reshape(-1, 2) * pitch + first
-    image, known = _between_lenses(calibration, means, lit > 0, points)
-    image = image.reshape(rows, columns, -1)
-    if np.ndim(flat) == 2 and pixels.shape[2] == 1:
-        image = image[:, :, 0]
+    image, known = _interpolate_lenses(calibration, means, lit > 0, points)
     affine = np.array([[pitch, 0.0, first], [0.0, pitch, first]])
-    return Rendering(
-        convert_to_dtype(image, np.asarray(flat).dtype),
-        affine,
-        known.reshape(rows, columns),
-        1.0,
-        calibration.white_level,
-    )
+    return finish_picture(
+        image.reshape(rows, columns, -1), known.reshape(rows, columns), affine, 1.0, flat, calibration
+    )  # fmt: skip
 
 
-def _between_lenses(
+def _interpolate_lenses(
     calibration: Calibration, means: NDArray[np.float32], lit: NDArray[np.bool_], points: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Means of the `lit` lenses at scene points, linear between those of a lattice cell, the nearest at the border.

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, CalibrationError
 
-from ..data.depth_map import DepthMap
-from ..data.rendering import Rendering
+from ..data.depth_map import DepthMap, default_scale
+from ..data.rendering import Rendering, check_scale
 from ..data.viewpoint import Viewpoint, virtual_depth
 from ..depth.analyze import analyze
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
-from .render import _COARSE, convert_to_dtype, default_scale, render_plan
+from .plan import RenderPlan, finish_picture
+from .settings import DEFAULT
 
 __all__ = ["circle_offsets", "grid_offsets", "views"]
 
@@ -32,11 +33,9 @@ def views(
     """Draw the scene sharp at every depth, as seen from places in the main lens' aperture.
 
     All microimages are read about the same offset `q` from their centres, which is a viewpoint in the main lens. With
-    `q` to the right, the view is that of a camera farther to the right: a place moves by `q (D / s - D / still)` in
-    scene coordinates, near places to the left of far ones.
-
-    What is hidden from the middle takes the depth of the farther surface beside it and is read from the lenses
-    that do see it.
+    `q` to the right, the view is that of a camera farther to the right: a scene point moves by `q (D / s - D / still)`,
+    near ones to the left of far ones. Places that the middle view hides get the depth of the farther surface beside
+    them.
 
     Parameters
     ----------
@@ -44,20 +43,20 @@ def views(
     calibration : Calibration
         Of the same image size.
     depth : DepthMap, optional
-        Of this flat; analysed first where it is not given.
+        Of this flat; analysed first if it is not given.
     offsets : iterable of (float, float) [px]
         `q` of each view, order `x, y`, within the usable radius of the microimages, `calibration.lattice.radius`.
     scale : float, optional
         Output pixels per pitch; by default the flat's full resolution.
     still : float, optional [px]
-        Signed patch size of places that are at the same place in all views; infinity for the microlens plane. By
+        Signed patch size of scene points that keep their place in all views; infinity for the microlens plane. By
         default that of the median of `D / s`.
 
     Returns
     -------
     iterator of Rendering
-        One per offset, drawn when asked for, all of one size. `(0, 0)` is the picture of `render`. The affine holds for
-        the places that stay; pixels are valid where a lens shows their place.
+        One per offset, drawn on demand, all of one size. `(0, 0)` is the picture of `render`. The affine holds for
+        scene points that keep their place.
 
     Raises
     ------
@@ -68,11 +67,11 @@ def views(
     """
     pixels = check_flat(flat, calibration)
     lattice = calibration.lattice
-    places = [_checked(offset, lattice.radius) for offset in offsets]
+    places = [_check_offset(offset, lattice.radius) for offset in offsets]
     if still is not None and not abs(still) > 0:
         raise ValueError(f"still must not be zero, got {still}")
-    if scale is not None and not (np.isfinite(scale) and 0 < scale <= 4 * lattice.pitch):
-        raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * lattice.pitch:.0f}), got {scale}")
+    if scale is not None:
+        check_scale(scale, lattice.pitch)
     if depth is not None and (depth.image_size != calibration.image_size or len(depth) != len(lattice)):
         raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
     depth = analyze(pixels, calibration) if depth is None else depth
@@ -80,33 +79,28 @@ def views(
         middle = float(np.median(virtual_depth(depth.surface.patch_size, lattice.pitch)))
     else:
         middle = lattice.pitch / still
-    plain = np.ndim(flat) == 2 and pixels.shape[2] == 1
-    points = [Viewpoint(place, middle) for place in places]
-    return _drawn(pixels, calibration, depth, points, scale, np.asarray(flat).dtype, plain)
+    return _draw_views(flat, pixels, calibration, depth, [Viewpoint(place, middle) for place in places], scale)
 
 
-def _drawn(
+def _draw_views(
+    flat: NDArray,
     pixels: NDArray,
     calibration: Calibration,
     depth: DepthMap,
     points: list[Viewpoint],
     scale: float | None,
-    dtype: np.dtype,
-    plain: bool,
 ) -> Iterator[Rendering]:
     full = default_scale(depth)
     scale = float(full if scale is None else scale)
-    blur = measure_lens_blur(pixels, calibration, depth.patch_size) if scale * _COARSE < full else 0.0
+    coarse = scale * DEFAULT.coarse_ratio < full
+    blur = measure_lens_blur(pixels, calibration, depth.patch_size) if coarse else 0.0
     for point in points:
-        image, valid, affine = render_plan(
-            pixels, calibration, depth.surface, scale, True, blur, viewpoint=point, stored=True
-        )
-        yield Rendering(
-            convert_to_dtype(image[:, :, 0] if plain else image, dtype), affine, valid, scale, calibration.white_level
-        )
+        plan = RenderPlan(calibration, depth.surface, scale, True, blur, viewpoint=point)
+        image, valid = plan.draw(pixels, stored=True)
+        yield finish_picture(image, valid, plan.affine, scale, flat, calibration)
 
 
-def _checked(offset: tuple[float, float], radius: float) -> tuple[float, float]:
+def _check_offset(offset: tuple[float, float], radius: float) -> tuple[float, float]:
     place = np.array(offset, dtype=float)
     if place.shape != (2,) or not np.hypot(*place) <= radius:
         raise ValueError(f"offsets must be x, y within the radius {radius:.2f} px of the microimages, got {offset!r}")
@@ -127,11 +121,8 @@ def grid_offsets(rows: int, columns: int, radius: float) -> list[tuple[float, fl
     # The corners touch the circle; a single row or column takes its whole width.
     spread = np.array([columns > 1, rows > 1], dtype=float)
     half = radius * spread / max(float(np.hypot(*spread)), 1.0)
-    return [(float(x), float(y)) for y in np.linspace(-half[1], half[1], rows) for x in _row(half[0], columns)]
-
-
-def _row(half: float, columns: int) -> NDArray[np.float64]:
-    return np.linspace(-half, half, columns)
+    across = np.linspace(-half[0], half[0], columns)
+    return [(float(x), float(y)) for y in np.linspace(-half[1], half[1], rows) for x in across]
 
 
 def circle_offsets(count: int, radius: float) -> list[tuple[float, float]]:

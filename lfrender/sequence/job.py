@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 from lfcal import Calibration, LightFieldError, OutputError, load
 from lfcal.runtime.output_file import atomic_write
 
-from ..data.depth_map import DepthFileError, DepthMap
+from ..data.depth_map import DepthFileError, DepthMap, default_scale
 from ..data.rendering import Rendering
 from ..depth.analyze import analyze
 from ..depth.incremental import load_reference_match, save_reference_match
 from ..flat.demosaicing import demosaic
 from ..output.metadata import EmbeddedMetadata, read_metadata
 from ..output.picture import check_picture, write_picture
-from ..rendering.render import default_scale, render
+from ..rendering.render import render
 from .frames import Frame
 
 __all__ = ["FrameResult", "Job", "KeyFrame", "load_camera"]

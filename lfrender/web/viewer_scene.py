@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfcal import Calibration, CalibrationError, LightFieldError
 from lfcal.runtime.eight_bit import to_eight_bits
 
-from ..data.depth_map import DepthMap
+from ..data.depth_map import DepthMap, default_scale
 from ..data.viewpoint import Viewpoint, virtual_depth
 from ..depth.surface.occlusion import project_surface
 from ..flat.distorted_lookup import lens_displacements
@@ -24,8 +24,7 @@ from ..flat.lens_type_weights import focus_weights
 from ..flat.validation import check_flat
 from ..output.depth_picture import colour_scale, magnification_limits
 from ..rendering.plan import dilate_mask, lens_offsets
-from ..rendering.refocus import _REACH as _WIDE_REACH
-from ..rendering.render import _AGREEMENT, _COARSE, _REACH, default_scale
+from ..rendering.settings import DEFAULT as RENDERING
 
 __all__ = ["viewer_scene"]
 
@@ -149,8 +148,8 @@ def _occlusion_codes(
     """
     lattice = calibration.lattice
     farthest = Viewpoint((lattice.radius, 0.0)).max_parallax(depth.surface, lattice)
-    middle = project_surface(depth.surface, lattice, _REACH * lattice.pitch, edge)
-    aside = project_surface(depth.surface, lattice, _REACH * lattice.pitch + farthest, edge)
+    middle = project_surface(depth.surface, lattice, RENDERING.reach * lattice.pitch, edge)
+    aside = project_surface(depth.surface, lattice, RENDERING.reach * lattice.pitch + farthest, edge)
     coded = _encode(aside, lattice.pitch, _CODES).astype(np.uint16)
     central = _encode(middle, lattice.pitch, 255).astype(np.uint8)
     central[np.abs(middle - aside) < 0.5 * edge] = 255
@@ -178,7 +177,7 @@ def _resolved(calibration: Calibration, depth: DepthMap) -> NDArray[np.uint8]:
 def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDArray) -> dict[str, Any]:
     """The tables in the JSON object."""
     lattice, surface = calibration.lattice, depth.surface
-    offsets, _ = lens_offsets(lattice, _WIDE_REACH * lattice.pitch)
+    offsets, _ = lens_offsets(lattice, RENDERING.refocus_reach * lattice.pitch)
     displacements, low = lens_displacements(lattice)
     cell, shares = focus_weights(calibration.lens_types)
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
@@ -210,9 +209,9 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
             "share": measure_lens_blur(pixels, calibration, depth.patch_size),
         },
         "scale": default_scale(depth),
-        "reach": {"sharp": _REACH, "wide": _WIDE_REACH},
-        "agreement": _AGREEMENT,
-        "coarse": _COARSE,
+        "reach": {"sharp": RENDERING.reach, "wide": RENDERING.refocus_reach},
+        "agreement": RENDERING.agreement,
+        "coarse": RENDERING.coarse_ratio,
         "planes": ends,
         "plane": middle,
         "overlay": {

@@ -8,6 +8,7 @@ from PIL import Image
 
 import lfcal
 import lfrender
+from lfrender.data.plots import napari_layers
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +65,7 @@ def test_residuals_of_a_white_image_are_plotted_as_arrows(house_files):
 
 def test_napari_layers_lie_on_each_other(house, drawn):
     camera, depth, rendering = drawn
-    layers = lfrender.napari_layers(house.flat, camera, depth, rendering)
+    layers = napari_layers(house.flat, camera, depth, rendering)
     assert [kind for _, _, kind in layers] == ["image", "image", "image", "points"]
     for data, look, _ in layers[1:3]:
         end = look["translate"] + look["scale"] * (np.array(data.shape[:2]) - 1)

@@ -27,7 +27,7 @@ def shorts(flat):
 
 
 def without_shortcut(monkeypatch):
-    monkeypatch.setattr(RenderPlan, "_read_once", lambda *_: False)
+    monkeypatch.setattr(RenderPlan, "_suits_rows", lambda *_: False)
 
 
 # At the larger scale a lens shows more pixels of a row than are worked on together.
@@ -50,12 +50,12 @@ def test_blended_rows_are_those_of_the_kernel_that_asks_every_pixel_within_one_l
 
 @pytest.mark.parametrize("made", [np.asarray, shorts])
 def test_blended_rows_are_the_kernel_that_draws_whole_pictures(made, monkeypatch):
-    import lfrender.rendering.plan as tile_drawing
+    import lfrender.rendering.plan as plan
 
     flat, camera, depth = capture()
     asked = []
-    draw_rows = tile_drawing.draw_rows
-    monkeypatch.setattr(tile_drawing, "draw_rows", lambda *args: asked.append(args[-5].mean()) or draw_rows(*args))
+    blend_pixels = plan.blend_pixels
+    monkeypatch.setattr(plan, "blend_pixels", lambda *args: asked.append(args[5].wanted.mean()) or blend_pixels(*args))
     lfrender.render(made(flat), camera, depth)
     # Only pixels larger than one of the flat are left to the other kernel.
     assert sum(asked) < 0.1

@@ -9,6 +9,7 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
+from lfrender.rendering.refocus import stack_depths
 
 SIZE, PITCH = (420, 340), 23.2
 
@@ -73,14 +74,14 @@ def test_a_position_is_focused_at_its_depth():
 
 def test_a_stack_spans_a_slope_evenly_in_virtual_depth():
     depth = depth_of("slope")
-    ratios = PITCH / np.array(lfrender.stack_depths(depth, 5))
+    ratios = PITCH / np.array(stack_depths(depth, 5))
     np.testing.assert_allclose(np.diff(ratios), np.diff(ratios).mean(), rtol=1e-6)
     # The slope runs from s / D = -0.55 to -0.15; the nearest has the smallest |s|.
     assert -2.2 < ratios[0] < -1.6 and -7.5 < ratios[-1] < -4.5
-    (middle,) = lfrender.stack_depths(depth, 1)
+    (middle,) = stack_depths(depth, 1)
     assert PITCH / middle == pytest.approx(ratios[2], rel=1e-6)
     with pytest.raises(ValueError, match="at least one"):
-        lfrender.stack_depths(depth, 0)
+        stack_depths(depth, 0)
 
 
 def test_wrong_arguments_are_refused():
@@ -99,23 +100,3 @@ def test_wrong_arguments_are_refused():
             lfrender.refocus(shot.flat, camera, **arguments)
     with pytest.raises(ValueError, match="at least one"):
         lfrender.focal_stack(shot.flat, camera, [])
-
-
-@pytest.mark.parametrize(("lattice", "ratio"), [("hex", -0.3), ("square", 0.3)])
-def test_a_slice_of_the_spectrum_is_the_mean_over_lenses(lattice, ratio):
-    camera = Camera.design(size=(420, 320), pitch=20.3, lattice=lattice, rotation=2.0)
-    shot = simulate(SCENES["plane"](camera, ratio=ratio), camera, samples=8)
-    calibration = shot.truth.calibration
-    s = ratio * calibration.lattice.pitch
-    mean = lfrender.refocus(shot.flat, calibration, s)
-
-    def off(picture):
-        assert picture.image.shape == mean.image.shape
-        np.testing.assert_allclose(picture.affine, mean.affine)
-        difference = (picture.image.astype(float) - mean.image)[12:-12, 12:-12]
-        return 10 * np.log10(255**2 / np.mean(difference**2))
-
-    assert off(lfrender.refocus_fourier(shot.flat, calibration, s)) > 30
-    assert off(lfrender.refocus_fourier(shot.flat, calibration, -s, scale=abs(s))) < 16
-    with pytest.raises(ValueError, match="patch_size"):
-        lfrender.refocus_fourier(shot.flat, calibration, 0.0)

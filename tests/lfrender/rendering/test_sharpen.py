@@ -15,7 +15,7 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import compare_pictures, resample
 from lfrender.cli.main import main
-from lfrender.rendering.deconvolution import estimate_noise, power_spectrum, wiener_deconvolve
+from lfrender.rendering.sharpen import estimate_noise, power_spectrum, wiener_deconvolve
 
 # Electrons of a full pixel and of read noise: about 1 % and 4 % of white at mid-grey.
 LOW, HIGH = (2000, 5), (150, 5)

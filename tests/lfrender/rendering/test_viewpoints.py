@@ -18,6 +18,8 @@ from data_synth import SCENES, Camera, Scene, simulate
 from data_synth.simulator import _chief_rays
 from lfrender.cli.main import main
 from lfrender.data.surface import Surface
+from lfrender.output.views import write_animation
+from lfrender.rendering.viewpoints import circle_offsets, grid_offsets
 
 SIZE, PITCH = (420, 340), 23.2
 FAR, NEAR = 0.3, -0.3
@@ -159,10 +161,10 @@ def test_offsets_outside_the_microimages_and_impossible_numbers_are_refused():
 
 
 def test_viewpoints_lie_on_a_grid_from_the_top_left_and_on_a_circle():
-    assert lfrender.grid_offsets(1, 3, 4.0) == [(-4.0, 0.0), (0.0, 0.0), (4.0, 0.0)]
-    grid = np.array(lfrender.grid_offsets(3, 3, 4.0))
+    assert grid_offsets(1, 3, 4.0) == [(-4.0, 0.0), (0.0, 0.0), (4.0, 0.0)]
+    grid = np.array(grid_offsets(3, 3, 4.0))
     np.testing.assert_allclose(grid[[0, 1, 3, 8]], [(-(8**0.5),) * 2, (0, -(8**0.5)), (-(8**0.5), 0), (8**0.5,) * 2])
-    np.testing.assert_allclose(lfrender.circle_offsets(4, 2.0), [(2, 0), (0, 2), (-2, 0), (0, -2)], atol=1e-12)
+    np.testing.assert_allclose(circle_offsets(4, 2.0), [(2, 0), (0, 2), (-2, 0), (0, -2)], atol=1e-12)
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".png", ".webp"])
@@ -170,7 +172,7 @@ def test_an_animation_holds_all_frames_and_repeats(tmp_path, suffix):
     shot, depth = capture("slope")
     q = 0.7 * shot.truth.calibration.lattice.radius
     views = list(lfrender.views(shot.flat, shot.truth.calibration, depth, offsets=[(-q, 0), (0, 0), (q, 0)], scale=6))
-    lfrender.write_animation(tmp_path / f"a{suffix}", views, milliseconds=100)
+    write_animation(tmp_path / f"a{suffix}", views, milliseconds=100)
     with Image.open(tmp_path / f"a{suffix}") as file:
         assert file.n_frames == 3
         assert file.info.get("loop") == 0
@@ -185,9 +187,7 @@ def test_an_animation_of_twelve_bits_is_as_bright_as_one_of_eight(tmp_path):
     camera = dataclasses.replace(shot.truth.calibration, white_level=4095.0)
     flats = {"eight": shot.flat, "twelve": shot.flat.astype(np.uint16) << 4}
     for name, flat in flats.items():
-        lfrender.write_animation(
-            tmp_path / f"{name}.png", lfrender.views(flat, camera, depth, offsets=[(0, 0)], scale=6)
-        )
+        write_animation(tmp_path / f"{name}.png", lfrender.views(flat, camera, depth, offsets=[(0, 0)], scale=6))
     eight, twelve = (np.asarray(Image.open(tmp_path / f"{name}.png").convert("RGB"), float) for name in flats)
     assert np.abs(twelve - eight).mean() < 1
 
@@ -197,7 +197,7 @@ def test_animations_of_float_pictures_are_refused(tmp_path):
     (view,) = lfrender.views(shot.flat, shot.truth.calibration, depth, offsets=[(0, 0)], scale=2)
     views = [dataclasses.replace(view, image=view.image.astype(np.float32))]
     with pytest.raises(ValueError, match="float32"):
-        lfrender.write_animation(tmp_path / "a.gif", views)
+        write_animation(tmp_path / "a.gif", views)
     assert not list(tmp_path.iterdir())
 
 

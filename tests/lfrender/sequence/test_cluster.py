@@ -20,7 +20,7 @@ import lfrender
 from lfcal import OutputError
 from lfrender.cli.main import main
 from lfrender.large.settings import LargeSettings
-from lfrender.sequence.cluster import connect, task_result
+from lfrender.sequence.cluster import connect, render_frames_on, task_result
 from lfrender.sequence.settings import SequenceSettings
 
 pytest.importorskip("distributed")
@@ -55,7 +55,7 @@ def frames(house, tmp_path_factory):
 def test_pictures_are_those_of_one_machine_although_a_worker_is_killed(frames, house, client, tmp_path):
     camera, options = house.truth.calibration, {"preset": "fast", "tuning": SequenceSettings(segment=4, group=2)}
     here = list(lfrender.render_frames(frames, tmp_path / "here", camera, **options))
-    running = lfrender.render_frames_on(client, frames, tmp_path / "there", camera, threads=1, **options)
+    running = render_frames_on(client, frames, tmp_path / "there", camera, threads=1, **options)
     there = list(islice(running, 3))
     kill_one(client)
     there += list(running)

@@ -50,7 +50,7 @@ def shown(path):
 
 def test_film_shows_every_picture_and_in_place_of_bad_frames_the_one_before(frames, pictures, house, tmp_path):
     path = tmp_path / "film.mkv"
-    results = list(lfrender.render_film(frames, path, house.truth.calibration, preset="fast", rate=29.97))
+    results = list(render_film(frames, path, house.truth.calibration, preset="fast", rate=29.97))
     assert [r.outcome for r in results] == ["failed", "rendered", "rendered", "failed", "rendered"]
     rate, found = shown(path)
     assert rate == pytest.approx(29.97, abs=1e-3)
@@ -61,32 +61,32 @@ def test_film_shows_every_picture_and_in_place_of_bad_frames_the_one_before(fram
 
 def test_interrupted_run_leaves_no_film_and_is_continued_from_its_pictures(frames, house, tmp_path):
     path, camera = tmp_path / "film.mkv", house.truth.calibration
-    started = lfrender.render_film(frames, path, camera, preset="fast")
+    started = render_film(frames, path, camera, preset="fast")
     # The next one is being worked on by then.
     list(islice(started, 2))
     started.close()
     assert not path.exists()
-    results = list(lfrender.render_film(frames, path, camera, preset="fast"))
+    results = list(render_film(frames, path, camera, preset="fast"))
     assert [r.outcome for r in results] == ["failed", "kept", "kept", "failed", "rendered"]
     assert len(shown(path)[1]) == 5
     with pytest.raises(lfcal.OutputError, match="there already"):
-        next(lfrender.render_film(frames, path, camera, preset="fast"))
+        next(render_film(frames, path, camera, preset="fast"))
 
 
 def test_pictures_made_with_other_settings_are_not_used_for_a_film(frames, house, tmp_path):
     path, camera = tmp_path / "film.mkv", house.truth.calibration
-    started = lfrender.render_film(frames, path, camera, preset="fast")
+    started = render_film(frames, path, camera, preset="fast")
     # The next one is being worked on by then.
     list(islice(started, 2))
     started.close()
-    results = list(lfrender.render_film(frames, path, camera, preset="fast", scale=5.0))
+    results = list(render_film(frames, path, camera, preset="fast", scale=5.0))
     assert "kept" not in [r.outcome for r in results]
     assert shown(path)[1][0].shape[1] == pytest.approx(5.0 * 520 / 20.3, abs=1)
 
 
 def test_sequence_without_a_frame_that_can_be_rendered_makes_no_film(frames, house, tmp_path):
     bad = lfrender.open_frames(frames.files[:1])
-    run = lfrender.render_film(bad, tmp_path / "film.mkv", house.truth.calibration, preset="fast")
+    run = render_film(bad, tmp_path / "film.mkv", house.truth.calibration, preset="fast")
     assert next(run).outcome == "failed"
     with pytest.raises(lfcal.FlatError, match="none of the frames"):
         next(run)
@@ -145,7 +145,7 @@ def test_film_of_8_bits_is_as_bright_as_the_flats_whatever_bits_they_have(house,
     for name, flat in (("bytes", house.flat), ("twelve", house.flat.astype(np.uint16) << 4)):
         tifffile.imwrite(tmp_path / f"{name}.tif", flat)
         frames = lfrender.open_frames([tmp_path / f"{name}.tif"])
-        list(lfrender.render_film(frames, tmp_path / f"{name}.mp4", preset="fast", scale=5.0))
+        list(render_film(frames, tmp_path / f"{name}.mp4", preset="fast", scale=5.0))
     ((of_bytes,), (of_twelve,)) = (shown(tmp_path / f"{name}.mp4")[1] for name in ("bytes", "twelve"))
     np.testing.assert_allclose(of_twelve.mean((0, 1)), of_bytes.mean((0, 1)), atol=1.0)
 
@@ -174,7 +174,7 @@ def test_films_need_a_package_a_known_ending_and_room(frames, house, tmp_path, m
     with monkeypatch.context() as patch:
         patch.setattr(FilmFile, "_frame", full)
         with pytest.raises(lfcal.OutputError, match="No space left"):
-            list(lfrender.render_film(frames, tmp_path / "film.mkv", house.truth.calibration, preset="fast"))
+            list(render_film(frames, tmp_path / "film.mkv", house.truth.calibration, preset="fast"))
     assert not (tmp_path / "film.mkv").exists()
     monkeypatch.setitem(sys.modules, "av", None)
     found = run(main, ["batch", flat, "-o", str(tmp_path / "film.mp4")])

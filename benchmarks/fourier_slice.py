@@ -1,4 +1,4 @@
-"""Refocusing in the Fourier domain, to compare with the sum over lenses in `refocusing.py`."""
+"""Refocusing in the Fourier domain (Ng 2005, section 4), to compare with the sum over lenses of `lfrender.refocus`."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration
-
-from ..data.rendering import Rendering
-from ..flat.gray_flat import correction_table, trusted_radius
-from ..flat.lens_graph import lens_grid
-from ..flat.validation import check_flat
-from .plan import convert_to_dtype
+from lfrender.data.rendering import Rendering
+from lfrender.flat.gray_flat import correction_table, trusted_radius
+from lfrender.flat.lens_graph import lens_grid
+from lfrender.flat.validation import check_flat
+from lfrender.rendering.plan import convert_to_dtype
 
 __all__ = ["refocus_fourier"]
 
