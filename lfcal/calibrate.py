@@ -14,21 +14,13 @@ from .camera.calibration import Calibration
 from .images.mosaic import check_mosaic, equalise_mosaic, has_mosaic
 from .runtime.errors import CalibrationError
 from .runtime.image_formats import Mosaic
+from .settings import CALIBRATION
 
 if TYPE_CHECKING:
     from .lattice.lattice import Lattice
     from .lattice_search import LatticeCandidate
 
 __all__ = ["calibrate"]
-
-# [pitch] RMS distance of the lattices of two halves of a flat from which on there is none.
-_MAX_HALF_DIFFERENCE = 0.1
-# Confidence below which there is a warning.
-_MIN_CONFIDENCE = 0.7
-# Confidence where nothing on the flat proves that microimages are what repeats on it.
-_UNPROVEN = 0.4
-# Candidates measured after the first before a flat is refused.
-_MORE_CANDIDATES = 2
 
 
 def calibrate(
@@ -157,7 +149,7 @@ def _measure_first(candidates: Iterator[LatticeCandidate]) -> tuple[Calibration,
     Wrong ones are the period of scene detail that all lenses show, or several types of lenses taken as one.
     """
     error: CalibrationError | None = None
-    for one in islice(candidates, 1 + _MORE_CANDIDATES):
+    for one in islice(candidates, 1 + CALIBRATION.more_candidates):
         try:
             return _measure(one), one
         except CalibrationError as failure:
@@ -175,7 +167,7 @@ def _measure(found: LatticeCandidate) -> Calibration:
 
     fit, picture, white = found.fit, found.picture, found.white
     pitch = fit.lattice.pitch
-    if not fit.half_difference < _MAX_HALF_DIFFERENCE * pitch:
+    if not fit.half_difference < CALIBRATION.max_half_difference * pitch:
         raise CalibrationError(
             f"two halves of the microimages of {pitch:.1f} px pitch disagree about the lattice; "
             "give a sharper flat or a white image"
@@ -186,9 +178,9 @@ def _measure(found: LatticeCandidate) -> Calibration:
     # With half of the pixels unlike the model there is no trust in its centres.
     confidence = min(
         found.start.repeatability,
-        1 - max(fit.half_difference, fit.displacement) / (_MAX_HALF_DIFFERENCE * pitch),
+        1 - max(fit.half_difference, fit.displacement) / (CALIBRATION.max_half_difference * pitch),
         1 - 2 * light.outlier_share,
-        _UNPROVEN if doubt else 1,
+        CALIBRATION.unproven_confidence if doubt else 1,
     )
     return Calibration(
         lattice=lattice,
@@ -229,7 +221,7 @@ def _warnings(camera: Calibration, differ: float, unknown_mosaic: bool) -> list[
     """Warnings about confidence, lens types and an unknown mosaic."""
     warnings = []
     confidence, types = camera.confidence, camera.lens_types
-    if confidence < _MIN_CONFIDENCE:
+    if confidence < CALIBRATION.min_confidence:
         warnings.append(
             f"the lattice is uncertain (confidence {confidence:.2f}, halves of the flat differ by {differ:.2f} px); "
             "check the circles on the flat or calibrate on a white image"

@@ -12,6 +12,7 @@ from .lattice.lattice import Lattice
 from .lattice.residuals import Residuals
 from .lattice.standard_errors import LatticeErrors, equal_weight_errors
 from .runtime.errors import CalibrationError
+from .settings import CALIBRATION
 
 if TYPE_CHECKING:
     from .detection.first_lattice import FirstLattice
@@ -20,17 +21,6 @@ if TYPE_CHECKING:
     from .white_fit.model import CatEye
 
 __all__ = ["FinalLattice", "fit_lattice_to_scenes", "fit_lattice_to_white_image"]
-
-# [pitch] window in which edges are normalised: wider than a rim, narrower than what the scene shows in a lens.
-_RIM_WINDOW = 0.5
-# [pitch] RMS distance from the first lattice from which on a fit has run away.
-_MAX_DISTANCE = 0.2
-# [pitch] scatter of single lenses from which on rims are too faint to fit single lenses.
-_FAINT_RIMS = 0.02
-# Most of the shift of a microimage's middle over the cut: of two white of one size, half of it.
-_CENTROID_SHARE = 0.5
-# Lenses at which distances are sampled.
-_SAMPLES = 4000
 
 
 @dataclass(frozen=True)
@@ -82,11 +72,11 @@ def fit_lattice_to_white_image(picture: NDArray[np.float32] | StackedCrops, star
         ) from error
     crops = StackedCrops.of(picture)
     index = found.indices() if crops.size == found.image_size else crops.lenses(found, 0.0)[0]
-    places = found.points(index[:: max(1, len(index) // _SAMPLES)])
+    places = found.points(index[:: max(1, len(index) // CALIBRATION.samples)])
     # A distortion that the start does not have is no error of it.
     near = white.lattice if found.distortion is not None else replace(white.lattice, distortion=None)
     distance = near.points(np.rint(near.to_index(places))) - places
-    if not np.sqrt((distance**2).sum(1).mean()) < _MAX_DISTANCE * found.pitch:
+    if not np.sqrt((distance**2).sum(1).mean()) < CALIBRATION.max_distance * found.pitch:
         return FinalLattice(found, white.residual_rms, white.lenses_used, start.half_difference)
     return FinalLattice(
         white.lattice,
@@ -118,7 +108,7 @@ def _displacement(white: WhiteFit, places: NDArray[np.float64]) -> float:
     middle = places - places.mean(0)
     base = np.linalg.qr(np.column_stack([np.ones(len(places)), middle / np.abs(middle).max()]))[0]
     distance, cut = base.T @ (centres - places), base.T @ cut
-    share = np.clip(-(distance * cut).sum() / max(float((cut**2).sum()), 1e-300), 0, _CENTROID_SHARE)
+    share = np.clip(-(distance * cut).sum() / max(float((cut**2).sum()), 1e-300), 0, CALIBRATION.centroid_share)
     return float(np.sqrt(((distance + share * cut) ** 2).sum() / len(places)))
 
 
@@ -134,14 +124,14 @@ def fit_lattice_to_scenes(
     from .scene_fit.fit import fit_scene
 
     found = start.lattice
-    window = _RIM_WINDOW * found.pitch
+    window = CALIBRATION.rim_window * found.pitch
     rims = normalise_locally(edge_strength(picture if len(lights) == 1 else sqrt_luminance(lights[0])), window)
     for light in lights[1:]:
         rims += normalise_locally(edge_strength(sqrt_luminance(light)), window)
     if len(lights) > 1:
         rims /= np.float32(len(lights))
     fit = fit_scene(rims, found)
-    if fit.residual_rms > _FAINT_RIMS * found.pitch and not fit.half_difference < start.half_difference:
+    if fit.residual_rms > CALIBRATION.faint_rims * found.pitch and not fit.half_difference < start.half_difference:
         # Averages of whole tiles are the better measure.
         return FinalLattice(found, fit.residual_rms, fit.lenses_used, start.half_difference)
     lattice = Lattice(fit.origin, fit.basis, found.image_size, found.radius, fit.distortion)

@@ -24,6 +24,7 @@ from .images.stack import average_scenes, combine_whites, select_contrasted
 from .lattice.lens_subset import ReadCrop, StackedCrops
 from .lattice_fit import FinalLattice, fit_lattice_to_scenes, fit_lattice_to_white_image
 from .runtime.errors import RAW_FLAT_ADVICE, CalibrationError
+from .settings import CALIBRATION
 
 __all__ = [
     "LatticeCandidate",
@@ -32,14 +33,6 @@ __all__ = [
     "find_lattices",
     "find_lattices_without_glare",
 ]
-
-# [mean] standard deviation of an image that shows nothing.
-_MIN_CONTRAST = 1e-4
-# [mean] standard deviation of the root of the luminance, beyond which a few bright places of a scene may outweigh the
-# microimages; files with gamma have up to 0.46, linear ones up to 0.9.
-_GLARE = 0.5
-# Roundness of the average microimage below which they may have done so.
-_MIN_ROUNDNESS = 0.55
 
 
 @dataclass(frozen=True)
@@ -137,8 +130,8 @@ def find_lattices_without_glare(
     Those on the root are taken where contrast is high, or their average microimage is rounder.
     """
     # A ninth of the pixels is enough.
-    glares = float(np.asarray(found.picture)[::3, ::3].std()) > _GLARE
-    if not glares and found.start.roundness >= _MIN_ROUNDNESS:
+    glares = float(np.asarray(found.picture)[::3, ::3].std()) > CALIBRATION.glare
+    if not glares and found.start.roundness >= CALIBRATION.min_roundness:
         return found, others
 
     def find_softer() -> Iterator[LatticeCandidate]:
@@ -190,7 +183,7 @@ def _find_starts_on(picture: NDArray[np.float32]) -> Iterator[FirstLattice]:
     import cv2
 
     mean, deviation = (float(value[0, 0]) for value in cv2.meanStdDev(picture))
-    if mean == 0 or deviation < _MIN_CONTRAST * mean:
+    if mean == 0 or deviation < CALIBRATION.min_contrast * mean:
         raise CalibrationError("the image is one even grey; give a flat with light on it and without saturation")
     half_size = is_searched_at_half_size((picture.shape[1], picture.shape[0]))
     for start in (find_first_lattices_at_half_size if half_size else find_first_lattices)(picture):

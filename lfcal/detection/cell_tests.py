@@ -23,10 +23,6 @@ from .settings import DEFAULT, CellTestSettings
 
 __all__ = ["AverageCell", "check_cell", "check_edges", "find_shape_doubt", "measure_average_cell"]
 
-# Nodes of piecewise linear functions of a distance.
-_NODES = 16
-# Samples along a cell, an even number.
-_SAMPLES = 18
 _AROUND = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
@@ -60,7 +56,7 @@ def check_cell(
         # Correlation of two halves limits what any model can explain of their mean.
         possible = 2 * repeatability / (1 + repeatability)
         distances = _bin_distances(basis, len(light), centre)
-        explained = float(np.mean([_explained_share(cell, distances) for cell in cells]))
+        explained = float(np.mean([_explained_share(cell, distances, settings.nodes) for cell in cells]))
         least = settings.radial_share if off_line > settings.lopsided_energy else settings.radial_share_rows
         if explained < least * possible:
             pitch = float(np.sqrt(abs(np.linalg.det(basis))))
@@ -147,21 +143,23 @@ def _distances(
     return np.hypot(*offset.T), (0.5 * length - offset @ steps.T / length).min(1)
 
 
-def _explained_share(cell: NDArray[np.float64], distances: tuple[NDArray[np.float64], NDArray[np.float64]]) -> float:
+def _explained_share(
+    cell: NDArray[np.float64], distances: tuple[NDArray[np.float64], NDArray[np.float64]], nodes: int
+) -> float:
     """Share of the variance of a cell that a sum of a function of each distance explains, 0..1."""
     values = cell.ravel() - cell.mean()
-    left = values - _fit_distances(values, distances)
+    left = values - _fit_distances(values, distances, nodes)
     return 1 - float(left @ left) / max(float(values @ values), 1e-30)
 
 
 def _fit_distances(
-    values: NDArray[np.float64], distances: tuple[NDArray[np.float64], NDArray[np.float64]]
+    values: NDArray[np.float64], distances: tuple[NDArray[np.float64], NDArray[np.float64]], nodes: int
 ) -> NDArray[np.float64]:
     """Least-squares sum of a piecewise linear function of each distance (n,), to `values` (n,) or columns (n, m)."""
     columns = []
     for distance in distances:
-        place = (distance - distance.min()) / max(float(np.ptp(distance)), 1e-12) * (_NODES - 1)
-        columns.append(np.clip(1 - np.abs(place[:, None] - np.arange(_NODES)), 0, None))
+        place = (distance - distance.min()) / max(float(np.ptp(distance)), 1e-12) * (nodes - 1)
+        columns.append(np.clip(1 - np.abs(place[:, None] - np.arange(nodes)), 0, None))
     design = np.hstack(columns)
     fitted: NDArray[np.float64] = design @ np.linalg.lstsq(design, values, rcond=None)[0]
     return fitted
@@ -237,7 +235,8 @@ def measure_average_cell(
     picture: NDArray[np.float32] | StackedCrops, lattice: Lattice, settings: CellTestSettings = DEFAULT.cell_tests
 ) -> AverageCell | None:
     """Measure the average cell as for `find_shape_doubt`; None where there are too few lenses."""
-    share = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+    samples = settings.samples
+    share = (np.arange(samples) + 0.5) / samples - 0.5
     column, row = np.meshgrid(share, share)
     offsets = _from_nearest(np.column_stack([column.ravel(), row.ravel()]), lattice.basis)
     steps = lattice.steps @ lattice.basis
@@ -263,14 +262,14 @@ def measure_average_cell(
     if correlation <= 0:
         return AverageCell(correlation, 1.0, -1.0, 1.0, float("inf"), 0.0)
     both = np.column_stack([a, b])
-    left = both - _fit_distances(both, _distances(lattice.basis, offsets))
-    square = b.reshape(_SAMPLES, _SAMPLES)
-    shifts = _SAMPLES // 2 * np.array([(1, 0), (0, 1), (1, 1)])
+    left = both - _fit_distances(both, _distances(lattice.basis, offsets), settings.nodes)
+    square = b.reshape(samples, samples)
+    shifts = samples // 2 * np.array([(1, 0), (0, 1), (1, 1)])
     half_shift = min(float(a @ np.roll(square, tuple(shift), (0, 1)).ravel()) / common for shift in shifts)
     core = cells[:, np.hypot(*offsets.T) < settings.core * np.hypot(*steps.T).min()].mean()
     gap = max(float((interpolate_linear(picture, centres + step / 2) ** 2 / level).mean()) for step in steps)
     # Noise is as many independent values as a cell has pixels.
-    values = min(abs(np.linalg.det(lattice.basis)), _SAMPLES**2)
+    values = min(abs(np.linalg.det(lattice.basis)), samples**2)
     return AverageCell(
         half_correlation=correlation,
         unexplained=float(left.prod(1).sum()) / common,

@@ -21,11 +21,6 @@ from .settings import DEFAULT, ParallaxSettings
 
 __all__ = ["NeighbourComparison", "check_parallax", "compare_neighbours", "shows_scene"]
 
-# Square of a standard normal value that half of all lie below.
-_MEDIAN_SQUARE = 0.4549
-# Mean distance of two standard normal values.
-_MEAN_DISTANCE = 1.128
-
 
 @dataclass(frozen=True)
 class NeighbourComparison:
@@ -122,7 +117,8 @@ def shows_scene(picture: NDArray[np.float32], lattice: Lattice, settings: Parall
 def _has_texture(found: NeighbourComparison, white: bool, settings: ParallaxSettings) -> bool:
     """Whether microimages show more than noise."""
     least, noise = (settings.texture_white, found.typical_noise) if white else (settings.texture_scene, found.noise)
-    return found.texture > max(least, settings.texture_over_noise * noise / _MEAN_DISTANCE)
+    # The mean distance of two standard normal values is 1.128.
+    return found.texture > max(least, settings.texture_over_noise * noise / 1.128)
 
 
 def _matches(found: NeighbourComparison, gain: float) -> bool:
@@ -187,7 +183,8 @@ def _spread(second_difference: NDArray[np.float64], types: NDArray[np.int64]) ->
     left = second_difference.copy()
     for kind in np.unique(types):
         left[types == kind] -= np.median(left[types == kind])
-    return float(np.sqrt(np.median(left**2) / _MEDIAN_SQUARE / 6))
+    # Half of all squares of standard normal values lie below 0.4549; a second difference has six times the variance.
+    return float(np.sqrt(np.median(left**2) / 0.4549 / 6))
 
 
 def _compare_shifted(

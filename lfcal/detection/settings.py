@@ -96,6 +96,8 @@ class CellTestSettings:
     edge_energy: float = 5e-3  # least beyond the first harmonics; discs have 0.05
     shortest_harmonic: float = SpectrumSettings.shortest_harmonic  # [px]
     sharp_pitch: float = 10.0  # [px] below which the sensor's own blur can leave less than `edge_energy`
+    nodes: int = 16  # of the piecewise linear functions of a distance
+    samples: int = 18  # along a cell, an even number
     lenses: int = 200  # evenly spread, that give an average cell
     fewest_lenses: int = 4
     dark_lens: float = 0.2  # share of the light of a bright lens; darker ones may lie beside the array

@@ -13,9 +13,6 @@ __all__ = [
     "SampleSettings",
 ]
 
-# Spread of s / D from which on a scene has depth.
-_MIN_SPREAD = 0.02
-
 
 @dataclass(frozen=True)
 class SampleSettings:
@@ -58,7 +55,7 @@ class PatternSettings:
     min_outer_light: tuple[float, float] = (0.012, 0.07)
     min_inner_loss: float = 0.015
     min_level: float = 0.004
-    min_spread: float = _MIN_SPREAD
+    min_spread: float = 0.02  # of s / D from which on a scene has depth
     fewest_lenses: int = 100  # with all neighbours on the flat
     scene_repeats: float = 0.3  # share of its power that a mosaic may have in the gradients of the scene
     min_cosine: float = 0.7  # between the patterns of two halves of the sample
@@ -80,7 +77,7 @@ class FocusSettings:
     near: float = 0.12  # [s / D] about equal sharpness in which differences are straight lines
     turns: int = 5
     max_error: float = 0.03  # [s / D] standard error of equal sharpness
-    min_spread: float = _MIN_SPREAD
+    min_spread: float = PatternSettings.min_spread  # of s / D
     fewest_lenses: int = 40  # of a type
     flattened: float = 0.95  # light beyond rims over that before them, from which on they are those of a white image
     min_light: float = 0.015  # difference of light at the rims that is not due to how pixels fall on them

@@ -1,0 +1,29 @@
+"""Tuned values of `calibrate`, `lattice_search` and `lattice_fit`, set by hand on scenes and white images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["CALIBRATION", "CalibrationSettings"]
+
+
+@dataclass(frozen=True)
+class CalibrationSettings:
+    """Tuned values of a calibration as a whole."""
+
+    max_half_difference: float = 0.1  # [pitch] RMS distance of the lattices of two halves, from which on there is none
+    min_confidence: float = 0.7  # below which there is a warning
+    unproven_confidence: float = 0.4  # where nothing proves that microimages are what repeats on the flat
+    more_candidates: int = 2  # measured after the first before a flat is refused
+    min_contrast: float = 1e-4  # [mean] standard deviation of an image that shows something
+    glare: float = 0.5  # [mean] standard deviation of the root of the luminance, beyond which a few bright places may
+    # outweigh the microimages; files with gamma have up to 0.46, linear ones up to 0.9
+    min_roundness: float = 0.55  # of the average microimage, below which they may have done so
+    rim_window: float = 0.5  # [pitch] in which edges are normalised: more than a rim, less than the scene in a lens
+    max_distance: float = 0.2  # [pitch] RMS distance from the first lattice from which on a fit has run away
+    faint_rims: float = 0.02  # [pitch] scatter of single lenses from which on they cannot be fitted singly
+    centroid_share: float = 0.5  # most shift of the middle of a microimage over its cut: of two equal discs a half
+    samples: int = 4000  # lenses at which distances are measured
+
+
+CALIBRATION = CalibrationSettings()
