@@ -26,24 +26,11 @@ __all__ = ["CaptureInput", "is_published", "read_camera"]
 
 @dataclass(frozen=True)
 class CaptureInput:
-    """A flat, and the files that its camera and its depth come from.
-
-    Parameters
-    ----------
-    report : Report
-        Gets the stages `read`, `calibrate` and `analyze`.
-    flat : Path
-    camera, white : Path, optional
-        Without both, the camera is calibrated from the flat.
-    depth_file : Path, optional
-        Without it, the depth is analysed.
-    mosaic : str, optional
-        Colour filters, for cameras that do not have them.
-    preset : str
-    """
+    """A flat, and the files that its camera and its depth come from; its methods time the stages of a command."""
 
     report: console.Report
     flat: Path
+    # Without camera and white image, the camera is calibrated from the flat; without a depth file, it is analysed.
     camera: Path | None = None
     white: Path | None = None
     depth_file: Path | None = None

@@ -59,16 +59,8 @@ def capture_command(
 ) -> Callable[[Any], click.Command]:
     """Make a command that works on one capture, with the options that such commands share.
 
-    The function is called with `capture`, a `CaptureInput`, in place of these options, and with its own ones.
-
-    Parameters
-    ----------
-    examples : str
-        Calls to show in the help.
-    output : (str, str), optional
-        Placeholder and help of the option `--output`.
-    white, depth, mosaic, preset : bool
-        Whether there are such options.
+    The function is called with `capture`, a `CaptureInput`, in place of these options, and with its own ones. `output`
+    is placeholder and help of the option `--output`; `examples` are calls to show in the help.
     """
 
     def decorate(function: Any) -> click.Command:

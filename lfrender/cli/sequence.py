@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from lfcal import Calibration
 
     from ..sequence.frames import Frames
-    from ..sequence.job import FrameResult
 
 __all__ = ["batch"]
 
@@ -89,11 +87,11 @@ def batch(
         from ..sequence.film import check_film
 
         check_film(output, inputs)
-        options["rate"] = fps
+        options |= {"path": output, "rate": fps}
     else:
         if fps is not None:
             raise click.UsageError("--fps is for films: give -o FILM.mp4 or FILM.mkv")
-        options["suffix"] = f".{(suffix or 'tif').lstrip('.')}"
+        options |= {"folder": output, "suffix": f".{(suffix or 'tif').lstrip('.')}"}
     frames = open_frames(inputs)
     calibration = None
     if camera or white:
@@ -106,7 +104,12 @@ def batch(
         report.progress("frames", frames.count) as advance,
         connect_cluster(workers, scheduler) as cluster,
     ):
-        for result in _render(frames, output, film, calibration, cluster, options):
+        from .. import render_frames
+        from ..sequence.cluster import render_frames_on
+        from ..sequence.film import render_film
+
+        render: Any = render_film if film else render_frames_on if cluster else render_frames
+        for result in render(frames=frames, calibration=calibration, **cluster, **options):
             results.append(result)
             advance(result.message)
     rendered = [r for r in results if r.outcome == "rendered"]
@@ -122,26 +125,6 @@ def batch(
     }
     report.finish({**figures, "warnings": [r.message for r in failed]} if as_json else figures)
     return 1 if failed else 0
-
-
-def _render(
-    frames: Frames,
-    output: Path,
-    film: bool,
-    calibration: Calibration | None,
-    cluster: dict[str, Any],
-    options: dict[str, Any],
-) -> Iterator[FrameResult]:
-    """Results of rendering pictures or a film, here or on a cluster."""
-    from .. import render_frames
-    from ..sequence.cluster import render_frames_on
-    from ..sequence.film import render_film
-
-    if film:
-        return render_film(frames, output, calibration, **cluster, **options)
-    if not cluster:
-        return render_frames(frames, output, calibration, **options)
-    return render_frames_on(frames=frames, folder=output, calibration=calibration, **cluster, **options)
 
 
 def _find_camera(frames: Frames, camera: Path | None, white: Path | None) -> Calibration:

@@ -31,11 +31,7 @@ Rectangle = tuple[int, int, int, int]
 class TileReader:
     """Reads parts of a flat: with a channel axis, and in colour where the camera has a colour mosaic.
 
-    Parameters
-    ----------
-    source : FlatSource
-    calibration : Calibration
-        Of the same image size, else CalibrationError.
+    CalibrationError if the calibration is for another image size.
     """
 
     def __init__(self, source: FlatSource, calibration: Calibration) -> None:
@@ -90,28 +86,15 @@ class TileReader:
 class LensTile:
     """A part of the flat that is analysed alone: its lattice, and the lenses whose results are taken from it.
 
-    All places are in pixels of the flat as it is analysed, each the mean of `factor` x `factor` pixels.
-
-    Parameters
-    ----------
-    factor : int
-    corner : (2,) int64 [px]
-    full : Lattice
-        In the pixels that the part has as it is read.
-    lattice : Lattice
-        In those of the part as it is analysed.
-    inside : (m,) bool
-        Lenses of `lattice` whose results are taken from this part; the others are its halo.
-    core : (left, top, right, bottom) [px]
-        The rectangle of the centres of these lenses.
+    Corner and core are in pixels of the flat as it is analysed, each the mean of `factor` x `factor` pixels as read.
     """
 
     factor: int
-    corner: NDArray[np.int64]
-    full: Lattice
-    lattice: Lattice
-    inside: NDArray[np.bool_]
-    core: tuple[float, ...]
+    corner: NDArray[np.int64]  # (2,) first pixel x, y
+    full: Lattice  # in the pixels of the part as it is read
+    lattice: Lattice  # in those of the part as it is analysed
+    inside: NDArray[np.bool_]  # lenses of `lattice` whose results are taken from this part; the others are its halo
+    core: tuple[float, ...]  # `left, top, right, bottom` around the centres of these lenses
 
     @classmethod
     def cut(

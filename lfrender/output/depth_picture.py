@@ -31,12 +31,7 @@ _MARGIN = 14
 
 
 def depth_picture(depth: DepthMap, lattice: Lattice, least_width: int = 240) -> NDArray[np.uint8]:
-    """The magnification in colours on the grid of the picture that `render` draws, at least wide enough for a legend.
-
-    Returns
-    -------
-    (h + 56, w, 3) uint8
-    """
+    """(h + 56, w, 3) magnification in colours, on the grid of `render` if that is wide enough for a legend."""
     from ..data.dense_depth import dense_depth
     from ..data.depth_map import default_scale
 
@@ -68,25 +63,18 @@ def magnification_picture(
     shape: tuple[int, int],
     limits: tuple[float, float] | None = None,
 ) -> NDArray[np.uint8]:
-    """Magnification `M = D / |s|` of the lens at each pixel, from blue (low) to red (high) on a logarithmic scale.
+    """(h + 56, w, 3) magnification `M = D / |s|` of the lens at each pixel, from blue to red on a logarithmic scale.
 
     Parameters
     ----------
-    patch_size : (n,) [px]
-        Signed `s` per lens in the order of `lattice.centres()`.
-    mode : (n,)
-        1, -1, or 0 for lenses to be drawn grey.
-    lattice : Lattice
+    patch_size, mode : (n,)
+        Signed `s` [px] and mode per lens in the order of `lattice.centres()`; lenses of mode 0 are grey.
     affine : (2, 3) array_like
         From pixel to scene coordinates.
     shape : (int, int)
         Height and width of the map; a legend of 56 px is added below.
     limits : (float, float), optional
         Lowest and highest magnification of the scale; by default the range of 98 % of the lenses.
-
-    Returns
-    -------
-    (h + 56, w, 3) uint8
     """
     resolved = np.asarray(mode) != 0
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -109,19 +97,7 @@ def magnification_picture(
 
 
 def mode_picture(mode: ArrayLike, lattice: Lattice, affine: ArrayLike, shape: tuple[int, int]) -> NDArray[np.uint8]:
-    """The mode of the lens at each pixel, with the share of each in the legend.
-
-    Parameters
-    ----------
-    mode : (n,)
-        1 telescopic, -1 binocular, 0 unresolved, in the order of `lattice.centres()`.
-    lattice, affine, shape
-        As in `magnification_picture`.
-
-    Returns
-    -------
-    (h + 56, w, 3) uint8
-    """
+    """(h + 56, w, 3) mode of the lens at each pixel, with its shares in the legend; as `magnification_picture`."""
     modes = np.asarray(mode)
     colours = np.array([MODE_COLOURS[int(np.sign(code))] for code in modes], np.uint8).reshape(-1, 3)
     picture, draw, font = _canvas(_add_legend(colours[_lens_of_pixels(lattice, affine, shape)]))

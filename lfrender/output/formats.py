@@ -43,37 +43,19 @@ class PictureError(LightFieldError, ValueError):
 
 @dataclass(frozen=True)
 class PictureFormat:
-    """What files with one suffix can hold, and how they are written.
+    """What files with one suffix can hold, and how they are written."""
 
-    Parameters
-    ----------
-    pixel_types : tuple of str
-        NumPy names of the pixel types.
-    picture : callable or None
-        `picture(path, pages, embedded, compress)` writes a picture; None for formats that hold no single pictures.
-    alpha : bool
-        Whether there can be an alpha channel.
-    stack : bool
-        Whether a file can hold several pictures.
-    tiles : bool
-        Whether files can be written tile by tile (`tiled_picture`).
-    animation : str
-        Name of the format in Pillow if it can hold an animation, else empty.
-    film : (str, dict of str to str) or None
-        Encoder of FFmpeg and its options, if it is a film.
-    package, extra : str
-        Package that is needed, and the extra of lfrender that installs it.
-    """
-
+    #: NumPy names of the pixel types.
     pixel_types: tuple[str, ...]
+    #: `picture(path, pages, embedded, compress)` writes a picture; None for formats that hold no single pictures.
     picture: Callable[[Path, list[Page], EmbeddedMetadata, bool], None] | None = None
     alpha: bool = True
-    stack: bool = False
-    tiles: bool = False
-    animation: str = ""
-    film: tuple[str, dict[str, str]] | None = None
-    package: str = ""
-    extra: str = ""
+    stack: bool = False  # whether a file can hold several pictures
+    tiles: bool = False  # whether it can be written tile by tile (`tiled_picture`)
+    animation: str = ""  # name of the format in Pillow if it can hold an animation
+    film: tuple[str, dict[str, str]] | None = None  # encoder of FFmpeg and its options, if it is a film
+    package: str = ""  # that is needed ...
+    extra: str = ""  # ... and the extra of lfrender that installs it
 
 
 def check_format(
@@ -85,24 +67,9 @@ def check_format(
 ) -> None:
     """Raise an error if a file could not be written, before anything is computed for it.
 
-    Parameters
-    ----------
-    path : path-like
-        Where the file is to go.
-    use : {"picture", "animation", "film"}
-    dtype : dtype, optional
-        Its pixel type, where already known.
-    alpha : bool
-        Whether it will have an alpha channel.
-    inputs : iterable of path-like or None
-        Files that are read for it and must not be replaced by it.
-
-    Raises
-    ------
-    OutputError
-        If no format with this use has such a suffix, the folder cannot be written, or `path` is one of the inputs.
-    PictureError
-        If the format cannot hold such pixels, or needs a package that is not installed.
+    OutputError if no format with this use has such a suffix, the folder cannot be written, or `path` is one of the
+    `inputs` that are read for it. PictureError if the format cannot hold pixels of this type or an alpha channel, or
+    needs a package that is not installed.
     """
     check_output(path, [suffix for suffix, kind in FORMATS.items() if getattr(kind, use)], inputs)
     suffix = Path(path).suffix.lower()

@@ -18,15 +18,7 @@ _SEGMENT = 65519
 
 @dataclass(frozen=True)
 class EmbeddedMetadata:
-    """What an image file holds about its colours and about how it was taken.
-
-    Parameters
-    ----------
-    icc : bytes
-        ICC profile, empty where there is none.
-    exif : bytes
-        TIFF block of the EXIF data, without thumbnail and sizes, empty where there is none.
-    """
+    """ICC profile, and TIFF block of the EXIF data without thumbnail and sizes; empty where there is none."""
 
     icc: bytes = b""
     exif: bytes = b""

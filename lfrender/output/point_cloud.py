@@ -88,13 +88,7 @@ def point_cloud(
 
 
 def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = False) -> None:
-    """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY; whole or not at all.
-
-    Raises
-    ------
-    OutputError
-        If the suffix is not `.ply`, or the folder cannot be written.
-    """
+    """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY; whole or not at all."""
     check_output(path, {".ply"})
     virtual = "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s"
     kinds = {"f": "float", "u": "uchar"}

@@ -22,13 +22,7 @@ _Result = TypeVar("_Result")
 
 
 class Checkpoint:
-    """A hidden folder beside an output with the finished parts of a run; removed once the output is there.
-
-    Parameters
-    ----------
-    output : Path
-        File or folder that the run is to make.
-    """
+    """A hidden folder beside an output with the finished parts of a run; removed once the output is there."""
 
     def __init__(self, output: Path) -> None:
         self.folder = output.absolute().parent / f".{output.name}.unfinished"

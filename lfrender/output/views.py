@@ -25,13 +25,7 @@ _NO_METADATA = EmbeddedMetadata()
 
 
 def check_grid(folder: str | os.PathLike[str], suffix: str, dtype: Any = None, inputs: Iterable[Any] = ()) -> None:
-    """Raise an error if a folder of views could not be made, before the views are drawn.
-
-    Raises
-    ------
-    OutputError, PictureError
-        As `check_picture`; also if `folder` is a file.
-    """
+    """Raise an error if a folder of views could not be made, before the views are drawn; as `check_picture`."""
     if Path(folder).exists() and not Path(folder).is_dir():
         raise OutputError(f"{folder}: is a file; a grid of views needs a folder")
     inside = Path(folder) if Path(folder).is_dir() else Path(folder).parent
@@ -92,12 +86,9 @@ def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
 def check_animation(
     path: str | os.PathLike[str], dtype: Any = None, inputs: Iterable[str | os.PathLike[str] | None] = ()
 ) -> None:
-    """Raise an error if an animation could not be written, before its views are drawn.
+    """Raise an error if an animation could not be written, before its views are drawn; as `check_picture`.
 
-    Raises
-    ------
-    OutputError, PictureError
-        As `check_picture`. Pixels must be uint8 or uint16.
+    Pixels must be uint8 or uint16.
     """
     check_format(path, "animation", inputs=inputs)
     if dtype is not None and np.dtype(dtype).name not in ("uint8", "uint16"):

@@ -73,27 +73,13 @@ def render_frames_on(
 
 @dataclass
 class _Group:
-    """Frames that one worker renders one after the other.
+    """Frames that one worker renders one after the other."""
 
-    Parameters
-    ----------
-    outcomes : list
-        The outcome of each frame, None for those to be rendered.
-    missing : list
-        Those to be rendered, with their numbers.
-    first : KeyFrame, optional
-        The frame that they are compared with, if its picture is there already.
-    key : KeyFrame, optional
-        Of their segment.
-    ready : Future, optional
-        Done when there is a depth map of the key frame.
-    """
-
-    outcomes: list[FrameResult | None] = field(default_factory=list)
-    missing: list[tuple[int, Frame]] = field(default_factory=list)
-    first: KeyFrame | None = None
-    key: KeyFrame | None = None
-    ready: Future | None = None
+    outcomes: list[FrameResult | None] = field(default_factory=list)  # None for frames to be rendered ...
+    missing: list[tuple[int, Frame]] = field(default_factory=list)  # ... which are these, with their numbers
+    first: KeyFrame | None = None  # the frame that they are compared with, if its picture is there already
+    key: KeyFrame | None = None  # of their segment
+    ready: Future | None = None  # done when there is a depth map of the key frame
 
 
 @dataclass(frozen=True)
@@ -158,21 +144,9 @@ class _Run:
 
 @contextmanager
 def connect(workers: int | None, scheduler: str | None, timeout: float = 15.0) -> Iterator[Client]:
-    """A client of a running scheduler, or of so many worker processes on this machine.
+    """A client of a scheduler such as `"tcp://host:8786"`, or of so many worker processes on this machine.
 
-    Parameters
-    ----------
-    workers : int or None
-        Number of processes, where no scheduler is given.
-    scheduler : str or None
-        Such as `"tcp://host:8786"`.
-    timeout : float [s]
-        How long to wait for the scheduler.
-
-    Raises
-    ------
-    OutputError
-        If Dask is not installed or the scheduler cannot be reached.
+    OutputError if Dask is not installed or the scheduler cannot be reached within `timeout` seconds.
     """
     try:
         from distributed import Client, LocalCluster

@@ -21,6 +21,7 @@ from lfcal.runtime.eight_bit import to_eight_bits
 from ..output.formats import FORMATS, PictureError, check_format
 from ..output.resume import Checkpoint, file_identity, fingerprint
 from ..output.tiled_picture import move_into_place
+from .batch import render_frames
 from .frames import Frames, convert_pixels
 from .job import FrameResult, load_camera
 
@@ -95,7 +96,13 @@ def render_film(
         checkpoint.keep("film", key)
     # Rates of television have denominators up to 1001; further digits of a decimal number are rounding.
     speed = Fraction(rate or frames.rate or 25).limit_denominator(1001)
-    pictures = _render_pictures(frames, checkpoint.folder, calibration, preset, scale, client, threads)
+    options: dict[str, Any] = {"preset": preset, "scale": scale}
+    if client is None:
+        pictures = render_frames(frames, checkpoint.folder, calibration, **options)
+    else:
+        from .cluster import render_frames_on
+
+        pictures = render_frames_on(client, frames, checkpoint.folder, calibration, threads=threads, **options)
     comment = json.dumps({"software": "lfrender", "rendering": "all in focus", "preset": preset})
     partial = checkpoint.folder / f"film{output.suffix.lower()}"
     with FilmFile(partial, speed, comment) as film, ThreadPoolExecutor(1) as encoder:
@@ -121,24 +128,6 @@ def render_film(
     checkpoint.remove()
 
 
-def _render_pictures(
-    frames: Frames,
-    folder: Path,
-    calibration: Calibration | None,
-    preset: str,
-    scale: float | None,
-    client: Client | None,
-    threads: int | None,
-) -> Iterator[FrameResult]:
-    if client is None:
-        from .batch import render_frames
-
-        return render_frames(frames, folder, calibration, preset=preset, scale=scale)
-    from .cluster import render_frames_on
-
-    return render_frames_on(client, frames, folder, calibration, preset=preset, scale=scale, threads=threads)
-
-
 def _add(film: FilmFile, picture: Path, times: int, white: float | None) -> None:
     pixels = to_film_pixels(read_flat(picture), film.eight_bits, white)
     for _ in range(times):
@@ -146,13 +135,7 @@ def _add(film: FilmFile, picture: Path, times: int, white: float | None) -> None
 
 
 def check_film(path: Path, inputs: Iterable[Path | None] = ()) -> None:
-    """Raise an error if a film could not be written, before its first picture is rendered; as `check_format`.
-
-    Raises
-    ------
-    PictureError
-        Also if the package `av` has no encoder for such films.
-    """
+    """Raise an error if a film could not be written, before its first picture is rendered; as `check_format`."""
     check_format(path, "film", inputs=inputs)
     import av
 
@@ -177,16 +160,9 @@ def to_film_pixels(pixels: NDArray[Any], only_eight_bits: bool = False, white: f
 
 
 class FilmFile:
-    """A film being written; use it in a `with` statement.
+    """A film being written, complete once it is closed; use it in a `with` statement.
 
-    Parameters
-    ----------
-    path : Path
-        The file to write, which is complete once it is closed.
-    rate : Fraction
-        Pictures a second.
-    comment : str
-        Text to store in the film.
+    It has `rate` pictures a second, and holds the text `comment`.
     """
 
     def __init__(self, path: Path, rate: Fraction, comment: str) -> None:
@@ -212,12 +188,7 @@ class FilmFile:
     def add(self, pixels: NDArray[Any]) -> None:
         """Add a picture (h, w) or (h, w, 3), uint8 or uint16, converted to the type and channels of the first one.
 
-        Raises
-        ------
-        PictureError
-            If it has another size than the first one.
-        OutputError
-            If the film cannot be written.
+        PictureError if it has another size than the first one, OutputError if the film cannot be written.
         """
         if self._stream is None:
             self._begin(pixels)

@@ -28,21 +28,11 @@ _VIDEOS = {
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame of a sequence.
+    """One frame of a sequence; `read` returns its flat (h, w) or (h, w, 3), or raises FlatError."""
 
-    Parameters
-    ----------
-    name : str
-        File name of its picture, without a suffix.
-    read : callable
-        Returns the flat (h, w) or (h, w, 3); raises FlatError if it cannot be read.
-    source : Path or None
-        Its image file, whose colour profile and EXIF data are copied to its picture; None for frames of videos.
-    """
-
-    name: str
+    name: str  # of its picture, without suffix
     read: Callable[[], NDArray[Any]]
-    source: Path | None = None
+    source: Path | None = None  # image file whose metadata its picture gets; None for frames of videos
 
 
 @dataclass(frozen=True)

@@ -61,25 +61,16 @@ def run_demo(
     Parameters
     ----------
     folder : path-like
-        Made if it does not exist. Files of the same names in it are replaced.
+        Made if it does not exist. Files of the same names in it are replaced. OutputError if it cannot be written.
     report : Report, optional
         Gets the stages and their seconds.
-    flat_size : (int, int) [px]
-        Width and height of the simulated flat.
-    samples : int
-        Rays per pixel and microlens.
-    seed : int
-        Of the simulation.
+    flat_size, samples, seed
+        Width and height [px] of the simulated flat, rays per pixel and microlens, and seed of the simulation.
 
     Returns
     -------
     dict
         The figures on the page, as plain numbers.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be made or written.
     """
     target = Path(folder)
     try:

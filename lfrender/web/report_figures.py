@@ -35,23 +35,12 @@ __all__ = [
 
 @dataclass(frozen=True)
 class ReportPictures:
-    """Pictures of one flat, to be compared.
+    """Pictures of one flat, to be compared."""
 
-    Parameters
-    ----------
-    sharp : Rendering
-        All in focus.
-    traditional : Rendering
-    fixed : mapping of str to Rendering
-        With one patch size for all lenses, the median of each mode, on the grid of `sharp`.
-    patch_size : mapping of str to float [px]
-        The sizes of `fixed`.
-    """
-
-    sharp: Rendering
+    sharp: Rendering  # all in focus
     traditional: Rendering
-    fixed: Mapping[str, Rendering]
-    patch_size: Mapping[str, float]
+    fixed: Mapping[str, Rendering]  # with the median patch size of each mode, by its name, on the grid of `sharp`
+    patch_size: Mapping[str, float]  # [px] of `fixed`
 
 
 def draw_pictures(
@@ -60,11 +49,6 @@ def draw_pictures(
     """Draw a flat all in focus, traditionally, and with the median patch size of each mode that it shows.
 
     A mode that fewer than `least_share` of the lenses have is taken for errors.
-
-    Raises
-    ------
-    FlatError, CalibrationError
-        As `render`.
     """
     sharp = render(flat, calibration, depth)
     sizes = {}
@@ -77,21 +61,10 @@ def draw_pictures(
 
 
 def data_urls(pictures: Mapping[str, ArrayLike], most: int, white: float | None = None) -> tuple[dict[str, str], float]:
-    """Pictures as WebP in data URLs, all of the same quality, the best that fits.
+    """Pictures (h, w) or (h, w, 3) as WebP in data URLs of at most `most` characters in all, and their scale.
 
-    Parameters
-    ----------
-    pictures : mapping of str to (h, w) or (h, w, 3) array
-    most : int
-        Characters for all together.
-    white : float, optional
-        White level of integer pictures of more than 8 bits; by default the largest value of their type.
-
-    Returns
-    -------
-    urls : dict of str to str
-    size : float
-        Factor by which their width and height are reduced, 1 for full size.
+    All have the same quality, the best that fits, and below that the same reduction of width and height. `white` is the
+    white level of integer pictures of more than 8 bits; by default the largest value of their type.
     """
     import cv2
 

@@ -26,22 +26,9 @@ __all__ = ["viewer_files", "write_viewer"]
 def viewer_files(
     flat: NDArray, calibration: Calibration, depth: DepthMap, title: str = "Light field", **options: Any
 ) -> Iterator[tuple[str, bytes]]:
-    """All files of the viewer, the page last.
+    """All files of the viewer, the page last: paths relative to the page, `index.html` or `data/...`, and contents.
 
-    Parameters
-    ----------
-    flat : (H, W) or (H, W, C) array
-    calibration : Calibration
-    depth : DepthMap
-        Of this flat.
-    title : str
-    options
-        `tile` and `compression` of `viewer_scene`.
-
-    Returns
-    -------
-    iterator of (str, bytes)
-        Paths relative to the page, `index.html` or `data/...`, and contents.
+    `options` are `tile` and `compression` of `viewer_scene`.
     """
     for name, content in viewer_scene(flat, calibration, depth, title, **options):
         text = base64.b64encode(content).decode()

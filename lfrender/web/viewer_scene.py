@@ -48,33 +48,11 @@ def viewer_scene(
     tile: int = _LARGEST_TILE,
     compression: int = 1,
 ) -> Iterator[tuple[str, bytes]]:
-    """The data of the viewer: one JSON object, and pictures and arrays beside it.
+    """The data of the viewer: names and contents of one JSON object, and of pictures and arrays beside it.
 
-    Parameters
-    ----------
-    flat : (H, W) or (H, W, C) array
-        Shown with 8 bits per channel.
-    calibration : Calibration
-    depth : DepthMap
-        Of this flat.
-    title : str
-    tile : int [px]
-        Largest side of a texture.
-    compression : int
-        Of the PNG files, 0 to 9.
-
-    Returns
-    -------
-    iterator of (str, bytes)
-        Names and contents: `scene.json`, `surface.f32`, `resolved.u8`, `flat-COLUMN-ROW.png`,
-        `occlusion-COLUMN-ROW.png`.
-
-    Raises
-    ------
-    FlatError, CalibrationError
-        As `render`.
-    LightFieldError
-        If the flat needs more tiles than browsers take.
+    These are `scene.json`, `surface.f32`, `resolved.u8`, `flat-COLUMN-ROW.png` (8 bits per channel) and
+    `occlusion-COLUMN-ROW.png`. `tile` is the largest side of a texture [px], `compression` of the PNG files is 0 to 9.
+    Errors as of `render`, and LightFieldError if the flat needs more tiles than browsers take.
     """
     pixels = check_flat(flat, calibration)
     if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):

@@ -23,19 +23,9 @@ class ServerError(LightFieldError, OSError):
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves files from memory over HTTP to programs on this machine.
+    """Serves files from memory, given by their paths relative to the root, over HTTP to programs on this machine.
 
-    Parameters
-    ----------
-    files : mapping of str to bytes
-        Contents by path relative to the root; `index.html` is also the root itself.
-    port : int
-        0 takes any that is free.
-
-    Raises
-    ------
-    ServerError
-        If the port is taken or not allowed.
+    Port 0 takes any that is free; ServerError if the port is taken or not allowed.
     """
 
     daemon_threads = True
