@@ -228,12 +228,12 @@ def _warnings(camera: Calibration, differ: float, unknown_mosaic: bool) -> list[
         )
     if types is not None and not types.ordered:
         warnings.append(
-            f"{types.count} lens types were told apart, but not which is focused at which depth; "
+            f"{types.count} lens types were found, but not which is focused at which depth; "
             "calibrate on a scene with detail at several depths"
         )
     if unknown_mosaic:
         warnings.append(
-            "the flat has a colour filter mosaic, taken out here; say which one (--mosaic RGGB, BGGR, GRBG or GBRG) "
-            "to have it kept in the camera file"
+            "the flat has a colour filter mosaic, which was removed; name it (--mosaic RGGB, BGGR, GRBG or GBRG) "
+            "to keep it in the camera file"
         )
     return warnings

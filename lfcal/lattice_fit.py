@@ -25,33 +25,16 @@ __all__ = ["FinalLattice", "fit_lattice_to_scenes", "fit_lattice_to_white_image"
 
 @dataclass(frozen=True)
 class FinalLattice:
-    """The lattice and how its microimages agree with it.
-
-    Parameters
-    ----------
-    lattice : Lattice [px]
-    residual_rms : float [px]
-        Robust RMS distance of single microimages from the lattice.
-    lenses_used : int
-    half_difference : float [px]
-        RMS distance over the flat between lattices of two independent halves of the microimages.
-    errors : LatticeErrors or None
-        None where the lattice is the first one.
-    cat_eye : CatEye or None
-        The disc that cuts microimages (mechanical vignetting), where there is one.
-    residuals : Residuals or None
-        Of single microimages, in white images.
-    displacement : float [px]
-        RMS distance over the flat from the first lattice, less that due to distortion and cut microimages.
-    """
+    """The lattice and how its microimages agree with it."""
 
     lattice: Lattice
-    residual_rms: float
+    residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
     lenses_used: int
-    half_difference: float
-    errors: LatticeErrors | None = None
-    cat_eye: CatEye | None = None
-    residuals: Residuals | None = None
+    half_difference: float  # [px] RMS distance over the flat of the lattices of two halves of the microimages
+    errors: LatticeErrors | None = None  # None where the lattice is the first one
+    cat_eye: CatEye | None = None  # disc that cuts microimages (mechanical vignetting), where there is one
+    residuals: Residuals | None = None  # of single microimages, in white images
+    # [px] RMS distance from the first lattice, less that due to distortion and cut microimages
     displacement: float = 0.0
 
 

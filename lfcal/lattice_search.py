@@ -37,30 +37,15 @@ __all__ = [
 
 @dataclass(frozen=True)
 class LatticeCandidate:
-    """A lattice and the picture it was found on.
+    """A lattice and the picture it was found on."""
 
-    Parameters
-    ----------
-    picture : (h, w) float32, or crops of a white image
-        Root of the luminance.
-    white : bool
-        Whether the flat is a white image.
-    start : FirstLattice
-    fit : FinalLattice
-    read_crop : ReadCrop or None
-        Reads any part of the flat, where `picture` are crops.
-    single : (h, w) float32 or None
-        One of several scenes, where `picture` is their mean.
-    softened : (h, w) float32 or None
-        `picture` with less contrast, where the lattice was found on that.
-    """
-
-    picture: NDArray[np.float32] | StackedCrops
-    white: bool
+    picture: NDArray[np.float32] | StackedCrops  # (h, w) root of the luminance, or crops of a white image
+    white: bool  # the flat is a white image
     start: FirstLattice
     fit: FinalLattice
-    read_crop: ReadCrop | None = None
-    single: NDArray[np.float32] | None = None
+    read_crop: ReadCrop | None = None  # reads any part of the flat, where `picture` are crops
+    single: NDArray[np.float32] | None = None  # (h, w) one of several scenes, where `picture` is their mean
+    # (h, w) `picture` with less contrast, where the lattice was found on that
     softened: NDArray[np.float32] | None = None
 
 

@@ -124,7 +124,6 @@ def is_evenly_lit(
     light : (h, w) float32
         Luminance of the flat, or of these crops.
     lattice : Lattice [px]
-    settings : CaptureSettings
     """
     return (
         _scatter_inside(measure_radial_profile(brightness, lattice), lattice) < settings.scatter_inside

@@ -25,18 +25,10 @@ __all__ = [
 
 @dataclass(frozen=True)
 class CentreGuess:
-    """A possible microimage centre.
+    """A possible microimage centre."""
 
-    Parameters
-    ----------
-    position : (2,) float64
-        Fractional lattice coordinates, 0..1.
-    roundness : float
-        Share of the variance of the average cell that the distance to this point explains, 0..1.
-    """
-
-    position: NDArray[np.float64]
-    roundness: float
+    position: NDArray[np.float64]  # (2,) fractional lattice coordinates, 0..1
+    roundness: float  # share of the variance of the average cell explained by the distance to this point, 0..1
 
 
 def find_primitive_cell(
@@ -57,7 +49,6 @@ def find_primitive_cell(
     basis : (2, 2) float64 [px]
     again : list of (bins, bins) float64 or None
         The same from another part of the flat, so that noise cancels.
-    settings : CentreSettings
     """
     power = np.zeros(cells[0].shape)
     for cell, other in zip(cells, cells if again is None else again, strict=True):
@@ -140,7 +131,6 @@ def choose_lens_centre(
     light : (bins, bins) float64
         Average cell of the luminance.
     basis : (2, 2) float64 [px]
-    settings : CentreSettings
     """
     bins = light.shape[0]
     inside = distance_to_lattice(basis, bins) < settings.core * np.sqrt(abs(np.linalg.det(basis)))
@@ -164,7 +154,6 @@ def find_round_centres(
     cells : list of (bins, bins) float64
         Average cell of each feature; bin `k` covers `[k, k + 1) / bins`.
     basis : (2, 2) float64 [px]
-    settings : CentreSettings
     """
     bins = cells[0].shape[0]
     distance = distance_to_lattice(basis, bins)

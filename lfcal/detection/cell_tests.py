@@ -47,7 +47,6 @@ def check_cell(
         Microimage centre in fractional lattice coordinates.
     repeatability : float
         Correlation of the average cells of two halves of the flat.
-    settings : CellTestSettings
     """
     off_line = _off_line_energy(np.mean([_power(cell) for cell in cells], axis=0))
     if off_line < settings.off_line_energy:
@@ -76,7 +75,6 @@ def check_edges(tone: TileFolds, settings: CellTestSettings = DEFAULT.cell_tests
     ----------
     tone : TileFolds
         Root of the luminance on the reduced lattice, with bins far smaller than a pixel.
-    settings : CellTestSettings
     """
     pitch = float(np.sqrt(abs(np.linalg.det(tone.basis))))
     if pitch > settings.sharp_pitch and _energy_beyond_first(tone, settings.shortest_harmonic) < settings.edge_energy:
@@ -167,30 +165,15 @@ def _fit_distances(
 
 @dataclass(frozen=True)
 class AverageCell:
-    """Figures of the luminance in the average cell.
+    """Figures of the luminance in the average cell."""
 
-    Parameters
-    ----------
-    half_correlation : float
-        Correlation of the average cells of two halves of the lenses.
-    unexplained : float
-        Share of what they have in common that is no function of the distances to centre and border.
-    half_shift : float
-        Correlation of a cell with itself half a cell further, over `half_correlation`; the least of three directions.
-    gap_brightness : float
-        Light half way to the neighbours over that in the middle, in the brightest direction.
-    error : float
-        Standard error of `unexplained` and `half_shift`.
-    alternating : float
-        Energy of a difference that most cells have, with either sign, over that of the average cell; 0 if there is
-        none.
-    """
-
-    half_correlation: float
-    unexplained: float
+    half_correlation: float  # of the average cells of two halves of the lenses
+    unexplained: float  # share of what these have in common that is no function of the distances to centre and border
+    # correlation with itself half a cell further, over `half_correlation`; the least of three directions
     half_shift: float
-    gap_brightness: float
-    error: float
+    gap_brightness: float  # light half way to the neighbours over that in the middle, in the brightest direction
+    error: float  # standard error of `unexplained` and `half_shift`
+    # energy of a difference that most cells have, with either sign, over that of the mean; 0 if there is none
     alternating: float
 
 
@@ -204,7 +187,6 @@ def find_shape_doubt(
     picture : (h, w) float32, or crops
         As made by `images.preprocessing.sqrt_luminance`.
     lattice : Lattice [px]
-    settings : CellTestSettings
 
     Raises
     ------
@@ -213,7 +195,7 @@ def find_shape_doubt(
     """
     cell = measure_average_cell(picture, lattice, settings)
     if cell is None:
-        return "too few of them are there to tell their shape"
+        return "there are too few of them to measure their shape"
     margin = settings.standard_errors * cell.error
     if cell.half_shift + margin < settings.half_shift:
         raise CalibrationError(
@@ -223,11 +205,11 @@ def find_shape_doubt(
     if cell.half_shift - margin < settings.half_shift:
         return "a checkerboard or crossed waves could look like them"
     if cell.alternating > settings.alternating:
-        return "they are of two kinds in turn, as threads or bricks are"
+        return "two kinds of them alternate, as threads or bricks do"
     if cell.gap_brightness > settings.gap_brightness:
-        return "their joints are not darker than their middles"
+        return "the gaps between them are not darker than their middles"
     if cell.unexplained + margin > settings.unexplained:
-        return "the light in them is not shaped like that behind a lens"
+        return "the light in them does not have the shape of that behind a lens"
     return None
 
 

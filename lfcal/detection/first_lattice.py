@@ -45,31 +45,15 @@ _BINS = 36
 
 @dataclass(frozen=True)
 class FirstLattice:
-    """A lattice, good to a fraction of a pixel or so, with the picture it was found in.
+    """A lattice, good to a fraction of a pixel or so, with the picture it was found in."""
 
-    Parameters
-    ----------
-    lattice : Lattice [px]
-        Its radius is half the distance to the nearest neighbour.
-    brightness : (h, w) float32
-        Locally normalised root of the luminance; of half the size where the lattice was found at that.
-    roundness : float
-        Share of the variance of the average microimage that the distance to its centre explains, 0..1.
-    half_difference : float [px]
-        RMS distance over the flat between lattices through two independent halves of the tiles.
-    repeatability : float
-        Correlation of the average microimages of two independent halves of the tiles, the weaker feature, or the mean
-        of both where the better one is certain.
-    doubt : CalibrationError, optional
-        Why this may be no lattice of microimages, unless neighbours are seen to show the same.
-    """
-
-    lattice: Lattice
+    lattice: Lattice  # [px] its radius is half the distance to the nearest neighbour
+    # (h, w) root of the luminance, locally normalised; of half the size where the lattice was found at that
     brightness: NDArray[np.float32]
-    roundness: float
-    half_difference: float
-    repeatability: float
-    doubt: CalibrationError | None = None
+    roundness: float  # share of the variance of the average microimage explained by the distance to its centre, 0..1
+    half_difference: float  # [px] RMS distance over the flat of the lattices of two halves of the tiles
+    repeatability: float  # correlation of the average microimages of two halves of the tiles, see `_repeatability`
+    doubt: CalibrationError | None = None  # why this may be no lattice of microimages, unless parallax proves it
 
 
 def find_first_lattice(picture: NDArray[np.float32], settings: DetectionSettings = DEFAULT) -> FirstLattice:
@@ -79,7 +63,6 @@ def find_first_lattice(picture: NDArray[np.float32], settings: DetectionSettings
     ----------
     picture : (h, w) float32
         As made by `images.preprocessing.sqrt_luminance`.
-    settings : DetectionSettings
 
     Raises
     ------

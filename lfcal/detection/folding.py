@@ -69,28 +69,15 @@ def _fold(first, second, inverse, side, columns, bins, tiles, totals, count):
 
 @dataclass(frozen=True)
 class TileFolds:
-    """Average cell of a lattice in each tile of a flat.
+    """Average cell of a lattice in each tile of a flat."""
 
-    Parameters
-    ----------
-    total, count : (t, bins, bins) float32
-        Sum of pixels and their number, by fractional lattice coordinate: column along `a1`, row along `a2`,
-        bin `k` covers `[k, k + 1) / bins` of the cell whose corner is flat position (0, 0).
-    centre : (t, 2) float64 [px]
-        Middle of each tile, order x, y.
-    basis : (2, 2) float64 [px]
-    grid : (int, int)
-        Rows and columns of tiles.
-    side : int [px]
-        Of the square tiles; those at the right and lower edges may be smaller.
-    """
-
+    # (t, bins, bins) sum of pixels by fractional lattice coordinate: column along a1, row along a2, from (0, 0)
     total: NDArray[np.float32]
-    count: NDArray[np.float32]
-    centre: NDArray[np.float64]
-    basis: NDArray[np.float64]
-    grid: tuple[int, int]
-    side: int
+    count: NDArray[np.float32]  # (t, bins, bins) number of pixels
+    centre: NDArray[np.float64]  # (t, 2) [px] middle of each tile, order x, y
+    basis: NDArray[np.float64]  # (2, 2) [px]
+    grid: tuple[int, int]  # rows and columns of tiles
+    side: int  # [px] of the square tiles; those at the right and lower edges may be smaller
 
     @property
     def bins(self) -> int:

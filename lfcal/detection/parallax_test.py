@@ -24,34 +24,17 @@ __all__ = ["NeighbourComparison", "check_parallax", "compare_neighbours", "shows
 
 @dataclass(frozen=True)
 class NeighbourComparison:
-    """Differences of pixels inside microimages and between neighbours, of a picture of mean 1.
+    """Differences of pixels inside microimages and between neighbours, of a picture of mean 1."""
 
-    Parameters
-    ----------
-    tone_spread : float
-        Standard deviation of the mean of a microimage from those of its neighbours, relative.
-    texture : float
-        Standard deviation inside a microimage, relative, without what all have in common.
-    gap_tone : float
-        Tone half way between neighbours over that inside.
-    noise, typical_noise : float
-        Mean difference of adjacent pixels in lenses with least detail, and in half of the lenses.
-    matched : float
-        Mean difference of neighbours, shifted by the disparity that fits the other neighbours best.
-    unshifted : float
-        Mean difference of neighbours without a shift.
-    distant : float
-        Mean difference of places inside a microimage that are as far apart as two microimages are.
-    """
-
-    tone_spread: float
-    texture: float
-    gap_tone: float
-    noise: float = float("nan")
-    typical_noise: float = float("nan")
+    tone_spread: float  # standard deviation of the mean of a microimage from those of its neighbours, relative
+    texture: float  # standard deviation inside a microimage, relative, without what all have in common
+    gap_tone: float  # tone half way between neighbours over that inside
+    noise: float = float("nan")  # mean difference of adjacent pixels in lenses with least detail
+    typical_noise: float = float("nan")  # the same in half of the lenses
+    # mean difference of neighbours, shifted by the disparity that fits the other neighbours best
     matched: float = float("nan")
-    unshifted: float = float("nan")
-    distant: float = float("nan")
+    unshifted: float = float("nan")  # mean difference of neighbours without a shift
+    distant: float = float("nan")  # mean difference of places inside a microimage as far apart as two microimages
 
 
 def check_parallax(
@@ -75,7 +58,6 @@ def check_parallax(
         Whether the flat is a white image.
     single : bool
         False for the mean of several scenes, which has more than one disparity in one place.
-    settings : ParallaxSettings
 
     Raises
     ------

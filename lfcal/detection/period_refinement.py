@@ -24,7 +24,6 @@ def refine_basis(
     ----------
     folds : list of TileFolds
         One per feature, all on the same tiles and basis.
-    settings : FirstLatticeSettings
 
     Returns
     -------

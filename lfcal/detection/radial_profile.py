@@ -97,21 +97,12 @@ def _accumulate_equations(
 
 @dataclass(frozen=True)
 class RadialProfile:
-    """Mean and variance of a picture over the distance to the nearest microimage centre.
+    """Mean and variance of a picture over the distance to the nearest microimage centre."""
 
-    Parameters
-    ----------
-    mean, variance : (k,) float64
-        At radii `0, step, 2*step, ...`.
-    weight : (k,) float64
-        Number of pixels.
-    step : float [px]
-    """
-
-    mean: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    step: float
+    mean: NDArray[np.float64]  # (k,) at radii `0, step, 2*step, ...`
+    variance: NDArray[np.float64]  # (k,)
+    weight: NDArray[np.float64]  # (k,) number of pixels
+    step: float  # [px]
 
     @property
     def slope(self) -> NDArray[np.float64]:
@@ -136,7 +127,6 @@ def measure_radial_profile(
         About so many, evenly spread.
     light : (h, w) float32, optional
         Luminance of the flat or of its crops: lenses that are dark on it are left out.
-    settings : ProfileSettings
     """
     crops = StackedCrops.of(picture)
     normals, reach = cell_normals(lattice)
@@ -173,7 +163,6 @@ def fit_lattice(
         Start, right to a fraction of the pitch over the whole flat.
     passes : int
         Most Gauss-Newton steps; fewer are taken when nothing moves any more.
-    settings : ProfileSettings
 
     Raises
     ------

@@ -22,21 +22,12 @@ __all__ = ["Candidate", "Spectrum", "compute_spectra", "find_candidate_bases"]
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Whitened log power of a flat.
+    """Whitened log power of a flat."""
 
-    Parameters
-    ----------
-    prominence : (n, n // 2 + 1) float32
-        Log power above its local background, in standard deviations; row `n // 2` is zero vertical frequency.
-    size : int [px]
-        Side n of the windows.
-    reduction : int
-        Factor by which the flat was downscaled first.
-    """
-
+    # (n, n // 2 + 1) log power above its local background, in standard deviations; row n // 2 is zero frequency
     prominence: NDArray[np.float32]
-    size: int
-    reduction: int
+    size: int  # [px] side n of the windows
+    reduction: int  # factor by which the flat was downscaled first
 
     def at(self, frequency: NDArray[np.float64]) -> NDArray[np.float32]:
         """Largest prominence within a bin of each `frequency` (k, 2) [cycles per px of the reduced flat]."""
@@ -85,7 +76,6 @@ def compute_spectra(
     backgrounds : tuple of int [bins]
         Side of the box over which the background is averaged, for each spectrum wanted. A narrow box removes what
         repeats over a few lenses only: its peaks are wider than a bin.
-    settings : SpectrumSettings
 
     Returns
     -------

@@ -21,18 +21,11 @@ __all__ = ["HarmonicFit", "fit_harmonics"]
 
 @dataclass(frozen=True)
 class HarmonicFit:
-    """Lattice through all tiles.
+    """Lattice through all tiles."""
 
-    Parameters
-    ----------
-    origin, basis : (2,), (2, 2) float64 [px]
-    half_difference : float [px]
-        RMS distance over the flat between lattices through two independent halves of the tiles; infinite where
-        there are too few tiles.
-    """
-
-    origin: NDArray[np.float64]
-    basis: NDArray[np.float64]
+    origin: NDArray[np.float64]  # (2,) [px]
+    basis: NDArray[np.float64]  # (2, 2) [px]
+    # [px] RMS distance over the flat of lattices of two halves of the tiles; infinite if these are too few
     half_difference: float
 
 
@@ -47,7 +40,6 @@ def fit_harmonics(
         One per feature, on the same tiles and basis, that basis being right to a fraction of the pitch.
     origin : (2,) float64 [px]
         A microimage centre.
-    settings : HarmonicSettings
     """
     first = folds[0]
     basis, centre = first.basis, first.centre

@@ -31,29 +31,14 @@ TUKEY_CUTOFF = 4.685
 
 @dataclass(frozen=True)
 class LatticeFit:
-    """A fitted lattice and how its microimages agree with it.
+    """A fitted lattice and how its microimages agree with it."""
 
-    Parameters
-    ----------
-    origin, basis : (2,), (2, 2) float64 [px]
-    residual_rms : float [px]
-        Robust RMS distance of single microimages from the lattice.
-    uncertainty : float [px]
-        Standard error of a centre, RMS over the flat, as the scatter of the microimages implies.
-    lenses_used : int
-        Microimages of positive weight.
-    half_difference : float [px]
-        RMS distance over the flat between lattices fitted to two independent halves of the microimages.
-    distortion : Distortion or None
-        None where the lattice is straight.
-    """
-
-    origin: NDArray[np.float64]
-    basis: NDArray[np.float64]
-    residual_rms: float
-    uncertainty: float
-    lenses_used: int
-    half_difference: float
+    origin: NDArray[np.float64]  # (2,) [px]
+    basis: NDArray[np.float64]  # (2, 2) [px]
+    residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
+    uncertainty: float  # [px] standard error of a centre, RMS over the flat, from the scatter of the microimages
+    lenses_used: int  # microimages of positive weight
+    half_difference: float  # [px] RMS distance over the flat of the lattices of two halves of the microimages
     distortion: Distortion | None = None
 
 

@@ -47,7 +47,6 @@ def find_lens_types(
         With the usable radius of the microimages.
     white : bool
         The flat is a white image, so that brightness is a property of the lens too.
-    settings : LensTypeSettings
 
     Returns
     -------
@@ -88,34 +87,16 @@ def find_lens_types(
 
 @dataclass(frozen=True)
 class _PatternSpectrum:
-    """Power of patterns in several features of the lenses of a sample.
+    """Power of patterns in several features of the lenses of a sample."""
 
-    Parameters
-    ----------
-    values : (f, n) float64
-        Each feature less that of the neighbours, 0 where it is not known.
-    waves : (n, v) complex128
-        The patterns: first the mosaics, then others.
-    power : (f, v) float64
-        1 on average for noise.
-    least : (f, mosaics) float64
-        Difference between types below which a feature does not count.
-    usable : (f, mosaics) bool
-        Features that can show a mosaic.
-    scene_power : (mosaics,) float64
-        Power of a mosaic in the gradients, which do not depend on types: the scene repeats.
-    white : bool
-        The flat is a white image.
-    settings : PatternSettings
-    """
-
-    values: NDArray[np.float64]
-    waves: NDArray[np.complex128]
-    power: NDArray[np.float64]
-    least: NDArray[np.float64]
-    usable: NDArray[np.bool_]
+    values: NDArray[np.float64]  # (f, n) each feature less that of the neighbours, 0 where it is not known
+    waves: NDArray[np.complex128]  # (n, v) the patterns: first the mosaics, then others
+    power: NDArray[np.float64]  # (f, v) 1 on average for noise
+    least: NDArray[np.float64]  # (f, mosaics) difference between types below which a feature does not count
+    usable: NDArray[np.bool_]  # (f, mosaics) features that can show a mosaic
+    # (mosaics,) power in the gradients, which do not depend on types: the scene repeats
     scene_power: NDArray[np.float64]
-    white: bool
+    white: bool  # the flat is a white image
     settings: PatternSettings
 
     @classmethod

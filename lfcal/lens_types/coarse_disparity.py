@@ -87,7 +87,6 @@ def estimate_coarse_disparity(
     picture : (h, w) float32
         As made by `images.preprocessing.sqrt_luminance`.
     sample : LensSample
-    settings : DisparitySettings
 
     Returns
     -------

@@ -15,21 +15,11 @@ __all__ = ["FocusOrder", "find_focus_order"]
 
 @dataclass(frozen=True)
 class FocusOrder:
-    """Lens types in the order of their focus.
+    """Lens types in the order of their focus."""
 
-    Parameters
-    ----------
-    sequence : (count,) int64
-        Provisional types from the one focused at the largest `|s|` to the one at the smallest.
-    known : bool
-        The sequence is measured, not just the provisional one.
-    focus : (count,) float64
-        `s / D` at which each provisional type is sharpest, NaN where not known.
-    """
-
-    sequence: NDArray[np.int64]
-    known: bool
-    focus: NDArray[np.float64]
+    sequence: NDArray[np.int64]  # (count,) provisional types, from focus at the largest `|s|` to the smallest
+    known: bool  # the sequence is measured, not just the provisional one
+    focus: NDArray[np.float64]  # (count,) `s / D` at which each provisional type is sharpest, NaN where not known
 
 
 def find_focus_order(
@@ -55,7 +45,6 @@ def find_focus_order(
         `s / D` of the lenses, NaN where not known.
     rim_ratio : float
         `LensFeatures.rim_ratio`.
-    settings : FocusSettings
     """
     count = int(cell.max()) + 1
     types = _Types(cell[tuple((sample.inner % len(cell)).T)], _unmixing(sample, cell), settings)

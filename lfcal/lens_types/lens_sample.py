@@ -28,24 +28,13 @@ _RINGS = 40
 
 @dataclass(frozen=True)
 class LensSample:
-    """Blocks of lenses with a border of one lens on each side.
-
-    Parameters
-    ----------
-    lattice : Lattice
-    index : (m, side + 2, side + 2, 2) int64
-        Lattice indices.
-    centre : (m, side + 2, side + 2, 2) float64 [px]
-    whole : (m, side + 2, side + 2) bool
-        The microimage lies on the flat as a whole.
-    place : (m, side + 2, side + 2, 2) float64 [px]
-        Centre in the picture that is read, the flat or crops of it.
-    """
+    """Blocks of lenses with a border of one lens on each side."""
 
     lattice: Lattice
-    index: NDArray[np.int64]
-    centre: NDArray[np.float64]
-    whole: NDArray[np.bool_]
+    index: NDArray[np.int64]  # (m, side + 2, side + 2, 2) lattice indices
+    centre: NDArray[np.float64]  # (m, side + 2, side + 2, 2) [px]
+    whole: NDArray[np.bool_]  # (m, side + 2, side + 2) the microimage lies on the flat as a whole
+    # (m, side + 2, side + 2, 2) [px] centre in the picture that is read, the flat or crops of it
     place: NDArray[np.float64]
 
     @cached_property
@@ -62,28 +51,17 @@ class LensSample:
 
 @dataclass(frozen=True)
 class LensFeatures:
-    """Features of the lenses of a sample, each array (m, side + 2, side + 2) float64, NaN off the flat.
+    """Features of the lenses of a sample, arrays (m, side + 2, side + 2), NaN off the flat."""
 
-    Parameters
-    ----------
-    sharpness : logarithm of the mean squared difference of near pixels
-    outer_light : light just beyond the rim over that just before it, less the mean profile
-        Larger where the edge of the microimage is softer.
-    inner_loss : loss of light just before the rim over that further in, less the mean profile
-        The same from the inner side of the edge, where it depends less on how pixels fall on it.
-    level : logarithm of the mean tone of the core
-    gradient : (2, m, side + 2, side + 2), mean difference of near pixels to the right and down
-        With its sign: over lenses that see different things its mean is zero whatever their focus.
-    rim_ratio : float
-        Light just beyond the rim over that just before it, of all lenses together.
-    """
-
-    sharpness: NDArray[np.float64]
+    sharpness: NDArray[np.float64]  # logarithm of the mean squared difference of near pixels
+    # light just beyond the rim over that just before it, less the mean profile: larger at softer edges
     outer_light: NDArray[np.float64]
+    # the same of light missing just before the rim, which depends less on how pixels fall on the edge
     inner_loss: NDArray[np.float64]
-    level: NDArray[np.float64]
+    level: NDArray[np.float64]  # logarithm of the mean tone of the core
+    # (2, ...) mean difference of near pixels to the right and down; it averages to zero whatever the focus
     gradient: NDArray[np.float64]
-    rim_ratio: float
+    rim_ratio: float  # light just beyond the rim over that just before it, of all lenses together
 
 
 def outlier_limit(values: NDArray[np.float64]) -> float:
@@ -187,7 +165,6 @@ def measure_lens_features(
     picture : (h, w) float32
         As made by `images.preprocessing.sqrt_luminance`.
     sample : LensSample
-    settings : SampleSettings
     """
     radius = sample.lattice.radius
     chosen = np.flatnonzero(sample.whole.ravel())
