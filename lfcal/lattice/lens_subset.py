@@ -72,14 +72,11 @@ class StackedCrops:
     size: tuple[int, int]
 
     @classmethod
-    def whole(cls, picture: NDArray[np.float32]) -> StackedCrops:
-        """A flat as its only crop."""
-        return cls(picture, np.zeros((1, 2), np.int64), (picture.shape[1], picture.shape[0]))
-
-    @classmethod
     def of(cls, picture: NDArray[np.float32] | StackedCrops) -> StackedCrops:
-        """Crops as they are, or a whole flat as one."""
-        return picture if isinstance(picture, StackedCrops) else cls.whole(picture)
+        """Crops as they are, or a whole flat as its only crop."""
+        if isinstance(picture, StackedCrops):
+            return picture
+        return cls(picture, np.zeros((1, 2), np.int64), (picture.shape[1], picture.shape[0]))
 
     def __len__(self) -> int:
         return len(self.corners)
@@ -90,7 +87,7 @@ class StackedCrops:
         down = np.arange(len(self)) * self.size[1]
         return self.corners - np.column_stack([np.zeros_like(down), down])
 
-    def part(self, number: int) -> NDArray[np.float32]:
+    def crop(self, number: int) -> NDArray[np.float32]:
         """(height, width) view of one crop."""
         return self.picture[number * self.size[1] : (number + 1) * self.size[1]]
 
@@ -99,7 +96,7 @@ class StackedCrops:
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
         """Lenses at least `margin` px inside a crop: indices (n, 2), centres on the flat (n, 2) [px], crop number (n,).
 
-        Their centres in the picture are `centres - offsets[part]`.
+        Their centres in the picture are `centres - offsets[crop]`.
         """
         if self.size == lattice.image_size:
             whole = select_whole_lenses(lattice, margin)
@@ -108,9 +105,9 @@ class StackedCrops:
             _lenses_in_rectangle(lattice, corner + margin, corner + np.array(self.size) - 1 - margin)
             for corner in self.corners
         ]
-        part = np.repeat(np.arange(len(self)), [len(index) for index in inside])
+        crop = np.repeat(np.arange(len(self)), [len(index) for index in inside])
         indices = np.concatenate(inside)
-        return indices, lattice.points(indices), part
+        return indices, lattice.points(indices), crop
 
 
 def _lenses_in_rectangle(lattice: Lattice, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.int64]:

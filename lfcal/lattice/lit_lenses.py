@@ -19,12 +19,12 @@ __all__ = ["LitLenses", "find_lit_lenses"]
 class LitLenses:
     """Lenses of a flat, or of crops of it, that are lit.
 
-    They are lenses `indices` (n, 2) of `lattice`, each in the crop with number `part` (n,).
+    They are lenses `indices` (n, 2) of `lattice`, each in the crop with number `crop` (n,).
     """
 
     lattice: Lattice
     indices: NDArray[np.int64]
-    part: NDArray[np.int64]
+    crop: NDArray[np.int64]
 
     @classmethod
     def find(
@@ -42,14 +42,14 @@ class LitLenses:
             if find_lit_lenses(tones.picture, lattice, indices, centres - tones.offsets, dark).all():
                 # Lenses at the border are left out where some are chosen.
                 return cls(lattice, lattice.indices(), np.zeros(len(lattice), np.int64))
-        indices, centres, part = tones.lenses(lattice, margin)
-        positions = centres - (tones.offsets[part] if len(tones) > 1 else tones.offsets)
+        indices, centres, crop = tones.lenses(lattice, margin)
+        positions = centres - (tones.offsets[crop] if len(tones) > 1 else tones.offsets)
         if len(tones) > 1 and len(positions) > 2 * sample:
             few = slice(None, None, len(positions) // sample)
             if find_lit_lenses(tones.picture, lattice, indices[few], positions[few], dark).all():
-                return cls(lattice, indices, part)
+                return cls(lattice, indices, crop)
         lit = find_lit_lenses(tones.picture, lattice, indices, positions, dark)
-        return cls(lattice, indices, part) if lit.all() else cls(lattice, indices[lit], part[lit])
+        return cls(lattice, indices, crop) if lit.all() else cls(lattice, indices[lit], crop[lit])
 
     def _is_for(self, lattice: Lattice) -> bool:
         """Whether the centres of another lattice are those of this one, within a small share of the pitch."""
@@ -60,10 +60,10 @@ class LitLenses:
 
     def select(self, tones: StackedCrops, lattice: Lattice, margin: float, chosen: NDArray[np.bool_]) -> LitLenses:
         """The lenses chosen by a mask (n,) that are at least `margin` px inside their crop."""
-        indices, part = self.indices[chosen], self.part[chosen]
-        position = lattice.points(indices) - tones.corners[part]
+        indices, crop = self.indices[chosen], self.crop[chosen]
+        position = lattice.points(indices) - tones.corners[crop]
         inside = ((position >= margin) & (position <= np.array(tones.size) - 1 - margin)).all(1)
-        return LitLenses(lattice, indices[inside], part[inside])
+        return LitLenses(lattice, indices[inside], crop[inside])
 
 
 @njit(cache=True, nogil=True, parallel=True)

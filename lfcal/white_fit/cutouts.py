@@ -46,7 +46,7 @@ def cut_out_lenses(
     every = max(1.0, len(lit.indices) * abs(np.linalg.det(lattice.basis)) / pixels)
     every = max(1.0, min(every, len(lit.indices) / fewest))
     taken = lit.select(tones, lattice, margin, sample_mask(len(lit.indices), 1 / every))
-    indices, offset = taken.indices, tones.offsets[taken.part]
+    indices, offset = taken.indices, tones.offsets[taken.crop]
     centres = lattice.points(indices)
     # Lenses of a known model hardly move any more.
     light, corners = cut_windows(tones.picture, centres - offset, margin if known is None else reach)

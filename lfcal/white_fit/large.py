@@ -154,5 +154,5 @@ def _is_even(read: ReadCrop, size: tuple[int, int], lattice: Lattice, settings: 
     pixels = max(settings.even_parts * settings.piece_side**2, settings.fewest_even_parts * side**2)
     parts = sample_grid(read, size, side, pixels)
     window = settings.window * lattice.pitch
-    levelled = np.concatenate([normalise_locally(parts.part(k), window) for k in range(len(parts))])
+    levelled = np.concatenate([normalise_locally(parts.crop(k), window) for k in range(len(parts))])
     return is_evenly_lit(replace(parts, picture=levelled), parts.picture**2, lattice)

@@ -18,7 +18,7 @@ def _flat() -> tuple[StackedCrops, Lattice]:
     y, x = np.mgrid[:300, :400]
     far = np.hypot((x - 5 + 5) % _PITCH - 5, (y - 5 + 5) % _PITCH - 5)
     light = np.where((far < 4) & (x > 150), 1.0, 0.02)
-    return StackedCrops.whole(np.sqrt(light).astype(np.float32)), lattice
+    return StackedCrops.of(np.sqrt(light).astype(np.float32)), lattice
 
 
 def test_dark_lenses_and_their_neighbours_are_left_out():
@@ -46,7 +46,7 @@ def _many(dark: float) -> tuple[StackedCrops, Lattice]:
     lattice = Lattice([5.0, 5.0], [[_PITCH, 0.0], [0.0, _PITCH]], (1200, 1000), 4.0)
     y, x = np.mgrid[:1000, :1200]
     far = np.hypot(x % _PITCH - 5, y % _PITCH - 5)
-    return StackedCrops.whole(np.sqrt(np.where((far < 4) & (x > dark), 1.0, 0.02)).astype(np.float32)), lattice
+    return StackedCrops.of(np.sqrt(np.where((far < 4) & (x > dark), 1.0, 0.02)).astype(np.float32)), lattice
 
 
 def test_a_sample_of_many_lenses_is_measured_and_all_of_them_only_if_it_has_dark_ones(monkeypatch):

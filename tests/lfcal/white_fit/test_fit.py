@@ -92,9 +92,7 @@ def test_even_inside_of_a_large_microimage_is_seen_in_one_pixel_of_sixteen(drawn
 
     truth = drawn("hexagonal", 60.3, 5.0, 26.0, size=(500, 450))
     lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, 25.0)
-    state, _ = cut_out_lenses(
-        StackedCrops.whole(sqrt_luminance(truth.image())), WhiteModel(lattice, None), 1e6, 12, None
-    )
+    state, _ = cut_out_lenses(StackedCrops.of(sqrt_luminance(truth.image())), WhiteModel(lattice, None), 1e6, 12, None)
     lenses = state.lenses
     cost = build_normal_equations(lenses).cost
     light = lenses.light.copy()
