@@ -16,6 +16,7 @@ from lfcal.runtime.frozen import Frozen
 from lfcal.runtime.output_file import atomic_write
 
 from ..runtime.quantiles import quantile
+from .frame_state import FrameState
 from .optics import Optics
 from .settings import DEFAULT, DataSettings
 from .surface import Surface
@@ -70,6 +71,8 @@ class DepthMap(Frozen):
     saved : dict of str to float
         Share of the work that each shortcut left out: of the lenses, for `ranges` of the shifts. Empty if none was
         taken.
+    frame_state : FrameState
+        For the analysis of the next frame; not saved.
     """
 
     patch_size: NDArray[np.float32]
@@ -82,6 +85,7 @@ class DepthMap(Frozen):
     preset: str = field(default="balanced")
     reason: NDArray[np.int8] = None  # type: ignore[assignment]
     saved: dict[str, float] = field(default_factory=dict)
+    frame_state: FrameState = field(default_factory=FrameState, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         n = len(self.patch_size)

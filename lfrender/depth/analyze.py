@@ -1,4 +1,4 @@
-"""Depth of a flat: signed patch size of every microlens, from nothing but its neighbours."""
+"""Depth analysis of a flat: the signed patch size of every microlens, from its neighbours alone."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def analyze(
 ) -> DepthMap:
     """Estimate the signed patch size, mode and magnification of every microlens.
 
-    Neighbouring microimages are correlated over all signed shifts at once (Lumsdaine and Georgiev
-    2008, sections 4 to 6: telescopic and binocular differ only in the sign), lenses support each
-    other along the lattice, and the best shift is refined on the pixels of every pair, to a plane through each lens.
+    Neighbouring microimages are correlated over all signed shifts at once (Lumsdaine and Georgiev 2008, sections 4 to
+    6: telescopic and binocular differ only in the sign), semi-global matching along the lattice chooses one shift, and
+    that is refined on the pixels of every pair, to a plane through each lens.
 
     Parameters
     ----------
@@ -49,10 +49,10 @@ def analyze(
     roi : (x0, y0, x1, y1), optional [px]
         Only lenses with their centre in this part of the flat are analysed; the others are unresolved.
     previous : (flat, DepthMap), optional
-        An earlier frame of the same camera and exposure, and its answer with the same preset: lenses that show
-        the same there as now, and whose neighbours do, keep it; so do lenses that move, but still match at their
-        depth. Over many frames with slow changes give the frame that was analysed, not the last one, or changes
-        smaller than the noise add up.
+        An earlier frame of the same camera and exposure, and its depth with the same preset: lenses whose pixels, and
+        those of their neighbours, have not changed keep it; so do lenses that still match at that depth. Over many
+        frames with slow changes give the frame that was analysed, not the last one, or changes smaller than the noise
+        add up.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What lenses answer to the question for their depth: searched, measured on their pixels, and judged."""
+"""Patch size of lenses: searched over all shifts, refined on the pixels of every pair, classified and smoothed."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from .refinement.lens_plane import LensFits
 from .refinement.neighbour_prior import refine_patch_sizes
 from .refinement.quadratic_fit import fit_quadratic
 from .refinement.smoothing import smooth_fits, smooth_fits_far
+from .settings import ESTIMATE, EstimateSettings
 from .validity.classify import (
     classify_lenses,
     looks_like_shading,
@@ -31,29 +32,12 @@ from .validity.periodicity import find_periodic_texture, sees_little_of_scene
 from .validity.settings import CLASSIFY
 from .validity.uncertainty import correlates_poorly, inflate_errors, signal_share, systematic_error
 
-__all__ = ["DEFAULT_RATIO", "LensEstimates", "LensSet", "PreviousEstimates", "estimate_lenses"]
-
-# What lenses keep, and where that stands in `PreviousEstimates`.
-_KEPT = {
-    "patch_size": "filled_patch_size", "standard_error": "standard_error", "confidence": "confidence",
-    "reason": "reason", "guess": "filled_patch_size",
-}  # fmt: skip
-# Lenses that blur unlike each other are compared on a flat of about this pitch [px].
-_BLURRED_PITCH = 25.0
-# Bends are looked at whose square exceeds so many times its variance, and believed at twice as many, by lenses that
-# share as much with others as up to the second share of the pitch: beyond, their rims alone would tell.
-_BENT, _SHARING = 3.0, 0.45
-# Lenses turn to another depth that is, to this share of the pitch, that of others, and that explains this share of what
-# the first does: of lenses with one depth whose pairs agree better on another, that is the right one for 26 of 27, and
-# for one of five if it explains less.
-_OCCURRING, _AS_WELL = 0.03, 0.8
-# A scene without any texture is drawn at this s / D: from the middle of the microimages. Its sign makes no difference.
-DEFAULT_RATIO = 0.25
+__all__ = ["LensEstimates", "LensSet", "PreviousEstimates", "estimate_lenses"]
 
 
 @dataclass(frozen=True)
 class LensSet:
-    """Lenses that are asked, all of a flat or some with those beside them, and those of them that are matched.
+    """Lenses to estimate: all of a flat, or some with their neighbours.
 
     Parameters
     ----------
@@ -62,19 +46,19 @@ class LensSet:
         Neighbour rows in `d` directions and in their opposites, -1 where there is none.
     indices : (n, 2) int
         On the lattice.
-    near : (n,) bool
-        Lenses with a new answer.
+    updated : (n,) bool
+        Lenses that do not keep a depth from before.
     active : (n,) bool
         Those of them to match.
     sample : (n,) bool, optional
-        Lenses that tell which depths occur, see `match_lenses`.
+        Lenses that show which depths occur, see `match_lenses`.
     """
 
     texture: Texture
     forward: NDArray[np.int32]
     backward: NDArray[np.int32]
     indices: NDArray[np.int64]
-    near: NDArray[np.bool_]
+    updated: NDArray[np.bool_]
     active: NDArray[np.bool_]
     sample: NDArray[np.bool_] | None
 
@@ -92,18 +76,22 @@ class LensSet:
         """(n, 2 d) int32 neighbour rows in all directions."""
         return join_opposite(self.forward, self.backward)
 
-    def of(self, rows: NDArray[np.int64]) -> LensSet:
+    @property
+    def usual_contrast(self) -> NDArray[np.float32]:
+        """(n,) float32 difference of brightness beyond which two pixels hardly show the same point."""
+        return np.maximum(3 * self.texture.noise, 0.5 * self.texture.statistics.contrast).astype(np.float32)
+
+    def select(self, rows: NDArray[np.int64]) -> LensSet:
         """Some of them, as if there were no others."""
         forward, backward = (restrict_neighbours(rows, half) for half in (self.forward, self.backward))
         sample = None if self.sample is None else self.sample[rows]
-        return LensSet(
-            self.texture.select(rows), forward, backward, self.indices[rows], self.near[rows], self.active[rows], sample
-        )
+        masks = self.updated[rows], self.active[rows], sample
+        return LensSet(self.texture.select(rows), forward, backward, self.indices[rows], *masks)
 
 
 @dataclass(frozen=True)
 class PreviousEstimates:
-    """Answers that lenses keep.
+    """Estimates that some lenses keep.
 
     Parameters
     ----------
@@ -119,29 +107,29 @@ class PreviousEstimates:
     reason: NDArray[np.int8]
 
     @classmethod
-    def by(cls, before: DepthMap, kept: NDArray[np.bool_]) -> PreviousEstimates:
-        """Those of an earlier depth map."""
-        return cls(kept, before.filled_patch_size, before.standard_error, before.confidence, before.reason)
+    def of_depth(cls, depth: DepthMap, kept: NDArray[np.bool_]) -> PreviousEstimates:
+        """Those of a depth map."""
+        return cls(kept, depth.filled_patch_size, depth.standard_error, depth.confidence, depth.reason)
 
-    def of(self, rows: NDArray[np.int64]) -> PreviousEstimates:
+    def select(self, rows: NDArray[np.int64]) -> PreviousEstimates:
         """Those of some lenses."""
         return PreviousEstimates(*(getattr(self, field.name)[rows] for field in fields(self)))
 
-    def recurring(self, resolved: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], bool] | None:
+    def periodicity(self, resolved: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], bool] | None:
         """As `find_periodic_texture` of lenses that are `resolved` (n,) now, where that is known from before.
 
-        Where most of them have been asked before, and nothing repeated in what they saw, nothing does.
+        It is if most of them have kept their depth, and none of these was periodic.
         """
         known = self.kept & (self.reason == 0)
         if known.sum() <= (resolved & ~self.kept).sum() or (self.reason[self.kept] == 2).any():
             return None
-        # Where the scene may repeat, the confidence of all lenses has been cut to this.
+        # Where the scene may be periodic, the confidence of all lenses has been limited to this.
         return np.zeros(len(resolved), bool), bool(self.confidence[known].max() <= CLASSIFY.sure)
 
 
 @dataclass(frozen=True)
 class LensEstimates:
-    """What lenses answer.
+    """Estimates of lenses.
 
     Parameters
     ----------
@@ -149,16 +137,15 @@ class LensEstimates:
         Also of unresolved lenses.
     reason : (n,) int8
         As `DepthMap`.
-    astray : (n,) [px]
+    systematic_error : (n,) [px]
         Part of each error that all lenses of a surface may share.
     guess : (n,) [px]
-        Patch size to draw unresolved lenses with, where those beside them tell nothing else.
+        Patch size to fill unresolved lenses with, unless smoothing toward their neighbours changes it.
     second : (n,) float32 [px]
-        Next best patch size of lenses with texture; NaN where there is none.
-    found : Found
-    alone : LensFits
-        What each lens that was asked says for itself: what it measures, or kept; its error is infinite where it is
-        unresolved.
+        Second-best patch size of lenses with texture; NaN where there is none.
+    match : MatchResult
+    own_fits : LensFits
+        Measurement of each lens without smoothing, or what it keeps; with an infinite error where it is unresolved.
     """
 
     patch_size: NDArray
@@ -168,8 +155,8 @@ class LensEstimates:
     systematic_error: NDArray
     guess: NDArray
     second: NDArray[np.float32]
-    found: MatchResult
-    alone: LensFits
+    match: MatchResult
+    own_fits: LensFits
 
     @property
     def resolved(self) -> NDArray[np.bool_]:
@@ -177,27 +164,34 @@ class LensEstimates:
 
     @property
     def filled_patch_size(self) -> NDArray[np.float32]:
-        """(n,) float32 [px]: the answers of resolved lenses, and guesses of the others."""
+        """(n,) float32 [px]: patch sizes of resolved lenses, and guesses of the others."""
         return np.where(self.resolved, self.patch_size, self.guess).astype(np.float32)
 
-    def pooled(self, lenses: LensSet, kept: NDArray[np.bool_] | None, bends: bool) -> LensEstimates:
-        """These with what the lenses on the same surface say as well; those that are `kept` stay.
+    def smooth(
+        self,
+        lenses: LensSet,
+        kept: NDArray[np.bool_] | None,
+        quadratic: bool,
+        settings: EstimateSettings = ESTIMATE,
+    ) -> LensEstimates:
+        """Smooth over the lenses on the same surface; those that are `kept` (n,) stay.
 
-        With `bends`, lenses on bent surfaces are measured at their centres first.
+        With `quadratic`, lenses on curved surfaces are measured at their centres first.
         """
         wanted = self.resolved if kept is None else self.resolved & ~kept
         flat, neighbours = lenses.texture.flat, lenses.neighbours
         where = flat.centres, lenses.pitch, flat.radius, neighbours
-        pool = partial(smooth_fits, *where)
-        # Those that are kept have been freed of what they show of bends.
-        freed = (~wanted).astype(np.float32)
-        joint = pool(self.alone, wanted, freed)
-        # Lenses of unlike blur differ by more than their patch sizes.
-        if bends and flat.lens_type is None:
-            doubted = wanted & (np.abs(self.alone.patch_size) < _SHARING * lenses.pitch)
-            asked = np.where(doubted, np.clip(joint.curvature_significance / _BENT - 1, 0, 1), 0).astype(np.float32)
-            alone, centred = fit_quadratic(flat, neighbours, self.alone, asked, _usual_contrast(lenses.texture))
-            joint = pool(alone, wanted, np.maximum(freed, centred)) if centred.any() else joint
+        smooth = partial(smooth_fits, *where)
+        # Kept lenses have been corrected for curvature before.
+        corrected = (~wanted).astype(np.float32)
+        joint = smooth(self.own_fits, wanted, corrected)
+        # Lenses of different focus differ by more than their patch sizes.
+        if quadratic and flat.lens_type is None:
+            eligible = wanted & (np.abs(self.own_fits.patch_size) < settings.curved_max_ratio * lenses.pitch)
+            significance = np.clip(joint.curvature_significance / settings.curved_from - 1, 0, 1)
+            weight = np.where(eligible, significance, 0).astype(np.float32)
+            own, centred = fit_quadratic(flat, neighbours, self.own_fits, weight, lenses.usual_contrast)
+            joint = smooth(own, wanted, np.maximum(corrected, centred)) if centred.any() else joint
         fits = smooth_fits_far(*where, joint, wanted)
         known = wanted & np.isfinite(fits.standard_error)
         return replace(
@@ -206,128 +200,142 @@ class LensEstimates:
             standard_error=np.where(known, fits.standard_error, self.standard_error),
         )
 
-    def among(self, count: int, rows: NDArray[np.int64], earlier: PreviousEstimates | None) -> LensEstimates:
-        """These as those of the lenses at `rows` of `count`; the others are blank, or as they were."""
+    def embed(self, count: int, rows: NDArray[np.int64], previous: PreviousEstimates | None) -> LensEstimates:
+        """As the lenses at `rows` of `count`; the others have too little texture, or keep what they had."""
         blank = {
             "patch_size": np.nan, "standard_error": np.inf, "confidence": 0, "reason": 1, "systematic_error": np.inf,
             "guess": np.nan, "second": np.nan,
         }  # fmt: skip
+        old = {}
+        if previous is not None:
+            old = {name: getattr(previous, name) for name in ("standard_error", "confidence", "reason")}
+            old["patch_size"] = old["guess"] = previous.filled_patch_size
         whole = {}
         for name, value in blank.items():
             some = getattr(self, name)
             whole[name] = np.full(count, value, some.dtype)
-            if earlier is not None and name in _KEPT:
-                whole[name][:] = getattr(earlier, _KEPT[name])
+            whole[name][:] = old.get(name, value)
             whole[name][rows] = some
-        return LensEstimates(**whole, found=self.found, alone=self.alone)
+        return LensEstimates(**whole, match=self.match, own_fits=self.own_fits)
+
+    def keep(self, previous: PreviousEstimates) -> LensEstimates:
+        """With what kept lenses had before."""
+        kept, error = previous.kept, np.where(previous.reason == 0, previous.standard_error, np.inf)
+        own = replace(
+            self.own_fits,
+            patch_size=np.where(kept, previous.filled_patch_size, self.own_fits.patch_size),
+            standard_error=np.where(kept, error, self.own_fits.standard_error),
+        )
+        return replace(
+            self,
+            patch_size=np.where(kept, previous.filled_patch_size, self.patch_size),
+            standard_error=np.where(kept, previous.standard_error, self.standard_error),
+            confidence=np.where(kept, previous.confidence, self.confidence),
+            reason=np.where(kept, previous.reason, self.reason),
+            own_fits=own,
+        )
+
+    def limit_guesses(self, pitch: float, settings: EstimateSettings = ESTIMATE) -> LensEstimates:
+        """Replace guesses beyond the resolvable range, of lenses without texture, by the median of the resolved ones.
+
+        Costs that are all alike have their minimum at an end of the range, where only rims of microimages overlap.
+        """
+        beyond = (self.reason == 1) & (np.abs(self.guess) > CLASSIFY.resolvable * pitch)
+        known = self.patch_size[self.resolved]
+        default = np.median(known) if known.size else settings.default_ratio * pitch
+        return replace(self, guess=np.where(beyond, default, self.guess))
 
 
 def estimate_lenses(
-    lenses: LensSet, setting: Preset, earlier: PreviousEstimates | None = None, sizes: NDArray[np.float32] | None = None
+    lenses: LensSet,
+    preset: Preset,
+    previous: PreviousEstimates | None = None,
+    sizes: NDArray[np.float32] | None = None,
+    settings: EstimateSettings = ESTIMATE,
 ) -> LensEstimates:
-    """Search the depth of lenses, measure it on the pixels of every pair, and judge it.
+    """Search the patch size of lenses, refine it on the pixels of every pair, and classify the result.
 
     `sizes` (m,) [px] are patch sizes that occur, as found elsewhere, see `match_lenses`.
     """
-    texture, near, pitch, neighbours = lenses.texture, lenses.near, lenses.pitch, lenses.neighbours
-    known = None if earlier is None else np.where(near, np.nan, earlier.filled_patch_size).astype(np.float32)
-    matcher = Matcher(texture, lenses.forward, lenses.backward, setting)
-    found = match_lenses(matcher, lenses.active, texture.clear, lenses.sample, known, sizes)
-    like_shading = looks_like_shading(texture.clear & near, found, texture.statistics.contrast, pitch)
+    texture, updated, pitch = lenses.texture, lenses.updated, lenses.pitch
+    known = None if previous is None else np.where(updated, np.nan, previous.filled_patch_size).astype(np.float32)
+    matcher = Matcher(texture, lenses.forward, lenses.backward, preset)
+    match = match_lenses(matcher, lenses.active, texture.clear, lenses.sample, known, sizes)
+    like_shading = looks_like_shading(texture.clear & updated, match, texture.statistics.contrast, pitch)
     doubtful = texture.faint | like_shading
-    textured = near & ((texture.clear & ~doubtful) | (doubtful & match_proves_texture(found, pitch)))
-    maybe = near & doubtful & ~textured & match_suggests_texture(found)
-    wanted = textured | maybe
-    telling = (wanted | ~near) & (np.minimum(found.confidence, found.uniqueness) >= CLASSIFY.sure)
-    occurring = found.patch_size[telling] if sizes is None else sizes
-    alone, refined, error, found = _refined(lenses, setting, found, wanted, occurring)
-    textured |= maybe & shift_exceeds_shading(refined, error, pitch)
+    textured = updated & ((texture.clear & ~doubtful) | (doubtful & match_proves_texture(match, pitch)))
+    perhaps = updated & doubtful & ~textured & match_suggests_texture(match)
+    wanted = textured | perhaps
+    reliable = (wanted | ~updated) & (np.minimum(match.confidence, match.uniqueness) >= CLASSIFY.sure)
+    occurring = match.patch_size[reliable] if sizes is None else sizes
+    own, refined, error, match = _refine(lenses, preset, match, wanted, occurring, settings)
+    textured |= perhaps & shift_exceeds_shading(refined, error, pitch)
     textured &= ~(like_shading & shift_may_be_zero(refined, error))
-    signal = signal_share(texture)
-    explained = found.normalised_correlation / signal
-    astray = systematic_error(error, explained)
-    reason, error, sure = classify_lenses(
-        textured, found, refined, error, signal, texture.flat.centres, neighbours, pitch
-    )
-    depths, shown, told = refined, reason == 0, None
-    if earlier is not None:
-        # Those that keep their answer see the same scene.
-        told = earlier.recurring(shown)
-        depths, shown = (
-            np.where(earlier.kept, earlier.filled_patch_size, refined),
-            shown | (earlier.kept & (earlier.reason == 0)),
-        )
-    again, perhaps = told or find_periodic_texture(texture.flat, lenses.indices, depths, shown)
-    little = sees_little_of_scene(texture.flat.centres, depths, shown, pitch)
-    perhaps = perhaps or correlates_poorly(explained, signal, reason == 0, little)
-    reason[again] = 2
-    sure = CLASSIFY.sure * sure if perhaps else sure
-    alone = replace(
-        alone, standard_error=np.where(reason == 0, inflate_errors(alone.standard_error, explained), np.inf)
-    )
-    guess = found.patch_size
-    if earlier is not None and known is not None:
-        refined = np.where(earlier.kept, earlier.filled_patch_size, refined)
-        error = np.where(earlier.kept, earlier.standard_error, error)
-        sure = np.where(earlier.kept, earlier.confidence, sure)
-        reason = np.where(earlier.kept, earlier.reason, reason)
-        guess = np.where(np.isfinite(known), known, guess)
-        alone = replace(
-            alone,
-            patch_size=np.where(earlier.kept, earlier.filled_patch_size, alone.patch_size),
-            standard_error=np.where(
-                earlier.kept, np.where(earlier.reason == 0, earlier.standard_error, np.inf), alone.standard_error
-            ),
-        )
-    guess = _within_reach(guess, refined, reason, pitch)
-    second = np.where(textured, found.second, np.nan).astype(np.float32)
-    return LensEstimates(refined, error, sure, reason, astray, guess, second, found, alone)
+    estimates = _classify(lenses, match, textured, own, refined, error, previous)
+    if previous is not None and known is not None:
+        estimates = estimates.keep(previous)
+        estimates = replace(estimates, guess=np.where(np.isfinite(known), known, estimates.guess))
+    return estimates.limit_guesses(pitch, settings)
 
 
-def _refined(
-    lenses: LensSet, setting: Preset, found: MatchResult, wanted: NDArray[np.bool_], occurring: NDArray[np.float32]
+def _refine(
+    lenses: LensSet,
+    preset: Preset,
+    match: MatchResult,
+    wanted: NDArray[np.bool_],
+    occurring: NDArray[np.float32],
+    settings: EstimateSettings,
 ) -> tuple[LensFits, NDArray, NDArray, MatchResult]:
-    """What lenses measure alone, their patch sizes and errors (n,) [px] with those around them, and what they found.
+    """Refine the lenses `wanted` (n,) on their pixels: each alone, and patch sizes and errors with their neighbours.
 
-    Of the lenses `wanted`; for the others what was found, and inf. Some turn to the next best value that they found,
-    if it is one of those `occurring` (m,) [px].
+    The second-best match is tried as well where it is one of those `occurring` (m,) [px]; where it is better the match
+    is swapped. Other lenses keep the match, with an infinite error.
     """
     texture = lenses.texture
-    scale = _usual_contrast(texture)
-    # Where one lens is more blurred than the next, finer detail than this tells the difference and not the depth.
-    factor = max(1, round(lenses.pitch / _BLURRED_PITCH)) if texture.flat.lens_type is not None else 1
-    first = np.where(wanted, found.patch_size / factor, np.nan).astype(np.float32)
-    like = wanted & occurs_among(found.second, occurring, _OCCURRING * lenses.pitch)
-    second = np.where(like & (found.second_normalised >= _AS_WELL * found.normalised_correlation), found.second, np.nan)
-    found_by = refine_patch_sizes(
-        downsample(texture.flat, factor),
-        lenses.forward,
-        lenses.backward,
-        first,
-        (second / factor).astype(np.float32),
-        scale,
-        texture.noise / factor,
-        setting.iterations,
-        setting.last_step,
-    )
-    alone, by_pixels = (fits.larger(factor) for fits in found_by)
-    measured = np.isfinite(by_pixels.patch_size)
-    refined = np.where(measured, by_pixels.patch_size, found.patch_size)
-    turned = np.abs(alone.patch_size - second) < np.abs(alone.patch_size - found.patch_size)
-    return alone, refined, np.where(measured, by_pixels.standard_error, np.inf), found.swap_second(turned)
+    # Detail finer than this would show the difference of focus of two lenses instead of the depth.
+    factor = max(1, round(lenses.pitch / settings.defocus_pitch)) if texture.flat.lens_type is not None else 1
+    first = np.where(wanted, match.patch_size / factor, np.nan).astype(np.float32)
+    occurs = wanted & occurs_among(match.second, occurring, settings.second_gap * lenses.pitch)
+    as_good = match.second_normalised >= settings.second_share * match.normalised_correlation
+    second = np.where(occurs & as_good, match.second, np.nan)
+    fits = refine_patch_sizes(
+        downsample(texture.flat, factor), lenses.forward, lenses.backward, first, (second / factor).astype(np.float32),
+        lenses.usual_contrast, texture.noise / factor, preset.iterations, preset.last_step,
+    )  # fmt: skip
+    own, joint = (fit.larger(factor) for fit in fits)
+    measured = np.isfinite(joint.patch_size)
+    refined = np.where(measured, joint.patch_size, match.patch_size)
+    swapped = np.abs(own.patch_size - second) < np.abs(own.patch_size - match.patch_size)
+    return own, refined, np.where(measured, joint.standard_error, np.inf), match.swap_second(swapped)
 
 
-def _usual_contrast(texture: Texture) -> NDArray[np.float32]:
-    """(n,) float32 difference of brightness beyond which two pixels hardly show the same point."""
-    return np.maximum(3 * texture.noise, 0.5 * texture.statistics.contrast).astype(np.float32)
-
-
-def _within_reach(guess: NDArray, refined: NDArray, reason: NDArray[np.int8], pitch: float) -> NDArray:
-    """First guesses of unresolved lenses; those without texture that end where no depth is resolvable start anew.
-
-    Costs that are all alike have their minimum at an end of the range. Drawn there, a blank place would be read at
-    the rims of microimages.
-    """
-    astray = (reason == 1) & (np.abs(guess) > CLASSIFY.resolvable * pitch)
-    known = refined[reason == 0]
-    return np.where(astray, np.median(known) if known.size else DEFAULT_RATIO * pitch, guess)
+def _classify(
+    lenses: LensSet,
+    match: MatchResult,
+    textured: NDArray[np.bool_],
+    own: LensFits,
+    refined: NDArray,
+    error: NDArray,
+    previous: PreviousEstimates | None,
+) -> LensEstimates:
+    """Decide which lenses are resolved, with errors and confidence, from their match and refined patch sizes (n,)."""
+    texture, pitch, centres = lenses.texture, lenses.pitch, lenses.texture.flat.centres
+    signal = signal_share(texture)
+    explained = match.normalised_correlation / signal
+    systematic = systematic_error(error, explained)
+    reason, error, sure = classify_lenses(textured, match, refined, error, signal, centres, lenses.neighbours, pitch)
+    depths, shown, known = refined, reason == 0, None
+    if previous is not None:
+        # Kept lenses show the same scene.
+        known = previous.periodicity(shown)
+        depths = np.where(previous.kept, previous.filled_patch_size, refined)
+        shown = shown | (previous.kept & (previous.reason == 0))
+    periodic, perhaps = known or find_periodic_texture(texture.flat, lenses.indices, depths, shown)
+    little = sees_little_of_scene(centres, depths, shown, pitch)
+    perhaps = perhaps or correlates_poorly(explained, signal, reason == 0, little)
+    reason[periodic] = 2
+    sure = CLASSIFY.sure * sure if perhaps else sure
+    own_error = np.where(reason == 0, inflate_errors(own.standard_error, explained), np.inf)
+    second = np.where(textured, match.second, np.nan).astype(np.float32)
+    own = replace(own, standard_error=own_error)
+    return LensEstimates(refined, error, sure, reason, systematic, match.patch_size, second, match, own)

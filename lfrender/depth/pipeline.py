@@ -1,4 +1,10 @@
-"""The depth of flats that show several depths, lens by lens."""
+"""The passes of an analysis, in order, from a grey flat to its depth map.
+
+`estimate_depth_map`: is the scene one plane (`planes`)? Which lenses have no texture (`validity.textureless`)? Then
+`estimate_lens_by_lens`: select the lenses to match; search, refine and classify them (`estimate`). If they all lie on
+a plane, take that (`plane_depth`). Else smooth them over surfaces (`refinement.smoothing`), fill unresolved ones, find
+second depths (`surface.second_layer`, `surface.thin_structures`) and make a dense surface of all (`surface.densify`).
+"""
 
 from __future__ import annotations
 
@@ -21,15 +27,16 @@ from ..flat.texture import (
     estimate_noise,
     find_texture,
     sample_statistics,
-)  # fmt: skip
-from .estimate import DEFAULT_RATIO, LensEstimates, LensSet, PreviousEstimates, estimate_lenses
-from .matching.matcher import MatchResult
+)
+from .estimate import LensEstimates, LensSet, PreviousEstimates, estimate_lenses
 from .matching.peaks import fill_unresolved
 from .matching.shortcuts import Shortcuts, sample_lenses
 from .plane_depth import confirm_on_plane, find_plane_of_few, fit_regular_plane, plane_depth_map, plane_scene_depth
 from .planes.detection import find_plane
 from .planes.settings import DETECTION
 from .presets import PRESETS, Preset
+from .same_surface import same_surface
+from .settings import ESTIMATE, PIPELINE
 from .surface.densify import densify
 from .surface.second_layer import find_second_layer
 from .surface.thin_structures import find_thin_structures
@@ -39,24 +46,10 @@ from .validity.textureless import find_textureless
 
 __all__ = ["SceneStatistics", "UnsmoothedEstimates", "estimate_depth_map", "estimate_lens_by_lens", "prepare_flat"]
 
-# So many lenses, evenly spread, tell which depths occur; where few carry texture, this share of them, but not fewer
-# than the last number.
-_SAMPLE, _SAMPLE_SHARE, _LEAST_SAMPLE = 150, 1 / 16, 24
-# Where less than this share of the lenses are asked, the others are left out of all that is done with them.
-_FEW = 0.5
-# A plane that is not found with shading left in is sought again where shading has faked more than a tenth of the
-# texture.
-_FEWER = 0.9
-# Fewer clear lenses than this do not tell it for the others: what repeats shows at depths that nobody has tried.
-_FEWEST_CLEAR = 300
-# Faint lenses are not looked after where they fit no depth that is known to occur: where less than the first share of
-# the lenses are clear, so many times as many are needed, and asked.
-_MOSTLY_CLEAR, _MORE_CLEAR = 0.8, 4
-
 
 @dataclass(frozen=True)
 class SceneStatistics:
-    """What the lenses of a part of a flat must be told of the whole.
+    """Statistics of a large flat that the analysis of a part needs.
 
     Parameters
     ----------
@@ -65,7 +58,7 @@ class SceneStatistics:
     sizes : (m,) float32 [px]
         Patch sizes of resolved lenses from all over the flat.
     raw_noise : float
-        As `noise`, before shading is taken out.
+        As `noise`, before shading is corrected.
     """
 
     noise: float
@@ -75,12 +68,12 @@ class SceneStatistics:
 
 @dataclass(frozen=True)
 class UnsmoothedEstimates:
-    """What each lens answers without what others on its surface say: errors of lenses beside each other share little.
+    """Estimates of single lenses before smoothing, so that errors of neighbours are nearly independent.
 
     Parameters
     ----------
     patch_size, standard_error : (n,) [px]
-    astray : (n,) [px]
+    systematic_error : (n,) [px]
         Part of each error that all lenses of a surface may share.
     """
 
@@ -90,24 +83,24 @@ class UnsmoothedEstimates:
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """Lenses that are asked for their depth, and what is known before.
+class _Selection:
+    """Lenses to estimate, and what is known before.
 
     Parameters
     ----------
     lattice : Lattice
     texture : Texture
         Of all lenses.
-    lenses : Lenses
-        Those that are asked and those beside them, or all.
+    lenses : LensSet
+        Those to estimate and their neighbours, or all.
     rows : (m,) int, optional
-        Where these stand among all; None for all.
-    skipped : (n,) bool
-        Blank lenses that nobody asks.
+        Rows of these among all; None for all.
+    blank : (n,) bool
+        Lenses without texture, which are left out.
     kept : (n,) bool, optional
-        Lenses that keep what was found `before`.
+        Lenses that keep the depth they have in `before`.
     before : DepthMap, optional
-    overview : Overview, optional
+    overview : SceneStatistics, optional
         Of the larger flat of which this is a part.
     """
 
@@ -115,45 +108,52 @@ class _Asked:
     texture: Texture
     lenses: LensSet
     rows: NDArray[np.int64] | None
-    skipped: NDArray[np.bool_]
+    blank: NDArray[np.bool_]
     kept: NDArray[np.bool_] | None
     before: DepthMap | None
     overview: SceneStatistics | None
 
     @property
-    def alone(self) -> bool:
+    def is_whole(self) -> bool:
         """Nothing else is known of the scene."""
         return self.kept is None and self.overview is None
 
     @property
-    def earlier(self) -> PreviousEstimates | None:
-        """What all lenses answered before."""
-        return None if self.kept is None or self.before is None else PreviousEstimates.by(self.before, self.kept)
+    def previous(self) -> PreviousEstimates | None:
+        """Estimates that all lenses had before."""
+        return None if self.kept is None or self.before is None else PreviousEstimates.of_depth(self.before, self.kept)
 
-    def answers(self, setting: Preset, ranges: bool) -> LensEstimates:
-        """What the lenses answer; with `ranges`, only depths that occur in the larger flat are looked for."""
-        earlier = self.earlier if self.rows is None or self.earlier is None else self.earlier.of(self.rows)
+    @property
+    def gap(self) -> float:
+        """Difference of patch sizes [px] between two surfaces."""
+        return max(PIPELINE.min_gap, PIPELINE.gap * self.lattice.pitch)
+
+    def estimate(self, preset: Preset, ranges: bool) -> LensEstimates:
+        """Estimate the lenses; with `ranges` only depths that occur in the larger flat are searched."""
+        previous = self.previous
+        if previous is not None and self.rows is not None:
+            previous = previous.select(self.rows)
         sizes = self.overview.sizes if self.overview is not None and ranges and len(self.overview.sizes) else None
-        return estimate_lenses(self.lenses, setting, earlier, sizes)
+        return estimate_lenses(self.lenses, preset, previous, sizes)
 
 
 def prepare_flat(flat: NDArray, calibration: Calibration, preset: str) -> tuple[GrayFlat, Lattice, int]:
-    """The flat as the preset analyses it, its lattice, and how many of its pixels each way have become one."""
+    """The grey flat that the preset analyses, its lattice, and how many pixels of the flat each way it has merged."""
     factor = PRESETS[preset].factor(calibration.lattice.pitch)
     return make_gray_flat(flat, calibration, factor), downsample_lattice(calibration.lattice, factor), factor
 
 
 def estimate_depth_map(gray: GrayFlat, lattice: Lattice, preset: str, shortcuts: Shortcuts) -> DepthMap:
-    """The depth of a flat of which nothing is known."""
-    plain = sample_statistics(gray)
-    raw_noise = estimate_noise(plain.roughness)
+    """Depth of a flat about which nothing is known."""
+    statistics = sample_statistics(gray)
+    raw_noise = estimate_noise(statistics.roughness)
     if shortcuts.plane:
-        texture = classify_texture(gray, plain, raw_noise)
+        texture = classify_texture(gray, statistics, raw_noise)
         found = find_plane(texture, lattice.indices(), *opposite_neighbours(lattice), PRESETS[preset])
         if found is not None:
             return plane_scene_depth(found, gray, lattice, preset, {"plane": 1 - found.sampled})
-    blank = find_textureless(gray, lattice, plain, PRESETS[preset], raw_noise) if shortcuts.blank else None
-    return estimate_lens_by_lens(gray, lattice, preset, shortcuts, plain, blank)[0]
+    blank = find_textureless(gray, lattice, statistics, PRESETS[preset], raw_noise) if shortcuts.blank else None
+    return estimate_lens_by_lens(gray, lattice, preset, shortcuts, statistics, blank)[0]
 
 
 def estimate_lens_by_lens(
@@ -161,229 +161,241 @@ def estimate_lens_by_lens(
     lattice: Lattice,
     preset: str,
     shortcuts: Shortcuts,
-    plain: LensStatistics,
+    statistics: LensStatistics,
     blank: NDArray[np.bool_] | None,
     kept: NDArray[np.bool_] | None = None,
     before: DepthMap | None = None,
     overview: SceneStatistics | None = None,
 ) -> tuple[DepthMap, UnsmoothedEstimates]:
-    """The depth of every lens, but for the `blank` ones and those `kept` from what was found `before`.
+    """Depth of every lens, but for the `blank` ones (n,) and those `kept` (n,), which have that of `before`.
 
-    `overview` is of the larger flat of which this is a part. Beside the depth stands what single lenses say.
+    `overview` is of the larger flat of which this is a part. Also returns the estimates of lenses before smoothing.
     """
-    level, tried = None, np.inf
+    tried = np.inf
     if blank is not None and kept is None and overview is None and shortcuts.plane:
-        level, tried = _plane_among_blank(gray, lattice, preset, plain, blank)
-        if level is not None:
-            return level, _level(level)
-    asked = _asked(gray, lattice, shortcuts, plain, blank, kept, before, overview)
-    lenses, rows, setting = asked.lenses, asked.rows, PRESETS[preset]
-    if rows is not None and asked.alone and shortcuts.plane and lenses.active.sum() < _FEWER * tried:
-        level = find_plane_of_few(lenses, rows, asked.texture.flat, lattice, preset)
-        if level is not None:
-            return level, _level(level)
-    answers = asked.answers(setting, shortcuts.ranges)
-    saved = _saved(shortcuts, asked, answers.found)
+        depth, tried = _find_plane_among_blank(gray, lattice, preset, statistics, blank)
+        if depth is not None:
+            return depth, _plane_estimates(depth)
+    chosen = _select_lenses(gray, lattice, shortcuts, statistics, blank, kept, before, overview)
+    lenses, rows = chosen.lenses, chosen.rows
+    less_texture = lenses.active.sum() < PIPELINE.less_texture * tried
+    if rows is not None and chosen.is_whole and shortcuts.plane and less_texture:
+        depth = find_plane_of_few(lenses, rows, chosen.texture.flat, lattice, preset)
+        if depth is not None:
+            return depth, _plane_estimates(depth)
+    estimates = chosen.estimate(PRESETS[preset], shortcuts.ranges)
+    saved = _saved_work(shortcuts, chosen, estimates)
     plane = None
-    if asked.alone:
+    if chosen.is_whole:
         plane = fit_regular_plane(
-            lenses.centres, len(lattice), lenses.pitch, answers.patch_size, answers.standard_error, answers.reason,
-            answers.systematic_error, lenses.neighbours,
+            lenses.centres, len(lattice), lenses.pitch, estimates.patch_size, estimates.standard_error,
+            estimates.reason, estimates.systematic_error, lenses.neighbours,
         )  # fmt: skip
     if plane is None:
-        return _spread_out(asked, answers, preset, shortcuts, saved)
-    answers = confirm_on_plane(plane, answers, lenses)
+        return _complete_depth(chosen, estimates, preset, shortcuts, saved)
+    estimates = confirm_on_plane(plane, estimates, lenses)
     if rows is not None:
-        answers = answers.among(len(lattice), rows, None)
-    depth = plane_depth_map(plane, lattice, preset, answers.reason, answers.confidence, saved)
-    return depth, UnsmoothedEstimates(depth.patch_size, depth.standard_error, answers.systematic_error)
+        estimates = estimates.embed(len(lattice), rows, None)
+    depth = plane_depth_map(plane, lattice, preset, estimates.reason, estimates.confidence, saved)
+    return depth, UnsmoothedEstimates(depth.patch_size, depth.standard_error, estimates.systematic_error)
 
 
-def _level(depth: DepthMap) -> UnsmoothedEstimates:
-    """What single lenses say where a few have told the plane of all."""
+def _plane_estimates(depth: DepthMap) -> UnsmoothedEstimates:
+    """The estimates of lenses on a plane that was measured on a few of them."""
     return UnsmoothedEstimates(depth.patch_size, depth.standard_error, np.zeros(len(depth.reason)))
 
 
-def _plane_among_blank(
-    gray: GrayFlat, lattice: Lattice, preset: str, plain: LensStatistics, blank: NDArray[np.bool_]
+def _find_plane_among_blank(
+    gray: GrayFlat, lattice: Lattice, preset: str, statistics: LensStatistics, blank: NDArray[np.bool_]
 ) -> tuple[DepthMap | None, float]:
-    """The depth where few lenses carry texture, the others are `blank`, and those few show one plane; None if not.
+    """The plane of the few lenses that are not `blank` (n,), None if there is none; and their number, inf if not few.
 
-    Shading is left in where it hardly matters. Beside the depth stands how many lenses were tried, inf where all.
+    Shading is not corrected where it hardly matters.
     """
     if (~blank).sum() < DETECTION.min_textured:
         return None, np.inf
-    texture = classify_borderline_texture(gray, lattice, plain, blank, estimate_noise(plain.roughness))
+    texture = classify_borderline_texture(gray, lattice, statistics, blank, estimate_noise(statistics.roughness))
     active = texture.clear | texture.faint
-    if not 0 < active.mean() < _FEW:
+    if not 0 < active.mean() < PIPELINE.few_lenses:
         return None, np.inf
-    forward, backward = opposite_neighbours(lattice)
     rows = np.flatnonzero(dilate_mask(active, neighbour_rows(lattice, lattice.steps)))
-    every = np.ones(len(lattice), bool)
-    few = LensSet(texture, forward, backward, lattice.indices(), every, active, None).of(rows)
-    return find_plane_of_few(few, rows, texture.flat, lattice, preset), float(active.sum())
+    updated = np.ones(len(lattice), bool)
+    lenses = LensSet(texture, *opposite_neighbours(lattice), lattice.indices(), updated, active, None)
+    return find_plane_of_few(lenses.select(rows), rows, texture.flat, lattice, preset), float(active.sum())
 
 
-def _asked(
+def _select_lenses(
     gray: GrayFlat,
     lattice: Lattice,
     shortcuts: Shortcuts,
-    plain: LensStatistics,
+    statistics: LensStatistics,
     blank: NDArray[np.bool_] | None,
     kept: NDArray[np.bool_] | None,
     before: DepthMap | None,
     overview: SceneStatistics | None,
-) -> _Asked:
-    """The lenses to ask: those with texture and without an answer, and those beside them."""
-    forward, backward = opposite_neighbours(lattice)
+) -> _Selection:
+    """The lenses with texture and without a depth, and their neighbours."""
     neighbours = neighbour_rows(lattice, lattice.steps)
-    # Lenses that keep their answer support those beside them with it.
-    near = np.ones(len(lattice), bool) if kept is None else ~kept
+    # Lenses that keep their depth support their neighbours with it.
+    updated = np.ones(len(lattice), bool) if kept is None else ~kept
     noise = None if overview is None else overview.noise
-    texture = find_texture(gray, lattice, plain, blank, dilate_mask(near, neighbours), noise)
-    some = texture.clear | texture.faint
-    active = near if blank is None else near & some
-    sample = _telling(lattice, texture.clear, active) if shortcuts.ranges and overview is None else None
-    lenses = LensSet(texture, forward, backward, lattice.indices(), near, active, sample)
-    wanted = active if kept is None else active | ~kept
-    rows = np.flatnonzero(dilate_mask(wanted, neighbours)) if 0 < wanted.mean() < _FEW else None
-    skipped = np.zeros(len(lattice), bool) if blank is None else ~some
-    few = lenses if rows is None else lenses.of(rows)
-    return _Asked(lattice, texture, few, rows, skipped, kept, before, overview)
+    texture = find_texture(gray, lattice, statistics, blank, dilate_mask(updated, neighbours), noise)
+    textured = texture.clear | texture.faint
+    active = updated if blank is None else updated & textured
+    sample = _sample_depths(lattice, texture.clear, active) if shortcuts.ranges and overview is None else None
+    lenses = LensSet(texture, *opposite_neighbours(lattice), lattice.indices(), updated, active, sample)
+    wanted = active if kept is None else updated
+    rows = np.flatnonzero(dilate_mask(wanted, neighbours)) if 0 < wanted.mean() < PIPELINE.few_lenses else None
+    skipped = np.zeros(len(lattice), bool) if blank is None else ~textured
+    selected = lenses if rows is None else lenses.select(rows)
+    return _Selection(lattice, texture, selected, rows, skipped, kept, before, overview)
 
 
-def _spread_out(
-    asked: _Asked, answers: LensEstimates, preset: str, shortcuts: Shortcuts, saved: dict[str, float]
+def _sample_depths(lattice: Lattice, clear: NDArray[np.bool_], active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """(n,) bool: a sample of the `active` lenses that shows which depths occur; None if too few are `clear`."""
+    among = clear & active
+    count = among.sum()
+    more = 1 if count >= PIPELINE.mostly_clear * active.sum() else PIPELINE.more_clear
+    if count < more * PIPELINE.min_clear:
+        return None
+    wanted = np.clip(more * count * PIPELINE.sample_share, PIPELINE.min_sample, PIPELINE.sample)
+    return sample_lenses(lattice.indices(), among, int(wanted))
+
+
+def _complete_depth(
+    chosen: _Selection, estimates: LensEstimates, preset: str, shortcuts: Shortcuts, saved: dict[str, float]
 ) -> tuple[DepthMap, UnsmoothedEstimates]:
-    """The depth of all lenses from what those that were asked answer, spread over the scene."""
-    lattice, lenses, rows, earlier, setting = asked.lattice, asked.lenses, asked.rows, asked.earlier, PRESETS[preset]
-    gap = max(1.0, 0.05 * lattice.pitch)
-    kept, single = asked.kept, answers
-    answers = answers.pooled(lenses, kept if kept is None or rows is None else kept[rows], setting.quadratic_fit)
-    occurring = _occurring(answers, rows, earlier) if asked.overview is None else asked.overview.sizes
-    drawn = fill_unresolved(answers.filled_patch_size, answers.resolved, lenses.neighbours, gap)
-    seconds = _seconds(lenses, answers, drawn, occurring, setting, shortcuts, gap)
+    """Smooth estimates over surfaces, find second depths, and make a dense surface of all lenses."""
+    lattice, lenses, rows, previous = chosen.lattice, chosen.lenses, chosen.rows, chosen.previous
+    kept, gap, options = chosen.kept, chosen.gap, PRESETS[preset]
+    single = estimates
+    estimates = estimates.smooth(lenses, kept if kept is None or rows is None else kept[rows], options.quadratic_fit)
+    overview = chosen.overview
+    occurring = _occurring_sizes(estimates, rows, previous) if overview is None else overview.sizes
+    filled = fill_unresolved(estimates.filled_patch_size, estimates.resolved, lenses.neighbours, gap)
+    seconds = _find_second_depths(lenses, estimates, filled, occurring, options, shortcuts, gap)
     if rows is not None:
-        answers, drawn, seconds = _among_all(lattice, rows, answers, drawn, seconds, earlier)
-        single = single.among(len(lattice), rows, earlier)
-    resolved, sure = answers.resolved, answers.confidence
-    trust = np.where(resolved, sure, 0.05).astype(np.float32)
-    old = None if asked.before is None else asked.before.surface
+        estimates, filled, seconds = _embed_all(lattice, rows, estimates, filled, seconds, previous)
+        single = single.embed(len(lattice), rows, previous)
+    weight = np.where(estimates.resolved, estimates.confidence, PIPELINE.unresolved_weight).astype(np.float32)
+    old = None if chosen.before is None else chosen.before.surface
     settled = None if kept is None else ~dilate_mask(~kept, neighbour_rows(lattice, lattice.steps))
-    texture = asked.texture
-    surface = densify(texture.flat, lattice, drawn, seconds, trust, texture.noise, setting.surface_cells, settled, old)
-    # A lens that sees two depths answers with the one in its middle.
-    middle = surface.at(lattice.centres())
-    crossed = resolved & (np.abs(middle - drawn) > gap) & (np.abs(middle[:, None] - seconds) <= gap).any(1)
-    crossed[crossed] = _level_about(surface, lattice.centres()[crossed], middle[crossed], gap)
-    if kept is not None:
-        crossed &= ~kept
-    error = answers.standard_error
-    depth = DepthMap(
-        patch_size=np.where(crossed, middle, np.where(resolved, answers.patch_size, np.nan)),
-        standard_error=np.where(crossed, np.maximum(error, answers.found.step), np.where(resolved, error, np.inf)),
-        confidence=np.where(crossed | ~resolved, CLASSIFY.sure * sure, sure),
-        filled_patch_size=np.where(crossed, middle, drawn),
+    flat, noise = chosen.texture.flat, chosen.texture.noise
+    surface = densify(flat, lattice, filled, seconds, weight, noise, options.surface_cells, settled, old)
+    depth = _assign_depths(chosen, estimates, filled, seconds, surface, preset, saved)
+    return depth, UnsmoothedEstimates(single.patch_size, single.standard_error, single.systematic_error)
+
+
+def _assign_depths(
+    chosen: _Selection,
+    estimates: LensEstimates,
+    filled: NDArray[np.float32],
+    seconds: NDArray[np.float32],
+    surface: Surface,
+    preset: str,
+    saved: dict[str, float],
+) -> DepthMap:
+    """The depth map; a lens that sees two depths gets the one that the surface has at its centre."""
+    lattice, gap, resolved = chosen.lattice, chosen.gap, estimates.resolved
+    centres, sure, error = lattice.centres(), estimates.confidence, estimates.standard_error
+    middle = surface.at(centres)
+    swapped = resolved & ~same_surface(middle, filled, gap) & same_surface(middle[:, None], seconds, gap).any(1)
+    swapped[swapped] = _is_level(surface, centres[swapped], middle[swapped], gap)
+    if chosen.kept is not None:
+        swapped &= ~chosen.kept
+    return DepthMap(
+        patch_size=np.where(swapped, middle, np.where(resolved, estimates.patch_size, np.nan)),
+        standard_error=np.where(swapped, np.maximum(error, estimates.match.step), np.where(resolved, error, np.inf)),
+        confidence=np.where(swapped | ~resolved, CLASSIFY.sure * sure, sure),
+        filled_patch_size=np.where(swapped, middle, filled),
         surface=surface,
         pitch=lattice.pitch,
         image_size=lattice.image_size,
         preset=preset,
-        reason=answers.reason,
+        reason=estimates.reason,
         saved=saved,
     )
-    return depth, UnsmoothedEstimates(single.patch_size, single.standard_error, single.systematic_error)
 
 
-def _telling(lattice: Lattice, clear: NDArray[np.bool_], active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
-    """Those `clear` of the `active` lenses that tell which depths occur; None where they say little of the others."""
-    among = clear & active
-    count = among.sum()
-    more = 1 if count >= _MOSTLY_CLEAR * active.sum() else _MORE_CLEAR
-    if count < more * _FEWEST_CLEAR:
-        return None
-    wanted = np.clip(more * count * _SAMPLE_SHARE, _LEAST_SAMPLE, _SAMPLE)
-    return sample_lenses(lattice.indices(), among, int(wanted))
-
-
-def _occurring(
-    answers: LensEstimates, rows: NDArray[np.int64] | None, earlier: PreviousEstimates | None
+def _occurring_sizes(
+    estimates: LensEstimates, rows: NDArray[np.int64] | None, previous: PreviousEstimates | None
 ) -> NDArray[np.float32]:
-    """Patch sizes [px] of all resolved lenses: those that are asked, at `rows` if not all, and the others."""
-    sizes = answers.patch_size[answers.resolved]
-    if rows is None or earlier is None:
+    """Patch sizes [px] of all resolved lenses, whether estimated now, at `rows` if not all, or before."""
+    sizes = estimates.patch_size[estimates.resolved]
+    if rows is None or previous is None:
         return sizes
-    others = earlier.reason == 0
+    others = previous.reason == 0
     others[rows] = False
-    return np.concatenate([sizes, earlier.filled_patch_size[others]]).astype(sizes.dtype)
+    return np.concatenate([sizes, previous.filled_patch_size[others]]).astype(sizes.dtype)
 
 
-def _seconds(
+def _find_second_depths(
     lenses: LensSet,
-    answers: LensEstimates,
-    drawn: NDArray[np.float32],
+    estimates: LensEstimates,
+    filled: NDArray[np.float32],
     occurring: NDArray[np.float32],
-    setting: Preset,
+    preset: Preset,
     shortcuts: Shortcuts,
     gap: float,
 ) -> NDArray[np.float32]:
-    """(n, 2) [px] other patch sizes that lenses may show beside `drawn`, of those that occur, as for `densify`."""
-    second = np.where(occurs_among(answers.second, occurring, gap), answers.second, np.nan)
-    others = np.stack([second, np.full(len(drawn), np.nan)], 1).astype(np.float32)
-    if not setting.second_layer:
+    """(n, 2) [px] other patch sizes that lenses may show beside the `filled` (n,), as for `densify`."""
+    second = np.where(occurs_among(estimates.second, occurring, gap), estimates.second, np.nan)
+    others = np.stack([second, np.full(len(filled), np.nan)], 1).astype(np.float32)
+    if not preset.second_layer:
         return others
-    evidence = np.where(lenses.near, answers.found.correlation, 1)
-    around = occurring if shortcuts.ranges else None
-    rest = find_second_layer(lenses.texture, lenses.forward, lenses.backward, drawn, evidence, setting, around)
+    correlation = np.where(lenses.updated, estimates.match.correlation, 1)
+    tried = occurring if shortcuts.ranges else None
+    halves = lenses.forward, lenses.backward
+    rest = find_second_layer(lenses.texture, *halves, filled, correlation, preset, tried)
     # Shading matches itself near zero: a depth there must occur by itself.
     rest[(np.abs(rest) < CLASSIFY.shading_reach * lenses.pitch) & ~occurs_among(rest, occurring, gap)] = np.nan
     others[:, 1] = rest
-    thin = find_thin_structures(lenses.texture, lenses.forward, lenses.backward, drawn, others, lenses.near, gap)
-    # Its place is that of the second best, which is false more often, but where the other one is free.
-    told, place = np.isfinite(thin), np.where(np.isfinite(second) & np.isnan(rest), 1, 0)
-    others[told, place[told]] = thin[told]
+    thin = find_thin_structures(lenses.texture, *halves, filled, others, lenses.updated, gap)
+    # It replaces the second-best match, which is false more often, unless the other place is free.
+    found, place = np.isfinite(thin), np.where(np.isfinite(second) & np.isnan(rest), 1, 0)
+    others[found, place[found]] = thin[found]
     return others
 
 
-def _among_all(
+def _embed_all(
     lattice: Lattice,
     rows: NDArray[np.int64],
-    answers: LensEstimates,
-    drawn: NDArray[np.float32],
+    estimates: LensEstimates,
+    filled: NDArray[np.float32],
     seconds: NDArray[np.float32],
-    earlier: PreviousEstimates | None,
+    previous: PreviousEstimates | None,
 ) -> tuple[LensEstimates, NDArray[np.float32], NDArray[np.float32]]:
-    """What the lenses at `rows` answer among all; the others keep what they had, or are blank and drawn like the
-    nearest that are resolved."""
-    whole = answers.among(len(lattice), rows, earlier)
-    all_drawn, all_seconds = np.empty(len(lattice), np.float32), np.full((len(lattice), 2), np.nan, np.float32)
-    if earlier is not None:
-        all_drawn[:] = earlier.filled_patch_size
+    """Estimates of the lenses at `rows` among all; others keep theirs, or are filled from the nearest resolved one."""
+    whole = estimates.embed(len(lattice), rows, previous)
+    all_filled, all_seconds = np.empty(len(lattice), np.float32), np.full((len(lattice), 2), np.nan, np.float32)
+    if previous is not None:
+        all_filled[:] = previous.filled_patch_size
     elif whole.resolved.any():
-        all_drawn[rows] = drawn
-        all_drawn = all_drawn[nearest_chosen(lattice, whole.resolved)]
+        all_filled[rows] = filled
+        all_filled = all_filled[nearest_chosen(lattice, whole.resolved)]
     else:
-        all_drawn[:] = DEFAULT_RATIO * lattice.pitch
-    all_drawn[rows], all_seconds[rows] = drawn, seconds
-    return whole, all_drawn, all_seconds
+        all_filled[:] = ESTIMATE.default_ratio * lattice.pitch
+    all_filled[rows], all_seconds[rows] = filled, seconds
+    return whole, all_filled, all_seconds
 
 
-def _level_about(
+def _is_level(
     surface: Surface, centres: NDArray[np.float64], middle: NDArray[np.float32], gap: float
 ) -> NDArray[np.bool_]:
-    """Lenses about whose centre the surface stays at its value there, to all sides."""
+    """Lenses around whose centre the surface stays at its value there, to all sides."""
     level = np.ones(len(middle), bool)
     for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
-        beside = surface.at(centres + np.array([x, y]) * surface.spacing)
-        level &= np.abs(beside - middle) <= gap
+        level &= same_surface(surface.at(centres + np.array([x, y]) * surface.spacing), middle, gap)
     return level
 
 
-def _saved(shortcuts: Shortcuts, asked: _Asked, found: MatchResult) -> dict[str, float]:
+def _saved_work(shortcuts: Shortcuts, chosen: _Selection, estimates: LensEstimates) -> dict[str, float]:
+    """Share of the work that each shortcut has saved, as `DepthMap.saved`."""
     saved = {}
     if shortcuts.blank:
-        saved["blank"] = float(asked.skipped.mean())
-    if asked.lenses.sample is not None:
-        saved["ranges"] = found.skipped_share
-    if asked.kept is not None:
-        saved["still"] = float(asked.kept.mean())
+        saved["blank"] = float(chosen.blank.mean())
+    if chosen.lenses.sample is not None:
+        saved["ranges"] = estimates.match.skipped_share
+    if chosen.kept is not None:
+        saved["still"] = float(chosen.kept.mean())
     return saved

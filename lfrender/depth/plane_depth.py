@@ -1,4 +1,4 @@
-"""The depth of flats on which all that carries texture lies on one plane."""
+"""Depth map of a flat on which everything with texture lies on one plane."""
 
 from __future__ import annotations
 
@@ -18,36 +18,38 @@ from .planes.detection import PlaneScene, find_plane
 from .planes.plane_fit import Plane, fit_plane, has_outlier_cluster
 from .planes.settings import PLANE
 from .presets import PRESETS
+from .same_surface import same_surface
+from .settings import PLANE_DEPTH, PlaneDepthSettings
 from .surface.scene_grid import grid_shape
 from .validity.periodicity import find_periodic_texture
 from .validity.settings import CLASSIFY
 
 __all__ = ["confirm_on_plane", "find_plane_of_few", "fit_regular_plane", "plane_depth_map", "plane_scene_depth"]
 
-# A lens shows a plane if it matches there so well, by the usual match, or if two beside it do.
-_TYPICAL = 0.5
-# Fewer resolved lenses than this do not prove a plane.
-_FEWEST = 24
-
 
 def plane_scene_depth(
-    found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str, saved: dict[str, float]
+    found: PlaneScene,
+    gray: GrayFlat,
+    lattice: Lattice,
+    preset: str,
+    saved: dict[str, float],
+    settings: PlaneDepthSettings = PLANE_DEPTH,
 ) -> DepthMap:
-    """One plane for all lenses that show it."""
+    """The plane of a scene for all lenses that match on it."""
     shown = found.correlation >= CLASSIFY.least_correlation
-    usual = shown & (found.correlation >= _TYPICAL * np.median(found.correlation[shown]))
-    shown &= usual | (count_neighbours(usual, neighbour_rows(lattice, lattice.steps)) >= 2)
+    usual = shown & (found.correlation >= settings.typical_share * np.median(found.correlation[shown]))
+    shown &= usual | (count_neighbours(usual, neighbour_rows(lattice, lattice.steps)) >= settings.confirming)
     sizes = found.plane.at(lattice.centres())
-    again, perhaps = find_periodic_texture(gray, lattice.indices(), sizes, shown)
+    periodic, perhaps = find_periodic_texture(gray, lattice.indices(), sizes, shown)
     sure = found.confidence * (CLASSIFY.sure if perhaps else 1.0)
-    reason = np.where(shown, np.where(again, 2, 0), 1)
+    reason = np.where(shown, np.where(periodic, 2, 0), 1)
     return plane_depth_map(found.plane, lattice, preset, reason, sure * shown, saved)
 
 
 def plane_depth_map(
     plane: Plane, lattice: Lattice, preset: str, reason: NDArray, confidence: NDArray, saved: dict[str, float]
 ) -> DepthMap:
-    """The depth of a scene that is one plane, for the lenses whose `reason` is 0."""
+    """The depth of a scene that is one plane, for the lenses whose `reason` (n,) is 0."""
     centres = lattice.centres()
     sizes = plane.at(centres)
     shape, first, spacing = grid_shape(lattice, PRESETS[preset].surface_cells)
@@ -72,49 +74,62 @@ def fit_regular_plane(
     sizes: NDArray[np.float32],
     errors: NDArray[np.float32],
     reason: NDArray[np.int8],
-    astray: NDArray,
+    systematic: NDArray,
     neighbours: NDArray[np.int32],
+    settings: PlaneDepthSettings = PLANE_DEPTH,
 ) -> Plane | None:
-    """The plane that all lenses with texture lie on as far as they can tell: their scatter about it is then nothing
-    but noise.
+    """The plane that all lenses with texture lie on within their noise; None if there is none.
 
-    `reason` (n,) is as in `DepthMap`; `astray` (n,) [px] is the part of their errors that their pairs do not show. If
-    they are few of the `count` lenses of the flat, the plane must face the camera: a slant would be carried too far.
+    Parameters
+    ----------
+    centres : (n, 2) float64 [px]
+    count : int
+        Lenses of the flat. If only few of them are resolved, the plane must face the camera: a slant would be
+        extrapolated too far.
+    pitch : float [px]
+    sizes, errors, reason : (n,)
+        As `DepthMap`.
+    systematic : (n,) [px]
+        Part of the errors that their pairs do not show.
+    neighbours : (n, k) int32
+        Neighbour rows, -1 where there is none.
+    settings : PlaneDepthSettings
     """
     known = (reason == 0) & np.isfinite(errors)
     if known.sum() < PLANE.min_textured_share * (reason != 1).sum():
         return None
     own = sizes.astype(np.float64)
-    # Lenses beside blank ones see little to measure.
+    # Lenses with a blank neighbour have few pairs.
     inner = known & (count_neighbours(reason != 1, neighbours) == (neighbours >= 0).sum(1))
-    if inner.sum() < _FEWEST:
+    if inner.sum() < settings.min_resolved:
         return None
     plane = fit_plane(centres[inner], own[inner], pitch, facing=bool(known.sum() < PLANE.min_textured_share * count))
-    if plane is None or has_outlier_cluster(
-        np.where(known, own - plane.at(centres), np.nan), errors.astype(float), neighbours
-    ):
+    if plane is None:
         return None
-    return replace(plane, systematic_error=float(np.median(astray[known])))
+    residual = np.where(known, own - plane.at(centres), np.nan)
+    if has_outlier_cluster(residual, errors.astype(float), neighbours):
+        return None
+    return replace(plane, systematic_error=float(np.median(systematic[known])))
 
 
 def find_plane_of_few(
     few: LensSet, rows: NDArray[np.int64], gray: GrayFlat, lattice: Lattice, preset: str
 ) -> DepthMap | None:
-    """The depth of all lenses where those at `rows`, beside which all are blank, show one plane; None if not."""
+    """The depth of all lenses if the `few` at `rows`, all others being blank, show one plane; None if not."""
     found = find_plane(few.texture, few.indices, few.forward, few.backward, PRESETS[preset], facing=True)
     if found is None:
         return None
-    evidence = np.zeros(len(lattice), np.float32)
-    evidence[rows] = np.where(few.active, found.correlation, 0)
-    asked, sampled = few.active.sum() / len(lattice), found.sampled * len(rows) / len(lattice)
-    saved = {"blank": float(1 - asked), "plane": float(asked - sampled)}
-    return plane_scene_depth(replace(found, correlation=evidence), gray, lattice, preset, saved)
+    correlation = np.zeros(len(lattice), np.float32)
+    correlation[rows] = np.where(few.active, found.correlation, 0)
+    active, sampled = few.active.sum() / len(lattice), found.sampled * len(rows) / len(lattice)
+    saved = {"blank": float(1 - active), "plane": float(active - sampled)}
+    return plane_scene_depth(replace(found, correlation=correlation), gray, lattice, preset, saved)
 
 
-def confirm_on_plane(plane: Plane, answers: LensEstimates, lenses: LensSet) -> LensEstimates:
-    """What lenses that all lie on a plane answer: it confirms what few pairs at the border of the flat could not."""
-    own, reason = plane.at(lenses.centres), answers.reason
-    near_plane = np.abs(answers.patch_size - own) <= 2 * CLASSIFY.agreeing_error * lenses.pitch
-    near_plane &= np.abs(own) <= CLASSIFY.resolvable * lenses.pitch
-    sure = near_plane & (answers.found.confidence >= CLASSIFY.sure)
-    return replace(answers, reason=np.where((reason == 3) & sure, 0, reason).astype(np.int8))
+def confirm_on_plane(plane: Plane, estimates: LensEstimates, lenses: LensSet) -> LensEstimates:
+    """Resolve lenses at the border of the flat that match on the plane of all others, but with too few pairs."""
+    own, reason = plane.at(lenses.centres), estimates.reason
+    on_plane = same_surface(estimates.patch_size, own, 2 * CLASSIFY.agreeing_error * lenses.pitch)
+    on_plane &= np.abs(own) <= CLASSIFY.resolvable * lenses.pitch
+    sure = on_plane & (estimates.match.confidence >= CLASSIFY.sure)
+    return replace(estimates, reason=np.where((reason == 3) & sure, 0, reason).astype(np.int8))

@@ -200,9 +200,8 @@ class Job:
         if earlier is None or self.depth_file(key).exists():
             return self._analyze_once(key, None, self._comparison_file(key))
         earlier = earlier if earlier.depth else self.analyze_key(earlier, None)
-        # A fresh copy: the comparisons cached with `earlier.depth` are those of its own segment.
-        depth = self._load_depth(self.depth_file(earlier))
-        load_reference_match(depth, self._comparison_file(earlier))
+        # A fresh copy: the state of `earlier.depth` is that of its own segment.
+        depth = load_reference_match(self._load_depth(self.depth_file(earlier)), self._comparison_file(earlier))
         return self._analyze_once(key, replace(earlier, depth=depth), self._comparison_file(key))
 
     def analyze_first(self, first: KeyFrame, key: KeyFrame) -> KeyFrame:

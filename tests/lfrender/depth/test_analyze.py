@@ -1,3 +1,5 @@
+"""The depth analysis of simulated flats against their truth."""
+
 import functools
 
 import cv2
@@ -35,7 +37,7 @@ def test_mode_and_patch_size_of_a_plane_are_found_on_every_lattice(lattice, rati
     np.testing.assert_allclose(np.nanmedian(depth.magnification), 1 / abs(ratio), rtol=0.02)
 
 
-def test_both_modes_in_one_flat_are_told_apart(house):
+def test_both_modes_in_one_flat_are_distinguished(house):
     depth = lfrender.analyze(house.flat, house.truth.calibration)
     truth = house.truth
     single = (truth.mode != 0) & ~truth.mixed
@@ -44,14 +46,14 @@ def test_both_modes_in_one_flat_are_told_apart(house):
 
 
 @pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
-def test_every_preset_gives_the_mode(preset):
+def test_every_preset_finds_the_mode(preset):
     shot = capture("plane", ratio=-0.3)
     depth = lfrender.analyze(shot.flat, shot.truth.calibration, preset)
     assert (depth.mode == -1).mean() > 0.98
     assert depth.preset == preset
 
 
-def test_a_blank_wall_is_unresolved_and_claims_no_confidence():
+def test_a_blank_wall_is_unresolved_with_low_confidence():
     shot = capture("blank", noise=(2000, 5))
     depth = lfrender.analyze(shot.flat, shot.truth.calibration)
     assert (depth.mode == 0).mean() > 0.99
@@ -60,7 +62,7 @@ def test_a_blank_wall_is_unresolved_and_claims_no_confidence():
     assert np.isfinite(depth.filled_patch_size).all()
 
 
-def test_shading_inside_microimages_is_not_taken_for_a_plane_without_disparity():
+def test_shading_inside_microimages_is_not_taken_for_a_plane_at_zero_disparity():
     shot = capture("blank")
     calibration = shot.truth.calibration
     y, x = np.mgrid[: shot.flat.shape[0], : shot.flat.shape[1]]
@@ -73,7 +75,7 @@ def test_shading_inside_microimages_is_not_taken_for_a_plane_without_disparity()
 
 
 @pytest.mark.parametrize(("quality", "resolved", "confident"), [(None, 0, 0), (90, 0.12, 0.09), (20, 0.2, 0.04)])
-def test_what_is_left_of_shading_where_the_main_lens_cuts_microimages_is_no_texture(quality, resolved, confident):
+def test_residual_mechanical_vignetting_is_not_taken_for_texture(quality, resolved, confident):
     shot = capture("plane", ratio=0.45)
     calibration = shot.truth.calibration
     y, x = np.mgrid[: shot.flat.shape[0], : shot.flat.shape[1]]
@@ -99,7 +101,7 @@ def test_what_is_left_of_shading_where_the_main_lens_cuts_microimages_is_no_text
     assert np.mean(sure) <= confident
 
 
-def test_faint_texture_near_zero_is_texture():
+def test_faint_texture_at_a_small_disparity_is_resolved():
     shot = capture("plane", ratio=-0.1)
     noise = np.random.default_rng(0).normal(0, 1, shot.flat.shape)
     faint = (100 + 0.08 * (shot.flat - shot.flat.mean()) + noise).round().astype(np.uint8)
@@ -107,7 +109,7 @@ def test_faint_texture_near_zero_is_texture():
     assert (depth.mode == -1).mean() > 0.9
 
 
-def test_dark_lenses_whose_neighbours_agree_are_resolved():
+def test_a_dark_flat_is_resolved():
     shot = capture("plane", ratio=0.3)
     dark = (shot.flat / 255.0 * 0.04).astype(np.float32)
     depth = lfrender.analyze(dark, shot.truth.calibration)
@@ -115,7 +117,7 @@ def test_dark_lenses_whose_neighbours_agree_are_resolved():
     assert np.nanmedian(errors(shot, depth)) < 0.05
 
 
-def test_large_patch_sizes_are_not_drawn_toward_zero():
+def test_large_patch_sizes_are_not_biased_toward_zero():
     shot = capture("plane", ratio=-0.6, noise=(4000, 5))
     depth = lfrender.analyze(shot.flat, shot.truth.calibration)
     assert (depth.mode == -1).mean() > 0.97
@@ -123,7 +125,7 @@ def test_large_patch_sizes_are_not_drawn_toward_zero():
     assert np.nanquantile(errors(shot, depth), 0.95) < 0.3
 
 
-def test_half_the_exposure_and_more_bits_change_next_to_nothing():
+def test_half_the_exposure_and_more_bits_change_less_than_a_tenth_of_a_pixel():
     shot = capture("plane", ratio=0.3)
     calibration = shot.truth.calibration
     first = lfrender.analyze(shot.flat, calibration)
@@ -150,7 +152,7 @@ def test_a_second_depth_counts_only_where_enough_lenses_have_it_as_their_first()
     assert occurs_among(seconds, known, 1.0).tolist() == [True, True, False, False, False]
 
 
-def test_places_half_a_pitch_from_a_depth_edge_have_the_right_depth(house):
+def test_points_half_a_pitch_from_a_depth_edge_have_the_right_depth(house):
     depth = lfrender.analyze(house.flat, house.truth.calibration)
     truth = house.truth
     wanted = truth.reference_patch_size
@@ -164,7 +166,7 @@ def test_places_half_a_pitch_from_a_depth_edge_have_the_right_depth(house):
     assert (np.abs(found - wanted)[even] < 1).mean() > 0.95
 
 
-def test_wrong_input_is_refused_with_the_reason():
+def test_invalid_input_raises_an_error_that_names_it():
     shot = capture("plane", ratio=-0.3)
     calibration = shot.truth.calibration
     with pytest.raises(CalibrationError, match="420 x 340"):
@@ -180,7 +182,7 @@ def test_wrong_input_is_refused_with_the_reason():
 
 
 @pytest.mark.parametrize("bits", [10, 12])
-def test_bits_that_files_of_16_do_not_tell_change_nothing(house, bits):
+def test_flats_of_10_and_12_bits_in_16_bit_files_give_the_depth_of_8_bits(house, bits):
     wide = house.flat.astype(np.uint16) << (bits - 8)
     camera, camera_of_bytes = lfcal.calibrate(wide), lfcal.calibrate(house.flat)
     assert (camera.white_level, camera_of_bytes.white_level) == (2.0**bits - 1, None)
@@ -194,13 +196,13 @@ def test_bits_that_files_of_16_do_not_tell_change_nothing(house, bits):
     assert np.abs(picture - picture_of_bytes).mean() < 1.0
 
 
-def test_floats_beyond_white_are_refused(house):
+def test_floats_above_white_raise_an_error(house):
     camera = house.truth.calibration
     with pytest.raises(FlatError, match="divide it"):
         lfrender.analyze(house.flat.astype(np.float32), camera)
 
 
-def test_truth_flats_of_another_simulator_are_analysed_right(shared):
+def test_flats_of_another_simulator_agree_with_their_truth(shared):
     import json
 
     from lfcal import Calibration, Lattice, read_flat
@@ -231,3 +233,29 @@ def _order(lattice, points):
     from scipy.spatial import cKDTree
 
     return cKDTree(points).query(lattice.centres())[1]
+
+
+def test_only_the_region_of_interest_is_analysed(house):
+    calibration = house.truth.calibration
+    roi = (150.0, 100.0, 330.0, 280.0)
+    centres = calibration.lattice.centres()
+    inside = ((centres >= roi[:2]) & (centres <= roi[2:])).all(1)
+    full = lfrender.analyze(house.flat, calibration)
+    part = lfrender.analyze(house.flat, calibration, roi=roi)
+    assert (part.reason[~inside] == 4).all()
+    assert (part.confidence[~inside] == 0).all()
+    assert np.isnan(part.patch_size[~inside]).all()
+    assert part.saved["roi"] == pytest.approx(1 - inside.mean())
+    deep = inside & (part.mode != 0) & (full.mode != 0)
+    assert deep.sum() > 0.8 * inside.sum()
+    assert np.quantile(np.abs(full.patch_size - part.patch_size)[deep], 0.9) < 0.05
+    at = centres[inside]
+    assert np.quantile(np.abs(full.surface.at(at) - part.surface.at(at)), 0.9) < 0.1
+
+
+@pytest.mark.parametrize(
+    "roi", [(5, 5, 1, 9), (0, 0, np.nan, 9), (900, 900, 950, 950), (0, 0, 1, 1), (1, 2, 3), "abcd"]
+)
+def test_invalid_or_empty_regions_raise_an_error(house, roi):
+    with pytest.raises(ValueError, match="roi"):
+        lfrender.analyze(house.flat, house.truth.calibration, roi=roi)

@@ -1,8 +1,7 @@
-"""One frame after another: what is kept of depth and picture, what is not, and that keeping makes no difference."""
+"""The next frame: which lenses keep their depth, which do not, and that the picture is the same."""
 
 from __future__ import annotations
 
-import gc
 from dataclasses import replace
 
 import numba
@@ -10,10 +9,11 @@ import numpy as np
 import pytest
 
 import lfrender
-from lfcal import Calibration, Lattice, OutputError
-from lfrender.depth.changed_lenses import find_changed_lenses
+from data_synth import SCENES, simulate
+from lfcal import Calibration, FlatError, Lattice, OutputError
+from lfrender.data.frame_state import LocalMatch
 from lfrender.depth.estimate import PreviousEstimates
-from lfrender.depth.incremental import LocalMatch, changed_since, find_moved, load_reference_match
+from lfrender.depth.incremental import changed_since, find_moved, load_reference_match
 from lfrender.flat.lens_graph import neighbour_rows
 from lfrender.runtime.cache import cached
 
@@ -42,15 +42,15 @@ def second(house):
     return flat
 
 
-def following(house, first, flat):
+def update(house, first, flat):
     calibration = house.truth.calibration
     depth = lfrender.analyze(flat, calibration, "fast", previous=first[:2])
     return depth, lfrender.render(flat, calibration, depth, previous=first)
 
 
-def test_a_still_scene_keeps_its_picture_to_the_bit_through_noise(house, first):
+def test_a_still_scene_keeps_its_picture_bit_for_bit_in_spite_of_noise(house, first):
     flat = noisy(house.flat, 2)
-    depth, picture = following(house, first, flat)
+    depth, picture = update(house, first, flat)
     anew = lfrender.render(flat, house.truth.calibration, depth).image
     assert depth.saved["still"] > 0.98
     assert (picture.image == first[2].image).all(2).mean() > 0.98
@@ -58,8 +58,8 @@ def test_a_still_scene_keeps_its_picture_to_the_bit_through_noise(house, first):
     np.testing.assert_array_equal(picture.valid, first[2].valid)
 
 
-def test_what_has_changed_is_drawn_as_in_a_new_picture_and_the_rest_stays(house, first, second):
-    depth, picture = following(house, first, second)
+def test_changed_parts_are_rendered_as_in_a_new_picture_and_the_rest_stays(house, first, second):
+    depth, picture = update(house, first, second)
     new = lfrender.render(second, house.truth.calibration, depth, scale=picture.scale)
     assert picture.scale == first[2].scale and picture.image.shape == first[2].image.shape
     as_new, as_old = ((picture.image == other.image).all(2) for other in (new, first[2]))
@@ -73,9 +73,9 @@ def test_what_has_changed_is_drawn_as_in_a_new_picture_and_the_rest_stays(house,
     assert away.sum() > 0.05 * away.size and as_old[away].all()
 
 
-def test_a_picture_follows_whether_the_depth_did_or_not(house, first, second):
+def test_a_picture_is_updated_the_same_if_the_changed_lenses_must_be_found_again(house, first, second):
     calibration = house.truth.calibration
-    depth, picture = following(house, first, second)
+    depth, picture = update(house, first, second)
     fresh = replace(depth)
     np.testing.assert_array_equal(
         changed_since(first[1], fresh, first[0], second, calibration),
@@ -85,12 +85,12 @@ def test_a_picture_follows_whether_the_depth_did_or_not(house, first, second):
     np.testing.assert_array_equal(again.image, picture.image)
 
 
-def test_a_following_frame_is_the_same_on_one_thread(house, first, second):
-    depth, picture = following(house, first, second)
+def test_the_next_frame_is_the_same_on_one_thread(house, first, second):
+    depth, picture = update(house, first, second)
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
-        alone, drawn = following(house, first, second)
+        alone, drawn = update(house, first, second)
     finally:
         numba.set_num_threads(threads)
     np.testing.assert_array_equal(alone.surface.patch_size, depth.surface.patch_size)
@@ -98,13 +98,13 @@ def test_a_following_frame_is_the_same_on_one_thread(house, first, second):
     np.testing.assert_array_equal(drawn.image, picture.image)
 
 
-def test_a_chain_of_frames_is_the_same_whether_the_last_one_is_at_hand_or_not(house, first, second):
+def test_a_chain_of_frames_is_the_same_with_and_without_the_cached_grey_flat(house, first, second):
     calibration = house.truth.calibration
     third = second[::-1, ::-1].copy()
     third[100:] = second[100:]
 
     def chain(forget):
-        after, _ = following(house, first, second)
+        after, _ = update(house, first, second)
         if forget:
             cached(calibration, "latest frame", list).clear()
         return lfrender.analyze(third, calibration, "fast", previous=(second, after))
@@ -115,7 +115,7 @@ def test_a_chain_of_frames_is_the_same_whether_the_last_one_is_at_hand_or_not(ho
     np.testing.assert_array_equal(quick.surface.patch_size, slow.surface.patch_size)
 
 
-def test_other_texture_at_the_same_depth_keeps_it_and_at_another_depth_does_not(drawn_flat):
+def test_new_texture_keeps_its_depth_if_it_matches_there(drawn_flat):
     one, lattice, _, inner = drawn_flat(7.0, noise=0.004)
     calibration = Calibration(lattice)
     before = lfrender.analyze(one.image, calibration, "fast")
@@ -132,7 +132,7 @@ def test_other_texture_at_the_same_depth_keeps_it_and_at_another_depth_does_not(
 
 
 @pytest.mark.parametrize(("error", "asked"), [(0.01, True), (0.1, False)])
-def test_what_noise_alone_may_have_moved_is_not_asked_again(error, asked):
+def test_an_offset_within_the_noise_does_not_count_as_motion(error, asked):
     lattice = Lattice((20.0, 20.0), ((23.2, 0.0), (0.0, 23.2)), (240, 240), 11.0)
     count = len(lattice)
     every, none = np.ones(count, bool), np.zeros(count, np.float32)
@@ -144,7 +144,7 @@ def test_what_noise_alone_may_have_moved_is_not_asked_again(error, asked):
 
 
 @pytest.mark.parametrize(("moved", "worse", "in_doubt"), [(0.01, 0.0, False), (0.06, 0.0, True), (0.0, 0.1, True)])
-def test_lenses_beside_one_with_another_depth_are_in_doubt_where_anything_has_changed(moved, worse, in_doubt):
+def test_lenses_with_small_changes_are_doubtful(moved, worse, in_doubt):
     lattice = Lattice((20.0, 20.0), ((23.2, 0.0), (0.0, 23.2)), (240, 240), 11.0)
     count = len(lattice)
     every, none = np.ones(count, bool), np.zeros(count, np.float32)
@@ -157,7 +157,7 @@ def test_lenses_beside_one_with_another_depth_are_in_doubt_where_anything_has_ch
     assert find_moved(then, then, ~every, np.ones(count, np.int8), neighbours)[1].all()
 
 
-def test_a_depth_that_changes_little_by_little_is_found_in_the_end(drawn_flat):
+def test_slow_changes_of_depth_do_not_accumulate_unnoticed(drawn_flat):
     flat, lattice, _, inner = drawn_flat(7.0)
     calibration = Calibration(lattice)
     depth = lfrender.analyze(flat.image, calibration, "fast")
@@ -169,20 +169,6 @@ def test_a_depth_that_changes_little_by_little_is_found_in_the_end(drawn_flat):
     assert abs(np.nanmedian(depth.patch_size[inner]) - sizes[-1]) < 0.35
 
 
-def test_what_coding_does_to_a_still_scene_is_no_change(house):
-    calibration = house.truth.calibration
-    coded = house.flat.astype(int)
-    rng = np.random.default_rng(4)
-    for y in range(0, coded.shape[0], 64):
-        for x in range(0, coded.shape[1], 64):
-            # Some blocks are coded anew, the others are skipped.
-            if (x + y) // 64 % 2:
-                block = coded[y : y + 64, x : x + 64]
-                block += rng.integers(-1, 2, block.shape)
-    coded = np.clip(coded, 0, 255).astype(np.uint8)
-    assert find_changed_lenses(house.flat, coded, calibration).mean() < 0.02
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -192,52 +178,78 @@ def test_what_coding_does_to_a_still_scene_is_no_change(house):
         ({"depth": None, "patch_size": 5.0}, "needs depth"),
     ],
 )
-def test_a_picture_that_cannot_follow_is_refused(house, first, second, options, message):
+def test_options_that_do_not_go_with_a_previous_picture_raise_an_error(house, first, second, options, message):
     options = {"depth": first[1], **options}
     with pytest.raises(ValueError, match=message):
         lfrender.render(second, house.truth.calibration, previous=first, **options)
 
 
-def test_a_frame_of_another_kind_is_refused(house, first):
+def test_a_frame_of_another_kind_raises_an_error(house, first):
     with pytest.raises(ValueError, match="uint8"):
         lfrender.render(
             house.flat.astype(np.float32) / 255, house.truth.calibration, first[1], previous=first
         )  # fmt: skip
 
 
-def test_what_is_remembered_is_made_once_and_goes_with_its_owner():
-    class Owner:
-        pass
-
-    made = []
-    owner = Owner()
-    for _ in range(3):
-        assert cached(owner, "a", lambda: made.append(0) or len(made)) == 1
-    assert cached(owner, "b", lambda: "other") == "other"
-    before = id(owner)
-    from lfrender.runtime.cache import _entries
-
-    assert before in _entries
-    del owner
-    gc.collect()
-    assert before not in _entries
-
-
 @pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 and no more"])
-def test_a_damaged_comparison_is_one_clear_error(first, tmp_path, content):
+def test_a_damaged_reference_file_raises_one_clear_error(first, tmp_path, content):
     path = tmp_path / "comparison_000000.npz"
     path.write_bytes(content)
     with pytest.raises(OutputError, match=r"comparison_000000\.npz: damaged .*--overwrite"):
         load_reference_match(first[1], path)
 
 
-def test_repeating_texture_is_known_from_before_where_most_lenses_were_asked():
+def test_periodicity_is_known_from_before_if_most_lenses_keep_their_depth():
     kept = np.arange(20) < 14
     size, sure, none = np.full(20, 5.0, np.float32), np.full(20, 0.9, np.float32), np.zeros(20, np.int8)
     before = PreviousEstimates(kept, size, size, sure, none)
-    again, perhaps = before.recurring(np.ones(20, bool))
+    again, perhaps = before.periodicity(np.ones(20, bool))
     assert not again.any() and not perhaps
     # Confidence that was halved for all of them says that it may repeat.
-    assert replace(before, confidence=np.float32(0.5) * sure).recurring(np.ones(20, bool))[1]
-    assert replace(before, kept=~kept).recurring(np.ones(20, bool)) is None
-    assert replace(before, reason=np.where(np.arange(20) == 3, 2, none)).recurring(np.ones(20, bool)) is None
+    assert replace(before, confidence=np.float32(0.5) * sure).periodicity(np.ones(20, bool))[1]
+    assert replace(before, kept=~kept).periodicity(np.ones(20, bool)) is None
+    assert replace(before, reason=np.where(np.arange(20) == 3, 2, none)).periodicity(np.ones(20, bool)) is None
+
+
+def with_noise(flat, seed):
+    noise = np.random.default_rng(seed).normal(0, 2.0, flat.shape)
+    return np.clip(np.rint(flat + noise), 0, 255).astype(np.uint8)
+
+
+def test_a_still_frame_keeps_its_depth_in_spite_of_noise(house):
+    calibration = house.truth.calibration
+    first, second = with_noise(house.flat, 1), with_noise(house.flat, 2)
+    before = lfrender.analyze(first, calibration)
+    after = lfrender.analyze(second, calibration, previous=(first, before))
+    assert after.saved["still"] > 0.98
+    same = (after.patch_size == before.patch_size) | (np.isnan(after.patch_size) & np.isnan(before.patch_size))
+    assert same.mean() > 0.95
+
+
+def test_only_changed_lenses_are_estimated_again(house):
+    calibration = house.truth.calibration
+    lattice = calibration.lattice
+    centres = lattice.centres()
+    other = simulate(SCENES["plane"](house.camera, ratio=0.45), house.camera, samples=16, seed=4)
+    y, x = np.mgrid[: house.flat.shape[0], : house.flat.shape[1]]
+    replaced = (np.abs(x - 260) < 90) & (np.abs(y - 200) < 80)
+    second = np.where(replaced[..., None], other.flat, house.flat)
+    before = lfrender.analyze(house.flat, calibration)
+    after = lfrender.analyze(second, calibration, previous=(house.flat, before))
+    afresh = lfrender.analyze(second, calibration)
+    middle = (np.abs(centres - (260, 200)) < (50, 40)).all(1)
+    assert np.abs(after.patch_size[middle] - 0.45 * lattice.pitch).max() < 0.3
+    away = ~(np.abs(centres - (260, 200)) < (170, 160)).all(1)
+    np.testing.assert_array_equal(after.patch_size[away], before.patch_size[away])
+    assert 0.2 < after.saved["still"] < 0.85
+    known = (after.mode != 0) & (afresh.mode != 0)
+    assert np.quantile(np.abs(after.patch_size - afresh.patch_size)[known], 0.97) < 0.05
+
+
+def test_a_previous_frame_of_another_kind_raises_an_error(house):
+    calibration = house.truth.calibration
+    before = lfrender.analyze(house.flat, calibration, "fast")
+    with pytest.raises(FlatError, match="float32"):
+        lfrender.analyze(house.flat, calibration, "fast", previous=(house.flat / np.float32(255), before))
+    with pytest.raises(ValueError, match="preset"):
+        lfrender.analyze(house.flat, calibration, previous=(house.flat, before))

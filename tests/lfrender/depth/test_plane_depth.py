@@ -31,13 +31,13 @@ def _plane(slope: float, count_over_lenses: float):
 
 
 @pytest.mark.parametrize("count_over_lenses", [1, 5])
-def test_a_plane_that_faces_the_camera_may_be_shown_by_few_lenses(count_over_lenses):
+def test_a_plane_that_faces_the_camera_is_accepted_from_few_lenses(count_over_lenses):
     found = _plane(0, count_over_lenses)
     assert found is not None and not found.slanted
     assert found.at(np.array([[400.0, 300.0]])) == pytest.approx(6, abs=0.01)
 
 
-def test_a_slanted_plane_must_be_shown_by_most_lenses():
+def test_a_slanted_plane_is_accepted_only_from_most_lenses():
     found = _plane(0.3, 1)
     assert found is not None and found.slanted
     assert found.at(np.array([[10.0, 300.0]])) == pytest.approx(6 / 0.85, abs=0.05)

@@ -27,13 +27,13 @@ def probed(drawn_flat, patch_size, expected, row_step):
 @pytest.mark.parametrize("row_step", [1, 2])
 @pytest.mark.parametrize("patch_size", [7.0, 1.5, -6.0, -14.0])
 @pytest.mark.parametrize("off", [-0.4, 0.0, 0.3])
-def test_one_look_tells_how_far_beside_the_best_shift_lies(drawn_flat, patch_size, off, row_step):
+def test_one_step_finds_the_offset_of_the_best_shift(drawn_flat, patch_size, off, row_step):
     _, _, inner, (_, offset, _) = probed(drawn_flat, patch_size, patch_size + off, row_step)
     # Between pixels a step may stop half-way.
     assert np.median(offset[inner]) == pytest.approx(-off, abs=max(0.1, 0.65 * abs(off)))
 
 
-def test_the_error_of_the_offset_is_that_which_noise_makes(drawn_flat):
+def test_the_standard_error_of_the_offset_is_that_of_noise(drawn_flat):
     gray, lattice, _, inner = drawn_flat(7.0, noise=0.0, detail=0.8)
     active, halves = np.ones(len(lattice), bool), opposite_neighbours(lattice)
     # Of pairs in one direction each lens has two.
@@ -49,7 +49,7 @@ def test_the_error_of_the_offset_is_that_which_noise_makes(drawn_flat):
     assert np.median(measured / error[inner]) == pytest.approx(np.sqrt(0.5), rel=0.25)
 
 
-def test_far_from_the_best_shift_its_side_is_told(drawn_flat):
+def test_far_from_the_best_shift_the_sign_of_the_offset_is_right(drawn_flat):
     _, _, inner, (cost, offset, _) = probed(drawn_flat, 7.0, 8.2, 1)
     assert np.median(offset[inner]) == -COST.max_offset
     assert (offset[inner] < 0).mean() > 0.95
@@ -57,7 +57,7 @@ def test_far_from_the_best_shift_its_side_is_told(drawn_flat):
 
 
 @pytest.mark.parametrize("patch_size", [7.0, -14.0])
-def test_its_cost_is_that_of_the_search(drawn_flat, patch_size):
+def test_the_cost_equals_that_of_the_search(drawn_flat, patch_size):
     gray, lattice, _, (cost, _, _) = probed(drawn_flat, patch_size, patch_size, 2)
     statistics, halves = measure_statistics(gray), opposite_neighbours(lattice)
     pairs = compute_pair_costs(

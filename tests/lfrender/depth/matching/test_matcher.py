@@ -9,7 +9,7 @@ def found(confidence):
     return MatchResult(*values, step=1.0, skipped_share=0.0)
 
 
-def test_lenses_that_turn_exchange_both_values_and_are_no_longer_sure():
+def test_swapped_lenses_exchange_both_values_and_lose_confidence():
     before = found([0.9, 0.4])
     turned = before.swap_second(np.array([True, False]))
     for one, other in (
