@@ -245,7 +245,7 @@ def measure_shifts(
         raise CalibrationError(_TOO_LITTLE)
     (xx, xy), (_, yy) = found.normal[clear].transpose(1, 2, 0)
     bx, by = found.right[clear].T
-    # Lenses that show an edge in one direction only tell next to nothing about the position along it.
+    # Lenses that show an edge in one direction only have next to no information on the position along it.
     ridge = 1e-6 * float(information.mean())
     xx, yy = xx + ridge, yy + ridge
     determinant = xx * yy - xy * xy

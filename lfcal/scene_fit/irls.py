@@ -94,41 +94,41 @@ def _fit_weighted(design, shift, weight, basis, ratio, change):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _weighted_quantile(values, weight, wanted, about, some, theirs):
+def _weighted_quantile(values, weight, wanted, about, near, near_weight):
     """Least value up to which the weights sum to `wanted`.
 
     Hoare's selection (Communications of the ACM 4, 1961) among the values near the expected one, `about`, or among all
-    if it is not there; `some` and `theirs` (n,) are work space.
+    if it is not there; `near` and `near_weight` (n,) are work space.
     """
     least, most, under, low, high = about / _NEAR, about * _NEAR, 0.0, 0, 0
     for k in range(len(values)):
-        value, heavy = values[k], weight[k]
-        under += heavy if value < least else 0.0
+        value, w = values[k], weight[k]
+        under += w if value < least else 0.0
         # Written in any case: a branch would be mispredicted as often as not.
-        some[high], theirs[high] = value, heavy
+        near[high], near_weight[high] = value, w
         high += int((value >= least) & (value <= most))
-    if under < wanted <= under + theirs[:high].sum():
+    if under < wanted <= under + near_weight[:high].sum():
         wanted -= under
     else:
-        some[:], theirs[:], high = values, weight, len(values)
+        near[:], near_weight[:], high = values, weight, len(values)
     while True:
-        one, other, third = some[low], some[(low + high) // 2], some[high - 1]
+        one, other, third = near[low], near[(low + high) // 2], near[high - 1]
         pivot = max(min(one, other), min(max(one, other), third))
         # Smaller values are moved to the front, larger ones to the back.
         less, more, at = low, high, low
         below = equal = 0.0
         while at < more:
-            value, heavy = some[at], theirs[at]
+            value, w = near[at], near_weight[at]
             if value < pivot:
-                some[at], theirs[at], some[less], theirs[less] = some[less], theirs[less], value, heavy
-                below += heavy
+                near[at], near_weight[at], near[less], near_weight[less] = near[less], near_weight[less], value, w
+                below += w
                 less += 1
                 at += 1
             elif value > pivot:
                 more -= 1
-                some[at], theirs[at], some[more], theirs[more] = some[more], theirs[more], value, heavy
+                near[at], near_weight[at], near[more], near_weight[more] = near[more], near_weight[more], value, w
             else:
-                equal += heavy
+                equal += w
                 at += 1
         if less > low and below >= wanted:
             high = less
@@ -143,7 +143,7 @@ def _weighted_quantile(values, weight, wanted, about, some, theirs):
 def _iterate(
     design, shift, spread, prior, basis, ratio, inliers, outlier, passes, converged, weights, changes, variances
 ):
-    square, some, theirs = np.empty(len(shift)), np.empty(len(shift)), np.empty(len(shift))
+    square, near, near_weight = np.empty(len(shift)), np.empty(len(shift)), np.empty(len(shift))
     expected, wanted = -2 * np.log(1 - inliers), inliers * prior.sum()
     before = np.empty(6)
     for start in range(len(weights)):
@@ -158,7 +158,7 @@ def _iterate(
                 square[k] = (x * x + y * y) / spread[k]
             # The variance at which the share of inliers lies within their quantile of a normal distribution.
             about = variances[start] * expected
-            variance = max(_weighted_quantile(square, prior, wanted, about, some, theirs) / expected, 1e-12)
+            variance = max(_weighted_quantile(square, prior, wanted, about, near, near_weight) / expected, 1e-12)
             for k in range(len(shift)):
                 weight[k] = max(1 - square[k] / (variance * outlier * outlier), 0.0) ** 2 * prior[k] / variance
             variances[start] = variance
@@ -245,7 +245,7 @@ def _cost(shifts: LensShifts, change: NDArray[np.float64], variance: float) -> f
 
 
 def find_regular_ratio(basis: NDArray[np.float64], shifts: LensShifts) -> complex | None:
-    """`a2 / a1` of the square or hexagonal array that the lenses cannot tell from `basis`, None if there is none.
+    """`a2 / a1` of the square or hexagonal array that lenses cannot distinguish from `basis`, or None.
 
     An F-test of the fit that is bound to the regular array against the free one.
     """

@@ -26,7 +26,7 @@ class RadialEstimate:
     shift: float
 
     def is_significant(self, pitch: float) -> bool:
-        """Whether a distortion of this strength exceeds what a scene can feign, at this pitch [px]."""
+        """Whether a distortion of this strength exceeds what a scene without one can show, at this pitch [px]."""
         return abs(self.k1) > SCENE.distortion_significance * self.error and self.shift > SCENE.distortion_shift * pitch
 
 

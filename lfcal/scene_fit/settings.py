@@ -50,8 +50,8 @@ class SceneFitSettings:
     nearly_regular: float = 0.003  # relative deviation of a basis that may be regular: arrays are made to 1e-4
     places: int = 12  # parts of a scene with independent errors, whatever the number of lenses
     irregular: float = 6.0  # F value of a significant deviation from regular: one chance in a hundred
-    distortion_significance: float = 8.0  # standard errors; scenes feign 3
-    distortion_shift: float = 0.003  # [pitch, RMS] least movement by a distortion; scenes feign 0.001
+    distortion_significance: float = 8.0  # standard errors; scenes without distortion reach 3
+    distortion_shift: float = 0.003  # [pitch, RMS] least movement by a distortion; scenes without one reach 0.001
     bins_per_pixel: float = 3.0  # of the mean microimage
     most_bins: int = 210  # along each lattice vector; more are not worth their memory
     template_lenses: int = 1500  # that are averaged; more hardly lower its noise

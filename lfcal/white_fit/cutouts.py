@@ -88,7 +88,7 @@ def cut_out_lenses(
     )
     if model.cat_eye is None and not np.isfinite(saturation):
         return FitState(model, indices, _scale_gains(lenses, known, core, lattice)), lit
-    # Cores may be cut or clipped: the pixels of a lens tell its gain.
+    # Cores may be cut or clipped: gains come from all pixels of a lens.
     state = update_positions(FitState(model, indices, lenses))
     equations = state.lenses.equations
     own = np.clip(equations.right[:, -1] / np.maximum(equations.normal[:, -1, -1], 1e-30), -0.5, 1)

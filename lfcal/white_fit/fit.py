@@ -62,7 +62,7 @@ def fit_white(
     Parameters
     ----------
     tones : (h, w) float32, or parts of such
-        Square root of the light (`preprocessing.sqrt_luminance`).
+        Square root of the light (`images.preprocessing.sqrt_luminance`).
     lattice : Lattice [px]
         Start, right to a fraction of the pitch over the whole flat. The orders of its distortion, if any, are kept.
     pixels : float

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lattice.robust_fit import field_rms
 from ..runtime.errors import CalibrationError
 from .edge_profile import find_edge
 from .model import WhiteModel, apply_step, build_jacobian, field_position, step_limits
@@ -213,16 +214,15 @@ def _damp(step: StepResult, limits: NDArray[np.float64]) -> StepResult:
     if not np.abs(change / limits).max() > 1:
         return step
     # A fixed parameter has no variance for the damping to act on.
-    wished = np.where(np.diag(step.covariance) > 0, change, np.clip(change, -limits, limits))
+    bounded = np.where(np.diag(step.covariance) > 0, change, np.clip(change, -limits, limits))
     ease = step.covariance / limits**2
     damping = 0.01 / max(float(np.diag(ease).max()), 1e-200)
     for _ in range(SOLVER.most_dampings):
-        change = np.linalg.solve(np.eye(len(limits)) + damping * ease, wished)
+        change = np.linalg.solve(np.eye(len(limits)) + damping * ease, bounded)
         if np.abs(change / limits).max() <= 1:
             break
         damping *= 2
-    shift = step.jacobian[:, :2] @ change
-    return replace(step, change=change, shift_rms=float(np.sqrt((shift**2).sum(1).mean())))
+    return replace(step, change=change, shift_rms=field_rms(step.jacobian[:, :2], change))
 
 
 def _solve_step(
@@ -259,7 +259,7 @@ def _solve_step(
     return StepResult(
         change=change,
         correlation_response=response,
-        shift_rms=float(np.sqrt(((position @ change) ** 2).sum(1).mean())),
+        shift_rms=field_rms(position, change),
         residual_rms=float(np.sqrt(np.average((residuals**2).sum(1), weights=weight))),
         uncertainty=float(np.sqrt(max((position * spread).sum((1, 2)).mean(), 0.0))),
         used=int((weight > 0).sum()),
@@ -326,7 +326,7 @@ def compare_halves(step: StepResult) -> float:
     """RMS distance over the flat between the steps of every other microimage and of the others [px]."""
     parity = np.arange(len(step.jacobian)) % 2
     one, two = (solve_robustly(step.jacobian, step.reduced, parity == half, step.weight)[0] for half in (0, 1))
-    return float(np.sqrt(((step.jacobian[:, :2] @ (one - two)) ** 2).sum(1).mean())) / SOLVER.step_scale
+    return field_rms(step.jacobian[:, :2], one - two) / SOLVER.step_scale
 
 
 def predict_shift(state: FitState, more: tuple[str, ...]) -> float:

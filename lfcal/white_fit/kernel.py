@@ -97,8 +97,7 @@ def _through_both(alpha, beta, first, second, correlation):
     """Light through two edges at once, and its derivative with each of them over that of the edge alone.
 
     `alpha` and `beta` are the depths inside the edges in units of their blur, `first` and `second` the light through
-    one of them alone. Bivariate normal distribution by Gauss-Legendre quadrature of its derivative with the correlation
-    (Drezner and Wesolowsky, J. Stat. Comput. Simul. 35, 1990).
+    one alone. Bivariate normal distribution after Drezner and Wesolowsky (J. Stat. Comput. Simul. 35, 1990).
     """
     squares, product = -0.5 * (alpha * alpha + beta * beta), alpha * beta
     total = 0.0
@@ -181,8 +180,8 @@ def accumulate(windows, cell, profile, cut, learn, sums):
         g = np.zeros(7)
         for lens in range(chunk * count // chunks, (chunk + 1) * count // chunks):
             cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
-            per_gain, belief, slope_x, slope_y = 1 / gain[lens], lens_weight[lens], slope[lens, 0], slope[lens, 1]
-            limit = most / belief
+            per_gain, trust, slope_x, slope_y = 1 / gain[lens], lens_weight[lens], slope[lens, 0], slope[lens, 1]
+            limit = most / trust
             xx = xy = yy = xm = ym = mm = bx = by = bm = squares = number = 0.0
             if cut is not None:
                 cut_x, cut_y = offsets[lens, 0], offsets[lens, 1]
@@ -218,15 +217,15 @@ def accumulate(windows, cell, profile, cut, learn, sums):
                     angle = 1 - 8 * turn * turn
                     level = rings[ring, 0] * here + rings[up, 0] * after
                     harmonic = (rings[ring, 3] * here + rings[up, 3] * after) * angle
-                    lean = slope_x * dx + slope_y * dy
+                    tilt = slope_x * dx + slope_y * dy
                     falling, through = 1.0, 1.0
                     if cut is None:
                         model = level + harmonic
-                        # 1 / (1 + lean) by two steps of Newton's method.
-                        upright = 1 - lean + lean * lean
-                        upright *= 2 - (1 + lean) * upright
-                        upright *= 2 - (1 + lean) * upright
-                        residual = light[lens, y, x] * per_gain * upright - model
+                        # 1 / (1 + tilt) by two steps of Newton's method.
+                        inverse = 1 - tilt + tilt * tilt
+                        inverse *= 2 - (1 + tilt) * inverse
+                        inverse *= 2 - (1 + tilt) * inverse
+                        residual = light[lens, y, x] * per_gain * inverse - model
                     else:
                         disc = level - gap + harmonic
                         moving, turning, per_far = 0.0, 0.0, 0.0
@@ -241,23 +240,23 @@ def accumulate(windows, cell, profile, cut, learn, sums):
                         elif away >= shut:
                             through, falling = 0.0, 0.0
                         model = gap + disc * through
-                        residual = light[lens, y, x] * per_gain / (1 + lean) - model
-                    sure = rings[ring, 2] * here + rings[up, 2] * after
-                    chi = residual * residual * sure
+                        residual = light[lens, y, x] * per_gain / (1 + tilt) - model
+                    ring_weight = rings[ring, 2] * here + rings[up, 2] * after
+                    chi = residual * residual * ring_weight
                     if light[lens, y, x] >= saturation and (residual < 0 or chi < 1):
                         continue
                     squares += share * min(chi, limit)
                     number += share
-                    off = chi * belief * per_most
+                    off = chi * trust * per_most
                     if off >= 1:
                         continue
-                    w = share * (sure * (1 - off) * (1 - off) * belief)
+                    w = share * (ring_weight * (1 - off) * (1 - off) * trust)
                     along = -(rings[ring, 1] * here + rings[up, 1] * after) * falling * over
                     gx, gy = along * dx, along * dy
                     wx, wy, wm, wr = w * gx, w * gy, w * model, w * residual
                     if learn:
                         _add_to_band(band[chunk], ring, after, w, wr, angle, falling, through)
-                        band[chunk, ring, 9] += residual * residual * belief
+                        band[chunk, ring, 9] += residual * residual * trust
                         band[chunk, ring, 10] += 1
                         before, beyond = falling * here, falling * after
                         if cut is not None:

@@ -76,10 +76,8 @@ def _stack(read: ReadCrop, corners: list[tuple[int, int]], side: int) -> Stacked
 def find_white_lattice_in_array(tones: NDArray[np.float32], sure: bool) -> FirstLattice | None:
     """`find_white_lattice` in the square root (h, w) of the light of a whole flat."""
 
-    def read(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
-        return np.ascontiguousarray(tones[y : y + height, x : x + width])
-
-    return find_white_lattice(read, (tones.shape[1], tones.shape[0]), sure, tries=1)
+    size = tones.shape[1], tones.shape[0]
+    return find_white_lattice(lambda x, y, w, h: np.ascontiguousarray(tones[y : y + h, x : x + w]), size, sure, 1)
 
 
 def find_white_lattice(
@@ -103,8 +101,8 @@ def find_white_lattice(
         known = len(pieces)
         for dy in (-1, 0, 1):
             for dx in (-1, 0, 1):
-                wished = (middle + distance * np.array([dx, dy]) - side / 2).astype(int) // 2 * 2
-                x, y = np.clip(wished, 0, np.array(size) - side).tolist()
+                corner_here = (middle + distance * np.array([dx, dy]) - side / 2).astype(int) // 2 * 2
+                x, y = np.clip(corner_here, 0, np.array(size) - side).tolist()
                 apart = all(max(abs(x - u), abs(y - v)) >= side for u, v in pieces)
                 if apart and max(abs(x - corner[0]), abs(y - corner[1])) >= max(side, first_side):
                     pieces.append((x, y))

@@ -87,7 +87,7 @@ def _fit_either_role(
 def _try_fit(
     state: FitState, orders: tuple[str, ...], learn: bool = False, passes: int = SOLVER.passes
 ) -> FitState | None:
-    """The state converged so far that discs can be told apart, None if it fails; `learn` a profile first."""
+    """The state converged so far that discs can be compared, None if it fails; `learn` a profile first."""
     try:
         start = fit_profile(state) if learn else state
         return converge(start, orders, passes=passes, settled=VIGNETTING.settled)[0]
@@ -97,20 +97,17 @@ def _try_fit(
 
 def resolve_disc_roles(state: FitState) -> FitState:
     """The state with that disc as the microimage which fits better as such, or else the smaller one."""
-    lattice, eye, lenses = state.model.lattice, state.model.cat_eye, state.lenses
+    eye, lenses = state.model.cat_eye, state.lenses
     assert eye is not None
     gain, sure, radius = _shading_preference(lenses), VIGNETTING.significance**2, lenses.radius
     if gain < -sure or (gain <= sure and radius <= eye.radius):
         return state
-    middle, reach = (np.array(lattice.image_size) - 1) / 2, np.hypot(*lattice.image_size) / 2
-    grown = 1 + eye.growth[0] / reach
-    other = replace(lattice, origin=middle + (lattice.origin - middle) * grown + eye.shift, basis=lattice.basis * grown)
+    grown = 1 + eye.growth[0] / (np.hypot(*state.model.lattice.image_size) / 2)
     swapped = CatEye(-eye.shift, -eye.growth / grown, radius, eye.blur, eye.correlation)
+    model = _move_centres(state.model, eye.growth[0], eye.shift, swapped)
     radii = np.arange(len(lenses.profile)) * lenses.step
     profile = np.interp(radii * radius / eye.radius, radii, lenses.profile)
-    start = FitState(
-        WhiteModel(other, swapped), state.indices, replace(lenses, profile=profile, edge=find_edge(profile))
-    )
+    start = FitState(model, state.indices, replace(lenses, profile=profile, edge=find_edge(profile)))
     try:
         trial, _ = converge(update_positions(start), ())
     except CalibrationError:

@@ -99,7 +99,7 @@ class Microimages:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Normal equations about a model, the profile included; its parts are empty if it was not asked for.
+    """Normal equations about a model, the profile included; its parts are empty if it is not to be learnt.
 
     Local parameters are `p = 7`, the gain last, or 3 where nothing is cut. The positions of whole microimages are not
     correlated with their profile, so `coupling` has only the row of the gains then.
@@ -157,12 +157,8 @@ def mean_profile(lenses: Microimages) -> NDArray[np.float64]:
 def build_normal_equations(lenses: Microimages, learn: bool = True) -> NormalEquations:
     """Normal equations of the local parameters of all lenses, over every pixel of their cells.
 
-    Without `learn` those of the profile are left out, which whole microimages do not need to move.
-
-    Raises
-    ------
-    LinAlgError
-        If the model is not finite, or explains no pixel.
+    Without `learn` those of the profile are left out, which whole microimages do not need to move. Raises `LinAlgError`
+    if the model is not finite, or explains no pixel.
     """
     values = (
         lenses.centres, lenses.cut_offset, lenses.gain, lenses.lens_weight, lenses.slope, lenses.profile,
@@ -180,14 +176,8 @@ def build_normal_equations(lenses: Microimages, learn: bool = True) -> NormalEqu
         np.zeros((_CHUNKS, rings, 11 if whole else 12)),
         np.zeros((count, 2)),
     )
-    accumulate(
-        lenses.windows,
-        lenses.cell,
-        _kernel_profile(lenses),
-        None if whole else _kernel_cut(lenses),
-        learn,
-        sums,
-    )
+    cut = None if whole else _kernel_cut(lenses)
+    accumulate(lenses.windows, lenses.cell, _kernel_profile(lenses), cut, learn, sums)
     normal, right, coupling, band, scatter = sums
     for row in range(1, own):
         normal[:, row, :row] = normal[:, :row, row]
@@ -202,12 +192,12 @@ def build_normal_equations(lenses: Microimages, learn: bool = True) -> NormalEqu
     if not (main > 0).any():
         raise np.linalg.LinAlgError("the model of the microimages explains no pixel")
     # Rings that hardly a pixel fell into follow their neighbours. Where all lenses lie alike to the pixels, only the
-    # smoothness of the profile tells where between two pixels an edge is.
+    # smoothness of the profile determines where between two pixels an edge is.
     stiff = float(np.median(main[main > 0])) * _stiffness(rings)
     profile = np.diag(main) + np.diag(side[:-1], 1) + np.diag(side[:-1], -1) + stiff
     # Rings that hardly any light reaches through the cutting disc move slowly.
-    profile += PIXELS.least_light * np.diag(total)
-    settled = turned_own + PIXELS.least_light * (total + max(float(np.median(total)), 1e-30))
+    profile += PIXELS.ring_damping * np.diag(total)
+    settled = turned_own + PIXELS.ring_damping * (total + max(float(np.median(total)), 1e-30))
     return NormalEquations(
         normal, right, coupling, profile, force - stiff @ lenses.profile, turned / settled,
         _smooth_variance(squares, pixels), spread, cost,
@@ -226,11 +216,8 @@ def _kernel_profile(lenses: Microimages) -> Profile:
 
 
 def _kernel_cut(lenses: Microimages) -> Cut:
-    tail = lenses.blur[1] if lenses.blur else 0.0
-    return Cut(
-        lenses.cut_offset, lenses.cut_radius, lenses.cut_blur, lenses.correlation, tail, lenses.gap, lenses.edge,
-        lenses.depths,
-    )  # fmt: skip
+    disc = lenses.cut_offset, lenses.cut_radius, lenses.cut_blur, lenses.correlation
+    return Cut(*disc, lenses.blur[1] if lenses.blur else 0.0, lenses.gap, lenses.edge, lenses.depths)
 
 
 @lru_cache(8)
@@ -274,7 +261,7 @@ class ReducedEquations:
 
         factors, failed = dpotrf(self.profile_normal, lower=1)
         if failed:
-            raise np.linalg.LinAlgError("the pixels do not tell the profile of the microimages")
+            raise np.linalg.LinAlgError("the pixels do not determine the profile of the microimages")
         return np.asarray(factors)
 
     def solve_profile(self, right: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -77,14 +77,14 @@ class PixelSettings:
     cut_edge: float = 3.0  # [blur] beyond so far from its middle the edge of the cut is all or nothing
     slope_weight: float = 1e-4  # weight of squared steps of the profile over that of its pixels
     bend_weight: float = 0.3  # weight of squared second differences
-    least_light: float = 0.01  # share of the pixels of a ring below which its level is damped
+    ring_damping: float = 0.01  # share of the pixels of a ring below which its level is damped
     even_radius: float = 3.0  # [px] microimages with a larger even inside are thinned there
     even_margin: float = 0.5  # [px] from the even inside to the edge
     # (one pixel in so many, a power of two; shift of each row [px]): the first that leaves `least_even_pixels` is used.
     thinning: tuple[tuple[int, int], ...] = ((64, 14), (16, 6), (4, 2))
     least_even_pixels: int = 100  # in the even inside of a microimage
     steep: float = 0.1  # share of the steepest slope of the profile above which it is an edge
-    deepest: float = 3.09  # [blur] beyond, light is within 0.001 of none or all and tells no depth
+    deepest: float = 3.09  # [blur] beyond, light is within 0.001 of none or all: no depth can be measured
     used_depth: float = 2.3  # [blur] depths used to measure the blur
     fewest_rings: int = 5  # to measure the blur
     beside: int = 2  # rings beside the edge that may still belong to it
@@ -104,7 +104,7 @@ class VignettingSettings:
 
     least_gain: float = 0.005  # share of the cost that a cutting disc must save
     least_depth: float = 0.3  # [px] it must reach into microimages
-    significance: float = 8.0  # standard errors: costs that differ by its square are told apart
+    significance: float = 8.0  # standard errors: costs that differ by its square are different
     smaller: float = 0.9  # the cut is the larger disc if shading does not decide and radii differ by this factor
     settled: float = 1.0  # [standard errors] steps of trial fits may be this long; all lenses follow afterwards
     first_passes: int = 2  # passes after which shading shows whether the two discs are interchanged

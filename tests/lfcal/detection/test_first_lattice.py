@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import lfcal
+from benchmarks.calibration_speed import drawn
+from benchmarks.white_images import WhiteImage
+from lfcal.detection.first_lattice import find_first_lattice, find_first_lattices_at_half_size
+from lfcal.images.preprocessing import sqrt_luminance
 
 
 @pytest.mark.parametrize(("side", "degrees", "blur"), [(15, 4, 0.5), (20, 0, 0.8), (33.3, 7, 1.2), (50, 30, 2.0)])
@@ -38,3 +43,16 @@ def test_whole_pitches_wide_gaps_and_soft_discs_are_found(whites, shape, pitch, 
     image, origin = whites.white_image(basis, (700, 500), fill=fill, soft=soft, gap=gap)
     found = lfcal.calibrate(image)
     assert whites.rms(whites.centre_errors(found.lattice, origin, basis)) < 0.05
+
+
+@pytest.mark.parametrize(("pitch", "half"), [(44.2, 2), (14.1, 1)])
+def test_first_lattice_of_large_microimages_is_found_at_half_size(pitch, half):
+    truth = WhiteImage("hexagonal", pitch, 7.0, 26.0, size=(701, 520))
+    picture = sqrt_luminance(drawn(truth, 1))
+    start = next(find_first_lattices_at_half_size(picture))
+    assert start.brightness.shape == (520 // half, 701 // half)
+    found = start.lattice.centres()
+    assert start.lattice.image_size == truth.size
+    assert np.sqrt(((found - truth.centres(truth.index_of(found))) ** 2).sum(1).mean()) < 0.02 * pitch
+    if half == 1:
+        np.testing.assert_array_equal(start.lattice.basis, find_first_lattice(picture).lattice.basis)

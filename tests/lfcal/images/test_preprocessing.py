@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import uniform_filter
 
 from lfcal.detection.folding import fold_tiles
-from lfcal.images.preprocessing import normalise_locally
+from lfcal.images.preprocessing import edge_strength, normalise_locally
 
 
 @pytest.mark.parametrize(
@@ -49,3 +49,27 @@ def test_folds_average_the_pixels_of_a_tile_by_their_position_in_the_cell():
     # Two pictures at once are folded as each by itself.
     for both, single in ((first.total, -folds.total), (second.total, folds.total), (second.count, folds.count)):
         np.testing.assert_array_equal(both, single)
+
+
+def test_edge_strength_is_the_same_bits_wherever_a_picture_lies_in_memory():
+    picture = np.random.default_rng(0).random((512, 509), dtype=np.float32) ** 4
+    seen = set()
+    kept = []
+    for size in range(40):
+        # Blocks of other sizes in between move the pictures about.
+        kept.append(np.empty(16 * size + 8, np.uint8))
+        space = np.empty(picture.size + 16, np.float32)
+        copy = space[size % 16 : size % 16 + picture.size].reshape(picture.shape)
+        copy[:] = picture
+        seen.add(edge_strength(copy).tobytes())
+    assert len(seen) == 1
+
+
+def test_edge_strength_is_the_square_root_of_the_sobel_gradient():
+    y, x = np.mgrid[:9, :12].astype(np.float32)
+    steep = edge_strength(np.ascontiguousarray(0.3 * x + 0.4 * y))
+    # A slope of 0.5 per pixel, weighted 8 times; at the border the picture is mirrored.
+    assert np.allclose(steep[1:-1, 1:-1], 2.0, atol=1e-5)
+    assert np.allclose(steep[0, 1:-1] ** 2, 2.4, atol=1e-5)
+    assert np.allclose(steep[1:-1, 0] ** 2, 3.2, atol=1e-5)
+    assert np.allclose(steep[[0, 0, -1, -1], [0, -1, 0, -1]], 0, atol=1e-5)

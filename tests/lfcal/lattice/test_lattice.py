@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from lfcal import Lattice
+from lfcal.lattice import lattice
 from lfcal.lattice.distortion import Distortion
 from lfcal.lattice.lattice import reduce_basis
 
@@ -93,3 +96,24 @@ def test_lenses_come_from_top_to_bottom_each_once(basis):
     assert len(indices) == inside.sum()
     # Lenses of one row may differ by what the lattice is turned.
     assert np.diff(centres[:, 1]).min() > -lattice.pitch
+
+
+def test_lattice_with_another_radius_has_the_same_lenses():
+    lattice = Lattice([3.0, 2.0], [[6.1, 0.2], [2.9, 5.4]], (400, 300), 3.0)
+    other = lattice.with_radius(2.5)
+    assert (lattice.radius, other.radius) == (3.0, 2.5)
+    np.testing.assert_array_equal(other.indices(), lattice.indices())
+    np.testing.assert_array_equal(other.basis, lattice.basis)
+
+
+@pytest.mark.parametrize("basis", [[[9.1, 0.4], [4.2, 8.3]], [[0.0, 11.0], [9.0, 0.0]], [[7.0, -7.0], [7.0, 7.0]]])
+def test_lenses_of_a_large_lattice_are_gathered_piece_by_piece(basis, monkeypatch):
+    x, y = np.mgrid[-200:201, -200:201].reshape(2, -1)
+    straight = Lattice([400.3, 300.2], basis, (800, 600), 4.0)
+    points = straight.points(np.column_stack([x, y]))
+    on = ((points >= -0.5) & (points < [799.5, 599.5])).all(1)
+    monkeypatch.setattr(lattice, "DEFAULT", replace(lattice.DEFAULT, chunk=500))
+    pieces = replace(straight)
+    assert {tuple(ij) for ij in pieces.indices().tolist()} == set(zip(x[on].tolist(), y[on].tolist(), strict=True))
+    assert len(pieces) == on.sum()
+    np.testing.assert_allclose(pieces.centres(), pieces.points(pieces.indices()), atol=1e-9)

@@ -1,4 +1,4 @@
-"""The blur of a microimage's edge, as its profile shows it."""
+"""Edge of a microimage in its radial profile: blur, and shape of the blur."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def two_sided(offsets):
 @pytest.mark.parametrize(
     ("kernel", "least", "most"), [(normal, -0.002, 0.002), (uniform, 0.03, 0.06), (two_sided, -0.03, -0.01)]
 )
-def test_blur_and_its_tails_are_told(kernel, least, most):
+def test_blur_and_its_tails_are_measured(kernel, least, most):
     level = profile(kernel)
     edge = find_edge(level)
     soft, steep = estimate_edge_blur(edge_depths(level, edge, GAP, STEP), edge, STEP)
@@ -44,7 +44,7 @@ def test_blur_and_its_tails_are_told(kernel, least, most):
     assert soft == pytest.approx(0.45, rel=0.02 if kernel is normal else 0.2)
 
 
-def test_depths_do_not_know_of_shading():
+def test_depths_are_independent_of_shading():
     depths = [edge_depths(level, find_edge(level), GAP, STEP) for level in (profile(normal, 0.0), profile(normal, 0.3))]
     near = np.abs(depths[0]) < 2
     np.testing.assert_allclose(depths[0][near], depths[1][near], atol=0.04)
@@ -52,7 +52,7 @@ def test_depths_do_not_know_of_shading():
     np.testing.assert_allclose(depths[0][near], (RADIUS - np.arange(80)[near] * STEP) / 0.45, atol=0.04)
 
 
-def test_profiles_without_an_edge_tell_no_blur():
+def test_profiles_without_an_edge_have_no_blur():
     level = np.full(80, 0.7)
     edge = np.zeros(80, dtype=bool)
     assert estimate_edge_blur(edge_depths(level, edge, 0.7, STEP), edge, STEP) is None
@@ -61,7 +61,7 @@ def test_profiles_without_an_edge_tell_no_blur():
 def test_edges_share_at_least_the_blur_of_the_pixels():
     eye = CatEye(np.zeros(2), np.array([1.0, 0.0, 0.0]), 5.0, 0.6, 0.3)
     assert eye.least_correlation == pytest.approx(1 / 12 / 0.36)
-    # A step changes the softness by a third at most.
+    # A step changes the blur by 30 % at most.
     sharper = eye.with_blur(0.3)
     assert sharper.blur == pytest.approx(0.42)
     assert sharper.correlation == pytest.approx(1 / 12 / 0.42**2)
@@ -77,8 +77,8 @@ def test_edges_share_at_least_the_blur_of_the_pixels():
         ("square", 14.9, 0.26, 0.88, 0.006),
     ],
 )
-def test_soft_cuts_are_told_from_soft_microimages(shape, pitch, strength, soft, most):
-    # A blur of the cut's own puts these 0.004 to 0.008 px off, and states a tenth of it.
+def test_centres_of_blurred_cut_microimages_are_within_a_few_thousandths_of_a_pixel(shape, pitch, strength, soft, most):
+    # If the blur of the cut were free, centres would be off by 0.004 to 0.008 px, with stated errors of a tenth of it.
     truth = WhiteImage(shape, pitch, 5.0, strength=strength, ratio=1.04, soft=soft, gap=0.03, size=(1200, 900))
     camera = lfcal.calibrate(truth.image())
     assert centre_error(camera, truth) < most

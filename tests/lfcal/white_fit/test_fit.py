@@ -9,6 +9,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 import lfcal
+from benchmarks.calibration_speed import drawn as draw_white
+from benchmarks.white_images import WhiteImage
+from lfcal.white_fit import fit as white_fit
 
 
 def _error(camera, truth):
@@ -17,7 +20,7 @@ def _error(camera, truth):
 
 
 @pytest.mark.parametrize("decibels", [40, 26, 18])
-def test_whole_microimages_are_placed_within_three_times_the_bound(drawn, decibels):
+def test_error_of_whole_microimages_is_within_three_times_the_cramer_rao_bound(drawn, decibels):
     truth = drawn("hexagonal", 14.3, 11.0, decibels, size=(900, 700))
     camera = lfcal.calibrate(truth.image())
     assert camera.lattice.distortion is None
@@ -25,23 +28,23 @@ def test_whole_microimages_are_placed_within_three_times_the_bound(drawn, decibe
 
 
 @pytest.mark.parametrize("strength", [0.3, -0.3])
-def test_cut_microimages_are_placed_by_their_whole_discs_and_agree_with_their_flat(drawn, strength):
+def test_centres_of_cut_microimages_are_those_of_whole_discs_and_the_flat_passes_the_check(drawn, strength):
     truth = drawn("hexagonal", 20.3, 5.0, 26.0, strength=strength, size=(1000, 800))
     image = truth.image()
     camera = lfcal.calibrate(image)
     assert _error(camera, truth) < 0.02
-    # Rims of cut microimages are up to half a pixel off the lattice, which the camera knows.
+    # Rims of cut microimages are up to half a pixel off the lattice, which the calibration allows for.
     assert lfcal.check_fit(camera, image).max_offset < 0.15
 
 
-def test_distorted_lattice_is_followed(drawn):
+def test_radial_distortion_is_fitted(drawn):
     truth = drawn("square", 20.3, 5.0, 26.0, k1=0.005, size=(1000, 800))
     camera = lfcal.calibrate(truth.image())
     assert camera.lattice.distortion is not None
     assert _error(camera, truth) < 0.02
 
 
-def test_light_that_falls_about_the_place_below_the_microlens_does_not_move_centres(drawn):
+def test_shading_centred_below_the_microlens_does_not_move_centres(drawn):
     truth = drawn("hexagonal", 20.3, 5.0, 32.0, size=(1000, 800), inner=0.0)
     image = truth.image()
     y, x = np.mgrid[: image.shape[0], : image.shape[1]]
@@ -55,7 +58,7 @@ def test_light_that_falls_about_the_place_below_the_microlens_does_not_move_cent
     assert _error(camera, truth) < 0.001
 
 
-def test_stated_errors_of_centres_are_those_found(drawn):
+def test_stated_errors_of_centres_match_true_ones(drawn):
     ratios = []
     for seed in range(4):
         truth = drawn("hexagonal", 14.3, 11.0, 26.0, size=(700, 500), seed=10 * seed)
@@ -65,7 +68,7 @@ def test_stated_errors_of_centres_are_those_found(drawn):
     assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.8
 
 
-def test_film_scanned_with_a_general_distortion_is_followed(drawn):
+def test_general_distortion_of_scanned_film_is_fitted(drawn):
     truth = drawn("square", 20.3, 5.0, 26.0, size=(1000, 800))
     y, x = np.mgrid[:800, :1000].astype(np.float32)
     bent = (x - 500) * (y - 400) / 300_000 * 4, ((x - 500) / 500) ** 3 * 3
@@ -83,7 +86,7 @@ def test_film_scanned_with_a_general_distortion_is_followed(drawn):
     assert np.sqrt((miss**2).sum(1).mean()) < 0.05
 
 
-def test_even_inside_of_a_large_microimage_is_seen_in_one_pixel_of_sixteen(drawn):
+def test_one_pixel_in_sixteen_is_used_inside_a_large_microimage(drawn):
     from lfcal.images.preprocessing import sqrt_luminance
     from lfcal.lattice.lens_subset import StackedCrops
     from lfcal.white_fit.cutouts import cut_out_lenses
@@ -104,3 +107,74 @@ def test_even_inside_of_a_large_microimage_is_seen_in_one_pixel_of_sixteen(drawn
         other = dataclasses.replace(lenses, light=np.where((y == v) & (x == u), 0, light))
         seen.append(build_normal_equations(other).cost != cost)
     assert 0.03 < np.mean(seen) < 0.1
+
+
+def test_parameters_are_selected_on_8000_of_82000_lenses_and_a_missing_one_is_reported(monkeypatch):
+    truth = WhiteImage("hexagonal", 6.05, 3.0, 26.0, size=(1860, 1400))
+    image = draw_white(truth, 1)
+    index = np.rint(truth.index_of(np.array([[400.0, 1100.0]])))
+    x, y = np.rint(truth.centres(index)[0]).astype(int)
+    image[y - 3 : y + 4, x - 3 : x + 4] = 0
+    opened = []
+    original = white_fit.cut_out_lenses
+
+    def seen(*arguments):
+        state, lit = original(*arguments)
+        opened.append((len(state.indices), len(lit.indices)))
+        return state, lit
+
+    monkeypatch.setattr(white_fit, "cut_out_lenses", seen)
+    camera = lfcal.calibrate(image)
+    looked_at = [some for some, every in opened[:-1]]
+    assert opened[-1][1] > 80_000
+    assert max(looked_at) == pytest.approx(8000, rel=0.02)
+    found = camera.lattice.centres()
+    assert np.sqrt(((found - truth.centres(truth.index_of(found))) ** 2).sum(1).mean()) < 1e-3
+    missing = camera.lattice.points(camera.defects.lenses)
+    assert np.hypot(*(missing - truth.centres(index)).T).min(initial=np.inf) < 0.01
+
+
+@pytest.mark.parametrize("exposure", [1.3, 2.2])
+def test_clipped_middles_of_microimages_do_not_move_centres(drawn, exposure):
+    truth = drawn("square", 24.3, 31.0, 34.0, size=(700, 500), outer=0.6)
+    light = truth.light() + truth.noise * np.random.default_rng(1).standard_normal((500, 700))
+    image = np.rint(np.clip(exposure * light, 0, 1) * 255).astype(np.uint8)
+    assert (image == 255).mean() > 0.15
+    assert _error(lfcal.calibrate(image, "white"), truth) < 0.004
+
+
+def test_missing_lenses_do_not_make_a_white_image_a_scene(drawn):
+    truth = drawn("hexagonal", 20.3, 17.0, 34.0, gap=0.0, size=(700, 500))
+    y, x = np.mgrid[:500, :700].astype(float)
+    index = truth.index_of(np.column_stack([x.ravel(), y.ravel()]))
+    gone = (index[:, 0] * 7 + index[:, 1] * 3) % 19 == 0
+    light = 0.06 + np.where(gone.reshape(500, 700), 0, 0.9 * truth.light())
+    light += truth.noise * np.random.default_rng(1).standard_normal(light.shape)
+    camera = lfcal.calibrate(np.rint(np.clip(0.8 * light, 0, 1) * 65535).astype(np.uint16))
+    assert camera.source == "white"
+    assert _error(camera, truth) < 0.003
+
+
+def test_soft_discs_of_an_oblong_array_are_no_checkerboard(whites):
+    basis = whites.turned(np.array([[1.0, 0.0], [0.0, 1.37]]), 13.88, 53.5)
+    image, origin = whites.white_image(basis, (600, 500), fill=0.945, soft=4.0, gap=0.093, noise=0.02)
+    found = lfcal.calibrate(image)
+    assert whites.rms(whites.centre_errors(found.lattice, origin, basis)) < 0.02
+
+
+def test_values_beyond_single_precision_raise_a_flat_error():
+    with pytest.raises(lfcal.FlatError, match="scale them"):
+        lfcal.calibrate(np.random.default_rng(0).random((100, 120)) * 1e300)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("pitch", [7.0, 20.0])
+def test_meshes_and_waves_give_a_calibration_or_a_light_field_error(pitch):
+    x, y = np.meshgrid(np.arange(400), np.arange(300))
+    waves = 128 + 50 * (np.sin(2 * np.pi * x / pitch) + np.sin(2 * np.pi * y / pitch))
+    mesh = np.where((x % pitch < 3) | (y % pitch < 3), 190, 60)
+    for image in (np.rint(waves).astype(np.uint8), mesh.astype(np.uint8)):
+        try:
+            assert lfcal.calibrate(image).lattice.pitch == pytest.approx(pitch, rel=0.02)
+        except lfcal.LightFieldError as error:
+            assert "give" in str(error)

@@ -1,4 +1,4 @@
-"""Large white images: found in one piece, followed outwards, measured on parts."""
+"""Large white images: found in one piece, extended outwards, calibrated on parts."""
 
 from __future__ import annotations
 
@@ -11,10 +11,6 @@ import pytest
 import lfcal
 from benchmarks import white_images
 from lfcal.detection import downscale
-from lfcal.lattice import lattice
-from lfcal.lattice.distortion import Distortion
-from lfcal.lattice.lattice import Lattice
-from lfcal.lattice.lens_subset import StackedCrops, select_whole_lenses
 from lfcal.runtime.errors import CalibrationError
 from lfcal.white_fit import fit as white_fit
 from lfcal.white_fit import large
@@ -24,8 +20,8 @@ _SIZE = (1300, 1000)
 
 
 @pytest.fixture
-def followed(monkeypatch, set_downscale):
-    """Small images count as large; the lattices that were followed over them."""
+def found_lattices(monkeypatch, set_downscale):
+    """Small images count as large; collects the lattices that were found on them."""
     set_downscale(pieces=5e5)
     settings = replace(LARGE, first_side=300, piece_side=100)
     found = []
@@ -40,12 +36,12 @@ def followed(monkeypatch, set_downscale):
 
 
 @pytest.fixture
-def in_parts(followed, monkeypatch, set_downscale):
+def in_parts(found_lattices, monkeypatch, set_downscale):
     """Small images count as too large to be held as a whole."""
     set_downscale(pieces=5e5, large=5e5, enough=2e5, part=400)
     settings = replace(LARGE, sample_side=160, sample_pixels=6e5)
     monkeypatch.setattr(large, "sample_parts", partial(large.sample_parts, settings=settings))
-    return followed
+    return found_lattices
 
 
 def _error(camera, truth):
@@ -61,14 +57,14 @@ def bent():
     return truth, truth.image()
 
 
-def test_lattice_is_followed_through_a_distortion_of_more_than_half_a_pitch(bent, followed):
+def test_lattice_is_extended_through_a_distortion_of_more_than_half_a_pitch(bent, found_lattices):
     truth, image = bent
     # Where a straight lattice through the middle would put the corners.
     corner = truth.index_of(np.array([[10.0, 10.0]]))
     straight = truth.origin + corner @ truth.basis
     assert np.hypot(*(truth.centres(corner) - straight)[0]) > 0.5 * truth.pitch
     assert _error(lfcal.calibrate(image), truth) < 0.002
-    assert followed[0].lattice.distortion.k1 == pytest.approx(0.012, abs=1e-3)
+    assert found_lattices[0].lattice.distortion.k1 == pytest.approx(0.012, abs=1e-3)
 
 
 def test_very_large_image_is_calibrated_on_parts_of_it(bent, in_parts):
@@ -86,7 +82,7 @@ def test_very_large_image_is_calibrated_on_parts_of_it(bent, in_parts):
     assert flattened[known].std() / flattened[known].mean() < 0.06
 
 
-def test_part_of_a_very_large_image_that_is_dark_is_named(in_parts):
+def test_dark_part_of_a_very_large_image_is_reported_as_defects(in_parts):
     truth = white_images.WhiteImage("square", 10.1, 1.0, 30.0, size=_SIZE)
     image = truth.image()
     image[:, 750:] //= 200
@@ -104,12 +100,12 @@ def test_array_beside_the_middle_of_a_very_large_image_is_found(in_parts):
     assert _error(lfcal.calibrate(image), truth) < 0.03
 
 
-def test_scene_with_an_even_middle_is_no_white_image(followed):
+def test_scene_with_an_even_middle_is_no_white_image(found_lattices):
     truth = white_images.WhiteImage("hexagonal", 14.3, 3.0, 40.0, size=_SIZE)
     rng = np.random.default_rng(0)
     shown = 0.1 + 0.9 * rng.random((100, 130)).repeat(10, 0).repeat(10, 1)
     shown[300:700, 400:900] = 0.7
-    # Every lens shows the places about it, at a patch size of -0.3 pitches.
+    # Every lens shows its surroundings at a patch size of -0.3 pitches.
     lattice = lfcal.Lattice(truth.origin, truth.basis, _SIZE, 7.0)
     y, x = np.mgrid[: _SIZE[1], : _SIZE[0]]
     pixels = np.stack([x, y], -1).reshape(-1, 2)
@@ -117,7 +113,7 @@ def test_scene_with_an_even_middle_is_no_white_image(followed):
     column, row = np.rint(centres + (pixels - centres) / 0.3).astype(int).T
     scene = shown[np.clip(row, 0, 999), np.clip(column, 0, 1299)].reshape(x.shape)
     camera = lfcal.calibrate((truth.image() * scene).astype(np.uint16))
-    assert followed == [None]
+    assert found_lattices == [None]
     assert camera.source == "scene"
 
 
@@ -131,34 +127,6 @@ def test_large_image_is_fitted_with_as_many_lenses_as_are_needed(monkeypatch):
     error = np.sqrt((camera.errors.of_centres(camera.lattice) ** 2).mean())
     assert error < FIT.target_error
     assert _error(camera, truth) < 3 * error
-
-
-def test_lenses_of_parts_are_those_of_the_flat_well_inside_them():
-    bend = Distortion([400.0, 300.0], 0.01, 0.0, 500.0)
-    whole = Lattice([400.3, 300.2], [[9.1, 0.4], [4.2, 8.3]], (800, 600), 4.0, bend)
-    picture = np.arange(800.0 * 600, dtype=np.float32).reshape(600, 800)
-    corners = np.array([(0, 0), (500, 20), (640, 440)])
-    parts = StackedCrops(np.concatenate([picture[y : y + 160, x : x + 160] for x, y in corners]), corners, (160, 160))
-    indices, centres, part = parts.lenses(whole, 7.0)
-    every, places = select_whole_lenses(whole, 7.0)
-    inside = [((places >= c + 7) & (places <= c + 159 - 7)).all(1) for c in corners]
-    np.testing.assert_array_equal(indices, np.concatenate([every[mask] for mask in inside]))
-    at = np.rint(centres).astype(int)
-    there = at - parts.offsets[part]
-    np.testing.assert_array_equal(parts.picture[there[:, 1], there[:, 0]], picture[at[:, 1], at[:, 0]])
-
-
-@pytest.mark.parametrize("basis", [[[9.1, 0.4], [4.2, 8.3]], [[0.0, 11.0], [9.0, 0.0]], [[7.0, -7.0], [7.0, 7.0]]])
-def test_lenses_of_a_large_lattice_are_gathered_piece_by_piece(basis, monkeypatch):
-    x, y = np.mgrid[-200:201, -200:201].reshape(2, -1)
-    straight = Lattice([400.3, 300.2], basis, (800, 600), 4.0)
-    points = straight.points(np.column_stack([x, y]))
-    on = ((points >= -0.5) & (points < [799.5, 599.5])).all(1)
-    monkeypatch.setattr(lattice, "DEFAULT", replace(lattice.DEFAULT, chunk=500))
-    pieces = replace(straight)
-    assert {tuple(ij) for ij in pieces.indices().tolist()} == set(zip(x[on].tolist(), y[on].tolist(), strict=True))
-    assert len(pieces) == on.sum()
-    np.testing.assert_allclose(pieces.centres(), pieces.points(pieces.indices()), atol=1e-9)
 
 
 def test_very_large_flat_without_a_lattice_is_refused(in_parts):

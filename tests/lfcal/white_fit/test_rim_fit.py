@@ -40,12 +40,12 @@ def test_discs_of_one_size_are_found_once():
     assert len(fit_rims(rims, np.ones_like(rims), field)) == 1
 
 
-def test_round_rims_are_cut_by_nothing():
+def test_circular_rims_have_no_cut():
     rims = 10 + np.random.default_rng(0).normal(0, 0.02, (48, 24))
     assert fit_best_rim(rims, np.ones_like(rims), _rims(0.0, 10.0, 0.0, 20.0, np.zeros(2))[1]) is None
 
 
-def test_rims_that_no_pixel_shows_are_not_cut():
+def test_rims_without_weight_have_no_cut():
     # As of white images so overexposed that all is clipped.
     rims, field = _rims(0.0, 10.0, 0.0, 20.0, np.zeros(2))
     assert fit_best_rim(rims, np.zeros_like(rims), field) is None

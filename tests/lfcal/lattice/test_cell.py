@@ -1,0 +1,27 @@
+"""Cells of lenses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.white_images import WhiteImage
+from lfcal.lattice.cell import cell_normals, cell_row_bounds, is_outside_cell, row_interval
+from lfcal.lattice.lattice import Lattice
+
+
+@pytest.mark.parametrize(
+    ("shape", "degrees"), [("hexagonal", 0.0), ("hexagonal", 17.0), ("square", 0.0), ("square", 40)]
+)
+def test_rows_of_a_cell_end_where_its_sides_are(shape, degrees):
+    truth = WhiteImage(shape, 13.7, degrees, size=(200, 200))
+    faces, reach = cell_normals(Lattice(truth.origin, truth.basis, truth.size, 6.0))
+    sides = cell_row_bounds(faces)
+    inside = 0
+    for dy in np.arange(-reach - 1, reach + 1, 0.37):
+        low, high = row_interval(dy, sides)
+        for dx in np.arange(-reach - 1, reach + 1, 0.37):
+            here = sides[6, 0] <= dy <= sides[6, 1] and low <= dx <= high
+            assert here == (not is_outside_cell(dx, dy, faces))
+            inside += here
+    assert inside * 0.37**2 == pytest.approx(abs(np.linalg.det(truth.basis)), rel=0.03)
