@@ -160,7 +160,7 @@ def _wrapped(value):
 def _corner(row, u, v):
     """Where to interpolate a texture: first texel, steps to the next ones, and shares of those.
 
-    Texel centres lie at (k + 0.5) / size; beyond the outermost ones their value goes on.
+    Texel centres lie at (k + 0.5) / size; beyond the outermost ones their value is repeated.
     """
     width, height = int(row[14]), int(row[15])
     x = min(max(u * width - 0.5, 0.0), width - 1.0)

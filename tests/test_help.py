@@ -77,9 +77,13 @@ def test_verbose_tells_each_stage_and_its_seconds(house_files, tmp_path):
 
 @pytest.mark.parametrize(("program", "begun", "offered"), [("lfrender", "re", "render"), ("lfcal", "cal", "calibrate")])
 def test_the_shell_completes_commands(program, begun, offered):
-    asked = {"COMP_WORDS": f"{program} {begun}", "COMP_CWORD": "1", f"_{program.upper()}_COMPLETE": "bash_complete"}
+    shell = {
+        "COMP_WORDS": f"{program} {begun}",
+        "COMP_CWORD": "1",
+        f"_{program.upper()}_COMPLETE": "bash_complete",
+    }
     code = f"import {program}.cli.main, sys; sys.argv = ['{program}']; {program}.cli.main.main(prog_name='{program}')"
-    done = subprocess.run([sys.executable, "-c", code], env=os.environ | asked, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code], env=os.environ | shell, capture_output=True, text=True)
     assert f"plain,{offered}" in done.stdout
 
 

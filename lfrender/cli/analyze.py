@@ -97,7 +97,7 @@ def _write_depth(
     ply: Path | None,
     optics: Optics | None,
 ) -> None:
-    """Write the further forms of a depth map that were asked for."""
+    """Write the further forms of a depth map whose paths are given."""
     if dense:
         from ..data.dense_depth import dense_depth, write_dense
 

@@ -70,19 +70,19 @@ def render(
     Zarr, is read and drawn in tiles; the finished tiles of an interrupted run are used by the next one.
     """
     mean = "--traditional", traditional or None
-    cluster_option = "--workers or --scheduler", workers or scheduler
+    on_cluster = workers or scheduler
     at_most_one("--depth", capture.depth_file, "--patch-size", patch_size, *mean)
     at_most_one("--scale", scale, *mean)
     at_most_one("--roi", roi, "--sharpen", sharpen, *mean, "--tile", tile)
     at_most_one("--workers", workers, "--scheduler", scheduler)
-    at_most_one(*cluster_option, "--roi", roi, "--sharpen", sharpen, *mean)
+    at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--sharpen", sharpen, *mean)
     if blend and patch_size is None:
         raise click.UsageError("--blend needs --patch-size")
     width = _sharpen_width(sharpen)
     options: dict[str, Any] = {"patch_size": patch_size, "scale": scale, "blend": blend or None}
     # Sharpening estimates blur and noise on the whole picture.
     if not (traditional or roi or sharpen):
-        in_tiles = cluster_option[1] or tile is not None or output.suffix.lower() == ".zarr"
+        in_tiles = on_cluster or tile is not None or output.suffix.lower() == ".zarr"
         if in_tiles or is_large(capture.flat):
             from .large import render_in_tiles
 

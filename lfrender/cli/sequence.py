@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from lfcal import Calibration
 
     from ..sequence.frames import Frames
+    from ..sequence.job import FrameResult
 
 __all__ = ["batch"]
 
@@ -112,19 +113,22 @@ def batch(
         for result in render(frames=frames, calibration=calibration, **cluster, **options):
             results.append(result)
             advance(result.message)
-    rendered = [r for r in results if r.outcome == "rendered"]
-    failed = [r for r in results if r.outcome == "failed"]
-    figures = {
-        "film" if film else "pictures": str(output),
+    figures = {"film" if film else "pictures": str(output), **_count(results, perf_counter() - start)}
+    failures = [result.message for result in results if result.outcome == "failed"]
+    report.finish({**figures, "warnings": failures} if as_json else figures)
+    return 1 if failures else 0
+
+
+def _count(results: list[FrameResult], seconds: float) -> dict[str, Any]:
+    """How many frames had which outcome, wall time per frame, and mean share of static lenses."""
+    rendered = [result for result in results if result.outcome == "rendered"]
+    return {
         "rendered": len(rendered),
-        "kept": sum(r.outcome == "kept" for r in results),
-        "failed": len(failed),
-        # Of wall time: several frames may be worked on at once.
-        "seconds_per_frame": (perf_counter() - start) / max(len(rendered), 1),
-        "still": sum(r.still for r in rendered) / max(len(rendered), 1),
+        "kept": sum(result.outcome == "kept" for result in results),
+        "failed": sum(result.outcome == "failed" for result in results),
+        "seconds_per_frame": seconds / max(len(rendered), 1),
+        "still": sum(result.still for result in rendered) / max(len(rendered), 1),
     }
-    report.finish({**figures, "warnings": [r.message for r in failed]} if as_json else figures)
-    return 1 if failed else 0
 
 
 def _find_camera(frames: Frames, camera: Path | None, white: Path | None) -> Calibration:

@@ -187,8 +187,8 @@ def _match_on_plane(
     found = correlate_with_plane(matcher, texture, about, PRESETS[flat.preset])
     if found is None:
         return None
-    explained = normalised_plane_correlation(matcher, texture, about, found)
-    return found[part.inside], explained[part.inside & texture.clear]
+    normalised = normalised_plane_correlation(matcher, texture, about, found)
+    return found[part.inside], normalised[part.inside & texture.clear]
 
 
 def _survey(
@@ -218,7 +218,7 @@ def _analyze_tiles(
     shape, first, spacing = grid_shape(lattice, PRESETS[preset].surface_cells)
     n = len(lattice)
     patch_size, error = np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32)
-    confidence, reason, drawn = np.zeros(n, np.float32), np.ones(n, np.int8), np.zeros(n, np.float32)
+    confidence, reason, filled = np.zeros(n, np.float32), np.ones(n, np.int8), np.zeros(n, np.float32)
     single = UnsmoothedEstimates(np.full(n, np.nan, np.float32), np.full(n, np.inf, np.float32), np.full(n, np.inf))
     surface = np.empty(shape, np.float32)
     saved: dict[str, float] = {}
@@ -227,7 +227,7 @@ def _analyze_tiles(
         rows = flat.rows(part)
         for into, some in (
             (patch_size, depth.patch_size), (error, depth.standard_error), (confidence, depth.confidence),
-            (reason, depth.reason), (drawn, depth.filled_patch_size), (single.patch_size, own.patch_size),
+            (reason, depth.reason), (filled, depth.filled_patch_size), (single.patch_size, own.patch_size),
             (single.standard_error, own.standard_error), (single.systematic_error, own.systematic_error),
         ):  # fmt: skip
             into[rows] = some[part.inside]
@@ -251,7 +251,7 @@ def _analyze_tiles(
     if plane is not None:
         return plane_depth_map(plane, lattice, preset, reason, confidence, saved)
     return DepthMap(
-        patch_size, error, confidence, drawn, Surface(surface, first, spacing), lattice.pitch, lattice.image_size,
+        patch_size, error, confidence, filled, Surface(surface, first, spacing), lattice.pitch, lattice.image_size,
         preset, reason, saved,
     )  # fmt: skip
 
@@ -277,15 +277,15 @@ def _check_plane(
     """The plane as the depth of the flat, None if some lens matches better elsewhere."""
     lattice = flat.lattice
     correlation = np.zeros(len(lattice), np.float32)
-    explained: list[NDArray[Any]] = []
+    normalised: list[NDArray[Any]] = []
     items = [(part, plane) for part in tiles]
     checked = workers.map(_match_on_plane, flat, items, [part.rectangle for part in tiles])
     for part, found in zip(tiles, checked, strict=True):
         if found is None:
             return None
         correlation[flat.rows(part)] = found[0]
-        explained.append(found[1])
-    plane = add_systematic_error(plane, np.concatenate(explained))
+        normalised.append(found[1])
+    plane = add_systematic_error(plane, np.concatenate(normalised))
     matched = correlation >= CLASSIFY.least_correlation
     skipped = 1 - len(flat.overview.sizes) / len(lattice)
     reason = np.where(matched, 0, 1)

@@ -121,6 +121,7 @@ def render_large(
     channels = reader.channels + alpha
     shape = (*drawing.size[::-1], channels) if channels > 1 else drawing.size[::-1]
     depth_key = [patch_size] if depth is None else [fingerprint(depth.patch_size, depth.surface.patch_size)]
+    # Tiles of an earlier run are used if all that the picture depends on is the same.
     key = fingerprint(
         file_identity(source.path), calibration.to_dict(), depth_key, drawing.scale, drawing.blend, drawing.blur, side,
         text, [alpha, compress, output.suffix.lower(), str(source.dtype)],

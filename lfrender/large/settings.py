@@ -26,7 +26,7 @@ class LargeSettings:
 
     # Rendering by tiles of the picture.
     picture_memory: int = 1 << 30  # [bytes] of the flat and the picture of a tile, all copies together; set by hand
-    tiles_per_thread: int = 4  # of a cluster, so that few threads are idle while the last tiles are drawn
+    tiles_per_thread: int = 4  # of a cluster, so that few threads are idle at the end
     least_tile: int = 512  # [px] smaller tiles for a cluster would be mostly halo
     sync_seconds: float = 2.0  # [s] between two times at which finished tiles are made safe on the disk
 

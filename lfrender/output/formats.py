@@ -1,7 +1,7 @@
 """The file formats of pictures, registered once: what each can hold, and how pictures are written into it.
 
-To add a format, add an entry to `FORMATS`: pictures, stacks, tiles, animations, films and the command line take what
-they can write, and what they say of the others, from there.
+To add a format, add an entry to `FORMATS`: pictures, stacks, tiles, animations, films and the command line take from
+there which formats they can write.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Page = tuple[NDArray[Any], str]
 
 
 class PictureError(LightFieldError, ValueError):
-    """A picture cannot be written in the format that was asked for."""
+    """A picture cannot be written in the requested format."""
 
 
 @dataclass(frozen=True)

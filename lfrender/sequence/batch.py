@@ -139,7 +139,7 @@ def _read_ahead(
 
 
 def _call(read: Callable[[], NDArray[Any]]) -> Future[NDArray[Any]]:
-    """The result of `read`, or the error that it raised, which is raised when the result is asked for."""
+    """The result of `read`, or the error that it raised, which is raised again by `Future.result`."""
     outcome: Future[NDArray[Any]] = Future()
     try:
         outcome.set_result(read())

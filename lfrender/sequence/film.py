@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -105,27 +105,36 @@ def render_film(
         pictures = render_frames_on(client, frames, checkpoint.folder, calibration, threads=threads, **options)
     comment = json.dumps({"software": "lfrender", "rendering": "all in focus", "preset": preset})
     partial = checkpoint.folder / f"film{output.suffix.lower()}"
-    with FilmFile(partial, speed, comment) as film, ThreadPoolExecutor(1) as encoder:
-        waiting: Future[None] | None = None
-        shown: Path | None = None
-        white: float | None = None
-        times = 0
-        for result in pictures:
+    # Closed first: no thread may still write into the film when that is closed.
+    with FilmFile(partial, speed, comment) as film, closing(_encode(pictures, film, checkpoint.folder)) as results:
+        for result in results:
+            yield replace(result, path=output)
+        if not film.count:
+            raise FlatError(f"{path}: is not written, because none of the frames could be rendered")
+    move_into_place(partial, output)
+    checkpoint.remove()
+
+
+def _encode(results: Iterable[FrameResult], film: FilmFile, folder: Path) -> Generator[FrameResult, None, None]:
+    """Add the pictures of a folder to a film, each in a thread of its own while the next one is rendered."""
+    waiting: Future[None] | None = None
+    shown: Path | None = None
+    white: float | None = None
+    times = 0
+    with ThreadPoolExecutor(1) as encoder:
+        for result in results:
             shown = shown if result.outcome == "failed" else result.path
             times += 1
             if shown is not None:
-                if waiting is not None:
-                    waiting.result()
                 if waiting is None:
-                    white = load_camera(checkpoint.folder).white_level
+                    white = load_camera(folder).white_level
+                else:
+                    waiting.result()
                 waiting = encoder.submit(_add, film, shown, times, white)
                 times = 0
-            yield replace(result, path=output)
-        if waiting is None:
-            raise FlatError(f"{path}: is not written, because none of the frames could be rendered")
-        waiting.result()
-    move_into_place(partial, output)
-    checkpoint.remove()
+            yield result
+        if waiting is not None:
+            waiting.result()
 
 
 def _add(film: FilmFile, picture: Path, times: int, white: float | None) -> None:

@@ -63,8 +63,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(404 if known else 403)
             return
         self.send_response(200)
-        ending = path[path.rfind(".") :] if "." in path else ".html"
-        self.send_header("Content-Type", _TYPES[ending])
+        suffix = path[path.rfind(".") :] if "." in path else ".html"
+        self.send_header("Content-Type", _TYPES[suffix])
         self.send_header("Content-Length", str(len(content)))
         self.send_header("Content-Security-Policy", _POLICY)
         self.send_header("X-Content-Type-Options", "nosniff")

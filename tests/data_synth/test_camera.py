@@ -22,7 +22,7 @@ def trace_to_sensor(camera: Camera, point: np.ndarray, microlens: np.ndarray) ->
     """Where the image of an object point through the middle of a microlens falls on the sensor [mm].
 
     By Newton's construction, not by slopes: the main lens images the point, the line from that image through the
-    microlens centre goes on to the sensor.
+    microlens centre continues to the sensor.
     """
     image_distance = camera.focal_length * point[2] / (point[2] - camera.focal_length)
     image = point[:2] / point[2] * image_distance

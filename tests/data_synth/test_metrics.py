@@ -1,4 +1,4 @@
-"""Figures of merit: known answers, and invariance to what they must not depend on."""
+"""Figures of quality: known answers, and invariance to what they must not depend on."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def lattice(origin=(100.0, 80.0), pitch=20.0):
 
 
 def test_equal_pictures_are_perfect(picture):
-    merit = compare_pictures(picture, picture)
-    assert merit.psnr == np.inf
-    assert merit.ssim == pytest.approx(1)
-    assert merit.pixels == 40 * 50
+    quality = compare_pictures(picture, picture)
+    assert quality.psnr == np.inf
+    assert quality.ssim == pytest.approx(1)
+    assert quality.pixels == 40 * 50
 
 
 def test_psnr_of_known_noise(picture):
@@ -37,9 +37,9 @@ def test_psnr_of_known_noise(picture):
 
 
 def test_gain_per_channel_is_free_and_reported(picture):
-    merit = compare_pictures(picture / 255.0 * [0.5, 1.0, 2.0], picture)
-    assert merit.psnr > 100
-    np.testing.assert_allclose(merit.gain, [2.0, 1.0, 0.5])
+    quality = compare_pictures(picture / 255.0 * [0.5, 1.0, 2.0], picture)
+    assert quality.psnr > 100
+    np.testing.assert_allclose(quality.gain, [2.0, 1.0, 0.5])
 
 
 def test_pixel_types_are_compared_by_their_peak(picture):
@@ -51,13 +51,13 @@ def test_only_chosen_pixels_count(picture):
     where[:, :30] = True
     spoiled = picture.copy()
     spoiled[:, 30:] = 255
-    merit = compare_pictures(spoiled, picture, where)
-    assert merit.psnr == np.inf
-    assert merit.ssim == pytest.approx(1)
+    quality = compare_pictures(spoiled, picture, where)
+    assert quality.psnr == np.inf
+    assert quality.ssim == pytest.approx(1)
     assert compare_pictures(spoiled, picture).psnr < 20
 
 
-def test_black_picture_has_a_finite_merit(picture):
+def test_black_picture_has_a_finite_psnr(picture):
     assert np.isfinite(compare_pictures(np.zeros_like(picture), picture).psnr)
 
 
@@ -130,7 +130,7 @@ def test_nearest_lens_of_each_centre_is_itself():
     np.testing.assert_array_equal(nearest_lens(lattice(), centres + offset), np.arange(len(centres)))
 
 
-def test_mode_share_and_magnification_error():
+def test_mode_accuracy_and_magnification_error():
     where = np.array([True, True, True, True, False])
     assert mode_accuracy([1, -1, 0, 1, 1], [1, -1, 1, 1, -1], where) == 0.75
     assert np.isnan(mode_accuracy([1], [1], np.array([False])))

@@ -73,7 +73,7 @@ def test_render_calibrates_from_the_flat_or_a_white_image(house, house_files, tm
         assert drawn["pitch"] == pytest.approx(house.camera.pitch, abs=0.1)
 
 
-def test_a_flat_in_which_no_lens_has_a_depth_is_asked_about(house_files, tmp_path):
+def test_a_flat_in_which_no_lens_has_a_depth_is_warned_about(house_files, tmp_path):
     found = figures_of(
         "analyze", house_files / "white.png", "-c", house_files / "camera.json", "-o", tmp_path / "d.npz"
     )
@@ -318,7 +318,7 @@ def test_a_large_flat_is_rendered_in_tiles_to_the_same_picture(house_files, tmp_
     assert sorted(os.listdir(tmp_path)) == ["flat.tif", "large.tif", "small.tif"]
 
 
-def test_a_large_flat_goes_through_the_whole_chain_and_a_second_run_goes_on(
+def test_a_large_flat_is_calibrated_analysed_and_rendered_and_an_interrupted_run_is_continued(
     house_files, tmp_path, everything_is_large, monkeypatch
 ):
     from lfrender.large import render as large_rendering

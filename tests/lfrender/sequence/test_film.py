@@ -183,14 +183,14 @@ def test_films_need_a_package_a_known_ending_and_room(frames, house, tmp_path, m
 
 def test_a_film_is_rendered_on_a_cluster(frames, house, tmp_path, monkeypatch):
     """Pictures come from `render_frames_on` where there is a client; what that does is tested beside it."""
-    asked = []
+    calls = []
     here = lfrender.render_frames
 
     def there(client, frames, folder, calibration, *, threads, **options):
-        asked.append((client, threads))
+        calls.append((client, threads))
         return here(frames, folder, calibration, **options)
 
     monkeypatch.setattr("lfrender.sequence.cluster.render_frames_on", there)
     some = lfrender.open_frames(frames.files[1:2])
     list(render_film(some, tmp_path / "film.mkv", house.truth.calibration, preset="fast", client="c", threads=1))
-    assert asked == [("c", 1)] and len(shown(tmp_path / "film.mkv")[1]) == 1
+    assert calls == [("c", 1)] and len(shown(tmp_path / "film.mkv")[1]) == 1

@@ -1,4 +1,4 @@
-"""The report: whole, self-contained, below 15 MB, and telling what the depth map and the calibration say."""
+"""The report: whole, self-contained, below 15 MB, and with the figures of depth map and calibration."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_the_page_is_small_and_needs_nothing_but_itself(report):
     assert page.nameless == []
 
 
-def test_the_page_tells_warnings_times_and_shares_in_words(report, captured):
+def test_the_page_has_warnings_times_and_shares(report, captured):
     text = report.read_text(encoding="utf-8")
     page, depth = Page(text), captured[2]
     assert "The lamp <flickers>" in page.text

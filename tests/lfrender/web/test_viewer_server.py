@@ -10,7 +10,7 @@ import pytest
 from lfrender.web.viewer_server import PageServer, ServerError
 
 
-def answer(server, path, host=None, method="GET"):
+def respond(server, path, host=None, method="GET"):
     connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=5)
     connection.putrequest(method, path, skip_host=True)
     connection.putheader("Host", host or f"127.0.0.1:{server.server_port}")
@@ -32,16 +32,16 @@ def small_server():
 
 def test_the_server_gives_its_own_files_to_this_machine_only(small_server):
     assert small_server.server_address[0] == "127.0.0.1"
-    response, content = answer(small_server, "/")
+    response, content = respond(small_server, "/")
     assert (response.status, content) == (200, b"page")
     assert response.getheader("Content-Security-Policy").startswith("default-src 'none'")
-    assert answer(small_server, "/data/a.js")[1] == b"data"
-    head, content = answer(small_server, "/index.html", method="HEAD")
+    assert respond(small_server, "/data/a.js")[1] == b"data"
+    head, content = respond(small_server, "/index.html", method="HEAD")
     assert (head.status, content, head.getheader("Content-Length")) == (200, b"", "4")
     for path in ("/etc/passwd", "/../pyproject.toml", "//etc/passwd", "/data/", "/data/%2e%2e/index.html"):
-        assert answer(small_server, path)[0].status == 404
-    assert answer(small_server, "/", host="elsewhere.example")[0].status == 403
-    assert answer(small_server, "/", method="POST")[0].status == 501
+        assert respond(small_server, path)[0].status == 404
+    assert respond(small_server, "/", host="elsewhere.example")[0].status == 403
+    assert respond(small_server, "/", method="POST")[0].status == 501
 
 
 def test_a_port_that_is_taken_is_refused_by_name(small_server):
