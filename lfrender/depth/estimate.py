@@ -180,8 +180,7 @@ class LensEstimates:
         """
         wanted = self.resolved if kept is None else self.resolved & ~kept
         flat, neighbours = lenses.texture.flat, lenses.neighbours
-        where = flat.centres, lenses.pitch, flat.radius, neighbours
-        smooth = partial(smooth_fits, *where)
+        smooth = partial(smooth_fits, flat, neighbours)
         # Kept lenses have been corrected for curvature before.
         corrected = (~wanted).astype(np.float32)
         joint = smooth(self.own_fits, wanted, corrected)
@@ -192,7 +191,7 @@ class LensEstimates:
             weight = np.where(eligible, significance, 0).astype(np.float32)
             own, centred = fit_quadratic(flat, neighbours, self.own_fits, weight, lenses.usual_contrast)
             joint = smooth(own, wanted, np.maximum(corrected, centred)) if centred.any() else joint
-        fits = smooth_fits_far(*where, joint, wanted)
+        fits = smooth_fits_far(flat, neighbours, joint, wanted)
         known = wanted & np.isfinite(fits.standard_error)
         return replace(
             self,

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from numba.extending import register_jitable
 
-__all__ = ["same_surface"]
+__all__ = ["TOLERANCE", "same_surface"]
+
+#: Tolerance of neighbouring lenses on one surface [pitch], default of several stages; set by hand.
+TOLERANCE = 0.04
 
 
 @register_jitable(inline="always")

@@ -8,6 +8,7 @@ brightness adds to the Laplacian. Differences and curve are estimated together b
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
@@ -183,16 +184,10 @@ def estimate_defocus_difference(
     return DefocusDifference(kinds, blurs, growths, np.float32(curve), np.float32(settings.dark))
 
 
-class _Sums(NamedTuple):
-    """Sums over the pairs of each two of t types, weighted.
-
-    `squares` (t, t, 3, 3) of products of Laplacian and squared slope, each with 1, s and s^2, `mixed` (t, t, 2, 2) of
-    both with the difference, each with 1 and s; `number` (t, t) of pairs.
-    """
-
-    squares: NDArray[np.float64]
-    mixed: NDArray[np.float64]
-    number: NDArray[np.int64]
+# Sums over the pairs of each two of t types, weighted. `squares` (t, t, 3, 3) of products of Laplacian and squared
+# slope, each with 1, s and s^2, `mixed` (t, t, 2, 2) of both with the difference, each with 1 and s; `number` (t, t) of
+# pairs.
+_Sums = namedtuple("_Sums", "squares mixed number")
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -5,8 +5,8 @@ The patch size over a plane of the scene is linear in microimage coordinates, li
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -52,23 +52,13 @@ class LensFits:
         return LensFits(size, error, self.slant, self.slant_error)
 
 
-class _Robust(NamedTuple):
-    """Squared scales of the robust loss: of a pair [standard deviations], and added at first [px^2]; iterations, and
-    how many of them are the first ones."""
+# Squared scales of the robust loss: of a pair [standard deviations], and added at first [px^2]; iterations, and how
+# many of them are the first ones.
+_Robust = namedtuple("_Robust", "outlier2 first_outlier2 rounds early")
 
-    outlier2: np.float32
-    first_outlier2: np.float32
-    rounds: int
-    early: int
-
-
-class _Planes(NamedTuple):
-    """Results of `_fit_planes`: heights (n,), slants (n, 2), and in `spreads` (n, 4) the variances of both, chi square
-    and its degrees of freedom."""
-
-    sizes: NDArray[np.float32]
-    slants: NDArray[np.float32]
-    spreads: NDArray[np.float32]
+# Results of `_fit_planes`: heights (n,), slants (n, 2), and in `spreads` (n, 4) the variances of both, chi square and
+# its degrees of freedom.
+_Planes = namedtuple("_Planes", "sizes slants spreads")
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)

@@ -7,6 +7,7 @@ nuisance parameters.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from lfcal.runtime.fastmath import FAST, square
 from ...flat.gray_flat import GrayFlat
 from ...runtime.cache import cached
 from ...runtime.scheduling import plan_chunks
+from ..same_surface import same_surface
 from .defocus_difference import (
     NO_DIFFERENCE,
     DefocusDifference,
@@ -65,24 +67,15 @@ class PairFits(NamedTuple):
     place: NDArray[np.float32]
 
 
-class _Constants(NamedTuple):
-    """Float32 values of `PairFitSettings` and of one call of `fit_pairs`."""
-
-    slope_noise: np.float32
-    difference_noise: np.float32
-    correlated_signal: np.float32
-    correlated_noise: np.float32
-    least_texture: np.float32
-    shading_change: np.float32
-    largest_step: np.float32
-    last_step: np.float32
-    largest_drift: np.float32
-    common_start: np.float32
-    noise2: np.float32
-    iterations: int
+# Float32 values of `PairFitSettings` and of one call of `fit_pairs`.
+_Constants = namedtuple(
+    "_Constants",
+    "slope_noise difference_noise correlated_signal correlated_noise least_texture shading_change largest_step "
+    "last_step largest_drift same_surface noise2 iterations",
+)  # fmt: skip
 
 
-# Python's error model checks every division, which no vector loop can.
+# Python's error model checks every division for zero, which prevents vector loops.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _sums(cutout, other, columns, rows, overlap, offset, scale2):
     """Sums over the pixels of a microimage that the other shows too, weighted after Geman and McClure.
@@ -180,7 +173,7 @@ def _fit_pair(flat, raster, left, top, ax, ay, bx, by, radius, pitch, start, sca
 def _start_values(first, second, tolerance):
     """Start values of the two fits of a pair, and whether both are one: the mean of what is one surface."""
     first, second = second if np.isnan(first) else first, first if np.isnan(second) else second
-    together = abs(first - second) < tolerance
+    together = same_surface(first, second, tolerance)
     middle = np.float32(0.5) * (first + second)
     return middle if together else first, middle if together else second, together
 
@@ -210,7 +203,7 @@ def _fit_pairs_of(
         if len(defocus.kinds) > 0:
             one, two = defocus.kinds[lens], defocus.kinds[other]
             blur = defocus.blurs[one, two], defocus.growths[one, two]
-        first, second, together = _start_values(start[lens], start[other], constants.common_start * pitch)
+        first, second, together = _start_values(start[lens], start[other], constants.same_surface * pitch)
         for k in range(1 if together else 2):
             s, variance, x, y = _fit_pair(
                 flat, raster, left, top, ax, ay, centres[other, 0], centres[other, 1], radius, pitch,
@@ -236,21 +229,9 @@ def _fit_pairs(
         begin = part * stride % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
             _fit_pairs_of(
-                lens,
-                flat,
-                raster,
-                centres,
-                radius,
-                pitch,
-                rows,
-                start,
-                scale2,
-                constants,
-                defocus,
-                cutout,
-                buffers,
+                lens, flat, raster, centres, radius, pitch, rows, start, scale2, constants, defocus, cutout, buffers,
                 out,
-            )
+            )  # fmt: skip
 
 
 def usable_radius(gray: GrayFlat, settings: PairFitSettings = _DEFAULT) -> float:

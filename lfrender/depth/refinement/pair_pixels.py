@@ -5,11 +5,10 @@ Both are smoothed by a cubic B-spline: the first at whole pixels, the second at 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
@@ -30,69 +29,24 @@ _BEYOND = 2
 # Marks buffers that hold no microimage yet: no shift is this long [px].
 _NO_STEP = 2**40
 
+# A flat for kernels: its pixels in one line, (height * width,) float32.
+Flat = namedtuple("Flat", "pixels height width")
 
-class Flat(NamedTuple):
-    """A flat for kernels: its pixels in one line, (height * width,) float32."""
+# Pixels of a cut-out microimage, row after row: `side` of `stride` pixels in each row are used. `size` is the length of
+# arrays that vector loops may overrun; `columns` and `rows` (size,) are float32.
+Raster = namedtuple("Raster", "side stride size columns rows")
 
-    pixels: NDArray[np.float32]
-    height: int
-    width: int
+# A smoothed microimage with its slopes, (size,) float32 each, and its Laplacian, which may be empty.
+Cutout = namedtuple("Cutout", "light slope_x slope_y laplacian")
 
+# Work memory of one thread: the second microimage, its rows interpolated, then its columns too, and the whole step (2,)
+# between both microimages for which the first was copied.
+Buffers = namedtuple("Buffers", "box lines shifted step")
 
-class Raster(NamedTuple):
-    """Pixels of a cut-out microimage, row after row: `side` of `stride` pixels in each row are used.
-
-    `size` is the length of arrays that vector loops may overrun; `columns` and `rows` (size,) are float32.
-    """
-
-    side: int
-    stride: int
-    size: int
-    columns: NDArray[np.float32]
-    rows: NDArray[np.float32]
-
-
-class Cutout(NamedTuple):
-    """A smoothed microimage with its slopes, (size,) float32 each, and its Laplacian, which may be empty."""
-
-    light: NDArray[np.float32]
-    slope_x: NDArray[np.float32]
-    slope_y: NDArray[np.float32]
-    laplacian: NDArray[np.float32]
-
-
-class Buffers(NamedTuple):
-    """Work memory of one thread: the second microimage, its rows interpolated, then its columns too, and the whole
-    step (2,) between both microimages for which the first was copied."""
-
-    box: NDArray[np.float32]
-    lines: NDArray[np.float32]
-    shifted: NDArray[np.float32]
-    step: NDArray[np.int64]
-
-
-class Overlap(NamedTuple):
-    """Where both microimages show the scene: `number` places from `start` on, with some that only one shows.
-
-    Relative to the first pixel of the cutout: both centres, the middle between them, and the first and last column and
-    row that both show; besides the direction of the step between the lenses, in pitches, and the squared radius.
-    """
-
-    start: int
-    number: int
-    ux: np.float32
-    uy: np.float32
-    ax: np.float32
-    ay: np.float32
-    qx: np.float32
-    qy: np.float32
-    mx: np.float32
-    my: np.float32
-    r2: np.float32
-    low_x: np.float32
-    high_x: np.float32
-    low_y: np.float32
-    high_y: np.float32
+# Where both microimages show the scene: `number` places from `start` on, with some that only one shows. Relative to the
+# first pixel of the cutout: both centres, the middle between them, and the first and last column and row that both
+# show; besides the direction of the step between the lenses, in pitches, and the squared radius.
+Overlap = namedtuple("Overlap", "start number ux uy ax ay qx qy mx my r2 low_x high_x low_y high_y")
 
 
 @njit(cache=True, nogil=True, inline="always")

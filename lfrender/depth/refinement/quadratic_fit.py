@@ -8,7 +8,7 @@ windows of Lucas and Kanade, An iterative image registration technique, 1981, ar
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit, prange
@@ -39,54 +39,22 @@ _DEFAULT = QuadraticFitSettings()
 # Coefficients of 1, x, y, x^2, xy, y^2.
 _TERMS = 6
 
+# Values of `QuadraticFitSettings` for kernels; `prior` (6,) are inverse variances of the coefficients, and `products`
+# (6, 6) which monomial is the product of two terms.
+_Constants = namedtuple(
+    "_Constants",
+    "iterations last_step largest_drift fewest_pixels correlated common_error prior products",
+)  # fmt: skip
 
-class _Constants(NamedTuple):
-    """Values of `QuadraticFitSettings` for kernels; `prior` (6,) are inverse variances of the coefficients, and
-    `products` (6, 6) tells which monomial is the product of two terms."""
+# Pixels of a microimage inside a circle (size,): places in px and in radii, brightness, slopes, patch sizes.
+_Pixels = namedtuple("_Pixels", "x y u v light slope_x slope_y sizes")
 
-    iterations: int
-    last_step: np.float32
-    largest_drift: float
-    fewest_pixels: float
-    correlated: float
-    common_error: np.float32
-    prior: NDArray[np.float64]
-    products: NDArray[np.int64]
+# The same pixels in one neighbour (size,): brightness, visibility, weights, slopes along the step between the lenses,
+# and residuals; and sums over all of these (27,), see `_moments`.
+_Compared = namedtuple("_Compared", "light visible weights slopes residuals sums")
 
-
-class _Pixels(NamedTuple):
-    """Pixels of a microimage inside a circle (size,): places in px and in radii, brightness, slopes, patch sizes."""
-
-    x: NDArray[np.float32]
-    y: NDArray[np.float32]
-    u: NDArray[np.float32]
-    v: NDArray[np.float32]
-    light: NDArray[np.float32]
-    slope_x: NDArray[np.float32]
-    slope_y: NDArray[np.float32]
-    sizes: NDArray[np.float32]
-
-
-class _Compared(NamedTuple):
-    """The same pixels in one neighbour (size,): brightness, visibility, weights, slopes along the step between the
-    lenses, and residuals; and sums over all of these (27,), see `_moments`."""
-
-    light: NDArray[np.float32]
-    visible: NDArray[np.float32]
-    weights: NDArray[np.float32]
-    slopes: NDArray[np.float32]
-    residuals: NDArray[np.float32]
-    sums: NDArray[np.float32]
-
-
-class _Equations(NamedTuple):
-    """Normal equations, their solution, the coefficients, and offsets of brightness of the neighbours."""
-
-    left: NDArray[np.float64]
-    right: NDArray[np.float64]
-    change: NDArray[np.float64]
-    coefficients: NDArray[np.float32]
-    offsets: NDArray[np.float32]
+# Normal equations, their solution, the coefficients, and offsets of brightness of the neighbours.
+_Equations = namedtuple("_Equations", "left right change coefficients offsets")
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)

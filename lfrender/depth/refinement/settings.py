@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..same_surface import TOLERANCE
+
 __all__ = [
     "DefocusSettings", "LensPlaneSettings", "NeighbourPriorSettings", "PairFitSettings", "QuadraticFitSettings",
     "SmoothingSettings",
@@ -23,7 +25,7 @@ class PairFitSettings:
     largest_step: float = 1.0  # [px] per iteration: the start is the best value of a finer grid
     last_step: float = 0.02  # [px] a shorter step ends the iterations: the next one hardly shows
     largest_drift: float = 2.5  # [px] farther from its start a fit has gone over to another optimum
-    common_start: float = 0.04  # [pitch] neighbours on one surface to within this start from their mean; set by hand
+    same_surface: float = TOLERANCE  # [pitch] neighbours on one surface start from their mean
     rim: float = 1.0  # [px] left out at the rim: smoothing and slopes each read a pixel beyond
     rim_share: float = 0.03  # [pitch] left out instead in small microimages
     least_rim: float = 0.3  # [px] left out in any case
@@ -54,7 +56,7 @@ class LensPlaneSettings:
     common_error: float = 0.9  # factor of errors at s = 0 for what all pairs of a lens share; on ray-traced scenes
     common_error_growth: float = 1.3  # its growth per |s| / D; on ray-traced scenes
     opposite_pairs: float = 2.0  # pairs in opposite directions share their texture error and count as one
-    same_surface: float = 0.04  # [pitch] neighbours within this share slant and scatter; set by hand
+    same_surface: float = TOLERANCE  # [pitch] neighbours on one surface share slant and scatter
     least_curvature: float = 1e-4  # [px per px] slants of neighbours differ by this at least: no surface is even
 
 

@@ -8,13 +8,14 @@ centre, by an amount that the curvature fitted to the neighbours predicts.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import distant_rings, two_rings
 from ...runtime.scheduling import plan_chunks
 from .lens_plane import LensFits
@@ -24,81 +25,31 @@ __all__ = ["SmoothedFits", "smooth_fits", "smooth_fits_far"]
 
 _DEFAULT = SmoothingSettings()
 
+# Fields of `SmoothingSettings` for kernels.
+_Constants = namedtuple(
+    "_Constants",
+    "outlier other_surface least_slant likely_curvature significance farthest rounds least_weight correlation "
+    "common_error common_error_growth",
+)  # fmt: skip
 
-class _Constants(NamedTuple):
-    """Fields of `SmoothingSettings` for kernels."""
+# All lenses: geometry, fits (n,), how far these are values at centres and not means (0 to 1), and weights.
+_Lenses = namedtuple("_Lenses", "centres pitch radius sizes errors slants slant_errors centred trust")
 
-    outlier: float
-    other_surface: float
-    least_slant: float
-    likely_curvature: float
-    significance: float
-    farthest: float
-    rounds: int
-    least_weight: float
-    correlation: float
-    common_error: float
-    common_error_growth: float
+# Neighbours of one lens (m,): sizes, variances, steps to them [pitches], slants, their variances, how far the sizes are
+# means over microimages, and weights.
+_Gathered = namedtuple("_Gathered", "sizes variances ahead_x ahead_y slants_x slants_y slant_variances averaged trust")
 
+# Neighbours of one lens (m,) relative to its own plane: differences of size, their variances and weights; how much the
+# differences grow with a slant in x and y, and with a curvature; steps [pitches], by which slants fall with a
+# curvature; differences of slant, times s, and their variance. The last two are work memory.
+_Residuals = namedtuple(
+    "_Residuals",
+    "difference variance share along_x along_y curved ahead_x ahead_y turned_x turned_y turn_variance weights "
+    "turn_weights",
+)  # fmt: skip
 
-class _Lenses(NamedTuple):
-    """All lenses: geometry, fits (n,), how far these are values at centres and not means (0 to 1), and weights."""
-
-    centres: NDArray[np.float32]
-    pitch: float
-    radius: float
-    sizes: NDArray[np.float32]
-    errors: NDArray[np.float32]
-    slants: NDArray[np.float32]
-    slant_errors: NDArray[np.float32]
-    centred: NDArray[np.float32]
-    trust: NDArray[np.float32]
-
-
-class _Gathered(NamedTuple):
-    """Neighbours of one lens (m,): sizes, variances, steps to them [pitches], slants, their variances, how far the
-    sizes are means over microimages, and weights."""
-
-    sizes: NDArray[np.float64]
-    variances: NDArray[np.float64]
-    ahead_x: NDArray[np.float64]
-    ahead_y: NDArray[np.float64]
-    slants_x: NDArray[np.float64]
-    slants_y: NDArray[np.float64]
-    slant_variances: NDArray[np.float64]
-    averaged: NDArray[np.float64]
-    trust: NDArray[np.float64]
-
-
-class _Residuals(NamedTuple):
-    """Neighbours of one lens (m,) relative to its own plane: differences of size, their variances and weights; how much
-    the differences grow with a slant in x and y, and with a curvature; steps [pitches], by which slants fall with a
-    curvature; differences of slant, times s, and their variance. The last two are work memory."""
-
-    difference: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    share: NDArray[np.float64]
-    along_x: NDArray[np.float64]
-    along_y: NDArray[np.float64]
-    curved: NDArray[np.float64]
-    ahead_x: NDArray[np.float64]
-    ahead_y: NDArray[np.float64]
-    turned_x: NDArray[np.float64]
-    turned_y: NDArray[np.float64]
-    turn_variance: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    turn_weights: NDArray[np.float64]
-
-
-class _Output(NamedTuple):
-    """Smoothed fits, significance of curvatures, and shares of inliers, (n,) each but for slants (n, 2)."""
-
-    sizes: NDArray[np.float32]
-    errors: NDArray[np.float32]
-    slants: NDArray[np.float32]
-    slant_errors: NDArray[np.float32]
-    curvature: NDArray[np.float32]
-    inliers: NDArray[np.float32]
+# Smoothed fits, significance of curvatures, and shares of inliers, (n,) each but for slants (n, 2).
+_Output = namedtuple("_Output", "sizes errors slants slant_errors curvature inliers")
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -109,7 +60,7 @@ def _inverted(a, b, c, d, e, f):
 
 
 # Exact sums, here and below: with fast math they would have other bits where Numba compiles than where it loads them.
-# Divisions are in loops without sums, which are vector loops as they are, but for Python's error model.
+# Divisions are in loops without sums: these become vector loops, except with Python's error model, which checks them.
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _plane_sums(count, away, variance, share, along_x, along_y, uneven, weights):
     """Weighted sums of squared weights, of 1, x, y, their products, and of all that with differences."""
@@ -369,9 +320,7 @@ class SmoothedFits:
 
 
 def smooth_fits(
-    centres: NDArray[np.float32],
-    pitch: float,
-    radius: float,
+    gray: GrayFlat,
     neighbours: NDArray[np.int32],
     fits: LensFits,
     wanted: NDArray[np.bool_],
@@ -385,9 +334,7 @@ def smooth_fits(
 
     Parameters
     ----------
-    centres : (n, 2) float32 [px]
-    pitch, radius : float [px]
-        Of the microimages; as far as they are compared.
+    gray : GrayFlat
     neighbours : (n, k) int32
         Neighbour rows in all directions, -1 where there is none.
     fits : LensFits
@@ -398,14 +345,12 @@ def smooth_fits(
         0 if the fit of a lens is a mean over its microimage, 1 if it is the value at its centre.
     settings : SmoothingSettings
     """
-    trust = np.ones(len(centres), np.float32)
-    return _smoothed(centres, pitch, radius, two_rings(neighbours), fits, wanted, centred, trust, settings)
+    trust = np.ones(len(centred), np.float32)
+    return _smoothed(gray, two_rings(neighbours), fits, wanted, centred, trust, settings)
 
 
 def smooth_fits_far(
-    centres: NDArray[np.float32],
-    pitch: float,
-    radius: float,
+    gray: GrayFlat,
     neighbours: NDArray[np.int32],
     near: SmoothedFits,
     wanted: NDArray[np.bool_],
@@ -416,18 +361,16 @@ def smooth_fits_far(
     Lenses count less if few of their own neighbours are inliers: beside depth edges they see a little of both sides,
     and all err towards the other one.
     """
-    centred = np.ones(len(centres), np.float32)
+    centred = np.ones(len(wanted), np.float32)
     trust = np.minimum(near.inlier_share / np.float32(settings.inlier_share), 1) ** settings.steepness
     fits = near.fits
     for _ in range(settings.far_rounds):
-        fits = _smoothed(centres, pitch, radius, distant_rings(neighbours), fits, wanted, centred, trust, settings).fits
+        fits = _smoothed(gray, distant_rings(neighbours), fits, wanted, centred, trust, settings).fits
     return fits
 
 
 def _smoothed(
-    centres: NDArray[np.float32],
-    pitch: float,
-    radius: float,
+    gray: GrayFlat,
     rows: NDArray[np.int32],
     fits: LensFits,
     wanted: NDArray[np.bool_],
@@ -436,14 +379,13 @@ def _smoothed(
     settings: SmoothingSettings,
 ) -> SmoothedFits:
     """As `smooth_fits`, with the lenses `rows` (n, m) of each, weighted by their `trust` and its own (n,)."""
-    lenses = _Lenses(
-        centres, pitch, radius, fits.patch_size.astype(np.float32), fits.standard_error.astype(np.float32), fits.slant,
-        fits.slant_error, centred, trust,
-    )  # fmt: skip
-    out = _Output(
-        lenses.sizes.copy(), lenses.errors.copy(), fits.slant.astype(np.float32), fits.slant_error.astype(np.float32),
-        np.zeros(len(centres), np.float32), np.ones(len(centres), np.float32),
-    )  # fmt: skip
+    sizes, errors, slants, slant_errors = (
+        np.asarray(values, np.float32)
+        for values in (fits.patch_size, fits.standard_error, fits.slant, fits.slant_error)
+    )
+    lenses = _Lenses(gray.centres, gray.pitch, gray.radius, sizes, errors, slants, slant_errors, centred, trust)
+    none, all_of_them = np.zeros(len(sizes), np.float32), np.ones(len(sizes), np.float32)
+    out = _Output(sizes.copy(), errors.copy(), slants.copy(), slant_errors.copy(), none, all_of_them)
     constants = _Constants(*(getattr(settings, name) for name in _Constants._fields))
     _smooth(lenses, rows, wanted, constants, out)
     return SmoothedFits(LensFits(out.sizes, out.errors, out.slants, out.slant_errors), out.curvature, out.inliers)

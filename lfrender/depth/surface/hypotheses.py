@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
@@ -23,64 +22,37 @@ from .photoconsistency import (
 )
 from .scene_grid import SceneGrid, lens_at, nearest_lens
 from .settings import HypothesisSettings
+from .votes import (
+    SIZE,
+    Nearby,
+    cluster_votes,
+    find_central,
+    find_voters,
+    gather_table,
+    mean_around,
+    mean_vote,
+    measure_distances,
+    sort_votes,
+)
 
 __all__ = ["MAX_HYPOTHESES", "find_agreeing_lenses", "hypothesis_constants", "propose_hypotheses"]
 
 _DEFAULT = HypothesisSettings()
 #: Hypotheses of one scene point, at most.
 MAX_HYPOTHESES = 5
-# Rows of what is known of each lens: its centre, its weight, and from the last one on its depths.
-_X, _Y, _TRUST, _SIZE = 0, 1, 2, 3
-# Marks lenses without a trusted one about them: any depth will do.
+# Marks lenses without a trusted one about them: they take their own depth.
 _ALONE = np.int8(2)
 
+# Float32 values of `HypothesisSettings`, the tolerance of one surface, the pitch [px], the squared distance within
+# which lenses vote [px^2], and from the last but six on those of `ViewConstants`.
+HypothesisConstants = namedtuple(
+    "HypothesisConstants",
+    "occluded_cost matched widest unvoted_cost rough nudge nudge_cost good second_weight trusted gap pitch vote2 "
+    "visible_share occluded_share unknown occluded_views radius step floor",
+)  # fmt: skip
 
-class HypothesisConstants(NamedTuple):
-    """Float32 values of `HypothesisSettings`, the tolerance of one surface, the pitch [px], the squared distance within
-    which lenses vote [px^2], and from the last but six on those of `ViewConstants`."""
-
-    occluded_cost: np.float32
-    matched: np.float32
-    widest: np.float32
-    unvoted_cost: np.float32
-    rough: np.float32
-    nudge: np.float32
-    nudge_cost: np.float32
-    good: np.float32
-    second_weight: np.float32
-    trusted: np.float32
-    gap: np.float32
-    pitch: np.float32
-    vote2: np.float32
-    visible_share: np.float32
-    occluded_share: np.float32
-    unknown: np.float32
-    occluded_views: np.float32
-    radius: np.float32
-    step: np.float32
-    floor: np.float32
-
-
-class _Nearby(NamedTuple):
-    """Memory of one thread for the lenses around a scene point: their `table` (6, k), squared distances, voters with
-    their weights, indices of the most central ones, and votes sorted by patch size with their weights."""
-
-    table: NDArray[np.float32]
-    distance: NDArray[np.float32]
-    voters: NDArray[np.int64]
-    shares: NDArray[np.float32]
-    central: NDArray[np.int64]
-    sizes: NDArray[np.float32]
-    weights: NDArray[np.float32]
-
-
-class _Hypotheses(NamedTuple):
-    """Memory of one thread for the hypotheses of a point: depths, first weights and then costs, matches, and views."""
-
-    depths: NDArray[np.float32]
-    costs: NDArray[np.float32]
-    matches: NDArray[np.float32]
-    seen: NDArray[np.int64]
+# Memory of one thread for the hypotheses of a point: depths, first weights and then costs, matches, and views.
+_Hypotheses = namedtuple("_Hypotheses", "depths costs matches seen")
 
 
 def hypothesis_constants(
@@ -171,149 +143,6 @@ def _keep_coarse(coarse, v, u, gap, depths, weights, count):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _gather_table(table, rows, grid, ring, i, j, lens, out):
-    """Copy the `table` of the lenses around lens (i, j) to columns of `out`; returns how many there are."""
-    count = 0
-    for r in range(len(ring)):
-        other = rows[lens, r] if lens >= 0 else lens_at(grid, i + ring[r, 0], j + ring[r, 1])
-        if other >= 0:
-            for k in range(len(out)):
-                out[k, count] = table[other, k]
-            count += 1
-    return count
-
-
-# Python's error model checks every division, which no vector loop can.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _mean_around(table, count, x, y, vote2):
-    """Weighted mean of the first depths of the `count` lenses around a scene point."""
-    weight = total = np.float32(0.0)
-    per_vote2 = np.float32(1.0) / vote2
-    xs, ys, trusts, sizes = table[_X], table[_Y], table[_TRUST], table[_SIZE]
-    for m in range(np.uint64(count)):
-        dx, dy = x - xs[m], y - ys[m]
-        share = max(np.float32(1.0) - (dx * dx + dy * dy) * per_vote2, np.float32(0.0))
-        w = trusts[m] * share * share
-        weight += w
-        total += w * sizes[m]
-    return total / weight
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _measure_distances(table, count, x, y, distance):
-    """Squared distances of the `count` lenses around a scene point; returns which of them is the nearest."""
-    for m in range(np.uint64(count)):
-        dx, dy = x - table[_X, m], y - table[_Y, m]
-        distance[m] = dx * dx + dy * dy
-    nearest = 0
-    for m in range(1, count):
-        nearest = m if distance[m] < distance[nearest] else nearest
-    return nearest
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _find_central(nearby, count, near_x, near_y):
-    """Centres of the nearest of the `count` lenses around a scene point, in order; returns how many."""
-    near, distance, most = nearby.central, nearby.distance, len(nearby.central)
-    found = 0
-    for m in range(count):
-        d = distance[m]
-        if found == most and d >= distance[near[found - 1]]:
-            continue
-        at = min(found, most - 1)
-        while at > 0 and distance[near[at - 1]] > d:
-            near[at] = near[at - 1]
-            at -= 1
-        near[at] = m
-        found = min(found + 1, most)
-    for k in range(found):
-        near_x[k], near_y[k] = nearby.table[_X, near[k]], nearby.table[_Y, near[k]]
-    return found
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _find_voters(nearby, count, nearest, vote2, trusted):
-    """Lenses that vote for the depth of a scene point, and their weights; how many, and the range of their depths."""
-    table, distance, voters, shares = nearby.table, nearby.distance, nearby.voters, nearby.shares
-    found = 0
-    low, high = np.float32(np.inf), np.float32(-np.inf)
-    for m in range(count):
-        if m != nearest and (distance[m] > vote2 or table[_TRUST, m] < trusted):
-            continue
-        share = max(1 - distance[m] / vote2, np.float32(1e-3))
-        voters[found], shares[found] = m, table[_TRUST, m] * share * share
-        found += 1
-        for k in range(_SIZE, len(table)):
-            s = table[k, m]
-            # No comparison holds of NaN.
-            low, high = s if s < low else low, s if s > high else high
-    return found, low, high
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _mean_vote(nearby, count, votes):
-    """Weighted mean of all depths of `count` voters."""
-    table, voters, shares = nearby.table, nearby.voters, nearby.shares
-    weight = total = np.float32(0.0)
-    for n in range(count):
-        for k in range(_SIZE, len(table)):
-            s = table[k, voters[n]]
-            w = shares[n] * votes[k - _SIZE] if np.isfinite(s) else np.float32(0.0)
-            weight += w
-            total += w * s if w > 0 else np.float32(0.0)
-    return total / weight
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _sort_votes(nearby, count, votes):
-    """Depths of `count` voters sorted by patch size, and their weights; returns their number."""
-    table, voters, shares, sizes, weights = nearby.table, nearby.voters, nearby.shares, nearby.sizes, nearby.weights
-    number = 0
-    for n in range(count):
-        for k in range(_SIZE, len(table)):
-            s = table[k, voters[n]]
-            if not np.isfinite(s):
-                continue
-            at = number
-            while at > 0 and sizes[at - 1] > s:
-                sizes[at], weights[at] = sizes[at - 1], weights[at - 1]
-                at -= 1
-            sizes[at], weights[at] = s, votes[k - _SIZE] * shares[n]
-            number += 1
-    return number
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _cluster_votes(number, nearby, gap, widest, depths, shares):
-    """Means and weights of clusters of sorted votes, the weightiest first, as many as there is room for; their number.
-
-    Neighbouring votes of a cluster differ by at most one `gap`, all of them by at most `widest`.
-    """
-    sizes, weights = nearby.sizes, nearby.weights
-    most = len(depths)
-    found = start = 0
-    while start < number:
-        stop = start + 1
-        while stop < number and sizes[stop] - sizes[stop - 1] <= gap:
-            if sizes[stop] - sizes[start] > widest:
-                break
-            stop += 1
-        weight = total = np.float32(0.0)
-        for m in range(start, stop):
-            weight += weights[m]
-            total += weights[m] * sizes[m]
-        at = min(found, most - 1)
-        if found < most or weight > shares[most - 1]:
-            while at > 0 and shares[at - 1] < weight:
-                shares[at], depths[at] = shares[at - 1], depths[at - 1]
-                at -= 1
-            shares[at], depths[at] = weight, total / weight
-            found = min(found + 1, most)
-        start = stop
-    return found
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _measure_mismatch(views, c, central, x, y, everyone, count, hypotheses):
     """Turn the weights of hypotheses in `costs` into their mismatch plus the price of few votes, and move `depths` to
     values beside them that match better; `everyone` is the sum of all weights."""
@@ -351,6 +180,30 @@ def _try_beside(views, c, central, x, y, s, least, nearest, base):
     return s, least
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _propose_between(v, u, x, y, nearby, count, coarse, views, own, c, votes, depths, costs):
+    """Hypotheses of point (v, u) at (x, y), whose `count` nearby lenses do not all agree."""
+    nearest = measure_distances(nearby.table, count, x, y, nearby.distance)
+    voters, lowest, highest = find_voters(nearby, count, nearest, c.vote2, c.trusted)
+    if voters == 0 or highest - lowest <= c.gap:
+        depths[0, v, u] = mean_vote(nearby, voters, votes) if voters else np.float32(np.nan)
+        return
+    number = sort_votes(nearby, voters, votes)
+    found = cluster_votes(number, nearby, c.gap, c.widest * c.gap, own.depths, own.costs)
+    if coarse.size > 0:
+        found = _keep_coarse(coarse, v, u, c.gap, own.depths, own.costs, found)
+    if found > 1:
+        central = find_central(nearby, count, views.near_x, views.near_y)
+        _measure_mismatch(views, c, central, x, y, nearby.shares[:voters].sum(), found, own)
+        _add_occlusion(found, own, c)
+        for k in range(1, found):
+            depths[k, v, u], costs[k, v, u] = own.depths[k], own.costs[k]
+        if found < len(own.depths):
+            depths[found, v, u] = np.nan
+        costs[0, v, u] = own.costs[0]
+    depths[0, v, u] = own.depths[0]
+
+
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def propose_hypotheses(
     image, table, around, ring, agreeing, grid: SceneGrid, constants: HypothesisConstants, changed, old, coarse, depths,
@@ -386,7 +239,7 @@ def propose_hypotheses(
     stride = coprime_stride(rows)
     for row in prange(rows):
         v = row * stride % rows
-        nearby = _Nearby(
+        nearby = Nearby(
             np.empty((known, nearby_count), np.float32), np.empty(nearby_count, np.float32),
             np.empty(nearby_count, np.int64), np.empty(nearby_count, np.float32), np.empty(MAX_VIEWS, np.int64),
             np.empty(known * nearby_count, np.float32), np.empty(known * nearby_count, np.float32),
@@ -414,32 +267,14 @@ def propose_hypotheses(
             i, j = int(at_i), int(at_j)
             lens = lens_at(grid, i, j)
             if lens >= 0 and agreeing[lens] == _ALONE:
-                depths[0, v, u] = table[lens, _SIZE]
+                depths[0, v, u] = table[lens, SIZE]
                 continue
             # Consecutive points mostly lie in the cell of one lens.
             if i != around_i or j != around_j:
-                count = _gather_table(table, around, grid, ring, i, j, lens, nearby.table)
+                count = gather_table(table, around, grid, ring, i, j, lens, nearby.table)
                 around_i, around_j = i, j
             x, y = np.float32(grid.first + u * grid.spacing), np.float32(grid.first + v * grid.spacing)
             if lens >= 0 and agreeing[lens]:
-                depths[0, v, u] = _mean_around(nearby.table, count, x, y, c.vote2)
+                depths[0, v, u] = mean_around(nearby.table, count, x, y, c.vote2)
                 continue
-            nearest = _measure_distances(nearby.table, count, x, y, nearby.distance)
-            voters, lowest, highest = _find_voters(nearby, count, nearest, c.vote2, c.trusted)
-            if voters == 0 or highest - lowest <= gap:
-                depths[0, v, u] = _mean_vote(nearby, voters, votes) if voters else np.float32(np.nan)
-                continue
-            number = _sort_votes(nearby, voters, votes)
-            found = _cluster_votes(number, nearby, gap, c.widest * gap, own.depths, own.costs)
-            if coarse.size > 0:
-                found = _keep_coarse(coarse, v, u, gap, own.depths, own.costs, found)
-            if found > 1:
-                central = _find_central(nearby, count, views.near_x, views.near_y)
-                _measure_mismatch(views, c, central, x, y, nearby.shares[:voters].sum(), found, own)
-                _add_occlusion(found, own, c)
-                for k in range(1, found):
-                    depths[k, v, u], costs[k, v, u] = own.depths[k], own.costs[k]
-                if found < most:
-                    depths[found, v, u] = np.nan
-                costs[0, v, u] = own.costs[0]
-            depths[0, v, u] = own.depths[0]
+            _propose_between(v, u, x, y, nearby, count, coarse, views, own, c, votes, depths, costs)

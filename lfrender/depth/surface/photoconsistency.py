@@ -6,11 +6,10 @@ views is robust against occlusion.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from .settings import PhotoconsistencySettings
 
@@ -31,28 +30,12 @@ _MEAN, _VARIANCE, _COST = np.uint64(216), np.uint64(224), np.uint64(232)
 #: Float32 values of work memory for one depth, finite: from place `base` of `work` on.
 WORK = 240
 
+# Float32 values of `PhotoconsistencySettings`, the radius of a microimage [px], the distance between samples [px], and
+# the mismatch `floor` that noise explains.
+ViewConstants = namedtuple("ViewConstants", "visible_share occluded_share unknown occluded_views radius step floor")
 
-class ViewConstants(NamedTuple):
-    """Float32 values of `PhotoconsistencySettings`, the radius of a microimage [px], the distance between samples [px],
-    and the mismatch `floor` that noise explains."""
-
-    visible_share: np.float32
-    occluded_share: np.float32
-    unknown: np.float32
-    occluded_views: np.float32
-    radius: np.float32
-    step: np.float32
-    floor: np.float32
-
-
-class PatchViews(NamedTuple):
-    """A flat (H, W) and its `pixels` in one line, the centres of nearby lenses [px], the nearest first, and memory."""
-
-    image: NDArray[np.float32]
-    pixels: NDArray[np.float32]
-    near_x: NDArray[np.float32]
-    near_y: NDArray[np.float32]
-    work: NDArray[np.float32]
+# A flat (H, W) and its `pixels` in one line, the centres of nearby lenses [px], the nearest first, and memory.
+PatchViews = namedtuple("PatchViews", "image pixels near_x near_y work")
 
 
 def view_constants(

@@ -6,8 +6,8 @@ no neighbour confirms at the first depth, and they correlate with the neighbours
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -38,14 +38,8 @@ __all__ = ["find_second_layer"]
 
 _DEFAULT = SecondLayerSettings()
 
-
-class _Masked(NamedTuple):
-    """Masked pixels of a microimage, one after the other: columns, rows, places in the flat, and brightness."""
-
-    x: NDArray[np.float32]
-    y: NDArray[np.float32]
-    places: NDArray[np.int64]
-    light: NDArray[np.float32]
+# Masked pixels of a microimage, one after the other: columns, rows, places in the flat, and brightness.
+_Masked = namedtuple("_Masked", "x y places light")
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..same_surface import TOLERANCE
+
 __all__ = [
     "DensifySettings", "HypothesisSettings", "PhotoconsistencySettings", "SecondLayerSettings", "ThinStructureSettings",
 ]  # fmt: skip
@@ -15,7 +17,7 @@ class DensifySettings:
 
     voting_reach: float = 1.45  # [pitch] lenses within it vote for the depth of a point; set by hand
     viewing_reach: float = 2.1  # [pitch] lenses within it may show the point; set by hand
-    same_surface: float = 0.04  # [pitch] depths of neighbouring lenses within this are one hypothesis; set by hand
+    same_surface: float = TOLERANCE  # [pitch] depths of nearby lenses on one surface are one hypothesis
     least_same_surface: float = 0.75  # [px] the same for small microimages
     jump: float = 0.35  # price of a depth edge between neighbouring grid values, in units of the mismatch
     slant: float = 0.1  # price of a slant by one `same_surface` between neighbouring grid values
@@ -68,7 +70,7 @@ class SecondLayerSettings:
     largest_cost: float = 0.65  # mismatch of a match, at most
     least_confidence: float = 0.5  # of a match
     least_gain: float = 0.1  # in mismatch over the first depth
-    same_surface: float = 0.04  # [pitch] a second layer differs by more from the first, and by less from a neighbour
+    same_surface: float = TOLERANCE  # [pitch] a second layer differs from the first, and agrees with a neighbour
     supporting: int = 1  # neighbours with the same depth, at least
     outliers: float = 0.005  # share of the depths that occur to leave out at each end of their range
     margin: float = 0.12  # [pitch] searched beyond the range, as in the first match

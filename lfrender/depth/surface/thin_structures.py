@@ -7,7 +7,7 @@ has for it, the next one shows a few pixels that its neighbours confirm.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit, prange
@@ -33,23 +33,16 @@ from .window_differences import (
 __all__ = ["find_thin_structures"]
 
 _DEFAULT = ThinStructureSettings()
-# Patch sizes tried on one lens are told apart within so many numbers.
+# Rounded patch sizes of one lens are below this number; with the row of the lens they form one key.
 _KEYS = 1 << 20
 # Columns of the known patch sizes of each lens.
 _FIRST, _LAYER, _FOUND, _SECOND = range(4)
 
-
-class _Constants(NamedTuple):
-    """Values of `ThinStructureSettings` for kernels; `floor` is the variance that counts as none, `beside` is in px."""
-
-    textured: np.float32
-    confirmed: np.float32
-    floor: np.float32
-    beside: np.float32
-    fewest_views: float
-    least_share: float
-    fewest_pixels: int
-    over_chance: float
+# Values of `ThinStructureSettings` for kernels; `floor` is the variance that counts as none, `beside` is in px.
+_Constants = namedtuple(
+    "_Constants",
+    "textured confirmed floor beside fewest_views least_share fewest_pixels over_chance",
+)  # fmt: skip
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")

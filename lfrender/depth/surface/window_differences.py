@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
 
@@ -16,19 +15,9 @@ __all__ = [
     "add_where_within", "copy_windows", "inner_columns", "new_windows", "window_differences", "window_variance",
 ]  # fmt: skip
 
-
-class Windows(NamedTuple):
-    """A microimage with what lies about it, `stride` rows and columns, and memory for its comparison with others.
-
-    `corner` (2,) is its first pixel x, y; `light` (stride^2,) its brightness; the others are work memory.
-    """
-
-    stride: int
-    corner: NDArray[np.int64]
-    light: NDArray[np.float32]
-    other: NDArray[np.float32]
-    squares: NDArray[np.float32]
-    lines: NDArray[np.float32]
+# A microimage with what lies about it, `stride` rows and columns, and memory for its comparison with others. `corner`
+# (2,) is its first pixel x, y; `light` (stride^2,) its brightness; the others are work memory.
+Windows = namedtuple("Windows", "stride corner light other squares lines")
 
 
 @njit(cache=True, nogil=True)
@@ -52,7 +41,7 @@ def copy_windows(flat, x, y, windows):
     copy_box(flat.pixels, flat.width, left, top, stride, stride, windows.light)
 
 
-# Python's error model checks every division, which no vector loop can.
+# Python's error model checks every division for zero, which prevents vector loops.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _square_differences(own, there, stride, count, w00, w01, w10, w11, out):
     """Squared difference of a microimage, `stride` pixels a row, from the bilinear interpolation of another."""

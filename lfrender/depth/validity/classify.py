@@ -139,7 +139,7 @@ def initial_reasons(
 @njit(cache=True, nogil=True, parallel=True)
 def _have_similar(values, ordered, gap, least, out):
     for k in prange(len(values)):
-        # As numpy's, which takes one after the other. No comparison holds of NaN.
+        # In parallel, which numpy's search is not. Comparisons with NaN are false.
         last = np.searchsorted(ordered, values[k] - gap) + least - 1
         out[k] = last < len(ordered) and ordered[last] < values[k] + gap
 

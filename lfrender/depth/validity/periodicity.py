@@ -1,7 +1,7 @@
 """Periodic textures: found by autocorrelation of the scene, since every shift by a period matches as well.
 
-Some of these shifts may lie beyond those that the search tries, so that no secondary peak shows there. The scene itself
-tells: a part of it is drawn from its lenses and correlated with itself.
+Some of these shifts may lie beyond those that the search tries, so that no secondary peak shows there. So a part of the
+scene is drawn from its lenses and correlated with itself.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ __all__ = ["autocorrelation", "find_periodic_texture", "is_periodic", "sees_litt
 _DEFAULT = PeriodicitySettings()
 
 
-# Python's error model checks every division, which no vector loop can. Array places are unsigned integers: signed ones
-# are checked for being negative.
+# Python's error model checks every division for zero, and signed array places are checked for being negative: both
+# prevent vector loops.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _draw(image, centres, sizes, lenses, middle, own, pitch, radius, stride, zoom, light, weight):
     """Draw what `lenses` see of the scene into `light`, and its weights into `weight`, both (side, side)."""
@@ -114,7 +114,7 @@ def _overlap_sums(light, reach):
 
 def _lag_sums(light: NDArray[np.float32], seen: NDArray[np.bool_], reach: int) -> NDArray[np.float32]:
     """(4, 2 * reach + 1, 2 * reach + 1): as `_overlap_sums` of what is seen, and the sums of products."""
-    # Padding keeps what is carried round the border beyond the longest lag.
+    # Padding keeps the wrapped part of the circular correlation beyond the longest lag.
     size = fft.next_fast_len(len(light) + reach, real=True)
     lags = np.arange(-reach, reach + 1)
     if seen.all() and reach < len(light):
@@ -145,7 +145,7 @@ def autocorrelation(
     common, here, square, like = _lag_sums(light, seen, reach)
     count = np.maximum(np.rint(common), 1)
     spread = square - here**2 / count
-    # At the opposite lag the other of both is moved.
+    # Sums over the other of both overlapping parts are those at the opposite lag.
     limit = settings.least_variance * (light**2).sum() / seen.sum() * count
     product = spread * spread[::-1, ::-1]
     known = (count >= least) & (spread > limit) & (spread > limit)[::-1, ::-1]

@@ -26,7 +26,7 @@ class UncertaintySettings:
     secondary_peak_alike: float = 0.6  # the same if all lenses see the same content, which they match by chance alike
     near_zero: float = 0.05  # [pitch] patch sizes at which they may; beyond, waves out of reach have peaks of half
     both_peaks: float = 1.1  # sum of two peaks over a perfect match: two depths in one lens reach 1
-    least_signal: float = 0.1  # share of the variance that is no noise, at least: below, correlation tells nothing
+    least_signal: float = 0.1  # share of the variance that is no noise, at least: below, correlation is useless
     confirming: float = 0.25  # correlation of lenses that confirm a neighbour,
     confirming_lenses: int = 2  # so many of them
     clear_signal: float = 0.8  # if the signal is this share of the variance, a correct map has

@@ -187,7 +187,7 @@ def repeats_with_neighbours(
     secondary : (n,) bool
         Lenses as `has_secondary_peak`.
     occurring : (n,) bool
-        Lenses whose depth occurs among the unambiguous ones: these decide if they are in the majority.
+        Lenses whose depth occurs among the unambiguous ones: these decide if they are more than half.
     rows : (n, k) int32
         Neighbour rows, -1 where there is none.
     settings : UncertaintySettings

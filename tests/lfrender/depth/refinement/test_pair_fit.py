@@ -3,12 +3,9 @@
 import dataclasses
 
 import numpy as np
-import pytest
-from scipy.ndimage import correlate1d
 
 from lfrender.depth.refinement.lens_plane import fit_lens_planes
-from lfrender.depth.refinement.pair_fit import PairFits, fit_pairs
-from lfrender.depth.refinement.pair_pixels import Cutout, Flat, cut_smoothed, new_buffers, pixel_raster
+from lfrender.depth.refinement.pair_fit import fit_pairs
 from lfrender.flat.lens_graph import neighbour_rows
 
 
@@ -87,37 +84,3 @@ def test_shading_left_in_microimages_hardly_moves_their_pairs(drawn_flat):
     shaded = dataclasses.replace(gray, image=(gray.image * rim).astype(np.float32))
     error = [np.median(np.abs(measure(flat, lattice, truth)[1].patch_size - truth)[inner]) for flat in (gray, shaded)]
     assert error[1] < 1.3 * error[0] + 0.004, f"{error} px without and with shading"
-
-
-def test_excess_scatter_of_pairs_raises_the_error_by_more_than_itself(drawn_flat):
-    gray, lattice, _truth, inner = drawn_flat(6.0)
-    rows = neighbour_rows(lattice, lattice.steps)
-    half = rows.shape[1] // 2
-    start = np.full(len(rows), 6.0, np.float32)
-    rng = np.random.default_rng(3)
-    median = []
-    for scatter in (0.02, 0.06):
-        sizes = np.repeat(6.0 + scatter * rng.standard_normal((len(rows), half, 1)), 2, 2).astype(np.float32)
-        sizes[rows[:, :half] < 0] = np.nan
-        pairs = PairFits(sizes, np.full(sizes.shape, 0.02**2, np.float32), np.zeros((*sizes.shape, 2), np.float32))
-        lenses = fit_lens_planes(gray, rows[:, :half], rows[:, half:], pairs, start)
-        median.append(np.median(lenses.standard_error[inner]))
-    # Three times the scatter, less outliers of the robust fit (2.7 times), and up to 1.4 times that.
-    assert median[1] / median[0] > 3
-
-
-@pytest.mark.parametrize(("left", "top"), [(1, 1), (7, 4), (11, 8)])
-def test_microimages_are_cut_out_smoothed_with_their_slopes(left, top):
-    height, width, side, stride = 18, 21, 9, 12
-    image = np.random.default_rng(2).random((height, width)).astype(np.float32)
-    raster = pixel_raster(np.float32(4.2))
-    assert (raster.side, raster.stride) == (side, stride)
-    cutout = Cutout(*np.full((4, raster.size), np.nan, np.float32))
-    cut_smoothed(Flat(image.ravel(), height, width), raster, left, top, new_buffers(raster.size), cutout)
-    kernel = np.array([1, 4, 1]) / 6
-    expected = correlate1d(correlate1d(image.astype(float), kernel, 0, mode="nearest"), kernel, 1, mode="nearest")
-    slopes = [correlate1d(expected, [-0.5, 0, 0.5], axis, mode="nearest") for axis in (1, 0)]
-    laplacian = sum(correlate1d(expected, [1, -2, 1], axis, mode="nearest") for axis in (0, 1))
-    part = slice(top, top + side), slice(left, left + side)
-    for found, whole in zip(cutout, (expected, *slopes, laplacian), strict=True):
-        np.testing.assert_allclose(found[: side * stride].reshape(side, stride)[:, :side], whole[part], atol=1e-6)

@@ -8,6 +8,7 @@ from data_synth import SCENES, Camera, simulate
 from lfrender.depth.estimate import LensEstimates
 from lfrender.depth.refinement.lens_plane import LensFits
 from lfrender.depth.refinement.smoothing import smooth_fits, smooth_fits_far
+from lfrender.flat.gray_flat import GrayFlat
 from lfrender.flat.lens_graph import neighbour_rows
 
 NOISE, RADIUS = 0.05, 8.5
@@ -16,6 +17,11 @@ NOISE, RADIUS = 0.05, 8.5
 def cameras(kind="hex"):
     lattice = Camera.design((600, 450), 20.0, kind).lattice
     return lattice, lattice.centres().astype(np.float32), neighbour_rows(lattice, lattice.steps)
+
+
+def flat(centres):
+    """A flat of these lenses, without pixels: smoothing takes only their places."""
+    return GrayFlat(np.zeros((1, 1), np.float32), centres, RADIUS, 20.0)
 
 
 def fits(sizes, noise=NOISE, seed=0):
@@ -30,7 +36,7 @@ def fits(sizes, noise=NOISE, seed=0):
 def smoothed(centres, neighbours, own, wanted=None):
     """Smoothed sizes and errors; lenses that are not wanted count as measured at their centres."""
     wanted = np.ones(len(centres), bool) if wanted is None else wanted
-    joint = smooth_fits(centres, 20.0, RADIUS, neighbours, own, wanted, (~wanted).astype(np.float32))
+    joint = smooth_fits(flat(centres), neighbours, own, wanted, (~wanted).astype(np.float32))
     return joint.fits.patch_size, joint.fits.standard_error
 
 
@@ -73,8 +79,8 @@ def test_an_uncertain_lens_between_two_depths_keeps_its_large_error():
 def smoothed_far(centres, neighbours, own):
     """As `smoothed`, with distant lenses."""
     wanted = np.ones(len(centres), bool)
-    near = smooth_fits(centres, 20.0, RADIUS, neighbours, own, wanted, (~wanted).astype(np.float32))
-    fits = smooth_fits_far(centres, 20.0, RADIUS, neighbours, near, wanted)
+    near = smooth_fits(flat(centres), neighbours, own, wanted, (~wanted).astype(np.float32))
+    fits = smooth_fits_far(flat(centres), neighbours, near, wanted)
     return fits.patch_size, fits.standard_error
 
 
@@ -160,7 +166,7 @@ def test_curvature_is_significant_on_a_curved_surface_and_hardly_elsewhere():
 
     def significance(own):
         averaged = np.zeros(len(centres), np.float32)
-        return smooth_fits(centres, 20.0, RADIUS, neighbours, own, wanted, averaged).curvature_significance
+        return smooth_fits(flat(centres), neighbours, own, wanted, averaged).curvature_significance
 
     assert np.mean(significance(own)[inner] > 3) > 0.95
     assert np.mean(significance(fits(np.full(len(centres), -9.0))) > 3) < 0.1

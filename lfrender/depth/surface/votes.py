@@ -1,0 +1,166 @@
+"""The lenses around a scene point: their mean depth, and clusters of their depths weighted by distance."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+
+import numpy as np
+from numba import njit
+
+from lfcal.runtime.fastmath import FAST
+
+from .scene_grid import lens_at
+
+__all__ = [
+    "SIZE", "Nearby", "cluster_votes", "find_central", "find_voters", "gather_table", "mean_around", "mean_vote",
+    "measure_distances", "sort_votes",
+]  # fmt: skip
+
+# Rows of the table of a lens: its centre, its weight, and from the last one on its depths.
+_X, _Y, _TRUST, SIZE = range(4)
+# Memory of one thread for the lenses around a scene point: their `table` (6, k), squared distances, voters with their
+# weights, indices of the most central ones, and votes sorted by patch size with their weights.
+Nearby = namedtuple("Nearby", "table distance voters shares central sizes weights")
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def gather_table(table, rows, grid, ring, i, j, lens, out):
+    """Copy the `table` of the lenses around lens (i, j) to columns of `out`; returns how many there are."""
+    count = 0
+    for r in range(len(ring)):
+        other = rows[lens, r] if lens >= 0 else lens_at(grid, i + ring[r, 0], j + ring[r, 1])
+        if other >= 0:
+            for k in range(len(out)):
+                out[k, count] = table[other, k]
+            count += 1
+    return count
+
+
+# Python's error model checks every division for zero, which prevents vector loops.
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def mean_around(table, count, x, y, vote2):
+    """Weighted mean of the first depths of the `count` lenses around a scene point."""
+    weight = total = np.float32(0.0)
+    per_vote2 = np.float32(1.0) / vote2
+    xs, ys, trusts, sizes = table[_X], table[_Y], table[_TRUST], table[SIZE]
+    for m in range(np.uint64(count)):
+        dx, dy = x - xs[m], y - ys[m]
+        share = max(np.float32(1.0) - (dx * dx + dy * dy) * per_vote2, np.float32(0.0))
+        w = trusts[m] * share * share
+        weight += w
+        total += w * sizes[m]
+    return total / weight
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def measure_distances(table, count, x, y, distance):
+    """Squared distances of the `count` lenses around a scene point; returns which of them is the nearest."""
+    for m in range(np.uint64(count)):
+        dx, dy = x - table[_X, m], y - table[_Y, m]
+        distance[m] = dx * dx + dy * dy
+    nearest = 0
+    for m in range(1, count):
+        nearest = m if distance[m] < distance[nearest] else nearest
+    return nearest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def find_central(nearby, count, near_x, near_y):
+    """Centres of the nearest of the `count` lenses around a scene point, in order; returns how many."""
+    near, distance, most = nearby.central, nearby.distance, len(nearby.central)
+    found = 0
+    for m in range(count):
+        d = distance[m]
+        if found == most and d >= distance[near[found - 1]]:
+            continue
+        at = min(found, most - 1)
+        while at > 0 and distance[near[at - 1]] > d:
+            near[at] = near[at - 1]
+            at -= 1
+        near[at] = m
+        found = min(found + 1, most)
+    for k in range(found):
+        near_x[k], near_y[k] = nearby.table[_X, near[k]], nearby.table[_Y, near[k]]
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def find_voters(nearby, count, nearest, vote2, trusted):
+    """Lenses that vote for the depth of a scene point, and their weights; how many, and the range of their depths."""
+    table, distance, voters, shares = nearby.table, nearby.distance, nearby.voters, nearby.shares
+    found = 0
+    low, high = np.float32(np.inf), np.float32(-np.inf)
+    for m in range(count):
+        if m != nearest and (distance[m] > vote2 or table[_TRUST, m] < trusted):
+            continue
+        share = max(1 - distance[m] / vote2, np.float32(1e-3))
+        voters[found], shares[found] = m, table[_TRUST, m] * share * share
+        found += 1
+        for k in range(SIZE, len(table)):
+            s = table[k, m]
+            # Comparisons with NaN are false.
+            low, high = s if s < low else low, s if s > high else high
+    return found, low, high
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mean_vote(nearby, count, votes):
+    """Weighted mean of all depths of `count` voters."""
+    table, voters, shares = nearby.table, nearby.voters, nearby.shares
+    weight = total = np.float32(0.0)
+    for n in range(count):
+        for k in range(SIZE, len(table)):
+            s = table[k, voters[n]]
+            w = shares[n] * votes[k - SIZE] if np.isfinite(s) else np.float32(0.0)
+            weight += w
+            total += w * s if w > 0 else np.float32(0.0)
+    return total / weight
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sort_votes(nearby, count, votes):
+    """Depths of `count` voters sorted by patch size, and their weights; returns their number."""
+    table, voters, shares, sizes, weights = nearby.table, nearby.voters, nearby.shares, nearby.sizes, nearby.weights
+    number = 0
+    for n in range(count):
+        for k in range(SIZE, len(table)):
+            s = table[k, voters[n]]
+            if not np.isfinite(s):
+                continue
+            at = number
+            while at > 0 and sizes[at - 1] > s:
+                sizes[at], weights[at] = sizes[at - 1], weights[at - 1]
+                at -= 1
+            sizes[at], weights[at] = s, votes[k - SIZE] * shares[n]
+            number += 1
+    return number
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cluster_votes(number, nearby, gap, widest, depths, shares):
+    """Means and weights of clusters of sorted votes, the weightiest first, as many as there is room for; their number.
+
+    Neighbouring votes of a cluster differ by at most one `gap`, all of them by at most `widest`.
+    """
+    sizes, weights = nearby.sizes, nearby.weights
+    most = len(depths)
+    found = start = 0
+    while start < number:
+        stop = start + 1
+        while stop < number and sizes[stop] - sizes[stop - 1] <= gap:
+            if sizes[stop] - sizes[start] > widest:
+                break
+            stop += 1
+        weight = total = np.float32(0.0)
+        for m in range(start, stop):
+            weight += weights[m]
+            total += weights[m] * sizes[m]
+        at = min(found, most - 1)
+        if found < most or weight > shares[most - 1]:
+            while at > 0 and shares[at - 1] < weight:
+                shares[at], depths[at] = shares[at - 1], depths[at - 1]
+                at -= 1
+            shares[at], depths[at] = weight, total / weight
+            found = min(found + 1, most)
+        start = stop
+    return found
