@@ -1,10 +1,9 @@
-"""Lens types of multi-focus arrays: found where they are, in the order of their focus, and nowhere else."""
+"""Lens types of multi-focus arrays are found where they exist, in the order of their focus, and nowhere else."""
 
 from __future__ import annotations
 
 import json
 
-import numba
 import numpy as np
 import pytest
 
@@ -12,7 +11,6 @@ import lfcal
 from data_synth import SCENES, Camera, simulate
 from lfcal.images.preprocessing import sqrt_luminance
 from lfcal.lens_types.classify import find_lens_types
-from lfcal.lens_types.focus_order import find_focus_order
 from lfcal.lens_types.lens_sample import measure_lens_features, sample_lenses
 
 _FOCI = (-0.5, -0.35, -0.22)
@@ -60,53 +58,6 @@ def test_three_types_are_found_in_a_scene_and_ordered_from_large_to_small_patch_
     assert not camera.warnings
 
 
-@pytest.mark.parametrize("foci", [_FOCI, (0.45, 0.3, 0.2)])
-def test_focus_of_each_type_is_read_from_how_sharpness_changes_with_depth(whites, foci):
-    basis = whites.turned(whites.HEXAGON, 20.0, 3)
-    sample = sample_lenses(lfcal.Lattice((3.0, 5.0), basis, (1500, 1200), 9.5))
-    rng = np.random.default_rng(0)
-    types = _MOSAIC[tuple(np.moveaxis(sample.index % 3, -1, 0))]
-    disparity = np.sign(foci[0]) * (0.15 + 0.45 * (sample.centre[..., 0] / 1500))
-    sharpness = -np.log1p(((disparity - np.array(foci)[types]) / 0.15) ** 2) + 0.3 * rng.standard_normal(types.shape)
-    inner = disparity[:, 1:-1, 1:-1].ravel()
-    nothing = np.full(len(inner), np.nan)
-    order = find_focus_order(sample, _MOSAIC, sample.subtract_neighbours(sharpness), inner, nothing, nothing, 1.0)
-    assert order.known
-    np.testing.assert_array_equal(order.sequence, [0, 1, 2])
-    assert order.focus == pytest.approx(foci, abs=0.02)
-
-
-def test_faint_order_that_the_foci_confirm_is_told_and_never_wrong(whites):
-    sample = sample_lenses(lfcal.Lattice((3.0, 5.0), whites.turned(whites.HEXAGON, 20.0, 3), (1500, 1200), 9.5))
-    types = _MOSAIC[tuple(np.moveaxis(sample.index % 3, -1, 0))]
-    disparity = -(0.15 + 0.45 * (sample.centre[..., 0] / 1500))
-    sharpness = -np.log1p(((disparity - np.array([-0.45, -0.3, -0.2])[types]) / 0.15) ** 2)
-    inner = disparity[:, 1:-1, 1:-1].ravel()
-    nothing = np.full(len(inner), np.nan)
-    orders = []
-    for seed in range(40):
-        noisy = sharpness + 4 * np.random.default_rng(seed).standard_normal(types.shape)
-        orders.append(
-            find_focus_order(sample, _MOSAIC, sample.subtract_neighbours(noisy), inner, nothing, nothing, 1.0)
-        )
-    told = [order.sequence.tolist() for order in orders if order.known]
-    # Four standard errors would tell 22 of them.
-    assert 24 <= len(told) < 40
-    assert all(sequence == [0, 1, 2] for sequence in told)
-
-
-def test_order_is_not_told_from_a_scene_far_from_all_foci(whites):
-    sample = sample_lenses(lfcal.Lattice((3.0, 5.0), whites.turned(whites.HEXAGON, 20.0, 3), (1500, 1200), 9.5))
-    types = _MOSAIC[tuple(np.moveaxis(sample.index % 3, -1, 0))]
-    disparity = -0.02 - 0.2 * sample.centre[..., 0] / 1500
-    # Blur of many pixels: all types fade alike, the most blurred ones last.
-    sharpness = -np.log1p(((disparity - np.array(_FOCI)[types]) / 0.03) ** 2)
-    inner = disparity[:, 1:-1, 1:-1].ravel()
-    nothing = np.full(len(inner), np.nan)
-    order = find_focus_order(sample, _MOSAIC, sample.subtract_neighbours(sharpness), inner, nothing, nothing, 1.0)
-    assert not order.known and np.isnan(order.focus).all()
-
-
 def test_types_are_found_without_detail_by_the_blur_of_their_rims():
     taken = capture("ramp", _FOCI)
     lattice = taken.truth.calibration.lattice
@@ -124,7 +75,7 @@ def test_single_type_array_is_not_split(scene, focus):
         assert search(picture, taken.truth.calibration.lattice, white) is None
 
 
-def test_scene_that_repeats_with_every_third_lens_is_not_taken_for_types(whites):
+def test_scene_that_repeats_every_third_lens_is_not_taken_for_types(whites):
     basis, size = whites.turned(whites.HEXAGON, 22.5, 3), (580, 520)
     image, origin = whites.white_image(basis, size)
     offset = np.stack(np.mgrid[: size[1], : size[0]][::-1], -1) - origin
@@ -145,7 +96,7 @@ def test_scene_that_repeats_with_every_third_lens_is_not_taken_for_types(whites)
 
 @pytest.mark.parametrize("shape", ["HEXAGON", "SQUARE"])
 @pytest.mark.parametrize("pitch", [9.5, 19.5, 21.0, 64 / 3, 70 / 3])
-def test_white_image_of_equal_lenses_has_one_type_however_pixels_fall(whites, shape, pitch):
+def test_white_image_of_equal_lenses_has_one_type_at_any_beat_with_the_pixels(whites, shape, pitch):
     basis = whites.turned(getattr(whites, shape), pitch, 0)
     for soft in (1.0, 4.0):
         image, origin = whites.white_image(basis, (620, 560), soft=soft, noise=0.0)
@@ -169,7 +120,7 @@ def test_white_image_orders_types_from_soft_to_sharp_rims(whites, shape, cell, s
     np.testing.assert_array_equal(found, cell[tuple((index % len(cell)).T)])
 
 
-def test_types_that_differ_in_brightness_alone_are_told_apart_without_an_order(whites):
+def test_types_that_differ_in_brightness_alone_are_found_without_an_order(whites):
     basis = whites.turned(whites.HEXAGON, 22.3, 90)
     image, origin = white_of_types(whites, basis, _MOSAIC, gain=(1.0, 0.95, 0.9))
     camera = lfcal.calibrate(image)
@@ -178,60 +129,6 @@ def test_types_that_differ_in_brightness_alone_are_told_apart_without_an_order(w
     assert len({*zip(found.tolist(), true.tolist(), strict=True)}) == camera.lens_types.count == 3
     assert not camera.lens_types.ordered
     assert any("3 lens types" in warning for warning in camera.warnings)
-
-
-def test_measures_of_lenses_do_not_depend_on_the_number_of_threads(house):
-    picture, sample = sqrt_luminance(house.flat), sample_lenses(house.truth.calibration.lattice)
-    threads = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        one = measure_lens_features(picture, sample)
-    finally:
-        numba.set_num_threads(threads)
-    for name in ("sharpness", "outer_light", "inner_loss", "level", "gradient"):
-        np.testing.assert_array_equal(getattr(measure_lens_features(picture, sample), name), getattr(one, name))
-
-
-def test_lenses_far_outside_the_flat_have_a_type_too():
-    types = lfcal.LensTypes(_MOSAIC)
-    np.testing.assert_array_equal(types.of([(-3, 0), (-1, 0), (0, -1), (301, 2)]), [0, 1, 2, 1])
-    assert types.of(np.zeros((0, 2), int)).shape == (0,)
-    with pytest.raises(ValueError, match="whole numbers"):
-        types.of([(0.5, 1.0)])
-
-
-@pytest.mark.parametrize(
-    ("cell", "rest", "word"),
-    [
-        ([[0, 2], [2, 0]], {}, "gaps"),
-        ([[0, 1, 2]], {}, r"\(m, m\)"),
-        ([[0.0, 1.0], [1.0, 0.0]], {}, "numbered"),
-        ([[0, 1], [1, 0]], {"focus": [0.1]}, "focus"),
-        ([[0, 1], [1, 0]], {"confidence": 2.0}, "confidence"),
-    ],
-)
-def test_impossible_types_are_refused(cell, rest, word):
-    with pytest.raises(ValueError, match=word):
-        lfcal.LensTypes(cell, **rest)
-
-
-def test_types_come_back_from_a_camera_file_and_older_files_have_none(tmp_path):
-    lattice = lfcal.Lattice((10.25, 7.5), [[20.0, 0.5], [9.5, 17.0]], (200, 100), 9.5)
-    types = lfcal.LensTypes(_MOSAIC, True, [-0.4, float("nan"), -0.2], 0.97)
-    camera = lfcal.Calibration(lattice, lens_types=types)
-    path = tmp_path / "camera.json"
-    camera.save(path)
-    back = lfcal.load(path)
-    assert back.to_dict() == camera.to_dict()
-    np.testing.assert_array_equal(back.lens_types.focus, types.focus)
-    data = json.loads(path.read_text())
-    assert data["lens_types"]["focus"] == [-0.4, None, -0.2]
-    path.write_text(json.dumps(data | {"lens_types": {"count": 3, "cell": [[0, 7]]}}))
-    with pytest.raises(lfcal.CameraFileError, match=r"camera\.json"):
-        lfcal.load(path)
-    del data["lens_types"]
-    path.write_text(json.dumps(data))
-    assert lfcal.load(path).lens_types is None
 
 
 @pytest.mark.parametrize(
