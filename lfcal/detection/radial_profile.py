@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..lattice.cell import cell_inradius, cell_normals, is_outside_cell
 from ..lattice.lattice import Lattice
-from ..lattice.lens_subset import StackedCrops, sample_mask, select_whole_lenses
+from ..lattice.lens_subset import StackedCrops, select_whole_lenses
 from ..lattice.lit_lenses import find_lit_lenses
 from ..lattice.robust_fit import TUKEY_CUTOFF, LatticeFit, field_rms, fit_lattice_shifts, shift_standard_error
 from ..runtime.errors import CalibrationError
@@ -153,7 +153,7 @@ def measure_radial_profile(
 def fit_lattice(
     picture: NDArray[np.float32], lattice: Lattice, passes: int = 3, settings: ProfileSettings = DEFAULT.profile
 ) -> LatticeFit:
-    """Fit origin and basis to all whole microimages.
+    """Fit origin and basis to all whole microimages of a small picture.
 
     Parameters
     ----------
@@ -169,20 +169,16 @@ def fit_lattice(
     CalibrationError
         If fewer than a dozen whole microimages are on the flat, or the fit diverges.
     """
-    start, sketch = lattice, settings.sketch_lenses
-    every = int(np.ceil(lattice.image_size[0] * lattice.image_size[1] / settings.pixels))
-    every = max(1, min(every, len(lattice) // sketch))
-    sketches = settings.sketch_passes if len(lattice) > 2 * sketch * every else 0
-    for turn in range(sketches + passes):
-        stride = max(1, len(lattice) // sketch) if turn < sketches else every
-        indices, normal, right = _lens_equations(picture, lattice, stride, settings)
+    start = lattice
+    for _ in range(passes):
+        indices, normal, right = _lens_equations(picture, lattice, settings)
         design = np.column_stack([np.ones(len(indices)), indices])
         change, residuals, weight, variance = fit_lattice_shifts(design, normal, right)
         lattice = Lattice(lattice.origin + change[0], lattice.basis + change[1:], start.image_size, start.radius)
         if not np.abs(lattice.basis @ np.linalg.inv(start.basis) - np.eye(2)).max() < settings.max_change:
             raise CalibrationError("the microimages do not keep to one lattice; give a sharper flat or a white image")
         error = shift_standard_error(design, normal, weight, variance)
-        if turn >= sketches and field_rms(design, change) < settings.settled * error:
+        if field_rms(design, change) < settings.settled * error:
             break
     residual_rms = float(np.sqrt(np.average((residuals**2).sum(1), weights=weight)))
     first, second = (fit_lattice_shifts(design[k::2], normal[k::2], right[k::2])[0] for k in (0, 1))
@@ -191,13 +187,12 @@ def fit_lattice(
 
 
 def _lens_equations(
-    picture: NDArray[np.float32], lattice: Lattice, stride: int, settings: ProfileSettings
+    picture: NDArray[np.float32], lattice: Lattice, settings: ProfileSettings
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Indices (n, 2), normal matrices (n, 2, 2) and right sides (n, 2) of the shift of one lens in `stride`."""
+    """Indices (n, 2), normal matrices (n, 2, 2) and right sides (n, 2) of the shift of each whole lens."""
     normals, reach = cell_normals(lattice)
     indices, centres = select_whole_lenses(lattice, reach + 1)
-    chosen = sample_mask(len(centres), 1 / stride)
-    indices, centres = indices[chosen], np.ascontiguousarray(centres[chosen])
+    centres = np.ascontiguousarray(centres)
     if len(centres) < settings.fewest_lenses:
         raise CalibrationError(
             f"only {len(centres)} whole microimages of {lattice.pitch:.1f} px pitch fit on the flat, "

@@ -146,10 +146,7 @@ class ProfileSettings:
     """Tuned values of `radial_profile`."""
 
     step: float = 0.25  # [px] between samples: edges of discs are about one pixel wide
-    pixels: float = 6e6  # [px] of larger flats only as many lenses, evenly spread, are fitted
     spare: float = 0.02  # share of the information on the centre left out, in the middle, to save pixels
-    sketch_lenses: int = 500  # enough for the first steps, which move by more than the rest can correct
-    sketch_passes: int = 3
     fewest_lenses: int = 12
     settled: float = 0.3  # [standard errors] steps below it end the fit
     max_change: float = 0.05  # of a basis, relative, beyond which the fit has run away

@@ -56,7 +56,7 @@ def fit_harmonics(
         if cells is None:
             return HarmonicFit(origin, basis, float("inf"))
         shifts = cells @ basis
-        change, weight, _ = fit_affine(design, shifts, whole)
+        change, weight = fit_affine(design, shifts, whole)
         total += change
         if np.abs(change).max() < settings.settled:
             break

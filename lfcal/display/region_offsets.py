@@ -14,6 +14,7 @@ from ..detection.folding import TileFolds, fold_tiles
 from ..detection.radial_profile import fit_lattice
 from ..images.preprocessing import edge_strength, normalise_locally, sqrt_luminance
 from ..lattice.lattice import Lattice
+from ..lattice.robust_fit import fit_affine
 from ..runtime.errors import CalibrationError
 from .settings import FIT_CHECK
 
@@ -44,14 +45,9 @@ class Trend:
         reach = float(np.ptp(positions, axis=0).max())
         design = np.column_stack([np.ones(known.sum()), (positions[known] - middle) / reach])
         # Two halves may agree by chance: the median scatter limits the weight of a region.
-        weight = 1 / (scatter[known] + np.median(scatter[known]) + 1e-6)
-        robust = np.ones(len(weight))
-        change: NDArray[Any] = np.zeros((3, 2))
-        for _ in range(FIT_CHECK.trend_steps):
-            share = (weight * robust)[:, None]
-            change = np.linalg.lstsq(design * share, offset[known] * share, rcond=None)[0]
-            misfit = np.linalg.norm(offset[known] - design @ change, axis=1) * weight
-            robust = np.clip(1 - (misfit / (FIT_CHECK.biweight * np.median(misfit) + 1e-12)) ** 2, 1e-3, None)
+        error = scatter[known] + np.median(scatter[known]) + 1e-6
+        steps, cutoff = FIT_CHECK.trend_steps, FIT_CHECK.biweight
+        change, _ = fit_affine(design, offset[known], error**-2, steps, cutoff)
         return cls(middle, change[1:] / reach, change[0])
 
 

@@ -23,7 +23,7 @@ class FitCheckSettings:
     passes: int = 2  # Gauss-Newton steps of the fit in a region
     rounds: int = 8  # fits at most, each from the trend of the last: centres 0.1 pitch off shorten the steps
     converged: float = 0.005  # [pitch] change of the trend at which the rounds end
-    biweight: float = 4.685  # [median deviation] at which Tukey's biweight leaves a region out of the trend
+    biweight: float = 5.516119  # [standard deviations] at which a region is left out, 4.685 times the median distance
     trend_steps: int = 20  # of iteratively reweighted least squares
     least_regions: int = 5  # that must show centres for a trend
     least_shift: float = 0.25  # [cell side] of a start by the average microimage: nearer starts converge as given

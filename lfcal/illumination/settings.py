@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from ..lattice.robust_fit import TUKEY_CUTOFF
+
 __all__ = [
     "DEFAULT",
     "DEFECTS",
@@ -39,7 +41,9 @@ class EstimateSettings:
     white_core: float = 0.5  # [half the distance to the neighbour] radius in which the light of a lens is measured
     scene_core: float = 0.6  # the same in scene captures, whose content makes more pixels necessary
     clipped: float = 0.995  # [brightest luminance] of a scene capture from which on pixels count as clipped
-    outlier: float = 4.685  # [standard deviations] larger residuals are left out (the constant of Tukey's biweight)
+    outlier: float = (
+        TUKEY_CUTOFF  # [standard deviations] larger residuals are left out (the constant of Tukey's biweight)
+    )
     harmonics: int = 12  # of the rim over the direction: squares and hexagons with their corners
     changing_harmonics: int = 3  # of them that may change over the field
     rim_degree: int = 2  # of the polynomials of the field for the rim
@@ -85,7 +89,7 @@ class LensLightSettings:
     degree_step: int = 2  # between the degrees of the polynomial that are tried in turn
     largest_degree: int = 6  # of them
     improvement: float = 0.03  # [share] by which a higher degree must lower the scatter of the lenses
-    outlier: float = 4.685  # [standard deviations] of Tukey's biweight
+    outlier: float = TUKEY_CUTOFF  # [standard deviations] of Tukey's biweight
     significance: float = 5.0  # [standard errors] by which a lens must differ from the polynomial
     difference: float = 0.01  # [light] and by so much
     unevenness: float = 1.6  # [noise] pixels of an evenly lit lens scatter by less: three standard errors of it

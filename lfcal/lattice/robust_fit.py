@@ -42,18 +42,17 @@ class LatticeFit:
     distortion: Distortion | None = None
 
 
-def tukey_weights(squares: NDArray[np.float64], cutoff: float = TUKEY_CUTOFF) -> tuple[NDArray[np.float64], float]:
+def tukey_weights(squares: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Weights (n,) of two-dimensional residuals, and the variance that their median implies.
 
     Parameters
     ----------
     squares : (n,) float64
         Squared lengths of the residuals, over the variance expected of each.
-    cutoff : float [standard deviations]
     """
     # 2 ln 2 is the median of the squared length of a standard normal vector in the plane.
     variance = float(np.median(squares)) / 1.386 + 1e-30
-    return np.clip(1 - squares / (variance * cutoff**2), 0, None) ** 2, variance
+    return np.clip(1 - squares / (variance * TUKEY_CUTOFF**2), 0, None) ** 2, variance
 
 
 def fit_affine(
@@ -62,7 +61,7 @@ def fit_affine(
     prior: NDArray[np.float64],
     passes: int = 6,
     cutoff: float = TUKEY_CUTOFF,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Robust affine function through shifts.
 
     Parameters
@@ -80,8 +79,6 @@ def fit_affine(
     -------
     change : (3, 2) float64 [px]
     weight : (n,) float64
-    scale : float
-        Standard deviation of the residuals per axis, times the root of `prior`.
     """
     change: NDArray[Any] = np.zeros((3, 2))
     weight, root_prior = prior, np.sqrt(prior)
@@ -92,7 +89,7 @@ def fit_affine(
         # sqrt(2 ln 2) is the median length of a standard normal vector in the plane.
         scale = float(np.median(length[prior > 0])) / 1.1774 + 1e-12
         weight = np.clip(1 - (length / (cutoff * scale)) ** 2, 0, None) ** 2 * prior
-    return change, weight, scale
+    return change, weight
 
 
 def fit_lattice_shifts(

@@ -23,10 +23,11 @@ def shifts():
 
 def test_affine_fit_ignores_a_fifth_of_outliers(shifts):
     design, values = shifts
-    change, weight, scale = fit_affine(design, values, np.ones(len(design)))
+    change, weight = fit_affine(design, values, np.ones(len(design)))
     np.testing.assert_allclose(design @ change, design @ _CHANGE, atol=0.02)
     assert (weight[::5] == 0).all() and (weight > 0).sum() > 300
-    assert scale == pytest.approx(0.05, rel=0.4)
+    # Half of the good ones keep at least three quarters of their weight.
+    assert np.median(weight[weight > 0]) > 0.75
 
 
 def test_affine_fit_leaves_out_shifts_without_prior_weight(shifts):
@@ -34,7 +35,7 @@ def test_affine_fit_leaves_out_shifts_without_prior_weight(shifts):
     prior = np.ones(len(design))
     prior[::5] = 0
     values[::5] = 1e9
-    change, weight, _ = fit_affine(design, values, prior)
+    change, weight = fit_affine(design, values, prior)
     np.testing.assert_allclose(change, _CHANGE, atol=0.01)
     assert (weight[::5] == 0).all()
 
