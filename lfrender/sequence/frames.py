@@ -87,6 +87,15 @@ def open_frames(inputs: Iterable[str | os.PathLike[str]]) -> Frames:
     ------
     FlatError
         If there is no frame, an input is of no known kind, or two frames would have the same name.
+
+    Examples
+    --------
+    >>> import tempfile, numpy, lfrender
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for k in (10, 9):
+    ...         lfrender.write_picture(f"{folder}/f{k}.png", numpy.full((20, 30), k, numpy.uint8))
+    ...     [frame.name for frame in lfrender.open_frames([folder])]
+    ['f9', 'f10']
     """
     parts = [part for path in inputs for part in _parts(Path(path).absolute())]
     if not parts:
