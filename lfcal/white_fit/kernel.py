@@ -177,7 +177,7 @@ def accumulate(windows, cell, profile, cut, learn, sums):
         clear, shut = max(radius - _CUT_EDGE * blur, 0.0), radius + _CUT_EDGE * blur
         clear, shut = clear * clear, shut * shut
     for chunk in prange(chunks):
-        g = np.zeros(7)
+        g, total = np.zeros(7), band[chunk]
         for lens in range(chunk * count // chunks, (chunk + 1) * count // chunks):
             cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
             per_gain, trust, slope_x, slope_y = 1 / gain[lens], lens_weight[lens], slope[lens, 0], slope[lens, 1]
@@ -255,12 +255,12 @@ def accumulate(windows, cell, profile, cut, learn, sums):
                     gx, gy = along * dx, along * dy
                     wx, wy, wm, wr = w * gx, w * gy, w * model, w * residual
                     if learn:
-                        _add_to_band(band[chunk], ring, after, w, wr, angle, falling, through)
-                        band[chunk, ring, 9] += residual * residual * trust
-                        band[chunk, ring, 10] += 1
+                        _add_to_band(total, ring, after, w, wr, angle, falling, through)
+                        total[ring, 9] += residual * residual * trust
+                        total[ring, 10] += 1
                         before, beyond = falling * here, falling * after
                         if cut is not None:
-                            band[chunk, ring, 11] += w
+                            total[ring, 11] += w
                             if on_edge:
                                 push = disc * moving
                                 g[2], g[3] = push * ex * per_far, push * ey * per_far
