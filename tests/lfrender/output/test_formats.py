@@ -1,0 +1,36 @@
+"""The table of picture formats: what each use accepts, and what the errors name."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfcal import OutputError
+from lfrender.output import formats
+from lfrender.output.formats import FORMATS, PictureError, check_format
+
+
+@pytest.mark.parametrize("use", ["picture", "animation", "film"])
+def test_each_use_accepts_exactly_its_suffixes_and_names_them(tmp_path, use):
+    accepted = {suffix for suffix, kind in FORMATS.items() if getattr(kind, use)}
+    assert accepted
+    for suffix in FORMATS:
+        if suffix in accepted:
+            check_format(tmp_path / f"file{suffix}", use)
+        else:
+            with pytest.raises(OutputError, match="unknown output format") as error:
+                check_format(tmp_path / f"file{suffix}", use)
+            assert all(one in str(error.value) for one in accepted)
+
+
+def test_every_picture_format_names_the_pixel_types_that_it_refuses(tmp_path):
+    for suffix, kind in FORMATS.items():
+        for dtype in ("uint8", "uint16", "float32", "int64"):
+            if kind.picture and dtype not in kind.pixel_types:
+                with pytest.raises(PictureError, match=f"{suffix} cannot hold {dtype}"):
+                    check_format(tmp_path / f"file{suffix}", "picture", dtype)
+
+
+def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch):
+    monkeypatch.setattr(formats, "find_spec", lambda name: None)
+    with pytest.raises(PictureError, match=r"'OpenEXR'; pip install 'lfrender\[exr\]'"):
+        check_format(tmp_path / "file.exr", "picture")
