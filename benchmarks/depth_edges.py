@@ -9,7 +9,7 @@ import lfrender
 
 __all__ = ["RESOLVABLE", "edge_share"]
 
-#: Patch sizes beyond this share of the pitch cannot be told (GEOMETRY.md).
+#: Patch sizes beyond this share of the pitch cannot be told (docs/geometry.md).
 RESOLVABLE = 0.75
 # Depths that differ by this share of the pitch lie on two sides of an edge.
 _EDGE = 0.05

@@ -1,6 +1,6 @@
 """Flats of a textured plane, drawn from a random spline: exact at every pixel, and cheap enough for thousands.
 
-Shares no formula's code with `lfcal` or `lfrender`: the geometry is written down here from GEOMETRY.md's definitions.
+Shares no code with `lfcal` or `lfrender`: the formulas are written down here from docs/geometry.md.
 """
 
 from __future__ import annotations

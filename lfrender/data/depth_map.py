@@ -50,7 +50,7 @@ class DepthMap(Frozen):
     Parameters
     ----------
     patch_size : (n,) float32 [px]
-        Signed patch size `s` of GEOMETRY.md: positive telescopic, negative binocular, NaN where unresolved.
+        Signed patch size `s` of docs/geometry.md: positive telescopic, negative binocular, NaN where unresolved.
     standard_error : (n,) float32 [px]
         Of `patch_size`, from the scatter over the pairs with each neighbour; inf where unknown. If the whole scene is
         one plane, all lenses share the error of that plane.

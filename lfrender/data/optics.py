@@ -1,4 +1,4 @@
-"""From patch sizes to metres: the thin-lens model behind GEOMETRY.md."""
+"""From patch sizes to metres: the thin-lens model behind docs/geometry.md."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ class Optics:
     def distance(self, ratio: ArrayLike) -> NDArray[np.float64]:
         """Distance [m] in front of the main lens of places with signed patch size over pitch `s / D`.
 
-        GEOMETRY.md: `s / D = (b / a - b / L) / (1 + b / L)`, where the image lies `a` in front of the microlenses and
-        thus `L - a` behind the main lens. NaN where `ratio` is, or where no object can be imaged there; inf at
+        docs/geometry.md: `s / D = (b / a - b / L) / (1 + b / L)`, where the image lies `a` in front of the microlenses
+        and thus `L - a` behind the main lens. NaN where `ratio` is, or where no object can be imaged there; inf at
         infinity.
         """
         ratio = np.asarray(ratio, dtype=np.float64)

@@ -33,7 +33,7 @@ class Rendering:
     image : (h, w) or (h, w, C) array
         Of the flat's dtype and number of channels; 0 where nothing was seen.
     affine : (2, 3) float64
-        From output pixel `(u, v, 1)` to scene coordinates `X` of GEOMETRY.md [flat px].
+        From output pixel `(u, v, 1)` to scene coordinates `X` of docs/geometry.md [flat px].
     valid : (h, w) bool
         Pixels that at least one lens has seen.
     scale : float

@@ -19,8 +19,9 @@ _SHARP, _STEEPNESS = 0.1, 2.0
 def focus_weights(types: LensTypes | None) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
     """Weights of the lens types over depth.
 
-    The blur of a microlens grows with the distance of `s / D` from its focus (GEOMETRY.md: `s / D` is nearly `b / a`,
-    an inverse distance). A type counts by how near to its focus a depth lies, relative to the type that is nearest.
+    The blur of a microlens grows with the distance of `s / D` from its focus (docs/geometry.md: `s / D` is nearly
+    `b / a`, an inverse distance). A type counts by how near to its focus a depth lies, relative to the type that is
+    nearest.
 
     Parameters
     ----------

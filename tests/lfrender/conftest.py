@@ -29,7 +29,7 @@ def _nearest(lattice, points):
 def _draw(patch_size, slant=(0.0, 0.0), noise=0.0, detail=1.3, basis=((23.2, 0.4), (11.25, 20.3)), seed=5):
     """A flat drawn from waves in scene coordinates: exact at every pixel, with `s` and its slant at the middle lens.
 
-    Waves reach `detail` radians per flat pixel. A plane has 1 / s linear in X (GEOMETRY.md: M is the virtual depth).
+    Waves reach `detail` radians per flat pixel. A plane has 1 / s linear in X (M is the virtual depth).
     """
     rng = np.random.default_rng(seed)
     lattice = Lattice((200.3, 180.7), basis, SIZE, 11.2)
