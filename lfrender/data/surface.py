@@ -20,9 +20,12 @@ _BLOCK = 4
 
 
 class DepthGrid(NamedTuple):
-    """A surface as kernels read it, all in float32 [px]."""
+    """Where the grid values of a surface lie, for kernels, all in float32 [px].
 
-    patch_size: Any  # (h, w)
+    Without the values: Numba counts references each time that an array is taken out of a tuple, which costs more than
+    reading a value.
+    """
+
     x: Any  # scene coordinates of the first grid value
     y: Any
     spacing: Any
@@ -30,9 +33,8 @@ class DepthGrid(NamedTuple):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def patch_size_at(grid, x, y):
-    """Patch size at scene point (x, y) of a `DepthGrid`: linear between its values, nearest across a depth edge."""
-    surface = grid.patch_size
+def patch_size_at(surface, grid, x, y):
+    """Patch size at scene point (x, y): linear between the values of the surface, nearest across a depth edge."""
     rows, columns = surface.shape
     gx = min(max((x - grid.x) / grid.spacing, np.float32(0.0)), np.float32(columns - 1))
     gy = min(max((y - grid.y) / grid.spacing, np.float32(0.0)), np.float32(rows - 1))
@@ -90,11 +92,11 @@ def _mark_changes(old, new, first_x, first_y, spacing, centres, reach, changed):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _sample(grid, first, spacing, out):
+def _sample(surface, grid, first, spacing, out):
     for v in prange(out.shape[0]):
         y = np.float32(first + v * spacing)
         for u in range(out.shape[1]):
-            out[v, u] = patch_size_at(grid, np.float32(first + u * spacing), y)
+            out[v, u] = patch_size_at(surface, grid, np.float32(first + u * spacing), y)
 
 
 @dataclass(frozen=True)
@@ -115,10 +117,10 @@ class Surface:
     first: tuple[float, float]
     spacing: float
 
-    def as_grid(self, edge: float) -> DepthGrid:
-        """What kernels read; patch sizes that differ by less than `edge` [px] belong to one surface."""
+    def grid(self, edge: float) -> DepthGrid:
+        """For kernels; patch sizes that differ by less than `edge` [px] belong to one surface."""
         x, y, spacing, step = np.array([*self.first, self.spacing, edge], np.float32)
-        return DepthGrid(self.patch_size, x, y, spacing, step)
+        return DepthGrid(x, y, spacing, step)
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """(n,) float32 [px]: patch size of the grid value nearest to scene points (n, 2)."""
@@ -135,7 +137,7 @@ def edge_step(pitch: float, settings: DataSettings = DEFAULT) -> float:
 def sample_surface(surface: Surface, pitch: float, shape: tuple[int, int], spacing: float) -> NDArray[np.float32]:
     """Patch size [px] at every pixel of a picture of this shape, whose pixels are `spacing` apart on the flat."""
     out = np.empty(shape, np.float32)
-    _sample(surface.as_grid(edge_step(pitch)), 0.5 * spacing - 0.5, spacing, out)
+    _sample(surface.patch_size, surface.grid(edge_step(pitch)), 0.5 * spacing - 0.5, spacing, out)
     return out
 
 

@@ -67,10 +67,10 @@ class Viewpoint:
         if warped.size > 1:
             depths = virtual_depth(surface.patch_size, lattice.pitch)
             warped = np.empty_like(surface.patch_size)
-            grid = Surface(surface.patch_size, (0.0, 0.0), surface.spacing).as_grid(edge)
+            grid = Surface(surface.patch_size, (0.0, 0.0), surface.spacing).grid(edge)
             _warp(
-                grid, np.array(self.offset, np.float32), np.float32(self.still), depths.min(), depths.max(),
-                _least_size(lattice.pitch), np.float32(lattice.pitch), warped,
+                surface.patch_size, grid, np.array(self.offset, np.float32), np.float32(self.still), depths.min(),
+                depths.max(), _least_size(lattice.pitch), np.float32(lattice.pitch), warped,
             )  # fmt: skip
         first = (surface.first[0] + moved[0], surface.first[1] + moved[1])
         return Surface(warped, first, surface.spacing), moved
@@ -90,13 +90,13 @@ def virtual_depth(patch_size: NDArray[np.float32], pitch: float) -> NDArray[np.f
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _warp(grid, view, still, nearest, farthest, least, pitch, out):
+def _warp(surface, grid, view, still, nearest, farthest, least, pitch, out):
     """Follow the ray of every grid value of `out` (h, w) from near to far until it meets the surface.
 
     Positions are relative to the first grid value. At virtual depth `t`, the ray of the pixel `Y` passes over
     `Y - q (t - still)`.
     """
-    rows, columns = grid.patch_size.shape
+    rows, columns = surface.shape
     view_x, view_y, cell = view[0], view[1], grid.spacing
     aside = np.sqrt(view_x * view_x + view_y * view_y)
     zero = np.float32(0.0)
@@ -106,12 +106,12 @@ def _warp(grid, view, still, nearest, farthest, least, pitch, out):
     for v in prange(rows):
         for u in range(columns):
             before, above = zero, zero
-            found = grid.patch_size[v, u]
+            found = surface[v, u]
             for k in range(steps + 1):
                 depth = nearest + k * step
                 x = u * cell - view_x * (depth - still)
                 y = v * cell - view_y * (depth - still)
-                found = patch_size_at(grid, x, y)
+                found = patch_size_at(surface, grid, x, y)
                 bounded = found if abs(found) >= least else (least if found >= 0 else -least)
                 left = pitch / bounded - depth
                 if left <= 0:

@@ -84,61 +84,19 @@ class Output(NamedTuple):
     top: Any  # float32: the largest value
 
 
-class _Sample(NamedTuple):
-    """A scene point that is read."""
-
-    x: Any  # [px]
-    y: Any
-    size: Any  # patch size [px]
-    limit: Any  # lenses farther away do not show it [px]
-    inside: Any  # all lenses in reach lie on the flat with all that they show
-
-
-class _Scene(NamedTuple):
-    """What is read of the flat, by which lenses."""
-
-    flat: Flat
-    light: Light
-    lenses: Lenses
-    weighting: Weighting
-    edge: Any  # patch sizes that differ by less belong to one surface [px]
-    line: Any  # pixels of the flat, value by value
-    squares: Any  # squared lights
-    types_about: Any  # (m, m, k): type of each lens about one, since integer divisions are slow
-
-
-class _Readings(NamedTuple):
-    """Memory for the lenses about a scene point."""
-
-    lens: Any  # (k + 1,) number of its offset
-    away: Any  # (k + 1, 3) float32 [px]: scene point less lens centre, and its square
-    values: Any  # (MAX_LENSES, 4) float32
-    weights: Any  # (MAX_LENSES,) float64
+# Numba counts references each time that an array is taken out of a tuple. Kernels that run for every pixel hence take
+# arrays one by one, and the loop over a row is one long function.
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _crosses_edge(depth, x, y, s, half):
+def _crosses_edge(surface, depth, x, y, s, half):
     """Whether a corner of the output pixel at (x, y), `half` its side away, belongs to another surface than `s`."""
     for corner in range(4):
         corner_x = np.float32(x + (half if corner % 2 else -half))
         corner_y = np.float32(y + (half if corner // 2 else -half))
-        if abs(patch_size_at(depth, corner_x, corner_y) - s) > depth.edge:
+        if abs(patch_size_at(surface, depth, corner_x, corner_y) - s) > depth.edge:
             return True
     return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _samples_along(depth, x, y, s, grid, blurred):
-    """Samples along a side of the output pixel at (x, y), and their distance [px]: what microlenses and pixels of the
-    flat have not averaged already."""
-    side = abs(s) / grid.scale
-    count = max(int(np.ceil(side - WEIGHTS.one_sample)), 1)
-    apart = np.float32(1.0)
-    if count > 1 and not _crosses_edge(depth, x, y, s, 0.5 * grid.spacing):
-        left = np.float32(1.0) - blurred - 1 / (side * side)
-        apart = np.sqrt(max(left, np.float32(0.0)))
-        count = max(int(np.ceil(side * apart - WEIGHTS.one_sample)), 1)
-    return count, apart * (grid.spacing / count)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -150,235 +108,207 @@ def _interpolate(line, at, across, down, w00, w01, w10, w11):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _find_lenses(lenses, i, j, base_x, base_y, limit2, farthest, readings):
-    """Collect the lenses within reach of a scene point that is `base` from the undistorted centre of lens (i, j)."""
-    offsets, bent = lenses.offsets, lenses.displacements.size > 0
-    lens, away = readings.lens, readings.away
-    near = 0
-    for o in range(len(offsets)):
-        # Offsets are sorted.
-        if offsets[o, 2] > farthest:
-            break
-        ex, ey = base_x - offsets[o, 0], base_y - offsets[o, 1]
-        if bent:
-            bend_x, bend_y = displacement_at(
-                lenses.displacements, lenses.low, i + lenses.steps[o, 0], j + lenses.steps[o, 1]
-            )
-            ex, ey = ex - bend_x, ey - bend_y
-        d2 = ex * ex + ey * ey
-        # Without a branch, which could not be predicted.
-        lens[near], away[near, 0], away[near, 1], away[near, 2] = o, ex, ey, d2
-        near += int(d2 <= limit2)
-    return min(near, _MAX_LENSES)
+def _blend_row(v, channels, flat, light, lenses, surface, depth, grid, weighting, output, types_about, squares):
+    """Fill row `v` as `blend_pixels` does.
 
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _read(flat, line, channels, ix, iy, fx, fy, gain, out):
-    """Interpolate all channels of a pixel, times the gain."""
-    zero = np.float32(0.0)
-    across, down = np.uint64(flat.pixels.shape[2]), np.uint64(flat.pixels.shape[1] * flat.pixels.shape[2])
-    # Unsigned places: signed ones are checked for being counted from the end.
-    upper = np.uint64(iy - flat.corner[1]) * down + np.uint64(ix - flat.corner[0]) * across
-    gx, gy = gain * fx, np.float32(1.0) - fy
-    w01, w11 = gx * gy, gx * fy
-    w00, w10 = gain * gy - w01, gain * fy - w11
-    out[0] = _interpolate(line, upper, across, down, w00, w01, w10, w11)
-    out[1] = out[2] = out[3] = zero
-    if len(channels) > 1:
-        out[1] = _interpolate(line, upper + np.uint64(1), across, down, w00, w01, w10, w11)
-    if len(channels) > 2:
-        out[2] = _interpolate(line, upper + np.uint64(2), across, down, w00, w01, w10, w11)
-    if len(channels) > 3:
-        out[3] = _interpolate(line, upper + np.uint64(3), across, down, w00, w01, w10, w11)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _shows(sample, width, height, ex, ey, ix, iy, fx, fy):
-    """Whether a lens and the place where it is read lie on the flat."""
-    if not (ix >= 0 and iy >= 0 and ix + fx <= width - 1 and iy + fy <= height - 1):
-        return False
-    cx, cy = sample.x - ex, sample.y - ey
-    return not (cx < -0.5 or cy < -0.5 or cx >= width - 0.5 or cy >= height - 0.5)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _read_lenses(scene, channels, sample, near, nearest, types_about, ratio, readings):
-    """Read the first `near` lenses of `readings`; returns how many show the point, and which of them is nearest."""
-    flat, light, lenses, weighting = scene.flat, scene.light, scene.lenses, scene.weighting
-    width, height = flat.size[0], flat.size[1]
-    last_ring, per_light_step = len(light.gains) - 1, 1 / light.step
-    slope, grown = sample.size / lenses.pitch, np.float32(1.0) + sample.size / lenses.pitch
+    `types_about` (m, m, k) are the types of the lenses about one, since integer divisions are slow, and `squares` those
+    of the lights.
+    """
+    pixels, shown_depth, corner = flat.pixels, flat.depth, flat.corner
+    width, height, line = flat.size[0], flat.size[1], flat.pixels.reshape(-1)
+    gains, last_ring, per_light_step = light.gains, len(light.gains) - 1, 1 / light.step
+    origin, inverse, basis, bend, low = lenses.origin, lenses.inverse, lenses.basis, lenses.displacements, lenses.low
+    offsets, steps, shares, radius, pitch = lenses.offsets, lenses.steps, lenses.shares, lenses.radius, lenses.pitch
+    first, start, spacing, scale, wanted = grid.first, grid.start, grid.spacing, grid.scale, grid.wanted
+    out, valid, half, top = output.image, output.valid, output.half, output.top
+    reach, blurred, edge = weighting.reach, weighting.blurred, depth.edge
+    known, bent, typed, cells = shown_depth.size > 0, bend.size > 0, lenses.types.size > 0, max(len(lenses.types), 1)
+    last_ratio = shares.shape[1] - 1
+    half_ratios = np.float32(0.5 * last_ratio)
+    t2, half_step = weighting.tolerance * weighting.tolerance, 0.5 * spacing
     view_x, view_y = weighting.viewpoint[0], weighting.viewpoint[1]
-    aside = view_x * view_x + view_y * view_y > 0
+    aside = np.sqrt(view_x * view_x + view_y * view_y)
     # Off the middle, rims often show a place alone; their last pixel mixes in light of the next microimage.
-    radius2 = (lenses.radius - 1) * (lenses.radius - 1)
-    limit2, farthest = sample.limit * sample.limit, sample.limit + nearest
-    per_limit2, single = 1 / limit2, weighting.tolerance <= 0
-    whole_x, whole_y = np.floor(sample.x), np.floor(sample.y)
-    left_x, left_y = np.float32(sample.x - whole_x) + view_x, np.float32(sample.y - whole_y) + view_y
-    column, row = np.int64(whole_x), np.int64(whole_y)
-    found = best_at = 0
-    best = np.float32(np.inf)
-    for m in range(near):
-        ex, ey, d2 = readings.away[m, 0], readings.away[m, 1], readings.away[m, 2]
-        if single and d2 >= best:
+    radius2 = (radius - 1) * (radius - 1)
+    # Farther from the border than this, every lens in reach and all it shows lie on the flat.
+    margin = reach + radius + 1
+    zero, per_channel = np.float32(0.0), np.float32(1 / len(channels))
+    across, down = np.uint64(pixels.shape[2]), np.uint64(pixels.shape[1] * pixels.shape[2])
+    values, weights = np.empty((_MAX_LENSES, 4), np.float32), np.empty(_MAX_LENSES, np.float32)
+    members = np.empty(len(offsets) + 1, np.int64)
+    away_x, away_y = np.empty(len(offsets) + 1, np.float32), np.empty(len(offsets) + 1, np.float32)
+    away_2 = np.empty(len(offsets) + 1, np.float32)
+    for u in range(out.shape[1]):
+        if wanted.size > 0 and not wanted[v, u]:
             continue
-        if lenses.offsets[readings.lens[m], 2] > farthest:
-            break
-        dx, dy = view_x - ex * slope, view_y - ey * slope
-        delta2 = dx * dx + dy * dy
-        if aside and delta2 > radius2:
-            continue
-        rx, ry = left_x - ex * grown, left_y - ey * grown
-        step_x, step_y = np.floor(rx), np.floor(ry)
-        fx, fy = rx - step_x, ry - step_y
-        ix, iy = column + np.int64(step_x), row + np.int64(step_y)
-        if not sample.inside:
-            if not _shows(sample, width, height, ex, ey, ix, iy, fx, fy):
-                continue
-            if ix > width - 2:
-                ix, fx = width - 2, np.float32(1.0)
-            if iy > height - 2:
-                iy, fy = height - 2, np.float32(1.0)
-        ring = np.uint64(min(int(delta2 * per_light_step), last_ring))
-        _read(flat, scene.line, channels, ix, iy, fx, fy, light.gains[ring], readings.values[found])
-        off_axis = d2 * per_limit2
-        if aside:
-            # Off the middle, the first alone grows toward the rim of a microimage.
-            off_axis = max(off_axis, delta2 / radius2)
-        weight = (WEIGHTS.rim - off_axis) * scene.squares[ring]
-        if lenses.types.size > 0:
-            weight *= lenses.shares[types_about[readings.lens[m]], ratio]
-        if flat.depth.size > 0:
-            below, right = np.uint64(fy + np.float32(0.5)), np.uint64(fx + np.float32(0.5))
-            shown = flat.depth[np.uint64(iy - flat.corner[1]) + below, np.uint64(ix - flat.corner[0]) + right]
-            if abs(shown - sample.size) > 2 * scene.edge:
-                weight *= WEIGHTS.occluded
-                if aside:
-                    # The warped surface is what is visible from there: prefer lenses that look from nearby.
-                    beside = d2 / (lenses.pitch * lenses.pitch) + WEIGHTS.occluded_near
-                    weight /= beside * beside
-                d2 += limit2
-        if d2 < best:
-            best, best_at = d2, found
-            if single:
-                # No other lens is nearer than half the distance to the next one; and all lie farther from the point
-                # than from its nearest lens, less the distance of that one.
-                away = np.sqrt(best)
-                farthest = min(farthest, nearest + away) if 2 * away > lenses.offsets[1, 2] else np.float32(0.0)
-        readings.weights[found] = weight
-        found += 1
-    return found, best_at
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _robust_mean(values, weights, found, tolerance, channels):
-    """Mean over lenses, reweighted once by how far their colour is from the plain mean (Geman-McClure)."""
-    t2, per_channel = tolerance * tolerance, np.float32(1 / len(channels))
-    norm = mean0 = mean1 = mean2 = mean3 = np.float32(0.0)
-    for n in range(found):
-        weight = weights[n]
-        norm += weight
-        mean0 += weight * values[n, 0]
-        mean1 += weight * values[n, 1]
-        mean2 += weight * values[n, 2]
-        mean3 += weight * values[n, 3]
-    norm = 1 / norm
-    mean0, mean1, mean2, mean3 = mean0 * norm, mean1 * norm, mean2 * norm, mean3 * norm
-    norm = mixed0 = mixed1 = mixed2 = mixed3 = np.float32(0.0)
-    for n in range(found):
-        value0, value1, value2, value3 = values[n, 0], values[n, 1], values[n, 2], values[n, 3]
-        difference = (value0 - mean0) ** 2 + (value1 - mean1) ** 2
-        difference += (value2 - mean2) ** 2 + (value3 - mean3) ** 2
-        agree = t2 / (t2 + difference * per_channel)
-        weight = np.float32(weights[n]) * agree * agree
-        norm += weight
-        mixed0 += weight * value0
-        mixed1 += weight * value1
-        mixed2 += weight * value2
-        mixed3 += weight * value3
-    norm = 1 / norm
-    return mixed0 * norm, mixed1 * norm, mixed2 * norm, mixed3 * norm
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _read_point(scene, channels, x, y, s, margin, readings):
-    """Colour of the scene point (x, y) of patch size `s`, and whether some lens shows it."""
-    lenses, weighting, zero = scene.lenses, scene.weighting, np.float32(0.0)
-    origin, basis = lenses.origin, lenses.basis
-    slope, view = s / lenses.pitch, weighting.viewpoint
-    i, j = nearest_index(x, y, origin, lenses.inverse, lenses.displacements, lenses.low)
-    base_x = np.float32(x - origin[0] - (i * basis[0, 0] + j * basis[1, 0]))
-    base_y = np.float32(y - origin[1] - (i * basis[0, 1] + j * basis[1, 1]))
-    aside = np.sqrt(view[0] * view[0] + view[1] * view[1])
-    limit = min((lenses.radius + aside) / max(abs(slope), np.float32(1e-6)), weighting.reach)
-    ratio, about = 0, scene.types_about[0, 0]
-    if lenses.types.size > 0:
-        cells, last_ratio = max(len(lenses.types), 1), lenses.shares.shape[1] - 1
-        ratio = min(max(int((slope + 1) * np.float32(0.5 * last_ratio) + 0.5), 0), last_ratio)
-        about = scene.types_about[int(i) % cells, int(j) % cells]
-    # Distance of the nearest lens, of which a distorted lattice has only a bound.
-    bent = lenses.displacements.size > 0
-    nearest = np.float32(0.75) * lenses.pitch if bent else np.sqrt(base_x * base_x + base_y * base_y)
-    width, height = scene.flat.size[0], scene.flat.size[1]
-    inside = x > margin and y > margin and x < width - 1 - margin and y < height - 1 - margin
-    near = _find_lenses(lenses, i, j, base_x, base_y, limit * limit, limit + nearest, readings)
-    sample = _Sample(x, y, s, limit, inside)
-    found, best_at = _read_lenses(scene, channels, sample, near, nearest, about, ratio, readings)
-    if found == 0:
-        return zero, zero, zero, zero, False
-    values = readings.values
-    if weighting.tolerance <= 0:
-        return values[best_at, 0], values[best_at, 1], values[best_at, 2], values[best_at, 3], True
-    mixed0, mixed1, mixed2, mixed3 = _robust_mean(values, readings.weights, found, weighting.tolerance, channels)
-    return mixed0, mixed1, mixed2, mixed3, True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _blend_row(v, scene, channels, depth, grid, output):
-    """Fill row `v` of the picture."""
-    columns, count = output.image.shape[1], len(scene.lenses.offsets) + 1
-    # Farther than this from the border, every lens in reach and all it shows lie on the flat.
-    margin = scene.weighting.reach + scene.lenses.radius + 1
-    readings = _Readings(
-        np.empty(count, np.int64), np.empty((count, 3), np.float32), np.empty((_MAX_LENSES, 4), np.float32),
-        np.empty(_MAX_LENSES, np.float64),
-    )  # fmt: skip
-    zero = np.float32(0.0)
-    for u in range(columns):
-        if grid.wanted.size > 0 and not grid.wanted[v, u]:
-            continue
-        centre_x = grid.first[0] + (grid.start[0] + u) * grid.spacing
-        centre_y = grid.first[1] + (grid.start[1] + v) * grid.spacing
-        s_here = patch_size_at(depth, np.float32(centre_x), np.float32(centre_y))
-        n_sub, apart = _samples_along(depth, centre_x, centre_y, s_here, grid, scene.weighting.blurred)
-        total0 = total1 = total2 = total3 = total_weight = zero
+        centre_x, centre_y = first[0] + (start[0] + u) * spacing, first[1] + (start[1] + v) * spacing
+        s_here = patch_size_at(surface, depth, np.float32(centre_x), np.float32(centre_y))
+        # Side of the output pixel on the flat; samples cover what microlenses and pixels have not averaged already.
+        side = abs(s_here) / scale
+        n_sub = max(int(np.ceil(side - WEIGHTS.one_sample)), 1)
+        apart = np.float32(1.0)
+        if n_sub > 1 and not _crosses_edge(surface, depth, centre_x, centre_y, s_here, half_step):
+            left = np.float32(1.0) - blurred - 1 / (side * side)
+            apart = np.sqrt(max(left, np.float32(0.0)))
+            n_sub = max(int(np.ceil(side * apart - WEIGHTS.one_sample)), 1)
+        apart *= spacing / n_sub
+        total0 = total1 = total2 = total3 = zero
+        total_weight = np.float32(0.0)
         for sub in range(n_sub * n_sub):
             x = centre_x + (sub % n_sub - np.float32(0.5) * (n_sub - 1)) * apart
             y = centre_y + (sub // n_sub - np.float32(0.5) * (n_sub - 1)) * apart
-            s = s_here if n_sub == 1 else patch_size_at(depth, np.float32(x), np.float32(y))
-            value0, value1, value2, value3, shown = _read_point(scene, channels, x, y, s, margin, readings)
-            if shown:
-                total0 += value0
-                total1 += value1
-                total2 += value2
-                total3 += value3
+            s = s_here if n_sub == 1 else patch_size_at(surface, depth, np.float32(x), np.float32(y))
+            slope = s / pitch
+            grown = np.float32(1.0) + slope
+            i, j = nearest_index(x, y, origin, inverse, bend, low)
+            base_x = np.float32(x - origin[0] - (i * basis[0, 0] + j * basis[1, 0]))
+            base_y = np.float32(y - origin[1] - (i * basis[0, 1] + j * basis[1, 1]))
+            limit = min((radius + aside) / max(abs(slope), np.float32(1e-6)), reach)
+            limit2 = limit * limit
+            ratio, types = 0, types_about[0, 0]
+            if typed:
+                ratio = min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)
+                types = types_about[int(i) % cells, int(j) % cells]
+            per_limit2 = 1 / limit2
+            # Distance of the nearest lens, of which a distorted lattice has only a bound.
+            nearest = np.float32(0.75) * pitch if bent else np.sqrt(base_x * base_x + base_y * base_y)
+            farthest = limit + nearest
+            inside = x > margin and y > margin and x < width - 1 - margin and y < height - 1 - margin
+            found, best, best_at = 0, np.float32(np.inf), 0
+            norm = np.float32(0.0)
+            mean0 = mean1 = mean2 = mean3 = zero
+            near = 0
+            # Offsets are sorted. No branch on the distance: it could not be predicted.
+            for o in range(len(offsets)):
+                if offsets[o, 2] > farthest:
+                    break
+                ex, ey = base_x - offsets[o, 0], base_y - offsets[o, 1]
+                if bent:
+                    bend_x, bend_y = displacement_at(bend, low, i + steps[o, 0], j + steps[o, 1])
+                    ex, ey = ex - bend_x, ey - bend_y
+                d2 = ex * ex + ey * ey
+                members[near], away_x[near], away_y[near], away_2[near] = o, ex, ey, d2
+                near += int(d2 <= limit2)
+            near = min(near, _MAX_LENSES)
+            whole_x, whole_y = np.floor(x), np.floor(y)
+            left_x, left_y = np.float32(x - whole_x) + view_x, np.float32(y - whole_y) + view_y
+            column, line_at = np.int64(whole_x), np.int64(whole_y)
+            for m in range(near):
+                ex, ey, d2 = away_x[m], away_y[m], away_2[m]
+                if t2 <= 0 and d2 >= best:
+                    continue
+                if offsets[members[m], 2] > farthest:
+                    break
+                dx, dy = view_x - ex * slope, view_y - ey * slope
+                delta2 = dx * dx + dy * dy
+                if aside > 0 and delta2 > radius2:
+                    continue
+                rx, ry = left_x - ex * grown, left_y - ey * grown
+                step_x, step_y = np.floor(rx), np.floor(ry)
+                fx, fy = rx - step_x, ry - step_y
+                ix, iy = column + np.int64(step_x), line_at + np.int64(step_y)
+                if not inside:
+                    if not (ix >= 0 and iy >= 0 and ix + fx <= width - 1 and iy + fy <= height - 1):
+                        continue
+                    if x - ex < -0.5 or y - ey < -0.5 or x - ex >= width - 0.5 or y - ey >= height - 0.5:
+                        continue
+                    if ix > width - 2:
+                        ix, fx = width - 2, np.float32(1.0)
+                    if iy > height - 2:
+                        iy, fy = height - 2, np.float32(1.0)
+                ring = np.uint64(min(int(delta2 * per_light_step), last_ring))
+                gain = gains[ring]
+                # Unsigned places: signed ones are checked for being counted from the end.
+                row_at, column_at = np.uint64(iy - corner[1]), np.uint64(ix - corner[0])
+                upper = row_at * down + column_at * across
+                gx, gy = gain * fx, np.float32(1.0) - fy
+                w01, w11 = gx * gy, gx * fy
+                w00, w10 = gain * gy - w01, gain * fy - w11
+                value1 = value2 = value3 = zero
+                value0 = _interpolate(line, upper, across, down, w00, w01, w10, w11)
+                if len(channels) > 1:
+                    value1 = _interpolate(line, upper + np.uint64(1), across, down, w00, w01, w10, w11)
+                if len(channels) > 2:
+                    value2 = _interpolate(line, upper + np.uint64(2), across, down, w00, w01, w10, w11)
+                if len(channels) > 3:
+                    value3 = _interpolate(line, upper + np.uint64(3), across, down, w00, w01, w10, w11)
+                off_axis = d2 * per_limit2
+                if aside > 0:
+                    # Off the middle, the first alone grows toward the rim of a microimage.
+                    off_axis = max(off_axis, delta2 / radius2)
+                weight = (WEIGHTS.rim - off_axis) * squares[ring]
+                if typed:
+                    weight *= shares[types[members[m]], ratio]
+                if known:
+                    below, right = np.uint64(fy + np.float32(0.5)), np.uint64(fx + np.float32(0.5))
+                    shown = shown_depth[row_at + below, column_at + right]
+                    if abs(shown - s) > 2 * edge:
+                        weight *= WEIGHTS.occluded
+                        if aside > 0:
+                            # The warped surface is what is visible from there: prefer lenses that look from nearby.
+                            beside = d2 / (pitch * pitch) + WEIGHTS.occluded_near
+                            weight /= beside * beside
+                        d2 += limit2
+                if d2 < best:
+                    best, best_at = d2, found
+                    if t2 <= 0:
+                        # No other lens is nearer than half the distance to the next one; and all lie farther from the
+                        # point than from its nearest lens, less the distance of that one.
+                        away = np.sqrt(best)
+                        farthest = min(farthest, nearest + away) if 2 * away > offsets[1, 2] else zero
+                norm += weight
+                mean0 += weight * value0
+                mean1 += weight * value1
+                mean2 += weight * value2
+                mean3 += weight * value3
+                weights[found] = weight
+                values[found, 0], values[found, 1] = value0, value1
+                values[found, 2], values[found, 3] = value2, value3
+                found += 1
+            if found == 0:
+                continue
+            if t2 <= 0:
+                total0 += values[best_at, 0]
+                total1 += values[best_at, 1]
+                total2 += values[best_at, 2]
+                total3 += values[best_at, 3]
                 total_weight += 1
-        output.valid[v, u] = total_weight > 0
+                continue
+            # Reweighted once by how far the colour of a lens is from the plain mean (Geman-McClure).
+            norm = 1 / norm
+            mean0, mean1, mean2, mean3 = mean0 * norm, mean1 * norm, mean2 * norm, mean3 * norm
+            norm = mixed0 = mixed1 = mixed2 = mixed3 = zero
+            for n in range(found):
+                value0, value1, value2, value3 = values[n, 0], values[n, 1], values[n, 2], values[n, 3]
+                difference = (value0 - mean0) ** 2 + (value1 - mean1) ** 2
+                difference += (value2 - mean2) ** 2 + (value3 - mean3) ** 2
+                agree = t2 / (t2 + difference * per_channel)
+                weight = weights[n] * agree * agree
+                norm += weight
+                mixed0 += weight * value0
+                mixed1 += weight * value1
+                mixed2 += weight * value2
+                mixed3 += weight * value3
+            norm = 1 / norm
+            total0 += mixed0 * norm
+            total1 += mixed1 * norm
+            total2 += mixed2 * norm
+            total3 += mixed3 * norm
+            total_weight += 1
+        valid[v, u] = total_weight > 0
         per_sample = 1 / total_weight if total_weight > 0 else zero
-        out = output.image[v, u]
-        out[0] = min(total0 * per_sample + output.half, output.top)
+        out[v, u, 0] = min(total0 * per_sample + half, top)
         if len(channels) > 1:
-            out[1] = min(total1 * per_sample + output.half, output.top)
+            out[v, u, 1] = min(total1 * per_sample + half, top)
         if len(channels) > 2:
-            out[2] = min(total2 * per_sample + output.half, output.top)
+            out[v, u, 2] = min(total2 * per_sample + half, top)
         if len(channels) > 3:
-            out[3] = min(total3 * per_sample + output.half, output.top)
+            out[v, u, 3] = min(total3 * per_sample + half, top)
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def blend_pixels(channels, flat, light, lenses, depth, grid, weighting, output):
-    """Draw the pixels of a `Grid` into an `Output`.
+def blend_pixels(channels, flat, light, lenses, surface, depth, grid, weighting, output):
+    """Draw the pixels of a `Grid` into an `Output`, with the patch sizes `surface` (h, w) on a `DepthGrid`.
 
     `channels` is any tuple of C numbers: its length belongs to its type, so that code for other channels is left out;
     pixels of the flat may have more. The bits do not depend on the part that is drawn.
@@ -390,12 +320,14 @@ def blend_pixels(channels, flat, light, lenses, depth, grid, weighting, output):
             for b in range(cells):
                 for o in range(len(lenses.offsets)):
                     types_about[a, b, o] = types[(a + lenses.steps[o, 0]) % cells, (b + lenses.steps[o, 1]) % cells]
-    squares, line = light.lights * light.lights, flat.pixels.reshape(-1)
+    squares = light.lights * light.lights
     # Wanted pixels come in clusters, which all threads share.
     count, length, stride = plan_chunks(len(output.image))
     for number in prange(count):
         first_row = number * stride % count * length
-        scene = _Scene(flat, light, lenses, weighting, depth.edge, line, squares, types_about)
         for v in range(first_row, min(first_row + length, len(output.image))):
             # The same type of number where this is compiled and where it is run: else the row is compiled twice.
-            _blend_row(np.int64(v), scene, channels, depth, grid, output)
+            _blend_row(
+                np.int64(v), channels, flat, light, lenses, surface, depth, grid, weighting, output, types_about,
+                squares,
+            )  # fmt: skip

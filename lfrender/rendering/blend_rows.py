@@ -54,10 +54,9 @@ class _RowMemory(NamedTuple):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _sample_row(depth, x, y, spacing, count, memory, sizes):
+def _sample_row(surface, depth, x, y, spacing, count, memory, sizes):
     """Fill `sizes` with the patch sizes at the first `count` columns that are drawn, as `patch_size_at`."""
-    surface, columns, places, level = depth.patch_size, memory.columns, memory.place, memory.level
-    near, edge = memory.near, memory.edge
+    columns, places, level, near, edge = memory.columns, memory.place, memory.level, memory.near, memory.edge
     rows, wide = surface.shape
     last_x, last_y, last = np.float32(wide - 1), np.float32(rows - 1), np.int32(max(wide - 2, 0))
     for k in range(count):
@@ -208,8 +207,8 @@ def _allocate_buffers(line, runs, lenses):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _blend_section(
-    source, channels, depth, grid, tolerance, output, left, upper, section, memory, band, buffers, totals
-):
+    source, channels, surface, depth, grid, tolerance, output, left, upper, section, memory, band, buffers, totals
+):  # fmt: skip
     """Blend at most `SECTION` columns from column `section` on, of the band whose first row is `upper`."""
     rows, columns, _ = output.image.shape
     lenses, spacing, first = source.lenses, grid.spacing, grid.first
@@ -221,7 +220,8 @@ def _blend_section(
         return
     for r in range(ROWS):
         _sample_row(
-            depth, first[0] + column * spacing, first[1] + (row + r) * spacing, spacing, asked, memory, memory.along[r]
+            surface, depth, first[0] + column * spacing, first[1] + (row + r) * spacing, spacing, asked, memory,
+            memory.along[r],
         )  # fmt: skip
     _fill_band(memory, asked, lenses.pitch, lenses.radius, np.float32(source.reach), band)
     lanes = ROWS * asked
@@ -260,7 +260,7 @@ def _most_runs(centres, grid, bands, reach):
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def blend_rows(channels, flat, light, lenses, depth, grid, weighting, output, left, threads):
+def blend_rows(channels, flat, light, lenses, surface, depth, grid, weighting, output, left, threads):
     """Draw the pixels of a `Grid` into an `Output`, on so many `threads`.
 
     As `blend_pixels`, with packed pixels (h, w) uint32 or uint64 in `flat` (`prefilter_packed`) and `SortedLenses`.
@@ -289,6 +289,6 @@ def blend_rows(channels, flat, light, lenses, depth, grid, weighting, output, le
         for n in range(group * _TOGETHER, min((group + 1) * _TOGETHER, bands)):
             for section in range(0, columns, SECTION):
                 _blend_section(
-                    source, channels, depth, grid, weighting.tolerance, output, left, ROWS * n, section, memory, band,
-                    buffers, totals,
+                    source, channels, surface, depth, grid, weighting.tolerance, output, left, ROWS * n, section,
+                    memory, band, buffers, totals,
                 )  # fmt: skip

@@ -1,148 +1,103 @@
-"""The paper's picture of one patch size at full resolution: a patch of each microimage, laid side by side.
+"""Full-resolution rendering at one patch size: a patch of each microimage, laid side by side.
 
-An output pixel is as large as a pixel of the flat there (Lumsdaine and Georgiev 2008, section 4), so that neighbours
-from one lens lie a whole pixel apart: along a row they share their weights, and one loop over bytes that follow each
-other reads them all.
+After Lumsdaine and Georgiev 2008, section 4. An output pixel is as large as a pixel of the flat, so that neighbours
+from one lens lie a whole pixel apart: along a row they share their interpolation weights, and one loop reads them all.
 """
 
 from __future__ import annotations
 
 import itertools
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
-from lfcal.runtime.fastmath import FAST
 
 from ..runtime.cache import cached
-from ..runtime.intrinsics import (
-    GAIN_BITS,
-    LEFT_BITS,
-    TOGETHER,
-    TURNED,
-    prefetch,
-    read_bytes,
-    read_turned,
-    read_turned_with_gain,
-    read_with_gain,
-)
+from ..runtime.intrinsics import GAIN_BITS, TOGETHER, TURNED, prefetch
+from ..runtime.run_interpolation import BUNCH, copy_run, padded_length, read_run, read_run_of_bytes, read_turned_run
 
 __all__ = ["covers_all_patches", "render_patches"]
 
 # Steps per pixel at which the gain is tabled: between them it changes by a fraction of a grey level.
 _PHASES = 8
-# Values are read in bunches of so many, bytes in such as intrinsics take, as vector instructions want it: those beyond
-# the end of a run are overwritten by the next.
-_BUNCH = 32
-# Processors fetch so many bytes at once.
+# Bytes that a processor fetches at once.
 _LINE_OF_MEMORY = 64
-# Memory takes as long to come as so many lenses take to read.
+# Lenses that are read while memory is fetched.
 _LATER = 8
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=False, forceinline=True)
-def _weights_of_bytes(fx, fy):
-    """Weights of the four pixels about a place in whole 256ths, rounded so that their sum is 256 whatever they are."""
-    right, low = np.rint(256 * fx), np.rint(256 * fy)
-    corner = np.rint(right * low / 256)
-    return (
-        np.uint16(256 - right - low + corner), np.uint16(right - corner), np.uint16(low - corner), np.uint16(corner),
-    )  # fmt: skip
+class _Source(NamedTuple):
+    """A part of a flat."""
+
+    pixels: Any  # (h w C,) values
+    width: Any  # pixels per row
+    channels: Any
+    corner: Any  # (2,) int [px]: flat coordinates of the first pixel
+    size: Any  # (2,) int [px]: of the whole flat
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _read_turned_run(flat, at, across, down, fx, fy, gain, gain_at, out, start, size):
-    """Pixels of three bytes as `_read_run_of_bytes`, the last first: those before the places `at` and `gain_at`."""
-    weights = _weights_of_bytes(fx, fy)
-    bunch = np.uint64(3 * TURNED)
-    for k in range(np.uint64(0), size, bunch):
-        # The last bunch begins within the one before it.
-        into = min(k, size - bunch)
-        place = at - into - bunch
-        places = (place, place + across, place + down, place + down + across)
-        if len(gain) == 0:
-            read_turned(flat, places, weights, out, start + into)
-        else:
-            read_turned_with_gain(flat, places, weights, gain, gain_at - into - bunch, out, start + into)
+class _Lattice(NamedTuple):
+    """A straight lattice."""
+
+    origin: Any  # (2,) float64 [px]
+    inverse: Any  # (2, 2) float64: of the basis
+    basis: Any  # (2, 2) float64 [px]
+    steps: Any  # (k, 2) int: lattice steps to the neighbours
+    beside: Any  # (k + 1, 2) float64 [px]: the same on the flat, and the lens itself
 
 
-# Python's error model checks every division, which no vector loop can.
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, out, start, size):
-    """Values between four rows of values, times the gain where there is one, rounded by adding `half`.
+class _Gain(NamedTuple):
+    """Gain over the squared distance from a centre."""
 
-    Places are unsigned: signed ones are looked at for being counted from the end.
-    """
-    at_b, at_c, at_d = at + across, at + down, at + down + across
-    wa, wb, wc = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy
-    wd = fx * fy
-    for k in range(size):
-        value = wa * np.float32(flat[at + k]) + wb * np.float32(flat[at_b + k])
-        value += wc * np.float32(flat[at_c + k]) + wd * np.float32(flat[at_d + k])
-        if len(gain) > 0:
-            value *= gain[gain_at + k]
-        out[start + k] = min(value + half, top)
+    gains: Any  # (k,) float32
+    per_step: Any  # [1/px^2]
+    line: Any  # (n,): the same on a grid of `_PHASES` steps per pixel, one row for each phase; empty if all are 1
+    line_size: Any  # uint64: values per row
+    reach: Any  # [px] of the grid to each side
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, out, start, size):
-    """The same of bytes, with weights of whole 256ths: twice as many at a time."""
-    at_b, at_c, at_d = at + across, at + down, at + down + across
-    wa, wb, wc, wd = _weights_of_bytes(fx, fy)
-    # The last bunch begins within the one before it; fewer bytes than one are read one by one.
-    bunch = np.uint64(TOGETHER)
-    bunched = size if size >= bunch else np.uint64(0)
-    if len(gain) == 0:
-        for n in range(np.uint64(0), bunched, bunch):
-            k = min(n, size - bunch)
-            read_bytes(flat, (at + k, at_b + k, at_c + k, at_d + k), (wa, wb, wc, wd), out, start + k)
-        for k in range(bunched, size):
-            value = np.uint16(wa * flat[at + k] + wb * flat[at_b + k] + wc * flat[at_c + k] + wd * flat[at_d + k])
-            out[start + k] = np.uint16(value + np.uint16(128)) >> np.uint16(8)
-    else:
-        for n in range(np.uint64(0), bunched, bunch):
-            k = min(n, size - bunch)
-            read_with_gain(
-                flat, (at + k, at_b + k, at_c + k, at_d + k), (wa, wb, wc, wd), gain, gain_at + k, out, start + k
-            )
-        for k in range(bunched, size):
-            value = np.uint16(wa * flat[at + k] + wb * flat[at_b + k] + wc * flat[at_c + k] + wd * flat[at_d + k])
-            value = np.uint16((np.uint32(value) * np.uint32(gain[gain_at + k])) >> np.uint32(16))
-            value = np.uint16(value + np.uint16(1 << (LEFT_BITS - 1))) >> np.uint16(LEFT_BITS)
-            out[start + k] = min(value, np.uint16(255))
+class _Picture(NamedTuple):
+    """The picture and the part of it that is drawn."""
+
+    slope: Any  # s / D
+    first: Any  # [px] scene coordinates of pixel (0, 0)
+    spacing: Any  # [px]
+    radius2: Any  # [px^2] squared distance up to which a lens replaces a missing one
+    half: Any  # float32: added to values before they are truncated
+    top: Any  # float32: the largest value
+    part: Any  # (4,) int: left, top, right, bottom
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _bunched(length, bunch, overlap):
-    """How much is read of a run: as much as it has where bunches may `overlap`, but a whole one; else the next whole
-    number of them."""
-    return max(length, bunch) if overlap else (length + bunch - np.uint64(1)) // bunch * bunch
+class _Borders(NamedTuple):
+    """The half-way lines to the neighbours at which a row leaves the cell of a lens to the right [output px]."""
+
+    around: Any  # (k, 2) to the neighbour
+    room: Any  # (k,) the line is x = room + tilt * y from the centre
+    tilt: Any  # (k,)
+    above: Any  # the first row of a cell lies farther above the centre than this
+
+
+class _Run(NamedTuple):
+    """Pixels of a row that one lens shows: they lie a whole number of pixels from the one next to its centre."""
+
+    x: Any  # [px] lens centre on the flat
+    y: Any
+    middle: Any  # column of the picture next to the centre
+    dx: Any  # [px] where that is read, from the centre
+    dy: Any
+    column: Any  # whole pixels of that place on the flat
+    row: Any
+    low: Any  # columns of the picture that can be read, `high` not included
+    high: Any
 
 
 @njit(cache=True, nogil=True)
-def _put(line, row, first, last, channels, turned):
-    """Put the pixels of `line` from `first` to `last` into `row`, the last first where they are `turned`."""
-    if not turned:
-        for k in range(first * channels, last * channels):
-            row[k] = line[k]
-    elif channels == 3:
-        one = np.uint64(1)
-        # The compiler has better instructions for steps that it knows.
-        for k in range(last - first):
-            target, source = np.uint64(3 * (last - 1 - k)), np.uint64(3 * (first + k))
-            row[target], row[target + one] = line[source], line[source + one]
-            row[target + one + one] = line[source + one + one]
-    else:
-        for k in range(last - first):
-            for c in range(channels):
-                row[(last - 1 - k) * channels + c] = line[(first + k) * channels + c]
-
-
-@njit(cache=True, nogil=True)
-def _start(x, y, origin, inverse, basis, steps):
+def _find_nearest(x, y, lattice):
     """Index of the lens whose centre is nearest to (x, y)."""
+    origin, inverse, basis, steps = lattice.origin, lattice.inverse, lattice.basis, lattice.steps
     i = np.rint((x - origin[0]) * inverse[0, 0] + (y - origin[1]) * inverse[1, 0])
     j = np.rint((x - origin[0]) * inverse[0, 1] + (y - origin[1]) * inverse[1, 1])
     best, best_i, best_j = np.inf, i, j
@@ -157,197 +112,204 @@ def _start(x, y, origin, inverse, basis, steps):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _read_beside(
-    flat, width, channels, corner, size, x, y, lenses, slope, radius2, gains, per_step, half, top, row, at
-):
+def _read_beside(source, gain, picture, x, y, lenses, row, at):
     """One pixel of the picture from the nearest of some `lenses` (k, 2) that shows the point (x, y) on the flat."""
+    size, slope, flat, corner = source.size, picture.slope, source.pixels, source.corner
     nearest, lens = np.inf, -1
     for k in range(len(lenses)):
         ex, ey = x - lenses[k, 0], y - lenses[k, 1]
         away = ex * ex + ey * ey
         on_x = -0.5 <= lenses[k, 0] < size[0] - 0.5 and 0 <= lenses[k, 0] - ex * slope <= size[0] - 1
         on_y = -0.5 <= lenses[k, 1] < size[1] - 0.5 and 0 <= lenses[k, 1] - ey * slope <= size[1] - 1
-        if on_x and on_y and away < nearest and away * slope * slope <= radius2:
+        if on_x and on_y and away < nearest and away * slope * slope <= picture.radius2:
             nearest, lens = away, k
-    for c in range(channels):
+    for c in range(source.channels):
         row[at + c] = 0
     if lens < 0:
         return False
     px, py = lenses[lens, 0] * (1 + slope) - x * slope, lenses[lens, 1] * (1 + slope) - y * slope
     ix, iy = min(int(px), size[0] - 2), min(int(py), size[1] - 2)
     fx, fy = np.float32(px - ix), np.float32(py - iy)
-    gain = gains[min(int(nearest * slope * slope * per_step), len(gains) - 1)]
-    across, down = channels, width * channels
-    for c in range(channels):
+    factor = gain.gains[min(int(nearest * slope * slope * gain.per_step), len(gain.gains) - 1)]
+    across, down = source.channels, source.width * source.channels
+    for c in range(source.channels):
         place = (iy - corner[1]) * down + (ix - corner[0]) * across + c
         upper = flat[place] * (1 - fx) + flat[place + across] * fx
         lower = flat[place + down] * (1 - fx) + flat[place + down + across] * fx
-        row[at + c] = min(gain * (upper * (1 - fy) + lower * fy) + half, top)
+        row[at + c] = min(factor * (upper * (1 - fy) + lower * fy) + picture.half, picture.top)
     return True
 
 
-# Sums of places in any order would differ between a process that compiles this and one that loads it.
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _lay(
-    flat, width, channels, corner, size, origin, inverse, basis, steps, patch_slope, first, spacing, radius2, gains,
-    per_gain_step, tabled, reach, half, top, part, out, valid,
-):  # fmt: skip
-    """Fill `out` (rows, columns C), which is the `part` (left, top, right, bottom) of the picture, from `flat` (h w C).
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _find_run(picture, size, v, u, end, cx, cy, slope):
+    """The run of the columns `u` to `end` of row `v`, read from the lens at (cx, cy) [output px]."""
+    middle = int(np.rint(cx))
+    dx, dy = (middle - cx) * slope, (v - cy) * slope
+    lens_x, lens_y = cx * picture.spacing + picture.first, cy * picture.spacing + picture.first
+    column, row = int(np.floor(lens_x + dx)), int(np.floor(lens_y + dy))
+    low, high = u, end
+    leftmost = column + (middle - end + 1 if slope < 0 else u - middle)
+    inside = (leftmost >= 0) & (leftmost + end - u < size[0]) & (row >= 0) & (row < size[1] - 1)
+    inside &= (lens_x >= 0) & (lens_x < size[0] - 1) & (lens_y >= 0) & (lens_y < size[1] - 1)
+    # Only those with all four pixels that they are read from.
+    if not inside:
+        low, high = middle - column, middle - column + size[0] - 1
+        if slope < 0:
+            low, high = middle + column - size[0] + 2, middle + column + 1
+        if not (-0.5 <= lens_x < size[0] - 0.5 and -0.5 <= lens_y < size[1] - 0.5):
+            high = low
+        if not 0 <= row < size[1] - 1:
+            high = low
+        low = min(max(low, u), end)
+        high = min(max(high, low), end)
+    return _Run(lens_x, lens_y, middle, dx, dy, column, row, low, high)
 
-    `flat` begins at the pixel `corner` (2,) of the whole flat of `size` (2,). Every row is followed from the first
-    column of the picture on, and all weights belong to a lens and not to a part, so that parts are the same bit for bit
-    as the whole.
-    """
-    # To the right a row leaves the cell of a lens where it meets the nearest half-way line x = room + tilt * y to one
-    # of those, from the centre and in output pixels.
-    around, room, tilt = np.empty((len(steps), 2)), np.empty(len(steps)), np.empty(len(steps))
-    beside = np.zeros((len(steps) + 1, 2))
-    count = 0
-    per_spacing = 1 / spacing
-    for n in range(len(steps)):
-        beside[n, 0] = steps[n, 0] * basis[0, 0] + steps[n, 1] * basis[1, 0]
-        beside[n, 1] = steps[n, 0] * basis[0, 1] + steps[n, 1] * basis[1, 1]
-        ex, ey = beside[n, 0] * per_spacing, beside[n, 1] * per_spacing
-        if ex > 1e-9:
-            around[count, 0], around[count, 1] = ex, ey
-            room[count], tilt[count] = 0.5 * (ex * ex + ey * ey) / ex, -ey / ex
-            count += 1
-    turned, of_bytes = patch_slope > 0, flat.itemsize == 1
-    slope = -1 if turned else 1
-    bunch, turned_bunch = np.uint64(TOGETHER if of_bytes else _BUNCH), np.uint64(3 * TURNED)
-    phases, line_of_memory = np.uint64(_PHASES), np.uint64(_LINE_OF_MEMORY // flat.itemsize)
-    at_once = turned and of_bytes and channels == 3
-    across, down = np.uint64(channels), np.uint64(width * channels)
-    gain = tabled.reshape(-1)
-    gain_line = np.uint64(tabled.shape[2])
-    # Two rows from a place on, with what is read beyond the end of a run.
-    last_place = np.uint64(len(flat) - (width + 1) * channels)
-    # The first row of a patch lies farther above the centre than this.
-    nearest = np.inf
-    for n in range(len(steps)):
-        nearest = min(nearest, np.sqrt(beside[n, 0] ** 2 + beside[n, 1] ** 2))
-    above = 0.5 * nearest * per_spacing - 1
-    for v in prange(part[1], part[3]):
-        row, seen = out[v - part[1]], valid[v - part[1]]
-        seen[:] = True
-        room_in_row = np.uint64(len(row))
-        line = np.empty(len(row) + _BUNCH, out.dtype)
-        lenses = np.empty(beside.shape)
-        y = first + v * spacing
-        u = 0
-        i, j = _start(first, y, origin, inverse, basis, steps)
-        # In output pixels from here on.
-        cx = (origin[0] + i * basis[0, 0] + j * basis[1, 0] - first) * per_spacing
-        cy = (origin[1] + i * basis[0, 1] + j * basis[1, 1] - first) * per_spacing
-        while u < part[2]:
-            away, following = np.inf, 0
-            for n in range(count):
-                meets = room[n] + tilt[n] * (v - cy)
-                if meets < away:
-                    away, following = meets, n
-            end = min(int(np.ceil(cx + away)), part[2])
-            u = max(u, min(end, part[0]))
-            if end > u:
-                # All pixels of a run lie a whole number of pixels from the one next to the centre.
-                middle = int(np.rint(cx))
-                dx, dy = (middle - cx) * slope, (v - cy) * slope
-                lens_x, lens_y = cx * spacing + first, cy * spacing + first
-                px, py = lens_x + dx, lens_y + dy
-                column, line_at = int(np.floor(px)), int(np.floor(py))
-                # The lens shows those from `low` to `high` with all four pixels that they are read from: mostly all.
-                low, high = u, end
-                leftmost = column + (middle - end + 1 if turned else u - middle)
-                inside = (leftmost >= 0) & (leftmost + end - u < size[0]) & (line_at >= 0) & (line_at < size[1] - 1)
-                inside &= (lens_x >= 0) & (lens_x < size[0] - 1) & (lens_y >= 0) & (lens_y < size[1] - 1)
-                if not inside:
-                    low, high = middle - column, middle - column + size[0] - 1
-                    if turned:
-                        low, high = middle + column - size[0] + 2, middle + column + 1
-                    if not (-0.5 <= lens_x < size[0] - 0.5 and -0.5 <= lens_y < size[1] - 0.5):
-                        high = low
-                    if not 0 <= line_at < size[1] - 1:
-                        high = low
-                    low = min(max(low, u), end)
-                    high = min(max(high, low), end)
-                if low > u or high < end:
-                    for n in range(len(beside)):
-                        lenses[n, 0], lenses[n, 1] = lens_x + beside[n, 0], lens_y + beside[n, 1]
-                    for k in range(u, end):
-                        if low <= k < high:
-                            continue
-                        seen[k - part[0]] = _read_beside(
-                            flat, width, channels, corner, size, first + k * spacing, y, lenses, patch_slope, radius2,
-                            gains, per_gain_step, half, top, row, (k - part[0]) * channels,
-                        )  # fmt: skip
-                if high > low:
-                    fx, fy = np.float32(px - column), np.float32(py - line_at)
-                    from_middle = ((high - 1 if turned else low) - middle) * slope
-                    at = np.uint64(line_at - corner[1]) * down + np.uint64(column + from_middle - corner[0]) * across
-                    into = np.uint64(low - part[0]) * across
-                    length = np.uint64(high - low) * across
-                    # The next row of the picture reads one more row here: lenses lie at too odd steps to be foreseen.
-                    ahead = at - down if turned else at + down + down
-                    # What is read beyond a run must be there as well, though it is not used.
-                    bunched, turned_length = _bunched(length, bunch, of_bytes), max(length, turned_bunch)
-                    begin, beyond = ahead, ahead + bunched + across
-                    if at_once:
-                        begin, beyond = ahead + length - turned_length, ahead + length + across
-                    prefetch(flat, begin)
-                    prefetch(flat, beyond)
-                    for k in range(begin + line_of_memory, beyond, line_of_memory):
-                        prefetch(flat, k)
-                    # Before the first row of a patch there is none to have it fetched; lenses are looked up ahead.
-                    if cy - v > above:
-                        later_x, later_y = cx + _LATER * around[following, 0], cy + _LATER * around[following, 1]
-                        y_there = int(later_y * spacing + first + (v - later_y) * slope) - corner[1]
-                        x_there = int(later_x * spacing + first) + from_middle - corner[0]
-                        later = np.uint64(y_there) * down + np.uint64(x_there) * across
-                        for k in range(np.uint64(0), length + line_of_memory, line_of_memory):
-                            prefetch(flat, later + k)
-                            prefetch(flat, later + down + k)
-                    gain_at = np.uint64(0)
-                    if len(gain) > 0:
-                        step = np.uint64(int((dx + reach) * _PHASES + 0.5) + from_middle * _PHASES)
-                        gain_row = np.uint64((dy + reach) * _PHASES + 0.5) * phases + step % phases
-                        gain_at = gain_row * gain_line + step // phases * across + np.uint64(_BUNCH)
-                    # What is written beyond the end of a run must neither leave the row nor cover what is written, nor
-                    # may what is read leave the flat.
-                    spare = high == end and turned_length < min(at + length, room_in_row - into)
-                    if at_once and spare and at + length < last_place:
-                        _read_turned_run(
-                            flat, at + length, across, down, fx, fy, gain, gain_at + length, row, into, turned_length
-                        )
-                    else:
-                        if at + bunched <= last_place:
-                            length = bunched
-                        direct = not turned and high == end and into + length <= room_in_row
-                        to = row if direct else line
-                        if of_bytes:
-                            _read_run_of_bytes(flat, at, across, down, fx, fy, gain, gain_at, to, into, length)
-                        else:
-                            _read_run(flat, at, across, down, fx, fy, gain, gain_at, half, top, to, into, length)
-                        if not direct:
-                            _put(line, row, low - part[0], high - part[0], channels, turned)
-                u = end
-            cx, cy = cx + around[following, 0], cy + around[following, 1]
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _prefetch_next_row(flat, begin, beyond):
+    """Prefetch what the next row of the picture reads here: the processor cannot predict the steps between lenses."""
+    line_of_memory = np.uint64(_LINE_OF_MEMORY // flat.itemsize)
+    prefetch(flat, begin)
+    prefetch(flat, beyond)
+    for k in range(begin + line_of_memory, beyond, line_of_memory):
+        prefetch(flat, k)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _prefetch_later(source, picture, x, y, v, slope, from_middle, length):
+    """Prefetch the first row of the cell of a lens at (x, y) [output px]."""
+    flat, across = source.pixels, np.uint64(source.channels)
+    down, line_of_memory = np.uint64(source.width * source.channels), np.uint64(_LINE_OF_MEMORY // flat.itemsize)
+    row = int(y * picture.spacing + picture.first + (v - y) * slope) - source.corner[1]
+    column = int(x * picture.spacing + picture.first) + from_middle - source.corner[0]
+    later = np.uint64(row) * down + np.uint64(column) * across
+    for k in range(np.uint64(0), length + line_of_memory, line_of_memory):
+        prefetch(flat, later + k)
+        prefetch(flat, later + down + k)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _gain_place(gain, run, from_middle, across):
+    """Where the gains of a run begin in the line of the table."""
+    if len(gain.line) == 0:
+        return np.uint64(0)
+    phases = np.uint64(_PHASES)
+    step = np.uint64(int((run.dx + gain.reach) * _PHASES + 0.5) + from_middle * _PHASES)
+    gain_row = np.uint64((run.dy + gain.reach) * _PHASES + 0.5) * phases + step % phases
+    return gain_row * gain.line_size + step // phases * across + np.uint64(BUNCH)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _draw_run(source, gain, picture, run, end, v, look_ahead, later_x, later_y, row, line):
+    """Read a run into `row`, as far as it can be read; `line` is memory for a row."""
+    flat, slope = source.pixels, -1 if picture.slope > 0 else 1
+    turned, of_bytes = picture.slope > 0, flat.itemsize == 1
+    at_once = turned and of_bytes and source.channels == 3
+    across, down = np.uint64(source.channels), np.uint64(source.width * source.channels)
+    low, high, left = run.low, run.high, picture.part[0]
+    fx = np.float32(run.x + run.dx - run.column)
+    fy = np.float32(run.y + run.dy - run.row)
+    from_middle = ((high - 1 if turned else low) - run.middle) * slope
+    at = np.uint64(run.row - source.corner[1]) * down
+    at += np.uint64(run.column + from_middle - source.corner[0]) * across
+    into, length = np.uint64(low - left) * across, np.uint64(high - low) * across
+    ahead = at - down if turned else at + down + down
+    # What is read beyond a run must exist, though it is not used.
+    bunch, turned_bunch = np.uint64(TOGETHER if of_bytes else BUNCH), np.uint64(3 * TURNED)
+    bunched, turned_length = padded_length(length, bunch, of_bytes), max(length, turned_bunch)
+    if at_once:
+        _prefetch_next_row(flat, ahead + length - turned_length, ahead + length + across)
+    else:
+        _prefetch_next_row(flat, ahead, ahead + bunched + across)
+    if look_ahead:
+        _prefetch_later(source, picture, later_x, later_y, v, slope, from_middle, length)
+    gain_at = _gain_place(gain, run, from_middle, across)
+    # Writing beyond the end of a run must neither leave the row nor overwrite pixels, reading must not leave the flat.
+    last_place, room = np.uint64(len(flat) - (source.width + 1) * source.channels), np.uint64(len(row))
+    spare = high == end and turned_length < min(at + length, room - into)
+    if at_once and spare and at + length < last_place:
+        read_turned_run(
+            flat, at + length, across, down, fx, fy, gain.line, gain_at + length, row, into, turned_length
+        )  # fmt: skip
+        return
+    if at + bunched <= last_place:
+        length = bunched
+    direct = not turned and high == end and into + length <= room
+    to = row if direct else line
+    if of_bytes:
+        read_run_of_bytes(flat, at, across, down, fx, fy, gain.line, gain_at, to, into, length)
+    else:
+        read_run(
+            flat, at, across, down, fx, fy, gain.line, gain_at, picture.half, picture.top, to, into, length
+        )  # fmt: skip
+    if not direct:
+        copy_run(line, row, low - left, high - left, source.channels, turned)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw_row(source, lattice, gain, picture, borders, v, row, valid):
+    """Draw row `v` of the picture, cell by cell from its first column on, whatever part of it is drawn."""
+    part, first, slope = picture.part, picture.first, -1 if picture.slope > 0 else 1
+    valid[:] = True
+    line, lenses = np.empty(len(row) + BUNCH, row.dtype), np.empty(lattice.beside.shape)
+    per_spacing, y, u = 1 / picture.spacing, first + v * picture.spacing, 0
+    i, j = _find_nearest(first, y, lattice)
+    origin, basis = lattice.origin, lattice.basis
+    # In output pixels from here on.
+    cx = (origin[0] + i * basis[0, 0] + j * basis[1, 0] - first) * per_spacing
+    cy = (origin[1] + i * basis[0, 1] + j * basis[1, 1] - first) * per_spacing
+    while u < part[2]:
+        away, following = np.inf, 0
+        for n in range(len(borders.room)):
+            meets = borders.room[n] + borders.tilt[n] * (v - cy)
+            if meets < away:
+                away, following = meets, n
+        step_x, step_y = borders.around[following, 0], borders.around[following, 1]
+        end = min(int(np.ceil(cx + away)), part[2])
+        u = max(u, min(end, part[0]))
+        if end > u:
+            run = _find_run(picture, source.size, v, u, end, cx, cy, slope)
+            if run.low > u or run.high < end:
+                for n in range(len(lenses)):
+                    lenses[n, 0], lenses[n, 1] = run.x + lattice.beside[n, 0], run.y + lattice.beside[n, 1]
+                for k in range(u, end):
+                    if not run.low <= k < run.high:
+                        x, at = first + k * picture.spacing, k - part[0]
+                        valid[at] = _read_beside(source, gain, picture, x, y, lenses, row, at * source.channels)
+            if run.high > run.low:
+                # Before the first row of a cell, no row has prefetched it: look some lenses ahead.
+                later_x, later_y = cx + _LATER * step_x, cy + _LATER * step_y
+                look_ahead = cy - v > borders.above
+                _draw_run(source, gain, picture, run, end, v, look_ahead, later_x, later_y, row, line)
+            u = end
+        cx, cy = cx + step_x, cy + step_y
+
+
+# Without fastmath: sums in any order would differ between a process that compiles this and one that loads it.
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _draw_patches(source, lattice, borders, gain, picture, out, valid):
+    """Fill `out` (rows, columns C), which is the `part` of the picture; all bits are those of the whole picture."""
+    for v in prange(picture.part[1], picture.part[3]):
+        at = v - picture.part[1]
+        _draw_row(source, lattice, gain, picture, borders, np.int64(v), out[at], valid[at])
 
 
 def _cell(lattice: Lattice) -> NDArray[np.float64]:
-    """(6, 2) corners of the places to which a centre is the nearest, from there [px]; a square's may coincide."""
+    """(6, 2) corners of the Voronoi cell of a lens, from its centre [px]; those of a square may coincide."""
     return cached(lattice, "cell", lambda: _corners(*lattice.basis))
 
 
 def _corners(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     if a @ b < 0:
         b = -b
-    # Each is as far from the centre as from two of its neighbours.
+    # Each is as far from the centre as from two neighbours.
     around = [a, b, b - a, -a]
     corners = [np.linalg.solve(np.array(pair), np.square(pair).sum(1) / 2) for pair in itertools.pairwise(around)]
     return np.concatenate([corners, np.negative(corners)])
 
 
 def covers_all_patches(lattice: Lattice, patch_size: float, radius: float) -> bool:
-    """Whether microimages of this `radius` [px] hold whole patches, to the corners between three lenses."""
+    """Whether microimages of this `radius` [px] hold whole patches, to the corners of the cells."""
     corner = float(np.linalg.norm(_cell(lattice), axis=1).max())
     return corner * abs(patch_size) / lattice.pitch <= radius
 
@@ -363,9 +325,9 @@ def render_patches(
     gain_step: float,
     part: tuple[int, int, int, int],
 ) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Read each pixel of a picture of `|patch_size|` pixels per pitch from the lens whose centre is nearest.
+    """Read each pixel of a picture of `|patch_size|` pixels per pitch from the nearest lens.
 
-    At the border of the flat, where that lens or some of its pixels is missing, the nearest beside it takes its place.
+    Where that lens or some of its pixels are missing at the border of the flat, the next nearest replaces it.
 
     Parameters
     ----------
@@ -379,7 +341,7 @@ def render_patches(
     first : float [px]
         Scene coordinates of output pixel (0, 0).
     radius : float [px]
-        So far from its centre a lens takes the place of a missing one.
+        Up to here a lens may replace a missing one.
     gains : (k,) float32
         Gain over the squared distance from the centre, as `gain_table`.
     gain_step : float [px^2]
@@ -390,31 +352,52 @@ def render_patches(
     -------
     image : (rows, columns, C) array of the type of `pixels`
     valid : (rows, columns) bool
-        Pixels that some lens has seen.
+        Pixels that some lens shows.
     """
     spacing = lattice.pitch / abs(patch_size)
     steps = np.array([(1, 0), (0, 1), (1, 1), (1, -1)])
     steps = np.concatenate([steps, -steps])
-    channels = pixels.shape[2]
+    beside = np.concatenate([steps @ lattice.basis, np.zeros((1, 2))])
     reach = int(np.ceil(np.abs(_cell(lattice)).max() / spacing)) + 2
-    table = np.empty((0, 0, 0), np.uint16 if pixels.dtype == np.uint8 else np.float32)
-    if not (gains == gains[0]).all() or gains[0] != 1:
-        along = np.arange(-reach * _PHASES, (reach + 1) * _PHASES) / _PHASES
-        squared = along[:, None] ** 2 + along**2
-        table = gains[np.minimum((squared / gain_step).astype(int), len(gains) - 1)]
-        # One line for each phase, and each value once for every channel.
-        table = np.repeat(table.reshape(len(along), -1, _PHASES).transpose(0, 2, 1), channels, 2)
-        table = np.pad(table, ((0, 0), (0, 0), (_BUNCH, _BUNCH)))
-        if pixels.dtype == np.uint8:
-            table = np.minimum(np.rint(table * (1 << GAIN_BITS)), np.iinfo(np.uint16).max).astype(np.uint16)
+    table = _tabulate_gain(gains, gain_step, reach, pixels.shape[2], pixels.dtype)
     whole = pixels.dtype.kind in "ui"
+    half, top = (0.5, np.iinfo(pixels.dtype).max) if whole else (0.0, np.inf)
     rows, columns = part[3] - part[1], part[2] - part[0]
-    image, valid = np.empty((rows, columns, channels), pixels.dtype), np.empty((rows, columns), bool)
-    _lay(
-        np.ascontiguousarray(pixels).reshape(-1), pixels.shape[1], channels, np.array(corner),
-        np.array(lattice.image_size), lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, steps,
-        patch_size / lattice.pitch, first, spacing, radius * radius, gains, 1 / gain_step,
-        np.ascontiguousarray(table), reach, np.float32(0.5 if whole else 0.0),
-        np.float32(np.iinfo(pixels.dtype).max if whole else np.inf), np.array(part), image.reshape(rows, -1), valid,
+    image, valid = np.empty((rows, columns, pixels.shape[2]), pixels.dtype), np.empty((rows, columns), bool)
+    size, borders = np.array(lattice.image_size), _find_borders(beside[:-1], spacing)
+    _draw_patches(
+        _Source(np.ascontiguousarray(pixels).reshape(-1), pixels.shape[1], pixels.shape[2], np.array(corner), size),
+        _Lattice(lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, steps, beside), borders,
+        _Gain(gains, 1 / gain_step, table.reshape(-1), np.uint64(table.shape[2]), reach),
+        _Picture(
+            patch_size / lattice.pitch, first, spacing, radius * radius, np.float32(half), np.float32(top),
+            np.array(part),
+        ), image.reshape(rows, -1), valid,
     )  # fmt: skip
     return image, valid
+
+
+def _find_borders(beside: NDArray[np.float64], spacing: float) -> _Borders:
+    """The borders of a cell to its right, from the steps to the neighbours [px]."""
+    steps = beside * (1 / spacing)
+    right = steps[steps[:, 0] > 1e-9]
+    x, y = right.T
+    nearest = np.sqrt(beside[:, 0] ** 2 + beside[:, 1] ** 2).min()
+    return _Borders(right, 0.5 * (x * x + y * y) / x, -y / x, 0.5 * nearest * (1 / spacing) - 1)
+
+
+def _tabulate_gain(
+    gains: NDArray[np.float32], gain_step: float, reach: int, channels: int, dtype: np.dtype
+) -> NDArray[Any]:
+    """Gains on a grid of `_PHASES` steps per pixel, each once for every channel; of size 0 if all are 1."""
+    if (gains == gains[0]).all() and gains[0] == 1:
+        return np.empty((0, 0, 0), np.uint16 if dtype == np.uint8 else np.float32)
+    along = np.arange(-reach * _PHASES, (reach + 1) * _PHASES) / _PHASES
+    squared = along[:, None] ** 2 + along**2
+    table = gains[np.minimum((squared / gain_step).astype(int), len(gains) - 1)]
+    # One row for each phase, so that gains of pixels that follow each other do so too.
+    table = np.repeat(table.reshape(len(along), -1, _PHASES).transpose(0, 2, 1), channels, 2)
+    table = np.pad(table, ((0, 0), (0, 0), (BUNCH, BUNCH)))
+    if dtype == np.uint8:
+        table = np.minimum(np.rint(table * (1 << GAIN_BITS)), np.iinfo(np.uint16).max).astype(np.uint16)
+    return np.ascontiguousarray(table)

@@ -102,6 +102,22 @@ class Buffers(NamedTuple):
     sums: Any  # (4 LINE,) float32: weights and weighted channels of each pixel
 
 
+class _Flat(NamedTuple):
+    """Size of the flat and of its part."""
+
+    width: Any  # int32 [px]
+    height: Any
+    corner_x: Any  # int32 [px]
+    corner_y: Any
+    stride: Any  # uint64: pixels from a row to the next
+    edge: Any  # patch sizes that differ by less belong to one surface [px]
+    last_entry: Any  # float32: of the light table
+
+
+# Numba counts references each time that an array is taken out of a tuple. Functions that run for every run of pixels
+# hence take arrays one by one.
+
+
 class _Lens(NamedTuple):
     """A lens relative to a band."""
 
@@ -124,18 +140,16 @@ def count_pixels(groups):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _place(source, band, lens, spacing, per_light_step, u, lanes, work, whole, at):
+def _place(columns, rows, slope, limits, share, lens, flat, spacing, per_light_step, u, lanes, work, whole, at):
     """Where some pixels from `u` on read a lens, and with which weight.
 
     Leaves the position between pixels and the weight in `work`, and in `whole` the pixel of the flat and the entry of
     the light table. All numbers are of 32 bits: integer sums would be of 64, half as many at a time.
     """
-    columns, rows, slope, limits, share = band.column, band.row, band.slope, band.limit2, band.share
     n_x, n_y, e_x, e_y, at_x, at_y = lens.n_x, lens.n_y, lens.e_x, lens.e_y, lens.at_x, lens.at_y
     inner_x, inner_y, type_at, border = lens.inner_x, lens.inner_y, lens.type_at, lens.border
-    width, height, stride = np.int32(source.size[0]), np.int32(source.size[1]), np.int32(source.stride)
-    corner_x, corner_y = np.int32(source.corner[0]), np.int32(source.corner[1])
-    last_entry = np.float32(len(source.lights) - 1)
+    width, height, stride, last_entry = flat.width, flat.height, np.int32(flat.stride), flat.last_entry
+    corner_x, corner_y = flat.corner_x, flat.corner_y
     last_x, last_y = np.int32(width - 2), np.int32(height - 2)
     end_x, end_y = np.float32(width - 1), np.float32(height - 1)
     for k in range(lanes):
@@ -175,11 +189,9 @@ def _prefetch_run(line, down, whole, at, lanes):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _fetch(source, buffers, q, lanes):
+def _fetch(line, down, lights, whole, corners, pairs, light_pairs, q, lanes):
     """The four pixels about each place, two by two where they have 32 bits, and the gain and weight of its light."""
-    line, down, lights, whole, at = source.line, source.stride, source.lights, buffers.place, q * _WORK
-    corners, corners_at, pairs, pair_at = buffers.corners, q * PER_RUN, buffers.corner_pairs, q * _BOTH
-    light_pairs, light_at = buffers.light_pairs, q * _F
+    at, corners_at, pair_at, light_at = q * _WORK, q * PER_RUN, q * _BOTH, q * _F
     for k in range(lanes):
         pixel = np.uint64(np.uint32(whole[at + k]))
         entry = np.uint64(np.uint32(whole[at + _F + k]))
@@ -202,10 +214,9 @@ def _interpolate(a, b, c, d, lowest, w00, w01, w10, w11):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _add(buffers, q, base, u, lanes):
+def _add(corners, light, work, values, sums, q, base, u, lanes):
     """Interpolate some readings, keep them in `values` from `base` on, and add them to the sums of their pixels."""
-    corners, corners_at, light, light_at = buffers.corners, q * PER_RUN, buffers.light, q * _BOTH
-    work, at, values, sums = buffers.work, q * _WORK, buffers.values, buffers.sums
+    corners_at, light_at, at = q * PER_RUN, q * _BOTH, q * _WORK
     bits = corners.dtype.type(2 * corners.itemsize)
     lowest = (corners.dtype.type(1) << bits) - corners.dtype.type(1)
     for k in range(lanes):
@@ -261,23 +272,27 @@ def _reduce_occluded(depth, edge, stride, sizes, u, whole, at, lanes, work):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _read_queue(source, sizes, begin, end, buffers):
+def _read_queue(
+    line, depth, lights, flat, sizes, runs, begin, end, work, whole, corners, pairs, light, light_pairs, values, sums
+):  # fmt: skip
     """Read the runs from `begin` to `end`, whose places are found.
 
     One loop over all of them for each step: values that were stored one by one cannot be loaded as vectors at once.
     """
-    runs = buffers.runs
     for n in range(begin, end):
-        _fetch(source, buffers, np.uint64(n % QUEUE), count_pixels(runs[n, 2]))
+        _fetch(
+            line, flat.stride, lights, whole, corners, pairs, light_pairs, np.uint64(n % QUEUE),
+            count_pixels(runs[n, 2]),
+        )  # fmt: skip
     for n in range(begin, end):
         if runs[n, 1]:
             _reduce_occluded(
-                source.depth, source.edge, np.int32(source.stride), sizes, np.uint64(runs[n, 0]), buffers.place,
-                np.uint64(n % QUEUE) * _WORK, count_pixels(runs[n, 2]), buffers.work,
+                depth, flat.edge, np.int32(flat.stride), sizes, np.uint64(runs[n, 0]), whole,
+                np.uint64(n % QUEUE) * _WORK, count_pixels(runs[n, 2]), work,
             )  # fmt: skip
     for n in range(begin, end):
         q, lanes = np.uint64(n % QUEUE), count_pixels(runs[n, 2])
-        _add(buffers, q, np.uint64(n) * PER_RUN, np.uint64(runs[n, 0]), lanes)
+        _add(corners, light, work, values, sums, q, np.uint64(n) * PER_RUN, np.uint64(runs[n, 0]), lanes)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -294,20 +309,19 @@ def _find_columns(centres, lowest, highest, x, top, bottom, spacing, column, rea
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _locate_lens(source, lens, first, row, column, spacing):
+def _locate_lens(centres, types, lens, flat, radius, first, row, column, spacing):
     """Place of a lens relative to a band, counted from the first pixel of the picture, whatever part is drawn."""
-    cx, cy = source.lenses.centres[lens, 0], source.lenses.centres[lens, 1]
+    cx, cy = centres[lens, 0], centres[lens, 1]
     per_spacing = 1 / spacing
     anchor_x = int(np.rint((cx - first[0]) * per_spacing))
     anchor_y = int(np.rint((cy - first[1]) * per_spacing))
     at_x, at_y = np.floor(cx), np.floor(cy)
     # Interpolation reads two pixels beyond a place at most.
-    low = source.lenses.radius + 2
-    high_x, high_y = np.int32(source.size[0]) - 1 - low, np.int32(source.size[1]) - 1 - low
+    low, high_x, high_y = radius + 2, flat.width - 3 - radius, flat.height - 3 - radius
     return _Lens(
         np.int32(column - anchor_x), np.int32(row - anchor_y), np.float32(first[0] + anchor_x * spacing - cx),
         np.float32(first[1] + anchor_y * spacing - cy), np.int32(at_x), np.int32(at_y), np.float32(cx - at_x),
-        np.float32(cy - at_y), np.uint64(source.lenses.types[lens]) * np.uint64(LINE),
+        np.float32(cy - at_y), np.uint64(types[lens]) * np.uint64(LINE),
         not (low <= cx <= high_x and low <= cy <= high_y),
     )  # fmt: skip
 
@@ -319,32 +333,53 @@ def read_lenses(source, band, lowest, highest, first, row, column, spacing, coun
     `row` and `column` are those of its first pixel in the picture, whose pixel (0, 0) lies at `first`; `before` counts
     the groups of columns that are drawn before each of its `count` columns.
     """
-    lenses, runs, ranges = source.lenses, buffers.runs, buffers.ranges
+    line, depth, lights, stride = source.line, source.depth, source.lights, source.stride
+    centres, types, edged, radius = (
+        source.lenses.centres,
+        source.lenses.types,
+        source.lenses.edged,
+        source.lenses.radius,
+    )
+    columns, rows, slope, limits, share = band.column, band.row, band.slope, band.limit2, band.share
+    work, whole, corners, pairs = buffers.work, buffers.place, buffers.corners, buffers.corner_pairs
+    light, light_pairs, values, sums = buffers.light, buffers.light_pairs, buffers.values, buffers.sums
+    sizes, runs, ranges = band.size, buffers.runs, buffers.ranges
+    flat = _Flat(
+        np.int32(source.size[0]), np.int32(source.size[1]), np.int32(source.corner[0]), np.int32(source.corner[1]),
+        stride, source.edge, np.float32(len(lights) - 1),
+    )  # fmt: skip
     step, per_light_step = np.float32(spacing), np.float32(1 / source.light_step)
     found = done = 0
     top, bottom = first[1] + row * spacing, first[1] + (row + ROWS - 1) * spacing
     _find_columns(
-        lenses.centres, lowest, highest, first[0], top, bottom, spacing, column, source.reach, count, ranges
+        centres, lowest, highest, first[0], top, bottom, spacing, column, source.reach, count, ranges
     )  # fmt: skip
     for number in range(lowest, highest):
         begin, end = ranges[0, number - lowest], ranges[1, number - lowest]
         if begin >= end:
             continue
-        lens = _locate_lens(source, number, first, row, column, spacing)
+        lens = _locate_lens(centres, types, number, flat, radius, first, row, column, spacing)
         end = _GROUP * before[(end + COLUMNS - 1) // COLUMNS]
         for u in range(_GROUP * before[begin // COLUMNS], end, LANES):
             if found == done + QUEUE:
-                _read_queue(source, band.size, done, found, buffers)
+                _read_queue(
+                    line, depth, lights, flat, sizes, runs, done, found, work, whole, corners, pairs, light,
+                    light_pairs, values, sums,
+                )  # fmt: skip
                 done = found
-            runs[found, 0], runs[found, 1] = u, lenses.edged[number]
+            runs[found, 0], runs[found, 1] = u, edged[number]
             runs[found, 2] = max((min(u + LANES, end) - u) // _GROUP, _FEWEST)
             at, lanes = np.uint64(found % QUEUE) * _WORK, count_pixels(runs[found, 2])
             _place(
-                source, band, lens, step, per_light_step, np.uint64(u), lanes, buffers.work, buffers.place, at
+                columns, rows, slope, limits, share, lens, flat, step, per_light_step, np.uint64(u), lanes, work, whole,
+                at,
             )  # fmt: skip
-            _prefetch_run(source.line, source.stride, buffers.place, at, lanes)
-            if lenses.edged[number]:
-                _prefetch_run(source.depth, source.stride, buffers.place, at, lanes)
+            _prefetch_run(line, stride, whole, at, lanes)
+            if edged[number]:
+                _prefetch_run(depth, stride, whole, at, lanes)
             found += 1
-    _read_queue(source, band.size, done, found, buffers)
+    _read_queue(
+        line, depth, lights, flat, sizes, runs, done, found, work, whole, corners, pairs, light, light_pairs, values,
+        sums,
+    )  # fmt: skip
     return found

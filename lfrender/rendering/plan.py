@@ -200,14 +200,14 @@ class RenderPlan:
         else:
             packed, left = prefilter_packed(pixels), np.empty(valid.shape, bool)
             blend_rows(
-                channels, read._replace(pixels=packed), light, self._sorted_lenses(edged), self._depth_grid, grid,
+                channels, read._replace(pixels=packed), light, self._sorted_lenses(edged), *self._depth, grid,
                 weighting, output, left, get_num_threads(),
             )  # fmt: skip
             if not left.any():
                 return image, valid
             ready, grid = packed.view(pixels.dtype).reshape(*packed.shape, 4), grid._replace(wanted=left)
         blend_pixels(
-            channels, read._replace(pixels=ready), light, self._lenses, self._depth_grid, grid,
+            channels, read._replace(pixels=ready), light, self._lenses, *self._depth, grid,
             weighting._replace(reach=np.float32(weighting.reach)), output,
         )  # fmt: skip
         return image, valid
@@ -232,8 +232,8 @@ class RenderPlan:
         return pixels, shown, Light(gains, lights, np.float32(step))
 
     @property
-    def _depth_grid(self) -> DepthGrid:
-        return self._seen_surface.as_grid(self._edge)
+    def _depth(self) -> tuple[NDArray[np.float32], DepthGrid]:
+        return self._seen_surface.patch_size, self._seen_surface.grid(self._edge)
 
     @property
     def _lenses(self) -> Lenses:

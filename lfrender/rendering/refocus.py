@@ -57,6 +57,15 @@ def refocus(
         As `render`.
     ValueError
         Unless one of `patch_size` and `position` is given, or if a number makes no picture.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from lfcal import Calibration, Lattice
+    >>> camera = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9))
+    >>> flat = np.full((300, 400), 100, np.uint8)
+    >>> refocus(flat, camera, patch_size=-4, aperture=0.5).image.shape
+    (60, 80)
     """
     pixels = check_flat(flat, calibration)
     lattice = calibration.lattice

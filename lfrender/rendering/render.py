@@ -76,6 +76,15 @@ def render(
     ValueError
         If both `depth` and `patch_size` are given, a number makes no picture, or `roi` and `sharpen` are given, which
         needs the whole picture; or `previous` without `depth`, with either of these, or of another scale or kind.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from lfcal import Calibration, Lattice
+    >>> camera = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9))
+    >>> flat = np.full((300, 400), 100, np.uint8)
+    >>> render(flat, camera, patch_size=-5).image.shape
+    (75, 100)
     """
     pixels = check_flat(flat, calibration)
     if roi is not None:

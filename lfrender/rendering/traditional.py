@@ -57,6 +57,15 @@ def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
     -------
     Rendering
         At one output pixel per pitch.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from lfcal import Calibration, Lattice
+    >>> camera = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9))
+    >>> flat = np.full((300, 400), 100, np.uint8)
+    >>> traditional(flat, camera).image.shape
+    (15, 20)
     """
     pixels = check_flat(flat, calibration)
     lattice = calibration.lattice

@@ -115,6 +115,11 @@ def grid_offsets(rows: int, columns: int, radius: float) -> list[tuple[float, fl
     rows, columns : int
     radius : float [px]
         Of that circle.
+
+    Examples
+    --------
+    >>> grid_offsets(1, 3, 4.0)
+    [(-4.0, 0.0), (0.0, 0.0), (4.0, 0.0)]
     """
     if min(rows, columns) < 1:
         raise ValueError(f"a grid has at least one row and one column, got {rows} x {columns}")

@@ -1,4 +1,4 @@
-"""Imports that go on while a flat is being decoded, which leaves the interpreter idle."""
+"""Imports in a background thread, while reading a flat leaves the interpreter idle."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ __all__ = ["import_in_background"]
 
 
 def import_in_background(*modules: str) -> None:
-    """Begin to import these modules."""
-    # What is imported stays: collecting garbage among it takes a tenth of the time.
+    """Start to import these modules in another thread."""
+    # Imported objects stay: looking for garbage among them would take a tenth of the time.
     gc.disable()
     Thread(target=_import, args=modules).start()
 
 
 def _import(*modules: str) -> None:
-    # The compiler looks for the linear algebra of SciPy, which takes longer to import than the compiler itself. No
-    # kernel of ours uses it, and this process runs no others.
+    # Numba looks for the linear algebra of SciPy, which takes longer to import than Numba itself; no kernel uses it.
     blas = "scipy.linalg.cython_blas"
     absent = blas not in sys.modules
     if absent:
@@ -32,7 +31,7 @@ def _import(*modules: str) -> None:
             sys.modules.pop(blas, None)
         gc.freeze()
         gc.enable()
-    # A command that fails at once ends while this goes on: nothing will be needed, and nobody minds.
+    # A command that fails at once may end meanwhile; the modules are not needed then.
     with suppress(RuntimeError):
         for module in modules:
             import_module(module)

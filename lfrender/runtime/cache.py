@@ -1,4 +1,4 @@
-"""What depends on a camera alone, kept as long as the camera is: frame after frame asks for the same."""
+"""Cache of values that depend on a frozen object alone, such as a camera, for as long as the object lives."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ __all__ = ["cached", "cached_latest"]
 
 _Value = TypeVar("_Value")
 
-# By the identity of the owner, since cameras hold arrays, and compare and hash as those do. An entry goes with its
-# owner.
+# By the identity of the owner, since cameras hold arrays and are not hashable. An entry is deleted with its owner.
 _entries: dict[int, dict[Hashable, Any]] = {}
 
 
 def cached(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
-    """What `make` returns, made once for each frozen `owner` and `key`; the owner itself is not kept alive.
+    """The result of `make`, called once for each frozen `owner` and `key`; the owner is not kept alive.
 
-    Values are shared: nobody may write into them. They must not refer to their owner, or both would stay for good.
+    Values are shared and must not be written to. They must not refer to their owner, or neither would be freed.
     """
     at = id(owner)
     values = _entries.get(at)
@@ -32,10 +31,10 @@ def cached(owner: Any, key: Hashable, make: Callable[[], _Value]) -> _Value:
 
 
 def cached_latest(owner: Any, name: str, key: Hashable, make: Callable[[], _Value]) -> _Value:
-    """As `cached`, but of each `name` only what was asked for last is kept."""
+    """As `cached`, but only the last `key` of each `name` is kept."""
     last: dict[str, tuple[Hashable, _Value]] = cached(owner, name, dict)
     found = last.get(name)
     if found is None or found[0] != key:
-        # Other threads may ask for something else meanwhile.
+        # Another thread may replace the entry meanwhile.
         found = last[name] = key, make()
     return found[1]

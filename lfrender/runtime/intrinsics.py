@@ -1,7 +1,7 @@
-"""Bytes between four places, sixteen at a time, where the compiler does not find the instructions by itself.
+"""LLVM instructions that Numba does not find by itself: bilinear interpolation of 16 bytes at once, and prefetching.
 
-It moves pixels of three bytes in the opposite order one by one, and does not multiply to the upper half of a product.
-Neither does it read two pixels of four bytes that lie beside each other at once.
+It would reverse pixels of three bytes one by one, not multiply to the upper half of a product, and not load two
+neighbouring pixels of four bytes at once.
 """
 
 from __future__ import annotations
@@ -18,13 +18,16 @@ __all__ = [
     "read_with_gain", "two_at",
 ]  # fmt: skip
 
-#: So many bytes are read together, and of pixels of three so many turned; the last byte is then of no use.
-TOGETHER, TURNED = 16, 5
+#: Bytes that are read together.
+TOGETHER = 16
+#: Pixels of three bytes that are read together and reversed; the last byte is not used.
+TURNED = 5
 _ORDER = [3 * (TURNED - 1 - k // 3) + k % 3 for k in range(3 * TURNED)] + [TOGETHER - 1]
-#: A gain of less than 4 fits into 16 bits with so many below one. Of its product with a byte weighted by 256ths the
-#: upper 16 bits are kept, which leaves the second number of them below one.
-GAIN_BITS, LEFT_BITS = 14, 6
-_WEIGHT_BITS, _UPPER_HALF, _TOP = 8, 16, 255
+#: Fractional bits of a gain below 4 in 16 bits.
+GAIN_BITS = 14
+#: Fractional bits of the upper half of its product with a byte weighted by 256ths.
+LEFT_BITS = 6
+_WEIGHT_BITS = 8
 
 
 def _vector(bits: int) -> Any:
@@ -36,7 +39,7 @@ def _all(bits: int, value: int) -> Any:
 
 
 def _addresses(context: Any, builder: Any, signature: Any, arguments: Any) -> Callable[[int, Any, int], Any]:
-    """What tells where a vector of numbers of so many bits begins at some place of an argument."""
+    """A function for the address of a vector of numbers of so many bits at some place of an argument."""
 
     def address(which: int, place: Any, bits: int) -> Any:
         array = context.make_array(signature.args[which])(context, builder, arguments[which])
@@ -46,7 +49,7 @@ def _addresses(context: Any, builder: Any, signature: Any, arguments: Any) -> Ca
 
 
 def _weighted(builder: Any, address: Any, places: Any, weights: Any) -> Any:
-    """Sum of the bytes at four places times as many weights."""
+    """Sum of the bytes at four places, times the weights."""
     total = _all(16, 0)
     for k in range(4):
         read = builder.load(address(0, builder.extract_value(places, k), 8), align=1)
@@ -90,9 +93,9 @@ def _with_gain(turned: bool) -> Callable[..., Any]:
             address = _addresses(context, builder, signature, arguments)
             total = builder.zext(_weighted(builder, address, arguments[1], arguments[2]), _vector(32))
             factor = builder.zext(builder.load(address(3, arguments[4], 16), align=1), _vector(32))
-            product = builder.lshr(builder.mul(total, factor), _all(32, _UPPER_HALF))
+            product = builder.lshr(builder.mul(total, factor), _all(32, 16))
             value = _rounded(builder, builder.trunc(product, _vector(16)), LEFT_BITS)
-            top = _all(16, _TOP)
+            top = _all(16, 255)
             value = builder.select(builder.icmp_unsigned("<", value, top), value, top)
             _store(builder, value, address(5, arguments[6], 8), turned)
             return context.get_dummy_value()
@@ -111,19 +114,16 @@ def _two_at(_typing: Any, line: Any, place: Any) -> Any:
     return types.uint64(line, place), generate
 
 
-# `read_bytes(values, places, weights, out, into)` puts the means of the bytes from four `places` on, weighted by
-# 256ths, into `out`, `read_turned` the last pixel first.
+# `read_bytes(values, places, weights, out, into)` stores the means of the bytes from four `places` on, weighted by
+# 256ths, in `out`; `read_turned` does so in reverse order of pixels.
 read_bytes: Any = intrinsic(_plain(turned=False))
 read_turned: Any = intrinsic(_plain(turned=True))
-# `read_with_gain(values, places, weights, gain, gain_at, out, into)` multiplies them by as many 2^-14 as the numbers of
-# two bytes say that follow each other from `gain[gain_at]` on.
+# `read_with_gain(values, places, weights, gain, gain_at, out, into)` multiplies them by the gains from `gain[gain_at]`
+# on, in units of 2^-14.
 read_with_gain: Any = intrinsic(_with_gain(turned=False))
 read_turned_with_gain: Any = intrinsic(_with_gain(turned=True))
-# `two_at(line, place)` are the two numbers of four bytes from a place on, the first in the lower half.
+# `two_at(line, place)` loads the two numbers of four bytes from a place on, the first in the lower half.
 two_at: Any = intrinsic(_two_at)
-
-# Arguments of LLVM's `prefetch`: to be read, again soon, as data.
-_READ, _SOON_AGAIN, _DATA = 0, 3, 1
 
 
 def _prefetch(_typing: Any, values: Any, _place: Any) -> Any:
@@ -133,11 +133,12 @@ def _prefetch(_typing: Any, values: Any, _place: Any) -> Any:
         number = ir.IntType(32)
         kind = ir.FunctionType(ir.VoidType(), [address.type, number, number, number])
         hint = builder.module.declare_intrinsic("llvm.prefetch", [address.type], kind)
-        builder.call(hint, [address, number(_READ), number(_SOON_AGAIN), number(_DATA)])
+        # For reading, to be kept in all caches, as data.
+        builder.call(hint, [address, number(0), number(3), number(1)])
         return context.get_dummy_value()
 
     return types.void(values, types.uintp), generate
 
 
-# `prefetch(values, place)` in a kernel has the line of memory about `values[place]` fetched, wherever that is.
+# `prefetch(values, place)` in a kernel prefetches the cache line of `values[place]`, wherever that is.
 prefetch: Any = intrinsic(_prefetch)

@@ -1,4 +1,4 @@
-"""Normal equations of a few unknowns, solved inside kernels."""
+"""Normal equations of a few unknowns, solved inside kernels by Cholesky factors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["solve_cholesky", "substitute_factor"]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_cholesky(left, right, out):
-    """Solve normal equations after Cholesky; `left`, of which the lower half is set, becomes its factor."""
+    """Solve `left @ out = right`; `left`, of which the lower half is read, becomes its Cholesky factor."""
     for i in range(len(right)):
         for j in range(i + 1):
             total = left[i, j]
@@ -22,7 +22,7 @@ def solve_cholesky(left, right, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def substitute_factor(factor, right, out):
-    """Solve normal equations by the factor of Cholesky that `solve_cholesky` has left in their place."""
+    """Solve by the Cholesky factor that `solve_cholesky` has left."""
     count = len(right)
     for i in range(count):
         total = right[i]

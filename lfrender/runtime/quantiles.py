@@ -1,4 +1,4 @@
-"""Quantiles of a few hundred numbers, for which NumPy's own take several times as long as to find them."""
+"""Quantiles of a few hundred numbers, several times as fast as `np.quantile`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["median", "quantile"]
 
 
 def quantile(values: NDArray[Any], share: float) -> float:
-    """As `np.quantile` of `values` (n,), n at least 1 and none of them NaN: linear between those beside it."""
+    """As `np.quantile` of `values` (n,), n at least 1 and none NaN, with linear interpolation."""
     place = share * (len(values) - 1)
     low, high = int(place), min(int(place) + 1, len(values) - 1)
     parted = np.partition(values, (low, high))

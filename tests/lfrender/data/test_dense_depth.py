@@ -1,4 +1,4 @@
-"""Further forms of a depth map: dense maps, pictures and point clouds, whole files that other programs read."""
+"""Dense depth maps, depth pictures and point clouds, in files that other programs read."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def test_mode_and_magnification_follow_from_the_signed_patch_size(depth):
     assert depth.filled.tolist() == [False, False, True]
 
 
-def test_the_peak_is_the_sharper_the_smaller_the_standard_error(depth):
+def test_curvature_is_the_inverse_squared_standard_error(depth):
     np.testing.assert_allclose(depth.curvature, [100, 25, 0], rtol=1e-5)
 
 

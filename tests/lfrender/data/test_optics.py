@@ -1,4 +1,4 @@
-"""Metres from patch sizes, against the distances that scenes were placed at."""
+"""Distances from patch sizes are those at which the simulator placed the scenes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_distances_are_those_that_the_simulator_places_scenes_at():
     np.testing.assert_allclose(optics_of(CAMERA).distance(ratios), CAMERA.depth_at(ratios) / 1000, rtol=1e-9)
 
 
-def test_places_that_no_object_can_be_imaged_to_are_not_a_number():
+def test_image_points_without_an_object_have_no_distance():
     camera = CAMERA
     limit = camera.patch_size(1e12) / camera.pitch
     found = optics_of(camera).distance([limit + 1e-3, limit - 1e-3, np.nan])

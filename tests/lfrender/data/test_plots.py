@@ -33,7 +33,7 @@ def test_a_notebook_shows_each_result_with_a_picture_and_figures(drawn):
         assert np.asarray(picture).std() > 10
 
 
-def test_a_warning_is_written_out_and_its_signs_do_no_harm(drawn):
+def test_a_warning_is_shown_with_html_escaped(drawn):
     from dataclasses import replace
 
     html = replace(drawn[0], warnings=("pitch < 6 px & <b>",))._repr_html_()

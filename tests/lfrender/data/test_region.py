@@ -1,4 +1,4 @@
-"""Parts of a flat that are analysed alone."""
+"""Analysis of a part of a flat."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ import numpy as np
 from lfcal import Lattice
 from lfrender.data.region import crop_flat
 from lfrender.flat.gray_flat import GrayFlat
-from lfrender.runtime.cache import cached_latest
 
 
-def test_the_next_frame_has_the_lattice_of_the_same_part_and_another_part_its_own():
+def test_the_lattice_of_a_part_is_reused_for_the_next_frame():
     lattice = Lattice(np.array([5.0, 6.0]), np.array([[20.0, 0.0], [10.0, 17.3]]), (400, 300), 9.0)
     centres = lattice.centres()
     gray = GrayFlat(np.zeros((300, 400), np.float32), centres.astype(np.float32), 9.0, 20.0)
@@ -34,13 +33,3 @@ def test_lenses_of_a_part_keep_their_types():
     found = {tuple(place): kind for place, kind in zip((sub.centres() + low).round(3), part.lens_type, strict=True)}
     known = {tuple(place): kind for place, kind in zip(centres.round(3), kinds, strict=True)}
     assert len(found) > 50 and found.items() <= known.items()
-
-
-def test_only_the_latest_value_of_a_name_is_kept():
-    owner, made = Lattice(np.zeros(2), np.eye(2) * 9, (50, 50), 4.0), []
-
-    def make():
-        made.append(len(made))
-        return made[-1]
-
-    assert [cached_latest(owner, "part", key, make) for key in ("a", "a", "b", "b", "a")] == [0, 0, 1, 1, 2]

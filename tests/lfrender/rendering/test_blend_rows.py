@@ -1,4 +1,4 @@
-"""Pictures of whole numbers are blended lens by lens; the answer is that of asking every pixel for its lenses."""
+"""Blending lens by lens gives the picture of blending pixel by pixel."""
 
 import functools
 
@@ -20,45 +20,45 @@ def capture():
 
 
 def shorts(flat):
-    """The same in 16 bits, with something in the lower ones."""
+    """The same in 16 bits, with lower bits set."""
     return flat * np.uint16(257) - np.random.default_rng(3).integers(0, 200, flat.shape, np.uint16) % (
         flat + np.uint16(1)
     )
 
 
-def without_shortcut(monkeypatch):
+def blend_pixel_by_pixel(monkeypatch):
     monkeypatch.setattr(RenderPlan, "_suits_rows", lambda *_: False)
 
 
 # At the larger scale a lens shows more pixels of a row than are worked on together.
 @pytest.mark.parametrize(("made", "equal"), [(np.asarray, 0.999), (shorts, 0.99)])
 @pytest.mark.parametrize(("channels", "scale"), [(1, None), (3, None), (3, 30.0)])
-def test_blended_rows_are_those_of_the_kernel_that_asks_every_pixel_within_one_level(
-    channels, scale, made, equal, monkeypatch
-):
+def test_both_kernels_give_the_same_picture_within_one_level(channels, scale, made, equal, monkeypatch):
     flat, camera, depth = capture()
     flat = made(flat.reshape(*flat.shape[:2], -1)[:, :, :1].repeat(channels, 2))
     rows = lfrender.render(flat, camera, depth, scale=scale)
-    without_shortcut(monkeypatch)
+    blend_pixel_by_pixel(monkeypatch)
     pixels = lfrender.render(flat, camera, depth, scale=scale)
     apart = np.abs(rows.image.astype(int) - pixels.image)
     assert (rows.valid == pixels.valid).all()
-    # Sums in another order may round another way, and rims of reach end a hair aside.
+    # Sums in another order round differently, and so do distances to the rim of the reach.
     assert (apart == 0).mean() > equal
     assert (apart > 1).mean() < 1e-4
 
 
 @pytest.mark.parametrize("made", [np.asarray, shorts])
-def test_blended_rows_are_the_kernel_that_draws_whole_pictures(made, monkeypatch):
+def test_the_usual_picture_is_blended_lens_by_lens(made, monkeypatch):
     import lfrender.rendering.plan as plan
 
     flat, camera, depth = capture()
-    asked = []
+    drawn_by_pixel = []
     blend_pixels = plan.blend_pixels
-    monkeypatch.setattr(plan, "blend_pixels", lambda *args: asked.append(args[5].wanted.mean()) or blend_pixels(*args))
+    monkeypatch.setattr(
+        plan, "blend_pixels", lambda *args: drawn_by_pixel.append(args[5].wanted.mean()) or blend_pixels(*args)
+    )
     lfrender.render(made(flat), camera, depth)
-    # Only pixels larger than one of the flat are left to the other kernel.
-    assert sum(asked) < 0.1
+    # Only output pixels larger than one of the flat are blended pixel by pixel.
+    assert sum(drawn_by_pixel) < 0.1
 
 
 @pytest.mark.parametrize("made", [np.asarray, shorts])
@@ -80,13 +80,13 @@ def test_blended_rows_have_the_same_bits_on_one_thread_and_two_and_in_a_part(mad
 
 
 @pytest.mark.parametrize("made", [np.asarray, shorts])
-def test_wanted_pixels_are_those_of_the_whole_picture_wherever_they_lie(made):
+def test_redrawn_pixels_have_the_bits_of_the_whole_picture(made):
     flat, camera, depth = capture()
     flat = made(flat)
     whole = lfrender.render(flat, camera, depth)
     drawing = make_plan(lambda part: flat[part[1] : part[3], part[0] : part[2]], camera, depth, None, None, None)
     wanted = np.random.default_rng(4).random(whole.valid.shape) < 0.3
-    # Whole rows and long runs without any, too.
+    # Whole rows and long runs are not drawn at all.
     wanted[10:20] = wanted[:, 40:90] = False
     image, valid = drawing.render_changed(flat, wanted, np.zeros_like(whole.image), np.zeros_like(whole.valid))
     np.testing.assert_array_equal(image, whole.image * wanted[:, :, None])

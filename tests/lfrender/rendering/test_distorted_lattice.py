@@ -1,4 +1,4 @@
-"""Flats whose lattice is distorted are analysed and drawn as well as straight ones."""
+"""Flats with a distorted lattice are analysed and rendered as well as undistorted ones."""
 
 import functools
 from dataclasses import replace
@@ -26,7 +26,7 @@ def capture(scene):
 
 
 def warped(flat, distortion):
-    """The flat as a relay lens with this distortion shows it."""
+    """The flat as imaged through a relay lens with this distortion."""
     y, x = np.mgrid[: flat.shape[0], : flat.shape[1]]
     source = distortion.remove(np.stack([x, y], -1).reshape(-1, 2)).reshape(*y.shape, 2).astype(np.float32)
     return cv2.remap(flat, source[..., 0], source[..., 1], cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT)
@@ -37,7 +37,7 @@ def camera_with(calibration, distortion):
 
 
 def psnr(shot, picture, distortion):
-    """PSNR [dB] against the reference, bent as the flat is, a pitch off the border."""
+    """PSNR [dB] against the reference, distorted as the flat is, one pitch off the border."""
     truth = shot.truth
     height, width = picture.image.shape[:2]
     v, u = np.mgrid[:height, :width]
@@ -56,7 +56,7 @@ def psnr(shot, picture, distortion):
 
 
 @pytest.mark.parametrize("scene", ["plane", "slope"])
-def test_a_distorted_lattice_is_analysed_and_drawn_as_well_as_a_straight_one(scene):
+def test_a_distorted_lattice_is_analysed_and_rendered_as_well_as_an_undistorted_one(scene):
     shot = capture(scene)
     straight = shot.truth.calibration
     bent = camera_with(straight, BENT)
@@ -86,7 +86,7 @@ def test_the_traditional_and_the_one_patch_picture_follow_the_distortion():
     )
 
 
-def test_a_straight_lattice_has_no_displacements_and_a_distorted_one_those_of_its_centres():
+def test_displacements_are_none_for_an_undistorted_lattice_and_else_those_of_the_centres():
     calibration = capture("plane").truth.calibration
     assert lens_displacements(calibration.lattice)[0].size == 0
     lattice = camera_with(calibration, BENT).lattice

@@ -37,7 +37,7 @@ def test_fixed_patch_picture_is_sharp_in_its_own_mode_only(ratio):
     assert against_reference(shot, right) > against_reference(shot, wrong) + 4
 
 
-def test_all_in_focus_beats_both_fixed_pictures_of_a_scene_with_both_modes(house):
+def test_all_in_focus_beats_both_fixed_patch_pictures_of_a_scene_with_both_modes(house):
     calibration = house.truth.calibration
     s = 0.3 * calibration.lattice.pitch
     sharp = against_reference(house, lfrender.render(house.flat, calibration, scale=s))
@@ -84,7 +84,7 @@ def test_the_picture_has_the_type_and_channels_of_the_flat(dtype):
         assert inside == pytest.approx(flat.mean() / factor, rel=0.5)
 
 
-def test_an_even_flat_gives_an_even_picture_without_lattice():
+def test_a_uniform_flat_gives_a_uniform_picture_without_lattice():
     camera = Camera.design(size=(420, 340), pitch=23.2, rotation=1.3)
     lattice = camera.lattice
     profile = Vignetting(1 - 0.5 * np.linspace(0, 1, 30) ** 4, lattice.radius / 29)
@@ -137,17 +137,17 @@ def test_wrong_arguments_are_refused_with_the_reason():
 @pytest.mark.parametrize("lattice", ["hex", "square"])
 @pytest.mark.parametrize("ratio", [-0.41, 0.28])
 @pytest.mark.parametrize("profile", [None, Vignetting(np.linspace(1.0, 0.7, 14), 1.0)], ids=["even", "vignetting"])
-def test_patches_laid_side_by_side_are_the_picture_of_the_nearest_lenses(ratio, lattice, profile):
+def test_fixed_patches_give_the_picture_of_the_nearest_lenses(ratio, lattice, profile):
     shot = capture("plane", lattice, ratio=ratio)
     calibration = replace(shot.truth.calibration, vignetting=profile)
     s = ratio * calibration.lattice.pitch
     quick = lfrender.render(shot.flat, calibration, patch_size=s)
-    # A scale beside the full one takes the general way.
+    # At any other scale the general kernel draws.
     general = lfrender.render(shot.flat, calibration, patch_size=s, scale=abs(s) * (1 + 1e-7))
     assert quick.image.shape == general.image.shape
     assert (quick.valid == general.valid).all()
     difference = np.abs(quick.image.astype(int) - general.image)
-    # Weights are 256ths and gains tabled; and places half-way between two lenses may be read from either.
+    # Weights are 256ths and gains tabulated; points half-way between two lenses may be read from either.
     assert difference.mean() < 0.12
     assert abs((quick.image.astype(int) - general.image).mean()) < 0.02
     assert (difference > 1).mean() < 0.004
@@ -156,7 +156,7 @@ def test_patches_laid_side_by_side_are_the_picture_of_the_nearest_lenses(ratio, 
 
 @pytest.mark.parametrize("channels", [1, 3, 4])
 @pytest.mark.parametrize("number", range(12))
-def test_bytes_are_laid_like_wider_numbers_on_any_flat(number, channels):
+def test_bytes_are_interpolated_like_wider_numbers_on_any_flat(number, channels):
     rng = np.random.default_rng(number)
     pitch, turn = rng.uniform(6, 60), rng.uniform(-0.3, 0.3)
     width, height = (int(n) for n in rng.integers(60, 400, 2))
@@ -173,11 +173,11 @@ def test_bytes_are_laid_like_wider_numbers_on_any_flat(number, channels):
         for pixels in (flat, flat.astype(np.uint16) * 257)
     )
     np.testing.assert_array_equal(narrow.valid, wide.valid)
-    # Weights are 256ths of up to 255 grey levels, and a gain of up to 4 lifts what they are off.
+    # Weights are 256ths of up to 255 grey levels, and a gain of up to 4 multiplies their error.
     assert np.abs(narrow.image - wide.image / 257).max() < 4
 
 
-def test_a_part_of_the_picture_is_that_of_the_whole_one():
+def test_a_part_has_the_bits_of_the_whole_picture():
     shot = capture("house")
     calibration = shot.truth.calibration
     depth = lfrender.analyze(shot.flat, calibration)

@@ -1,4 +1,4 @@
-"""Pictures show no lattice, and are as bright as the flat they come from."""
+"""Pictures show no lattice pattern, and are as bright as the corrected flat."""
 
 import dataclasses
 import functools
@@ -44,7 +44,7 @@ def camera_of(scene):
 
 
 def lattice_amplitude(picture, lattice):
-    """RMS [grey levels] of what the picture holds at the frequencies of the lattice, up to the second order."""
+    """RMS [grey levels] of the picture at the frequencies of the lattice, up to the second order."""
     border = int(np.ceil(1.5 * picture.scale))
     image = picture.image.astype(float)
     image = image.mean(2) if image.ndim == 3 else image
@@ -81,7 +81,7 @@ def test_a_white_capture_drawn_without_correction_shows_the_lattice():
 
 @functools.cache
 def cut_camera():
-    """A camera whose microimages are cut to cat's eyes, and a white image of it."""
+    """A camera with mechanical vignetting (cat's eyes), and a white image of it."""
     lattice = Camera.design(size=SIZE, pitch=23.2, rotation=1.3).lattice
     round_lens = Vignetting(1 / (1 + np.exp(3 * (np.arange(0, 16, 0.25) - 11.2))), 0.25)
     # A second disc, 6 px aside in the corners, cuts microimages, and light falls off to exp(-0.4) there.
@@ -107,13 +107,13 @@ CUT = {
 
 
 @pytest.mark.parametrize("kind", CUT)
-def test_cats_eyes_and_a_dark_border_give_an_even_picture(kind):
+def test_mechanical_vignetting_and_a_dark_border_give_a_uniform_picture(kind):
     camera, white = cut_camera()
     assert unevenness(CUT[kind](white, camera)) < 0.003
     assert unevenness(CUT[kind](white, dataclasses.replace(camera, gain_map=None))) > 0.05
 
 
-def test_cut_microimages_of_an_even_scene_claim_no_depth():
+def test_vignetted_microimages_of_a_uniform_scene_are_unresolved():
     camera, white = cut_camera()
     assert not lfrender.analyze(white, camera).mode.any()
 
@@ -136,13 +136,13 @@ KINDS = {
 def depth_of(scene):
     flat = shaded_white() if scene is None else capture(scene).flat
     depth = lfrender.analyze(flat, camera_of(scene))
-    # Nothing tells the depth of an even scene: it is drawn on the plane that it lies on.
+    # A uniform scene has no measurable depth: it is drawn on its true plane.
     surface = dataclasses.replace(depth.surface, patch_size=np.full_like(depth.surface.patch_size, PLANE))
     return dataclasses.replace(depth, surface=surface) if scene is None else depth
 
 
 def off_a_parabola(picture):
-    """RMS [grey levels] of what a picture holds beside the smoothest surface through it, two pixels off the border."""
+    """RMS [grey levels] of the residual from the smoothest surface through a picture, two pixels off the border."""
     image = picture.image.astype(float).reshape(*picture.image.shape[:2], -1).mean(2)[2:-2, 2:-2]
     v, u = np.mgrid[-1 : 1 : image.shape[0] * 1j, -1 : 1 : image.shape[1] * 1j]
     terms = np.stack([u**m * v**n for m in range(5) for n in range(5 - m)], -1).reshape(image.size, -1)
@@ -150,9 +150,9 @@ def off_a_parabola(picture):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_smooth_ramp_gives_no_picture_a_lattice(kind):
+def test_a_smooth_ramp_shows_no_lattice_in_any_picture(kind):
     camera = camera_of("ramp")
-    # As floats: rounding to whole grey levels alone is one per cent.
+    # As floats: rounding to integers alone is one per cent.
     picture = KINDS[kind](capture("ramp").flat / np.float32(255), camera, depth_of("ramp"))
     if kind == "traditional":
         # The lattice is finer than its pixels, and would show as a beat.
@@ -178,7 +178,7 @@ def test_a_white_capture_gives_views_and_lens_means_without_lattice(kind):
     assert off_a_parabola(picture) < 0.01 * picture.image.mean()
 
 
-def test_a_blank_capture_is_even_though_its_depth_is_not_known():
+def test_a_blank_capture_is_uniform_although_its_depth_is_unknown():
     white, camera = shaded_white(), camera_of(None)
     depth = lfrender.analyze(white, camera)
     assert not depth.mode.any()
@@ -193,7 +193,7 @@ def test_a_blank_capture_is_even_though_its_depth_is_not_known():
 def test_a_wrong_depth_shows_the_lattice():
     shot = capture("ramp")
     calibration = camera_of("ramp")
-    # Tiles do not meet.
+    # Patches do not meet.
     tiled = lfrender.render(shot.flat, calibration, patch_size=9.0)
     assert lattice_amplitude(tiled, calibration.lattice) > 0.01 * tiled.image.std()
 

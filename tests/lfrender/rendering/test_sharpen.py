@@ -1,4 +1,4 @@
-"""Sharpening takes back what the microlenses have blurred, and stops where noise begins."""
+"""Sharpening undoes the blur of the microlenses, and not where noise exceeds the signal."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ def psnr(scene, noise, sharpen, **options):
 
 
 @pytest.mark.parametrize(("scene", "gain"), [("plane", 1.5), ("slope", 1.0)])
-def test_little_noise_lets_pictures_gain(scene, gain):
+def test_pictures_with_little_noise_gain(scene, gain):
     assert psnr(scene, LOW, "auto") > psnr(scene, LOW, None) + gain
 
 
-def test_little_noise_lets_pictures_of_clutter_gain():
+def test_pictures_of_clutter_with_little_noise_gain():
     # From scene to scene it is 0.06 to 0.3 dB: depth edges weigh more than sharpness.
     gains = [psnr(scene, LOW, "auto") - psnr(scene, LOW, None) for scene in (("clutter", k) for k in range(3, 9))]
     assert np.mean(gains) > 0.1
@@ -67,11 +67,11 @@ def test_a_coarse_picture_is_not_sharpened_beyond_its_pixels(scene):
 
 
 @pytest.mark.parametrize("scene", ["plane", "slope", "clutter"])
-def test_much_noise_costs_nothing(scene):
+def test_pictures_with_much_noise_lose_nothing(scene):
     assert psnr(scene, HIGH, "auto") > psnr(scene, HIGH, None) - 0.01
 
 
-def test_a_given_width_is_taken_back_as_far_as_noise_allows():
+def test_a_given_blur_width_is_undone_as_far_as_noise_allows():
     plain = psnr("plane", HIGH, None)
     assert psnr("plane", HIGH, 1.8) > plain
     assert psnr("plane", LOW, 1.8) - psnr("plane", LOW, None) > psnr("plane", HIGH, 1.8) - plain + 0.5
@@ -93,7 +93,7 @@ def test_the_noise_of_a_flat_is_measured_through_its_texture(sigma):
     assert found == pytest.approx(np.hypot(sigma, own), rel=0.1)
 
 
-def test_a_known_blur_is_taken_back_and_the_mean_kept():
+def test_a_known_blur_is_undone_and_the_mean_kept():
     rng = np.random.default_rng(2)
     scene = cv2.GaussianBlur(rng.normal(100, 30, (300, 300)).astype(np.float32), (0, 0), 0.8)
     width = 2.5
@@ -104,14 +104,14 @@ def test_a_known_blur_is_taken_back_and_the_mean_kept():
     assert sharp.mean() == pytest.approx(blurred.mean(), rel=1e-3)
 
 
-def test_nothing_but_noise_is_left_as_it_is():
+def test_pure_noise_is_not_amplified():
     noise = np.random.default_rng(3).normal(0, 5, (300, 300, 1)).astype(np.float32)
     out = wiener_deconvolve(noise, 3.0, power_spectrum(noise), np.ones((300, 300), bool))
     assert out.std() <= 1.02 * noise.std()
 
 
 @pytest.mark.parametrize("sharpen", [-1.0, float("nan")])
-def test_a_width_that_is_none_is_refused(sharpen):
+def test_an_impossible_width_is_refused(sharpen):
     shot = capture("plane", LOW)
     with pytest.raises(ValueError, match="sharpen"):
         lfrender.render(shot.flat, shot.truth.calibration, patch_size=5.0, sharpen=sharpen)

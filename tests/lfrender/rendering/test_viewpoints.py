@@ -1,4 +1,4 @@
-"""Views: parallax by the amount the optics say, what comes out from behind, and the files they go to."""
+"""Views: parallax as the optics predict, uncovered surfaces, and the files that views are written to."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def card_before_plane():
 
 
 def seen_from(scene, offset, affine, size):
-    """What a pinhole in the main lens sees where microimages show `offset` [px], at scene coordinates `affine`.
+    """Image of a pinhole in the main lens at the place that microimages show at `offset` [px], on the grid `affine`.
 
     The lens is a thin one: moved by `A`, it bends all rays by `A / f` less, which moves the picture by `A (1 - L / f)`.
     """
@@ -114,7 +114,7 @@ def test_a_plane_moves_by_the_offset_times_its_virtual_depth(ratio):
     np.testing.assert_allclose(move(middle, still, inner), [0, 0], atol=0.2)
 
 
-def test_near_things_move_to_the_left_of_far_ones_when_the_view_moves_to_the_right():
+def test_near_objects_move_to_the_left_of_far_ones_when_the_view_moves_to_the_right():
     shot, depth = card_before_plane()
     q = 0.6 * shot.truth.calibration.lattice.radius
     middle, right = lfrender.views(
@@ -128,7 +128,7 @@ def test_near_things_move_to_the_left_of_far_ones_when_the_view_moves_to_the_rig
     np.testing.assert_allclose(move(middle, right, beside), [0, 0], atol=0.2)
 
 
-def test_views_are_what_a_pinhole_at_their_place_sees_behind_edges_too():
+def test_views_are_images_of_a_pinhole_there_behind_depth_edges_too():
     shot, depth = card_before_plane()
     q, border = 0.6 * shot.truth.calibration.lattice.radius, 20
     errors = []

@@ -1,4 +1,4 @@
-"""Memory kept between frames: handed out again to its thread alone, and no answer lies in it."""
+"""Reused memory belongs to one thread, and results never lie in it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from data_synth import SCENES, Camera, simulate
 from lfrender.runtime.buffers import allocate_pooled, allocate_scratch
 
 
-def test_memory_is_handed_out_again_to_the_same_thread_only():
+def test_scratch_memory_is_reused_by_the_same_thread_only():
     first = allocate_scratch("test", (100, 70), np.float32)
     assert np.shares_memory(first, allocate_scratch("test", (50, 100), np.float32))
     assert not np.shares_memory(first, allocate_scratch("other test", (100, 70), np.float32))
@@ -22,18 +22,18 @@ def test_memory_is_handed_out_again_to_the_same_thread_only():
     assert not np.shares_memory(first, elsewhere[0])
 
 
-def test_more_memory_and_other_types_get_memory_of_their_own():
+def test_larger_arrays_and_other_types_get_new_memory():
     small = allocate_scratch("growing", (10,), np.float32)
     assert allocate_scratch("growing", (1000,), np.float32).shape == (1000,)
     assert not np.shares_memory(small, allocate_scratch("growing", (10,), np.uint32))
 
 
-def test_memory_beyond_128_mebibytes_is_not_kept():
+def test_scratch_memory_above_128_mebibytes_is_not_kept():
     huge = allocate_scratch("huge", (1 << 27, 2), np.uint8)
     assert not np.shares_memory(huge, allocate_scratch("huge", (1 << 27, 2), np.uint8))
 
 
-def test_the_next_frame_leaves_depth_and_picture_of_the_last_one_as_they_are():
+def test_the_next_frame_does_not_change_depth_and_picture_of_the_last_one():
     camera = Camera.design((320, 240), 23.2)
     shot = simulate(SCENES["house"](camera), camera, samples=8, seed=2)
     flat, camera = shot.flat, shot.truth.calibration
@@ -47,21 +47,21 @@ def test_the_next_frame_leaves_depth_and_picture_of_the_last_one_as_they_are():
     np.testing.assert_array_equal(picture.image, kept[2])
 
 
-def test_memory_is_recycled_only_when_no_array_refers_to_it():
+def test_pooled_memory_is_reused_only_when_no_array_refers_to_it():
     first = allocate_pooled((300, 200), np.int16)
     part, place = first[10:20].T, first.ctypes.data
     del first
     others = [allocate_pooled((300, 200), np.int16) for _ in range(5)]
     assert place not in [other.ctypes.data for other in others]
     del part
-    # A little less is as good.
+    # A slightly smaller array fits.
     assert allocate_pooled((200, 290), np.int16).ctypes.data == place
 
 
-def test_much_larger_memory_and_what_exceeds_the_limit_is_left_alone():
+def test_pooled_memory_is_not_used_for_much_smaller_arrays_nor_kept_above_the_limit():
     large = allocate_pooled((1 << 20,), np.int64)
     place = large.ctypes.data
     del large
     assert allocate_pooled((1 << 18,), np.int64).ctypes.data != place
-    # It would be a view of what is kept.
+    # A pooled array would be a view.
     assert allocate_pooled((1 << 23, 2), np.int64).base is None

@@ -1,25 +1,36 @@
-"""Values cached with their owner."""
+"""Values are cached per owner, and deleted with it."""
 
 from __future__ import annotations
 
 import gc
+import weakref
 
-from lfrender.runtime.cache import cached
+import numpy as np
+
+from lfcal import Lattice
+from lfrender.runtime.cache import cached, cached_latest
 
 
-def test_a_cached_value_is_made_once_and_goes_with_its_owner():
-    class Owner:
-        pass
+def _owner() -> Lattice:
+    return Lattice(np.zeros(2), np.eye(2) * 9, (50, 50), 4.0)
 
-    made = []
-    owner = Owner()
-    for _ in range(3):
-        assert cached(owner, "a", lambda: made.append(0) or len(made)) == 1
-    assert cached(owner, "b", lambda: "other") == "other"
-    before = id(owner)
-    from lfrender.runtime.cache import _entries
 
-    assert before in _entries
-    del owner
+def test_a_value_is_made_once_and_freed_with_its_owner():
+    owner, made = _owner(), []
+    first = cached(owner, "array", lambda: made.append(1) or np.zeros(3))
+    assert cached(owner, "array", lambda: made.append(1) or np.zeros(3)) is first
+    assert len(made) == 1
+    value = weakref.ref(first)
+    del owner, first
     gc.collect()
-    assert before not in _entries
+    assert value() is None
+
+
+def test_only_the_latest_value_of_a_name_is_kept():
+    owner, made = _owner(), []
+
+    def make():
+        made.append(len(made))
+        return made[-1]
+
+    assert [cached_latest(owner, "part", key, make) for key in ("a", "a", "b", "b", "a")] == [0, 0, 1, 1, 2]

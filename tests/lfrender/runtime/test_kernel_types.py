@@ -1,4 +1,4 @@
-"""Kernels are compiled once for what they are given, wherever it comes from: other code may round otherwise."""
+"""Kernels are compiled for one set of argument types, wherever arrays come from: other code may round differently."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lfrender.flat.lens_graph import opposite_neighbours
 
 
 def compiled():
-    """Signatures of all kernels that are compiled or loaded by now, by module and name."""
+    """Signatures of all kernels that are compiled or loaded so far, by module and name."""
     modules = [(name, module) for name, module in sys.modules.items() if name.split(".")[0] in ("lfcal", "lfrender")]
     return {
         (name, key): tuple(map(str, kernel.signatures))
@@ -23,7 +23,7 @@ def compiled():
     }
 
 
-def test_cameras_out_of_pickles_need_no_other_kernels(house):
+def test_unpickled_cameras_need_no_other_kernels(house):
     camera = house.truth.calibration
     depth = lfrender.analyze(house.flat, camera, "fast")
     lfrender.render(house.flat, camera, depth)
@@ -36,6 +36,6 @@ def test_cameras_out_of_pickles_need_no_other_kernels(house):
     assert compiled() == before
 
 
-def test_neighbours_are_contiguous_as_they_are_out_of_a_pickle():
+def test_neighbours_are_contiguous_as_after_unpickling():
     lattice = lfcal.Lattice((20.0, 30.0), [(12.0, 0.5), (6.0, 10.4)], (640, 480), 5.5)
     assert all(half.flags.c_contiguous for half in opposite_neighbours(lattice))

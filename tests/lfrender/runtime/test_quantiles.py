@@ -13,6 +13,6 @@ def test_quantiles_are_those_of_numpy(n, kind):
     assert median(values) == pytest.approx(np.median(values), abs=1e-6)
 
 
-def test_what_lies_at_infinity_is_only_counted():
+def test_infinite_values_are_only_counted():
     assert median(np.array([1.0, np.inf, 2.0, 3.0, np.inf])) == 3.0
     assert quantile(np.array([1.0, 2.0, np.inf]), 0.5) == 2.0

@@ -11,12 +11,12 @@ def order(n):
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 31, 32, 33, 63, 64, 100, 9027])
-def test_stretches_visit_everything_once(n):
+def test_chunks_visit_every_item_once(n):
     visited = np.concatenate(order(n)) if n else np.empty(0)
     np.testing.assert_array_equal(np.sort(visited), np.arange(n))
 
 
-def test_two_threads_share_what_lies_together():
+def test_two_threads_share_a_cluster():
     n = 9000
     cluster = np.zeros(n, bool)
     cluster[5000:7500] = True
