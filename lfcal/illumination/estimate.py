@@ -136,21 +136,28 @@ def _find_cut(gain: GainMap, residuals: GainResiduals, sample: Sample, lattice: 
 def _estimate_noise(residuals: GainResiduals) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Standard deviation over the distance to the centre, and its factor in each window of the field."""
     smooth = np.ones(5)
-    square, count = residuals.ring_square.sum(0), residuals.ring_count.sum(0)
+    square, count = residuals.rings[2].sum(0), residuals.rings[3].sum(0)
     overall = square.sum() / max(count.sum(), 1e-12)
     few = max(1e-4 * count.sum(), 1e-12)
     near = (np.convolve(square, smooth, "same") + few * overall) / (np.convolve(count, smooth, "same") + few)
-    expected = (residuals.ring_count * near).sum(1)
-    windows = np.where(expected > 0, residuals.ring_square.sum(1) / np.maximum(expected, 1e-300), 1.0)
+    expected = (residuals.rings[3] * near).sum(1)
+    windows = np.where(expected > 0, residuals.rings[2].sum(1) / np.maximum(expected, 1e-300), 1.0)
     return np.sqrt(np.maximum(near, 1e-12)), np.sqrt(np.maximum(windows, 1e-3))
 
 
 def _correct_profile(gain: GainMap, residuals: GainResiduals) -> GainMap:
-    """The map with the profile of the residuals, 1 at its brightest, and their stray light."""
-    smooth = np.convolve(np.pad(residuals.profile, 2, "edge"), np.ones(5) / 5, "valid")
-    inner = np.arange(len(smooth)) * gain.step < gain.radius
-    brightest = max(float(smooth[inner].max()), 1e-9)
-    return replace(gain, profile=residuals.profile / brightest, stray_light=residuals.stray_light / brightest)
+    """The map with its profile, 1 at its brightest, and its stray light corrected."""
+    up, down = residuals.rings[:2]
+    pixels = down.sum(0)
+    found = np.maximum(gain.profile + up.sum(0) / np.maximum(pixels, 1e-300), 0.0)
+    # Rings with hardly any pixel are interpolated.
+    at, filled = np.arange(len(found)), pixels > 1e-3 * pixels.max()
+    profile = np.interp(at, at[filled], found[filled]) if filled.any() else gain.profile
+    behind, weight = residuals.dark.sum(0)
+    stray = max(float(gain.stray_light + behind / weight if weight > 0 else profile.min()), 0.0)
+    smooth = np.convolve(np.pad(profile, 2, "edge"), np.ones(5) / 5, "valid")
+    brightest = max(float(smooth[at * gain.step < gain.radius].max()), 1e-9)
+    return replace(gain, profile=profile / brightest, stray_light=stray / brightest)
 
 
 def field_monomials(points: NDArray[np.float64], lattice: Lattice, degree: int) -> NDArray[np.float64]:
@@ -207,7 +214,7 @@ def _fit_rim(
     """New polynomials of the rim: harmonics of the direction times monomials of the field, the significant ones."""
     windows, harmonics = len(middle), settings.harmonics
     # 0 for a window or direction without rim.
-    weight = residuals.rim_weight.ravel()
+    weight = residuals.rims[1].ravel()
     angle = np.tile(np.arange(KERNEL.directions) * 2 * np.pi / KERNEL.directions, windows)
     degree = settings.rim_degree if windows > 2 * count_terms(settings.rim_degree) else 0
     field = np.repeat(field_monomials(middle, lattice, degree), KERNEL.directions, axis=0)
@@ -216,7 +223,7 @@ def _fit_rim(
     waves = [np.ones(len(angle))]
     for k in range(1, harmonics + 1):
         waves += [np.cos(k * angle), np.sin(k * angle)]
-    target = residuals.rim_sum.ravel() / np.maximum(weight, 1e-30)
+    target = residuals.rims[0].ravel() / np.maximum(weight, 1e-30)
     rows: list[list[int]] = [[0]] + [[2 * k - 1, 2 * k] for k in range(1, harmonics + 1)]
     blocks, where = [], []
     for k, pair in enumerate(rows):
@@ -240,12 +247,13 @@ def _fit_rim(
 
 def _fit_cut(residuals: GainResiduals, gain: GainMap) -> NDArray[np.float64]:
     """One Gauss-Newton step of the cutting disc."""
-    normal = residuals.cut_normal + np.tril(residuals.cut_normal, -1).T
+    normal = residuals.cut_normal.sum(0)
+    normal += np.tril(normal, -1).T
     normal += 1e-6 * np.trace(normal) * np.eye(5) + 1e-12 * np.eye(5)
     radius, soft = gain.cut[3:]
     # Steps beyond the range of the linear model are shortened.
     most = np.array([1, 1, 1, 1, 0.3]) * soft
-    cut = gain.cut + np.clip(np.linalg.solve(normal, residuals.cut_right), -most, most)
+    cut = gain.cut + np.clip(np.linalg.solve(normal, residuals.cut_right.sum(0)), -most, most)
     cut[3], cut[4] = max(cut[3], 0.3 * radius), np.clip(cut[4], 0.2, 0.2 + 0.1 * radius)
     return cut
 
@@ -260,10 +268,11 @@ def _fit_shading(
     shading = np.zeros((5, field.shape[1]))
     shading[:, : gain.shading.shape[1]] = gain.shading[:, : field.shape[1]]
     # The light of a window is eliminated (Schur complement); the mean curvature is in the profile.
-    own = np.maximum(residuals.shading_normal[:, 5, 5], 1e-30)
-    mixed = residuals.shading_normal[:, :5, 5]
-    normal = residuals.shading_normal[:, :5, :5] - mixed[:, :, None] * mixed[:, None, :] / own[:, None, None]
-    right = residuals.shading_right[:, :5] - mixed * (residuals.shading_right[:, 5] / own)[:, None]
+    whole = residuals.normal + np.tril(residuals.normal, -1).transpose(0, 2, 1)
+    own = np.maximum(whole[:, 5, 5], 1e-30)
+    mixed = whole[:, :5, 5]
+    normal = whole[:, :5, :5] - mixed[:, :, None] * mixed[:, None, :] / own[:, None, None]
+    right = residuals.right[:, :5] - mixed * (residuals.right[:, 5] / own)[:, None]
     cells = [(row, c) for row in range(5) for c in range(field.shape[1] if row < 2 else min(6, field.shape[1]))]
     design = np.zeros((windows, 5, len(cells)))
     for k, (row, c) in enumerate(cells):

@@ -8,7 +8,6 @@ no plane there have little weight. The sums are normal equations of the terms of
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,8 +51,26 @@ class ResidualOptions(NamedTuple):
     terms: bool
 
 
-class _Sums(NamedTuple):
-    """Sums by window of the field; the normal equations in their lower halves."""
+class GainResiduals(NamedTuple):
+    """Sums of residuals by window of the field; normal equations in their lower halves.
+
+    Parameters
+    ----------
+    rings : (4, w, k) float64
+        Over the distance to the centre: right side and weight of the change of the profile, sum of squared residuals,
+        sum of weights.
+    normal, right : (w, 6, 6), (w, 6) float64
+        Normal equations of the factors of `u, v, u^2, u*v, v^2, 1` of the shading.
+    rims : (2, w, d) float64
+        Right side and weight of the change of the rim [px] in each direction.
+    sector : (w, d, 2) float64
+        Sum of residuals in each direction, and of weights of pixels within the inradius of the cell; empty if not
+        asked for.
+    dark : (w, 2) float64
+        Sum of residuals, and of weights, outside the cutting disc.
+    cut_normal, cut_right : (w, 5, 5), (w, 5) float64
+        Normal equations of the cutting disc.
+    """
 
     rings: NDArray[np.float64]
     normal: NDArray[np.float64]
@@ -61,40 +78,6 @@ class _Sums(NamedTuple):
     rims: NDArray[np.float64]
     sector: NDArray[np.float64]
     dark: NDArray[np.float64]
-    cut_normal: NDArray[np.float64]
-    cut_right: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class GainResiduals:
-    """What a gain map leaves unexplained: the profile as it should be, and sums by window of the field.
-
-    Parameters
-    ----------
-    profile : (k,) float64
-    ring_square, ring_count : (w, k) float64
-        Sum of squared residuals, and of weights, over the distance to the centre.
-    shading_normal, shading_right : (w, 6, 6), (w, 6) float64
-        Normal equations of the factors of `u, v, u^2, u*v, v^2, 1`.
-    rim_sum, rim_weight : (w, d) float64
-        The rim lies `rim_sum / rim_weight` px outside that of the map.
-    sector : (w, d, 2) float64
-        Sum of residuals, and of weights of pixels within the inradius of the cell; empty if not asked for.
-    stray_light : float
-        Light outside the cutting disc.
-    cut_normal, cut_right : (5, 5), (5,) float64
-        Normal equations of the cutting disc.
-    """
-
-    profile: NDArray[np.float64]
-    ring_square: NDArray[np.float64]
-    ring_count: NDArray[np.float64]
-    shading_normal: NDArray[np.float64]
-    shading_right: NDArray[np.float64]
-    rim_sum: NDArray[np.float64]
-    rim_weight: NDArray[np.float64]
-    sector: NDArray[np.float64]
-    stray_light: float
     cut_normal: NDArray[np.float64]
     cut_right: NDArray[np.float64]
 
@@ -269,7 +252,7 @@ def collect_residuals(
         Whether residuals are also summed over directions alone, whatever their distance.
     """
     windows, rings = len(sample.first) - 1, len(gain.profile)
-    sums = _Sums(
+    sums = GainResiduals(
         np.zeros((4, windows, rings)), np.zeros((windows, 6, 6)), np.zeros((windows, 6)),
         np.zeros((2, windows, KERNEL.directions)), np.zeros((windows * sectors, KERNEL.directions, 2)),
         np.zeros((windows, 2)), np.zeros((windows, 5, 5)), np.zeros((windows, 5)),
@@ -277,16 +260,4 @@ def collect_residuals(
     slope = np.gradient(gain.profile, gain.step)
     kernel: Any = _add_residuals
     kernel(picture, sample, Cell.of(lattice), options, gain.shape(lattice), slope, sums)
-    up, down, square, count = sums.rings
-    normal = sums.normal + np.tril(sums.normal, -1).transpose(0, 2, 1)
-    pixels = down.sum(0)
-    found = np.maximum(gain.profile + up.sum(0) / np.maximum(pixels, 1e-300), 0.0)
-    # Rings with hardly any pixel are interpolated.
-    at, filled = np.arange(rings), pixels > 1e-3 * pixels.max()
-    profile = np.interp(at, at[filled], found[filled]) if filled.any() else gain.profile
-    behind, pixels_behind = sums.dark.sum(0)
-    stray = gain.stray_light + behind / pixels_behind if pixels_behind > 0 else float(profile.min())
-    return GainResiduals(
-        profile, square, count, normal, sums.right, sums.rims[0], sums.rims[1], sums.sector, max(float(stray), 0.0),
-        sums.cut_normal.sum(0), sums.cut_right.sum(0),
-    )  # fmt: skip
+    return sums

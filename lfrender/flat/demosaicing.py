@@ -1,6 +1,12 @@
-"""Colour from a filter mosaic, without colour bleeding from one microimage into the next."""
+"""Colour from a colour filter mosaic, each pixel from pixels of its own microimage alone.
+
+Green is interpolated along edges, red and blue by their difference to green (J. F. Hamilton and J. E. Adams, US patent
+5629734, 1997), from pixels of similar green.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -10,28 +16,34 @@ from lfcal import Calibration, Lattice
 from lfcal.runtime.fastmath import FAST
 
 from .distorted_lookup import displacement_at, lens_displacements, nearest_index
+from .settings import COLOUR, DemosaicSettings
 
 __all__ = ["SUPPORT", "demosaic"]
 
-# Differences below this share of white say nothing about the direction of an edge: noise and rounding make them.
-_EVEN = 0.01
-# A guide that differs by this share of white belongs to another surface, more likely than not.
-_ALIKE = 0.08
-# Weight of a pixel 0, 1 and 2 rows or columns away: farther ones have lost the colour.
-_NEAR = np.exp(-0.5 * np.arange(3.0) ** 2).astype(np.float32)
-#: Colours are taken from so far away [px]: two, by a colour that is taken there from two, whose green is from two.
+#: A colour depends on pixels up to so far away [px]: two, times three steps of interpolation.
 SUPPORT = 6
 _COLOURS = {"R": 0, "G": 1, "B": 2}
 
 
+class _Mosaic(NamedTuple):
+    """A flat (H, W) behind colour filters, as kernels take it: number of the lens of each pixel (H, W), colour of the
+    2 x 2 filters, weight of a pixel 0, 1 and 2 rows or columns away, and difference of a guide that halves it."""
+
+    flat: NDArray
+    lens: NDArray[np.int32]
+    colours: NDArray[np.int8]
+    near: NDArray[np.float32]
+    similar: np.float32
+
+
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _owners(origin, inverse, basis, bend, low, left, top, out):
-    """Number of the lens whose centre is nearest to each pixel; alike for no two lenses that could be neighbours."""
+def _number_lenses(origin, inverse, basis, displacement, low, left, top, out):
+    """Number of the lens whose centre is nearest to each pixel; different for lenses that could be neighbours."""
     height, width = out.shape
-    bent = bend.size > 0
+    distorted = displacement.size > 0
     for y in prange(height):
         for x in range(width):
-            i, j = nearest_index(float(left + x), float(top + y), origin, inverse, bend, low)
+            i, j = nearest_index(float(left + x), float(top + y), origin, inverse, displacement, low)
             dx = left + x - origin[0] - i * basis[0, 0] - j * basis[1, 0]
             dy = top + y - origin[1] - i * basis[0, 1] - j * basis[1, 1]
             nearest = np.inf
@@ -39,8 +51,8 @@ def _owners(origin, inverse, basis, bend, low, left, top, out):
                 for dj in range(-1, 2):
                     ex = dx - di * basis[0, 0] - dj * basis[1, 0]
                     ey = dy - di * basis[0, 1] - dj * basis[1, 1]
-                    if bent:
-                        bend_x, bend_y = displacement_at(bend, low, i + di, j + dj)
+                    if distorted:
+                        bend_x, bend_y = displacement_at(displacement, low, i + di, j + dj)
                         ex, ey = ex - bend_x, ey - bend_y
                     square = ex * ex + ey * ey
                     if square < nearest:
@@ -49,27 +61,27 @@ def _owners(origin, inverse, basis, bend, low, left, top, out):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _is(owner, own, y, x):
+def _belongs(lens, own, y, x):
     """Whether a pixel is on the flat and belongs to the microimage `own`."""
-    return 0 <= y < owner.shape[0] and 0 <= x < owner.shape[1] and owner[y, x] == own
+    return 0 <= y < lens.shape[0] and 0 <= x < lens.shape[1] and lens[y, x] == own
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _along(flat, owner, y, x, step_y, step_x):
-    """Green at a red or blue pixel from its two neighbours in one direction, the change there, and how many took part.
+def _interpolate_green(flat, lens, y, x, step_y, step_x):
+    """Green at a red or blue pixel from its two neighbours in one direction, the change there, and their number.
 
-    The bend of the pixel's own colour is added, as all colours of an edge bend alike (Hamilton and Adams 1997).
+    Half the second difference of the pixel's own colour is added, as all colours change alike at an edge.
     """
-    own, here = owner[y, x], np.float32(flat[y, x])
+    own, here = lens[y, x], np.float32(flat[y, x])
     total = change = np.float32(0.0)
     count = 0
     first = np.float32(0.0)
     for side in (-1, 1):
         y1, x1, y2, x2 = y + side * step_y, x + side * step_x, y + 2 * side * step_y, x + 2 * side * step_x
-        if not _is(owner, own, y1, x1):
+        if not _belongs(lens, own, y1, x1):
             continue
         green = np.float32(flat[y1, x1])
-        bend = np.float32(0.5) * (here - np.float32(flat[y2, x2])) if _is(owner, own, y2, x2) else np.float32(0.0)
+        bend = np.float32(0.5) * (here - np.float32(flat[y2, x2])) if _belongs(lens, own, y2, x2) else np.float32(0.0)
         total += green + bend
         change += bend
         if count == 1:
@@ -80,15 +92,17 @@ def _along(flat, owner, y, x, step_y, step_x):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _fill_green(flat, owner, colours, even, out):
+def _fill_green(mosaic, even, out):
+    """Green by the directions of edges; changes below `even` do not show one."""
+    flat, lens, colours = mosaic.flat, mosaic.lens, mosaic.colours
     height, width = flat.shape
     for y in prange(height):
         for x in range(width):
             if colours[y & 1, x & 1] == 1:
                 out[y, x, 1] = flat[y, x]
                 continue
-            across, change_x, count_x = _along(flat, owner, y, x, 0, 1)
-            down, change_y, count_y = _along(flat, owner, y, x, 1, 0)
+            across, change_x, count_x = _interpolate_green(flat, lens, y, x, 0, 1)
+            down, change_y, count_y = _interpolate_green(flat, lens, y, x, 1, 0)
             weight_x = count_x * count_x / (change_x * change_x + even * even)
             weight_y = count_y * count_y / (change_y * change_y + even * even)
             if count_x + count_y > 0:
@@ -98,18 +112,16 @@ def _fill_green(flat, owner, colours, even, out):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _guided(flat, owner, colours, wanted, guide, y, x, near, alike, out):
-    """One colour from another: that plus their mean difference at the wanted pixels around, of the same lens.
-
-    `near` weighs them by rows and columns of distance; those where the guide differs by more than `alike` count less.
-    """
+def _interpolate_difference(flat, lens, colours, near, similar, wanted, guide, y, x, out):
+    """The colour `wanted` from the colour `guide`: that plus their mean difference at the pixels around of that colour,
+    weighted by distance and by similarity of the guide."""
     reach = len(near) - 1
     total = weights = np.float32(0.0)
     for v in range(y - reach, y + reach + 1):
         for u in range(x - reach, x + reach + 1):
-            if colours[v & 1, u & 1] == wanted and _is(owner, owner[y, x], v, u):
+            if colours[v & 1, u & 1] == wanted and _belongs(lens, lens[y, x], v, u):
                 unlike = out[v, u, guide] - out[y, x, guide]
-                weight = near[abs(v - y)] * near[abs(u - x)] / (unlike * unlike + alike * alike)
+                weight = near[abs(v - y)] * near[abs(u - x)] / (unlike * unlike + similar * similar)
                 total += weight * (np.float32(flat[v, u]) - out[v, u, guide])
                 weights += weight
     if weights > 0:
@@ -118,38 +130,39 @@ def _guided(flat, owner, colours, wanted, guide, y, x, near, alike, out):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _fill_colour(flat, owner, colours, colour, near, alike, out):
-    """Red or blue, with green as the guide."""
+def _fill_colour(mosaic, colour, out):
+    """Red or blue, guided by green."""
+    flat, lens, colours, near, similar = mosaic.flat, mosaic.lens, mosaic.colours, mosaic.near, mosaic.similar
     height, width = flat.shape
     for y in prange(height):
         for x in range(width):
             if colours[y & 1, x & 1] == colour:
                 out[y, x, colour] = flat[y, x]
             else:
-                out[y, x, colour] = _guided(flat, owner, colours, colour, 1, y, x, near, alike, out)
+                out[y, x, colour] = _interpolate_difference(flat, lens, colours, near, similar, colour, 1, y, x, out)
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _refill_rim(flat, owner, colours, near, alike, out):
-    """Green at the rim of a microimage, where a neighbour for the edge rule is missing: the own colour guides."""
+def _refill_rim(mosaic, out):
+    """Green at the rim of a microimage, where a neighbour is missing: guided by the colour of the pixel."""
+    flat, lens, colours, near, similar = mosaic.flat, mosaic.lens, mosaic.colours, mosaic.near, mosaic.similar
     height, width = flat.shape
     for y in prange(height):
         for x in range(width):
-            own, colour = owner[y, x], colours[y & 1, x & 1]
+            own, colour = lens[y, x], colours[y & 1, x & 1]
             if colour != 1 and not (
-                _is(owner, own, y - 1, x)
-                and _is(owner, own, y + 1, x)
-                and _is(owner, own, y, x - 1)
-                and _is(owner, own, y, x + 1)
+                _belongs(lens, own, y - 1, x)
+                and _belongs(lens, own, y + 1, x)
+                and _belongs(lens, own, y, x - 1)
+                and _belongs(lens, own, y, x + 1)
             ):
-                out[y, x, 1] = _guided(flat, owner, colours, 1, colour, y, x, near, alike, out)
+                out[y, x, 1] = _interpolate_difference(flat, lens, colours, near, similar, 1, colour, y, x, out)
 
 
-def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = (0, 0)) -> NDArray:
-    """Colour flat from one behind a colour filter mosaic; any other flat is given back as it is.
-
-    Green is interpolated along edges, red and blue by their difference to green (J. F. Hamilton and J. E. Adams,
-    US patent 5629734, 1997) at places of like green, each pixel from pixels of its own microimage alone.
+def demosaic(
+    flat: NDArray, calibration: Calibration, corner: tuple[int, int] = (0, 0), settings: DemosaicSettings = COLOUR
+) -> NDArray:
+    """Colour flat from one behind a colour filter mosaic; any other flat is returned as it is.
 
     Parameters
     ----------
@@ -158,34 +171,50 @@ def demosaic(flat: NDArray, calibration: Calibration, corner: tuple[int, int] = 
     calibration : Calibration
         Its `mosaic` names the filters; None means that there are none.
     corner : (int, int) [px]
-        Flat coordinates x, y of the first pixel of a part, both even. Its outermost pixels, up to `SUPPORT`, are not
-        those of the whole.
+        Flat coordinates x, y of the first pixel of a part, both even. Its outermost pixels, up to `SUPPORT`, differ
+        from those of the whole.
+    settings : DemosaicSettings
 
     Returns
     -------
-    (H, W, 3) array of the type of `flat`, or `flat` itself where it has channels or the camera no mosaic
+    (H, W, 3) array of the type of `flat`, or `flat` itself if it has channels or the camera no mosaic
+
+    Examples
+    --------
+    A flat of even colour behind a mosaic gets that colour at every pixel:
+
+    >>> import numpy as np
+    >>> from lfcal import Calibration, Lattice
+    >>> camera = Calibration(Lattice((8, 8), ((8, 0), (0, 8)), (32, 24), 4.0), mosaic="RGGB")
+    >>> flat = np.tile(np.array([[90, 120], [120, 40]], np.uint8), (12, 16))
+    >>> np.unique(demosaic(flat, camera).reshape(-1, 3), axis=0)
+    array([[ 90, 120,  40]], dtype=uint8)
     """
     pixels = np.asarray(flat)
     if pixels.ndim != 2 or calibration.mosaic is None:
         return pixels
-    colours = np.array([_COLOURS[letter] for letter in calibration.mosaic], np.int8).reshape(2, 2)
     if corner[0] % 2 or corner[1] % 2:
         raise ValueError(f"corner must be two even numbers, or colours are exchanged; got {corner}")
-    owner = _owner_of_pixels(calibration.lattice, corner, pixels.shape)
     white = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "ui" else 1.0
+    mosaic = _Mosaic(
+        pixels,
+        _lens_of_pixels(calibration.lattice, corner, pixels.shape),
+        np.array([_COLOURS[letter] for letter in calibration.mosaic], np.int8).reshape(2, 2),
+        np.exp(-0.5 * np.arange(3.0) ** 2).astype(np.float32),
+        np.float32(settings.similar * white),
+    )
     out = np.empty((*pixels.shape, 3), np.float32)
-    _fill_green(pixels, owner, colours, np.float32(_EVEN * white), out)
-    alike = np.float32(_ALIKE * white)
+    _fill_green(mosaic, np.float32(settings.even * white), out)
     for colour in (0, 2):
-        _fill_colour(pixels, owner, colours, colour, _NEAR, alike, out)
-    _refill_rim(pixels, owner, colours, _NEAR, alike, out)
+        _fill_colour(mosaic, colour, out)
+    _refill_rim(mosaic, out)
     if pixels.dtype.kind == "f":
         return out.astype(pixels.dtype, copy=False)
     return np.minimum(np.rint(out, out=out), white).astype(pixels.dtype)
 
 
-def _owner_of_pixels(lattice: Lattice, corner: tuple[int, int], shape: tuple[int, ...]) -> NDArray[np.int32]:
-    owner = np.empty(shape, np.int32)
-    bend, low = lens_displacements(lattice)
-    _owners(lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, bend, low, *corner, owner)
-    return owner
+def _lens_of_pixels(lattice: Lattice, corner: tuple[int, int], shape: tuple[int, ...]) -> NDArray[np.int32]:
+    lens = np.empty(shape, np.int32)
+    displacement, low = lens_displacements(lattice)
+    _number_lenses(lattice.origin, np.linalg.inv(lattice.basis), lattice.basis, displacement, low, *corner, lens)
+    return lens

@@ -1,4 +1,4 @@
-"""Lenses of a distorted lattice, for kernels that look them up by place: how far each lies from the straight one."""
+"""Nearest lens to a place on a flat whose lattice may be distorted, for kernels: from a table of lens displacements."""
 
 from __future__ import annotations
 
@@ -9,12 +9,9 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
 
-__all__ = ["displacement_at", "lens_displacements", "nearest_index"]
+from .settings import LOOKUP
 
-# Index steps beyond the flat that kernels may ask for.
-_MARGIN = 6
-# Each turn of the search for the nearest lens gains a factor of the gradient of the distortion.
-_TURNS = 6
+__all__ = ["displacement_at", "lens_displacements", "nearest_index"]
 
 
 def lens_displacements(lattice: Lattice) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
@@ -22,38 +19,42 @@ def lens_displacements(lattice: Lattice) -> tuple[NDArray[np.float32], NDArray[n
 
     Returns
     -------
-    bend : (nj, ni, 2) float32 [px]
-        Of lens `(i, j)`, also beyond the flat, at `bend[j - low[1], i - low[0]]`; (0, 0, 2) for a straight lattice.
+    displacement : (nj, ni, 2) float32 [px]
+        Of lens `(i, j)`, also some way beyond the flat, at `displacement[j - low[1], i - low[0]]`; (0, 0, 2) if the
+        lattice is straight.
     low : (2,) int64
         Smallest `i` and `j`.
     """
     if lattice.distortion is None:
         return np.zeros((0, 0, 2), np.float32), np.zeros(2, np.int64)
     ij = lattice.indices()
-    low, high = ij.min(0) - _MARGIN, ij.max(0) + _MARGIN
+    low, high = ij.min(0) - LOOKUP.margin, ij.max(0) + LOOKUP.margin
     i, j = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
     index = np.stack([i, j], -1).reshape(-1, 2)
-    bend = lattice.points(index) - (lattice.origin + index @ lattice.basis)
-    return bend.reshape(*i.shape, 2).astype(np.float32), low
+    displacement = lattice.points(index) - (lattice.origin + index @ lattice.basis)
+    return displacement.reshape(*i.shape, 2).astype(np.float32), low
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def displacement_at(bend, low, i, j):
-    """Displacement x, y of lens (i, j)."""
-    row = min(max(int(j) - low[1], 0), bend.shape[0] - 1)
-    column = min(max(int(i) - low[0], 0), bend.shape[1] - 1)
-    return bend[row, column, 0], bend[row, column, 1]
+def displacement_at(displacement, low, i, j):
+    """Displacement x, y of lens (i, j), or of the nearest lens in the table."""
+    row = min(max(int(j) - low[1], 0), displacement.shape[0] - 1)
+    column = min(max(int(i) - low[0], 0), displacement.shape[1] - 1)
+    return displacement[row, column, 0], displacement[row, column, 1]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def nearest_index(x, y, origin, inverse, bend, low):
-    """Index i, j (whole floats) of the lens at whose place on the straight lattice a flat position comes to lie."""
+def nearest_index(x, y, origin, inverse, displacement, low):
+    """Index i, j (whole floats) of the lens whose lattice cell holds a flat position, by fixed-point iteration.
+
+    `inverse` is that of the basis. Each turn gains a factor of the gradient of the distortion.
+    """
     ox, oy = x - origin[0], y - origin[1]
     i = np.rint(ox * inverse[0, 0] + oy * inverse[1, 0])
     j = np.rint(ox * inverse[0, 1] + oy * inverse[1, 1])
-    if bend.size > 0:
-        for _ in range(_TURNS):
-            bx, by = displacement_at(bend, low, i, j)
+    if displacement.size > 0:
+        for _ in range(LOOKUP.turns):
+            bx, by = displacement_at(displacement, low, i, j)
             new_i = np.rint((ox - bx) * inverse[0, 0] + (oy - by) * inverse[1, 0])
             new_j = np.rint((ox - bx) * inverse[0, 1] + (oy - by) * inverse[1, 1])
             if new_i == i and new_j == j:

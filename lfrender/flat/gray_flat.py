@@ -1,4 +1,4 @@
-"""Vignetting-corrected pictures of the flat that matching and drawing read from."""
+"""Gray flat: brightness of a flat, corrected for vignetting, which matching and rendering read."""
 
 from __future__ import annotations
 
@@ -15,57 +15,29 @@ from lfcal.runtime.fastmath import FAST, square
 from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached
 from ..runtime.intrinsics import prefetch
+from .settings import GRAY, KERNEL
 
 __all__ = [
-    "GrayFlat",
-    "correction_table",
-    "downsample",
-    "downsample_lattice",
-    "has_uneven_lenses",
-    "make_gray_flat",
-    "white_level",
+    "GrayFlat", "correction_table", "downsample", "downsample_lattice", "has_uneven_lenses", "make_gray_flat",
+    "trusted_radius", "white_level",
 ]  # fmt: skip
-
-# A gain above this would lift more noise than picture at the rim of a microimage.
-_MAX_GAIN = 4.0
-# Light that departs from one radial profile for all lenses by less than this share is as even as eyes can tell.
-_EVEN = 0.01
-# Where a lens delivers less than this share of its light, the correction is as uncertain as weak texture.
-_TRUSTED_LIGHT = 0.9
-# However dim, no microimage is trusted over less than this share of the pitch, if it is as large, or than these px:
-# nothing would be left to compare.
-_LEAST_TRUSTED, _LEAST_RADIUS = 0.3, 1.5
-
-# Interpolation and smoothing read so far beyond [px]. Within this share of the way to a neighbour pixels belong to a
-# lens alone, even as coordinates are rounded, and at the third number where a distortion changes the way.
-_BEYOND, _UNSHARED, _UNSHARED_BENT = 3.0, 0.4995, 0.49
-# Bytes of no more rows than this are summed as such.
-_MOST_TOGETHER = 64
-# Values in a line of memory; rows of boxes are asked for so many rows ahead.
-_LINE, _AHEAD = 16, 2
-# Cameras with no more pixels than this keep what corrects them [px].
-_MOST_KEPT = 1 << 25
-# A pixel made of several at the rim mixes light from beyond it [px].
-_MIXED = 0.5
-# Lenses that cover less than this share of a flat are made smaller one by one.
-_MOST_BOXES = 0.5
 
 
 @dataclass(frozen=True)
 class GrayFlat:
-    """Brightness of the flat, vignetting-corrected, 1 at white, with the lens centres in its own pixels.
+    """Brightness of a flat, corrected for vignetting, 1 at white, with the lens centres in its own pixels.
 
     Parameters
     ----------
     image : (H, W) float32
-        Brightness; pixels of a microimage are corrected for its vignetting.
+        Brightness; corrected for vignetting at the pixels of microimages.
     centres : (n, 2) float32 [px of `image`]
         Lens centres, in the order of `lattice.centres()`.
     radius : float [px of `image`]
         Radius up to which a microimage is trusted.
     pitch : float [px of `image`]
     lens_type : (n,) int8, optional
-        Types of the lenses, where they are focused at different depths.
+        Types of the lenses, if they are focused at different depths.
     """
 
     image: NDArray[np.float32]
@@ -76,33 +48,33 @@ class GrayFlat:
 
 
 def correction_table(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
-    """Gain that undoes the vignetting, over the squared distance from the lens centre.
+    """Factor that undoes the vignetting, over the squared distance from the lens centre.
 
     Returns
     -------
-    gains : (k,) float32
-        Gain at squared radii `0, step, 2*step, ...`.
+    factors : (k,) float32
+        At squared distances `0, step, 2*step, ...`.
     step : float [px^2]
     """
-    reach = (0.75 * calibration.lattice.pitch) ** 2
-    squared = np.linspace(0.0, reach, 512)
+    reach = (GRAY.table_reach * calibration.lattice.pitch) ** 2
+    squared = np.linspace(0.0, reach, GRAY.table_size)
     if calibration.vignetting is None:
         return np.ones(len(squared), np.float32), float(squared[1])
     light = calibration.vignetting.at(np.sqrt(squared))
-    return (1.0 / np.maximum(light, 1.0 / _MAX_GAIN)).astype(np.float32), float(squared[1])
+    return (1.0 / np.maximum(light, 1.0 / GRAY.largest_gain)).astype(np.float32), float(squared[1])
 
 
 def has_uneven_lenses(calibration: Calibration) -> bool:
-    """Whether lenses differ in their light, so that its radial profile alone would not make a flat even."""
+    """Whether lenses differ in their light, so that one radial profile would not make a flat even."""
     known = calibration.gain_map
     if known is None:
         return False
     uneven = max(np.abs(known.shading).max(), np.abs(known.level[1:]).max(initial=0.0))
-    return bool(known.lens_gain.size or known.cut.size or uneven > _EVEN)
+    return bool(known.lens_gain.size or known.cut.size or uneven > GRAY.uneven)
 
 
 def white_level(flat: NDArray, calibration: Calibration) -> float:
-    """Value of the brightest pixel that flats of the camera can have, or pictures drawn from them: 1 for floats."""
+    """Value of the brightest pixel that flats of the camera, or pictures rendered from them, can have: 1 for floats."""
     if flat.dtype.kind not in "ui":
         return 1.0
     highest = float(np.iinfo(flat.dtype).max)
@@ -110,13 +82,13 @@ def white_level(flat: NDArray, calibration: Calibration) -> float:
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _mean_channels(rows, channels, scale, gain, out):
-    """Mean over the channels of rows of pixels that lie one after the other, times the `gain` where there is one."""
+def _average_channels(rows, channels, scale, gain, out):
+    """Mean over the channels of rows of interleaved pixels, times `scale` and, unless that is empty, `gain` (h, w)."""
     height, width = out.shape
     weight = np.float32(scale / channels)
     for y in prange(height):
         row, into = rows[y], out[y]
-        # The compiler has vector instructions for steps that it knows.
+        # The compiler uses vector instructions for strides it knows.
         if channels == 3:
             for x in range(width):
                 into[x] = weight * (np.float32(row[3 * x]) + np.float32(row[3 * x + 1]) + np.float32(row[3 * x + 2]))
@@ -135,11 +107,8 @@ def _mean_channels(rows, channels, scale, gain, out):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _mean_blocks(rows, channels, factor, scale, gain, like, out):
-    """Mean over the channels of `factor` x `factor` pixels each, times the `gain` where there is one.
-
-    Rows are summed as numbers of the type of `like`.
-    """
+def _average_blocks(rows, channels, factor, scale, gain, like, out):
+    """`_average_channels` over blocks of `factor` x `factor` pixels; rows are summed in the type of `like`."""
     height, width = out.shape
     together = channels * factor
     weight = np.float32(scale / (together * factor))
@@ -152,7 +121,7 @@ def _mean_blocks(rows, channels, factor, scale, gain, like, out):
             for k in range(len(line)):
                 line[k] += row[k]
         into = out[y]
-        # As above.
+        # The compiler uses vector instructions for strides it knows.
         if together == 6:
             for x in range(width):
                 a, b, c = line[6 * x], line[6 * x + 1], line[6 * x + 2]
@@ -170,14 +139,15 @@ def _mean_blocks(rows, channels, factor, scale, gain, like, out):
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _correct_lenses(centres, radius, around, share, gains, step, image):
-    """Multiply pixels within `radius` of a lens centre, and nearer to it than to the lenses `around`, by their gain.
+    """Multiply the pixels within `radius` of a lens centre by their gain.
 
-    `share` is that of the way to a neighbour that belongs to a lens, below one half: no two may share a pixel.
+    A lens has the pixels nearer to it than `share`, below one half, of the way to each of the lenses `around`: no two
+    share a pixel.
     """
     height, width = image.shape
     last = np.int32(len(gains) - 1)
     inverse = np.float32(1 / step)
-    # Whole numbers are slow to convert inside a vector loop.
+    # A table of floats: conversion of integers is slow inside a vector loop.
     steps = np.arange(2 * int(radius) + 3).astype(np.float32)
     # A lens has the pixels left or right of each half-way line x = room + tilt * y to a neighbour.
     room, tilt = np.empty(len(around), np.float32), np.empty(len(around), np.float32)
@@ -210,9 +180,9 @@ def _correct_lenses(centres, radius, around, share, gains, step, image):
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _fill_unlit(centres, radius, light, image):
-    """Give pixels whose `light` is NaN the mean of the others within `radius` of their lens.
+    """Replace pixels whose `light` is NaN by the mean of the others within `radius` of their lens.
 
-    Left dark, where microimages are cut would look like texture that moves with the lens.
+    Left dark, the cut of microimages would match like texture that moves with the lens.
     """
     height, width = image.shape
     for lens in prange(len(centres)):
@@ -243,8 +213,8 @@ def make_gray_flat(
 ) -> GrayFlat:
     """Brightness of `flat` (H, W, C), corrected for vignetting where microimages are trusted, and a little beyond.
 
-    Each pixel is the mean of `factor` x `factor` of the flat. `light` is the gain of its pixels where the flat is part
-    of a larger one, to which the gain map of the camera belongs.
+    Each pixel is the mean of `factor` x `factor` of the flat. `light` (H, W) is the gain of its pixels; needed if the
+    flat is part of a larger one, to which the gain map of the camera belongs.
     """
     lattice = downsample_lattice(calibration.lattice, factor)
     image = allocate_pooled(lattice.image_size[::-1], np.float32)
@@ -253,83 +223,80 @@ def make_gray_flat(
     uneven = has_uneven_lenses(calibration)
     gain = np.empty((0, 0), np.float32)
     if calibration.vignetting is not None and not uneven:
-        gain = _remembered_if_small(calibration, ("gain", factor), lambda: _gain_image(calibration, lattice, factor))
+        gain = _cache_if_small(calibration, ("gain", factor), lambda: _correction_image(calibration, lattice, factor))
     if factor == 1:
-        _mean_channels(rows, flat.shape[2], 1.0 / white_level(flat, calibration), gain, image)
+        _average_channels(rows, flat.shape[2], 1.0 / white_level(flat, calibration), gain, image)
     else:
-        # Sums of so few bytes fit into two.
-        short = rows.dtype == np.uint8 and factor <= _MOST_TOGETHER
+        short = rows.dtype == np.uint8 and factor <= GRAY.most_byte_rows
         like = np.empty(0, np.uint16 if short else np.float32)
-        _mean_blocks(rows, flat.shape[2], factor, 1.0 / white_level(flat, calibration), gain, like, image)
-        radius = radius / factor - _MIXED
+        _average_blocks(rows, flat.shape[2], factor, 1.0 / white_level(flat, calibration), gain, like, image)
+        radius = radius / factor - GRAY.mixed
     centres = lattice.centres().astype(np.float32)
     if uneven:
         if light is None:
-            light = _remembered_if_small(calibration, ("light", factor), lambda: _blocks(calibration.gain(), factor))
+            light = _cache_if_small(calibration, ("light", factor), lambda: _average_light(calibration.gain(), factor))
         else:
-            light = _blocks(light, factor)
+            light = _average_light(light, factor)
         np.divide(image, light, out=image, where=np.isfinite(light))
         # Microimages of this radius share no pixel.
         apart = np.linalg.norm(lattice.steps @ lattice.basis, axis=1).min() / 2
-        _fill_unlit(centres, np.float32(min(radius + _BEYOND, apart)), light, image)
+        _fill_unlit(centres, np.float32(min(radius + GRAY.margin, apart)), light, image)
     types = calibration.lens_types
-    kinds = None if types is None else types.of(calibration.lattice.indices())
-    return GrayFlat(image, centres, radius, lattice.pitch, kinds)
+    lens_type = None if types is None else types.of(calibration.lattice.indices())
+    return GrayFlat(image, centres, radius, lattice.pitch, lens_type)
 
 
 def downsample_lattice(lattice: Lattice, factor: int) -> Lattice:
-    """The lattice of a flat of which `factor` x `factor` pixels each have become one, the same object every time."""
-    return (
-        lattice if factor == 1 else cached(lattice, ("downsample_lattice", factor), lambda: lattice.downscaled(factor))
-    )
+    """The lattice of a flat whose blocks of `factor` x `factor` pixels have become one; the same object every time."""
+    return lattice if factor == 1 else cached(lattice, ("downsampled", factor), lambda: lattice.downscaled(factor))
 
 
-def _remembered_if_small(
+def _cache_if_small(
     calibration: Calibration, key: tuple[str, int], make: Callable[[], NDArray[np.float32]]
 ) -> NDArray[np.float32]:
-    """An image as large as the flat, kept with the camera unless that takes much memory."""
+    """An image as large as the flat, kept with the calibration unless that takes much memory."""
     width, height = calibration.image_size
-    return cached(calibration, key, make) if width * height <= _MOST_KEPT else make()
+    return cached(calibration, key, make) if width * height <= GRAY.most_cached else make()
 
 
-def _gain_image(calibration: Calibration, lattice: Lattice, factor: int) -> NDArray[np.float32]:
-    """(H, W) gain of every pixel of the flat as it is analysed, 1 where no microimage is trusted."""
+def _correction_image(calibration: Calibration, lattice: Lattice, factor: int) -> NDArray[np.float32]:
+    """(H, W) correction of every pixel of the downsampled flat, 1 where no microimage is trusted."""
     image = np.ones(lattice.image_size[::-1], np.float32)
     radius = trusted_radius(calibration)
-    radius = radius if factor == 1 else radius / factor - _MIXED
+    radius = radius if factor == 1 else radius / factor - GRAY.mixed
     gains, step = correction_table(calibration)
     around = lattice.steps @ lattice.basis
-    share = _UNSHARED if lattice.distortion is None else _UNSHARED_BENT
+    share = GRAY.own_share if lattice.distortion is None else GRAY.own_share_distorted
     _correct_lenses(
-        lattice.centres().astype(np.float32), np.float32(radius + _BEYOND), around.astype(np.float32),
+        lattice.centres().astype(np.float32), np.float32(radius + GRAY.margin), around.astype(np.float32),
         np.float32(share), gains, step / factor**2, image,
     )  # fmt: skip
     return image
 
 
-def _blocks(light: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
-    """Mean over `factor` x `factor` pixels, NaN where one of them is."""
+def _average_light(light: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    """Mean over `factor` x `factor` pixels, NaN if one of them is."""
     height, width = (n // factor for n in light.shape)
     whole = light[: height * factor, : width * factor]
     return np.ascontiguousarray(whole.reshape(height, factor, width, factor).mean((1, 3)))
 
 
 def trusted_radius(calibration: Calibration) -> float:
-    """Radius [px] inside which microimages can be compared: off the rim, and where shading needs little correction."""
+    """Radius [px] within which microimages can be compared: off the rim, and with little vignetting."""
     lattice = calibration.lattice
     # Interpolation reads one pixel further.
-    radius = max(lattice.radius - 1.0, _LEAST_RADIUS)
+    radius = max(lattice.radius - 1.0, GRAY.least_radius)
     if calibration.vignetting is not None:
         distance = np.arange(0.0, lattice.radius, 0.25)
-        dim = distance[calibration.vignetting.at(distance) < _TRUSTED_LIGHT]
+        dim = distance[calibration.vignetting.at(distance) < GRAY.trusted_light]
         if dim.size:
-            radius = min(radius, max(float(dim[0]), _LEAST_TRUSTED * lattice.pitch))
+            radius = min(radius, max(float(dim[0]), GRAY.least_trusted * lattice.pitch))
     return radius
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _shrink_row(image, top, first, factor, line, into):
-    """Means of `factor` x `factor` pixels each, from row `top` and column `first` on; `line` is memory to work in."""
+def _downsample_row(image, top, first, factor, line, into):
+    """Means of blocks of `factor` x `factor` pixels, from row `top` and column `first` on; `line` is working memory."""
     for k in range(len(line)):
         line[k] = image[top, first + k]
     for r in range(top + 1, top + factor):
@@ -337,7 +304,7 @@ def _shrink_row(image, top, first, factor, line, into):
         for k in range(len(line)):
             line[k] += row[k]
     weight = np.float32(1 / factor**2)
-    # The compiler has vector instructions for steps that it knows.
+    # The compiler uses vector instructions for strides it knows.
     if factor == 2:
         for u in range(np.uint64(len(into))):
             into[u] = weight * (line[2 * u] + line[2 * u + 1])
@@ -353,8 +320,8 @@ def _shrink_row(image, top, first, factor, line, into):
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _shrink_boxes(image, centres, half, factor, out):
-    """Fill the pixels of `out` no farther than `half` from a centre, each way: means of `factor` x `factor` others."""
+def _downsample_boxes(image, centres, half, factor, out):
+    """Fill the pixels of `out` no farther than `half` from a centre, each way."""
     height, width = out.shape
     pixels, down = image.reshape(-1), image.shape[1]
     for lens in prange(len(centres)):
@@ -363,43 +330,41 @@ def _shrink_boxes(image, centres, half, factor, out):
         columns = max(right + 1 - left, 0)
         line = np.empty(columns * factor, np.float32)
         for v in range(max(0, y - half), min(height - 1, y + half) + 1):
-            # Rows of a box lie too far apart for the processor to guess which is read next.
-            for r in range((v + _AHEAD) * factor, (v + _AHEAD + 1) * factor):
-                for k in range(0, len(line) + _LINE, _LINE):
+            # Rows of a box lie too far apart for the prefetcher of the processor.
+            for r in range((v + KERNEL.ahead) * factor, (v + KERNEL.ahead + 1) * factor):
+                for k in range(0, len(line) + KERNEL.line, KERNEL.line):
                     prefetch(pixels, np.uint64(r * down + left * factor + k))
-            _shrink_row(image, v * factor, left * factor, factor, line, out[v, left : left + columns])
+            _downsample_row(image, v * factor, left * factor, factor, line, out[v, left : left + columns])
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _shrink_all(image, factor, out):
+def _downsample_all(image, factor, out):
     for v in prange(len(out)):
-        _shrink_row(image, v * factor, 0, factor, np.empty(out.shape[1] * factor, np.float32), out[v])
+        _downsample_row(image, v * factor, 0, factor, np.empty(out.shape[1] * factor, np.float32), out[v])
 
 
 def downsample(gray: GrayFlat, factor: int, wanted: NDArray[np.bool_] | None = None) -> GrayFlat:
     """`gray` at a whole fraction of its resolution: each pixel is the mean of `factor` x `factor`.
 
-    Only pixels about the lenses `wanted` (n,), all by default, need be set.
+    Only pixels about the lenses `wanted` (n,), all by default, are sure to be set.
     """
     if factor == 1:
         return gray
-    centres = gray.centres if wanted is None else gray.centres[wanted]
-    if len(centres) * gray.pitch**2 > _MOST_BOXES * gray.image.size:
-        return cached(gray, ("downsample_lattice", factor), lambda: _shrunk_flat(gray, factor))
-    height, width = (n // factor for n in gray.image.shape)
-    small = _of_blocks(gray, factor, allocate_pooled((height, width), np.float32))
+    shape = gray.image.shape[0] // factor, gray.image.shape[1] // factor
+
+    def describe(image: NDArray[np.float32]) -> GrayFlat:
+        centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)
+        return GrayFlat(image, centres, gray.radius / factor - GRAY.mixed, gray.pitch / factor, gray.lens_type)
+
+    def make() -> GrayFlat:
+        image = np.empty(shape, np.float32)
+        _downsample_all(gray.image, factor, image)
+        return describe(image)
+
+    count = len(gray.centres) if wanted is None else int(np.count_nonzero(wanted))
+    if count * gray.pitch**2 > GRAY.most_boxes * gray.image.size:
+        return cached(gray, ("downsampled", factor), make)
+    small = describe(allocate_pooled(shape, np.float32))
     middle = small.centres if wanted is None else small.centres[wanted]
-    _shrink_boxes(gray.image, middle, int(np.ceil(small.radius + _BEYOND)), factor, small.image)
+    _downsample_boxes(gray.image, middle, int(np.ceil(small.radius + GRAY.margin)), factor, small.image)
     return small
-
-
-def _shrunk_flat(gray: GrayFlat, factor: int) -> GrayFlat:
-    height, width = (n // factor for n in gray.image.shape)
-    image = np.empty((height, width), np.float32)
-    _shrink_all(gray.image, factor, image)
-    return _of_blocks(gray, factor, image)
-
-
-def _of_blocks(gray: GrayFlat, factor: int, image: NDArray[np.float32]) -> GrayFlat:
-    centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)
-    return GrayFlat(image, centres, gray.radius / factor - _MIXED, gray.pitch / factor, gray.lens_type)

@@ -1,9 +1,13 @@
-"""How sharp a flat is: what interpolation takes from it, and over which width its lenses have averaged already."""
+"""Measure the blur of the microlenses of a flat, by the structure function of its brightness.
+
+In a sharp picture with edges of all sizes the mean square difference of two places grows as `1 - exp(-distance /
+grain)`, linearly at first; blur makes it start quadratically. Width of the blur and grain of the scene are fitted to
+it. A scene that is smooth itself looks blurred; it has nothing that could alias either.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from numba import njit, prange
@@ -13,110 +17,101 @@ from lfcal import Calibration
 from lfcal.runtime.fastmath import FAST, square
 
 from .gray_flat import trusted_radius
+from .settings import BLUR, LensBlurSettings
 
 __all__ = ["measure_lens_blur"]
-
-# Distances at which brightness is compared [px]: near ones tell blur, far ones the grain of the scene.
-_LAGS = np.array([1, 2, 3, 4, 6, 8])
-# Lenses that are compared, and parts of their range of depth that are looked at on their own.
-_LENSES, _PARTS = 240, 4
-# Widths of blur and grains of scenes that are tried [px].
-_WIDTHS, _GRAINS = np.geomspace(1.0, 12.0, 36), np.geomspace(0.7, 45.0, 24)
-# With fewer distances than this, blur and grain cannot be told apart.
-_LEAST_LAGS = 3
 
 
 def measure_lens_blur(
     pixels: NDArray | Callable[[tuple[int, int, int, int]], NDArray],
     calibration: Calibration,
     patch_size: NDArray[np.float32],
+    settings: LensBlurSettings = BLUR,
 ) -> float:
-    """Width over which the microlenses have averaged the scene, in shares of the patch size.
-
-    Brightness differs the more, the farther places lie apart: in a sharp picture of edges of all sizes its mean square
-    difference grows as `1 - exp(-distance / grain)`, at once; blur makes it start with the square. Both are fitted.
-    A scene that is smooth itself looks blurred; it has nothing that could alias either.
+    """Width over which the microlenses average the scene, as a share of the patch size.
 
     Parameters
     ----------
-    pixels : (H, W, C) array, or callable
-        The latter gives the part `left, top, right, bottom` of them.
+    pixels : (H, W, C) array, or function
+        The latter returns the part `left, top, right, bottom` of them.
     calibration : Calibration
     patch_size : (n,) float32 [px]
         Of all lenses, NaN where unresolved.
+    settings : LensBlurSettings
 
     Returns
     -------
     float
-        Side of the square that blurs as much, over `|s|`; 0 where nothing tells.
+        Side of the square that blurs as much, over `|s|`; 0 if it cannot be measured.
     """
     lenses = np.flatnonzero(np.abs(np.nan_to_num(patch_size)) > 1)
     radius = trusted_radius(calibration)
-    lags = _LAGS[radius >= _LAGS]
-    if len(lags) < _LEAST_LAGS or not len(lenses):
+    lags = np.array([lag for lag in settings.lags if lag <= radius])
+    if len(lags) < settings.least_lags or not len(lenses):
         return 0.0
-    look = pixels if callable(pixels) else partial(_part, pixels)
+    read = pixels if callable(pixels) else lambda part: pixels[part[1] : part[3], part[0] : part[2]]
     types = calibration.lens_types
     kinds = np.zeros(len(lenses), int) if types is None else types.of(calibration.lattice.indices()[lenses])
-    # The sharpest type leads where it is in focus, and must not alias.
+    # The sharpest type dominates where it is in focus, and must not alias.
     return min(
-        _blur_of(look, calibration, patch_size, lenses[kinds == kind], radius, lags) for kind in np.unique(kinds)
+        _measure_type(read, calibration, patch_size, lenses[kinds == kind], radius, lags, settings)
+        for kind in np.unique(kinds)
     )
 
 
-def _part(pixels: NDArray, part: tuple[int, int, int, int]) -> NDArray:
-    return pixels[part[1] : part[3], part[0] : part[2]]
-
-
-def _blur_of(
-    look: Callable[[tuple[int, int, int, int]], NDArray],
+def _measure_type(
+    read: Callable[[tuple[int, int, int, int]], NDArray],
     calibration: Calibration,
     patch_size: NDArray[np.float32],
     lenses: NDArray[np.int64],
     radius: float,
     lags: NDArray[np.int64],
+    settings: LensBlurSettings,
 ) -> float:
-    """`measure_lens_blur` of some lenses: the mean over parts of their range of depth, by their contrast."""
-    lenses = lenses[:: max(1, len(lenses) // _LENSES)]
+    """`measure_lens_blur` of the lenses of one type: the mean over ranges of depth, weighted by their contrast."""
+    lenses = lenses[:: max(1, len(lenses) // settings.lenses)]
     lenses = lenses[np.argsort(np.abs(patch_size[lenses]), kind="stable")]
     found = np.zeros((len(lenses), len(lags)))
     size = np.array(calibration.image_size)
     for number, centre in enumerate(calibration.lattice.centres()[lenses]):
         low, high = np.floor(centre - radius).astype(int) - 1, np.ceil(centre + radius).astype(int) + 2
         low, high = np.maximum(low, 0), np.minimum(high, size)
-        part = np.ascontiguousarray(look((*low.tolist(), *high.tolist())))
-        _differences(part, (centre - low)[None], radius, lags, found[number : number + 1])
-    models = _models(lags)
+        part = np.ascontiguousarray(read((*low.tolist(), *high.tolist())))
+        _mean_square_differences(part, (centre - low)[None], radius, lags, found[number : number + 1])
+    widths, models = _make_models(lags, settings)
     total = weight = 0.0
-    for part in np.array_split(np.arange(len(lenses)), min(_PARTS, len(lenses))):
+    for part in np.array_split(np.arange(len(lenses)), min(settings.depth_ranges, len(lenses))):
         grown = found[part].sum(0)
         if not (grown > 0).all():
             continue
         misfit = np.log(models) - np.log(grown)
         spread = misfit.var(-1)
-        width = _WIDTHS[np.unravel_index(np.argmin(spread), spread.shape)[0]]
-        # A pixel averages over its own width in any case; that is counted where the picture is drawn.
+        width = widths[np.unravel_index(np.argmin(spread), spread.shape)[0]]
+        # Minus the width of a pixel, which averages in any case; rendering accounts for that.
         total += grown[-1] * (width**2 - 1) / float(np.median(np.abs(patch_size[lenses[part]]))) ** 2
         weight += grown[-1]
     return float(np.sqrt(total / weight)) if weight > 0 else 0.0
 
 
-def _models(lags: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(widths, grains, lags) mean square difference of edges of one grain, averaged over a width."""
-    width, grain = _WIDTHS[:, None, None], _GRAINS[:, None]
+def _make_models(
+    lags: NDArray[np.int64], settings: LensBlurSettings
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Widths [px], and (widths, grains, lags) mean square differences of edges of one grain, averaged over a width."""
+    widths = np.geomspace(*settings.widths)
+    width, grain = widths[:, None, None], np.geomspace(*settings.grains)[:, None]
 
-    def twice(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        # Two integrals of 1 - exp(-|x| / grain); their second difference is its mean over pairs from a width.
+    def integrate_twice(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        # Of 1 - exp(-|x| / grain); the second difference is its mean over pairs of places of a width.
         return x * x / 2 - grain * np.abs(x) - grain**2 * np.exp(-np.abs(x) / grain)
 
-    def averaged(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return (twice(x + width) - 2 * twice(x) + twice(x - width)) / width**2
+    def average(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (integrate_twice(x + width) - 2 * integrate_twice(x) + integrate_twice(x - width)) / width**2
 
-    return averaged(lags.astype(np.float64)) - averaged(np.zeros(1))
+    return widths, average(lags.astype(np.float64)) - average(np.zeros(1))
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _differences(flat, centres, radius, lags, out):
+def _mean_square_differences(flat, centres, radius, lags, out):
     """Mean square difference along rows and columns at each of the `lags`, within a circle in each microimage."""
     height, width, channels = flat.shape
     for lens in prange(len(centres)):

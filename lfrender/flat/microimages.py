@@ -1,14 +1,15 @@
-"""Microimages cut out of the flat, each in one strip of memory, and which of their pixels two of them share.
+"""Microimages cut out of a flat into strips of memory, and masks of the pixels that two shifted microimages share.
 
 A row of a microimage is too short for the vector instructions of a processor. Cut out with a common width, the rows of
 all lenses follow each other, so that a shift of one microimage against another is one offset along the strip, and one
-long loop compares them. Which pixels count is told by a mask that depends on the whole pixels of the shift alone.
+long loop compares them. Which pixels count depends on the whole pixels of the shift alone: a mask holds it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -22,35 +23,32 @@ from .gray_flat import GrayFlat
 
 __all__ = ["VECTOR_LENGTH", "OverlapMasks", "Strips", "copy_box", "extract_strips", "make_shift_masks", "overlap_range"]
 
-# What `make_shift_masks` returns.
-OverlapMasks = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
-
-#: Vector loops take so many values at a time, masked to those that count. Interpolation reads one beyond.
+#: Vector loops handle so many values at a time, the unwanted ones masked. Interpolation reads one beyond.
 VECTOR_LENGTH = 64
 _SPARE = VECTOR_LENGTH + 16
-# Centres rounded to pixels lie so much off, on the average of both directions [px].
-_SLACK = 0.25
+# Mean error of centres rounded to pixels, over both directions [px].
+_ROUNDING = 0.25
 
 
 @dataclass(frozen=True)
 class Strips:
-    """Microimages, as strips of one length.
+    """Microimages as strips of one length.
 
-    Row `r` of a microimage is the row `r // step` of part `r % step` of its strip: rows that are read together, every
-    `step`-th of them, follow each other.
+    Row `r` of a microimage is row `r // step` of part `r % step` of its strip, so that every `step`-th row, which are
+    read together, follow each other.
 
     Parameters
     ----------
     values : (n * size + spare,) float32
-        Brightness less the mean of the lens, one strip after the other; 0 outside the flat, and after the last.
+        Brightness minus the mean of the lens, one strip after the other; 0 outside the flat, and after the last.
     centre_pixels : (n, 2) int32 [px]
-        The pixel `x, y` in the middle of each.
+        Pixel `x, y` in the middle of each microimage.
     complete : (n,) bool
-        Microimages that do not reach beyond the flat.
+        Microimages that lie within the flat.
     extracted : (n,) bool
         Microimages that have been cut out.
     half_width, width, rows, step, size : int
-        Pixels from the middle to the sides, and from row to row; rows of each part, number of parts, and pixels of all.
+        Pixels from the middle to the sides, and from row to row; rows of a part, number of parts, pixels of a strip.
     """
 
     values: NDArray[np.float32]
@@ -68,24 +66,46 @@ class Strips:
 
     @property
     def offsets(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Column and row of each value of the first part of a strip, from the middle [px]; far off after its end."""
-        return _places(self.half_width, self.width, self.rows, self.step)
+        """Offset x, y from the middle [px] of each value of the first part of a strip; infinite after its end."""
+        return _offsets(self.half_width, self.width, self.rows, self.step)
 
 
 @lru_cache(maxsize=8)
-def _places(half: int, width: int, rows: int, step: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _offsets(half: int, width: int, rows: int, step: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     at = np.arange(rows * width)
     off = np.full(_SPARE, np.inf)
     columns, lines = (np.append(place - half, off).astype(np.float32) for place in (at % width, at // width * step))
     return columns, lines
 
 
+class OverlapMasks(NamedTuple):
+    """Masks of the pixels of a microimage that another one also holds, by their shift in whole pixels.
+
+    Parameters
+    ----------
+    slots : (2 k + 1, 2 k + 1) int32
+        Row of the shift `x, y` in the other arrays at `[y + k, x + k]`, -1 for other shifts.
+    masks : (slots, rows * width + spare) float32
+        1 or 0 for the pixels of the first part of a strip, and 0 after them.
+    ends : (slots, 4) int32
+        Position of the first 1; a multiple of `VECTOR_LENGTH` values that holds them all; how much later in a strip
+        follow the pixel at this shift and the one below it.
+    counts : (slots,) int32
+        Number of ones.
+    """
+
+    slots: NDArray[np.int32]
+    masks: NDArray[np.float32]
+    ends: NDArray[np.int32]
+    counts: NDArray[np.int32]
+
+
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
-    """Every `step`-th row of the flat's pixels from (left, top) on, one after the other from place `begin` on.
+    """Copy every `step`-th row of a box from (left, top) on, one after the other, to `out` from `begin` on.
 
-    What lies off the flat is any of its pixels. `pixels` are those of the flat in one line: to make one of it takes
-    longer than to copy the box.
+    `pixels` are those of the flat in one line, `stride` its width: to make one line of it takes longer than to copy the
+    box. What lies off the flat gets the value of any of its pixels.
     """
     beyond = len(pixels) - wide
     for row in range(rows):
@@ -100,7 +120,7 @@ def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
-def _cut_out(image, middle, whole, means, half, width, rows, step, wanted, done, values):
+def _extract(image, middle, complete, means, half, width, rows, step, wanted, done, values):
     pixels, across = image.reshape(-1), image.shape[1]
     size = rows * step * width
     for lens in prange(len(middle)):
@@ -108,7 +128,7 @@ def _cut_out(image, middle, whole, means, half, width, rows, step, wanted, done,
             continue
         done[lens] = True
         strip = values[lens * size : (lens + 1) * size]
-        if not whole[lens]:
+        if not complete[lens]:
             strip[:] = 0.0
             continue
         left, top = middle[lens, 0] - half, middle[lens, 1] - half
@@ -117,7 +137,7 @@ def _cut_out(image, middle, whole, means, half, width, rows, step, wanted, done,
         mean = means[lens]
         for k in range(np.uint64(size)):
             strip[k] -= mean
-    # Vector loops go on into what lies after a strip: that must be some number.
+    # Vector loops read on beyond a strip: what is there must be a number.
     for lens in prange(len(middle) if wanted.size > 0 else 0):
         if wanted[lens]:
             for k in range((lens + 1) * size, min((lens + 1) * size + _SPARE, len(middle) * size)):
@@ -128,26 +148,25 @@ def _cut_out(image, middle, whole, means, half, width, rows, step, wanted, done,
 def extract_strips(
     gray: GrayFlat, means: NDArray[np.float32], step: int, wanted: NDArray[np.bool_] | None = None
 ) -> Strips:
-    """Cut out the microimages of `gray`, less the `means` (n,) of each, for reading every `step`-th row.
+    """Cut out the microimages of `gray`, minus the `means` (n,) of each, for reading every `step`-th row.
 
-    Only those that are `wanted` (n,), all by default, and that have not been cut out of this flat for the same means
-    and step before: the same strips are handed out again.
+    Only those that are `wanted` (n,), all by default. The strips are cached with the flat, for the same means and step:
+    microimages in them are not cut out again.
     """
     kept: dict[int, tuple[NDArray[np.float32], Strips]] = cached(gray, "strips", dict)
     if step not in kept or kept[step][0] is not means:
-        kept[step] = means, _empty_strips(gray, step)
+        kept[step] = means, _allocate_strips(gray, step)
     strips = kept[step][1]
-    _cut_out(
-        gray.image, strips.centre_pixels, strips.complete, means, strips.half_width, strips.width, strips.rows, step,
-        np.empty(0, bool) if wanted is None else wanted, strips.extracted, strips.values,
+    _extract(
+        gray.image, strips.centre_pixels, strips.complete, means, strips.half_width, strips.width, strips.rows,
+        strips.step, np.empty(0, bool) if wanted is None else wanted, strips.extracted, strips.values,
     )  # fmt: skip
     return strips
 
 
-def _empty_strips(gray: GrayFlat, step: int) -> Strips:
-    """Strips for all lenses, of which none is cut out."""
-    # Interpolation between pixels of the outermost reads one pixel beyond them, to all sides.
-    half = max(1, int(gray.radius - _SLACK)) + 2
+def _allocate_strips(gray: GrayFlat, step: int) -> Strips:
+    # Interpolation between the outermost pixels reads one pixel beyond them, to all sides.
+    half = max(1, int(gray.radius - _ROUNDING)) + 2
     width = 2 * half + 1
     rows = -(-width // step)
     middle = np.rint(gray.centres).astype(np.int32)
@@ -159,8 +178,8 @@ def _empty_strips(gray: GrayFlat, step: int) -> Strips:
 
 @njit(cache=True, nogil=True, inline="always")
 def overlap_range(dx, dy, half, width, step, bunch):
-    """First of the places of a strip that another may show, which lies `dx, dy` pixels aside, and in whole bunches how
-    many there are, not above 0 if none."""
+    """First position in a strip that another microimage, shifted by `dx, dy` pixels, may hold too, and the number of
+    positions, as a multiple of `bunch`; not above 0 if there is none."""
     first = -(min(0, dy) // step) * width + max(0, -dx)
     number = ((2 * half - 1 - max(0, dy)) // step + 1) * width - first
     return first, (number + bunch - 1) // bunch * bunch
@@ -178,25 +197,22 @@ def _fill_masks(slots, reach, half, width, rows, step, radius2, masks, ends, cou
                 y = r * step - half
                 for c in range(width):
                     x = c - half
-                    # The place is read from four pixels; their middle tells whether it lies in the other microimage.
+                    # The other microimage is interpolated between four pixels; their middle must lie within it.
                     bx, by = x + dx + 0.5, y + dy + 0.5
                     inside = x * x + y * y <= radius2 and bx * bx + by * by <= radius2
                     masks[slot, r * width + c] = inside
                     if inside:
                         start, stop = min(start, r * width + c), r * width + c + 1
                         count += 1
-            ends[slot, 0], ends[slot, 1] = (
-                start,
-                (max(stop - start, 0) + VECTOR_LENGTH - 1) // VECTOR_LENGTH * VECTOR_LENGTH,
-            )
-            # In a strip the pixel at this shift, and the one below that, follow so many values later.
+            ends[slot, 0] = start
+            ends[slot, 1] = (max(stop - start, 0) + VECTOR_LENGTH - 1) // VECTOR_LENGTH * VECTOR_LENGTH
             ends[slot, 2] = ((dy % step) * rows + dy // step) * width + dx
             ends[slot, 3] = (((dy + 1) % step) * rows + (dy + 1) // step) * width + dx
             counts[slot] = count
 
 
 def make_shift_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -> OverlapMasks:
-    """Which pixels of one microimage another shows too, when it is shifted by whole pixels.
+    """Masks of the shared pixels of two microimages, for shifts in whole pixels; cached, not to be written into.
 
     Parameters
     ----------
@@ -205,19 +221,7 @@ def make_shift_masks(strips: Strips, radius: float, wanted: NDArray[np.int64]) -
         Up to which microimages are trusted, about the pixel in their middle.
     wanted : (m, 2) int
         Shifts `x, y`, each read a fraction of a pixel farther.
-
-    Returns
-    -------
-    slots : (2 k + 1, 2 k + 1) int32
-        Row of the shift `x, y` in the other arrays at `[y + k, x + k]`, -1 for the others.
-    masks : (slots, rows * width + spare) float32
-        1 or 0 for the pixels of the first part of a strip, and 0 after them.
-    ends : (slots, 4) int32
-        The first of them that is 1, a whole number of what vector loops take that holds them all, and how much later in
-        a strip follow the pixel at this shift and the one below it.
-    counts : (slots,) int32
     """
-    # The same for frame after frame; shared by all who ask, so that nobody may write into them.
     return _masks_of(strips.half_width, strips.width, strips.rows, strips.step, radius, wanted.tobytes())
 
 
@@ -232,5 +236,5 @@ def _masks_of(half: int, width: int, rows: int, step: int, radius: float, shifts
     count = int(used.sum())
     masks = np.zeros((count, rows * width + _SPARE), np.float32)
     ends, counts = np.empty((count, 4), np.int32), np.empty(count, np.int32)
-    _fill_masks(slots, reach, half, width, rows, step, max(radius - _SLACK, 1.0) ** 2, masks, ends, counts)
-    return slots, masks, ends, counts
+    _fill_masks(slots, reach, half, width, rows, step, max(radius - _ROUNDING, 1.0) ** 2, masks, ends, counts)
+    return OverlapMasks(slots, masks, ends, counts)

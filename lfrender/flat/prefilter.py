@@ -1,4 +1,9 @@
-"""Prefilter for bilinear interpolation: undo beforehand the blur that bilinear interpolation adds on average."""
+"""Prefilter for bilinear interpolation: sharpen a flat by as much as interpolation will blur it on average.
+
+Bilinear interpolation at a random place averages the flat with a triangle whose variance is 0 px^2 at whole pixels and
+1/6 px^2 on average. Half of that, times the negative second difference, gives it back. Where a picture is the mean of
+many lenses and places, it has the sharpness of the flat itself then.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +15,9 @@ from ..runtime.buffers import allocate_scratch
 
 __all__ = ["prefilter_flat", "prefilter_packed"]
 
-# Bilinear reading at any place averages the flat with a triangle of this variance [px^2], at whole pixels with nothing;
-# over all places the mean is 1/6. A second difference with half of that as its factor gives it back.
-_GIVEN_BACK = 1 / 12
-
 
 def prefilter_flat(pixels: NDArray) -> NDArray:
-    """The flat as bilinear reading wants it: what interpolation blurs is given back before.
-
-    Between pixels bilinear interpolation averages, at pixels it does not. Where many lenses and places share in
-    a picture, their mean has the sharpness of the flat itself.
+    """The flat sharpened by `p - (sum of the four neighbours - 4 p) / 12`.
 
     Parameters
     ----------
@@ -28,23 +26,24 @@ def prefilter_flat(pixels: NDArray) -> NDArray:
     Returns
     -------
     array of the same shape and type
+        Integers are rounded, and clipped to their range.
     """
     rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
     out = np.empty_like(rows)
     if rows.dtype.kind == "f":
-        _give_back(rows, pixels.shape[2], out)
+        _filter_floats(rows, pixels.shape[2], out)
     elif rows.dtype == np.uint8:
-        _give_back_bytes(rows, pixels.shape[2], out)
+        _filter_bytes(rows, pixels.shape[2], out)
     else:
-        _give_back_whole(rows, pixels.shape[2], np.float32(np.iinfo(rows.dtype).max), out)
+        _filter_shorts(rows, pixels.shape[2], np.float32(np.iinfo(rows.dtype).max), out)
     return out.reshape(pixels.shape)
 
 
-# Exact rules of rounding: a part of a flat gets what the whole has there, whatever pixels a vector loop takes together.
+# Without fastmath: a part of a flat gets the same bits as the whole, whatever pixels a vector loop handles together.
 @njit(cache=True, nogil=True, parallel=True)
-def _give_back(flat, channels, out):
+def _filter_floats(flat, channels, out):
     height, width = flat.shape
-    middle, side = np.float32(1 + 4 * _GIVEN_BACK), np.float32(_GIVEN_BACK)
+    middle, side = np.float32(1 + 4 * (1 / 12)), np.float32(1 / 12)
     for y in prange(height):
         above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
         into = out[y]
@@ -60,11 +59,11 @@ def _give_back(flat, channels, out):
 
 
 @njit(cache=True, nogil=True)
-def _whole_given_back(flat, y, channels, highest, into):
-    """A row as of `_give_back`, rounded: sixteen twelfths of a pixel less one twelfth of each beside it, plus a half.
+def _filter_row_of_shorts(flat, y, channels, highest, into):
+    """One row, rounded: sixteen twelfths of a pixel minus one twelfth of each neighbour, plus a half.
 
-    Twelve times the answer is a whole number that single precision holds exactly, and a twelfth is rounded up there, so
-    that cutting off after the product is the division of whole numbers; vectors hold more of these than of integers.
+    Twelve times the result is a whole number that single precision holds exactly, and the constant 1/12 is rounded up
+    there, so that truncating the product is integer division; a vector holds more of these than of integers.
     """
     height, width = flat.shape
     sixteen, six, zero, twelfth = np.float32(16), np.float32(6), np.float32(0), np.float32(1 / 12)
@@ -83,14 +82,15 @@ def _whole_given_back(flat, y, channels, highest, into):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _give_back_whole(flat, channels, highest, out):
+def _filter_shorts(flat, channels, highest, out):
     for y in prange(len(flat)):
-        _whole_given_back(flat, y, channels, highest, out[y])
+        _filter_row_of_shorts(flat, y, channels, highest, out[y])
 
 
 @njit(cache=True, nogil=True)
-def _bytes_given_back(flat, y, channels, line, into):
-    """A row as of `_whole_given_back`, for bytes: a line between two loops keeps them to 16 bits: vectors hold more."""
+def _filter_row_of_bytes(flat, y, channels, line, into):
+    """`_filter_row_of_shorts` for bytes; a line between two loops keeps them to 16 bits, of which a vector holds
+    more."""
     height, width = flat.shape
     above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
     n = max(width - 2 * channels, 0)
@@ -110,13 +110,13 @@ def _bytes_given_back(flat, y, channels, line, into):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _give_back_bytes(flat, channels, out):
+def _filter_bytes(flat, channels, out):
     for y in prange(len(flat)):
-        _bytes_given_back(flat, y, channels, np.empty(flat.shape[1], np.int16), out[y])
+        _filter_row_of_bytes(flat, y, channels, np.empty(flat.shape[1], np.int16), out[y])
 
 
 @njit(cache=True, nogil=True)
-def _packed(row, channels, into):
+def _pack_row(row, channels, into):
     """Put the channels of each pixel of a row into one number, the first lowest."""
     kind = into.dtype.type
     if channels == 3:
@@ -133,29 +133,34 @@ def _packed(row, channels, into):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _give_back_packed(flat, channels, out):
+def _filter_and_pack_bytes(flat, channels, out):
     for y in prange(len(flat)):
         row = np.empty(flat.shape[1], np.uint8)
-        _bytes_given_back(flat, y, channels, np.empty(flat.shape[1], np.int16), row)
-        _packed(row, channels, out[y])
+        _filter_row_of_bytes(flat, y, channels, np.empty(flat.shape[1], np.int16), row)
+        _pack_row(row, channels, out[y])
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _give_back_packed_shorts(flat, channels, highest, out):
+def _filter_and_pack_shorts(flat, channels, highest, out):
     for y in prange(len(flat)):
         row = np.empty(flat.shape[1], np.uint16)
-        _whole_given_back(flat, y, channels, highest, row)
-        _packed(row, channels, out[y])
+        _filter_row_of_shorts(flat, y, channels, highest, row)
+        _pack_row(row, channels, out[y])
 
 
 def prefilter_packed(pixels: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint32 | np.uint64]:
-    """(H, W) uint32, or uint64 of shorts: `prefilter_flat` with the channels of each pixel (H, W, C) in one number, the
-    first lowest; C is 4 at most. In `allocate_scratch` memory."""
+    """`prefilter_flat` with the channels of each pixel in one number, the first lowest: one read gets them all.
+
+    Returns
+    -------
+    (H, W) uint32 for bytes, uint64 for shorts
+        Scratch memory, which the next call overwrites; at most four channels.
+    """
     rows, channels = np.ascontiguousarray(pixels).reshape(len(pixels), -1), pixels.shape[2]
     if pixels.dtype == np.uint8:
         out = allocate_scratch("packed", pixels.shape[:2], np.uint32)
-        _give_back_packed(rows, channels, out)
+        _filter_and_pack_bytes(rows, channels, out)
     else:
         out = allocate_scratch("packed shorts", pixels.shape[:2], np.uint64)
-        _give_back_packed_shorts(rows, channels, np.float32(np.iinfo(pixels.dtype).max), out)
+        _filter_and_pack_shorts(rows, channels, np.float32(np.iinfo(pixels.dtype).max), out)
     return out

@@ -1,4 +1,8 @@
-"""Which lenses carry texture: their contrast against the noise and the shading that could fake it."""
+"""Texture of every microimage: statistics of its brightness, the noise of the flat, and which lenses can be matched.
+
+A lens has texture if the contrast of its middle exceeds noise and rounding. Clear texture also exceeds the contrast
+that the fixed-pattern shading of microimages can have.
+"""
 
 from __future__ import annotations
 
@@ -15,38 +19,13 @@ from ..runtime.cache import cached
 from .gray_flat import GrayFlat
 from .lens_graph import dilate_mask, neighbour_rows
 from .microimages import copy_box
+from .settings import KERNEL, TEXTURE, TextureSettings
 from .shading import remove_shading
 
 __all__ = [
-    "FIXED_PATTERN_CONTRAST",
-    "LensStatistics",
-    "Texture",
-    "classify_borderline_texture",
-    "classify_texture",
-    "estimate_noise",
-    "find_noise_only",
-    "find_texture",
-    "measure_statistics",
-    "sample_statistics",
-]
-
-# Contrast that fixed-pattern shading inside microimages may fake, in shares of their brightness.
-FIXED_PATTERN_CONTRAST = 0.02
-# A lens clearly carries texture when its contrast exceeds the noise this many times, faintly at the second number.
-_CLEAR, _FAINT = 2.5, 0.5
-# The depth at the centre of a lens is not told by texture at its rim: within this share of the pitch there must
-# be some, at least this much of the brightness: less is lost in the rounding of 8 bits.
-_MIDDLE, _LEAST_CONTRAST = 0.36, 0.01
-
-# Shading hardly adds as much contrast as this factor, or takes it away.
-_BESIDE = 1.5
-# So many microimages are no rougher than the noise makes them.
-_LEAST_ROUGH = 0.02
-# Vector loops take so many values at a time, and so many lenses share the memory that they are cut out to.
-_BUNCH, _TOGETHER = 32, 32
-# Microimages of this radius [px] have rows to spare; so many pixels tell whether there is texture, in rows that lie no
-# farther apart than the last number.
-_LEAST_ROWS, _TELLING, _FARTHEST_ROWS = 6.0, 260, 4
+    "LensStatistics", "Texture", "classify_borderline_texture", "classify_texture", "estimate_noise",
+    "find_noise_only", "find_texture", "measure_statistics", "sample_statistics",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -57,8 +36,8 @@ class LensStatistics:
     ----------
     mean, contrast : (n,) float32
         Mean and standard deviation.
-    middle : (n,) float32
-        Standard deviation within 0.36 pitches of the centre.
+    central_contrast : (n,) float32
+        Standard deviation in the middle, within 0.36 pitches of the centre.
     roughness : (n,) float32
         RMS of what neither a plane nor a straight edge explains: noise, and the finest detail.
     """
@@ -75,18 +54,18 @@ class LensStatistics:
 
 @dataclass(frozen=True)
 class Texture:
-    """What there is to match.
+    """Texture of all lenses.
 
     Parameters
     ----------
     flat : GrayFlat
-        Without the shading that microimages have in common.
+        The flat that is matched, without common shading if that was removed.
     statistics : LensStatistics
-        Of that.
+        Of that flat.
     noise : float
         Standard deviation of a pixel, white = 1.
     clear, faint : (n,) bool
-        Lenses with texture, and lenses where only a match can tell it from noise.
+        Lenses with texture, and lenses whose contrast may be noise or shading: only a match can confirm it.
     """
 
     flat: GrayFlat
@@ -97,21 +76,20 @@ class Texture:
 
     def select(self, rows: NDArray[np.int64]) -> Texture:
         """That of some lenses."""
-        kinds = None if self.flat.lens_type is None else self.flat.lens_type[rows]
-        flat = replace(self.flat, centres=self.flat.centres[rows], lens_type=kinds)
+        lens_type = None if self.flat.lens_type is None else self.flat.lens_type[rows]
+        flat = replace(self.flat, centres=self.flat.centres[rows], lens_type=lens_type)
         return Texture(flat, self.statistics.select(rows), self.noise, self.clear[rows], self.faint[rows])
 
 
-# Drawn into its caller before anything is optimised: later, that is done once where Numba compiles and twice where it
-# loads, and sums would be ordered differently. Places are unsigned: signed ones are looked at for being counted from
-# the end.
+# Inlined before any optimisation: else sums would be in another order when compiled than when loaded from the cache.
+# Positions are unsigned: signed ones are checked for counting from the end.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _sums(box, columns, lines, start, above, below, count, ex, ey, low, high, last, r2, middle2, near):
-    """Number, sum and sum of squares of the pixels in a circle, less `near`, the same in a smaller one, and the sum of
-    squares of their answers to a checkerboard mask.
+def _sum_pixels(box, columns, lines, start, above, below, count, ex, ey, low, high, last, r2, middle2, near):
+    """Number, sum and sum of squares of the pixels in a circle, minus `near`; sum of squares of a checkerboard filter;
+    number, sum and sum of squares in the smaller circle.
 
-    The mask is blind to planes and straight slopes (Immerkaer 1996). `box` holds the row above and that below each row
-    of pixels `above` and `below` values farther; circles are about (ex, ey) in `columns` and `lines`.
+    The filter does not respond to planes and straight edges (Immerkaer 1996). `box` holds the row above and that below
+    each row of pixels `above` and `below` values farther; circles are about (ex, ey) in `columns` and `lines`.
     """
     zero, unit, two, four = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(4.0)
     a, b, c, one = np.uint64(start), np.uint64(start + above), np.uint64(start + below), np.uint64(1)
@@ -140,21 +118,21 @@ def _sums(box, columns, lines, start, above, below, count, ex, ey, low, high, la
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _spread(number, total, squares):
-    """Mean and standard deviation from sums."""
+def _mean_and_deviation(number, total, squares):
     inverse = np.float32(1.0) / max(number, np.float32(1.0))
     mean = total * inverse
     return mean, np.sqrt(max(squares * inverse - mean * mean, np.float32(0.0)))
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _lens_statistics(image, centres, wanted, radius, middle, row_step, out):
+def _measure(image, centres, wanted, radius, middle, row_step, out):
+    """Mean, contrast, contrast of the middle and roughness of the `wanted` lenses, into `out` (4, n)."""
     height, width = image.shape
     pixels = image.reshape(-1)
-    # Rows that are read follow each other, and then those above, and below, if they are others: so one long loop takes
-    # them all.
+    # A copy holds the rows that are read one after the other, and then those above, and below, if they are others: so
+    # one long loop handles them all.
     wide, tall = 2 * int(np.ceil(radius)) + 3, (2 * int(np.ceil(radius)) + 1 + row_step) // row_step
-    size = (tall * wide + _BUNCH - 1) // _BUNCH * _BUNCH
+    size = (tall * wide + KERNEL.bunch - 1) // KERNEL.bunch * KERNEL.bunch
     start = wide + 1 if row_step == 1 else 1
     above, below = (-wide, wide) if row_step == 1 else (tall * wide, (tall + 1) * wide)
     if row_step > 2:
@@ -162,9 +140,9 @@ def _lens_statistics(image, centres, wanted, radius, middle, row_step, out):
     columns, lines = np.full(size, np.inf, np.float32), np.full(size, np.inf, np.float32)
     for k in range(tall * wide):
         columns[k], lines[k] = k % wide, k // wide * row_step
-    for part in prange((len(centres) + _TOGETHER - 1) // _TOGETHER):
-        box = np.zeros(min(row_step, 3) * (tall + 1) * wide + 3 * wide + 2 * _BUNCH, np.float32)
-        for lens in range(part * _TOGETHER, min((part + 1) * _TOGETHER, len(centres))):
+    for part in prange((len(centres) + KERNEL.lens_block - 1) // KERNEL.lens_block):
+        box = np.zeros(min(row_step, 3) * (tall + 1) * wide + 3 * wide + 2 * KERNEL.bunch, np.float32)
+        for lens in range(part * KERNEL.lens_block, min((part + 1) * KERNEL.lens_block, len(centres))):
             if not wanted[lens]:
                 continue
             cx, cy = centres[lens, 0], centres[lens, 1]
@@ -178,16 +156,16 @@ def _lens_statistics(image, centres, wanted, radius, middle, row_step, out):
                 copy_box(pixels, width, left - 1, top - 1, count + 1, wide, box, tall * wide, row_step)
                 if row_step > 2:
                     copy_box(pixels, width, left - 1, top + 1, count, wide, box, 2 * tall * wide, row_step)
-            count = max((count * wide + _BUNCH - 1) // _BUNCH * _BUNCH, 0)
+            count = max((count * wide + KERNEL.bunch - 1) // KERNEL.bunch * KERNEL.bunch, 0)
             near = pixels[min(max(int(cy), 0), height - 1) * width + min(max(int(cx), 0), width - 1)]
-            number, total, squares, rough, inner, inner_total, inner_squares = _sums(
+            number, total, squares, rough, inner, inner_total, inner_squares = _sum_pixels(
                 box, columns, lines, start, above, below, count, cx - np.float32(left), cy - np.float32(top),
                 np.float32(1 - left), np.float32(width - 2 - left), np.float32(bottom - top), radius * radius,
                 middle * middle, near,
             )  # fmt: skip
-            mean, out[1, lens] = _spread(number, total, squares)
+            mean, out[1, lens] = _mean_and_deviation(number, total, squares)
             out[0, lens] = near + mean
-            out[2, lens] = _spread(inner, inner_total, inner_squares)[1]
+            out[2, lens] = _mean_and_deviation(inner, inner_total, inner_squares)[1]
             out[3, lens] = np.sqrt(rough / (np.float32(36) * max(number, np.float32(1.0))))
 
 
@@ -196,31 +174,32 @@ def measure_statistics(
     known: LensStatistics | None = None,
     wanted: NDArray[np.bool_] | None = None,
     row_step: int = 1,
+    settings: TextureSettings = TEXTURE,
 ) -> LensStatistics:
     """Brightness inside each microimage.
 
-    Lenses that are not `wanted` (n,) keep what is `known` of them. Only every `row_step`-th row of pixels is read.
+    Lenses that are not `wanted` (n,) keep their `known` values. Only every `row_step`-th row of pixels is read.
     """
     out = np.zeros((4, len(gray.centres)), np.float32)
     if known is not None:
         out[:] = known.mean, known.contrast, known.central_contrast, known.roughness
     wanted = np.ones(len(gray.centres), bool) if wanted is None else wanted
-    _lens_statistics(
-        gray.image, gray.centres, wanted, np.float32(gray.radius), np.float32(min(gray.radius, _MIDDLE * gray.pitch)),
-        row_step, out,
-    )  # fmt: skip
+    middle = np.float32(min(gray.radius, settings.middle * gray.pitch))
+    _measure(gray.image, gray.centres, wanted, np.float32(gray.radius), middle, row_step, out)
     return LensStatistics(*out)
 
 
-def sample_statistics(gray: GrayFlat) -> LensStatistics:
-    """`measure_statistics` from every other row of large enough microimages, or fewer: who carries texture at all."""
-    step = int(np.clip(np.pi * gray.radius**2 / _TELLING, 2, _FARTHEST_ROWS))
-    return measure_statistics(gray, row_step=step if gray.radius >= _LEAST_ROWS else 1)
+def sample_statistics(gray: GrayFlat, settings: TextureSettings = TEXTURE) -> LensStatistics:
+    """`measure_statistics` from every second row, or fewer, of large enough microimages."""
+    step = int(np.clip(np.pi * gray.radius**2 / settings.sampled_pixels, 2, settings.widest_step))
+    return measure_statistics(gray, row_step=step if gray.radius >= settings.least_radius else 1)
 
 
-def find_noise_only(plain: LensStatistics, noise: float) -> NDArray[np.bool_]:
-    """(n,) bool: lenses whose pixels are explained by their own noise."""
-    return ~(_some(plain, noise) & _beyond_noise(plain)) & ~_clear(plain, noise)
+def find_noise_only(plain: LensStatistics, noise: float, settings: TextureSettings = TEXTURE) -> NDArray[np.bool_]:
+    """(n,) bool: lenses whose contrast their own noise explains."""
+    # More contrast than the finest detail has, by the least that counts as faint texture.
+    beyond = plain.contrast**2 > (1 + settings.faint**2) * plain.roughness**2
+    return ~(_has_any(plain, noise, settings) & beyond) & ~_is_clear(plain, noise, settings)
 
 
 def find_texture(
@@ -230,86 +209,92 @@ def find_texture(
     blank: NDArray[np.bool_] | None = None,
     wanted: NDArray[np.bool_] | None = None,
     known_noise: float | None = None,
+    settings: TextureSettings = TEXTURE,
 ) -> Texture:
-    """Remove the shading that microimages have in common and tell which lenses are left with texture.
+    """Remove the common shading of microimages and classify the texture that is left.
 
-    `plain` are the statistics of `gray`. Lenses that are `blank` are so without further ado. Lenses that are not
-    `wanted` keep their shading. The noise may be known already.
+    Parameters
+    ----------
+    gray : GrayFlat
+    lattice : Lattice
+    plain : LensStatistics
+        Of `gray`.
+    blank : (n,) bool, optional
+        Lenses known to have no texture; only their shading beside lenses with texture is removed.
+    wanted : (n,) bool, optional
+        Lenses whose shading is removed; all by default.
+    known_noise : float, optional
+    settings : TextureSettings
     """
     wanted = np.ones(len(plain.mean), bool) if wanted is None else wanted
     first = wanted if blank is None else wanted & ~blank
     flattened = remove_shading(gray, lattice, plain.mean, plain.contrast, first)
     found = measure_statistics(flattened, known=plain, wanted=first)
     if blank is not None:
-        # Lenses with texture are compared with those beside them.
-        some = _some(found, estimate_noise(found.roughness) if known_noise is None else known_noise)
+        # Lenses with texture are matched with those beside them.
+        some = _has_any(found, estimate_noise(found.roughness) if known_noise is None else known_noise, settings)
         beside = wanted & ~first & dilate_mask(some & first, neighbour_rows(lattice, lattice.steps))
         flattened = remove_shading(gray, lattice, plain.mean, plain.contrast, beside, flattened)
         found = measure_statistics(flattened, found, beside)
     noise = estimate_noise(found.roughness) if known_noise is None else known_noise
-    clear = _clear(found, noise)
-    faint = _some(found, noise) & ~clear
+    clear = _is_clear(found, noise, settings)
+    faint = _has_any(found, noise, settings) & ~clear
     return Texture(flattened, found, noise, clear, faint if blank is None else faint & ~blank)
 
 
-def classify_texture(gray: GrayFlat, plain: LensStatistics, noise: float | None = None) -> Texture:
-    """Which lenses carry texture if the shading is left in: quicker, and right where there is much texture."""
+def classify_texture(
+    gray: GrayFlat, plain: LensStatistics, noise: float | None = None, settings: TextureSettings = TEXTURE
+) -> Texture:
+    """Classify texture with the common shading left in: faster, and correct if there is much texture."""
     noise = estimate_noise(plain.roughness) if noise is None else noise
-    clear = _clear(plain, noise)
-    return Texture(gray, plain, noise, clear, _some(plain, noise) & ~clear)
+    clear = _is_clear(plain, noise, settings)
+    return Texture(gray, plain, noise, clear, _has_any(plain, noise, settings) & ~clear)
 
 
 def classify_borderline_texture(
-    gray: GrayFlat, lattice: Lattice, plain: LensStatistics, blank: NDArray[np.bool_], noise: float
-) -> Texture:
-    """As `find_texture`, but of shading is told only what lenses of which it may decide show without it."""
-    unsure = _unsure(plain, noise) | (_some(plain, noise) & ~_clear(plain, noise) & ~blank)
+    gray: GrayFlat, lattice: Lattice, plain: LensStatistics, blank: NDArray[np.bool_], noise: float,
+    settings: TextureSettings = TEXTURE,
+) -> Texture:  # fmt: skip
+    """`classify_texture`, but lenses whose class shading could change are classified without it."""
+    limit, least = _least_clear(plain, noise, settings), _least_central(plain, noise, settings)
+    contrast, central, factor = plain.contrast, plain.central_contrast, settings.borderline
+    little = (contrast < factor * limit) | (central < factor * least)
+    borderline = little & (contrast * factor > limit) & (central * factor > least)
+    unsure = borderline | (_has_any(plain, noise, settings) & ~_is_clear(plain, noise, settings) & ~blank)
     found = plain
     if unsure.any():
         flattened = remove_shading(gray, lattice, plain.mean, plain.contrast, unsure, everywhere=False)
         found = measure_statistics(flattened, plain, unsure)
-    clear = _clear(found, noise)
-    return Texture(gray, found, noise, clear, _some(found, noise) & ~clear & ~blank)
+    clear = _is_clear(found, noise, settings)
+    return Texture(gray, found, noise, clear, _has_any(found, noise, settings) & ~clear & ~blank)
 
 
-def estimate_noise(roughness: NDArray[np.float32]) -> float:
-    """The least rough microimages show the noise alone; rounding and coding leave a grey level in any case."""
-    return cached(roughness, "noise", lambda: _noise_of(roughness))
+def estimate_noise(roughness: NDArray[np.float32], settings: TextureSettings = TEXTURE) -> float:
+    """Noise of a flat [white] from the roughness (n,) of its lenses: that of the smoothest ones."""
+
+    def make() -> float:
+        at = settings.smoothest * (len(roughness) - 1)
+        # As `np.quantile`, which takes six times as long.
+        ends = [int(at), int(np.ceil(at))]
+        low, high = np.partition(roughness, ends)[ends].astype(float)
+        return max(low + (at - int(at)) * (high - low), settings.grey_level)
+
+    return cached(roughness, ("noise", settings), make)
 
 
-def _noise_of(roughness: NDArray[np.float32]) -> float:
-    at = _LEAST_ROUGH * (len(roughness) - 1)
-    # As numpy's quantile, which takes six times as long.
-    low, high = np.partition(roughness, [int(at), int(np.ceil(at))])[[int(at), int(np.ceil(at))]].astype(float)
-    return max(low + (at - int(at)) * (high - low), 1 / 255)
+def _least_central(found: LensStatistics, noise: float, settings: TextureSettings) -> NDArray[np.float32]:
+    """(n,) contrast of the middle from which on a lens may have texture."""
+    return np.maximum(settings.least_contrast * found.mean, np.float32(settings.faint * noise))
 
 
-def _least_middle(found: LensStatistics, noise: float) -> NDArray[np.float32]:
-    """(n,) contrast in the middle from which on a lens carries texture."""
-    return np.maximum(_LEAST_CONTRAST * found.mean, np.float32(_FAINT * noise))
+def _least_clear(found: LensStatistics, noise: float, settings: TextureSettings) -> NDArray:
+    """(n,) contrast from which on texture is clear."""
+    return np.hypot(settings.clear * noise, settings.fixed_pattern * found.mean)
 
 
-def _least_clear(found: LensStatistics, noise: float) -> NDArray:
-    """(n,) contrast from which on that is clear."""
-    return np.hypot(_CLEAR * noise, FIXED_PATTERN_CONTRAST * found.mean)
+def _has_any(found: LensStatistics, noise: float, settings: TextureSettings) -> NDArray[np.bool_]:
+    return found.central_contrast > _least_central(found, noise, settings)
 
 
-def _some(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
-    return found.central_contrast > _least_middle(found, noise)
-
-
-def _clear(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
-    return _some(found, noise) & (found.contrast > _least_clear(found, noise))
-
-
-def _unsure(found: LensStatistics, noise: float) -> NDArray[np.bool_]:
-    """Lenses with about as much contrast as tells texture, or with about as much in the middle, and no less of the
-    other."""
-    limit, least = _least_clear(found, noise), _least_middle(found, noise)
-    little = (found.contrast < _BESIDE * limit) | (found.central_contrast < _BESIDE * least)
-    return np.asarray(little & (found.contrast * _BESIDE > limit) & (found.central_contrast * _BESIDE > least))
-
-
-def _beyond_noise(found: LensStatistics) -> NDArray[np.bool_]:
-    """Lenses with more contrast than their finest detail has, by the least that counts as faint texture."""
-    return found.contrast**2 > (1 + _FAINT**2) * found.roughness**2
+def _is_clear(found: LensStatistics, noise: float, settings: TextureSettings) -> NDArray[np.bool_]:
+    return _has_any(found, noise, settings) & (found.contrast > _least_clear(found, noise, settings))

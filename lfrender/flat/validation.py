@@ -1,4 +1,4 @@
-"""What every public function asks of a flat before it works on it."""
+"""Check that a flat fits its calibration, and bring it into the form that kernels read."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from lfcal import Calibration, CalibrationError, FlatError
 
 __all__ = ["check_flat"]
 
-# Noise and gain put floats above 1 at white, but not beyond this.
+# Largest float of a flat, where white is 1: noise and gain reach above white, but not beyond this. Set by hand.
 _BRIGHTEST = 16.0
 
 
 def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
-    """The flat as an (H, W, C) array that the kernels can read, in colour behind a mosaic, or a clear error.
+    """The flat as an (H, W, C) array of uint8, uint16 or float32; in colour if the camera has a colour filter mosaic.
 
     Raises
     ------
@@ -36,12 +36,11 @@ def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
     if size != calibration.image_size:
         was, now = ("{} x {}".format(*pair) for pair in (calibration.image_size, size))
         raise CalibrationError(f"calibration is for images of {was} px, the flat has {now}; calibrate on this flat")
+    _check_floats(array)
     if calibration.mosaic is not None and array.shape[2] == 1:
         from .demosaicing import demosaic
 
-        _check_floats(array)
         return demosaic(array[:, :, 0], calibration)
-    _check_floats(array)
     return np.ascontiguousarray(array)
 
 

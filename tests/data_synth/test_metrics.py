@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from data_synth.metrics import centre_error, compare_pictures, magnification_error, mode_accuracy, resample
 from lfcal import Lattice
-from lfrender.flat.lens_graph import nearest_lens
 
 IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
 
@@ -122,12 +121,6 @@ def test_centre_error_of_a_shifted_lattice_is_the_shift():
 
 def test_centre_error_ignores_which_centre_is_called_the_origin():
     assert centre_error(lattice((120.0, 80.0)), lattice()) == pytest.approx(0, abs=1e-9)
-
-
-def test_nearest_lens_of_each_centre_is_itself():
-    centres = lattice().centres()
-    offset = np.random.default_rng(0).uniform(-5, 5, centres.shape)
-    np.testing.assert_array_equal(nearest_lens(lattice(), centres + offset), np.arange(len(centres)))
 
 
 def test_mode_accuracy_and_magnification_error():

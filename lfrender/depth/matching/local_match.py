@@ -13,7 +13,8 @@ from lfcal.runtime.fastmath import FAST
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.microimages import Strips, overlap_range
-from ...flat.texture import FIXED_PATTERN_CONTRAST, LensStatistics
+from ...flat.settings import TEXTURE
+from ...flat.texture import LensStatistics
 from .cost_volume import (
     CostTerms,
     Overlap,
@@ -181,7 +182,7 @@ def match_locally(
     masks = overlap_masks(strips, gray, forward, np.zeros(1, np.float32), expected)
     pairs = np.empty((*forward.shape, 3), np.float32)
     terms = CostTerms(
-        np.float32(noise), np.float32(FIXED_PATTERN_CONTRAST), np.float32(half_weight_area(gray)), strips.step
+        np.float32(noise), np.float32(TEXTURE.fixed_pattern), np.float32(half_weight_area(gray)), strips.step
     )
     lenses = lens_images(gray, statistics.mean, statistics.contrast)
     _local_costs(lenses, forward, active, expected, terms, strip_table(strips, masks), pairs)

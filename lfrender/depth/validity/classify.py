@@ -7,7 +7,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from ...flat.lens_graph import count_similar
-from ...flat.shading import MAX_SHADING_CONTRAST
+from ...flat.settings import SHADING
 from ..matching.matcher import MatchResult
 from .settings import CLASSIFY, ClassifySettings
 from .uncertainty import (
@@ -185,7 +185,7 @@ def looks_like_shading(
     removes it. A depth near zero that occurs among the other lenses is the scene's.
     """
     size = found.patch_size
-    little = clear & (contrast <= MAX_SHADING_CONTRAST) & (np.abs(size) < settings.shading_reach * pitch)
+    little = clear & (contrast <= SHADING.largest_contrast) & (np.abs(size) < settings.shading_reach * pitch)
     return np.asarray(little & ~_occurs(size, size[clear & ~little], pitch, settings))
 
 

@@ -1,3 +1,7 @@
+"""Colour from filter mosaics of known colour flats."""
+
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +15,8 @@ from lfrender.flat.demosaicing import demosaic
 MOSAICS = ("RGGB", "BGGR", "GRBG", "GBRG")
 
 
-def behind(flat, mosaic):
-    """What a sensor with these filters stores."""
+def filtered_flat(flat, mosaic):
+    """The values that a sensor with these filters stores."""
     out = np.empty(flat.shape[:2], flat.dtype)
     for k, letter in enumerate(mosaic):
         phase = np.s_[k // 2 :: 2, k % 2 :: 2]
@@ -31,24 +35,23 @@ def psnr(shot, picture):
 def test_a_mosaic_flat_is_analysed_and_drawn_nearly_as_well_as_a_colour_flat(house):
     camera = house.truth.calibration
     filtered = replace(camera, mosaic="RGGB")
-    raw = behind(house.flat, "RGGB")
+    raw = filtered_flat(house.flat, "RGGB")
     colour = lfrender.render(house.flat, camera, scale=6.0)
     found = lfrender.render(raw, filtered, scale=6.0)
     assert found.image.shape == colour.image.shape
     assert psnr(house, found) > psnr(house, colour) - 1.5
-    # Read as gray, the mosaic would cost the colours.
     gray = lfrender.render(raw, camera, scale=6.0)
     assert gray.image.ndim == 2
     assert lfrender.traditional(raw, filtered).image.shape[2] == 3
 
 
 @pytest.mark.parametrize("mosaic", MOSAICS)
-def test_each_filter_order_gives_its_colours_back(house, mosaic):
+def test_colours_are_kept_for_each_filter_order(house, mosaic):
     camera = replace(house.truth.calibration, mosaic=mosaic)
-    found = demosaic(behind(house.flat, mosaic), camera)
+    found = demosaic(filtered_flat(house.flat, mosaic), camera)
     assert found.dtype == np.uint8
     # Own colours stay as stored, and the means of all three are kept to 1 %.
-    np.testing.assert_array_equal(behind(found, mosaic), behind(house.flat, mosaic))
+    np.testing.assert_array_equal(filtered_flat(found, mosaic), filtered_flat(house.flat, mosaic))
     np.testing.assert_allclose(found.mean((0, 1)), house.flat.mean((0, 1)), rtol=0.01)
 
 
@@ -65,13 +68,13 @@ def test_no_colour_crosses_from_one_microimage_into_the_next(house):
     # Neighbouring lenses show evenly one of three colours.
     palette = np.array([[200, 40, 30], [20, 180, 60], [50, 30, 190]], np.uint8)
     flat = palette[((own[:, 0] - own[:, 1]) % 3).astype(int)].reshape(height, width, 3)
-    found = demosaic(behind(flat, "GRBG"), replace(house.truth.calibration, mosaic="GRBG"))
+    found = demosaic(filtered_flat(flat, "GRBG"), replace(house.truth.calibration, mosaic="GRBG"))
     wrong = np.abs(found.astype(int) - flat).max(2) > 1
     inner = wrong[30:-30, 30:-30]
     assert inner.mean() < 0.001
 
 
-def test_a_gray_flat_of_a_camera_without_a_mosaic_stays_as_it_is(house):
+def test_a_flat_of_a_camera_without_a_mosaic_is_returned_unchanged(house):
     gray = house.flat[:, :, 1]
     assert demosaic(gray, house.truth.calibration) is gray
     camera = replace(house.truth.calibration, mosaic="RGGB")
@@ -80,7 +83,7 @@ def test_a_gray_flat_of_a_camera_without_a_mosaic_stays_as_it_is(house):
 
 
 def test_a_mosaic_flat_with_nan_is_refused(house):
-    raw = behind(house.flat, "RGGB").astype(np.float32) / 255
+    raw = filtered_flat(house.flat, "RGGB").astype(np.float32) / 255
     raw[7, 9] = np.nan
     camera: Calibration = replace(house.truth.calibration, mosaic="RGGB")
     with pytest.raises(FlatError, match="x=9, y=7"):

@@ -36,7 +36,7 @@ def test_brightness_is_the_mean_of_the_channels(channels):
 
 
 @pytest.mark.parametrize("factor", [2, 3, 4])
-def test_a_few_lenses_are_made_smaller_as_in_the_whole_flat(factor):
+def test_downsampling_a_few_lenses_equals_downsampling_the_whole_flat(factor):
     rng = np.random.default_rng(4)
     lattice = Lattice((31.3, 28.7), ((40, 0), (0, 40)), (401, 319), 19.0)
     centres = lattice.centres().astype(np.float32)

@@ -1,8 +1,12 @@
+"""Neighbours of lenses."""
+
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
 from data_synth import Camera
-from lfrender.flat.lens_graph import distant_rings, neighbour_rows, two_rings
+from lfrender.flat.lens_graph import distant_rings, nearest_lens, neighbour_rows, two_rings
 
 
 def cameras(kind):
@@ -19,7 +23,7 @@ def test_two_rings_hold_every_lens_once(kind, count):
     for lens, rows in enumerate(rings):
         found = rows[rows >= 0]
         assert len(np.unique(found)) == len(found) <= count and lens not in found
-        # All lenses that near, but for those at corners of the flat that are reached over none.
+        # All lenses that near, except at corners of the flat, where no neighbour leads to them.
         near = np.flatnonzero((apart[lens] < 2.1) & (apart[lens] > 0))
         assert set(found) <= set(near)
     inner = (neighbours >= 0).all(1) & (neighbours >= 0).all(1)[neighbours].all(1)
@@ -27,7 +31,7 @@ def test_two_rings_hold_every_lens_once(kind, count):
 
 
 @pytest.mark.parametrize("kind", ["hex", "square"])
-def test_rings_afar_are_those_of_every_third_lens(kind):
+def test_distant_rings_are_those_of_every_third_lens(kind):
     lattice, centres, neighbours = cameras(kind)
     far, indices = distant_rings(neighbours), lattice.indices()
 
@@ -38,3 +42,10 @@ def test_rings_afar_are_those_of_every_third_lens(kind):
     third = {(3 * i, 3 * j) for i, j in steps(middle, two_rings(neighbours))}
     assert steps(middle, far) == third
     assert all(steps(lens, far) <= third for lens in range(len(far)))
+
+
+def test_nearest_lens_of_each_centre_is_itself():
+    lattice = cameras("hex")[0]
+    centres = lattice.centres()
+    offset = np.random.default_rng(0).uniform(-5, 5, centres.shape)
+    np.testing.assert_array_equal(nearest_lens(lattice, centres + offset), np.arange(len(centres)))

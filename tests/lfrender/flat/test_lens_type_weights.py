@@ -1,3 +1,7 @@
+"""Weights of the lens types of multi-focus arrays."""
+
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +32,7 @@ def psnr(shot, calibration, depth):
     return compare_pictures(picture.image / 255.0, wanted, inside & inner & picture.valid).psnr
 
 
-def test_the_lens_type_in_focus_leads_at_each_depth(three_types):
+def test_weights_of_lens_types_raise_the_psnr_of_a_slope_by_2_5_db(three_types):
     plain = three_types.truth.calibration
     depth = lfrender.analyze(three_types.flat, plain)
     typed = replace(plain, lens_types=LensTypes(CELL, True, np.array(FOCUS)))
@@ -38,7 +42,7 @@ def test_the_lens_type_in_focus_leads_at_each_depth(three_types):
     assert psnr(three_types, wrong, depth) < without
 
 
-def test_types_of_unknown_focus_count_alike(three_types):
+def test_types_of_unknown_focus_have_equal_weights(three_types):
     plain = three_types.truth.calibration
     for types in (LensTypes(CELL, True), LensTypes([[0]])):
         cell, _ = focus_weights(types)
@@ -48,7 +52,7 @@ def test_types_of_unknown_focus_count_alike(three_types):
         np.testing.assert_array_equal(given.image, without.image)
 
 
-def test_a_type_has_the_whole_weight_where_it_is_the_nearest_to_focus():
+def test_a_type_has_weight_1_where_it_is_in_focus():
     _, shares = focus_weights(LensTypes(CELL, True, np.array(FOCUS)))
     at = [round((f + 1) * (WEIGHT_STEPS - 1) / 2) for f in FOCUS]
     assert np.diag(shares[:, at]) == pytest.approx(1)

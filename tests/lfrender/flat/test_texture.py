@@ -1,3 +1,7 @@
+"""Statistics and texture of microimages."""
+
+from __future__ import annotations
+
 import os
 import subprocess
 import sys
@@ -35,7 +39,7 @@ def test_statistics_are_those_of_the_pixels_in_the_circle():
     np.testing.assert_allclose(np.median(statistics.roughness), 0.1, rtol=0.05)
 
 
-def test_texture_at_the_rim_alone_says_nothing_about_the_middle():
+def test_texture_at_the_rim_alone_is_no_texture():
     inner = np.all((LATTICE.centres() > 15) & (LATTICE.centres() < (194, 154)), axis=1)
     at_the_rim = made(lambda r, grain: np.where(r > 11.5, 0.1 * np.sign(grain), 0))
     rim = find_texture(at_the_rim, LATTICE, measure_statistics(at_the_rim))
@@ -67,18 +71,18 @@ import numpy as np
 import pytest
 from scipy.ndimage import correlate
 from lfrender.flat.gray_flat import GrayFlat
-from lfrender.flat.texture import lens_statistics
+from lfrender.flat.texture import measure_statistics
 rng = np.random.default_rng(0)
 image, centres = rng.random((300, 400), np.float32), (rng.random((200, 2)) * (400, 300)).astype(np.float32)
 for radius in (3.2, 11.4, 17.5):
     for step in (1, 2):
-        found = lens_statistics(GrayFlat(image, centres, radius, 2 * radius), row_step=step)
+        found = measure_statistics(GrayFlat(image, centres, radius, 2 * radius), row_step=step)
         print(*(getattr(found, name).tobytes().hex() for name in ("mean", "contrast", "central_contrast", "roughness")))
 """
 
 
-def test_sums_have_the_same_bits_where_the_kernel_is_compiled_and_where_it_is_loaded(tmp_path):
-    # Without forceinline they have not.
+def test_statistics_have_the_same_bits_from_a_compiled_and_from_a_loaded_kernel(tmp_path):
+    # This fails without forceinline.
     cold, warm = (
         subprocess.run(
             [sys.executable, "-c", _STATISTICS_BITS], env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
