@@ -13,7 +13,7 @@ class LargeSettings:
 
     # Analysis by tiles of lenses.
     halo: float = 8.0  # [pitch] of lenses analysed around a tile; shading is averaged over 4.2, the rest is for support
-    analysis_memory: float = 6e8  # [bytes] of a tile; set by hand, for machines of 2 GB
+    analysis_memory: float = 6e8  # [bytes] of a tile; set by hand
     bytes_per_pixel: int = 20  # of a tile as it is analysed: grey, without shading, cut out, masks; counted
     copies_read: int = 2  # of the pixels as read: those of this tile and of the next one
     alignment_cells: int = 40  # of the surface's grid, among which one begins where a block of pixels does; set by hand

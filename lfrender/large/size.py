@@ -1,4 +1,4 @@
-"""Which flats are worked on by tiles; imports nothing heavy, for commands ask this first."""
+"""Which flats are worked on by tiles; imports nothing heavy, because commands check this first."""
 
 from __future__ import annotations
 
