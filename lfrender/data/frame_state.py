@@ -14,24 +14,12 @@ __all__ = ["FrameState", "LocalMatch"]
 
 @dataclass(frozen=True)
 class LocalMatch:
-    """How lenses match at and about the depth they had.
+    """How lenses match at and about the depth they had."""
 
-    Parameters
-    ----------
-    cost : (n,) float32
-        At that depth.
-    offset : (n,) float32 [px of the search]
-        From there to the minimum.
-    error : (n,) float32 [px of the search]
-        Standard error of the offset for one pair.
-    clear, textured : (n,) bool
-        Lenses with texture, and with any that a match may distinguish from noise.
-    """
-
-    cost: NDArray[np.float32]
-    offset: NDArray[np.float32]
-    error: NDArray[np.float32]
-    clear: NDArray[np.bool_]
+    cost: NDArray[np.float32]  # (n,) at that depth
+    offset: NDArray[np.float32]  # (n,) [px of the search] from there to the minimum
+    error: NDArray[np.float32]  # (n,) [px of the search] standard error of the offset for one pair
+    clear: NDArray[np.bool_]  # (n,) lenses with texture, and with any that a match may distinguish from noise
     textured: NDArray[np.bool_]
 
     def where(self, mask: NDArray[np.bool_], other: LocalMatch) -> LocalMatch:
@@ -41,27 +29,16 @@ class LocalMatch:
 
 @dataclass
 class FrameState:
-    """State of a depth map in a sequence: neither saved with it nor compared.
+    """State of a depth map in a sequence: neither saved with it nor compared."""
 
-    Parameters
-    ----------
-    reference : LocalMatch, optional
-        What the `kept` lenses are compared with: their match in the frame in which their depth was estimated. A
-        comparison with the last frame only would let many small changes pass.
-    kept : (n,) bool, optional
-        Lenses that have kept their depth from an earlier frame.
-    complete : LocalMatch, optional
-        The reference of all lenses; made when the first next frame needs it.
-    changed : (n,) bool, optional
-        Lenses that show something else than in the frame of `previous`.
-    previous : weakref of DepthMap, optional
-    """
-
+    # What the `kept` lenses are compared with: their match in the frame in which their depth was estimated. A
+    # comparison with the last frame only would let many small changes pass.
     reference: LocalMatch | None = None
-    kept: NDArray[np.bool_] | None = None
-    complete: LocalMatch | None = None
+    kept: NDArray[np.bool_] | None = None  # (n,) lenses that have kept their depth from an earlier frame
+    complete: LocalMatch | None = None  # the reference of all lenses; made when the first next frame needs it
+    # (n,) lenses that show something else than in the frame of `previous`
     changed: NDArray[np.bool_] | None = None
-    previous: weakref.ref[Any] | None = None
+    previous: weakref.ref[Any] | None = None  # weakref of DepthMap
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
         """Pickles hold what cannot be made again from the frame."""

@@ -162,15 +162,9 @@ def find_changed_lenses(
 ) -> NDArray[np.bool_]:
     """(n,) bool: lenses whose pixels differ visibly, and by more than noise, from those of an earlier frame.
 
-    The noise of a difference is estimated on the smoothest lenses of like brightness in one frame, or on those that
-    differ least between the frames, whichever is less. Motion below the noise of a pixel shows in sums over blocks.
-
-    Parameters
-    ----------
-    before, now : (H, W, C) array
-        Two flats of one camera, exposure and type.
-    calibration : Calibration
-    settings : ChangeSettings
+    Both flats (H, W, C) are of one camera, exposure and type. The noise of a difference is estimated on the smoothest
+    lenses of like brightness in one frame, or on those that differ least between the frames, whichever is less. Motion
+    below the noise of a pixel shows in sums over blocks.
     """
     height, width, channels = before.shape
     radius = trusted_radius(calibration)

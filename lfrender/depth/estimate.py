@@ -37,30 +37,16 @@ __all__ = ["LensEstimates", "LensSet", "PreviousEstimates", "estimate_lenses"]
 
 @dataclass(frozen=True)
 class LensSet:
-    """Lenses to estimate: all of a flat, or some with their neighbours.
-
-    Parameters
-    ----------
-    texture : Texture
-    forward, backward : (n, d) int32
-        Neighbour rows in `d` directions and in their opposites, -1 where there is none.
-    indices : (n, 2) int
-        On the lattice.
-    updated : (n,) bool
-        Lenses that do not keep a depth from before.
-    active : (n,) bool
-        Those of them to match.
-    sample : (n,) bool, optional
-        Lenses that show which depths occur, see `match_lenses`.
-    """
+    """Lenses to estimate: all of a flat, or some with their neighbours."""
 
     texture: Texture
+    # (n, d) int32: Neighbour rows in `d` directions and in their opposites, -1 where there is none
     forward: NDArray[np.int32]
     backward: NDArray[np.int32]
-    indices: NDArray[np.int64]
-    updated: NDArray[np.bool_]
-    active: NDArray[np.bool_]
-    sample: NDArray[np.bool_] | None
+    indices: NDArray[np.int64]  # (n, 2) on the lattice
+    updated: NDArray[np.bool_]  # (n,) lenses that do not keep a depth from before
+    active: NDArray[np.bool_]  # (n,) those of them to match
+    sample: NDArray[np.bool_] | None  # (n,) lenses that show which depths occur, see `match_lenses`
 
     @property
     def pitch(self) -> float:
@@ -91,17 +77,10 @@ class LensSet:
 
 @dataclass(frozen=True)
 class PreviousEstimates:
-    """Estimates that some lenses keep.
+    """Estimates that some lenses keep."""
 
-    Parameters
-    ----------
-    kept : (n,) bool
-    filled_patch_size, standard_error, confidence, reason : (n,)
-        As `DepthMap`.
-    """
-
-    kept: NDArray[np.bool_]
-    filled_patch_size: NDArray[np.float32]
+    kept: NDArray[np.bool_]  # (n,)
+    filled_patch_size: NDArray[np.float32]  # (n,) this and the rest as in `DepthMap`
     standard_error: NDArray[np.float32]
     confidence: NDArray[np.float32]
     reason: NDArray[np.int8]
@@ -129,33 +108,19 @@ class PreviousEstimates:
 
 @dataclass(frozen=True)
 class LensEstimates:
-    """Estimates of lenses.
+    """Estimates of lenses."""
 
-    Parameters
-    ----------
-    patch_size, standard_error, confidence : (n,) [px]
-        Also of unresolved lenses.
-    reason : (n,) int8
-        As `DepthMap`.
-    systematic_error : (n,) [px]
-        Part of each error that all lenses of a surface may share.
-    guess : (n,) [px]
-        Patch size to fill unresolved lenses with, unless smoothing toward their neighbours changes it.
-    second : (n,) float32 [px]
-        Second-best patch size of lenses with texture; NaN where there is none.
-    match : MatchResult
-    own_fits : LensFits
-        Measurement of each lens without smoothing, or what it keeps; with an infinite error where it is unresolved.
-    """
-
-    patch_size: NDArray
+    patch_size: NDArray  # (n,) [px] this and the next two also of unresolved lenses
     standard_error: NDArray
     confidence: NDArray
-    reason: NDArray[np.int8]
-    systematic_error: NDArray
+    reason: NDArray[np.int8]  # (n,) as `DepthMap`
+    systematic_error: NDArray  # (n,) [px] part of each error that all lenses of a surface may share
+    # (n,) [px] patch size to fill unresolved lenses with, unless smoothing toward their neighbours changes it
     guess: NDArray
+    # (n,) [px] second-best patch size of lenses with texture; NaN where there is none
     second: NDArray[np.float32]
     match: MatchResult
+    # Measurement of each lens without smoothing, or what it keeps; with an infinite error where it is unresolved.
     own_fits: LensFits
 
     @property

@@ -40,26 +40,9 @@ __all__ = ["changed_since", "find_moved", "load_reference_match", "save_referenc
 def update_depth(
     flat: NDArray, calibration: Calibration, preset: str, shortcuts: Shortcuts, earlier: NDArray, before: DepthMap
 ) -> DepthMap:
-    """Estimate the depth of a frame from that of an earlier frame.
+    """Estimate the depth of a frame from the `earlier` frame and its depth, `before`; arguments as for `analyze`.
 
-    Parameters
-    ----------
-    flat : (H, W, C) array
-        Checked already.
-    calibration, preset
-        As for `analyze`.
-    shortcuts : Shortcuts
-    earlier : array
-        The earlier frame.
-    before : DepthMap
-        Its depth.
-
-    Raises
-    ------
-    FlatError
-        If the frames are not of one kind.
-    ValueError
-        If the earlier depth is of another camera or preset.
+    Raises `FlatError` if the frames are not of one kind, `ValueError` if `before` is of another camera or preset.
     """
     lattice = calibration.lattice
     earlier = _check_previous(flat, calibration, preset, earlier, before)
@@ -158,10 +141,7 @@ def save_reference_match(depth: DepthMap, path: Path) -> None:
 def load_reference_match(depth: DepthMap, path: Path) -> DepthMap:
     """The `depth`, loaded from a file, with what was saved by `save_reference_match`, if anything was.
 
-    Raises
-    ------
-    OutputError
-        If the file is damaged.
+    Raises `OutputError` if the file is damaged.
     """
     if not path.exists():
         return depth
@@ -203,20 +183,9 @@ def find_moved(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Lenses whose depth may have changed, and those in doubt if one of their neighbours has.
 
-    An `estimated` lens keeps its depth if its cost rose by at most 0.15 and its minimum did not move, together with two
-    neighbours, by more than max(0.1 px, 4 sigma). Others are estimated if they now carry texture or match.
-
-    Parameters
-    ----------
-    reference, match : LocalMatch
-        Then and now.
-    estimated : (n,) bool
-        Lenses with a depth and texture.
-    reason : (n,) int8
-        As `DepthMap`.
-    neighbours : (n, k) int32
-        Neighbour rows, -1 where there is none.
-    settings : IncrementalSettings
+    An `estimated` lens (n,), with depth and texture, keeps its depth if from `reference` to `match` its cost rose by at
+    most 0.15 and its minimum did not move, together with two neighbours, by more than max(0.1 px, 4 sigma). Others are
+    estimated if they now carry texture or match. `reason` (n,) is as in `DepthMap`.
     """
     shift = match.offset - reference.offset
     rise = settings.cost_rise

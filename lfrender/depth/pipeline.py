@@ -49,69 +49,34 @@ __all__ = ["SceneStatistics", "UnsmoothedEstimates", "estimate_depth_map", "esti
 
 @dataclass(frozen=True)
 class SceneStatistics:
-    """Statistics of a large flat that the analysis of a part needs.
+    """Statistics of a large flat that the analysis of a part needs."""
 
-    Parameters
-    ----------
-    noise : float
-        Standard deviation of a pixel, white = 1.
-    sizes : (m,) float32 [px]
-        Patch sizes of resolved lenses from all over the flat.
-    raw_noise : float
-        As `noise`, before shading is corrected.
-    """
-
-    noise: float
-    sizes: NDArray[np.float32]
-    raw_noise: float
+    noise: float  # standard deviation of a pixel, white = 1
+    sizes: NDArray[np.float32]  # (m,) [px] patch sizes of resolved lenses from all over the flat
+    raw_noise: float  # as `noise`, before shading is corrected
 
 
 @dataclass(frozen=True)
 class UnsmoothedEstimates:
-    """Estimates of single lenses before smoothing, so that errors of neighbours are nearly independent.
+    """Estimates of single lenses before smoothing, so that errors of neighbours are nearly independent."""
 
-    Parameters
-    ----------
-    patch_size, standard_error : (n,) [px]
-    systematic_error : (n,) [px]
-        Part of each error that all lenses of a surface may share.
-    """
-
-    patch_size: NDArray
+    patch_size: NDArray  # (n,) [px]
     standard_error: NDArray
-    systematic_error: NDArray
+    systematic_error: NDArray  # (n,) [px] part of each error that all lenses of a surface may share
 
 
 @dataclass(frozen=True)
 class _Selection:
-    """Lenses to estimate, and what is known before.
-
-    Parameters
-    ----------
-    lattice : Lattice
-    texture : Texture
-        Of all lenses.
-    lenses : LensSet
-        Those to estimate and their neighbours, or all.
-    rows : (m,) int, optional
-        Rows of these among all; None for all.
-    blank : (n,) bool
-        Lenses without texture, which are left out.
-    kept : (n,) bool, optional
-        Lenses that keep the depth they have in `before`.
-    before : DepthMap, optional
-    overview : SceneStatistics, optional
-        Of the larger flat of which this is a part.
-    """
+    """Lenses to estimate, and what is known before."""
 
     lattice: Lattice
-    texture: Texture
-    lenses: LensSet
-    rows: NDArray[np.int64] | None
-    blank: NDArray[np.bool_]
-    kept: NDArray[np.bool_] | None
+    texture: Texture  # of all lenses
+    lenses: LensSet  # those to estimate and their neighbours, or all
+    rows: NDArray[np.int64] | None  # (m,) rows of these among all; None for all
+    blank: NDArray[np.bool_]  # (n,) lenses without texture, which are left out
+    kept: NDArray[np.bool_] | None  # (n,) lenses that keep the depth they have in `before`
     before: DepthMap | None
-    overview: SceneStatistics | None
+    overview: SceneStatistics | None  # of the larger flat of which this is a part
 
     @property
     def is_whole(self) -> bool:

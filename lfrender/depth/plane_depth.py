@@ -80,20 +80,9 @@ def fit_regular_plane(
 ) -> Plane | None:
     """The plane that all lenses with texture lie on within their noise; None if there is none.
 
-    Parameters
-    ----------
-    centres : (n, 2) float64 [px]
-    count : int
-        Lenses of the flat. If only few of them are resolved, the plane must face the camera: a slant would be
-        extrapolated too far.
-    pitch : float [px]
-    sizes, errors, reason : (n,)
-        As `DepthMap`.
-    systematic : (n,) [px]
-        Part of the errors that their pairs do not show.
-    neighbours : (n, k) int32
-        Neighbour rows, -1 where there is none.
-    settings : PlaneDepthSettings
+    `sizes`, `errors` and `reason` (n,) are as in `DepthMap`, `systematic` (n,) [px] the part of the errors that pairs
+    do not show. If few of the `count` lenses of the flat are resolved, the plane must face the camera: a slant would
+    be extrapolated too far.
     """
     known = (reason == 0) & np.isfinite(errors)
     if known.sum() < PLANE.min_textured_share * (reason != 1).sum():

@@ -14,42 +14,21 @@ _MAX_REDUCTION = 3
 
 @dataclass(frozen=True)
 class Preset:
-    """How much time each stage of an analysis spends.
+    """How much time each stage of an analysis spends."""
 
-    Parameters
-    ----------
-    search_pitch : float [px]
-        The flat is reduced by a whole factor to about this pitch for the search over all shifts.
-    step : float [px of the reduced flat]
-        Between the shifts that are tried.
-    full_step : float [px]
-        The same where the flat is not reduced: blur of the microlenses makes it less sharp than a reduced flat.
-    row_step : int
-        Only every `row_step`-th row of pixels is matched.
-    iterations : int
-        Gauss-Newton steps of the sub-pixel refinement, at most.
-    last_step : float [px]
-        A step shorter than this ends the refinement.
-    least_pitch : float [px]
-        The whole analysis runs on a flat reduced by a whole factor that leaves at least this pitch.
-    surface_cells : int
-        Grid values of the surface per pitch.
-    second_layer : bool
-        What the first depth of a lens leaves unexplained is matched again.
-    quadratic_fit : bool
-        Lenses on curved surfaces are measured at their centres by a quadratic model.
-    """
-
+    # [px] the flat is reduced by a whole factor to about this pitch for the search over all shifts
     search_pitch: float
-    step: float
+    step: float  # [px of the reduced flat] between the shifts that are tried
+    # [px] the same where the flat is not reduced: blur of the microlenses makes it less sharp than a reduced flat
     full_step: float
-    row_step: int
-    iterations: int
-    last_step: float = 0.02
+    row_step: int  # only every `row_step`-th row of pixels is matched
+    iterations: int  # Gauss-Newton steps of the sub-pixel refinement, at most
+    last_step: float = 0.02  # [px] a step shorter than this ends the refinement
+    # [px] the whole analysis runs on a flat reduced by a whole factor that leaves at least this pitch
     least_pitch: float = np.inf
-    surface_cells: int = 7
-    second_layer: bool = True
-    quadratic_fit: bool = True
+    surface_cells: int = 7  # grid values of the surface per pitch
+    second_layer: bool = True  # what the first depth of a lens leaves unexplained is matched again
+    quadratic_fit: bool = True  # lenses on curved surfaces are measured at their centres by a quadratic model
 
     def factor(self, pitch: float) -> int:
         """How many pixels of the flat, each way, are merged into one for the whole analysis."""

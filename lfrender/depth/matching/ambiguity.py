@@ -19,16 +19,9 @@ __all__ = ["measure_ambiguity", "overlap_weights"]
 
 
 def overlap_weights(gray: GrayFlat, rows: NDArray[np.int32], shifts: NDArray[np.float32], half: float) -> NDArray:
-    """(k,) float32: weight of a correlation for the overlap at each shift, mean over the directions.
+    """(k,) float32: weight of a correlation for the overlap at `shifts` (k,) [px of `gray`], mean over the directions.
 
-    Parameters
-    ----------
-    gray : GrayFlat
-    rows : (n, d) int32
-        One neighbour of each lens in `d` directions, -1 where there is none.
-    shifts : (k,) float32 [px of `gray`]
-    half : float [px^2]
-        Overlap with half weight.
+    `rows` (n, d) are the neighbours; an overlap of `half` [px^2] has half weight.
     """
     weight = np.zeros(len(shifts))
     steps = mean_steps(gray, rows)
@@ -99,30 +92,13 @@ def measure_ambiguity(
     tolerance: int,
     settings: AmbiguitySettings = AMBIGUITY,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Compare each chosen shift with all other peaks of the correlation, whatever their overlap.
+    """Compare the shift `best` (n,) of each lens with all other peaks of its correlation, whatever their overlap.
 
-    Parameters
-    ----------
-    cost : (n, k) float32
-        Of each lens at each shift, before aggregation.
-    weight : (k,) float32
-        As `overlap_weights`.
-    rows : (n, m) int32
-        Neighbour rows, -1 where there is none.
-    best : (n,) int
-        Chosen shift of each lens.
-    wanted : (n,) bool
-        Lenses that were matched; the others get 1.
-    tolerance : int
-        Steps that belong to one peak.
-    settings : AmbiguitySettings
+    `cost` (n, k) is that before aggregation, `weight` (k,) as `overlap_weights`, `rows` (n, m) the neighbours, and
+    `tolerance` the number of steps that belong to one peak. Lenses that are not `wanted` (n,) were not matched.
 
-    Returns
-    -------
-    uniqueness : (n,) float32
-        Probability of the chosen shift among all peaks.
-    primary, secondary : (n,) float32
-        Correlation over its overlap weight: at the chosen shift, and at the highest other peak, 0 where there is none.
+    Returns the uniqueness (n,), the probability of the chosen shift among all peaks (1 for lenses that were not
+    matched), and the correlation over its overlap weight (n,) there and at the highest other peak (0 if there is none).
     """
     uniqueness, primary, secondary = (np.empty(len(best), np.float32) for _ in range(3))
     _measure_ambiguity(cost, weight, rows, best, wanted, tolerance, settings, uniqueness, primary, secondary)

@@ -17,18 +17,16 @@ from ...flat.settings import TEXTURE
 from ...flat.texture import LensStatistics
 from .cost_volume import (
     CostTerms,
-    Overlap,
     half_weight_area,
-    in_both,
     lens_images,
     match_cost,
     moments_cost,
     overlap_masks,
-    pair_moments,
     shading_decay,
     shading_doubt,
     strip_table,
 )
+from .pair_moments import Overlap, in_both, pair_moments
 from .settings import COST
 from .sgm import average_pair_costs
 
@@ -155,28 +153,12 @@ def match_locally(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Match each lens with its neighbours at an expected patch size, with one Gauss-Newton step toward the minimum.
 
-    Parameters
-    ----------
-    gray : GrayFlat
-    forward, backward : (n, d) int32
-        Neighbour rows in `d` directions and in their opposites, -1 where there is none.
-    statistics : LensStatistics
-    active : (n,) bool
-        Pairs without an active lens are not matched and cost 1.
-    expected : (n,) float32 [px of `gray`]
-    noise : float
-        Standard deviation of a pixel, white = 1.
-    strips : Strips
-        Of `gray`, cut out for the active lenses and their neighbours.
+    `forward` and `backward` (n, d) are neighbour rows, `expected` (n,) [px of `gray`]; pairs without an `active` lens
+    (n,) cost 1. The `strips` of `gray` must hold the active lenses and their neighbours.
 
-    Returns
-    -------
-    cost : (n,) float32
-        As `compute_pair_costs`, the mean over the pairs of each lens.
-    offset : (n,) float32 [px of `gray`]
-        From there to the minimum, to first order and at most `CostSettings.max_offset`; biased toward 0 by noise.
-    error : (n,) float32 [px of `gray`]
-        Standard error of the offset of one pair of the lens under noise.
+    Returns the cost (n,), mean over the pairs of each lens; the offset (n,) [px] from there to the minimum, to first
+    order, at most `CostSettings.max_offset` and biased toward 0 by noise; and the standard error (n,) [px] of the
+    offset of one pair.
     """
     expected = expected.astype(np.float32)
     masks = overlap_masks(strips, gray, forward, np.zeros(1, np.float32), expected)

@@ -33,43 +33,25 @@ _LOCAL_DIRECTIONS = 2
 
 @dataclass(frozen=True)
 class MatchResult:
-    """Result of the search for every lens; patch sizes in px of the flat.
+    """Result of the search for every lens; patch sizes in px of the flat."""
 
-    Parameters
-    ----------
-    patch_size, confidence : (n,) float32
-        Best value, and the probability that it is the right minimum.
-    correlation : (n,) float32
-        Mean correlation with the neighbours there, 0..1, weighted down for a small overlap.
-    normalised_correlation : (n,) float32
-        The same without that weight.
-    uniqueness : (n,) float32
-        Probability of the best value among all that correlate as well, whatever their overlap.
-    primary_peak, secondary_peak : (n,) float32
-        Normalised correlation at the best value and at the highest other peak (0 where there is none), mean with the
-        neighbours on the same surface.
-    second : (n,) float32
-        Second-best value, NaN where no other comes near.
-    second_correlation, second_normalised : (n,) float32
-        As `correlation` and `normalised_correlation`, at the second-best value.
-    step : float
-        Between the values that were tried.
-    skipped_share : float
-        Share of the shifts of all matched lenses that were not tried.
-    """
-
-    patch_size: NDArray[np.float32]
-    confidence: NDArray[np.float32]
+    patch_size: NDArray[np.float32]  # (n,) best value
+    confidence: NDArray[np.float32]  # (n,) probability that it is the right minimum
+    # (n,) mean correlation with the neighbours there, 0..1, weighted down for a small overlap
     correlation: NDArray[np.float32]
-    normalised_correlation: NDArray[np.float32]
+    normalised_correlation: NDArray[np.float32]  # (n,) the same without that weight
+    # (n,) probability of the best value among all that correlate as well, whatever their overlap
     uniqueness: NDArray[np.float32]
+    # (n,) normalised correlation at the best value and at the highest other peak (0 where there is none), mean
+    # with the neighbours on the same surface.
     primary_peak: NDArray[np.float32]
     secondary_peak: NDArray[np.float32]
-    second: NDArray[np.float32]
+    second: NDArray[np.float32]  # (n,) second-best value, NaN where no other comes near
+    # (n,) as `correlation` and `normalised_correlation`, at the second-best value
     second_correlation: NDArray[np.float32]
     second_normalised: NDArray[np.float32]
-    step: float
-    skipped_share: float
+    step: float  # between the values that were tried
+    skipped_share: float  # share of the shifts of all matched lenses that were not tried
 
     def swap_second(self, lenses: NDArray[np.bool_], settings: SearchSettings = SEARCH) -> MatchResult:
         """Exchange the best and the second-best value of some `lenses` (n,)."""
@@ -88,15 +70,8 @@ class MatchResult:
 class Matcher:
     """A flat reduced as the preset asks, and the shifts to try on it.
 
-    Parameters
-    ----------
-    texture : Texture
-    forward, backward : (n, d) int32
-        Neighbour rows in `d` directions and in their opposites, -1 where there is none.
-    preset : Preset
-    lenses : (n,) bool, optional
-        Lenses that will be matched; all may be by default.
-    settings : SearchSettings
+    `forward` and `backward` (n, d) are neighbour rows in `d` directions and in their opposites, -1 where there is none;
+    `lenses` (n,) those that will be matched, all by default.
     """
 
     def __init__(
@@ -212,20 +187,12 @@ def match_lenses(
     known: NDArray[np.float32] | None = None,
     sizes: NDArray[np.float32] | None = None,
 ) -> MatchResult:
-    """Find the signed shift of every lens (Hirschmueller 2008 on the lattice of lenses).
+    """Find the signed shift of every lens, by semi-global matching on the lattice.
 
-    Parameters
-    ----------
-    matcher : Matcher
-    active, clear : (n,) bool
-        Lenses to match, and those of them that clearly carry texture.
-    sample : (n,) bool, optional
-        Lenses that are matched at all shifts first; the others then only near the depths of these, unless they do not
-        match there. None matches all lenses at all shifts.
-    known : (n,) float32 [px of the flat], optional
-        Known patch sizes, which take part in the aggregation only; NaN elsewhere.
-    sizes : (m,) float32 [px of the flat], optional
-        Patch sizes that occur, as found elsewhere, instead of those of a `sample`.
+    Matches the `active` lenses (n,), of which those that are `clear` have a sure texture. A `sample` (n,) of them is
+    matched at all shifts first, the others then only near the depths of these, unless they do not match there; without
+    it all shifts are tried. `sizes` (m,) [px of the flat] are depths that occur, as found elsewhere, instead of those
+    of a sample. `known` (n,) [px of the flat] are patch sizes that only take part in the aggregation; NaN elsewhere.
     """
     settings, step, factor = matcher.settings, matcher.step, matcher.factor
     pair, skipped = _match_pairs(matcher, active, clear, sample, sizes)

@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from ..same_surface import same_surface
+
 __all__ = ["confidence", "fill_unresolved", "find_minimum", "find_second_minimum", "fit_parabola"]
 
 # Cost difference, per path, that makes one shift e times as likely as another; measured on simulated scenes.
@@ -54,14 +56,9 @@ def find_minimum(
 
 
 def confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, tolerance: int) -> NDArray[np.float32]:
-    """(n,) posterior probability that the true shift lies within `tolerance` steps of the chosen one.
+    """(n,) posterior probability that the true shift lies within `tolerance` steps of the `best` (n,).
 
-    Parameters
-    ----------
-    total : (n, k) float32
-        Aggregated cost, the sum over `paths` paths.
-    best : (n,) int
-        Chosen shift of each lens, that of the least cost.
+    `total` (n, k) is the aggregated cost, a sum over so many `paths`, of which `best` is the minimum.
     """
     out = np.empty(len(total), np.float32)
     _confidence(total, best, np.float32(paths * _TEMPERATURE), tolerance, out)
@@ -98,7 +95,7 @@ def _smooth(values, unknown, neighbours, gap, out):
         count = 0
         for k in range(neighbours.shape[1]):
             other = neighbours[lens, k]
-            if other >= 0 and abs(values[other] - values[lens]) <= gap:
+            if other >= 0 and same_surface(values[other], values[lens], gap):
                 total += values[other]
                 count += 1
         out[lens] = total / count if count else values[lens]
@@ -107,18 +104,9 @@ def _smooth(values, unknown, neighbours, gap, out):
 def fill_unresolved(
     values: NDArray[np.float32], known: NDArray[np.bool_], neighbours: NDArray[np.int32], gap: float
 ) -> NDArray[np.float32]:
-    """Smooth the values of unknown lenses toward their neighbours on the same side of depth edges.
+    """Smooth the `values` (n,) [px] of lenses that are not `known` (n,), first guesses, toward their neighbours.
 
-    Parameters
-    ----------
-    values : (n,) float32 [px]
-        Patch sizes; those of unknown lenses are first guesses.
-    known : (n,) bool
-        Lenses to leave alone.
-    neighbours : (n, k) int32
-        Neighbour rows, -1 where there is none.
-    gap : float [px]
-        Values further apart belong to different surfaces.
+    Values that differ by more than `gap` [px] belong to different surfaces.
     """
     result = values.copy()
     unknown = np.flatnonzero(~known)
@@ -146,16 +134,10 @@ def _find_second_minimum(cost, best, distance, index, value):
 def find_second_minimum(
     cost: NDArray[np.float32], best: NDArray[np.int64], distance: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """The lowest other local minimum of the cost (n, k) of each lens, before aggregation.
+    """The lowest other local minimum of the `cost` (n, k) of each lens, before aggregation, and the cost there.
 
-    A lens across a depth edge matches at both depths; aggregation would hide the second.
-
-    Returns
-    -------
-    index : (n,) int
-        At least `distance` steps from the `best` (n,).
-    value : (n,) float32
-        Cost there, inf where there is no other minimum.
+    At least `distance` steps from the `best` (n,); inf where there is none. A lens across a depth edge matches at both
+    depths; aggregation would hide the second.
     """
     index, value = np.empty(len(cost), np.int64), np.empty(len(cost), np.float32)
     _find_second_minimum(cost, best, distance, index, value)

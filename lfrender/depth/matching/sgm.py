@@ -149,20 +149,10 @@ def aggregate_costs(
     jump: float,
     wanted: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
-    """Sum of the path costs from all lattice directions (Hirschmueller, Semi-Global Matching, 2008, section 2.2).
+    """(n, k) sum of the path costs from all lattice directions, for a `cost` (n, k) at evenly spaced shifts.
 
-    Parameters
-    ----------
-    cost : (n, k) float32
-        Cost of each lens at each of k evenly spaced shifts.
-    forward, backward : (n, d) int32
-        Neighbour rows in `d` directions and in their opposites, -1 where there is none.
-    slope : float
-        Price of a step of one shift between neighbours.
-    jump : float
-        Largest price between neighbours: a depth edge.
-    wanted : (n,) bool, optional
-        Lenses whose sums are needed; those of others may lack paths.
+    A step of one shift between neighbours costs `slope`, a depth edge at most `jump`. Sums of lenses that are not
+    `wanted` (n,) may lack paths.
     """
     wanted = np.ones(len(cost), bool) if wanted is None else wanted
     total = np.zeros_like(cost)

@@ -13,27 +13,13 @@ __all__ = ["Shortcuts", "sample_lenses"]
 
 @dataclass(frozen=True)
 class Shortcuts:
-    """Which shortcuts an analysis takes.
+    """Which shortcuts an analysis takes."""
 
-    Parameters
-    ----------
-    blank : bool
-        Lenses without texture are not matched.
-    ranges : bool
-        Most lenses are matched only near patch sizes that occur in a sparse sample of them.
-    plane : bool
-        A scene that is one plane is measured on a sample of its lenses; the others are only checked.
-    still : bool
-        Lenses whose pixels equal those of the previous frame keep their depth.
-    steady : bool
-        So do lenses that still match at the depth they had. Needs `still`.
-    """
-
-    blank: bool = True
-    ranges: bool = True
-    plane: bool = True
-    still: bool = True
-    steady: bool = True
+    blank: bool = True  # lenses without texture are not matched
+    ranges: bool = True  # most lenses are matched only near patch sizes that occur in a sparse sample of them
+    plane: bool = True  # a scene that is one plane is measured on a sample of its lenses; the others are only checked
+    still: bool = True  # lenses whose pixels equal those of the previous frame keep their depth
+    steady: bool = True  # so do lenses that still match at the depth they had. Needs `still`
 
     @classmethod
     def of(cls, skip: bool | Iterable[str]) -> Shortcuts:

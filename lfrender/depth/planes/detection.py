@@ -28,23 +28,12 @@ __all__ = [
 
 @dataclass(frozen=True)
 class PlaneScene:
-    """A flat that shows one plane.
-
-    Parameters
-    ----------
-    plane : Plane
-    confidence : float
-        0..1, of the lenses that show it.
-    correlation : (n,) float32
-        Correlation of each lens with its neighbours there, 0..1.
-    sampled : float
-        Share of the lenses that were matched at all shifts.
-    """
+    """A flat that shows one plane."""
 
     plane: Plane
-    confidence: float
-    correlation: NDArray[np.float32]
-    sampled: float
+    confidence: float  # 0..1, of the lenses that show it
+    correlation: NDArray[np.float32]  # (n,) correlation of each lens with its neighbours there, 0..1
+    sampled: float  # share of the lenses that were matched at all shifts
 
 
 def find_plane(
@@ -58,18 +47,9 @@ def find_plane(
 ) -> PlaneScene | None:
     """The one plane that the flat shows; None where there are several depths or it cannot be decided.
 
-    Parameters
-    ----------
-    texture : Texture
-        Shading need not be removed.
-    indices : (n, 2) int
-        Of the lenses on the lattice.
-    forward, backward : (n, d) int32
-        Neighbour rows in `d` directions and in their opposites, -1 where there is none.
-    preset : Preset
-    facing : bool
-        Only a plane that faces the camera is accepted.
-    settings : DetectionSettings
+    Shading of the `texture` need not be removed. `indices` (n, 2) are those of the lenses on the lattice, `forward` and
+    `backward` (n, d) their neighbour rows in `d` directions and the opposites. With `facing` only a plane that faces
+    the camera is accepted.
     """
     if texture.clear.sum() < max(PLANE.min_textured_share * len(indices), settings.min_textured):
         return None
@@ -153,24 +133,13 @@ def _refine_plane(
 
 @dataclass(frozen=True)
 class _Subset:
-    """Some lenses and their neighbours, as if there were no others.
-
-    Parameters
-    ----------
-    texture : Texture
-    forward, backward : (m, d) int32
-        As for `find_plane`.
-    selected : (m,) bool
-        Those that are not there only as neighbours.
-    factor : int
-        Pixels of the flat, each way, that become one where they are searched.
-    """
+    """Some lenses and their neighbours, as if there were no others."""
 
     texture: Texture
-    forward: NDArray[np.int32]
+    forward: NDArray[np.int32]  # (m, d) int32: As for `find_plane`
     backward: NDArray[np.int32]
-    selected: NDArray[np.bool_]
-    factor: int
+    selected: NDArray[np.bool_]  # (m,) those that are not there only as neighbours
+    factor: int  # pixels of the flat, each way, that become one where they are searched
 
     @classmethod
     def of(

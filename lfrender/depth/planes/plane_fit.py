@@ -27,29 +27,16 @@ _DEPENDENT = 1e-6
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane of the scene, over which 1 / s is linear in the scene coordinates, like any inverse depth.
+    """A plane of the scene, over which 1 / s is linear in the scene coordinates, like any inverse depth."""
 
-    Parameters
-    ----------
-    inverse : (float, float, float)
-        `1 / s` [1/px] at `X = (0, 0)`, and its change per px of `X`, order `x, y`.
-    scatter : float [px]
-        Of the patch sizes of single lenses about it.
-    covariance : (3, 3) float64
-        Of `inverse`.
-    pitch : float [px]
-    systematic_error : float [px]
-        Of each lens, from texture that its matches do not explain.
-    slant_ratio : float
-        Variance that a slant would explain of what a plane that faces the camera leaves, over that of an independent
-        measurement.
-    """
-
+    # (float, float, float) `1 / s` [1/px] at `X = (0, 0)`, and its change per px of `X`, order `x, y`
     inverse: NDArray[np.float64]
-    scatter: float
-    covariance: NDArray[np.float64]
-    pitch: float
-    systematic_error: float = 0.0
+    scatter: float  # [px] of the patch sizes of single lenses about it
+    covariance: NDArray[np.float64]  # (3, 3) of `inverse`
+    pitch: float  # [px]
+    systematic_error: float = 0.0  # [px] of each lens, from texture that its matches do not explain
+    # Variance that a slant would explain of what a plane that faces the camera leaves, over that of an independent
+    # measurement.
     slant_ratio: float = 0.0
 
     @property
@@ -96,16 +83,8 @@ def fit_plane(
 ) -> Plane | None:
     """Fit a plane to patch sizes: one that faces the camera, else a slanted one; None where lenses do not lie on it.
 
-    Parameters
-    ----------
-    points : (m, 2) float64 [px]
-        Scene points of the lenses, spread over the flat.
-    sizes : (m,) float64 [px]
-        Patch sizes measured there.
-    pitch : float [px]
-    facing : bool
-        Only a plane that faces the camera, or nearly so, is accepted.
-    settings : PlaneSettings
+    `points` (m, 2) [px] are scene points, spread over the flat, `sizes` (m,) [px] the patch sizes measured there. With
+    `facing` only a plane that faces the camera, or nearly so, is accepted.
     """
     # Without a common origin and scale the sums of large coordinates would lose digits.
     middle, reach = points.mean(0), float(np.abs(points - points.mean(0)).max()) + 1e-9
@@ -282,13 +261,8 @@ def has_outlier_cluster(
 ) -> bool:
     """Whether neighbouring lenses leave the plane to the same side: another surface; a single one would be noise.
 
-    Parameters
-    ----------
-    residual, errors : (n,) float [px]
-        Distance of each lens from the plane and its standard error; inf or NaN where not known.
-    rows : (n, k) int32
-        Neighbour rows, -1 where there is none.
-    settings : PlaneSettings
+    `residual` and `errors` (n,) [px] are the distance of each lens from the plane and its standard error, inf or NaN
+    where not known; `rows` (n, k) its neighbours.
     """
     with np.errstate(invalid="ignore"):
         off = np.abs(residual) > np.maximum(settings.stray_distance, settings.stray_errors * errors)
