@@ -45,7 +45,7 @@ def analyze(
         How much time to spend.
     skip : bool or names
         Shortcuts to take: True all, False none (the exhaustive search), or some of `"blank"`, `"ranges"`, `"plane"`,
-        `"still"`, `"steady"` (see `Shortcuts`). `DepthMap.saved` tells what they have saved.
+        `"still"`, `"steady"` (see `Shortcuts`). `DepthMap.saved` has the share of the work that each has saved.
     roi : (x0, y0, x1, y1), optional [px]
         Only lenses with their centre in this part of the flat are analysed; the others are unresolved.
     previous : (flat, DepthMap), optional
@@ -66,6 +66,20 @@ def analyze(
         If `calibration` was made for another image size.
     ValueError
         If an option has no meaning, or no lens lies in `roi`.
+
+    Examples
+    --------
+    A plane with a patch size of 6 px: a pixel at `delta` from the centre `c` of its lens shows `X = c - delta * D / s`.
+
+    >>> import numpy as np
+    >>> from lfcal import Calibration, Lattice
+    >>> camera = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (300, 240), 9.5))
+    >>> y, x = np.mgrid[:240, :300]
+    >>> u, v = (10 + p // 20 * 20 - (p % 20 - 10) * 20 / 6 for p in (x, y))
+    >>> flat = 0.5 + 0.2 * np.sin(u / 7 + 2 * np.sin(v / 31)) + 0.2 * np.sin(v / 8 + 3 * np.sin(u / 43))
+    >>> depth = analyze(flat, camera, "fast")
+    >>> round(float(np.nanmedian(depth.patch_size)), 1)
+    6.0
     """
     if preset not in PRESETS:
         raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")

@@ -34,13 +34,14 @@ class SearchSettings:
     """Tuned values of `matcher`."""
 
     max_ratio: float = 0.82  # |s| / D searched: a little beyond the largest resolvable one, so that it has two flanks
-    slope_price: float = 0.07  # [cost per px of shift] between neighbours; set on ray-traced and real flats:
-    jump_price: float = 0.8  # [cost] at most between neighbours; depth edges suffer at the double price, slants hardly
+    # Prices of semi-global matching, set on ray-traced and real flats: at twice the price depth edges suffer.
+    slope_price: float = 0.07  # [cost per px of shift] between neighbours
+    jump_price: float = 0.8  # [cost] between neighbours, at most
     all_rows_radius: float = 7.0  # [px] smaller microimages are matched in every row
-    half_step_radius: float = 4.0  # [px] smaller microimages are matched at every half pixel,
+    half_step_radius: float = 4.0  # [px] smaller microimages are matched at every `half_step`
     half_step: float = 0.5  # [px] because overlaps of few pixels bias the minimum
-    second_cost: float = 0.3  # a second minimum counts if its cost is at most this much higher
-    second_if_above: float = 0.2  # and if the cost of the first one exceeds this
+    second_cost: float = 0.3  # by which the cost of a second minimum may exceed that of the first
+    second_if_above: float = 0.2  # cost of the first minimum above which a second one is looked for
     misfit_cost: float = 0.35  # above this cost a lens may match better at a shift that was not tried
     few_lenses: float = 0.2  # share of the lenses below which only their own microimages are cut out
     swapped_confidence: float = 0.6  # share of swapped lenses that are right; measured on simulated scenes
@@ -55,13 +56,13 @@ class SearchSettings:
 class AmbiguitySettings(NamedTuple):
     """Tuned values of `ambiguity`."""
 
-    # Difference of the mean correlation that makes one shift e times as likely as another, at least,
+    # Difference of the mean correlation that makes one shift e times as likely as another, at least.
     temperature: np.float32 = _f(0.05)
-    # and as a share of what the best shift leaves unexplained: poor matches differ less clearly.
+    # The same as a share of what the best shift leaves unexplained: poor matches differ less clearly.
     temperature_share: np.float32 = _f(0.5)
     # The correlation falls by this much between two separate peaks.
     dip: np.float32 = _f(0.1)
-    # Overlap weight below which a correlation tells nothing.
+    # Overlap weight below which a correlation is not used.
     least_weight: np.float32 = _f(0.3)
 
 

@@ -107,15 +107,6 @@ def _walk_all(cost, chains, starts, slope, jump, wanted, total):
         _walk(cost, chains[starts[c] : starts[c + 1]], slope, jump, total)
 
 
-_Chains = tuple[NDArray[np.int32], NDArray[np.int64]]
-
-
-def _all_chains(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> list[_Chains]:
-    """Paths in all lattice directions and their opposites."""
-    pairs = [(forward[:, d], backward[:, d]) for d in range(forward.shape[1])]
-    return [_chains(*turned) for pair in pairs for turned in (pair, pair[::-1])]
-
-
 @njit(cache=True, nogil=True)
 def _follow(following, before, order, starts):
     """Fill `order` with all straight rows of lenses in turn, `starts` with the start of each; return their number."""
@@ -134,11 +125,16 @@ def _follow(following, before, order, starts):
     return chains
 
 
-def _chains(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> _Chains:
-    """All straight rows of lenses in one lattice direction in turn, and where each starts."""
-    order, starts = np.empty(len(forward), np.int32), np.empty(len(forward) + 1, np.int64)
-    chains = _follow(np.ascontiguousarray(forward), np.ascontiguousarray(backward), order, starts)
-    return order, starts[: chains + 1].copy()
+def _paths(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> list[tuple[NDArray, NDArray]]:
+    """Straight rows of lenses, one after the other, and where each starts, in all lattice directions and opposites."""
+    found = []
+    for d in range(forward.shape[1]):
+        ahead, behind = (np.ascontiguousarray(rows[:, d]) for rows in (forward, backward))
+        for following, before in ((ahead, behind), (behind, ahead)):
+            order, starts = np.empty(len(forward), np.int32), np.empty(len(forward) + 1, np.int64)
+            count = _follow(following, before, order, starts)
+            found.append((order, starts[: count + 1].copy()))
+    return found
 
 
 def aggregate_costs(
@@ -157,7 +153,7 @@ def aggregate_costs(
     wanted = np.ones(len(cost), bool) if wanted is None else wanted
     total = np.zeros_like(cost)
     # Cached with the neighbour rows, which live as long as the lattice.
-    found, other = cached(forward, "chains", lambda: (_all_chains(forward, backward), backward))
-    for chains, starts in found if other is backward else _all_chains(forward, backward):
+    found, other = cached(forward, "chains", lambda: (_paths(forward, backward), backward))
+    for chains, starts in found if other is backward else _paths(forward, backward):
         _walk_all(cost, chains, starts, np.float32(slope), np.float32(jump), wanted, total)
     return total

@@ -91,7 +91,7 @@ def test_residual_mechanical_vignetting_is_not_taken_for_texture(quality, resolv
         wall = ((30 - dark) * np.maximum(light, 0.9))[..., None] + noise
         flat = np.where(y[..., None] > 170, shot.flat, wall).round().clip(0, 255).astype(np.uint8)
         if quality is not None:
-            # The coder leaves less noise, and blocks in its place.
+            # JPEG replaces noise by blocks.
             coded = cv2.imencode(".jpg", flat, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
             flat = cv2.imdecode(coded, cv2.IMREAD_COLOR)
         depth = lfrender.analyze(flat, calibration)
@@ -221,7 +221,7 @@ def test_flats_of_another_simulator_agree_with_their_truth(shared):
         assert np.nanmedian(error) < 0.02, name
         assert np.nanquantile(error, 0.95) < 0.35, name
         if "plane" in depth.saved:
-            # All lenses share one answer and its error, which no share of the lenses can lie within.
+            # All lenses share one depth and its error, so that no share of them lies within it.
             assert np.quantile(error, 0.99) < 0.05, name
             assert np.median(error / depth.standard_error[single]) < 2, name
             continue

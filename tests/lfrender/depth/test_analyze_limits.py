@@ -18,7 +18,7 @@ def plane_flat(ratio, pitch=23.2, size=(300, 260)):
     return simulate(plane(camera, ratio=ratio), camera, samples=16, seed=2)
 
 
-# Where neighbours share nothing at all, a few lenses match by chance.
+# Without any overlap a few lenses match by chance.
 @pytest.mark.parametrize(
     ("ratio", "most"), [(-1.2, 0.08), (-0.95, 0.05), (-0.85, 0.05), (0.85, 0.05), (0.95, 0.05), (1.2, 0.08)]
 )
@@ -58,7 +58,7 @@ def rod_flat(across=0.12):
     """A textured rod a tenth of a pitch wide in the microimages, before a wall, upright in the middle."""
     camera = Camera.design(size=(480, 400), pitch=40.0, rotation=1.3)
     wall = plane(camera, ratio=-0.5, seed=3).surfaces
-    # In scene coordinates it is wider by its magnification.
+    # In scene coordinates the rod is wider by its magnification.
     half = 0.5 * across / 0.15 * camera.pitch
     depth = camera.depth_at(-0.15)
     corners = [(240 - half, -60), (240 + half, -60), (240 - half, 460)]

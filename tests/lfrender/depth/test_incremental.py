@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import numba
@@ -17,7 +18,7 @@ from lfrender.depth.incremental import changed_since, find_moved, load_reference
 from lfrender.flat.lens_graph import neighbour_rows
 from lfrender.runtime.cache import cached
 
-# The part of the second flat, order x0, y0, x1, y1, that shows something else.
+# The part of the second flat that differs, order x0, y0, x1, y1.
 PART = (60, 50, 210, 170)
 
 
@@ -85,6 +86,16 @@ def test_a_picture_is_updated_the_same_if_the_changed_lenses_must_be_found_again
     np.testing.assert_array_equal(again.image, picture.image)
 
 
+def test_copies_of_a_depth_map_keep_what_the_next_frame_is_compared_with(house, first, second):
+    depth, _ = update(house, first, second)
+    assert 0 < depth.frame_state.kept.mean() < 1
+    assert replace(depth, saved={}).frame_state is depth.frame_state
+    pickled = pickle.loads(pickle.dumps(depth)).frame_state
+    np.testing.assert_array_equal(pickled.kept, depth.frame_state.kept)
+    np.testing.assert_array_equal(pickled.reference.cost, depth.frame_state.reference.cost)
+    assert pickled.previous is None and pickled.changed is None
+
+
 def test_the_next_frame_is_the_same_on_one_thread(house, first, second):
     depth, picture = update(house, first, second)
     threads = numba.get_num_threads()
@@ -131,16 +142,16 @@ def test_new_texture_keeps_its_depth_if_it_matches_there(drawn_flat):
     assert "steady" not in unchecked.saved
 
 
-@pytest.mark.parametrize(("error", "asked"), [(0.01, True), (0.1, False)])
-def test_an_offset_within_the_noise_does_not_count_as_motion(error, asked):
+@pytest.mark.parametrize(("error", "moves"), [(0.01, True), (0.1, False)])
+def test_an_offset_within_the_noise_does_not_count_as_motion(error, moves):
     lattice = Lattice((20.0, 20.0), ((23.2, 0.0), (0.0, 23.2)), (240, 240), 11.0)
     count = len(lattice)
     every, none = np.ones(count, bool), np.zeros(count, np.float32)
     then = LocalMatch(none, none, np.full(count, error, np.float32), every, every)
-    # Twice the least motion that is looked at, of all lenses to one side.
+    # Twice the smallest offset that counts, of all lenses to the same side.
     now = replace(then, offset=np.full(count, 0.2, np.float32))
     found, _ = find_moved(then, now, every, np.zeros(count, np.int8), neighbour_rows(lattice, lattice.steps))
-    assert found.all() if asked else not found.any()
+    assert found.all() if moves else not found.any()
 
 
 @pytest.mark.parametrize(("moved", "worse", "in_doubt"), [(0.01, 0.0, False), (0.06, 0.0, True), (0.0, 0.1, True)])
@@ -153,7 +164,7 @@ def test_lenses_with_small_changes_are_doubtful(moved, worse, in_doubt):
     neighbours = neighbour_rows(lattice, lattice.steps)
     found, doubtful = find_moved(then, now, every, np.zeros(count, np.int8), neighbours)
     assert not found.any() and doubtful.all() == doubtful.any() == in_doubt
-    # Without an answer there is nothing to be sure of.
+    # A lens without a depth is always doubtful.
     assert find_moved(then, then, ~every, np.ones(count, np.int8), neighbours)[1].all()
 
 
@@ -205,7 +216,7 @@ def test_periodicity_is_known_from_before_if_most_lenses_keep_their_depth():
     before = PreviousEstimates(kept, size, size, sure, none)
     again, perhaps = before.periodicity(np.ones(20, bool))
     assert not again.any() and not perhaps
-    # Confidence that was halved for all of them says that it may repeat.
+    # A halved confidence of all lenses means that the scene may be periodic.
     assert replace(before, confidence=np.float32(0.5) * sure).periodicity(np.ones(20, bool))[1]
     assert replace(before, kept=~kept).periodicity(np.ones(20, bool)) is None
     assert replace(before, reason=np.where(np.arange(20) == 3, 2, none)).periodicity(np.ones(20, bool)) is None

@@ -58,7 +58,7 @@ def test_a_still_frame_of_fast_keeps_its_depth(house, found):
     after = lfrender.analyze(changed, house.truth.calibration, "fast", previous=(noisy, first))
     assert 0.5 < after.saved["still"] < 0.9
     kept = house.truth.calibration.lattice.centres()[:, 1] > 0.5 * len(noisy)
-    # Noise alone may make a lens or two look new.
+    # Noise alone may change a lens or two.
     assert np.isclose(after.filled_patch_size, first.filled_patch_size, rtol=1e-6)[kept].mean() > 0.97
 
 

@@ -35,10 +35,10 @@ def test_costs_from_strips_agree_with_costs_from_the_flat(house, row_step):
         compute_pair_costs(gray, rows, means, means, few, shifts, 0.004, 0.02, row_step, strips=s)
         for s in (strips, replace(strips, complete=np.zeros(len(lattice), bool)))
     )
-    # Pixels at the rim differ: one way goes by their distance from the centre, the other from the pixel in the middle.
+    # Pixels at the rim differ: discs are centred at the lens in the flat, at its middle pixel in strips.
     assert np.corrcoef(quick.ravel(), slow.ravel())[0, 1] > 0.9
     assert np.median(np.abs(quick - slow)) < 0.02
-    # Where few are shared both go by the distance, but every other row of theirs may be another one.
+    # For small overlaps both use the centre of the lens, but the rows that are read may differ.
     far = np.abs(shifts) > 12
     tried = few[:, None] & (rows >= 0)
     assert (quick[tried][:, far] < 1).mean() > 0.3

@@ -24,20 +24,20 @@ def probed(drawn_flat, patch_size, expected, row_step):
     return gray, lattice, inner, match_locally(gray, *halves, statistics, active, about, NOISE, strips)
 
 
-# At -14 px of 23 neighbours share little more than their rims.
+# At -14 px of a pitch of 23 px only the rims of neighbours overlap.
 @pytest.mark.parametrize("row_step", [1, 2])
 @pytest.mark.parametrize("patch_size", [7.0, 1.5, -6.0, -14.0])
 @pytest.mark.parametrize("off", [-0.4, 0.0, 0.3])
 def test_one_step_finds_the_offset_of_the_best_shift(drawn_flat, patch_size, off, row_step):
     _, _, inner, (_, offset, _) = probed(drawn_flat, patch_size, patch_size + off, row_step)
-    # Between pixels a step may stop half-way.
+    # Because of interpolation a single step may fall short.
     assert np.median(offset[inner]) == pytest.approx(-off, abs=max(0.1, 0.65 * abs(off)))
 
 
 def test_the_standard_error_of_the_offset_is_that_of_noise(drawn_flat):
     gray, lattice, _, inner = drawn_flat(7.0, noise=0.0, detail=0.8)
     active, halves = np.ones(len(lattice), bool), opposite_neighbours(lattice)
-    # Of pairs in one direction each lens has two.
+    # Each lens has two pairs per direction.
     one = [np.ascontiguousarray(rows[:, :1]) for rows in halves]
     about, rng, offsets = np.full(len(lattice), 7.0, np.float32), np.random.default_rng(3), []
     for _ in range(24):

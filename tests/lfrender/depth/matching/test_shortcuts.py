@@ -57,7 +57,7 @@ def test_texture_in_one_or_two_corners_of_a_blank_scene_is_found(scenes):
         assert quick.saved["blank"] > 0.6
         assert scenes.agreement(full, quick) > 0.99
         assert (full.reason == 1).mean() > 0.6
-        # A lens on the edge of a card sees two depths, and may be given something between them.
+        # A lens at the edge of a card sees two depths and may get one between them.
         off = np.abs(quick.filled_patch_size - full.filled_patch_size)[full.mode != 0]
         assert (off < 0.05).mean() > 0.98
         assert off.max() < 0.03 * 23.2
@@ -103,18 +103,18 @@ def test_a_card_before_a_blank_wall_is_found_without_correcting_the_shading_of_a
     shot = scenes.shot_of(
         *blank(scenes.camera(), ratio=0.2).surfaces, scenes.card(0.3, (150, 100), (450, 380)), noise=(4000, 5)
     )
-    freed = []
-    flatten = texture.flatten_shading
+    corrected = []
+    remove = texture.remove_shading
 
     def counted(gray, lattice, means, contrast, wanted, *others, **how):
-        freed.append(wanted.mean())
-        return flatten(gray, lattice, means, contrast, wanted, *others, **how)
+        corrected.append(wanted.mean())
+        return remove(gray, lattice, means, contrast, wanted, *others, **how)
 
-    monkeypatch.setattr(texture, "flatten_shading", counted)
+    monkeypatch.setattr(texture, "remove_shading", counted)
     quick = lfrender.analyze(shot.flat, shot.truth.calibration)
     assert quick.saved["plane"] > 0.1
-    # All lenses with texture are two fifths of them.
-    assert sum(freed) < 0.1
+    # Two fifths of all lenses have texture.
+    assert sum(corrected) < 0.1
 
 
 def test_lenses_without_texture_are_filled_from_the_nearest_resolved_ones(scenes):

@@ -42,7 +42,7 @@ def test_slanted_and_noisy_planes_are_detected_and_agree_with_the_exhaustive_sea
 def test_planes_of_thousands_of_small_lenses_are_detected(scenes, lattice, ratio):
     small = Camera.design((1000, 800), 14.0, lattice=lattice, rotation=2.0)
     shot = simulate(plane(small, ratio=ratio), small, samples=16, seed=3, noise=(12000, 5))
-    # Of so many some match better elsewhere by chance.
+    # Among thousands of lenses some match better elsewhere by chance.
     full, quick = scenes.both(shot)
     assert quick.saved["plane"] > 0.9
     assert scenes.agreement(full, quick) > 0.99

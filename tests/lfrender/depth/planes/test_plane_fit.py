@@ -47,6 +47,6 @@ def test_the_systematic_error_of_a_plane_grows_with_the_patch_size():
     for ratio in (0.15, -0.6):
         found = fit_plane(points, 50.0 * ratio + 1e-4 * rng.standard_normal(200), 50.0)
         errors.append(found.standard_error(points).max())
-    # Of that many lenses the scatter alone would leave less than a ten-thousandth of a pixel.
+    # The scatter of that many lenses alone would leave an error below a ten-thousandth of a pixel.
     assert 0.001 < errors[0] < 0.002
     assert 0.002 < errors[1] < 0.006
