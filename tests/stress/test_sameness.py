@@ -38,7 +38,7 @@ def test_depth_and_picture_are_the_same_on_any_number_of_threads(clutter, preset
 
     (depth, picture), *others = _on_threads(call)
     for other, drawn in others:
-        for name in ("patch_size", "confidence", "standard_error", "drawn", "reason"):
+        for name in ("patch_size", "confidence", "standard_error", "filled_patch_size", "reason"):
             np.testing.assert_array_equal(getattr(other, name), getattr(depth, name), err_msg=name)
         np.testing.assert_array_equal(other.surface.patch_size, depth.surface.patch_size)
         np.testing.assert_array_equal(drawn.image, picture.image)

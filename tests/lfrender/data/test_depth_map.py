@@ -28,7 +28,7 @@ def test_curvature_is_the_inverse_squared_standard_error(depth):
 def test_save_and_load_give_the_same_map(depth, tmp_path):
     depth.save(tmp_path / "d.npz")
     again = DepthMap.load(tmp_path / "d.npz")
-    for name in ("patch_size", "standard_error", "confidence", "drawn", "mode"):
+    for name in ("patch_size", "standard_error", "confidence", "filled_patch_size", "mode"):
         np.testing.assert_array_equal(getattr(again, name), getattr(depth, name))
     np.testing.assert_array_equal(again.surface.patch_size, depth.surface.patch_size)
     assert (again.pitch, again.image_size, again.preset) == (20.0, (40, 30), "balanced")
