@@ -9,9 +9,13 @@ from numpy.typing import NDArray
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
 
-from .settings import LOOKUP
-
 __all__ = ["displacement_at", "lens_displacements", "nearest_index"]
+
+# [lattice steps] beyond the flat that are tabulated: the most that kernels ask for.
+_MARGIN = 6
+# Turns of the fixed-point iteration: enough for distortions that change the pitch by a tenth. A constant of its own: as
+# a field of a tuple it changes how the compiler rounds in the kernels of rendering.
+_TURNS = 6
 
 
 def lens_displacements(lattice: Lattice) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
@@ -28,7 +32,7 @@ def lens_displacements(lattice: Lattice) -> tuple[NDArray[np.float32], NDArray[n
     if lattice.distortion is None:
         return np.zeros((0, 0, 2), np.float32), np.zeros(2, np.int64)
     ij = lattice.indices()
-    low, high = ij.min(0) - LOOKUP.margin, ij.max(0) + LOOKUP.margin
+    low, high = ij.min(0) - _MARGIN, ij.max(0) + _MARGIN
     i, j = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
     index = np.stack([i, j], -1).reshape(-1, 2)
     displacement = lattice.points(index) - (lattice.origin + index @ lattice.basis)
@@ -53,7 +57,7 @@ def nearest_index(x, y, origin, inverse, displacement, low):
     i = np.rint(ox * inverse[0, 0] + oy * inverse[1, 0])
     j = np.rint(ox * inverse[0, 1] + oy * inverse[1, 1])
     if displacement.size > 0:
-        for _ in range(LOOKUP.turns):
+        for _ in range(_TURNS):
             bx, by = displacement_at(displacement, low, i, j)
             new_i = np.rint((ox - bx) * inverse[0, 0] + (oy - by) * inverse[1, 0])
             new_j = np.rint((ox - bx) * inverse[0, 1] + (oy - by) * inverse[1, 1])

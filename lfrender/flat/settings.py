@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 __all__ = [
-    "BLUR", "COLOUR", "FOCUS", "GRAPH", "GRAY", "KERNEL", "LOOKUP", "SHADING", "TEXTURE",
+    "BLUR", "COLOUR", "FOCUS", "GRAPH", "GRAY", "KERNEL", "SHADING", "TEXTURE",
     "DemosaicSettings", "FocusSettings", "GrayFlatSettings", "KernelSettings", "LensBlurSettings", "LensGraphSettings",
-    "LookupSettings", "ShadingSettings", "TextureSettings",
+    "ShadingSettings", "TextureSettings",
 ]  # fmt: skip
 
 
@@ -18,13 +18,6 @@ class LensGraphSettings:
 
     most_cached: int = 1 << 18  # [lenses] up to which a lattice keeps its neighbour tables
     distant_steps: int = 3  # [lattice steps] between distant rings; estimates so far apart are nearly independent
-
-
-class LookupSettings(NamedTuple):
-    """Tuned values of `distorted_lookup`, whose kernels are compiled with them."""
-
-    margin: int = 6  # [lattice steps] beyond the flat that are tabulated; the most that kernels ask for
-    turns: int = 6  # of the fixed-point iteration; enough for distortions that change the pitch by a tenth
 
 
 @dataclass(frozen=True)
@@ -113,7 +106,6 @@ class KernelSettings(NamedTuple):
 
 
 GRAPH = LensGraphSettings()
-LOOKUP = LookupSettings()
 GRAY = GrayFlatSettings()
 SHADING = ShadingSettings()
 TEXTURE = TextureSettings()
