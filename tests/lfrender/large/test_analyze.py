@@ -13,7 +13,8 @@ import lfcal
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfrender.depth.matching.shortcuts import Shortcuts
-from lfrender.depth.planes import plane_fit as plane
+from lfrender.depth.planes.plane_fit import Plane
+from lfrender.depth.planes.settings import PLANE
 from lfrender.depth.presets import PRESETS
 from lfrender.flat.gray_flat import make_gray_flat
 from lfrender.large import analyze as large_analysis
@@ -78,9 +79,9 @@ def test_the_error_of_one_plane_includes_the_common_error_of_its_lenses(tmp_path
     noisy = shot.flat + np.random.default_rng(4).normal(0, 3 if checked else 8, shot.flat.shape)
     shot = replace(shot, flat=np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
     if not checked:
-        monkeypatch.setattr(large_analysis, "plane_evidence", lambda *_: None)
+        monkeypatch.setattr(large_analysis, "_match_on_plane", lambda *_: None)
     _, counted, _ = in_both_ways(tmp_path, shot)
-    monkeypatch.setattr(plane, "_COMMON", 0.0)
+    monkeypatch.setattr(Plane.standard_error, "__defaults__", (replace(PLANE, shared_part=0.0),))
     _, uncounted, _ = in_both_ways(tmp_path, shot)
     assert ("plane" in counted.saved) == checked
     assert np.ptp(counted.filled_patch_size) < 1e-4
