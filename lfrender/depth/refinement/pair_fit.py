@@ -77,13 +77,12 @@ _Constants = namedtuple(
 
 # Python's error model checks every division for zero, which prevents vector loops.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _sums(cutout, other, columns, rows, overlap, offset, scale2):
+def _sums(light, slope_x, slope_y, other, columns, rows, overlap, offset, scale2):
     """Sums over the pixels of a microimage that the other shows too, weighted after Geman and McClure.
 
     Those of weights, residuals, slopes, their products, the moments of place, and the sums and products of brightness
     that grows along the step from lens to lens.
     """
-    light, slope_x, slope_y = cutout.light, cutout.slope_x, cutout.slope_y
     start, count, ux, uy, ax, ay, qx, qy, mx, my, r2, low_x, high_x, low_y, high_y = overlap
     zero = np.float32(0.0)
     sw = sr = srr = sp = spp = spr = sx = sy = sq = sqq = spq = sqr = zero
@@ -129,15 +128,19 @@ def _fit_pair(flat, raster, left, top, ax, ay, bx, by, radius, pitch, start, sca
     variance = np.float32(np.inf)
     x = y = np.float32(0.0)
     two, tiny = np.float32(2.0), np.float32(1e-12)
-    laplacian, shifted = cutout.laplacian, buffers.shifted
+    light, slope_x, slope_y, laplacian = cutout.light, cutout.slope_x, cutout.slope_y, cutout.laplacian
+    box, lines, shifted, whole = buffers.box, buffers.lines, buffers.shifted, buffers.step
+    side, stride, columns, rows = raster.side, raster.stride, raster.columns, raster.rows
     for _ in range(c.iterations):
-        overlap = resample_shifted(flat, raster, left, top, ax, ay, bx, by, radius, s, pitch, buffers)
+        overlap = resample_shifted(
+            flat, side, stride, left, top, ax, ay, bx, by, radius, s, pitch, box, lines, shifted, whole
+        )
         if len(laplacian) > 0:
             share, first = blur[0] + blur[1] * s, np.uint64(overlap.start)
             for k in range(np.uint64(overlap.number)):
                 shifted[first + k] += share * laplacian[first + k]
         sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr = _sums(
-            cutout, shifted, raster.columns, raster.rows, overlap, offset, scale2
+            light, slope_x, slope_y, shifted, columns, rows, overlap, offset, scale2
         )
         if sw < 4:
             return np.float32(np.nan), variance, x, y

@@ -164,11 +164,12 @@ def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def resample_shifted(flat, raster, left, top, ax, ay, bx, by, radius, s, pitch, buffers):
-    """Fill `buffers.shifted` with the second of two microimages at the pixels of the first, and return the `Overlap`.
+def resample_shifted(flat, side, stride, left, top, ax, ay, bx, by, radius, s, pitch, box, lines, shifted, step):
+    """Fill `shifted` with the second of two microimages at the pixels of the first, and return the `Overlap`.
 
     The lenses have their centres at (ax, ay) and (bx, by), and the scene between them has the patch size `s`; the first
-    microimage is cut out from pixel (left, top) on.
+    microimage is cut out from pixel (left, top) on, with the `side` and `stride` of its raster. The last arguments are
+    those of `Buffers`, taken out of it: in a loop each access to an array in a tuple would count references.
     """
     ux, uy = (bx - ax) / pitch, (by - ay) / pitch
     tx, ty = bx - ax + s * ux, by - ay + s * uy
@@ -176,18 +177,17 @@ def resample_shifted(flat, raster, left, top, ax, ay, bx, by, radius, s, pitch, 
     cx0, cx1, cx2, cx3 = bspline_weights(np.float32(tx - x0))
     cy0, cy1, cy2, cy3 = bspline_weights(np.float32(ty - y0))
     qx, qy = bx - tx, by - ty
-    side, stride, step = raster.side, raster.stride, buffers.step
     begin = max(int(np.ceil(max(ay, qy) - radius)), max(1, 1 - y0), top)
     end = min(int(np.floor(min(ay, qy) + radius)), min(flat.height - 2, flat.height - 3 - y0), top + side - 1)
     start, count = (begin - top) * stride, 0
     if end >= begin:
         # Most iterations stay between the same pixels.
         if step[0] != x0 or step[1] != y0:
-            copy_box(flat.pixels, flat.width, left + x0 - 1, top + y0 - 1, side + SPLINE_MARGIN, stride, buffers.box)
+            copy_box(flat.pixels, flat.width, left + x0 - 1, top + y0 - 1, side + SPLINE_MARGIN, stride, box)
             step[0], step[1] = x0, y0
         count = _whole((end + 1 - begin) * stride)
-        _mean_of_four(buffers.box, start, 1, _whole((end + 4 - begin) * stride), cx0, cx1, cx2, cx3, buffers.lines)
-        _mean_of_four(buffers.lines, start, stride, count, cy0, cy1, cy2, cy3, buffers.shifted)
+        _mean_of_four(box, start, 1, _whole((end + 4 - begin) * stride), cx0, cx1, cx2, cx3, lines)
+        _mean_of_four(lines, start, stride, count, cy0, cy1, cy2, cy3, shifted)
     x, y = np.float32(left), np.float32(top)
     return Overlap(
         start, count, ux, uy, ax - x, ay - y, qx - x, qy - y, np.float32(0.5) * (ax + qx) - x,

@@ -32,24 +32,12 @@ _Constants = namedtuple(
     "common_error common_error_growth",
 )  # fmt: skip
 
-# All lenses: geometry, fits (n,), how far these are values at centres and not means (0 to 1), and weights.
-_Lenses = namedtuple("_Lenses", "centres pitch radius sizes errors slants slant_errors centred trust")
-
-# Neighbours of one lens (m,): sizes, variances, steps to them [pitches], slants, their variances, how far the sizes are
-# means over microimages, and weights.
-_Gathered = namedtuple("_Gathered", "sizes variances ahead_x ahead_y slants_x slants_y slant_variances averaged trust")
-
-# Neighbours of one lens (m,) relative to its own plane: differences of size, their variances and weights; how much the
-# differences grow with a slant in x and y, and with a curvature; steps [pitches], by which slants fall with a
-# curvature; differences of slant, times s, and their variance. The last two are work memory.
-_Residuals = namedtuple(
-    "_Residuals",
-    "difference variance share along_x along_y curved ahead_x ahead_y turned_x turned_y turn_variance weights "
-    "turn_weights",
-)  # fmt: skip
-
-# Smoothed fits, significance of curvatures, and shares of inliers, (n,) each but for slants (n, 2).
-_Output = namedtuple("_Output", "sizes errors slants slant_errors curvature inliers")
+# Neighbours of one lens are gathered in the rows of an array (9, m): sizes, variances, steps to them [pitches] x and y,
+# slants x and y, their variances, how far the sizes are means over microimages, and weights. Compared with the plane of
+# the lens they are in the rows of another one, `near` (13, m): differences of size, their variances and weights; how
+# much the differences grow with a slant in x and y, and with a curvature; steps x and y, by which slants fall with a
+# curvature; differences of slant x and y, times s, and their variance. Its last two rows are work memory.
+_GATHERED, _NEAR = 9, 13
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -84,10 +72,8 @@ def _plane_sums(count, away, variance, share, along_x, along_y, uneven, weights)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _scatter(count, near, height, x_slant, y_slant):
+def _scatter(count, difference, share, along_x, along_y, weights, height, x_slant, y_slant):
     """Weighted sum of squared residuals from a plane, and sum of the shares."""
-    difference, share, weights = near.difference, near.share, near.weights
-    along_x, along_y = near.along_x, near.along_y
     scatter = number = 0.0
     for k in range(np.uint64(count)):
         rest = difference[k] - height - x_slant * along_x[k] - y_slant * along_y[k]
@@ -100,10 +86,11 @@ def _scatter(count, near, height, x_slant, y_slant):
 def _predict(count, near, slant_known, rounds):
     """What `count` neighbours predict of a lens by a weighted plane: difference from its own size, variance, and mean
     variance; difference of slant, and the variance of that."""
+    difference, variance, share, along_x, along_y, weights = near[0], near[1], near[2], near[3], near[4], near[11]
     uneven = height = inverse = total = x_slant = y_slant = slanted = 0.0
     for turn in range(rounds):
         squares, a, b, c, d, e, f, p, q, r = _plane_sums(
-            count, near.difference, near.variance, near.share, near.along_x, near.along_y, uneven, near.weights
+            count, difference, variance, share, along_x, along_y, uneven, weights
         )
         total = a
         d += slant_known
@@ -114,7 +101,7 @@ def _predict(count, near, slant_known, rounds):
         slanted = 0.5 * (i11 + i22) * over
         if turn == rounds - 1:
             break
-        scatter, freedom = _scatter(count, near, height, x_slant, y_slant)
+        scatter, freedom = _scatter(count, difference, share, along_x, along_y, weights, height, x_slant, y_slant)
         freedom -= 1 + (1 - i11 * over * slant_known) + (1 - i22 * over * slant_known)
         uneven += max(scatter - freedom + 1, 0.0) / max(a - squares / a, 1e-9)
     return height, inverse + uneven, count / total, -x_slant, -y_slant, slanted
@@ -124,9 +111,9 @@ def _predict(count, near, slant_known, rounds):
 def _curvature_sums(count, near, own):
     """Weighted sums over `count` lenses of 1, x, y, the curvature, their products, and of all that with differences; of
     the squares of these, and of the shares."""
-    away, variance, share, along_x, along_y = near.difference, near.variance, near.share, near.along_x, near.along_y
-    curved, ahead_x, ahead_y, turned_x, turned_y = near.curved, near.ahead_x, near.ahead_y, near.turned_x, near.turned_y
-    turn_variance, weights, turn_weights = near.turn_variance, near.weights, near.turn_weights
+    away, variance, share, along_x, along_y, curved = near[0], near[1], near[2], near[3], near[4], near[5]
+    ahead_x, ahead_y, turned_x, turned_y, turn_variance = near[6], near[7], near[8], near[9], near[10]
+    weights, turn_weights = near[11], near[12]
     for k in range(np.uint64(count)):
         weights[k], turn_weights[k] = share[k] / variance[k], share[k] / turn_variance[k]
     a = b = c = d = e = f = g = h = i = j = p = q = r = s = squares = number = 0.0
@@ -189,12 +176,11 @@ def _mean_reach(size, radius, farthest):
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius, gathered, constants, near):
     """Fill `near` from `count` gathered neighbours; returns the sum of their weights."""
-    sizes, variances, trust, averaged = gathered.sizes, gathered.variances, gathered.trust, gathered.averaged
-    ahead_x, ahead_y, slants_x, slants_y = gathered.ahead_x, gathered.ahead_y, gathered.slants_x, gathered.slants_y
-    slant_variances = gathered.slant_variances
-    away, variance, share, along_x, along_y = near.difference, near.variance, near.share, near.along_x, near.along_y
-    curved, out_x, out_y, turned_x, turned_y = near.curved, near.ahead_x, near.ahead_y, near.turned_x, near.turned_y
-    turn_variance = near.turn_variance
+    sizes, variances, ahead_x, ahead_y = gathered[0], gathered[1], gathered[2], gathered[3]
+    slants_x, slants_y, slant_variances = gathered[4], gathered[5], gathered[6]
+    averaged, trust = gathered[7], gathered[8]
+    away, variance, share, along_x, along_y, curved = near[0], near[1], near[2], near[3], near[4], near[5]
+    out_x, out_y, turned_x, turned_y, turn_variance = near[6], near[7], near[8], near[9], near[10]
     outlier, other_surface, farthest = constants.outlier, constants.other_surface, constants.farthest
     for k in range(np.uint64(count)):
         size, noise, ex, ey = sizes[k], variances[k], ahead_x[k], ahead_y[k]
@@ -216,89 +202,78 @@ def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius,
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _gather(lens, lenses, rows, constants, gathered, near):
+def _gather(
+    lens, centres, pitch, radius, rows, sizes, errors, slants, slant_errors, centred, trust, constants, gathered, near
+):  # fmt: skip
     """Fill `near` with the neighbours `rows` of a lens; returns how many they are, and the sum of their weights."""
-    centres, slants, slant_errors = lenses.centres, lenses.slants, lenses.slant_errors
-    count, per_pitch = 0, 1 / np.float64(lenses.pitch)
+    count, per_pitch = 0, 1 / np.float64(pitch)
     least = constants.least_slant * constants.least_slant
     for k in range(rows.shape[1]):
         other = rows[lens, k]
         if other < 0:
             break
-        if not np.isfinite(lenses.errors[other]):
+        if not np.isfinite(errors[other]):
             continue
-        gathered.sizes[count], gathered.variances[count] = lenses.sizes[other], np.float64(lenses.errors[other]) ** 2
-        gathered.ahead_x[count] = (np.float64(centres[other, 0]) - centres[lens, 0]) * per_pitch
-        gathered.ahead_y[count] = (np.float64(centres[other, 1]) - centres[lens, 1]) * per_pitch
-        gathered.slants_x[count], gathered.slants_y[count] = slants[other, 0], slants[other, 1]
-        gathered.slant_variances[count] = np.float64(slant_errors[other]) ** 2 + least
-        gathered.averaged[count] = 1 - lenses.centred[other]
-        gathered.trust[count] = lenses.trust[lens] * lenses.trust[other]
+        gathered[0, count], gathered[1, count] = sizes[other], np.float64(errors[other]) ** 2
+        gathered[2, count] = (np.float64(centres[other, 0]) - centres[lens, 0]) * per_pitch
+        gathered[3, count] = (np.float64(centres[other, 1]) - centres[lens, 1]) * per_pitch
+        gathered[4, count], gathered[5, count] = slants[other, 0], slants[other, 1]
+        gathered[6, count] = np.float64(slant_errors[other]) ** 2 + least
+        gathered[7, count], gathered[8, count] = 1 - centred[other], trust[lens] * trust[other]
         count += 1
     weight = _compare(
-        count, np.float64(lenses.sizes[lens]), np.float64(lenses.errors[lens]) ** 2, np.float64(slants[lens, 0]),
-        np.float64(slants[lens, 1]), np.float64(slant_errors[lens]) ** 2 + least, np.float64(lenses.radius), gathered,
+        count, np.float64(sizes[lens]), np.float64(errors[lens]) ** 2, np.float64(slants[lens, 0]),
+        np.float64(slants[lens, 1]), np.float64(slant_errors[lens]) ** 2 + least, np.float64(radius), gathered,
         constants, near,
     )  # fmt: skip
     return count, weight
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _new_memory(most):
-    def row():
-        return np.empty(most)
-
-    gathered = _Gathered(row(), row(), row(), row(), row(), row(), row(), row(), row())
-    near = _Residuals(
-        row(), row(), row(), row(), row(), row(), row(), row(), row(), row(), row(), row(), row()
-    )  # fmt: skip
-    return gathered, near
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _smooth_lens(lens, lenses, rows, c, gathered, near, out):
-    """Combine one lens, whose error is finite, with the lenses in its `rows`, and write it to `out`."""
-    own, own_variance, pitch = np.float64(lenses.sizes[lens]), np.float64(lenses.errors[lens]) ** 2, lenses.pitch
-    count, weight = _gather(lens, lenses, rows, c, gathered, near)
-    out.inliers[lens] = weight / max(count, 1)
-    if weight < c.least_weight:
-        return
-    slant_known = 1 / (np.float64(lenses.slant_errors[lens]) ** 2 + c.least_slant * c.least_slant)
-    averaged = (1 - lenses.centred[lens]) * _mean_reach(own, lenses.radius, c.farthest)
-    curvature, variance = _curvature(
-        count, near, own, own_variance, averaged, slant_known, 1 / (c.likely_curvature * pitch) ** 2
-    )
-    out.curvature[lens] = curvature * curvature / variance
-    curvature *= max(1 - c.significance * variance / (curvature * curvature), 0.0)
-    # What the curvature adds to all sizes, also to that of the lens itself, is taken from them.
-    uncertain_part = averaged * averaged * variance if curvature != 0 else 0.0
-    for k in range(count):
-        near.difference[k] += curvature * (averaged - near.curved[k])
-    own_variance += uncertain_part
-    predicted, spread, shared, x_slant, y_slant, slanted = _predict(count, near, slant_known, c.rounds)
-    if predicted * predicted > c.outlier * c.outlier * (spread + own_variance):
-        return
-    out.sizes[lens] = own - averaged * curvature + own_variance / (own_variance + spread) * predicted
-    out.slants[lens, 0] += x_slant
-    out.slants[lens, 1] += y_slant
-    out.slant_errors[lens] = np.sqrt(slanted)
-    joint = own_variance * spread / (own_variance + spread) + uncertain_part
-    common = c.common_error_growth * pitch * abs(own / pitch) ** 3
-    out.errors[lens] = np.sqrt(joint + c.correlation * min(shared, own_variance) + c.common_error**2 + common**2)
-
-
-# Numba drops writes to arrays of a NamedTuple in a function that is compiled to run in parallel: all of them are in the
-# functions that it calls.
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _smooth(lenses: _Lenses, rows, wanted, constants: _Constants, out: _Output):
-    """Combine the `wanted` lenses in `out`, which holds the fits of all."""
-    parts, each, stride = plan_chunks(len(wanted))
+def _smooth(
+    centres, pitch, radius, rows, sizes, errors, slants, slant_errors, wanted, centred, trust, constants: _Constants,
+    out,
+):  # fmt: skip
+    """Combine the `wanted` lenses in `out` (n, 7), which holds the fits of all: sizes, errors, slants x and y, their
+    errors, significance of curvatures, and shares of inliers."""
+    c = constants
+    parts, each, stride = plan_chunks(len(centres))
     for part in prange(parts):
-        gathered, near = _new_memory(rows.shape[1])
+        gathered, near = np.empty((_GATHERED, rows.shape[1])), np.empty((_NEAR, rows.shape[1]))
         begin = part * stride % parts * each
-        for lens in range(begin, min(begin + each, len(wanted))):
-            if wanted[lens] and np.isfinite(lenses.errors[lens]):
-                _smooth_lens(lens, lenses, rows, constants, gathered, near, out)
+        for lens in range(begin, min(begin + each, len(centres))):
+            own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
+            if not (wanted[lens] and np.isfinite(own_variance)):
+                continue
+            count, weight = _gather(
+                lens, centres, pitch, radius, rows, sizes, errors, slants, slant_errors, centred, trust, c, gathered,
+                near,
+            )  # fmt: skip
+            out[lens, 6] = weight / max(count, 1)
+            if weight < c.least_weight:
+                continue
+            slant_known = 1 / (np.float64(slant_errors[lens]) ** 2 + c.least_slant * c.least_slant)
+            averaged = (1 - centred[lens]) * _mean_reach(own, radius, c.farthest)
+            curvature, variance = _curvature(
+                count, near, own, own_variance, averaged, slant_known, 1 / (c.likely_curvature * pitch) ** 2
+            )
+            out[lens, 5] = curvature * curvature / variance
+            curvature *= max(1 - c.significance * variance / (curvature * curvature), 0.0)
+            # What the curvature adds to all sizes, also to that of the lens itself, is taken from them.
+            uncertain_part = averaged * averaged * variance if curvature != 0 else 0.0
+            for k in range(count):
+                near[0, k] += curvature * (averaged - near[5, k])
+            own_variance += uncertain_part
+            predicted, spread, shared, x_slant, y_slant, slanted = _predict(count, near, slant_known, c.rounds)
+            if predicted * predicted > c.outlier * c.outlier * (spread + own_variance):
+                continue
+            out[lens, 0] = own - averaged * curvature + own_variance / (own_variance + spread) * predicted
+            out[lens, 2] += x_slant
+            out[lens, 3] += y_slant
+            out[lens, 4] = np.sqrt(slanted)
+            joint = own_variance * spread / (own_variance + spread) + uncertain_part
+            common = c.common_error_growth * pitch * abs(own / pitch) ** 3
+            out[lens, 1] = np.sqrt(joint + c.correlation * min(shared, own_variance) + c.common_error**2 + common**2)
 
 
 @dataclass(frozen=True)
@@ -383,9 +358,12 @@ def _smoothed(
         np.asarray(values, np.float32)
         for values in (fits.patch_size, fits.standard_error, fits.slant, fits.slant_error)
     )
-    lenses = _Lenses(gray.centres, gray.pitch, gray.radius, sizes, errors, slants, slant_errors, centred, trust)
-    none, all_of_them = np.zeros(len(sizes), np.float32), np.ones(len(sizes), np.float32)
-    out = _Output(sizes.copy(), errors.copy(), slants.copy(), slant_errors.copy(), none, all_of_them)
+    out = np.zeros((len(sizes), 7), np.float32)
+    out[:, 0], out[:, 1], out[:, 2:4], out[:, 4], out[:, 6] = sizes, errors, slants, slant_errors, 1
     constants = _Constants(*(getattr(settings, name) for name in _Constants._fields))
-    _smooth(lenses, rows, wanted, constants, out)
-    return SmoothedFits(LensFits(out.sizes, out.errors, out.slants, out.slant_errors), out.curvature, out.inliers)
+    _smooth(
+        gray.centres, gray.pitch, gray.radius, rows, sizes, errors, slants, slant_errors, wanted, centred, trust,
+        constants, out,
+    )  # fmt: skip
+    size, error, slant_error, curvature, inliers = (out[:, k].copy() for k in (0, 1, 4, 5, 6))
+    return SmoothedFits(LensFits(size, error, out[:, 2:4].copy(), slant_error), curvature, inliers)

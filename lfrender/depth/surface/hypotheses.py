@@ -9,22 +9,21 @@ from numba import njit, prange
 
 from lfcal.runtime.fastmath import FAST
 
+from ...flat.distorted_lookup import nearest_index
 from ...runtime.scheduling import coprime_stride
 from ..same_surface import same_surface
 from .occlusion import depth_order
 from .photoconsistency import (
     MAX_VIEWS,
     WORK,
-    PatchViews,
     ViewConstants,
     sample_views,
     view_mismatch,
 )
-from .scene_grid import SceneGrid, lens_at, nearest_lens
+from .scene_grid import SceneGrid, lens_at
 from .settings import HypothesisSettings
 from .votes import (
     SIZE,
-    Nearby,
     cluster_votes,
     find_central,
     find_voters,
@@ -51,9 +50,6 @@ HypothesisConstants = namedtuple(
     "visible_share occluded_share unknown occluded_views radius step floor",
 )  # fmt: skip
 
-# Memory of one thread for the hypotheses of a point: depths, first weights and then costs, matches, and views.
-_Hypotheses = namedtuple("_Hypotheses", "depths costs matches seen")
-
 
 def hypothesis_constants(
     gap: np.float32,
@@ -68,10 +64,10 @@ def hypothesis_constants(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add_occlusion(count, hypotheses, c):
+def _add_occlusion(depths, costs, matches, c):
     """Raise the cost of each hypothesis by how well a nearer one matches: past the edge of the nearer surface the one
     behind it matches as well."""
-    depths, costs, matches = hypotheses.depths, hypotheses.costs, hypotheses.matches
+    count = len(depths)
     for k in range(count):
         matches[k] = max(c.matched - costs[k], np.float32(0.0))
     for k in range(count):
@@ -88,12 +84,12 @@ def find_agreeing_lenses(values, seconds, trust, indices, grid: SceneGrid, ring,
 
     2 where none of them is trusted, nor the lens itself; 0 elsewhere.
     """
-    agreeing = np.empty(len(values), np.int8)
+    agreeing, lookup, low = np.empty(len(values), np.int8), grid.rows, grid.low
     for lens in prange(len(values)):
         lowest = highest = values[lens]
         single, alone = True, trust[lens] < trusted
         for r in range(len(ring)):
-            other = lens_at(grid, indices[lens, 0] + ring[r, 0], indices[lens, 1] + ring[r, 1])
+            other = lens_at(lookup, low, indices[lens, 0] + ring[r, 0], indices[lens, 1] + ring[r, 1])
             if other < 0 or trust[other] < trusted:
                 continue
             alone = False
@@ -143,65 +139,43 @@ def _keep_coarse(coarse, v, u, gap, depths, weights, count):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _measure_mismatch(views, c, central, x, y, everyone, count, hypotheses):
+def _measure_mismatch(image, pixels, near_x, near_y, work, c, central, x, y, everyone, depths, costs, seen):
     """Turn the weights of hypotheses in `costs` into their mismatch plus the price of few votes, and move `depths` to
     values beside them that match better; `everyone` is the sum of all weights."""
-    depths, costs, seen = hypotheses.depths, hypotheses.costs, hypotheses.seen
     zero, part = np.float32(0.0), np.uint64(WORK)
     nearest = 0
     # All pixels are fetched before the first comparison: what was just written in single values is slow to read as a
     # vector.
-    for k in range(count):
-        seen[k] = sample_views(views, c, central, x, y, depths[k] / c.pitch, np.uint64(k) * part)
+    for k in range(len(depths)):
+        base = np.uint64(k) * part
+        seen[k] = sample_views(image, pixels, near_x, near_y, work, c, central, x, y, depths[k] / c.pitch, base)
         if depth_order(depths[k], c.pitch) > depth_order(depths[nearest], c.pitch):
             nearest = k
-    for k in range(count):
-        share = costs[k] / everyone
-        least = view_mismatch(views, c, x, y, depths[k] / c.pitch, k == nearest, seen[k], np.uint64(k) * part)
+    for k in range(len(depths)):
+        share, slope, base = costs[k] / everyone, depths[k] / c.pitch, np.uint64(k) * part
+        least = view_mismatch(image, near_x, near_y, work, c, x, y, slope, k == nearest, seen[k], base)
         if share < c.rough and least >= c.good and least != c.unknown:
-            base = np.uint64(count) * part
-            depths[k], least = _try_beside(views, c, central, x, y, depths[k], least, k == nearest, base)
+            depths[k], least = _try_beside(
+                image, pixels, near_x, near_y, work, c, central, x, y, depths[k], least, k == nearest,
+                np.uint64(len(depths)) * part,
+            )  # fmt: skip
         costs[k] = least + c.unvoted_cost * max(zero, 1 - share)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _try_beside(views, c, central, x, y, s, least, nearest, base):
+def _try_beside(image, pixels, near_x, near_y, work, c, central, x, y, s, least, nearest, base):
     """The patch size among `s`, of mismatch `least`, and those a little beside it that matches best; its mismatch."""
     nudge = c.nudge * c.gap
     low, high, other = (s - nudge) / c.pitch, (s + nudge) / c.pitch, base + np.uint64(WORK)
-    seen_low = sample_views(views, c, central, x, y, low, base)
-    seen_high = sample_views(views, c, central, x, y, high, other)
-    below = c.nudge_cost + view_mismatch(views, c, x, y, low, nearest, seen_low, base)
-    above = c.nudge_cost + view_mismatch(views, c, x, y, high, nearest, seen_high, other)
+    seen_low = sample_views(image, pixels, near_x, near_y, work, c, central, x, y, low, base)
+    seen_high = sample_views(image, pixels, near_x, near_y, work, c, central, x, y, high, other)
+    below = c.nudge_cost + view_mismatch(image, near_x, near_y, work, c, x, y, low, nearest, seen_low, base)
+    above = c.nudge_cost + view_mismatch(image, near_x, near_y, work, c, x, y, high, nearest, seen_high, other)
     if above < min(least, below):
         return s + nudge, above
     if below < least:
         return s - nudge, below
     return s, least
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _propose_between(v, u, x, y, nearby, count, coarse, views, own, c, votes, depths, costs):
-    """Hypotheses of point (v, u) at (x, y), whose `count` nearby lenses do not all agree."""
-    nearest = measure_distances(nearby.table, count, x, y, nearby.distance)
-    voters, lowest, highest = find_voters(nearby, count, nearest, c.vote2, c.trusted)
-    if voters == 0 or highest - lowest <= c.gap:
-        depths[0, v, u] = mean_vote(nearby, voters, votes) if voters else np.float32(np.nan)
-        return
-    number = sort_votes(nearby, voters, votes)
-    found = cluster_votes(number, nearby, c.gap, c.widest * c.gap, own.depths, own.costs)
-    if coarse.size > 0:
-        found = _keep_coarse(coarse, v, u, c.gap, own.depths, own.costs, found)
-    if found > 1:
-        central = find_central(nearby, count, views.near_x, views.near_y)
-        _measure_mismatch(views, c, central, x, y, nearby.shares[:voters].sum(), found, own)
-        _add_occlusion(found, own, c)
-        for k in range(1, found):
-            depths[k, v, u], costs[k, v, u] = own.depths[k], own.costs[k]
-        if found < len(own.depths):
-            depths[found, v, u] = np.nan
-        costs[0, v, u] = own.costs[0]
-    depths[0, v, u] = own.depths[0]
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -234,23 +208,21 @@ def propose_hypotheses(
     most, rows, columns = depths.shape
     pixels, c, gap = image.reshape(-1), constants, constants.gap
     votes = np.float32(1.0), c.second_weight, np.float32(1.0)
-    nearby_count, known = len(ring), table.shape[1]
+    most_near, known = len(ring), table.shape[1]
+    # Arrays are taken out of the tuple once: each access counts references.
+    first, spacing, lookup, low = grid.first, grid.spacing, grid.rows, grid.low
+    origin, inverse, bend, bend_low = grid.origin, grid.inverse, grid.bend, grid.bend_low
     # Depth edges are clustered: the stride spreads them over the threads.
     stride = coprime_stride(rows)
     for row in prange(rows):
         v = row * stride % rows
-        nearby = Nearby(
-            np.empty((known, nearby_count), np.float32), np.empty(nearby_count, np.float32),
-            np.empty(nearby_count, np.int64), np.empty(nearby_count, np.float32), np.empty(MAX_VIEWS, np.int64),
-            np.empty(known * nearby_count, np.float32), np.empty(known * nearby_count, np.float32),
-        )  # fmt: skip
-        views = PatchViews(
-            image, pixels, np.empty(MAX_VIEWS, np.float32), np.empty(MAX_VIEWS, np.float32),
-            np.zeros((most + 2) * WORK, np.float32),
-        )  # fmt: skip
-        own = _Hypotheses(
-            np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.int64)
-        )
+        nearby, distance = np.empty((known, most_near), np.float32), np.empty(most_near, np.float32)
+        voters, shares = np.empty(most_near, np.int64), np.empty(most_near, np.float32)
+        sizes, weights = np.empty(known * most_near, np.float32), np.empty(known * most_near, np.float32)
+        near_x, near_y = np.empty(MAX_VIEWS, np.float32), np.empty(MAX_VIEWS, np.float32)
+        central, work = np.empty(MAX_VIEWS, np.int64), np.zeros((most + 2) * WORK, np.float32)
+        own, prices, matches = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
+        seen = np.empty(most, np.int64)
         values, differ = np.empty(columns + 2, np.float32), np.ones(columns + 2, np.bool_)
         if coarse.size > 0:
             _interpolate_row(coarse, v, gap, values, differ)
@@ -263,18 +235,40 @@ def propose_hypotheses(
                 continue
             if not differ[u]:
                 continue
-            at_i, at_j = nearest_lens(grid, u, v)
+            x, y = first + u * spacing, first + v * spacing
+            at_i, at_j = nearest_index(x, y, origin, inverse, bend, bend_low)
             i, j = int(at_i), int(at_j)
-            lens = lens_at(grid, i, j)
+            lens = lens_at(lookup, low, i, j)
             if lens >= 0 and agreeing[lens] == _ALONE:
                 depths[0, v, u] = table[lens, SIZE]
                 continue
             # Consecutive points mostly lie in the cell of one lens.
             if i != around_i or j != around_j:
-                count = gather_table(table, around, grid, ring, i, j, lens, nearby.table)
+                count = gather_table(table, around, lookup, low, ring, i, j, lens, nearby)
                 around_i, around_j = i, j
-            x, y = np.float32(grid.first + u * grid.spacing), np.float32(grid.first + v * grid.spacing)
+            px, py = np.float32(x), np.float32(y)
             if lens >= 0 and agreeing[lens]:
-                depths[0, v, u] = mean_around(nearby.table, count, x, y, c.vote2)
+                depths[0, v, u] = mean_around(nearby, count, px, py, c.vote2)
                 continue
-            _propose_between(v, u, x, y, nearby, count, coarse, views, own, c, votes, depths, costs)
+            nearest = measure_distances(nearby, count, px, py, distance)
+            found, lowest, highest = find_voters(nearby, count, nearest, distance, c.vote2, c.trusted, voters, shares)
+            if found == 0 or highest - lowest <= gap:
+                depths[0, v, u] = mean_vote(nearby, found, voters, shares, votes) if found else np.float32(np.nan)
+                continue
+            everyone = shares[:found].sum()
+            number = sort_votes(nearby, found, voters, shares, votes, sizes, weights)
+            found = cluster_votes(number, sizes, weights, gap, c.widest * gap, own, prices)
+            if coarse.size > 0:
+                found = _keep_coarse(coarse, v, u, gap, own, prices, found)
+            if found > 1:
+                views = find_central(nearby, count, distance, central, near_x, near_y)
+                _measure_mismatch(
+                    image, pixels, near_x, near_y, work, c, views, px, py, everyone, own[:found], prices[:found], seen
+                )
+                _add_occlusion(own[:found], prices[:found], matches, c)
+                for k in range(1, found):
+                    depths[k, v, u], costs[k, v, u] = own[k], prices[k]
+                if found < most:
+                    depths[found, v, u] = np.nan
+                costs[0, v, u] = prices[0]
+            depths[0, v, u] = own[0]

@@ -13,7 +13,7 @@ from numba import njit
 
 from .settings import PhotoconsistencySettings
 
-__all__ = ["MAX_VIEWS", "WORK", "PatchViews", "sample_views", "view_constants", "view_mismatch"]
+__all__ = ["MAX_VIEWS", "WORK", "sample_views", "view_constants", "view_mismatch"]
 
 _DEFAULT = PhotoconsistencySettings()
 #: Only so many lenses, the most central ones, are compared.
@@ -33,9 +33,6 @@ WORK = 240
 # Float32 values of `PhotoconsistencySettings`, the radius of a microimage [px], the distance between samples [px], and
 # the mismatch `floor` that noise explains.
 ViewConstants = namedtuple("ViewConstants", "visible_share occluded_share unknown occluded_views radius step floor")
-
-# A flat (H, W) and its `pixels` in one line, the centres of nearby lenses [px], the nearest first, and memory.
-PatchViews = namedtuple("PatchViews", "image pixels near_x near_y work")
 
 
 def view_constants(
@@ -169,14 +166,14 @@ def _within(px, py, step, width, height):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sample_views(views, constants, count, x, y, slope, base):
-    """Put the pixels of the first `count` lenses at scene point (x, y), at depth `slope` = s / D, into the work memory.
+def sample_views(image, pixels, near_x, near_y, work, constants, count, x, y, slope, base):
+    """Put the pixels of the first `count` lenses at scene point (x, y), at depth `slope` = s / D, into `work`.
 
+    The lenses have their centres at `near_x`, `near_y`, the nearest first; `pixels` are those of the image in one line.
     Returns how many lenses show the point; the first counts in any case.
     """
-    height, width = views.image.shape
-    near_x, near_y, radius = views.near_x, views.near_y, constants.radius
-    seen = 0
+    height, width = image.shape
+    radius, seen = constants.radius, 0
     for m in range(count):
         dx, dy = -(x - near_x[m]) * slope, -(y - near_y[m]) * slope
         # Those after it are farther.
@@ -184,18 +181,17 @@ def sample_views(views, constants, count, x, y, slope, base):
             break
         px, py = near_x[m] + dx, near_y[m] + dy
         if _within(px, py, constants.step, width, height):
-            _fetch(views.pixels, np.uint64(width), px, py, views.work, base + np.uint64(m))
+            _fetch(pixels, np.uint64(width), px, py, work, base + np.uint64(m))
         seen += 1
     return seen
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def view_mismatch(views, constants, x, y, slope, nearest, seen, base):
+def view_mismatch(image, near_x, near_y, work, constants, x, y, slope, nearest, seen, base):
     """Mean mismatch of the better part of the `seen` views found by `sample_views` with one of the most central.
 
     0 for equal views, about 1 for unrelated ones. More views must agree on the `nearest` depth: nothing occludes it.
     """
-    image, work, near_x, near_y = views.image, views.work, views.near_x, views.near_y
     height, width = image.shape
     step, unknown = constants.step, constants.unknown
     if seen < 2:

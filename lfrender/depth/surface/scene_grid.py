@@ -57,12 +57,12 @@ def scene_grid(lattice: Lattice, first: float, spacing: float) -> SceneGrid:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def lens_at(grid, i, j):
-    """Row of lens (i, j), -1 where there is none."""
-    ci, cj = i - grid.low[0], j - grid.low[1]
-    if ci < 0 or cj < 0 or cj >= grid.rows.shape[0] or ci >= grid.rows.shape[1]:
+def lens_at(rows, low, i, j):
+    """Row of lens (i, j) by `rows` and `low` of a `SceneGrid`, -1 where there is none."""
+    ci, cj = i - low[0], j - low[1]
+    if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1]:
         return -1
-    return grid.rows[cj, ci]
+    return rows[cj, ci]
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import namedtuple
-
 import numpy as np
 from numba import njit
 
@@ -12,23 +10,20 @@ from lfcal.runtime.fastmath import FAST
 from .scene_grid import lens_at
 
 __all__ = [
-    "SIZE", "Nearby", "cluster_votes", "find_central", "find_voters", "gather_table", "mean_around", "mean_vote",
+    "SIZE", "cluster_votes", "find_central", "find_voters", "gather_table", "mean_around", "mean_vote",
     "measure_distances", "sort_votes",
 ]  # fmt: skip
 
 # Rows of the table of a lens: its centre, its weight, and from the last one on its depths.
 _X, _Y, _TRUST, SIZE = range(4)
-# Memory of one thread for the lenses around a scene point: their `table` (6, k), squared distances, voters with their
-# weights, indices of the most central ones, and votes sorted by patch size with their weights.
-Nearby = namedtuple("Nearby", "table distance voters shares central sizes weights")
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def gather_table(table, rows, grid, ring, i, j, lens, out):
+def gather_table(table, rows, lookup, low, ring, i, j, lens, out):
     """Copy the `table` of the lenses around lens (i, j) to columns of `out`; returns how many there are."""
     count = 0
     for r in range(len(ring)):
-        other = rows[lens, r] if lens >= 0 else lens_at(grid, i + ring[r, 0], j + ring[r, 1])
+        other = rows[lens, r] if lens >= 0 else lens_at(lookup, low, i + ring[r, 0], j + ring[r, 1])
         if other >= 0:
             for k in range(len(out)):
                 out[k, count] = table[other, k]
@@ -65,9 +60,9 @@ def measure_distances(table, count, x, y, distance):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def find_central(nearby, count, near_x, near_y):
+def find_central(table, count, distance, near, near_x, near_y):
     """Centres of the nearest of the `count` lenses around a scene point, in order; returns how many."""
-    near, distance, most = nearby.central, nearby.distance, len(nearby.central)
+    most = len(near)
     found = 0
     for m in range(count):
         d = distance[m]
@@ -80,14 +75,13 @@ def find_central(nearby, count, near_x, near_y):
         near[at] = m
         found = min(found + 1, most)
     for k in range(found):
-        near_x[k], near_y[k] = nearby.table[_X, near[k]], nearby.table[_Y, near[k]]
+        near_x[k], near_y[k] = table[_X, near[k]], table[_Y, near[k]]
     return found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def find_voters(nearby, count, nearest, vote2, trusted):
+def find_voters(table, count, nearest, distance, vote2, trusted, voters, shares):
     """Lenses that vote for the depth of a scene point, and their weights; how many, and the range of their depths."""
-    table, distance, voters, shares = nearby.table, nearby.distance, nearby.voters, nearby.shares
     found = 0
     low, high = np.float32(np.inf), np.float32(-np.inf)
     for m in range(count):
@@ -104,9 +98,8 @@ def find_voters(nearby, count, nearest, vote2, trusted):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def mean_vote(nearby, count, votes):
+def mean_vote(table, count, voters, shares, votes):
     """Weighted mean of all depths of `count` voters."""
-    table, voters, shares = nearby.table, nearby.voters, nearby.shares
     weight = total = np.float32(0.0)
     for n in range(count):
         for k in range(SIZE, len(table)):
@@ -118,9 +111,8 @@ def mean_vote(nearby, count, votes):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sort_votes(nearby, count, votes):
+def sort_votes(table, count, voters, shares, votes, sizes, weights):
     """Depths of `count` voters sorted by patch size, and their weights; returns their number."""
-    table, voters, shares, sizes, weights = nearby.table, nearby.voters, nearby.shares, nearby.sizes, nearby.weights
     number = 0
     for n in range(count):
         for k in range(SIZE, len(table)):
@@ -137,12 +129,11 @@ def sort_votes(nearby, count, votes):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def cluster_votes(number, nearby, gap, widest, depths, shares):
+def cluster_votes(number, sizes, weights, gap, widest, depths, shares):
     """Means and weights of clusters of sorted votes, the weightiest first, as many as there is room for; their number.
 
     Neighbouring votes of a cluster differ by at most one `gap`, all of them by at most `widest`.
     """
-    sizes, weights = nearby.sizes, nearby.weights
     most = len(depths)
     found = start = 0
     while start < number:

@@ -9,7 +9,6 @@ from scipy.ndimage import map_coordinates
 from lfrender.depth.surface.photoconsistency import (
     MAX_VIEWS,
     WORK,
-    PatchViews,
     sample_views,
     view_constants,
     view_mismatch,
@@ -44,10 +43,10 @@ def _written_out(x_of, y_of, x, y, slope, step, nearest):
 def _tried(x_of, y_of, x, y, slope, radius, step, nearest, base=0):
     work = np.zeros(3 * WORK, np.float32)
     place = np.float32(x), np.float32(y), np.float32(slope)
-    views = PatchViews(IMAGE, IMAGE.reshape(-1), np.array(x_of, np.float32), np.array(y_of, np.float32), work)
+    near = np.array(x_of, np.float32), np.array(y_of, np.float32)
     constants = view_constants(radius, step, FLOOR)
-    seen = sample_views(views, constants, len(x_of), *place, np.uint64(base))
-    return seen, view_mismatch(views, constants, *place, nearest, seen, np.uint64(base))
+    seen = sample_views(IMAGE, IMAGE.reshape(-1), *near, work, constants, len(x_of), *place, np.uint64(base))
+    return seen, view_mismatch(IMAGE, *near, work, constants, *place, nearest, seen, np.uint64(base))
 
 
 @pytest.mark.parametrize("nearest", [True, False])

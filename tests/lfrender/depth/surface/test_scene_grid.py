@@ -25,4 +25,4 @@ def test_the_lens_of_a_point_is_the_one_whose_cell_it_lies_in():
         point = np.array([[grid.first + 2.9 * u, grid.first + 2.9 * v]])
         i, j = np.rint(LATTICE.to_index(point))[0].astype(int)
         assert tuple(map(int, nearest_lens(grid, u, v))) == (i, j)
-        assert lens_at(grid, i, j) == index.get((i, j), -1)
+        assert lens_at(grid.rows, grid.low, i, j) == index.get((i, j), -1)
