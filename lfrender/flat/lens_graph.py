@@ -156,25 +156,57 @@ def nearest_lens(lattice: Lattice, points: ArrayLike) -> NDArray[np.int64]:
     return np.asarray(cKDTree(lattice.centres()).query(np.asarray(points, dtype=float))[1], dtype=np.int64)
 
 
+@njit(cache=True, nogil=True)
+def _find_rings_of(neighbours, lens, paths, out):
+    """Write the neighbours of a lens and their neighbours into `out` (m,), each once, then -1; returns their number.
+
+    `paths` (m, 2) holds for each of the second ring by which neighbour of which neighbour it is reached.
+    """
+    count = 0
+    for k in range(neighbours.shape[1]):
+        if neighbours[lens, k] >= 0:
+            out[count] = neighbours[lens, k]
+            count += 1
+    for k in range(neighbours.shape[1]):
+        near = neighbours[lens, k]
+        if near < 0:
+            continue
+        for m in range(neighbours.shape[1]):
+            other = neighbours[near, m]
+            new = other >= 0 and other != lens
+            for seen in range(count):
+                new &= out[seen] != other
+            if new and count < len(out):
+                out[count], paths[count, 0], paths[count, 1] = other, k, m
+                count += 1
+    out[count:] = -1
+    return count
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def _find_two_rings(neighbours, out):
-    """Write the neighbours of each lens and their neighbours into `out` (n, m), each once, then -1."""
+    """As `_find_rings_of`, for each lens. The paths of one lens with complete rings serve all that have all neighbours;
+    lenses of the second ring to which such a path is broken are left out."""
+    most, first = out.shape[1], neighbours.shape[1]
+    paths, known = np.empty((most, 2), np.int64), False
+    for lens in range(len(out)):
+        if (neighbours[lens] >= 0).all() and _find_rings_of(neighbours, lens, paths, out[lens]) == most:
+            known = True
+            break
     for lens in prange(len(out)):
-        count = 0
-        for k in range(neighbours.shape[1]):
-            if neighbours[lens, k] >= 0:
-                out[lens, count] = neighbours[lens, k]
+        complete = known
+        for k in range(first):
+            complete &= neighbours[lens, k] >= 0
+        if not complete:
+            _find_rings_of(neighbours, lens, np.empty((most, 2), np.int64), out[lens])
+            continue
+        out[lens, :first] = neighbours[lens]
+        count = first
+        for n in range(first, most):
+            other = neighbours[neighbours[lens, paths[n, 0]], paths[n, 1]]
+            if other >= 0:
+                out[lens, count] = other
                 count += 1
-        for n in range(count):
-            near = out[lens, n]
-            for m in range(neighbours.shape[1]):
-                other = neighbours[near, m]
-                new = other >= 0 and other != lens
-                for seen in range(count):
-                    new &= out[lens, seen] != other
-                if new and count < out.shape[1]:
-                    out[lens, count] = other
-                    count += 1
         out[lens, count:] = -1
 
 
