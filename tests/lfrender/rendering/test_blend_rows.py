@@ -54,7 +54,7 @@ def test_the_usual_picture_is_blended_lens_by_lens(made, monkeypatch):
     drawn_by_pixel = []
     blend_pixels = plan.blend_pixels
     monkeypatch.setattr(
-        plan, "blend_pixels", lambda *args: drawn_by_pixel.append(args[5].wanted.mean()) or blend_pixels(*args)
+        plan, "blend_pixels", lambda *args: drawn_by_pixel.append(args[6].wanted.mean()) or blend_pixels(*args)
     )
     lfrender.render(made(flat), camera, depth)
     # Only output pixels larger than one of the flat are blended pixel by pixel.
