@@ -128,8 +128,9 @@ def _compare_pairs(image, centres, radius, pitch, rows, sizes, scale2, dark, len
             if other < 0 or np.isnan(sizes[lens, d]):
                 continue
             overlap = resample_shifted(
-                flat, raster.side, raster.stride, left, top, ax, ay, centres[other, 0], centres[other, 1], radius,
-                sizes[lens, d], pitch, buffers.box, buffers.lines, buffers.shifted, buffers.step,
+                flat.pixels, (flat.height, flat.width), (raster.side, raster.stride), (left, top),
+                (ax, ay, centres[other, 0], centres[other, 1]), radius, sizes[lens, d], pitch, buffers.box,
+                buffers.lines, buffers.shifted, buffers.step,
             )  # fmt: skip
             limit = max(scale2[lens], scale2[other])
             _products(cutout, buffers.shifted, raster, overlap, limit, dark, out[number, d])

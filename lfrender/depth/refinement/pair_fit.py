@@ -115,26 +115,27 @@ def _sums(light, slope_x, slope_y, other, columns, rows, overlap, offset, scale2
     return sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr
 
 
+# Arrays are passed one by one, although there are many: taken out of tuples here, their references would be counted for
+# every pair, which costs a third of the time.
 @njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
-def _fit_pair(flat, raster, left, top, ax, ay, bx, by, radius, pitch, start, scale2, blur, cutout, buffers, constants):
+def _fit_pair(
+    pixels, size, shape, columns, rows, corner, centres, radius, pitch, start, scale2, blur, light, slope_x, slope_y,
+    laplacian, box, lines, shifted, whole, constants,
+):  # fmt: skip
     """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be determined.
 
     The first microimage differs from the second by `blur` (its value at s = 0 and growth per s) times its Laplacian, if
     it has one.
     """
     s, c = start, constants
+    ax, ay, bx, by = centres
     slope_noise = c.slope_noise * (square(bx - ax) + square(by - ay)) / (pitch * pitch)
     offset = np.float32(0.0)
     variance = np.float32(np.inf)
     x = y = np.float32(0.0)
     two, tiny = np.float32(2.0), np.float32(1e-12)
-    light, slope_x, slope_y, laplacian = cutout.light, cutout.slope_x, cutout.slope_y, cutout.laplacian
-    box, lines, shifted, whole = buffers.box, buffers.lines, buffers.shifted, buffers.step
-    side, stride, columns, rows = raster.side, raster.stride, raster.columns, raster.rows
     for _ in range(c.iterations):
-        overlap = resample_shifted(
-            flat, side, stride, left, top, ax, ay, bx, by, radius, s, pitch, box, lines, shifted, whole
-        )
+        overlap = resample_shifted(pixels, size, shape, corner, centres, radius, s, pitch, box, lines, shifted, whole)
         if len(laplacian) > 0:
             share, first = blur[0] + blur[1] * s, np.uint64(overlap.start)
             for k in range(np.uint64(overlap.number)):
@@ -181,60 +182,52 @@ def _start_values(first, second, tolerance):
     return middle if together else first, middle if together else second, together
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _fit_pairs_of(
-    lens, flat, raster, centres, radius, pitch, rows, start, scale2, constants, defocus, cutout, buffers, out
-):  # fmt: skip
-    """Fit the pairs of one lens with its neighbours in `rows`, and write them to `out`."""
-    sizes, variances, places = out.patch_size, out.variance, out.place
-    ax, ay = centres[lens, 0], centres[lens, 1]
-    left, top = first_pixel(ax, radius, raster.side, flat.width), first_pixel(ay, radius, raster.side, flat.height)
-    ready = False
-    for d in range(rows.shape[1]):
-        other = rows[lens, d]
-        for k in range(2):
-            sizes[lens, d, k] = np.nan
-            variances[lens, d, k] = np.inf
-            places[lens, d, k, 0] = places[lens, d, k, 1] = 0.0
-        if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
-            continue
-        blur = np.float32(0.0), np.float32(0.0)
-        if not ready:
-            cut_smoothed(flat, raster, left, top, buffers, cutout)
-            add_tone_curve(cutout, defocus.curve, defocus.dark)
-            ready = True
-        if len(defocus.kinds) > 0:
-            one, two = defocus.kinds[lens], defocus.kinds[other]
-            blur = defocus.blurs[one, two], defocus.growths[one, two]
-        first, second, together = _start_values(start[lens], start[other], constants.same_surface * pitch)
-        for k in range(1 if together else 2):
-            s, variance, x, y = _fit_pair(
-                flat, raster, left, top, ax, ay, centres[other, 0], centres[other, 1], radius, pitch,
-                first if k == 0 else second, max(scale2[lens], scale2[other]), blur, cutout, buffers, constants,
-            )  # fmt: skip
-            sizes[lens, d, k], variances[lens, d, k] = s, variance
-            places[lens, d, k, 0], places[lens, d, k, 1] = x, y
-        if together:
-            sizes[lens, d, 1], variances[lens, d, 1] = sizes[lens, d, 0], variances[lens, d, 0]
-            places[lens, d, 1, 0], places[lens, d, 1, 1] = places[lens, d, 0, 0], places[lens, d, 0, 1]
-
-
-# Numba drops writes to arrays of a NamedTuple in a function that is compiled to run in parallel: all of them are in the
-# functions that it calls.
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _fit_pairs(
-    image, centres, radius, pitch, rows, start, scale2, constants: _Constants, defocus: DefocusDifference, out: PairFits
-):  # fmt: skip
-    parts, each, stride = plan_chunks(len(centres))
+def _fit_pairs(image, centres, radius, pitch, rows, start, scale2, constants, defocus, sizes, variances, places):
+    """Fit the pairs of each lens with its neighbours in `rows`; the last arguments are the arrays of `PairFits`."""
+    parts, each, jump = plan_chunks(len(centres))
     for part in prange(parts):
         raster, flat = pixel_raster(radius), flat_pixels(image)
-        buffers, cutout = new_buffers(raster.size), new_cutout(raster.size, len(defocus.kinds) > 0)
-        begin = part * stride % parts * each
+        side, stride, columns, raster_rows = raster.side, raster.stride, raster.columns, raster.rows
+        pixels, height, width = flat.pixels, flat.height, flat.width
+        kinds, blurs, growths = defocus.kinds, defocus.blurs, defocus.growths
+        buffers, cutout = new_buffers(raster.size), new_cutout(raster.size, len(kinds) > 0)
+        light, slope_x, slope_y, laplacian = cutout.light, cutout.slope_x, cutout.slope_y, cutout.laplacian
+        box, lines, shifted, whole = buffers.box, buffers.lines, buffers.shifted, buffers.step
+        begin = part * jump % parts * each
         for lens in range(begin, min(begin + each, len(centres))):
-            _fit_pairs_of(
-                lens, flat, raster, centres, radius, pitch, rows, start, scale2, constants, defocus, cutout, buffers,
-                out,
-            )  # fmt: skip
+            ax, ay = centres[lens, 0], centres[lens, 1]
+            left, top = first_pixel(ax, radius, side, width), first_pixel(ay, radius, side, height)
+            ready = False
+            for d in range(rows.shape[1]):
+                other = rows[lens, d]
+                for k in range(2):
+                    sizes[lens, d, k] = np.nan
+                    variances[lens, d, k] = np.inf
+                    places[lens, d, k, 0] = places[lens, d, k, 1] = 0.0
+                if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
+                    continue
+                if not ready:
+                    cut_smoothed(flat, raster, left, top, buffers, cutout)
+                    if len(kinds) > 0:
+                        add_tone_curve(cutout, defocus.curve, defocus.dark)
+                    ready = True
+                blur = growth = np.float32(0.0)
+                if len(kinds) > 0:
+                    blur, growth = blurs[kinds[lens], kinds[other]], growths[kinds[lens], kinds[other]]
+                first, second, together = _start_values(start[lens], start[other], constants.same_surface * pitch)
+                for k in range(1 if together else 2):
+                    s, variance, x, y = _fit_pair(
+                        pixels, (height, width), (side, stride), columns, raster_rows, (left, top),
+                        (ax, ay, centres[other, 0], centres[other, 1]), radius, pitch, first if k == 0 else second,
+                        max(scale2[lens], scale2[other]), (blur, growth), light, slope_x, slope_y, laplacian, box,
+                        lines, shifted, whole, constants,
+                    )  # fmt: skip
+                    sizes[lens, d, k], variances[lens, d, k] = s, variance
+                    places[lens, d, k, 0], places[lens, d, k, 1] = x, y
+                if together:
+                    sizes[lens, d, 1], variances[lens, d, 1] = sizes[lens, d, 0], variances[lens, d, 0]
+                    places[lens, d, 1, 0], places[lens, d, 1, 1] = places[lens, d, 0, 0], places[lens, d, 0, 1]
 
 
 def usable_radius(gray: GrayFlat, settings: PairFitSettings = _DEFAULT) -> float:
@@ -288,8 +281,7 @@ def fit_pairs(
         fits = PairFits(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32))
         _fit_pairs(
             image, gray.centres, np.float32(radius), np.float32(gray.pitch), rows, start,
-            (scale * scale).astype(np.float32), constants,
-            blur, fits,
+            (scale * scale).astype(np.float32), constants, blur, *fits,
         )  # fmt: skip
         return fits
 

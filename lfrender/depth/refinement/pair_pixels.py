@@ -164,13 +164,15 @@ def _mean_of_four(values, start, apart, count, c0, c1, c2, c3, out):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def resample_shifted(flat, side, stride, left, top, ax, ay, bx, by, radius, s, pitch, box, lines, shifted, step):
+def resample_shifted(pixels, size, shape, corner, centres, radius, s, pitch, box, lines, shifted, step):
     """Fill `shifted` with the second of two microimages at the pixels of the first, and return the `Overlap`.
 
-    The lenses have their centres at (ax, ay) and (bx, by), and the scene between them has the patch size `s`; the first
-    microimage is cut out from pixel (left, top) on, with the `side` and `stride` of its raster. The last arguments are
-    those of `Buffers`, taken out of it: in a loop each access to an array in a tuple would count references.
+    The lenses have their `centres` at (ax, ay, bx, by), and the scene between them has the patch size `s`; the first
+    microimage is cut out from pixel `corner` (left, top) on, with the `shape` (side, stride) of its raster. `pixels`
+    and `size` (height, width) are those of a `Flat`, the last arguments those of `Buffers`, taken out of them: in a
+    loop each access to an array in a tuple would count references.
     """
+    (height, width), (side, stride), (left, top), (ax, ay, bx, by) = size, shape, corner, centres
     ux, uy = (bx - ax) / pitch, (by - ay) / pitch
     tx, ty = bx - ax + s * ux, by - ay + s * uy
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
@@ -178,12 +180,12 @@ def resample_shifted(flat, side, stride, left, top, ax, ay, bx, by, radius, s, p
     cy0, cy1, cy2, cy3 = bspline_weights(np.float32(ty - y0))
     qx, qy = bx - tx, by - ty
     begin = max(int(np.ceil(max(ay, qy) - radius)), max(1, 1 - y0), top)
-    end = min(int(np.floor(min(ay, qy) + radius)), min(flat.height - 2, flat.height - 3 - y0), top + side - 1)
+    end = min(int(np.floor(min(ay, qy) + radius)), min(height - 2, height - 3 - y0), top + side - 1)
     start, count = (begin - top) * stride, 0
     if end >= begin:
         # Most iterations stay between the same pixels.
         if step[0] != x0 or step[1] != y0:
-            copy_box(flat.pixels, flat.width, left + x0 - 1, top + y0 - 1, side + SPLINE_MARGIN, stride, box)
+            copy_box(pixels, width, left + x0 - 1, top + y0 - 1, side + SPLINE_MARGIN, stride, box)
             step[0], step[1] = x0, y0
         count = _whole((end + 1 - begin) * stride)
         _mean_of_four(box, start, 1, _whole((end + 4 - begin) * stride), cx0, cx1, cx2, cx3, lines)
@@ -192,6 +194,6 @@ def resample_shifted(flat, side, stride, left, top, ax, ay, bx, by, radius, s, p
     return Overlap(
         start, count, ux, uy, ax - x, ay - y, qx - x, qy - y, np.float32(0.5) * (ax + qx) - x,
         np.float32(0.5) * (ay + qy) - y, radius * radius, np.float32(max(1, 1 - x0) - left),
-        np.float32(min(flat.width - 2 - left, flat.width - 3 - x0 - left, side - 1)), np.float32(begin - top),
+        np.float32(min(width - 2 - left, width - 3 - x0 - left, side - 1)), np.float32(begin - top),
         np.float32(end - top),
     )  # fmt: skip
