@@ -14,10 +14,10 @@ from math import gcd
 import numpy as np
 from numpy.typing import NDArray
 
+from ..images.interpolation import interpolate_linear
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_lenses
 from ..runtime.errors import RAW_FLAT_ADVICE, CalibrationError
-from ..runtime.interpolation import interpolate_linear
 from .folding import HIGHEST_HARMONIC, TileFolds
 from .settings import DEFAULT, CellTestSettings
 

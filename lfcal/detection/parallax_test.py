@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..images.interpolation import interpolate_linear
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import sample_lenses
 from ..runtime.errors import RAW_FLAT_ADVICE, CalibrationError
-from ..runtime.interpolation import interpolate_linear
 from .settings import DEFAULT, ParallaxSettings
 
 __all__ = ["NeighbourComparison", "check_parallax", "compare_neighbours", "shows_scene"]
