@@ -139,7 +139,7 @@ def main(arguments: list[str]) -> int:
     action, file, *rest = arguments
     found = results(Path(rest[0]) if rest else None)
     if action == "record":
-        np.savez_compressed(file, allow_pickle=False, **found)
+        np.savez_compressed(file, **found)  # type: ignore[arg-type]
         return 0
     with np.load(file) as kept:
         lines = differences({key: kept[key] for key in kept.files}, found)
