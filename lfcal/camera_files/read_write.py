@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -63,7 +64,7 @@ class CameraFormat:
 FORMATS = {
     ".json": CameraFormat(_parse_json, Calibration.to_json, lambda line: line.startswith("{"), is_exact=True),
     ".xml": CameraFormat(parse_xml, format_xml, lambda line: line.startswith("<")),
-    ".cfg": CameraFormat(parse_key_value, lambda camera: format_key_value(camera.lattice), _starts_with_pair),
+    ".cfg": CameraFormat(parse_key_value, format_key_value, _starts_with_pair),
     ".csv": CameraFormat(
         parse_centre_table,
         lambda camera: format_centre_table(camera.lattice),
@@ -115,12 +116,19 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
         raise CameraFileError(f"{source}: {error}; calibrate on a flat instead") from error
 
 
-def convert(calibration: Calibration, path: str | os.PathLike[str], settings: CameraFileSettings = DEFAULT) -> None:
+def convert(
+    calibration: Calibration,
+    path: str | os.PathLike[str],
+    settings: CameraFileSettings = DEFAULT,
+    *,
+    mode: Literal["telescopic", "binocular"] | None = None,
+) -> None:
     """Write a camera in the format its suffix names; the file appears whole or not at all.
 
     `.json` is our own format and keeps everything. `.xml` (`RayCalibData`) keeps lattice, radius and the three lens
     types of a hexagonal array, `.cfg` (key : value, with four corner centres) a hexagonal lattice, `.csv` the columns
-    `i, j, x, y` of all centres.
+    `i, j, x, y` of all centres. A `.cfg` file also states the `mode` of the captures; without one it is that in which
+    the lens types are focused, or binocular where they do not tell.
 
     Raises
     ------
@@ -131,7 +139,8 @@ def convert(calibration: Calibration, path: str | os.PathLike[str], settings: Ca
     """
     check_output(path, FORMATS)
     form = FORMATS[Path(path).suffix.lower()]
-    text, tolerance = form.format(calibration), settings.centre_tolerance
+    text = format_key_value(calibration, mode) if form.format is format_key_value else form.format(calibration)
+    tolerance = settings.centre_tolerance
     if not form.is_exact:
         written = form.parse(text, calibration.image_size).lattice
         if not _same_centres(calibration.lattice, written, tolerance):

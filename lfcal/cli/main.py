@@ -181,21 +181,41 @@ def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: boo
 
 @main.command(
     epilog=console.help_examples(
-        "lfcal convert camera.json -o calibration.xml", "lfcal convert calibration.xml --image flat.png -o camera.json"
+        "lfcal convert camera.json -o calibration.xml",
+        "lfcal convert calibration.xml --image flat.png -o camera.json",
+        "lfcal convert camera.json --image flat.png -o camera.cfg",
     )
 )
 @click.argument("camera", type=_INPUT)
 @click.option("-o", "--output", type=_OUTPUT, required=True, metavar="FILE", help=".xml, .cfg, .csv or .json to write.")
+@click.option(
+    "--mode",
+    type=click.Choice(["telescopic", "binocular"]),
+    help="Of the captures, which a .cfg file states.  [default: as --image, or the focus of the lens types]",
+)
 @_size_options
 @console.report_options
-def convert(camera: Path, output: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
+def convert(
+    camera: Path,
+    output: Path,
+    mode: Literal["telescopic", "binocular"] | None,
+    size: str | None,
+    image: Path | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
     """Write CAMERA in the format of another program, or a camera of another program in ours."""
     from ..camera_files.read_write import FORMATS
     from ..camera_files.read_write import convert as run
 
     check_output(output, FORMATS, [camera, image])
     calibration = _read(camera, _read_size(size, image))
-    run(calibration, output)
+    if mode is None and image is not None and output.suffix.lower() == ".cfg":
+        from .. import read_flat
+        from ..lens_types.scene_mode import find_scene_mode
+
+        mode = find_scene_mode(read_flat(image), calibration.lattice)
+    run(calibration, output, mode=mode)
     console.Report(as_json, quiet).finish({"written": str(output), **describe(calibration)})
 
 

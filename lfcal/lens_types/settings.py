@@ -92,6 +92,7 @@ class LensTypeSettings:
     disparity: DisparitySettings = DisparitySettings()
     pattern: PatternSettings = PatternSettings()
     focus: FocusSettings = FocusSettings()
+    other_mode: float = 0.2  # share of lenses in the other mode from which on a scene has both: 0.01 to 0.09 are wrong
 
 
 DEFAULT = LensTypeSettings()

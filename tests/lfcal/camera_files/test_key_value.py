@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -43,3 +46,62 @@ def test_key_value_file_of_another_image_size_is_refused(tmp_path):
     np.testing.assert_allclose(lfcal.load(path).lattice.origin, [50.5, 37.5])
     with pytest.raises(lfcal.CameraFileError, match="100 x 80"):
         lfcal.load(path, (200, 80))
+
+
+def pairs(path):
+    lines = (line.split(" : ") for line in path.read_text().splitlines())
+    return {key: float(value) for key, value in lines}
+
+
+@pytest.mark.parametrize("mode, flag", [("telescopic", 0), ("binocular", 1), (None, 1)])
+def test_flag_of_the_mode_names_the_modes_the_other_way_round(make_camera, tmp_path, mode, flag):
+    convert(make_camera(_HEXAGON, 30, 0), tmp_path / "camera.cfg", mode=mode)
+    assert pairs(tmp_path / "camera.cfg")["IsKepler"] == flag
+
+
+def test_flag_follows_from_the_focus_of_the_lens_types(make_camera, tmp_path):
+    types = lfcal.LensTypes([[0, 2, 1], [1, 0, 2], [2, 1, 0]], ordered=True, focus=[0.4, 0.3, 0.2])
+    convert(replace(make_camera(_HEXAGON, 30, 0), lens_types=types), tmp_path / "camera.cfg")
+    assert pairs(tmp_path / "camera.cfg")["IsKepler"] == 0
+
+
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize("mode, nearest", [("telescopic", 0), ("binocular", 2)])
+@pytest.mark.parametrize("shift", [0, 11, 23])
+def test_near_type_is_that_of_its_place_in_the_first_row_of_whole_microimages(
+    make_camera, tmp_path, upright, mode, nearest, shift
+):
+    shape = _HEXAGON[:, ::-1] if upright else _HEXAGON
+    # Centres at a whole microimage in the corner, which is number 0 of the first row.
+    first = np.array([15.2 + shift, 15.1] if not upright else [15.1, 15.2 + shift])
+    camera = make_camera(shape, 30, 0, x=first[0], y=first[1])
+    types = lfcal.LensTypes([[0, 2, 1], [1, 0, 2], [2, 1, 0]], ordered=True)
+    convert(replace(camera, lens_types=types), tmp_path / "camera.cfg", mode=mode)
+    written = pairs(tmp_path / "camera.cfg")
+    centre = np.array([639, 479]) / 2 + [written["CentralMIOffsetX"], -written["CentralMIOffsetY"]]
+    index = camera.lattice.to_index(centre[None])
+    np.testing.assert_allclose(index, np.rint(index), atol=1e-6)
+    along = np.array([0.0, 30.0]) if upright else np.array([30.0, 0.0])
+    places = np.array([first + (written["NearFocalLenType"]) * along])
+    assert types.of(np.rint(camera.lattice.to_index(places)).astype(int)) == nearest
+
+
+@pytest.mark.parametrize("name", ["Fujita2.png", "TempleBoatGiantR32.webp"])
+def test_near_type_of_real_cameras_is_the_published_one(name, tmp_path):
+    captures = Path(__file__).parents[4] / "shared" / "captures"
+    if not (captures / name).exists():
+        pytest.skip("the real captures are not here")
+    camera = lfcal.calibrate(lfcal.read_flat(captures / name))
+    convert(camera, tmp_path / "camera.cfg")
+    published = pairs((captures / name).with_suffix(".published.cfg"))
+    written = pairs(tmp_path / "camera.cfg")
+    for key in ("IsKepler", "NearFocalLenType", "MLADirection"):
+        assert written[key] == published[key], key
+
+
+def test_corner_centres_are_whole_microimages_from_border_to_border(make_camera, tmp_path):
+    convert(make_camera(_HEXAGON, 30, 0.5), tmp_path / "camera.cfg")
+    written = pairs(tmp_path / "camera.cfg")
+    assert 14 <= written["LeftTopMICenterX"] < 60 and 14 <= written["LeftTopMICenterY"] < 60
+    assert 640 - 60 < written["RightBottomMICenterX"] < 640 - 14
+    assert 480 - 75 < written["RightBottomMICenterY"] < 480 - 14
