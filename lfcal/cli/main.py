@@ -54,12 +54,17 @@ def main() -> None:
     type=click.Choice(MOSAICS, case_sensitive=False),
     help="Colour filters of the top left 2 x 2 pixels, row by row, of a raw mosaic. Without it a mosaic is detected.",
 )
+@console.page_option
+@console.raw_video_options
 @console.report_options
 def calibrate(
     images: tuple[Path, ...],
     output: Path,
     kind: Literal["auto", "white", "scene"],
     mosaic: Mosaic | None,
+    page: int | None,
+    size: tuple[int, int] | None,
+    pixel_format: str | None,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -73,7 +78,7 @@ def calibrate(
         from .. import FlatError, read_flat
         from .. import calibrate as run
 
-        flats = [read_flat(image) for image in images]
+        flats = [read_flat(image, page, size=size, pixel_format=pixel_format) for image in images]
         for image, flat in zip(images, flats, strict=True):
             if flat.shape[:2] != flats[0].shape[:2]:
                 raise FlatError(

@@ -16,6 +16,7 @@ from ..runtime.errors import FlatError
 from ..runtime.image_formats import IMAGE_FORMATS, identify_format
 from .decoders import MAX_PIXELS, decode_bmp, decode_jpeg, decode_png, decode_pnm, decode_webp
 from .tiff import count_tiff_pages, open_tiff, read_tiff
+from .yuv import count_yuv_frames, is_yuv, read_yuv
 from .zarr_flat import is_zarr, open_zarr
 
 __all__ = ["MAX_PIXELS", "checked_pixels", "count_pages", "file_errors", "read_flat"]
@@ -31,19 +32,31 @@ _DECODERS: dict[str, Callable[[bytes], NDArray[Any]]] = {
 }
 
 
-def read_flat(path: str | os.PathLike[str], page: int | None = None) -> NDArray[Any]:
+def read_flat(
+    path: str | os.PathLike[str],
+    page: int | None = None,
+    *,
+    size: tuple[int, int] | None = None,
+    pixel_format: str | None = None,
+) -> NDArray[Any]:
     """Read a raw plenoptic picture with its pixel values as stored.
 
-    PNG (1 to 16 bit grey, RGB, palette), TIFF (8 and 16 bit, float), WebP, JPEG, BMP, PGM, PPM and Zarr are read. An
-    alpha channel is dropped and the colours below it are kept as stored. An orientation tag is not obeyed: a
-    calibration belongs to the sensor, not to how the camera was held. In a TIFF, thumbnails are passed over.
+    PNG (1 to 16 bit grey, RGB, palette), TIFF (8 and 16 bit, float), WebP, JPEG, BMP, PGM, PPM and Zarr are read, and
+    frames of raw video (`.yuv`). An alpha channel is dropped and the colours below it are kept as stored. An
+    orientation tag is not obeyed: a calibration belongs to the sensor, not to how the camera was held. In a TIFF,
+    thumbnails are passed over.
 
     Parameters
     ----------
     path : path-like
         The image file.
     page : int or None
-        Which of the full pictures in a TIFF, from 0; with None a file with several of them is refused.
+        Which of the full pictures in a TIFF, or of the frames of raw video, from 0; with None a file with several of
+        them is refused.
+    size : (int, int) or None [px]
+        Width and height of raw video, if neither its name nor a camera file `.cfg` beside it has them.
+    pixel_format : str or None
+        Of raw video, such as `"yuv420p10"`; with None by its name, else 4:2:0 with the bits that its samples have.
 
     Returns
     -------
@@ -58,6 +71,8 @@ def read_flat(path: str | os.PathLike[str], page: int | None = None) -> NDArray[
     """
     source = Path(path)
     with file_errors(source):
+        if is_yuv(source) and source.is_file():
+            return checked_pixels(read_yuv(source, page, size, pixel_format))
         return checked_pixels(_decode(source, page))
 
 
@@ -77,8 +92,10 @@ def file_errors(source: Path) -> Iterator[None]:
         raise FlatError(f"{source}: damaged image file ({_one_line(error)})") from error
 
 
-def count_pages(path: str | os.PathLike[str]) -> int:
-    """Number of full pictures in an image file: 1, but for a TIFF of several pages.
+def count_pages(
+    path: str | os.PathLike[str], *, size: tuple[int, int] | None = None, pixel_format: str | None = None
+) -> int:
+    """Number of full pictures in an image file: 1, but for a TIFF of several pages and raw video.
 
     A list of pages that is cut off counts as one picture more, which cannot be read.
 
@@ -88,6 +105,8 @@ def count_pages(path: str | os.PathLike[str]) -> int:
         If the file cannot be read.
     """
     with file_errors(Path(path)):
+        if is_yuv(Path(path)):
+            return count_yuv_frames(Path(path), size, pixel_format)
         with open(path, "rb") as stream:
             if identify_format(stream.read(16)) != "TIFF":
                 return 1

@@ -17,7 +17,14 @@ from typing import Any
 import click
 
 from .errors import LightFieldError
-from .path_arguments import InputPath, several_inputs, single_input, suggest_similar_names
+from .path_arguments import (
+    InputPath,
+    page_option,
+    raw_video_options,
+    several_inputs,
+    single_input,
+    suggest_similar_names,
+)
 from .terminal import Terminal
 
 __all__ = [
@@ -26,6 +33,8 @@ __all__ = [
     "Report",
     "help_examples",
     "name_file_in_errors",
+    "page_option",
+    "raw_video_options",
     "report_options",
     "several_inputs",
     "single_input",

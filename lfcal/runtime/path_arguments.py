@@ -13,8 +13,9 @@ from typing import Any
 import click
 
 from .errors import LightFieldError
+from .video.raw_format import parse_size
 
-__all__ = ["InputPath", "several_inputs", "single_input", "suggest_similar_names"]
+__all__ = ["InputPath", "page_option", "raw_video_options", "several_inputs", "single_input", "suggest_similar_names"]
 
 # Where the context of a command keeps the inputs it was given.
 _INPUTS = "lfcal.inputs"
@@ -50,6 +51,32 @@ def single_input(name: str, hint: str = "") -> Callable[[Any], Any]:
         return paths[0]
 
     return click.argument(name.lower(), metavar=name, nargs=-1, required=True, callback=one, type=click.Path())
+
+
+class _Size(click.ParamType):
+    """Width and height, such as 2048x2048."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if isinstance(value, tuple):
+            return value
+        try:
+            return parse_size(value)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+def page_option(command: Any) -> Any:
+    """Give a command the option `--page`."""
+    text = "Which picture of a TIFF of several, or frame of raw video, from 0."
+    return click.option("--page", type=click.IntRange(0), metavar="N", help=text)(command)
+
+
+def raw_video_options(command: Any) -> Any:
+    """Give a command the options `--size` and `--pixel-format` of raw video."""
+    command = click.option("--pixel-format", metavar="FORMAT", help="Of raw video: yuv420p10, yuv444p, ...")(command)
+    return click.option("--size", type=_Size(), help="Of raw video (.yuv), if its name does not have it.")(command)
 
 
 def several_inputs(name: str, metavar: str) -> Callable[[Any], Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -11,6 +13,7 @@ import click
 from lfcal import CameraFileError
 from lfcal.runtime import console
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, Mosaic
+from lfcal.runtime.video.raw_format import RAW_SUFFIX
 
 from ..runtime.background_imports import import_in_background
 
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
 
     from ..data.depth_map import DepthMap
 
-__all__ = ["CaptureInput", "is_published", "read_camera"]
+__all__ = ["CaptureInput", "is_published", "raw_layout", "read_camera"]
 
 
 @dataclass(frozen=True)
@@ -36,9 +39,13 @@ class CaptureInput:
     depth_file: Path | None = None
     mosaic: Mosaic | None = None
     preset: str = "balanced"
+    page: int | None = None  # of a TIFF of several pictures, or of raw video
+    # Of raw video; with a camera file that has it, the size is that of the camera.
+    size: tuple[int, int] | None = None
+    pixel_format: str | None = None
 
     #: Fields that are options of commands.
-    OPTIONS: ClassVar = ("flat", "camera", "white", "depth_file", "mosaic", "preset")
+    OPTIONS: ClassVar = ("flat", "camera", "white", "depth_file", "mosaic", "preset", "page", "size", "pixel_format")
 
     @property
     def files(self) -> list[Path | None]:
@@ -57,7 +64,7 @@ class CaptureInput:
         with self.report.stage("read"):
             from lfcal import read_flat
 
-            return read_flat(self.flat)
+            return read_flat(self.flat, self.page, **raw_layout([self.flat], self.size, self.pixel_format, self.camera))
 
     def calibrate(self, pixels: NDArray[Any]) -> tuple[NDArray[Any], Calibration]:
         """The flat in colour, and its camera."""
@@ -116,6 +123,18 @@ class CaptureInput:
         if path.suffix.lower() != ".npz" and path.exists():
             raise DepthFileError(f"{path}: is no depth map (.npz); make one with 'lfrender analyze'")
         return DepthMap.load(path)
+
+
+def raw_layout(
+    inputs: Iterable[Path], size: tuple[int, int] | None, pixel_format: str | None, camera: Path | None
+) -> dict[str, Any]:
+    """How raw video among the `inputs` is read, as options of `lfcal.read_flat`."""
+    if size is None and camera is not None and any(path.suffix.lower() == RAW_SUFFIX for path in inputs):
+        from lfcal import load
+
+        with suppress(CameraFileError):
+            size = load(camera).image_size
+    return {"size": size, "pixel_format": pixel_format}
 
 
 def is_published(path: Path) -> bool:

@@ -73,6 +73,7 @@ def capture_command(
         own = run.__dict__.pop("__click_params__", [])
         # Click shows the option of the outermost decorator first.
         decorated: Any = console.report_options(run)
+        decorated = console.page_option(console.raw_video_options(decorated))
         decorated = preset_option(decorated) if preset else decorated
         decorated.__click_params__.extend(own)
         shared = [

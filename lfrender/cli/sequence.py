@@ -10,7 +10,7 @@ import click
 
 from lfcal.runtime import console
 
-from .inputs import read_camera
+from .inputs import raw_layout, read_camera
 from .options import (
     CAMERA,
     INPUT,
@@ -41,6 +41,7 @@ __all__ = ["batch"]
     )
 )
 @console.several_inputs("inputs", "INPUT...")
+@console.raw_video_options
 @output_option("FOLDER|FILM", "Folder for the pictures, or a film: .mp4, or .mkv without any loss.")
 @click.option("-c", "--camera", type=INPUT, help=f"{CAMERA} Without it, the first frame is calibrated.")
 @white_option
@@ -58,6 +59,8 @@ __all__ = ["batch"]
 def batch(
     inputs: tuple[Path, ...],
     output: Path,
+    size: tuple[int, int] | None,
+    pixel_format: str | None,
     camera: Path | None,
     white: Path | None,
     scale: float | None,
@@ -93,7 +96,7 @@ def batch(
         if fps is not None:
             raise click.UsageError("--fps is for films: give -o FILM.mp4 or FILM.mkv")
         options |= {"folder": output, "suffix": f".{(suffix or 'tif').lstrip('.')}"}
-    frames = open_frames(inputs)
+    frames = open_frames(inputs, **raw_layout(inputs, size, pixel_format, camera))
     calibration = None
     if camera or white:
         with report.stage("calibrate"):

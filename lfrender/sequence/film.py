@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatError, OutputError, read_flat
 from lfcal.runtime.eight_bit import to_eight_bits
+from lfcal.runtime.video.frame_pixels import convert_frame
 
 from ..output.formats import FORMATS, PictureError, check_format
 from ..output.resume import Checkpoint, file_identity, fingerprint
 from ..output.tiled_picture import move_into_place
 from .batch import render_frames
-from .frames import Frames, convert_pixels
+from .frames import Frames
 from .job import FrameResult, load_camera
 
 if TYPE_CHECKING:
@@ -257,7 +258,7 @@ class FilmFile:
             odd = [(0, n % 2) for n in pixels.shape[:2]]
             pixels = np.pad(pixels, [*odd, (0, 0)][: pixels.ndim], mode="edge")
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=self._layout[0])
-            frame = convert_pixels(frame, "yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+            frame = convert_frame(frame, "yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
         else:
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=self._layout[0])
             frame = frame.reformat(format=self._layout[1])

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from lfcal import FlatError, count_pages, read_flat
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, TIFF_SUFFIXES
+from lfcal.runtime.video.frame_pixels import import_av, rgb_pixels
+from lfcal.runtime.video.raw_format import RAW_SUFFIX
 
-__all__ = ["Frame", "Frames", "convert_pixels", "is_video", "open_frames"]
+__all__ = ["Frame", "Frames", "is_video", "open_frames"]
 
 # Suffixes of videos, and FFmpeg's name of the format of raw streams, which have no header that names it.
 _VIDEOS = {
@@ -37,10 +39,17 @@ class Frame:
 
 @dataclass(frozen=True)
 class _Part:
-    """A file and the names of its frames, None if their number is known only after decoding."""
+    """A file and the names of its frames, None if their number is known only after decoding; how raw video is read."""
 
     path: Path
     names: tuple[str, ...] | None
+    layout: tuple[tuple[str, Any], ...] = ()  # `size` and `pixel_format` of `read_flat`
+
+    def frame(self, page: int, name: str) -> Frame:
+        """Frame number `page` of a file of images or raw video."""
+        number = page if len(self.names or ()) > 1 else None
+        read = partial(read_flat, self.path, number, **dict(self.layout))
+        return Frame(name, read, None if self.path.suffix.lower() == RAW_SUFFIX else self.path)
 
 
 @dataclass(frozen=True)
@@ -71,17 +80,25 @@ class Frames:
                 yield from _video_frames(part.path)
                 continue
             for page, name in enumerate(part.names):
-                yield Frame(name, partial(read_flat, part.path, page if len(part.names) > 1 else None), part.path)
+                yield part.frame(page, name)
 
 
-def open_frames(inputs: Iterable[str | os.PathLike[str]]) -> Frames:
+def open_frames(
+    inputs: Iterable[str | os.PathLike[str]],
+    *,
+    size: tuple[int, int] | None = None,
+    pixel_format: str | None = None,
+) -> Frames:
     """Find the frames in files and folders without decoding them.
 
     Parameters
     ----------
     inputs : path-likes
-        Image files, TIFF files of several pages, videos (these need the package `av`: `pip install 'lfrender[video]'`),
-        and folders, whose image files are taken in the order of the numbers in their names.
+        Image files, TIFF files of several pages, videos, raw or not (these need the package `av`:
+        `pip install 'lfrender[video]'`), and folders, whose image files are taken in the order of the numbers in their
+        names.
+    size, pixel_format
+        Of raw video (`.yuv`), as for `lfcal.read_flat`.
 
     Raises
     ------
@@ -97,7 +114,8 @@ def open_frames(inputs: Iterable[str | os.PathLike[str]]) -> Frames:
     ...     [frame.name for frame in lfrender.open_frames([folder])]
     ['f9', 'f10']
     """
-    parts = [part for path in inputs for part in _parts(Path(path).absolute())]
+    layout = {"size": size, "pixel_format": pixel_format}
+    parts = [part for path in inputs for part in _parts(Path(path).absolute(), layout)]
     if not parts:
         raise FlatError("no frames: give image files, a folder of them, a TIFF of several pages or a video")
     names = [name for part in parts for name in (part.names or (part.path.stem,))]
@@ -112,19 +130,24 @@ def is_video(path: Path) -> bool:
     return path.suffix.lower() in _VIDEOS and not path.is_dir()
 
 
-def _parts(path: Path) -> list[_Part]:
+def _parts(path: Path, layout: dict[str, Any]) -> list[_Part]:
     if path.is_dir():
         files = [
-            file for file in path.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith(".")
+            file
+            for file in path.iterdir()
+            if file.suffix.lower() in {*IMAGE_SUFFIXES, RAW_SUFFIX} and not file.name.startswith(".")
         ]
         if not files:
             raise FlatError(f"{path}: no image files are in this folder")
-        return [part for file in sorted(files, key=_numeric_order) for part in _parts(file)]
+        return [part for file in sorted(files, key=_numeric_order) for part in _parts(file, layout)]
     if not path.exists():
         raise FlatError(f"{path}: no such file or folder")
     if path.suffix.lower() in _VIDEOS:
-        _import_av(path)
+        import_av(path)
         return [_Part(path, None)]
+    if path.suffix.lower() == RAW_SUFFIX:
+        import_av(path)
+        return [_Part(path, _numbered(path.stem, count_pages(path, **layout)), tuple(layout.items()))]
     if path.suffix.lower() not in TIFF_SUFFIXES:
         return [_Part(path, (path.stem,))]
     try:
@@ -144,14 +167,6 @@ def _numbered(stem: str, pages: int) -> tuple[str, ...]:
     return (stem,) if pages == 1 else tuple(f"{stem}_{page:05d}" for page in range(pages))
 
 
-def _import_av(path: Path) -> Any:
-    try:
-        import av
-    except ImportError as error:
-        raise FlatError(f"{path}: videos need the package 'av'; pip install 'lfrender[video]'") from error
-    return av
-
-
 def _video_length(path: Path) -> int | None:
     """Number of frames by the header of a video."""
     return _read_header(path, lambda stream: int(stream.frames) or None)
@@ -163,7 +178,7 @@ def _video_rate(path: Path) -> Fraction | None:
 
 
 def _read_header(path: Path, value: Callable[[Any], Any]) -> Any:
-    av = _import_av(path)
+    av = import_av(path)
     try:
         with _open_video(path) as container:
             return value(container.streams.video[0])
@@ -173,7 +188,7 @@ def _read_header(path: Path, value: Callable[[Any], Any]) -> Any:
 
 def _open_video(path: Path) -> Any:
     """Open a video, which must have pictures, for a `with` statement."""
-    container = _import_av(path).open(str(path), format=_VIDEOS[path.suffix.lower()])
+    container = import_av(path).open(str(path), format=_VIDEOS[path.suffix.lower()])
     if not container.streams.video:
         container.close()
         raise FlatError(f"{path}: there is no video in it")
@@ -251,31 +266,11 @@ def _read_picture(path: Path, number: int, picture: Any) -> Callable[[], NDArray
     # Decoders fill in what is missing; such a flat must not be rendered.
     if picture.is_corrupt:
         return partial(_raise, f"{path}: frame {number} is damaged")
-    # Pixels of more than 8 bits a colour are read with 16.
-    deep = re.search(r"1[0-6](le|be)?$", picture.format.name)
     try:
-        pixels = _deep_pixels(picture) if deep else convert_pixels(picture, "rgb24").to_ndarray()
+        pixels = rgb_pixels(picture)
     except Exception as error:
         return partial(_raise, f"{path}: frame {number}: {_one_line(error)}")
-    return partial(np.ascontiguousarray, pixels)
-
-
-def _deep_pixels(picture: Any) -> NDArray[np.uint16]:
-    """(h, w, 3) pixels of a frame of PyAV, without the copies that `to_ndarray` makes."""
-    plane = picture.reformat(format="rgb48le").planes[0]
-    rows = np.frombuffer(plane, "<u2").reshape(plane.height, plane.line_size // 2)
-    return rows[:, : 3 * plane.width].reshape(plane.height, plane.width, 3).astype(np.uint16, copy=False)
-
-
-def convert_pixels(picture: Any, name: str, **options: Any) -> Any:
-    """A frame of PyAV in another pixel format, rounded to the nearest value.
-
-    FFmpeg's defaults, which cut off and read colours at every second pixel, make 8-bit videos 1.3 grey levels too dark.
-    """
-    from av.video.reformatter import Interpolation as Flags
-
-    flags = (Flags.BICUBIC, Flags.ACCURATE_RND, Flags.FULL_CHR_H_INT, Flags.FULL_CHR_H_INP)
-    return picture.reformat(format=name, interpolation=sum(map(int, flags)), **options)
+    return partial(np.asarray, pixels)
 
 
 def _one_line(error: BaseException) -> str:

@@ -1,0 +1,1 @@
+"""Pixels of video: frames of PyAV as arrays, and the layout of raw planar files, which have no header."""
