@@ -59,6 +59,6 @@ def frame_of_planes(data: bytes | memoryview, width: int, height: int, name: str
         pixels = np.frombuffer(data, np.uint8, size, start).reshape(plane.height, row)
         padded = np.zeros((plane.height, plane.line_size), np.uint8)
         padded[:, :row] = pixels
-        plane.update(padded)
+        plane.update(padded.tobytes())
         start += size
     return frame
