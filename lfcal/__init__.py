@@ -3,6 +3,7 @@
 from .calibrate import calibrate
 from .camera.calibration import Calibration
 from .camera.lens_types import LensTypes
+from .camera.optics import Optics
 from .camera_files.read_write import load
 from .display.compare import compare
 from .display.fit_check import check_fit
@@ -23,6 +24,7 @@ __all__ = [
     "Lattice",
     "LensTypes",
     "LightFieldError",
+    "Optics",
     "OutputError",
     "calibrate",
     "check_fit",

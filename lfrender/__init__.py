@@ -6,8 +6,9 @@ These are the public names; others are reached by the sub-packages that `docs/ar
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from lfcal import Optics
+
     from .data.depth_map import DepthMap
-    from .data.optics import Optics
     from .data.rendering import Rendering
     from .depth.analyze import analyze
     from .large.analyze import analyze_large
@@ -39,7 +40,7 @@ __all__ = [
 
 _HOMES = {
     "DepthMap": "data.depth_map",
-    "Optics": "data.optics",
+    "Optics": "lfcal",
     "Rendering": "data.rendering",
     "analyze": "depth.analyze",
     "analyze_large": "large.analyze",
@@ -62,7 +63,9 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    value = getattr(import_module(f".{_HOMES[name]}", __name__), name)
+    home = _HOMES[name]
+
+    value = getattr(import_module(home if home == "lfcal" else f".{home}", __name__), name)
     globals()[name] = value
     return value
 

@@ -21,6 +21,7 @@ from ..runtime.errors import CalibrationError, CameraFileError, FlatError
 from ..runtime.image_formats import MOSAICS
 from ..runtime.output_file import atomic_write
 from .lens_types import LensTypes
+from .optics import Optics
 
 __all__ = ["Calibration"]
 
@@ -68,6 +69,8 @@ class Calibration:
     white_level : float or None
         Largest value of its flats where that is less than their type holds, as 4095 for 12 bits in files of 16; None
         where it is not, for floats, or unknown.
+    optics : Optics or None
+        Main lens, distances and their covariance, which turn patch sizes into metres; None where not calibrated.
 
     Examples
     --------
@@ -93,6 +96,7 @@ class Calibration:
     errors: LatticeErrors | None = None
     residuals: Residuals | None = None
     white_level: float | None = None
+    optics: Optics | None = None
 
     def __post_init__(self) -> None:
         if self.mosaic not in (None, *MOSAICS):
@@ -135,6 +139,7 @@ class Calibration:
             "errors": self.errors and self.errors.to_dict(),
             "residuals": self.residuals and self.residuals.to_dict(),
             "white_level": self.white_level,
+            "optics": self.optics and self.optics.to_dict(),
         }
 
     @classmethod
@@ -175,6 +180,7 @@ class Calibration:
                 errors=data.get("errors") and LatticeErrors.from_dict(data["errors"]),
                 residuals=data.get("residuals") and Residuals.from_dict(data["residuals"]),
                 white_level=None if data.get("white_level") is None else float(data["white_level"]),
+                optics=data.get("optics") and Optics.from_dict(data["optics"]),
             )
         except KeyError as error:
             raise CameraFileError(f"field {error} is missing; calibrate again") from error

@@ -17,10 +17,9 @@ from .options import INPUT, OUTPUT, at_most_one, capture_command, cluster_option
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from lfcal import Calibration
+    from lfcal import Calibration, Optics
 
     from ..data.depth_map import DepthMap
-    from ..data.optics import Optics
 
 __all__ = ["analyze"]
 
@@ -41,7 +40,8 @@ __all__ = ["analyze"]
     "optics_file",
     type=INPUT,
     metavar="OPTICS.json",
-    help="Focal length and distances [mm] of the camera: distances in metres, the point cloud too.",
+    help="Focal length and distances [mm] of the camera: distances in metres, the point cloud too. By default those "
+    "of the camera file, if 'lfcal metric' has measured them.",
 )
 @click.option("--roi", type=float, nargs=4, metavar="X0 Y0 X1 Y1", help="Only lenses with their centre in here [px].")
 @click.option("--exhaustive", is_flag=True, help="Take no shortcuts: match every lens at every shift.")
@@ -69,7 +69,7 @@ def analyze(
     at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--ply", ply)
     optics = None
     if optics_file is not None:
-        from ..data.optics import Optics
+        from lfcal import Optics
 
         optics = Optics.load(optics_file)
     pixels = None
@@ -82,6 +82,7 @@ def analyze(
         pixels, calibration = capture.calibrate(capture.read("lfrender.depth.analyze"))
         with option_errors(roi):
             depth = capture.analyze(pixels, calibration, skip=not exhaustive, roi=roi)
+    optics = optics or calibration.optics
     with report.stage("write"):
         depth.save(output)
         _write_depth(depth, pixels, calibration, dense, picture, ply, optics)

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import LightFieldError
+from lfcal import Calibration, CalibrationError, LightFieldError, Optics
 from lfcal.runtime.frozen import Frozen
 from lfcal.runtime.output_file import atomic_write
 
 from ..runtime.quantiles import quantile
 from .frame_state import FrameState
-from .optics import Optics
 from .settings import DEFAULT, DataSettings
 from .surface import Surface
 
@@ -132,9 +131,24 @@ class DepthMap(Frozen):
         """(n,) bool: unresolved lenses, whose `filled_patch_size` is interpolated from neighbours."""
         return np.isnan(self.patch_size)
 
-    def distance(self, optics: Optics) -> NDArray[np.float64]:
-        """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where unresolved."""
-        return optics.distance(self.patch_size.astype(np.float64) / self.pitch)
+    def distance(self, camera: Optics | Calibration) -> NDArray[np.float64]:
+        """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where unresolved.
+
+        A Calibration with `optics`, as made by `calibrate_metric`, also takes account of the tilt of its array and of
+        the curvature of its field, which Optics alone cannot. CalibrationError if it has no optics.
+        """
+        optics, points = _optics_and_centres(camera, len(self))
+        return optics.distance(self.patch_size.astype(np.float64) / self.pitch, points)
+
+    def distance_error(self, camera: Optics | Calibration) -> NDArray[np.float64]:
+        """(n,) float64 [m]: standard errors of `distance`, made of those of `patch_size` and of the calibration.
+
+        Errors of the calibration are shared by all lenses: they do not average out. inf where unknown, NaN where
+        unresolved.
+        """
+        optics, points = _optics_and_centres(camera, len(self))
+        error = self.standard_error.astype(np.float64) / self.pitch
+        return optics.distance_error(self.patch_size.astype(np.float64) / self.pitch, error, points)
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the magnification over the scene, unresolved places filled, on a logarithmic colour scale.
@@ -224,6 +238,16 @@ class DepthMap(Frozen):
         # Damaged bytes can raise nearly any error in the readers of ZIP files and array headers.
         except Exception as error:
             raise DepthFileError(f"{path}: not a whole depth file ({_one_line(error)}); {remedy}") from error
+
+
+def _optics_and_centres(camera: Optics | Calibration, lenses: int) -> tuple[Optics, NDArray[np.float64] | None]:
+    if isinstance(camera, Optics):
+        return camera, None
+    if camera.optics is None:
+        raise CalibrationError("the camera file holds no optics; measure them with 'lfcal metric FLAT...'")
+    if len(camera.lattice) != lenses:
+        raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
+    return camera.optics, camera.lattice.centres()
 
 
 def default_scale(depth: DepthMap, settings: DataSettings = DEFAULT) -> float:

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, CalibrationError
+from lfcal import Calibration, CalibrationError, Optics
 from lfcal.runtime.output_file import atomic_write, check_output
 
 from ..data.dense_depth import dense_depth
 from ..data.depth_map import DepthMap
-from ..data.optics import Optics
 from ..flat.gray_flat import white_level
 from ..flat.lens_graph import nearest_lens
 from ..rendering.render import render
@@ -43,7 +42,8 @@ def point_cloud(
     depth : DepthMap
         Of this flat.
     optics : Optics, optional
-        Gives positions in metres instead, the axis of the main lens in the middle of the flat.
+        Gives positions in metres instead; where its principal point is not known the axis of the main lens is taken
+        to meet the middle of the flat. By default those of the calibration, if it has any.
     points_per_pitch : float
         Density of the points; 7 is as fine as the depth is resolved.
     farthest : float
@@ -65,6 +65,7 @@ def point_cloud(
     lattice = calibration.lattice
     if depth.image_size != lattice.image_size or len(depth) != len(lattice):
         raise CalibrationError("the depth map was made with another camera or flat size; analyze this flat")
+    optics = optics or calibration.optics
     scale = min(points_per_pitch, depth.pitch)
     picture = render(flat, calibration, depth, scale=scale)
     dense = dense_depth(depth, scale)

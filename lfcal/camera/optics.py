@@ -1,0 +1,319 @@
+"""From patch sizes to metres: main lens, microlens array and sensor, with their covariance."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..runtime.errors import CameraFileError
+from ..runtime.output_file import atomic_write
+
+__all__ = ["OPTICS_PARAMETERS", "Optics", "object_slopes", "turn_to_array"]
+
+Array = NDArray[np.float64]
+
+#: Order of the rows of `Optics.covariance`.
+OPTICS_PARAMETERS = (
+    "focal_length",
+    "mla_distance",
+    "sensor_distance",
+    "principal_x",
+    "principal_y",
+    "k1",
+    "k2",
+    "k3",
+    "p1",
+    "p2",
+    "tilt_x",
+    "tilt_y",
+    "curvature",
+    "pupil",
+)
+_LENGTHS = ("focal_length", "mla_distance", "sensor_distance", "pixel")
+_VECTORS = {"principal_point": 2, "radial": 3, "tangential": 2, "tilt": 2}
+# Step of the differences that errors are propagated with, in standard errors of a parameter.
+_STEP = 0.1
+
+
+def object_slopes(image: Array, coefficients: Sequence[float] | Array) -> Array:
+    """Slopes (n, 2) in front of the main lens of slopes (n, 2) behind it; `coefficients` k1, k2, k3, p1, p2."""
+    k1, k2, k3, p1, p2 = coefficients
+    x, y = image.T
+    square = x * x + y * y
+    gain = 1 + square * (k1 + square * (k2 + square * k3))
+    return np.column_stack(
+        [
+            x * gain + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+            y * gain + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
+        ]
+    )
+
+
+def turn_to_array(tilt: Sequence[float] | Array) -> Array:
+    """Rotation (3, 3) from the frame of the main lens to that of an array tilted about x, then about y [rad]."""
+    (cx, sx), (cy, sy) = ((np.cos(a), np.sin(a)) for a in tilt)
+    return np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Distances and errors of the lenses of a focused plenoptic camera.
+
+    Parameters
+    ----------
+    focal_length : float [mm]
+        `F`, of the main lens.
+    mla_distance : float [mm]
+        `L`, from the main lens to the microlenses.
+    sensor_distance : float [mm]
+        `b`, from the microlenses to the sensor.
+    pixel : float [mm]
+        Side of a pixel.
+    principal_point : (float, float) [px] or None
+        Where the axis of the main lens meets the flat; None where it is not known.
+    radial : (float, float, float)
+        `k1, k2, k3`: slope `t` behind the main lens is `t (1 + k1 |t|^2 + ...)` in front of it. That is the inverse
+        of OpenCV's direction.
+    tangential : (float, float)
+        `p1, p2`, in the same direction.
+    tilt : (float, float) [rad]
+        Of microlens array and sensor together, about the x and the y axis of the flat.
+    curvature : float
+        Of the image field: the power of the main lens is `(1 + curvature |t|^2) / F`.
+    pupil : float [mm]
+        How far the principal plane of the main lens lies behind its entrance pupil, seen from the scene.
+    microlens_focal_lengths : tuple of floats [mm]
+        One for each lens type, where known.
+    covariance : (14, 14) float64 or None
+        Of `OPTICS_PARAMETERS`, 0 of those that were not fitted; None where not measured.
+
+    Examples
+    --------
+    >>> optics = Optics(focal_length=50, mla_distance=58, sensor_distance=0.7, pixel=0.005)
+    >>> optics.distance([-0.3]).round(3)
+    array([0.29])
+    """
+
+    focal_length: float
+    mla_distance: float
+    sensor_distance: float
+    pixel: float
+    principal_point: tuple[float, float] | None = None
+    radial: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tangential: tuple[float, float] = (0.0, 0.0)
+    tilt: tuple[float, float] = (0.0, 0.0)
+    curvature: float = 0.0
+    pupil: float = 0.0
+    microlens_focal_lengths: tuple[float, ...] = ()
+    covariance: Array | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in _LENGTHS:
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < np.inf:
+                raise ValueError(f"{name} must be a positive number of mm, got {value!r}")
+            object.__setattr__(self, name, float(value))
+        for name, length in _VECTORS.items():
+            value = getattr(self, name)
+            if value is None and name == "principal_point":
+                continue
+            object.__setattr__(self, name, _numbers(name, value, length))
+        curvature, pupil = _numbers("curvature and pupil", (self.curvature, self.pupil), 2)
+        object.__setattr__(self, "curvature", curvature)
+        object.__setattr__(self, "pupil", pupil)
+        focal = self.microlens_focal_lengths
+        object.__setattr__(self, "microlens_focal_lengths", _numbers("microlens_focal_lengths", focal, len(focal)))
+        if self.covariance is not None:
+            covariance = np.array(self.covariance, dtype=np.float64)
+            if covariance.shape != (len(OPTICS_PARAMETERS),) * 2 or not np.isfinite(covariance).all():
+                raise ValueError(f"covariance must be 14 x 14 finite numbers, got shape {covariance.shape}")
+            covariance.flags.writeable = False
+            object.__setattr__(self, "covariance", covariance)
+
+    @property
+    def parameters(self) -> Array:
+        """(14,) values of `OPTICS_PARAMETERS`; the principal point is NaN where it is not known."""
+        principal = self.principal_point or (np.nan, np.nan)
+        lengths = (self.focal_length, self.mla_distance, self.sensor_distance)
+        return np.array([*lengths, *principal, *self.radial, *self.tangential, *self.tilt, self.curvature, self.pupil])
+
+    @property
+    def standard_errors(self) -> Array:
+        """(14,) of `OPTICS_PARAMETERS`; NaN where not measured, 0 of those that were not fitted."""
+        if self.covariance is None:
+            return np.full(len(OPTICS_PARAMETERS), np.nan)
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0))
+
+    def with_parameters(self, values: ArrayLike) -> Optics:
+        """The same optics with other values (14,) of `OPTICS_PARAMETERS`."""
+        v = [float(value) for value in np.asarray(values, dtype=np.float64)]
+        principal = None if np.isnan(v[3]) else (v[3], v[4])
+        return replace(
+            self,
+            focal_length=v[0],
+            mla_distance=v[1],
+            sensor_distance=v[2],
+            principal_point=principal,
+            radial=(v[5], v[6], v[7]),
+            tangential=(v[8], v[9]),
+            tilt=(v[10], v[11]),
+            curvature=v[12],
+            pupil=v[13],
+        )
+
+    def distance(self, ratio: ArrayLike, points: ArrayLike | None = None) -> Array:
+        """Distance [m] in front of the main lens of places with signed patch size over pitch `s / D`.
+
+        docs/geometry.md: `s / D = (b / a - b / L) / (1 + b / L)`, where the image lies `a` in front of the microlenses
+        and thus `L - a` behind the main lens. NaN where `ratio` is, or where no object can be imaged there; inf at
+        infinity.
+
+        Parameters
+        ----------
+        ratio : array_like (...)
+        points : array_like (..., 2) [px], optional
+            Scene coordinates of the places, for the tilt of the array and the curvature of the field; by default all
+            lie on the axis.
+        """
+        ratio = np.asarray(ratio, dtype=np.float64)
+        if points is None or self.principal_point is None:
+            where = np.zeros((ratio.size, 2))
+        else:
+            where = np.asarray(points, dtype=np.float64).reshape(-1, 2) - self.principal_point
+        found = self._behind(where, ratio.ravel())[0].reshape(ratio.shape)
+        return found  # type: ignore[no-any-return]
+
+    def positions(self, points: Array, ratio: ArrayLike, middle: ArrayLike | None = None) -> Array:
+        """(n, 3) places [m] seen at scene coordinates (n, 2) [px]: x right, y down, z in front of the main lens.
+
+        `middle` (2,) [px] is where the axis of the main lens meets the flat where `principal_point` is not known.
+        """
+        centre = self.principal_point if self.principal_point is not None else middle
+        if centre is None:
+            raise ValueError("middle must be given: the principal point of these optics is not known")
+        where = np.asarray(points, dtype=np.float64) - np.asarray(centre, dtype=np.float64)
+        distance, slopes = self._behind(where, np.asarray(ratio, dtype=np.float64))
+        slopes = object_slopes(slopes, (*self.radial, *self.tangential))
+        return np.column_stack([slopes * distance[:, None], distance])
+
+    def distance_error(self, ratio: ArrayLike, ratio_error: ArrayLike, points: ArrayLike | None = None) -> Array:
+        """Standard errors [m] of `distance`, made of those of `ratio` and of the calibration.
+
+        The part of the calibration is left out where its covariance is not known. inf where an error is; NaN where the
+        distance is.
+        """
+        ratio, error = np.asarray(ratio, dtype=np.float64), np.asarray(ratio_error, dtype=np.float64)
+        step = np.where(np.isfinite(error) & (error > 0), np.minimum(_STEP * error, 1e-3), 1e-6)
+        with np.errstate(invalid="ignore"):
+            by_ratio = (self.distance(ratio + step, points) - self.distance(ratio - step, points)) / (2 * step)
+            variance = (by_ratio * error) ** 2
+        if self.covariance is not None:
+            # Along the principal axes of the covariance, so that F, L and b move together as they are known.
+            values, axes = np.linalg.eigh(_unit(self.covariance))
+            scale = np.sqrt(np.maximum(np.diag(self.covariance), 0))
+            for value, axis in zip(values, axes.T, strict=True):
+                if value > values[-1] * 1e-15:
+                    move = _STEP * np.sqrt(value) * axis * scale
+                    ends = [
+                        self.with_parameters(self.parameters + sign * move).distance(ratio, points) for sign in (1, -1)
+                    ]
+                    with np.errstate(invalid="ignore"):
+                        variance = variance + ((ends[0] - ends[1]) / (2 * _STEP)) ** 2
+        return np.sqrt(variance)  # type: ignore[no-any-return]
+
+    def _behind(self, where: Array, ratio: Array) -> tuple[Array, Array]:
+        """Distance (n,) [m] and slope (n, 2) behind the main lens of what is seen at `where` (n, 2) [px from axis]."""
+        turn = turn_to_array(self.tilt)
+        axis = turn[:, 2]
+        far = self.mla_distance * axis[2]
+        spread = 1 + self.sensor_distance / far
+        with np.errstate(divide="ignore", invalid="ignore"):
+            near = 1 / (ratio * spread / self.sensor_distance + 1 / far)
+            lens = where * (self.pixel / spread)
+            across = lens * (1 - near / far)[:, None] - near[:, None] * (axis[:2] / axis[2])
+            image = np.column_stack([across, -near]) @ turn
+            behind = image[:, 2] + self.mla_distance
+            slopes = image[:, :2] / behind[:, None]
+            bent = 1 + self.curvature * (slopes**2).sum(1)
+            vergence = bent / self.focal_length - 1 / behind
+            found = 1e-3 * (1 / vergence - self.pupil)  # mm to m
+        return np.where((behind > 0) & (vergence >= 0), found, np.nan), slopes
+
+    def to_dict(self) -> dict[str, Any]:
+        """The optics as plain numbers, as written by `save`."""
+        data: dict[str, Any] = {f"{name}_mm": getattr(self, name) for name in _LENGTHS}
+        data["principal_point"] = None if self.principal_point is None else list(self.principal_point)
+        for name in ("radial", "tangential", "tilt"):
+            data[name] = list(getattr(self, name))
+        return data | {
+            "curvature": self.curvature,
+            "pupil_mm": self.pupil,
+            "microlens_focal_lengths_mm": list(self.microlens_focal_lengths),
+            "covariance": None if self.covariance is None else self.covariance.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Optics:
+        """Rebuild from `to_dict`; the four distances are enough. KeyError or ValueError if a number is not right."""
+        if not isinstance(data, dict):
+            raise ValueError(f"optics must be an object with {', '.join(f'{name}_mm' for name in _LENGTHS)}")
+        known: dict[str, Any] = {
+            f.name: data[f.name] for f in fields(cls) if data.get(f.name) is not None and f.name not in _LENGTHS
+        }
+        known["pupil"] = data.get("pupil_mm", 0.0)
+        known["microlens_focal_lengths"] = tuple(data.get("microlens_focal_lengths_mm") or ())
+        return cls(
+            *(data[f"{name}_mm"] for name in _LENGTHS),
+            **known,
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write as JSON, as `load` reads it."""
+        with atomic_write(path) as temporary:
+            temporary.write_text(json.dumps(self.to_dict(), indent=1) + "\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Optics:
+        """Read a JSON file with `focal_length_mm`, `mla_distance_mm`, `sensor_distance_mm` and `pixel_mm`.
+
+        Camera files with optics, made by `lfcal metric`, can be read too.
+
+        Raises
+        ------
+        CameraFileError
+            If the file cannot be read, or a number is missing or wrong.
+        """
+        remedy = f"give a JSON object with {', '.join(f'{name}_mm' for name in _LENGTHS)}"
+        try:
+            data = json.loads(Path(path).read_text(encoding="utf-8"))
+            return cls.from_dict(data["optics"] if isinstance(data, dict) and data.get("optics") else data)
+        except OSError as error:
+            raise CameraFileError(f"{path}: cannot be read as optics ({error.strerror or error}); {remedy}") from error
+        except KeyError as error:
+            raise CameraFileError(f"{path}: {error} is missing; {remedy}") from error
+        except (ValueError, TypeError) as error:
+            raise CameraFileError(f"{path}: {error}; {remedy}") from error
+
+
+def _numbers(name: str, values: Any, length: int) -> tuple[float, ...]:
+    try:
+        found = tuple(float(v) for v in values)
+    except TypeError:
+        found = ()
+    if len(found) != length or not np.isfinite(found).all():
+        raise ValueError(f"{name} must be {length} finite numbers, got {values!r}")
+    return found
+
+
+def _unit(covariance: Array) -> Array:
+    """The correlation matrix, 0 for what has no variance."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0))
+    inverse = np.divide(1, scale, out=np.zeros_like(scale), where=scale > 0)
+    return covariance * np.outer(inverse, inverse)  # type: ignore[no-any-return]

@@ -1,0 +1,1 @@
+"""Metric calibration: optics of the camera, with covariance, from flats of a board."""
