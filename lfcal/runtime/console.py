@@ -19,6 +19,7 @@ import click
 from .errors import LightFieldError
 from .path_arguments import (
     InputPath,
+    SizeOption,
     page_option,
     raw_video_options,
     several_inputs,
@@ -31,6 +32,7 @@ __all__ = [
     "CommandGroup",
     "InputPath",
     "Report",
+    "SizeOption",
     "help_examples",
     "name_file_in_errors",
     "page_option",

@@ -15,7 +15,15 @@ import click
 from .errors import LightFieldError
 from .video.raw_format import parse_size
 
-__all__ = ["InputPath", "page_option", "raw_video_options", "several_inputs", "single_input", "suggest_similar_names"]
+__all__ = [
+    "InputPath",
+    "SizeOption",
+    "page_option",
+    "raw_video_options",
+    "several_inputs",
+    "single_input",
+    "suggest_similar_names",
+]
 
 # Where the context of a command keeps the inputs it was given.
 _INPUTS = "lfcal.inputs"
@@ -53,7 +61,7 @@ def single_input(name: str, hint: str = "") -> Callable[[Any], Any]:
     return click.argument(name.lower(), metavar=name, nargs=-1, required=True, callback=one, type=click.Path())
 
 
-class _Size(click.ParamType):
+class SizeOption(click.ParamType):
     """Width and height, such as 2048x2048."""
 
     name = "WxH"
@@ -76,7 +84,7 @@ def page_option(command: Any) -> Any:
 def raw_video_options(command: Any) -> Any:
     """Give a command the options `--size` and `--pixel-format` of raw video."""
     command = click.option("--pixel-format", metavar="FORMAT", help="Of raw video: yuv420p10, yuv444p, ...")(command)
-    return click.option("--size", type=_Size(), help="Of raw video (.yuv), if its name does not have it.")(command)
+    return click.option("--size", type=SizeOption(), help="Of raw video (.yuv), if its name does not have it.")(command)
 
 
 def several_inputs(name: str, metavar: str) -> Callable[[Any], Any]:

@@ -17,7 +17,7 @@ from lfcal.runtime.image_formats import MOSAICS
 from .inputs import CaptureInput
 
 __all__ = [
-    "CAMERA", "INPUT", "OUTPUT", "at_most_one", "capture_command", "cluster_options", "connect_cluster",
+    "CAMERA", "INPUT", "OUTPUT", "at_most_one", "capture_command", "cluster_options", "connect_cluster", "grid_size",
     "option_errors", "output_option", "preset_option", "scale_option", "white_option",
 ]  # fmt: skip
 
@@ -114,6 +114,14 @@ def at_most_one(*pairs: Any) -> None:
     given = [name for name, value in zip(pairs[::2], pairs[1::2], strict=True) if value is not None]
     if len(given) > 1:
         raise click.UsageError(f"{given[0]} and {given[1]} exclude each other")
+
+
+def grid_size(option: str, text: str) -> tuple[int, int]:
+    """Rows and columns of a grid such as `5x5`."""
+    rows, cross, columns = text.lower().partition("x")
+    if not (cross and rows.isdecimal() and columns.isdecimal() and int(rows) and int(columns)):
+        raise click.UsageError(f"{option} must be ROWSxCOLUMNS such as 5x5, got {text!r}")
+    return int(rows), int(columns)
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from .options import (
     at_most_one,
     cluster_options,
     connect_cluster,
+    grid_size,
     output_option,
     preset_option,
     scale_option,
@@ -38,6 +39,7 @@ __all__ = ["batch"]
         "lfrender batch film.mkv -c camera.json -o pictures --format png",
         "lfrender batch film.mkv -c camera.json -o sharp.mp4",
         "lfrender batch frames/*.png -o pictures --workers 4",
+        "lfrender batch film_2048x2048_420p10.yuv -c camera.cfg -o views --views 5x5 --format yuv --resize 1920x1080",
     )
 )
 @console.several_inputs("inputs", "INPUT...")
@@ -46,7 +48,16 @@ __all__ = ["batch"]
 @click.option("-c", "--camera", type=INPUT, help=f"{CAMERA} Without it, the first frame is calibrated.")
 @white_option
 @scale_option
-@click.option("--format", "suffix", help="Format of the pictures: tif, png, jpg, webp.  [default: tif]")
+@click.option("--format", "suffix", help="Format of the pictures: tif, png, ...; of views also yuv.  [default: tif]")
+@click.option(
+    "--views",
+    metavar="ROWSxCOLUMNS",
+    help="Views of a grid: with --format yuv a file for each, v000-WxH.yuv ..., else FRAME/image_001 ...",
+)
+@click.option(
+    "--aperture", type=click.FloatRange(0, 1, min_open=True), help="Of --views, as in 'lfrender views'.  [default: 0.7]"
+)
+@click.option("--resize", type=console.SizeOption(), help="Size of --views [px].")
 @click.option(
     "--fps",
     type=click.FloatRange(0, 1000, min_open=True),
@@ -65,6 +76,9 @@ def batch(
     white: Path | None,
     scale: float | None,
     suffix: str | None,
+    views: str | None,
+    aperture: float | None,
+    resize: tuple[int, int] | None,
     fps: float | None,
     overwrite: bool,
     workers: int | None,
@@ -85,7 +99,11 @@ def batch(
     at_most_one("--camera", camera, "--white", white)
     at_most_one("--workers", workers, "--scheduler", scheduler)
     options: dict[str, Any] = {"preset": preset, "scale": scale, "overwrite": overwrite}
+    if views is None and (aperture is not None or resize is not None):
+        raise click.UsageError("--aperture and --resize are for --views")
     if film := is_video(output):
+        if views is not None:
+            raise click.UsageError(f"{output} is a film; views go into a folder")
         if suffix is not None:
             raise click.UsageError(f"{output} is a film: leave out --format")
         from ..sequence.film import check_film
@@ -96,6 +114,12 @@ def batch(
         if fps is not None:
             raise click.UsageError("--fps is for films: give -o FILM.mp4 or FILM.mkv")
         options |= {"folder": output, "suffix": f".{(suffix or 'tif').lstrip('.')}"}
+        if views is not None:
+            from ..sequence.view_grid import ViewGrid
+
+            options["views"] = ViewGrid(*grid_size("--views", views), aperture or 0.7, resize)
+        elif (suffix or "").lstrip(".").startswith("yuv"):
+            raise click.UsageError("raw video is a film or views: give -o FILM.yuv, or --views")
     frames = open_frames(inputs, **raw_layout(inputs, size, pixel_format, camera))
     calibration = None
     if camera or white:

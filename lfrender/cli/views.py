@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from lfcal.runtime import console
+
 from ..output.metadata import read_metadata
 from ..output.picture import check_picture, write_picture
 from .figures import camera_figures, capture_figures, picture_figures
 from .inputs import CaptureInput
-from .options import at_most_one, capture_command, option_errors, scale_option
+from .options import at_most_one, capture_command, grid_size, option_errors, scale_option
 
 if TYPE_CHECKING:
     from ..data.rendering import Rendering
@@ -105,8 +107,9 @@ def refocus(
 )
 @scale_option
 @click.option(
-    "--format", "suffix", default="tif", show_default=True, help="Format of the grid's pictures: tif, png, ..."
+    "--format", "suffix", default="tif", show_default=True, help="Format of the grid's pictures: tif, png, yuv, ..."
 )
+@click.option("--resize", type=console.SizeOption(), help="Size of the views [px].")
 def views(
     capture: CaptureInput,
     output: Path,
@@ -116,15 +119,18 @@ def views(
     aperture: float,
     scale: float | None,
     suffix: str,
+    resize: tuple[int, int] | None,
 ) -> None:
     """Render FLAT sharp at every depth as seen from other places in the main lens: parallax."""
     at_most_one("--grid", grid, "--stereo", stereo or None, "--animation", animation)
     from .. import views as run
-    from ..output.views import stereo_pair, write_animation, write_grid
+    from ..output.views import resize_view, scale_for_size
     from ..rendering.viewpoints import circle_offsets, grid_offsets
 
     report = capture.report
-    rows, columns = _grid_size(grid or "5x5")
+    if resize is not None and scale is not None:
+        raise click.UsageError("--resize and --scale exclude each other")
+    rows, columns = grid_size("--grid", grid or "5x5")
     suffix = f".{suffix.lstrip('.').lower()}"
     _check_views(output, animation, stereo, suffix, inputs=capture.files)
     pixels = capture.read()
@@ -137,20 +143,41 @@ def views(
         if stereo:
             offsets = [(-radius, 0.0), (radius, 0.0)]
         with option_errors(0):
-            pictures = run(pixels, calibration, depth, offsets=offsets, scale=scale)
+            scale = scale if resize is None else scale_for_size(calibration, resize)
+            pictures: Iterator[Rendering] = run(pixels, calibration, depth, offsets=offsets, scale=scale)
+        if resize is not None:
+            pictures = (resize_view(picture, resize) for picture in pictures)
         options: dict[str, Any] = {
             "settings": {"rendering": "views", "aperture": aperture, "preset": depth.preset},
             "embedded": read_metadata(capture.flat),
         }
         with report.progress("views", len(offsets)) as advance:
-            counted = _advance_with(pictures, advance)
-            if animation:
-                write_animation(output, counted)
-            elif stereo:
-                write_picture(output, stereo_pair(*counted), **options)
-            else:
-                write_grid(output, counted, columns, suffix, **options)
+            _write(output, _advance_with(pictures, advance), bool(animation), stereo, columns, suffix, options)
     report.finish({"views": str(output), "offsets": offsets, **capture_figures(calibration, depth)})
+
+
+def _write(
+    output: Path,
+    pictures: Iterator[Rendering],
+    animation: bool,
+    stereo: bool,
+    columns: int,
+    suffix: str,
+    options: dict[str, Any],
+) -> None:
+    """Write the views as an animation, a stereo pair or a grid."""
+    from ..output.views import stereo_pair, write_animation, write_grid
+
+    if animation:
+        write_animation(output, pictures)
+    elif stereo:
+        write_picture(output, stereo_pair(*pictures), **options)
+    elif suffix.startswith(".yuv"):
+        from ..output.raw_video import write_view_videos
+
+        write_view_videos(output, pictures, suffix[1:])
+    else:
+        write_grid(output, pictures, columns, suffix, **options)
 
 
 def _advance_with(pictures: Iterable[Rendering], advance: Callable[[str], None]) -> Iterator[Rendering]:
@@ -169,12 +196,9 @@ def _check_views(
         check_animation(output, dtype, inputs)
     elif stereo:
         check_picture(output, dtype, inputs=inputs)
+    elif suffix.startswith(".yuv"):
+        from ..output.raw_video import check_raw_format
+
+        check_raw_format(output, suffix[1:])
     else:
         check_grid(output, suffix, dtype, inputs)
-
-
-def _grid_size(text: str) -> tuple[int, int]:
-    rows, cross, columns = text.lower().partition("x")
-    if not (cross and rows.isdecimal() and columns.isdecimal() and int(rows) and int(columns)):
-        raise click.UsageError(f"--grid must be ROWSxCOLUMNS such as 5x5, got {text!r}")
-    return int(rows), int(columns)

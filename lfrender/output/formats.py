@@ -201,5 +201,7 @@ FORMATS = {
     ".tif": _TIFF,
     ".tiff": _TIFF,
     ".webp": PictureFormat(("uint8",), _write_webp, animation="WEBP"),
+    # Raw planes, by default 4:2:0 of 10 bits, as coders of video take them.
+    ".yuv": PictureFormat(_WHOLE, film=("rawvideo", {}), package="av", extra="video"),
     ".zarr": PictureFormat((*_WHOLE, "float32"), tiles=True, package="zarr", extra="zarr"),
 }

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lfcal import OutputError
+from lfcal import Calibration, OutputError
 from lfcal.runtime.eight_bit import to_eight_bits
 from lfcal.runtime.output_file import atomic_write
 
@@ -19,7 +19,9 @@ from .formats import FORMATS, PictureError, check_format
 from .metadata import EmbeddedMetadata
 from .picture import check_picture, write_picture
 
-__all__ = ["check_animation", "check_grid", "stereo_pair", "write_animation", "write_grid"]
+__all__ = [
+    "check_animation", "check_grid", "resize_view", "scale_for_size", "stereo_pair", "write_animation", "write_grid",
+]  # fmt: skip
 
 _NO_METADATA = EmbeddedMetadata()
 
@@ -75,6 +77,28 @@ def write_grid(
         paths.append(Path(folder) / f"row{row + 1}_column{column + 1}{suffix}")
         write_picture(paths[-1], picture, settings=settings, embedded=embedded)
     return paths
+
+
+def scale_for_size(calibration: Calibration, size: tuple[int, int]) -> float:
+    """Output pixels per pitch at which a picture has at least this width and height [px]."""
+    shares = [wanted / have for wanted, have in zip(size, calibration.image_size, strict=True)]
+    return min(max(shares), 4.0) * calibration.lattice.pitch
+
+
+def resize_view(picture: Rendering, size: tuple[int, int]) -> Rendering:
+    """A view with exactly this width and height [px]; its affine lays it over the same scene coordinates."""
+    height, width = picture.image.shape[:2]
+    if (width, height) == size:
+        return picture
+    import cv2
+
+    across, down = width / size[0], height / size[1]
+    method = cv2.INTER_AREA if min(across, down) >= 1 else cv2.INTER_CUBIC
+    image = cv2.resize(picture.image, size, interpolation=method)
+    valid = cv2.resize(picture.valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool)
+    # Pixel u of the result lies at pixel (u + 1/2) across - 1/2 of the picture.
+    matrix = np.array([[across, 0.0, across / 2 - 0.5], [0.0, down, down / 2 - 0.5], [0.0, 0.0, 1.0]])
+    return replace(picture, image=image, valid=valid, affine=picture.affine @ matrix, scale=picture.scale / across)
 
 
 def stereo_pair(left: Rendering, right: Rendering) -> Rendering:

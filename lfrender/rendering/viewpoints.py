@@ -18,7 +18,7 @@ from ..flat.validation import check_flat
 from .plan import RenderPlan, finish_picture
 from .settings import DEFAULT
 
-__all__ = ["circle_offsets", "grid_offsets", "views"]
+__all__ = ["circle_offsets", "grid_offsets", "still_depth", "views"]
 
 
 def views(
@@ -80,6 +80,11 @@ def views(
     else:
         middle = lattice.pitch / still
     return _draw_views(flat, pixels, calibration, depth, [Viewpoint(place, middle) for place in places], scale)
+
+
+def still_depth(depth: DepthMap) -> float:
+    """Signed patch size [px] of the median of `D / s`: of places that keep their place in all views."""
+    return depth.pitch / float(np.median(virtual_depth(depth.surface.patch_size, depth.pitch)))
 
 
 def _draw_views(

@@ -17,6 +17,7 @@ from lfcal import Calibration, LightFieldError, OutputError
 from .frames import Frame
 from .job import FrameResult, Job, KeyFrame
 from .settings import DEFAULT, SequenceSettings
+from .view_grid import ViewGrid
 
 __all__ = ["render_frames"]
 
@@ -30,6 +31,7 @@ def render_frames(
     scale: float | None = None,
     suffix: str = ".tif",
     overwrite: bool = False,
+    views: ViewGrid | None = None,
     tuning: SequenceSettings = DEFAULT,
 ) -> Iterator[FrameResult]:
     """Render the frames of a sequence into a folder, one picture a frame.
@@ -53,6 +55,10 @@ def render_frames(
         Format of the pictures: `".tif"`, `".png"`, ...
     overwrite : bool
         Render all frames again, whatever is in the folder.
+    views : ViewGrid, optional
+        Views of a grid instead of one picture: raw video of each view, `v000-1920x1080.yuv` and so on, if `suffix` is
+        `".yuv"` or a pixel format such as `".yuv444p12"`, else a folder for each frame, `FRAME/image_001.png` and so
+        on. Raw video appears once the last result has been taken; a frame that fails shows the one before it.
     tuning : SequenceSettings
 
     Yields
@@ -65,7 +71,8 @@ def render_frames(
     OutputError
         If the folder or a picture cannot be written, or it holds pictures made with other settings.
     """
-    job = Job.open(Path(folder), calibration, preset, scale, suffix, overwrite)
+    job = Job.open(Path(folder), calibration, preset, scale, suffix, overwrite, views)
+    names: list[str] = []
     waiting: deque[FrameResult | Future[FrameResult]] = deque()
     with ThreadPoolExecutor(
         tuning.at_once, initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),)
@@ -73,9 +80,14 @@ def render_frames(
         for outcome in _submit_frames(job, frames, workers, overwrite, tuning):
             waiting.append(outcome)
             while waiting and (len(waiting) > tuning.at_once or isinstance(waiting[0], FrameResult)):
-                yield _result(waiting.popleft())
+                result = _result(waiting.popleft())
+                names.append(result.name)
+                yield result
         while waiting:
-            yield _result(waiting.popleft())
+            result = _result(waiting.popleft())
+            names.append(result.name)
+            yield result
+    job.finish(names)
 
 
 def _submit_frames(

@@ -16,6 +16,7 @@ from lfcal import Calibration, LightFieldError, OutputError
 from .frames import Frame
 from .job import FrameResult, Job, KeyFrame
 from .settings import DEFAULT, SequenceSettings
+from .view_grid import ViewGrid
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -33,6 +34,7 @@ def render_frames_on(
     scale: float | None = None,
     suffix: str = ".tif",
     overwrite: bool = False,
+    views: ViewGrid | None = None,
     threads: int | None = None,
     tuning: SequenceSettings = DEFAULT,
 ) -> Iterator[FrameResult]:
@@ -44,7 +46,7 @@ def render_frames_on(
     Parameters
     ----------
     client : distributed.Client
-    frames, folder, calibration, preset, scale, suffix, overwrite, tuning
+    frames, folder, calibration, preset, scale, suffix, overwrite, views, tuning
         As in `render_frames`.
     threads : int or None
         Threads of the kernels in each worker; None leaves it to the machine.
@@ -59,16 +61,18 @@ def render_frames_on(
     OutputError
         As `render_frames`.
     """
-    job = Job.open(Path(folder).absolute(), calibration, preset, scale, suffix, overwrite)
-    run = _Run(client, job, (str(job.folder), preset, suffix, threads), tuning)
+    job = Job.open(Path(folder).absolute(), calibration, preset, scale, suffix, overwrite, views)
+    run = _Run(client, job, (str(job.folder), preset, suffix, threads, views), tuning)
+    names: list[str] = []
     most = max(tuning.least_ahead, tuning.groups_ahead * sum(client.nthreads().values()))
     waiting: deque[tuple[list[FrameResult | None], Future | None]] = deque()
     for group in run.groups(frames, overwrite):
         waiting.append((group.outcomes, run.submit(group)))
         while len(waiting) > most:
-            yield from _results(*waiting.popleft())
+            yield from _note_names(_results(*waiting.popleft()), names)
     while waiting:
-        yield from _results(*waiting.popleft())
+        yield from _note_names(_results(*waiting.popleft()), names)
+    job.finish(names)
 
 
 @dataclass
@@ -183,6 +187,13 @@ def _results(outcomes: list[FrameResult | None], missing: Future | None) -> Iter
         yield next(rendered) if outcome is None else outcome
 
 
+def _note_names(results: Iterator[FrameResult], names: list[str]) -> Iterator[FrameResult]:
+    """The results, whose names are noted."""
+    for result in results:
+        names.append(result.name)
+        yield result
+
+
 def task_result(future: Future) -> Any:
     """The result of a task; an OutputError if all workers that tried it were lost."""
     from distributed.client import FutureCancelledError
@@ -217,11 +228,12 @@ class _Worker:
 
     @classmethod
     def open_job(cls, settings: tuple[Any, ...]) -> Job:
-        folder, preset, suffix, threads = settings
+        folder, preset, suffix, threads, views = settings
         if threads is not None:
             limit_threads(threads)
         if cls.settings != settings or cls.job is None:
-            cls.job, cls.key, cls.settings = Job.open(Path(folder), None, preset, None, suffix, False), None, settings
+            cls.job, cls.key = Job.open(Path(folder), None, preset, None, suffix, False, views), None
+            cls.settings = settings
         return cls.job
 
     @classmethod

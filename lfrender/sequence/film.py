@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatError, OutputError, read_flat
 from lfcal.runtime.eight_bit import to_eight_bits
-from lfcal.runtime.video.frame_pixels import convert_frame
+from lfcal.runtime.video.frame_pixels import convert_frame, frame_of_planes
 
 from ..output.formats import FORMATS, PictureError, check_format
+from ..output.raw_video import raw_format_of, yuv_frame
 from ..output.resume import Checkpoint, file_identity, fingerprint
 from ..output.tiled_picture import move_into_place
 from .batch import render_frames
@@ -61,7 +62,7 @@ def render_film(
         From `open_frames`.
     path : path-like
         `.mp4`: H.264 with 8 bits up to the white of the camera, nearly lossless; `.mkv`: FFV1, lossless, also with 16
-        bits. Needs the package `av`.
+        bits; `.yuv`: raw planes, 4:2:0 of 10 bits. Needs the package `av`.
     calibration, preset, scale
         As in `render_frames`.
     rate : float, Fraction or None
@@ -187,7 +188,8 @@ class FilmFile:
         # With the index before the pictures, a browser can play the film before it has all of it.
         options = {"movflags": "+faststart"} if self._kind == ".mp4" else {}
         with self._output_errors():
-            self._file = av.open(str(path), "w", options=options)
+            form = "rawvideo" if self._kind == ".yuv" else None
+            self._file = av.open(str(path), "w", format=form, options=options)
             self._file.metadata["comment"] = comment
 
     @property
@@ -243,6 +245,9 @@ class FilmFile:
                 # Codes of ITU-T H.273 for the colours of HD television (BT.709) and their limited range.
                 context.colorspace = context.color_primaries = context.color_trc = 1
                 context.color_range = 1
+            elif self._kind == ".yuv":
+                layout = raw_format_of(self._shape, "yuv420p10")
+                context.width, context.height, context.pix_fmt = layout.width, layout.height, layout.pixel_format
             else:
                 context.width, context.height, context.pix_fmt = width, height, self._layout[1]
 
@@ -259,6 +264,9 @@ class FilmFile:
             pixels = np.pad(pixels, [*odd, (0, 0)][: pixels.ndim], mode="edge")
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=self._layout[0])
             frame = convert_frame(frame, "yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        elif self._kind == ".yuv":
+            layout = raw_format_of(self._shape, "yuv420p10")
+            frame = frame_of_planes(yuv_frame(pixels, "yuv420p10"), layout.width, layout.height, layout.pixel_format)
         else:
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format=self._layout[0])
             frame = frame.reformat(format=self._layout[1])

@@ -126,8 +126,8 @@ def open_frames(
 
 
 def is_video(path: Path) -> bool:
-    """Whether a path has the suffix of a video."""
-    return path.suffix.lower() in _VIDEOS and not path.is_dir()
+    """Whether a path has the suffix of a video, raw or not."""
+    return path.suffix.lower() in {*_VIDEOS, RAW_SUFFIX} and not path.is_dir()
 
 
 def _parts(path: Path, layout: dict[str, Any]) -> list[_Part]:

@@ -30,6 +30,7 @@ from ..output.metadata import EmbeddedMetadata, read_metadata
 from ..output.picture import check_picture, write_picture
 from ..rendering.render import render
 from .frames import Frame
+from .view_grid import ViewGrid, ViewOutput
 
 __all__ = ["FrameResult", "Job", "KeyFrame", "load_camera"]
 
@@ -93,6 +94,9 @@ class Job:
     preset: str
     scale: float | None
     suffix: str
+    views: ViewGrid | None = None
+    still: float | None = None  # patch size [px] of the places that all views have in common
+    _output: ViewOutput | None = None
     _pictures: dict[int, Rendering] = field(default_factory=dict)
     _drawing: RLock = field(default_factory=RLock, compare=False)
 
@@ -105,6 +109,7 @@ class Job:
         scale: float | None,
         suffix: str,
         overwrite: bool,
+        views: ViewGrid | None = None,
     ) -> Job:
         """Start a run in a folder, or continue the one that is there."""
         hidden = folder / _HIDDEN
@@ -112,8 +117,12 @@ class Job:
             hidden.mkdir(parents=folder.parent.is_dir(), exist_ok=True)
         except OSError as error:
             raise OutputError(f"{folder}: cannot be made ({error.strerror or error})") from error
-        check_picture(folder / f"picture{suffix}")
-        job = cls(folder, calibration, preset, scale, suffix)
+        job = cls(folder, calibration, preset, scale, suffix, views)
+        if views is None:
+            check_picture(folder / f"picture{suffix}")
+        else:
+            job._output = ViewOutput(folder, hidden, views, suffix)
+            job._output.start(overwrite)
         if overwrite:
             for pattern in ("depth_*.npz", "comparison_*.npz", "camera.json", "settings.json"):
                 for file in hidden.glob(pattern):
@@ -128,8 +137,11 @@ class Job:
         camera = load_camera(self.folder)
         try:
             settings = json.loads((hidden / "settings.json").read_text(encoding="utf-8"))
+            views = None if self.views is None else {**self.views.to_dict(), "format": self.suffix}
             same = settings["preset"] == self.preset and self.scale in (None, settings["scale"])
+            same &= settings.get("views") == views
             self.scale = float(settings["scale"])
+            self.still = None if views is None else float(settings["still"])
         except (OSError, KeyError, TypeError, ValueError) as error:
             raise OutputError(f"{hidden}: damaged ({error}); render everything again (--overwrite)") from error
         if not same or (self.calibration is not None and self.calibration.to_dict() != camera.to_dict()):
@@ -140,10 +152,19 @@ class Job:
         self.calibration = camera
 
     def path_of(self, frame: Frame) -> Path:
+        if self._output is not None:
+            return self._output.path_of(frame.name)
         return self.folder / f"{frame.name}{self.suffix}"
 
     def is_missing(self, frame: Frame) -> bool:
+        if self._output is not None:
+            return self._output.is_missing(frame.name)
         return not self.path_of(frame).exists()
+
+    def finish(self, names: list[str]) -> None:
+        """Move what becomes whole with the last frame into place, once all frames of these names are done."""
+        if self._output is not None:
+            self._output.finish(names)
 
     def depth_file(self, key: KeyFrame) -> Path:
         """File of the depth map of a key frame."""
@@ -180,20 +201,28 @@ class Job:
         try:
             if first.number == number:
                 assert first.depth is not None
-                depth, picture = first.depth, self._key_picture(first)
+                depth = first.depth
             else:
                 depth = self._analyze_after(first, flat)
-                picture = self._render_after(first, flat, depth)
-            check_picture(path, np.asarray(picture.image).dtype)
-            settings = {"rendering": "all in focus", "preset": self.preset}
-            embedded = EmbeddedMetadata() if frame.source is None else read_metadata(frame.source)
-            write_picture(path, picture, settings=settings, embedded=embedded)
+            if self._output is not None:
+                assert self.views is not None and self.still is not None
+                pictures = self.views.draw(flat, self.camera(flat), depth, self.scale, self.still)
+                self._output.write(number, frame.name, pictures)
+            else:
+                own = first.number == number
+                self._write(path, frame, self._key_picture(first) if own else self._render_after(first, flat, depth))
         except OutputError:
             raise
         except LightFieldError as error:
             return self.failed(frame, error, perf_counter() - start)
         still = float(depth.saved.get("still", 0.0))
         return FrameResult(frame.name, path, "rendered", "", perf_counter() - start, still)
+
+    def _write(self, path: Path, frame: Frame, picture: Rendering) -> None:
+        check_picture(path, np.asarray(picture.image).dtype)
+        settings = {"rendering": "all in focus", "preset": self.preset}
+        embedded = EmbeddedMetadata() if frame.source is None else read_metadata(frame.source)
+        write_picture(path, picture, settings=settings, embedded=embedded)
 
     def analyze_key(self, key: KeyFrame, earlier: KeyFrame | None) -> KeyFrame:
         """The key frame of a segment with flat and depth, analysed against that of an earlier segment, if any."""
@@ -220,6 +249,8 @@ class Job:
             depth = analyze(flat, camera, self.preset) if earlier is None else self._analyze_after(earlier, flat)
             if self.scale is None:
                 self.scale = default_scale(depth)
+            if self.views is not None and self.still is None:
+                self.still = self.views.find_still(depth)
             self._save_settings(camera)
             if comparison is not None:
                 save_reference_match(depth, comparison)
@@ -240,7 +271,10 @@ class Job:
             return
         camera.save(hidden / "camera.json")
         with atomic_write(hidden / "settings.json") as temporary:
-            temporary.write_text(json.dumps({"preset": self.preset, "scale": self.scale}), encoding="utf-8")
+            settings: dict[str, Any] = {"preset": self.preset, "scale": self.scale}
+            if self.views is not None:
+                settings |= {"views": {**self.views.to_dict(), "format": self.suffix}, "still": self.still}
+            temporary.write_text(json.dumps(settings), encoding="utf-8")
 
     def _analyze_after(self, key: KeyFrame, flat: NDArray[Any]) -> DepthMap:
         """Depth of a frame, updated from that of a key frame."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import FlatError
 
-__all__ = ["convert_frame", "frame_of_planes", "import_av", "rgb_pixels"]
+__all__ = ["convert_frame", "frame_of_planes", "import_av", "plane_bytes", "rgb_pixels"]
 
 
 def import_av(path: str | os.PathLike[str]) -> Any:
@@ -45,6 +45,13 @@ def rgb_pixels(frame: Any) -> NDArray[Any]:
     return np.ascontiguousarray(
         rows[:, : 3 * plane.width].reshape(plane.height, plane.width, 3).astype(np.uint16, copy=False)
     )
+
+
+def plane_bytes(frame: Any) -> bytes:
+    """The planes of a frame of PyAV, row by row without gaps."""
+    depth = 2 if re.search(r"1[0-6](le|be)?$", frame.format.name) else 1
+    rows = (np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size) for plane in frame.planes)
+    return b"".join(row[:, : depth * plane.width].tobytes() for row, plane in zip(rows, frame.planes, strict=True))
 
 
 def frame_of_planes(data: bytes | memoryview, width: int, height: int, name: str) -> Any:

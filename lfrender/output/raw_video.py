@@ -1,0 +1,114 @@
+"""Raw planar video (`.yuv`) of pictures: the bytes of a frame, and a file for each view of a grid.
+
+Files are named and numbered as the converters for lenslet video (TLCT) do: `v000-1920x1080.yuv` is the view at the top
+left, the others follow row by row.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import OutputError
+from lfcal.runtime.output_file import atomic_write
+from lfcal.runtime.video.frame_pixels import convert_frame, plane_bytes
+from lfcal.runtime.video.raw_format import RawFormat, parse_pixel_format
+
+from .formats import FORMATS, PictureError, check_package
+
+__all__ = ["check_raw_format", "raw_format_of", "view_name", "write_view_videos", "yuv_frame"]
+
+
+# White of limited range in the 16 bits of FFmpeg, both ways: it counts them as 8 bits times 256.
+_WHITE = 0xFF00
+
+
+def check_raw_format(folder: str | os.PathLike[str], pixel_format: str) -> str:
+    """The full name of a pixel format, 4:2:0 of 10 bits for `"yuv"`; PictureError if it cannot be written."""
+    check_package(Path(folder) / "v000.yuv", FORMATS[".yuv"])
+    if pixel_format == "yuv":
+        return "yuv420p10"
+    try:
+        parse_pixel_format(pixel_format)
+    except ValueError as error:
+        raise PictureError(f"{folder}: {error}") from error
+    return pixel_format
+
+
+def view_name(number: int, width: int, height: int) -> str:
+    """Name of the file of a view."""
+    return f"v{number:03d}-{width}x{height}.yuv"
+
+
+def raw_format_of(shape: tuple[int, ...], pixel_format: str) -> RawFormat:
+    """The layout of pictures of a shape: even sizes where colours are shared by two columns or rows."""
+    subsampling, bits = parse_pixel_format(pixel_format)
+    height, width = shape[:2]
+    even = subsampling in ("420", "422"), subsampling == "420"
+    width, height = (max(n - n % 2 * two, 1) for n, two in zip((width, height), even, strict=True))
+    return RawFormat(width, height, subsampling, bits)
+
+
+def yuv_frame(pixels: NDArray[Any], pixel_format: str, white: float | None = None) -> bytes:
+    """The bytes of a frame: BT.601 of limited range, as FFmpeg takes raw video to be.
+
+    Parameters
+    ----------
+    pixels : (h, w) or (h, w, 3) array, uint8, uint16 or float
+        A last column or row that has no partner is left out where the format shares colours.
+    pixel_format : str
+        Such as `"yuv420p10"`.
+    white : float, optional
+        White level of integers, if it is less than the largest value of the type.
+    """
+    from av import VideoFrame
+
+    layout = raw_format_of(pixels.shape, pixel_format)
+    pixels = pixels[: layout.height, : layout.width]
+    if pixels.dtype != np.uint8 or white not in (None, 255):
+        full = 1.0 if pixels.dtype.kind == "f" else white or np.iinfo(pixels.dtype).max
+        if pixels.dtype != np.uint16 or full != 65535:
+            pixels = np.rint(np.clip(np.nan_to_num(pixels) / full, 0, 1) * _WHITE).astype(np.uint16)
+    if pixels.ndim == 2:
+        pixels = np.repeat(pixels[..., None], 3, 2)
+    frame = VideoFrame.from_ndarray(
+        np.ascontiguousarray(pixels), format="rgb24" if pixels.dtype == np.uint8 else "rgb48le"
+    )
+    return plane_bytes(convert_frame(frame, layout.pixel_format))
+
+
+def write_view_videos(
+    folder: str | os.PathLike[str], pictures: Iterable[Any], pixel_format: str = "yuv420p10"
+) -> list[Path]:
+    """Write each view as raw video of one frame, `v000-1920x1080.yuv` and so on.
+
+    Parameters
+    ----------
+    folder : path-like
+        Made where it does not exist.
+    pictures : iterable of Rendering
+        Row by row.
+    pixel_format : str
+
+    Raises
+    ------
+    OutputError, PictureError
+        If the folder or a file cannot be written.
+    """
+    name = check_raw_format(folder, pixel_format)
+    try:
+        Path(folder).mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    paths = []
+    for number, picture in enumerate(pictures):
+        layout = raw_format_of(picture.image.shape, name)
+        paths.append(Path(folder) / view_name(number, layout.width, layout.height))
+        with atomic_write(paths[-1]) as temporary:
+            temporary.write_bytes(yuv_frame(picture.image, name, picture.white))
+    return paths

@@ -1,0 +1,169 @@
+"""The views of a grid for every frame of a sequence, written as converters for lenslet video write them.
+
+Raw video (TLCT): a file for each view, `v000-1920x1080.yuv` and so on, into which frames are written at their place, so
+that several of them can be worked on at once and an interrupted run goes on. Pictures (RLC): a folder for each frame,
+`FRAME/image_001.png` and so on. Views are numbered row by row from the top left.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from lfcal import Calibration, OutputError
+
+from ..data.depth_map import DepthMap
+from ..data.rendering import Rendering
+from ..output.picture import check_picture, write_picture
+from ..output.raw_video import check_raw_format, raw_format_of, view_name, yuv_frame
+from ..output.views import resize_view, scale_for_size
+from ..rendering.viewpoints import grid_offsets, still_depth, views
+
+__all__ = ["ViewGrid", "ViewOutput"]
+
+_PARTS = "views"  # folder of unfinished files in the hidden folder of a run
+
+
+@dataclass(frozen=True)
+class ViewGrid:
+    """A grid of viewpoints.
+
+    Parameters
+    ----------
+    rows, columns : int
+    aperture : float
+        Distance of its corners from the middle, as a part of the radius of the microimages.
+    size : (int, int) or None [px]
+        Width and height of the views; with None the scale of the run.
+    """
+
+    rows: int = 5
+    columns: int = 5
+    aperture: float = 0.7
+    size: tuple[int, int] | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of views."""
+        return self.rows * self.columns
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, as the settings of a run have them."""
+        return {**asdict(self), "size": None if self.size is None else list(self.size)}
+
+    def draw(
+        self, flat: NDArray[Any], calibration: Calibration, depth: DepthMap, scale: float | None, still: float
+    ) -> Iterator[Rendering]:
+        """The views of a frame, row by row."""
+        offsets = grid_offsets(self.rows, self.columns, self.aperture * calibration.lattice.radius)
+        if self.size is not None:
+            scale = scale_for_size(calibration, self.size)
+        for picture in views(flat, calibration, depth, offsets=offsets, scale=scale, still=still):
+            yield picture if self.size is None else resize_view(picture, self.size)
+
+    def find_still(self, depth: DepthMap) -> float:
+        """Patch size [px] of the places that all views of a sequence have in common, by the depth of one frame."""
+        return still_depth(depth)
+
+
+class ViewOutput:
+    """The files of a run; `suffix` is one of pictures, or `yuv` with the pixel format of raw video."""
+
+    def __init__(self, folder: Path, hidden: Path, grid: ViewGrid, suffix: str) -> None:
+        self.folder, self.grid, self.suffix = folder, grid, suffix
+        self._parts = hidden / _PARTS
+        self._raw = "" if suffix.lstrip(".")[:3] not in ("yuv", "gra") else suffix.lstrip(".")
+        if self._raw:
+            self._raw = check_raw_format(folder, self._raw)
+        else:
+            check_picture(folder / f"image{suffix}")
+
+    def path_of(self, name: str) -> Path:
+        """Where the views of a frame are."""
+        return self.folder if self._raw else self.folder / name
+
+    def is_missing(self, name: str) -> bool:
+        """Whether a frame is still to be rendered."""
+        return not (self._mark(name) if self._raw else self.folder / name).exists()
+
+    def start(self, overwrite: bool) -> None:
+        """Make the hidden folder; finished files of raw video are opened again, to which frames may be added."""
+        self._parts.mkdir(exist_ok=True)
+        if overwrite:
+            shutil.rmtree(self._parts)
+            self._parts.mkdir()
+            for file in self.folder.glob("v[0-9][0-9][0-9]-*x*.yuv") if self._raw else ():
+                file.unlink()
+
+    def write(self, number: int, name: str, pictures: Iterator[Rendering]) -> None:
+        """Write the views of frame `number`."""
+        if self._raw:
+            self._write_raw(number, name, pictures)
+            return
+        unfinished = self._parts / name
+        shutil.rmtree(unfinished, ignore_errors=True)
+        unfinished.mkdir()
+        for view, picture in enumerate(pictures):
+            path = unfinished / f"image_{view + 1:03d}{self.suffix}"
+            check_picture(path, picture.image.dtype)
+            write_picture(path, picture, settings={"rendering": "views", "view": view})
+        shutil.rmtree(self.folder / name, ignore_errors=True)
+        os.replace(unfinished, self.folder / name)
+
+    def _write_raw(self, number: int, name: str, pictures: Iterator[Rendering]) -> None:
+        for view, picture in enumerate(pictures):
+            layout = raw_format_of(picture.image.shape, self._raw)
+            path = self._parts / view_name(view, layout.width, layout.height)
+            finished = self.folder / path.name
+            if not path.exists() and finished.exists():
+                os.replace(finished, path)
+            # Opened without truncation: frames are worked on at once.
+            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT, 0o666)
+            with open(descriptor, "wb", closefd=True) as stream:
+                stream.seek(number * layout.frame_bytes)
+                stream.write(yuv_frame(picture.image, self._raw, picture.white))
+        self._mark(name).write_text(f"{number}\n", encoding="utf-8")
+
+    def finish(self, names: list[str]) -> None:
+        """Move the files of raw video into place; a frame that failed shows the one before it."""
+        if not self._raw:
+            return
+        unfinished = sorted(self._parts.glob("v[0-9][0-9][0-9]-*x*.yuv"))
+        if not unfinished:
+            return
+        for number, name in enumerate(names):
+            mark = self._mark(name)
+            if mark.exists() and mark.read_text(encoding="utf-8").strip() != str(number):
+                raise OutputError(
+                    f"{self.folder}: holds the frames of another sequence; give another folder, or render everything "
+                    "again (--overwrite)"
+                )
+        failed = [number for number, name in enumerate(names) if not self._mark(name).exists()]
+        for path in unfinished:
+            self._repeat(path, failed, len(names))
+            os.replace(path, self.folder / path.name)
+
+    def _repeat(self, path: Path, failed: list[int], count: int) -> None:
+        """Fill in failed frames from the ones before them, at the start from the first that is there."""
+        if not failed:
+            return
+        width, height = (int(n) for n in path.stem.partition("-")[2].split("x"))
+        size = raw_format_of((height, width), self._raw).frame_bytes
+        good = sorted(set(range(count)) - set(failed))
+        with path.open("r+b") as stream:
+            for number in failed:
+                source = max((n for n in good if n < number), default=good[0])
+                stream.seek(source * size)
+                data = stream.read(size)
+                stream.seek(number * size)
+                stream.write(data)
+
+    def _mark(self, name: str) -> Path:
+        """The file that says that the views of a frame are written; it holds the number of the frame."""
+        return self._parts / f"{name}.done"
