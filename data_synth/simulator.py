@@ -1,23 +1,24 @@
-"""Take the picture: trace the flat and the white image, and note down the truth."""
+"""Take the picture: trace the flat and the white image, and note down the truth; true views from the aperture."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lfcal.gain.vignetting import Vignetting
 
 from .camera import Camera
 from .capture import Capture, Truth
-from .surfaces import Scene
-from .transfer import EXPOSURE, develop
+from .surfaces import Patch, Scene
+from .transfer import EXPOSURE, develop, to_srgb
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["simulate"]
+__all__ = ["simulate", "true_view"]
 
 _REFERENCE_STEP = 2
 _REFERENCE_SAMPLES = 16
@@ -95,6 +96,58 @@ def simulate(
         camera=camera,
         recipe=recipe | {"bits": bits, "gamma": gamma, "exposure": EXPOSURE},
     )
+
+
+def true_view(
+    scene: Scene,
+    camera: Camera,
+    offset: tuple[float, float],
+    affine: ArrayLike,
+    size: tuple[int, int],
+    *,
+    samples: int = 16,
+    seed: int = 0,
+) -> NDArray[np.float32]:
+    """What a pinhole shows at the place in the main lens that microimages show at `offset` from their centres.
+
+    The lens is a thin one: moved by `A`, it bends all rays by `A / f` less, which moves the picture on the microlens
+    plane by `A (1 - L / f)`.
+
+    Parameters
+    ----------
+    scene : Scene
+    camera : Camera
+    offset : (float, float) [px]
+        `q` of docs/geometry.md.
+    affine : (2, 3) array_like
+        From output pixel `(u, v, 1)` to the microlens plane [flat px], where the point that is drawn at `Y` is seen by
+        the lens with its centre at `Y`, at `Y + q`.
+    size : (int, int) [px]
+        Width and height of the picture.
+    samples : int
+        Rays per pixel.
+    seed : int
+        Of the sampling.
+
+    Returns
+    -------
+    (h, w, 3) float32
+        Through the sRGB curve, 0 to 1.
+    """
+    from . import tracing
+
+    # From the sensor at c + q through the lens at c, whichever lens that is.
+    place = -np.asarray(offset, float) * camera.pixel * camera.mla_distance / camera.sensor_distance
+    # Flats are upright: their axes point against those of the object space.
+    moved = []
+    for surface in scene.surfaces:
+        name = "corner" if isinstance(surface, Patch) else "centre"
+        moved.append(replace(surface, **{name: getattr(surface, name) + np.array([*place, 0.0])}))
+    table, texels = tracing.pack(Scene(scene.name, tuple(moved), scene.background))
+    shift = place * (1 - camera.mla_distance / camera.focal_length) * camera.spread / camera.pixel
+    grid = np.array(affine, float) - np.column_stack([np.zeros((2, 2)), shift])
+    light = tracing.pinhole(table, texels, scene.background, camera, grid, size, samples, seed)[..., :3]
+    return to_srgb(light).astype(np.float32)
 
 
 def _truth(

@@ -14,6 +14,7 @@ class DataSettings:
     edge_pixels: float = 0.5  # [px] patch sizes that differ by less always lie on one surface; set by hand
     edge_share: float = 0.03  # [pitch] the same on lenses with a large pitch; set by hand
     full_resolution_share: float = 0.98  # quantile of |patch size| that sets the default scale: outliers are ignored
+    slabs: int = 4  # of the range of depths that rays to another viewpoint are followed through; changes no result
     largest_magnification: float = 12.0  # |D / s| is bounded here; no capture has smaller patches than D / 12
     region_margin: float = 4.5  # [pitch] lenses around a region that support it: the reach of the shading correction
     region_step: float = 1.0  # [pitch] parts end at multiples of this, so that the next frame mostly has the same part

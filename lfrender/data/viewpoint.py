@@ -68,12 +68,39 @@ class Viewpoint:
             depths = virtual_depth(surface.patch_size, lattice.pitch)
             warped = np.empty_like(surface.patch_size)
             grid = Surface(surface.patch_size, (0.0, 0.0), surface.spacing).grid(edge)
+            nearest, farthest = depths.min(), depths.max()
             _warp(
-                surface.patch_size, grid, np.array(self.offset, np.float32), np.float32(self.still), depths.min(),
-                depths.max(), _least_size(lattice.pitch), np.float32(lattice.pitch), warped,
+                surface.patch_size, grid, np.array(self.offset, np.float32), np.float32(self.still), nearest,
+                farthest, self._nearest_in_reach(depths, surface.spacing), _least_size(lattice.pitch),
+                np.float32(lattice.pitch), warped,
             )  # fmt: skip
         first = (surface.first[0] + moved[0], surface.first[1] + moved[1])
         return Surface(warped, first, surface.spacing), moved
+
+    def _nearest_in_reach(
+        self, depths: NDArray[np.float32], spacing: float, settings: DataSettings = DEFAULT
+    ) -> NDArray[np.float32]:
+        """(h, w) virtual depth before which the ray of each grid value meets nothing.
+
+        The range of depths is cut into slabs: in each, a ray passes over a few grid values, and meets none of them if
+        all are farther than the slab.
+        """
+        import cv2
+
+        slabs = np.linspace(depths.min(), depths.max(), settings.slabs + 1)
+        first = np.full(depths.shape, slabs[-1], np.float32)
+        for near, far in zip(slabs[-2::-1], slabs[:0:-1], strict=True):
+            kernel, anchor = [], []
+            for q in self.offset:
+                reach = [-q * (end - self.still) / spacing for end in (near, far)]
+                # The neighbours of interpolation; and the grid value itself, which the anchor has to be among.
+                low, high = min(int(np.floor(min(reach))) - 1, 0), max(int(np.ceil(max(reach))) + 1, 0)
+                kernel.append(high - low + 1)
+                anchor.append(-low)
+            shape = np.ones(kernel[::-1], np.uint8)
+            nearest = cv2.erode(depths, shape, anchor=tuple(anchor), borderType=cv2.BORDER_REPLICATE)
+            np.copyto(first, np.maximum(nearest, np.float32(near)), where=nearest <= far)
+        return first
 
 
 def _least_size(pitch: float, settings: DataSettings = DEFAULT) -> np.float32:
@@ -90,11 +117,11 @@ def virtual_depth(patch_size: NDArray[np.float32], pitch: float) -> NDArray[np.f
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _warp(surface, grid, view, still, nearest, farthest, least, pitch, out):
+def _warp(surface, grid, view, still, nearest, farthest, bounds, least, pitch, out):
     """Follow the ray of every grid value of `out` (h, w) from near to far until it meets the surface.
 
-    Positions are relative to the first grid value. At virtual depth `t`, the ray of the pixel `Y` passes over
-    `Y - q (t - still)`.
+    Nothing on its way is nearer than `bounds` (h, w). Positions are relative to the first grid value. At virtual depth
+    `t`, the ray of the pixel `Y` passes over `Y - q (t - still)`.
     """
     rows, columns = surface.shape
     view_x, view_y, cell = view[0], view[1], grid.spacing
@@ -107,7 +134,9 @@ def _warp(surface, grid, view, still, nearest, farthest, least, pitch, out):
         for u in range(columns):
             before, above = zero, zero
             found = surface[v, u]
-            for k in range(steps + 1):
+            # One step before, for the height above the surface there.
+            start = min(max(int((bounds[v, u] - nearest) / step) - 1, 0), steps) if step > 0 else 0
+            for k in range(start, steps + 1):
                 depth = nearest + k * step
                 x = u * cell - view_x * (depth - still)
                 y = v * cell - view_y * (depth - still)
@@ -115,9 +144,9 @@ def _warp(surface, grid, view, still, nearest, farthest, least, pitch, out):
                 bounded = found if abs(found) >= least else (least if found >= 0 else -least)
                 left = pitch / bounded - depth
                 if left <= 0:
-                    if k > 0 and abs(found - before) < grid.edge:
+                    if k > start and abs(found - before) < grid.edge:
                         found = before + (found - before) * above / (above - left)
-                    elif k > 0:
+                    elif k > start:
                         # The ray passed behind the rim of a nearer surface.
                         found = before
                     break

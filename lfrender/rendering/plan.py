@@ -29,9 +29,11 @@ from .blend_pixels import Flat, Grid, Lenses, Light, Output, Weighting, blend_pi
 from .blend_rows import blend_rows
 from .fixed_patch import covers_all_patches, render_patches
 from .lens_runs import SortedLenses
+from .off_axis.view_rows import blend_view_rows
 from .settings import DEFAULT
 
 __all__ = [
+    "LitFlat",
     "Part",
     "RenderPlan",
     "constant_surface",
@@ -43,6 +45,21 @@ __all__ = [
 
 #: Columns and rows `left, top, right, bottom` of a picture or a flat [px], the last two not included.
 Part = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
+class LitFlat:
+    """What a picture reads of a flat."""
+
+    pixels: NDArray[Any]  # (h, w, C), divided by the gain if that differs from lens to lens
+    shown: NDArray[np.float32]  # (h, w) patch size that each pixel shows [px]; (0, 0) if nothing occludes
+    light: Light
+    edged: NDArray[np.bool_]  # (n,) `shown` is set on the pixels of these lenses
+
+    @cached_property
+    def packed(self) -> NDArray[Any]:
+        """(h, w) the pixels for `blend_rows`."""
+        return prefilter_packed(self.pixels)
 
 
 @dataclass(frozen=True)
@@ -77,6 +94,7 @@ class RenderPlan:
     agreement: float = DEFAULT.agreement
     aperture: float = 1.0
     viewpoint: Viewpoint = field(default_factory=Viewpoint)
+    lit: LitFlat | None = None  # of the whole flat, if several pictures are drawn from it
 
     @property
     def spacing(self) -> float:
@@ -185,9 +203,9 @@ class RenderPlan:
         wanted = np.empty((0, 0), bool) if wanted is None else wanted
         channels = (0,) * pixels.shape[2]
         tolerance = np.float32(self.agreement * white_level(pixels, self.calibration) if self.blend else 0.0)
-        edged = np.zeros(len(self.calibration.lattice), bool)
-        pixels, shown, light = self._lit(pixels, corner, edged, wanted.size > 0)
-        read = Flat(pixels, shown, np.array(corner), np.array(self.calibration.image_size))
+        lit = self.lit or self._light(pixels, corner, wanted.size > 0)
+        pixels, edged, light = lit.pixels, lit.edged, lit.light
+        read = Flat(pixels, lit.shown, np.array(corner), np.array(self.calibration.image_size))
         first = 0.5 * self.spacing - 0.5 + self._moved
         grid = Grid(first, self.spacing, np.float32(self.scale), np.array(part[:2]), wanted)
         blurred, view = np.float32((self.blur * self.scale) ** 2), np.array(self.viewpoint.offset, np.float32)
@@ -198,28 +216,41 @@ class RenderPlan:
         if not self._suits_rows(pixels):
             ready = prefilter_flat(pixels) if self.blend else pixels
         else:
-            packed, left = prefilter_packed(pixels), np.empty(valid.shape, bool)
-            blend_rows(
-                channels, read._replace(pixels=packed), light, self._sorted_lenses(edged), *self._depth, grid,
-                weighting, output, left, get_num_threads(),
-            )  # fmt: skip
-            if not left.any():
-                return image, valid
+            packed, left = lit.packed, np.empty(valid.shape, bool)
+            inputs = read._replace(pixels=packed), light, self._sorted_lenses(edged), *self._depth, grid
+            if any(self.viewpoint.offset):
+                weighting = weighting._replace(
+                    reach=min(weighting.reach, DEFAULT.view_reach * self.calibration.lattice.pitch)
+                )
+                blend_view_rows(self._view, channels, *inputs, weighting, output, left, get_num_threads())
+            else:
+                blend_rows(channels, *inputs, weighting, output, left, get_num_threads())
             ready, grid = packed.view(pixels.dtype).reshape(*packed.shape, 4), grid._replace(wanted=left)
-        blend_pixels(
-            channels, read._replace(pixels=ready), light, self._lenses, *self._depth, grid,
-            weighting._replace(reach=np.float32(weighting.reach)), output,
-        )  # fmt: skip
+        lenses, general = self._lenses, read._replace(pixels=ready)
+        if not grid.wanted.size or grid.wanted.any():
+            weighting = weighting._replace(reach=np.float32(weighting.reach))
+            blend_pixels(channels, general, light, lenses, *self._depth, grid, weighting, output)
+        if weighting.reach < np.float32(self.reach * self.calibration.lattice.pitch):
+            # At the border, some places are seen by far lenses alone.
+            grid = grid._replace(wanted=~valid & wanted if wanted.size else ~valid)
+            weighting = weighting._replace(reach=np.float32(self.reach * self.calibration.lattice.pitch))
+            blend_pixels(channels, general, light, lenses, *self._depth, grid, weighting, output)
         return image, valid
 
-    def _lit(
-        self, pixels: NDArray[Any], corner: tuple[int, int], edged: NDArray[np.bool_], following: bool
-    ) -> tuple[NDArray[Any], NDArray[np.float32], Light]:
-        """The pixels, the patch size that each shows, and the light of the lenses; sets the lenses that are `edged`.
+    def light_once(self, pixels: NDArray[Any], parallax: float) -> LitFlat:
+        """What pictures from several viewpoints read of the flat, with their largest parallax [px]."""
+        return self._light(pixels, (0, 0), False, parallax)
+
+    def _light(
+        self, pixels: NDArray[Any], corner: tuple[int, int], following: bool, parallax: float | None = None
+    ) -> LitFlat:
+        """The pixels, the patch size that each shows, and the light of the lenses.
 
         If the gain differs from lens to lens, pixels are divided by it, and those that are unlit are infinitely far.
+        The memory is that of the next picture, unless the `parallax` of several is given.
         """
-        shown = self._shown_depth(corner, pixels.shape, edged, following)
+        edged = np.zeros(len(self.calibration.lattice), bool)
+        shown = self._shown_depth(corner, pixels.shape, edged, following, parallax)
         gains, step = self._gains
         lights = 1 / gains
         if self._part_gain is not None:
@@ -229,7 +260,7 @@ class RenderPlan:
                 shown = np.full(pixels.shape[:2], np.nan, np.float32)
             shown[dilate_mask(unknown)] = np.inf
             edged[:] = True
-        return pixels, shown, Light(gains, lights, np.float32(step))
+        return LitFlat(pixels, shown, Light(gains, lights, np.float32(step)), edged)
 
     @property
     def _depth(self) -> tuple[NDArray[np.float32], DepthGrid]:
@@ -246,14 +277,22 @@ class RenderPlan:
     def _sorted_lenses(self, edged: NDArray[np.bool_]) -> SortedLenses:
         camera, lattice = self.calibration, self.calibration.lattice
         order, centres, types = cached(camera, "sorted lenses", lambda: _sort_lenses(camera))
-        radius, pitch = np.float32(self.aperture * lattice.radius), np.float32(lattice.pitch)
+        aside = float(np.hypot(*self.viewpoint.offset))
+        radius, pitch = np.float32(self.aperture * lattice.radius + aside), np.float32(lattice.pitch)
         return SortedLenses(centres, types, edged[order], self._shares[1], radius, pitch)
 
     def _suits_rows(self, pixels: NDArray[Any]) -> bool:
         """Whether `blend_rows` can draw most pixels."""
         # Its places in the flat are integers of 31 bits.
         packable = pixels.dtype.kind == "u" and pixels.shape[2] <= 3 and pixels.shape[0] * pixels.shape[1] < 2**31
-        return self.blend and self.blur == 0 and not any(self.viewpoint.offset) and packable
+        return self.blend and self.blur == 0 and packable
+
+    @property
+    def _view(self) -> tuple[np.float32, np.float32, np.float32]:
+        """The viewpoint and the squared radius of microimages; rims off the middle often show a place alone, and their
+        last pixel mixes in light of the next microimage."""
+        radius = self.aperture * self.calibration.lattice.radius - 1
+        return np.float32(self.viewpoint.offset[0]), np.float32(self.viewpoint.offset[1]), np.float32(radius * radius)
 
     @cached_property
     def _shares(self) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
@@ -271,7 +310,12 @@ class RenderPlan:
         return covers_all_patches(lattice, self.scale, self.aperture * lattice.radius)
 
     def _shown_depth(
-        self, corner: tuple[int, int], shape: tuple[int, ...], edged: NDArray[np.bool_], following: bool
+        self,
+        corner: tuple[int, int],
+        shape: tuple[int, ...],
+        edged: NDArray[np.bool_],
+        following: bool,
+        parallax: float | None,
     ) -> NDArray[np.float32]:
         """Patch size that each pixel of a part of the flat shows, (0, 0) if nothing can occlude anything.
 
@@ -281,11 +325,13 @@ class RenderPlan:
         if not self.blend or self.surface.patch_size.size <= 1:
             return np.empty((0, 0), np.float32)
         lattice = self.calibration.lattice
-        reach = self.reach * lattice.pitch + self._parallax
+        reach = self.reach * lattice.pitch + (self._parallax if parallax is None else parallax)
         part = (*corner, corner[0] + shape[1], corner[1] + shape[0])
         whole = shape[:2] == self._shape
         # `_lit` enters unlit pixels if the light differs from lens to lens: that memory is another.
         purpose = "seen depth" if self._part_gain is None else "seen depth and light"
+        if parallax is not None:
+            purpose = None
         return project_surface(
             self.surface, lattice, reach, self._edge, None if whole else part, edged, purpose,
             following and self._part_gain is None,

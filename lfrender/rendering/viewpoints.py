@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from ..data.viewpoint import Viewpoint, virtual_depth
 from ..depth.analyze import analyze
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
-from .plan import RenderPlan, finish_picture
+from .plan import LitFlat, RenderPlan, finish_picture
 from .settings import DEFAULT
 
 __all__ = ["circle_offsets", "grid_offsets", "still_depth", "views"]
@@ -99,8 +100,13 @@ def _draw_views(
     scale = float(full if scale is None else scale)
     coarse = scale * DEFAULT.coarse_ratio < full
     blur = measure_lens_blur(pixels, calibration, depth.patch_size) if coarse else 0.0
+    largest = max((point.max_parallax(depth.surface, calibration.lattice) for point in points), default=0.0)
+    lit: LitFlat | None = None
     for point in points:
         plan = RenderPlan(calibration, depth.surface, scale, True, blur, viewpoint=point)
+        if any(point.offset):
+            lit = lit or plan.light_once(pixels, largest)
+            plan = replace(plan, lit=lit)
         image, valid = plan.draw(pixels, stored=True)
         yield finish_picture(image, valid, plan.affine, scale, flat, calibration)
 

@@ -15,7 +15,7 @@ from PIL import Image
 import lfcal
 import lfrender
 from data_synth import SCENES, Camera, Scene, simulate
-from data_synth.simulator import _chief_rays
+from data_synth.simulator import true_view
 from lfrender.cli.main import main
 from lfrender.data.surface import Surface
 from lfrender.output.views import write_animation
@@ -59,25 +59,6 @@ def card_before_plane():
     surface = Surface(shot.truth.reference_patch_size, tuple(shot.truth.reference_affine[:, 2]), 2.0)
     assert shot.truth.reference_affine[0, 0] == surface.spacing
     return shot, dataclasses.replace(depth, surface=surface)
-
-
-def seen_from(scene, offset, affine, size):
-    """Image of a pinhole in the main lens at the place that microimages show at `offset` [px], on the grid `affine`.
-
-    The lens is a thin one: moved by `A`, it bends all rays by `A / f` less, which moves the picture by `A (1 - L / f)`.
-    """
-    from data_synth import tracing, transfer
-
-    middle = np.array([camera().principal_point])
-    place = _chief_rays(camera(), middle + offset, middle)[0][0]
-    # Flats are upright: their axes point against those of the object space.
-    away = np.array([*-place, 0.0])
-    moved = Scene("moved", tuple(dataclasses.replace(s, corner=np.array(s.corner) - away) for s in scene.surfaces))
-    table, texels = tracing.pack(moved)
-    shift = place * (1 - camera().mla_distance / camera().focal_length) * camera().spread / camera().pixel
-    affine = np.array(affine) - np.column_stack([np.zeros((2, 2)), shift])
-    light = tracing.pinhole(table, texels, scene.background, camera(), affine, size, 16, 1)[..., :3]
-    return transfer.to_srgb(light)
 
 
 def move(before, after, part, about=0):
@@ -136,7 +117,7 @@ def test_views_are_images_of_a_pinhole_there_behind_depth_edges_too():
         (view,) = lfrender.views(shot.flat, shot.truth.calibration, depth, offsets=[offset], scale=8, still=FAR * PITCH)
         # The affine holds where the far plane lies; the pinhole picture is wanted on the microlens plane.
         affine = view.affine + np.column_stack([np.zeros((2, 2)), np.array(offset) / FAR])
-        reference = 255 * seen_from(two_planes(), offset, affine, view.image.shape[1::-1])
+        reference = 255 * true_view(two_planes(), camera(), offset, affine, view.image.shape[1::-1], seed=1)
         inner = np.s_[border:-border, border:-border]
         picture, reference = view.image.astype(float)[inner], reference[inner]
         gain = (picture * reference).sum() / (picture**2).sum()
