@@ -329,7 +329,7 @@ class RenderPlan:
         part = (*corner, corner[0] + shape[1], corner[1] + shape[0])
         whole = shape[:2] == self._shape
         # `_lit` enters unlit pixels if the light differs from lens to lens: that memory is another.
-        purpose = "seen depth" if self._part_gain is None else "seen depth and light"
+        purpose: str | None = "seen depth" if self._part_gain is None else "seen depth and light"
         if parallax is not None:
             purpose = None
         return project_surface(
