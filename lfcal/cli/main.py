@@ -10,6 +10,7 @@ import click
 from ..runtime import console
 from ..runtime.image_formats import MOSAICS, TIFF_SUFFIXES, Mosaic
 from ..runtime.output_file import atomic_write, check_output
+from .metric import metric
 
 if TYPE_CHECKING:
     from ..camera.calibration import Calibration
@@ -305,6 +306,9 @@ def describe(camera: Calibration) -> dict[str, Any]:
         "defect_lenses": len(camera.defects.lenses),
         "warnings": list(camera.warnings),
     }
+
+
+main.add_command(metric)
 
 
 if __name__ == "__main__":

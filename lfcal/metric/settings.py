@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["ADJUSTMENT", "START", "AdjustmentSettings", "StartSettings"]
+__all__ = [
+    "ADJUSTMENT",
+    "OBSERVATION",
+    "START",
+    "UNCERTAINTY",
+    "AdjustmentSettings",
+    "ObservationSettings",
+    "StartSettings",
+    "UncertaintySettings",
+]
 
 
 @dataclass(frozen=True)
@@ -32,5 +41,32 @@ class StartSettings:
     fewest_lenses: int = 3  # a corner is triangulated from
 
 
+@dataclass(frozen=True)
+class UncertaintySettings:
+    """Tuned values of `describe_degeneracies`."""
+
+    weak_length: float = 0.01  # standard error over value from which on a length is called badly known
+    correlated: float = 0.98  # correlation from which on two parameters are said to hardly separate
+
+
+@dataclass(frozen=True)
+class ObservationSettings:
+    """Tuned values of `observe`, `calibrate_metric` and `locate_board`."""
+
+    edge_blurs: float = 2.0  # blurs that a corner must lie inside the lit part of a microimage
+    edge: float = 2.0  # [px] that it must lie inside besides: nearer to the rim its four squares are not all seen
+    model_error: float = 0.005  # [px] of the shape of edges, besides the noise of the pixels
+    scene_error: float = 0.5  # [px] of corners detected in an all-in-focus picture
+    ratio_error: float = 0.02  # of `s / D` there
+    first_lenses: int = 8  # that each corner is fitted in at first, until the camera is about known
+    fewest_flats: int = 3
+    fewest_corners: int = 12  # of a flat
+    alike_angle: float = 4.0  # [degrees] between the normals of boards, below which their poses are alike
+    alike_distance: float = 1.05  # farthest over nearest board, below which their distances are alike
+    outlier_share: float = 0.4  # of the observations of a flat, from which on it belongs to another camera or board
+
+
+UNCERTAINTY = UncertaintySettings()
+OBSERVATION = ObservationSettings()
 ADJUSTMENT = AdjustmentSettings()
 START = StartSettings()

@@ -1,6 +1,6 @@
 """The errors of this toolkit: each message says what was wrong, where, and what to do."""
 
-__all__ = ["RAW_FLAT_ADVICE", "CalibrationError", "CameraFileError", "FlatError", "LightFieldError"]
+__all__ = ["RAW_FLAT_ADVICE", "BoardError", "CalibrationError", "CameraFileError", "FlatError", "LightFieldError"]
 
 #: Ending of messages about images that show no microimages.
 RAW_FLAT_ADVICE = "give a raw flat from the sensor, of a camera with a microlens array"
@@ -20,3 +20,7 @@ class CalibrationError(LightFieldError, ValueError):
 
 class CameraFileError(LightFieldError, ValueError):
     """A camera file is missing, damaged, or belongs to another image size."""
+
+
+class BoardError(LightFieldError, ValueError):
+    """A board was not found on flats, or what was found cannot calibrate a camera."""

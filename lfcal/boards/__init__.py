@@ -1,0 +1,1 @@
+"""Boards of known points: made to print, found on flats, their corners located in single microimages."""

@@ -1,0 +1,94 @@
+"""Boards: which points they show, and where those lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..runtime.errors import BoardError
+
+__all__ = ["PATTERNS", "Board", "BoardPattern"]
+
+BoardPattern = Literal["checkerboard", "charuco", "circles"]
+PATTERNS = ("checkerboard", "charuco", "circles")
+
+
+@dataclass(frozen=True)
+class Board:
+    """A flat calibration target.
+
+    Parameters
+    ----------
+    columns, rows : int
+        Inner corners of a checkerboard or a ChArUco board (one less than squares), circles of an asymmetric grid: those
+        of a row, and the rows, each shifted by half a step (OpenCV's 4 x 11 has 4 columns and 11 rows).
+    square : float [mm]
+        Side of a square; of circles, the distance between rows.
+    pattern : {"checkerboard", "charuco", "circles"}
+    marker : float [mm], optional
+        Side of the markers of a ChArUco board, by default 0.75 of the square; diameter of circles, by default 1.2 of
+        the distance between rows.
+    dictionary : str
+        Of the markers, as OpenCV names it without `DICT_`.
+
+    Examples
+    --------
+    >>> board = Board(9, 6, 12.0)
+    >>> board.points.shape, board.points[10].tolist()
+    ((54, 3), [12.0, 12.0, 0.0])
+    """
+
+    columns: int
+    rows: int
+    square: float
+    pattern: BoardPattern = "checkerboard"
+    marker: float | None = None
+    dictionary: str = "5X5_1000"
+
+    def __post_init__(self) -> None:
+        if self.pattern not in PATTERNS:
+            raise ValueError(f"pattern must be {', '.join(PATTERNS)}, got {self.pattern!r}")
+        for name in ("columns", "rows"):
+            if not 2 <= getattr(self, name) <= 200:
+                raise BoardError(f"a board has 2 to 200 inner corners each way, got {self.columns} x {self.rows}")
+        if self.pattern == "checkerboard" and min(self.columns, self.rows) < 3:
+            raise BoardError(f"a checkerboard needs 3 x 3 inner corners or more, got {self.columns} x {self.rows}")
+        if not 0 < self.square < np.inf:
+            raise BoardError(f"the square must have a positive side [mm], got {self.square!r}")
+        marker = self.marker or self.square * (0.75 if self.pattern == "charuco" else 1.2)
+        if not 0 < marker < np.inf or (self.pattern == "charuco" and marker >= self.square):
+            raise BoardError(f"markers must be smaller than the square of {self.square} mm, got {marker!r} mm")
+        object.__setattr__(self, "marker", float(marker))
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """(k, 3) corners or centres [mm], row by row: x along the rows, y down, z away from the camera."""
+        column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
+        x = 2 * column + row % 2 if self.pattern == "circles" else column
+        return np.column_stack([x.ravel(), row.ravel(), np.zeros(x.size)]) * self.square
+
+    @property
+    def middle(self) -> NDArray[np.float64]:
+        """(3,) mean of the points [mm]."""
+        return self.points.mean(0)
+
+    @property
+    def half_turn(self) -> bool:
+        """Whether the board looks the same turned by 180 degrees, so that its first corner is a matter of choice."""
+        return self.pattern == "checkerboard" and (self.columns + self.rows) % 2 == 0
+
+    def charuco(self) -> Any:
+        """OpenCV's ChArUco board."""
+        import cv2
+
+        name = f"DICT_{self.dictionary.upper()}"
+        if not hasattr(cv2.aruco, name):
+            raise BoardError(f"OpenCV has no dictionary {self.dictionary!r} of markers; 4X4_50 or 5X5_1000 are usual")
+        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+        return cv2.aruco.CharucoBoard((self.columns + 1, self.rows + 1), self.square, float(self.marker or 0), markers)
+
+    def __str__(self) -> str:
+        return f"{self.pattern} of {self.columns} x {self.rows} {'circles' if self.pattern == 'circles' else 'corners'}"

@@ -1,0 +1,144 @@
+"""`lfcal metric` and `lfcal board`: measure the optics of a camera on flats of a board, and make the board."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ..runtime import console
+from ..runtime.output_file import check_output
+
+if TYPE_CHECKING:
+    from ..boards.board import Board
+    from ..metric.result import MetricCalibration
+
+__all__ = ["metric"]
+
+_INPUT, _OUTPUT = console.InputPath(), click.Path(path_type=Path)
+_PATTERNS = ("checkerboard", "charuco", "circles")
+
+
+def board_options(command: Any) -> Any:
+    """Give a command the options that describe a board."""
+    for option in reversed(
+        [
+            click.option("--board", "size", required=True, metavar="COLUMNSxROWS", help="Inner corners, such as 9x6."),
+            click.option("--square", type=float, required=True, metavar="MM", help="Side of a square [mm]."),
+            click.option(
+                "--pattern",
+                type=click.Choice(_PATTERNS),
+                default="checkerboard",
+                show_default=True,
+                help="Circles: an asymmetric grid, --square is the distance of its rows.",
+            ),
+            click.option("--marker", type=float, metavar="MM", help="Side of markers, diameter of circles [mm]."),
+            click.option("--dictionary", default="5X5_1000", show_default=True, help="Of ChArUco markers, in OpenCV."),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+def read_board(size: str, square: float, pattern: Any, marker: float | None, dictionary: str) -> Board:
+    """The board of the options."""
+    from ..boards.board import Board
+
+    columns, _, rows = size.lower().partition("x")
+    try:
+        counts = int(columns), int(rows)
+    except ValueError as error:
+        raise click.UsageError(f"--board {size}: give its inner corners across and down, such as 9x6") from error
+    return Board(*counts, square, pattern, marker, dictionary)
+
+
+@click.command(
+    epilog=console.help_examples(
+        "lfcal metric board_*.png -c camera.json --board 9x6 --square 12.0 -o camera.json",
+        "lfcal metric board_*.png -c camera.json --board 9x6 --square 12 --pixel 5.5 -o metric.json --poses poses.json",
+    )
+)
+@console.several_inputs("flats", "FLAT...")
+@click.option("-c", "--camera", type=_INPUT, required=True, help="Camera file of 'lfcal calibrate'.")
+@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="CAMERA.json", help="Camera file to write.")
+@board_options
+@click.option("--pixel", type=float, metavar="UM", help="Side of a pixel of the sensor [um]: the scale of F, L and b.")
+@click.option("--poses", type=_OUTPUT, metavar="POSES.json", help="Poses of the boards to write.")
+@console.report_options
+def metric(
+    flats: tuple[Path, ...],
+    camera: Path,
+    output: Path,
+    size: str,
+    square: float,
+    pattern: str,
+    marker: float | None,
+    dictionary: str,
+    pixel: float | None,
+    poses: Path | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Measure focal length, distances, distortion and tilt of a camera on FLATs of a board in several poses.
+
+    With the camera file that is written, depth and point clouds of its flats are in metres.
+    """
+    report = console.Report(as_json, quiet)
+    # The camera may be written over: it is the same one, which knows more.
+    check_output(output, {".json"}, flats)
+    if poses is not None:
+        check_output(poses, {".json"}, [*flats, camera, output])
+    board = read_board(size, square, pattern, marker, dictionary)
+    with report.stage("read"):
+        from .. import load, read_flat
+
+        pixels = [read_flat(flat) for flat in flats]
+        calibration = load(camera, (pixels[0].shape[1], pixels[0].shape[0]))
+    with report.stage("measure"):
+        from .. import calibrate_metric
+
+        found = calibrate_metric(
+            pixels,
+            calibration,
+            board,
+            pixel=None if pixel is None else pixel / 1000,
+            names=[flat.name for flat in flats],
+        )
+    with report.stage("write"):
+        found.calibration.save(output)
+        if poses is not None:
+            found.save_poses(poses)
+    report.finish({"camera": str(output), **describe_metric(found)})
+
+
+def describe_metric(found: MetricCalibration) -> dict[str, Any]:
+    """The figures that are printed: parameters with their errors, poses with their Cramer-Rao bounds."""
+    import numpy as np
+
+    from ..camera.optics import OPTICS_PARAMETERS
+
+    optics = found.optics
+    lengths = {"focal_length", "mla_distance", "sensor_distance", "pupil"}
+    figures: dict[str, Any] = {}
+    for name, value, error in zip(OPTICS_PARAMETERS, optics.parameters, optics.standard_errors, strict=True):
+        if error > 0:
+            unit = "_mm" if name in lengths else "_px" if name.startswith("principal") else ""
+            figures[name + unit] = float(f"{value:.8g}")
+            figures[name + unit + "_error"] = float(f"{error:.2g}")
+    bound = np.array([pose.standard_errors for pose in found.poses]) / np.sqrt(found.widening)
+    return {
+        **figures,
+        "microlens_focal_lengths_mm": list(optics.microlens_focal_lengths),
+        "flats_used": len(found.poses),
+        "corners": len(found.residual),
+        "outliers": int((~found.used).sum()),
+        "rms_px": round(found.rms, 4),
+        "corner_noise_px": round(found.noise, 4),
+        "variance_widened_by": round(found.widening, 2),
+        "cramer_rao_position_mm": np.round(np.median(bound[:, 3:], axis=0), 4).tolist(),
+        "cramer_rao_turn_degrees": np.round(np.rad2deg(np.median(bound[:, :3], axis=0)), 4).tolist(),
+        "distances_mm": [round(float(pose.translation[2]), 2) for pose in found.poses],
+        "distance_errors_mm": [round(float(pose.standard_errors[5]), 3) for pose in found.poses],
+        "warnings": [*found.warnings, *found.degeneracies],
+    }

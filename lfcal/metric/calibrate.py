@@ -1,0 +1,322 @@
+"""The optics of a camera, and the poses of the boards, from flats of a board."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..boards.board import Board
+from ..camera.calibration import Calibration
+from ..camera.optics import Optics
+from ..runtime.errors import BoardError, FlatError
+from .bundle_adjustment import Adjusted, Poses, adjust
+from .camera_model import INTERNAL, to_internal
+from .model_order import BASE, select_order
+from .observations import Observations, Triangulated, triangulate
+from .observe import BoardFlat, as_triangulated, measure, prepare
+from .result import BoardPose, MetricCalibration
+from .settings import OBSERVATION, START, ObservationSettings
+from .start import first_camera, planar_poses
+from .uncertainty import describe_degeneracies, optics_of, pose_factor
+
+__all__ = ["DEFAULT_PIXEL", "calibrate_metric", "locate_board"]
+
+Array = NDArray[Any]
+
+#: Side of a pixel [mm] where none is given; distances do not depend on it.
+DEFAULT_PIXEL = 0.0055
+
+
+def calibrate_metric(
+    flats: Sequence[ArrayLike],
+    calibration: Calibration,
+    board: Board,
+    *,
+    pixel: float | None = None,
+    names: Sequence[str] | None = None,
+    settings: ObservationSettings = OBSERVATION,
+) -> MetricCalibration:
+    """Measure main lens, distances, distortion and tilt of a camera on flats of a board in several poses.
+
+    Parameters
+    ----------
+    flats : sequence of (h, w) or (h, w, 3) array_like
+        Raw flats of one camera, three or more; a dozen, with the board tilted by 20 to 40 degrees in different
+        directions, at distances that differ by a factor of two or more and in all parts of the field.
+    calibration : Calibration
+        Of the array of this camera, as `calibrate` makes it from a white image.
+    board : Board
+    pixel : float [mm], optional
+        Side of a pixel of the sensor. F, L and b scale with it; distances do not depend on it. By default that of
+        `calibration.optics`, or 0.0055 with a warning.
+    names : sequence of str, optional
+        Of the flats, for messages and poses.
+
+    Returns
+    -------
+    MetricCalibration
+        With `calibration.optics`, its covariance, and the poses of the boards with theirs.
+
+    Raises
+    ------
+    FlatError
+        If a flat is not of the size the camera is for.
+    BoardError
+        If the board is found on fewer than three flats, has another number of corners, if all poses are alike, or if
+        the flats come from different cameras.
+    """
+    names = list(names) if names is not None else [f"flat {m + 1}" for m in range(len(flats))]
+    if len(names) != len(flats):
+        raise ValueError(f"names must be one for each of {len(flats)} flats, got {len(names)}")
+    if len(flats) < settings.fewest_flats:
+        raise BoardError(f"{len(flats)} flats of the board; give {settings.fewest_flats} or more, a dozen is good")
+    warnings = []
+    if pixel is None:
+        pixel = calibration.optics.pixel if calibration.optics is not None else None
+    if pixel is None:
+        pixel = DEFAULT_PIXEL
+        warnings.append(f"the size of a pixel is not given: {pixel * 1000:.3g} um is assumed; F, L and b scale with it")
+    if not 0 < pixel < 1:
+        raise ValueError(f"pixel must be a positive number of mm below 1, got {pixel!r}")
+    found, missing = _prepare_all(flats, names, calibration, board, settings)
+    warnings += [f"{flat.name}: {flat.reason}; left out" for flat in missing]
+
+    start = _first(as_triangulated([f.detected for f in found if f.detected]), calibration, board, len(found), settings)
+    observations, _ = measure(found, calibration, board, start[0], pixel, start[1], most_lenses=settings.first_lenses)
+    _check_seen(observations, found, settings)
+    seen = triangulate(observations, START.fewest_lenses)
+    if len(np.unique(seen.pose)) == len(found):
+        start = _first(seen, calibration, board, len(found), settings)
+    points = board.points - board.middle
+    fitted = adjust(start[0], pixel, start[1], points, observations, BASE)
+    # Again, from where this camera shows the corners.
+    observations, blur = measure(found, calibration, board, fitted.camera, pixel, fitted.poses)
+    _check_seen(observations, found, settings)
+    fitted = adjust(fitted.camera, pixel, fitted.poses, points, observations, BASE)
+    fitted = _without_mirrored_poses(fitted, pixel, points, observations)
+    fitted = select_order(fitted, pixel, points, observations)
+    _check_one_camera(fitted, found, observations, settings)
+    return _result(fitted, pixel, calibration, board, found, observations, blur, tuple(warnings))
+
+
+def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, name: str = "flat") -> BoardPose:
+    """Where a board stands before a camera that `calibrate_metric` has measured.
+
+    Its covariance holds the noise of the corners and the errors of the camera.
+
+    Raises
+    ------
+    FlatError
+        If the flat is not of the size the camera is for.
+    BoardError
+        If the board is not found, or the camera has no optics.
+    """
+    optics = calibration.optics
+    if optics is None or optics.principal_point is None:
+        raise BoardError("the camera has no measured optics; make them with calibrate_metric")
+    prepared = prepare(_checked(flat, name, calibration), name, calibration, board)
+    if prepared.detected is None:
+        raise BoardError(f"{name}: {prepared.reason}")
+    camera = np.concatenate([to_internal(optics.parameters[:3], optics.pixel)[0], optics.parameters[3:]])
+    points = board.points - board.middle
+    detected = prepared.detected
+    options = planar_poses(detected.scene, points[detected.corner], camera[0], camera[3:5])
+    if not options:
+        raise BoardError(f"{name}: the board shows no pose; move it or tilt it less")
+    tried = []
+    for turn, shift in options:
+        pose = Poses(turn[None], shift[None])
+        for _ in range(2):
+            observations, _ = measure([prepared], calibration, board, camera, optics.pixel, pose)
+            _check_seen(observations, [prepared], OBSERVATION)
+            found = adjust(camera, optics.pixel, pose, points, observations, ())
+            pose = found.poses
+        tried.append((found.noise * np.sqrt(found.cluster), found, observations))
+    _, found, observations = min(tried, key=lambda one: one[0])
+    return _pose(found, 0, board, observations, name, _camera_share(found, optics, points, observations))
+
+
+def _checked(flat: ArrayLike, name: str, calibration: Calibration) -> Array:
+    pixels = np.asarray(flat)
+    width, height = calibration.image_size
+    if pixels.ndim not in (2, 3) or pixels.shape[:2] != (height, width):
+        size = " x ".join(str(n) for n in pixels.shape[1::-1])
+        raise FlatError(f"{name} is {size} px, the camera is for {width} x {height} px; give flats of one camera")
+    return pixels
+
+
+def _prepare_all(
+    flats: Sequence[ArrayLike],
+    names: Sequence[str],
+    calibration: Calibration,
+    board: Board,
+    settings: ObservationSettings,
+) -> tuple[list[BoardFlat], list[BoardFlat]]:
+    """Flats with the board, and those without."""
+    checked = [_checked(flat, name, calibration) for flat, name in zip(flats, names, strict=True)]
+    with ThreadPoolExecutor(max(1, min(len(checked), os.cpu_count() or 1, 8))) as pool:
+        prepared = list(
+            pool.map(lambda one: prepare(one[0], one[1], calibration, board), zip(checked, names, strict=True))
+        )
+    found = [
+        f
+        for f in prepared
+        if f.detected is not None and len(f.detected.corner) >= min(settings.fewest_corners, len(board.points))
+    ]
+    missing = [f for f in prepared if f not in found]
+    if len(found) < settings.fewest_flats:
+        reasons = "; ".join(f"{flat.name}: {flat.reason or 'too few corners'}" for flat in missing)
+        raise BoardError(
+            f"the {board} was found on {len(found)} of {len(prepared)} flats, {settings.fewest_flats} are needed "
+            f"({reasons}); show all of the board, well lit and in focus, and check the number of its inner corners"
+        )
+    return found, missing
+
+
+def _first(
+    seen: Triangulated, calibration: Calibration, board: Board, count: int, settings: ObservationSettings
+) -> tuple[Array, Poses]:
+    start = first_camera(seen, board.points - board.middle, calibration.image_size, count)
+    if start is None:
+        raise BoardError(
+            "no camera explains the boards; check the number of squares, and that all flats are of this camera"
+        )
+    turns, shifts = start[1].rotation, start[1].translation
+    normals = turns[:, :, 2]
+    angles = np.rad2deg(np.arccos(np.clip(normals @ normals.T, -1, 1)))
+    if angles.max() < settings.alike_angle and shifts[:, 2].max() < settings.alike_distance * shifts[:, 2].min():
+        raise BoardError(
+            f"all {count} poses of the board are alike (within {angles.max():.1f} degrees and "
+            f"{100 * (shifts[:, 2].max() / shifts[:, 2].min() - 1):.0f} % of the distance), which tells nothing about "
+            "the lenses; tilt it by 20 to 40 degrees in different directions, and vary its distance"
+        )
+    return start
+
+
+def _check_seen(observations: Observations, flats: Sequence[BoardFlat], settings: ObservationSettings) -> None:
+    seen = [len(np.unique(observations.corner[observations.pose == m])) for m in range(len(flats))]
+    blind = [flat.name for flat, count in zip(flats, seen, strict=True) if count < min(settings.fewest_corners, 6)]
+    if blind:
+        raise BoardError(
+            f"{', '.join(blind)}: no corners are seen in single microimages; they are blurred there, or squares are "
+            "wider than microimages: use a board of smaller squares, or move it"
+        )
+
+
+def _without_mirrored_poses(fitted: Adjusted, pixel: float, points: Array, observations: Observations) -> Adjusted:
+    """Adjust each pose anew from its mirror image, the other pose that a plane may have, and keep the better ones."""
+    turns, shifts = fitted.poses.rotation.copy(), fitted.poses.translation.copy()
+    changed = False
+    for m in range(len(turns)):
+        mine = observations.pose == m
+        part = observations.select(mine)
+        part = Observations(part.pose * 0, part.corner, part.centre, part.position, part.error)
+        # The mirror image about the line of sight.
+        sight = shifts[m] / np.linalg.norm(shifts[m])
+        normal = turns[m][:, 2]
+        axis = np.cross(normal, sight)
+        if np.linalg.norm(axis) < 1e-3:
+            continue
+        angle = 2 * np.arctan2(np.linalg.norm(axis), normal @ sight)
+        flip = cv2.Rodrigues(axis / np.linalg.norm(axis) * angle)[0] @ turns[m]
+        own = adjust(fitted.camera, pixel, Poses(turns[m][None], shifts[m][None]), points, part, ())
+        other = adjust(fitted.camera, pixel, Poses(flip[None], shifts[m][None]), points, part, ())
+        if np.median(np.hypot(*other.residual.T)) < 0.98 * np.median(np.hypot(*own.residual.T)):
+            turns[m], shifts[m], changed = other.poses.rotation[0], other.poses.translation[0], True
+    if not changed:
+        return fitted
+    return adjust(fitted.camera, pixel, Poses(turns, shifts), points, observations, fitted.free)
+
+
+def _check_one_camera(
+    fitted: Adjusted, flats: Sequence[BoardFlat], observations: Observations, settings: ObservationSettings
+) -> None:
+    lost = [
+        flat.name
+        for m, flat in enumerate(flats)
+        if (fitted.weight[observations.pose == m] == 0).mean() > settings.outlier_share
+    ]
+    if lost:
+        raise BoardError(
+            f"{', '.join(lost)}: the board does not fit the camera of the other flats; were focus, zoom or camera "
+            "changed, or is it another board? Leave these flats out"
+        )
+
+
+def _result(
+    fitted: Adjusted,
+    pixel: float,
+    calibration: Calibration,
+    board: Board,
+    flats: Sequence[BoardFlat],
+    observations: Observations,
+    blur: Array,
+    warnings: tuple[str, ...],
+) -> MetricCalibration:
+    points = board.points - board.middle
+    factor = pose_factor(fitted, pixel, points, observations)
+    optics = optics_of(fitted, pixel, factor)
+    optics = replace(optics, microlens_focal_lengths=_microlenses(optics, calibration))
+    widened = replace(fitted, covariance=fitted.covariance * factor)
+    return MetricCalibration(
+        calibration=replace(calibration, optics=optics),
+        board=board,
+        poses=tuple(_pose(widened, m, board, observations, flat.name) for m, flat in enumerate(flats)),
+        fitted=fitted.free,
+        observations=observations,
+        residual=fitted.residual,
+        used=fitted.weight > 0,
+        noise=float(np.median(observations.error)) * fitted.noise,
+        widening=fitted.cluster * factor,
+        degeneracies=describe_degeneracies(optics),
+        warnings=warnings,
+    )
+
+
+def _pose(
+    found: Adjusted, m: int, board: Board, observations: Observations, name: str, more: Array | None = None
+) -> BoardPose:
+    turn, shift = found.poses.rotation[m], found.poses.translation[m]
+    first = len(INTERNAL) + 6 * m
+    covariance = found.covariance[first : first + 6, first : first + 6]
+    if more is not None:
+        covariance = covariance + more
+    middle = turn @ board.middle
+    x, y, z = middle
+    change = np.eye(6)
+    change[3:, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+    used = (observations.pose == m) & (found.weight > 0)
+    rms = float(np.sqrt((found.residual[used] ** 2).sum(1).mean()))
+    return BoardPose(name, turn, shift - middle, change @ covariance @ change.T, rms, int(used.sum()))
+
+
+def _camera_share(found: Adjusted, optics: Optics, points: Array, observations: Observations) -> Array | None:
+    """(6, 6) covariance of the pose that comes from that of the camera."""
+    if optics.covariance is None:
+        return None
+    from .bundle_adjustment import normal_equations
+
+    normals = normal_equations(found.camera, optics.pixel, found.poses, points, observations, found.weight)
+    own = len(INTERNAL)
+    by_internal = -np.linalg.solve(normals.matrix[own:, own:], normals.matrix[own:, :own])
+    change = np.eye(own)
+    change[:3, :3] = to_internal(optics.parameters[:3], optics.pixel)[1]
+    by_optics = by_internal @ change
+    return by_optics @ optics.covariance @ by_optics.T
+
+
+def _microlenses(optics: Optics, calibration: Calibration) -> tuple[float, ...]:
+    """Focal length [mm] of each lens type, from the `s / D` it is focused at, where that is known."""
+    types = calibration.lens_types
+    if types is None or types.focus is None or not np.isfinite(types.focus).all():
+        return ()
+    far, near = optics.mla_distance, optics.sensor_distance
+    image = types.focus * (1 + near / far) / near + 1 / far
+    return tuple(float(1 / v) for v in image + 1 / near)

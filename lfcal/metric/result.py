@@ -1,0 +1,144 @@
+"""What the metric calibration gives: the camera with its optics, the poses of the boards, and the residuals."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..boards.board import Board
+from ..camera.calibration import Calibration
+from ..camera.optics import Optics
+from ..runtime.output_file import atomic_write
+from .observations import Observations
+
+__all__ = ["BoardPose", "MetricCalibration"]
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class BoardPose:
+    """Where a board stood: `X_camera = rotation @ X_board + translation`.
+
+    Origin of the camera is the middle of the main lens (its entrance pupil), x right, y down, z to the scene; of the
+    board its first corner, x along the rows, y down, z away from the camera.
+
+    Parameters
+    ----------
+    name : str
+        Of the flat.
+    rotation : (3, 3) float64
+    translation : (3,) float64 [mm]
+    covariance : (6, 6) float64
+        Of a small turn of the rotated board about the axes of the camera [rad] and of the translation [mm], the errors
+        of the camera included.
+    rms : float [px]
+        Of the distances between observed and predicted corners in microimages, without outliers.
+    observations : int
+        Corners in microimages, without outliers.
+    """
+
+    name: str
+    rotation: Array
+    translation: Array
+    covariance: Array
+    rms: float
+    observations: int
+
+    @property
+    def standard_errors(self) -> Array:
+        """(6,) of turn [rad] and translation [mm]."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0))
+
+    def place(self, board_points: Array) -> Array:
+        """(n, 3) points of the board [mm] in the frame of the camera [mm]."""
+        return np.asarray(board_points, np.float64) @ self.rotation.T + self.translation
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers."""
+        errors = self.standard_errors
+        return {
+            "flat": self.name,
+            "rotation": self.rotation.tolist(),
+            "translation_mm": self.translation.tolist(),
+            "turn_error_degrees": np.rad2deg(errors[:3]).tolist(),
+            "translation_error_mm": errors[3:].tolist(),
+            "rms_px": self.rms,
+            "observations": self.observations,
+        }
+
+
+@dataclass(frozen=True)
+class MetricCalibration:
+    """A camera that measures.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The given one with `optics`.
+    board : Board
+    poses : tuple of BoardPose
+        Of the flats on which the board was found.
+    fitted : tuple of str
+        Parameters that the data asked for.
+    observations : Observations
+        Corners in microimages, sorted by pose.
+    residual : (n, 2) float64 [px]
+        Observed minus predicted.
+    used : (n,) bool
+        Not an outlier.
+    noise : float [px]
+        Median standard error of one corner in one microimage, along one axis, from the residuals.
+    widening : float
+        Factor on the variances, at least 1: of errors that the microimages of a corner share, and the corners of a
+        pose.
+    degeneracies : tuple of str
+        Parameters that hardly separate, and what is well known instead.
+    warnings : tuple of str
+    """
+
+    calibration: Calibration
+    board: Board
+    poses: tuple[BoardPose, ...]
+    fitted: tuple[str, ...]
+    observations: Observations
+    residual: Array
+    used: NDArray[np.bool_]
+    noise: float
+    widening: float
+    degeneracies: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def optics(self) -> Optics:
+        """Of the calibration."""
+        assert self.calibration.optics is not None
+        return self.calibration.optics
+
+    @property
+    def rms(self) -> float:
+        """Of the distances between observed and predicted corners [px], without outliers."""
+        return float(np.sqrt((self.residual[self.used] ** 2).sum(1).mean()))
+
+    def save_poses(self, path: str | os.PathLike[str]) -> None:
+        """Write the poses, with what they were measured on, as JSON."""
+        data = {
+            "schema": "lfcal-poses",
+            "version": 1,
+            "board": {
+                "pattern": self.board.pattern,
+                "columns": self.board.columns,
+                "rows": self.board.rows,
+                "square_mm": self.board.square,
+            },
+            "fitted": list(self.fitted),
+            "rms_px": self.rms,
+            "poses": [pose.to_dict() for pose in self.poses],
+        }
+        with atomic_write(path) as temporary:
+            temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
