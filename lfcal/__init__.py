@@ -7,6 +7,7 @@ from .camera.calibration import Calibration
 from .camera.lens_types import LensTypes
 from .camera.optics import Optics
 from .camera_files.read_write import load
+from .display.camera_check import CameraCheck, check_camera
 from .display.compare import compare
 from .display.fit_check import check_fit
 from .display.overlay import show
@@ -28,6 +29,7 @@ __all__ = [
     "BoardPose",
     "Calibration",
     "CalibrationError",
+    "CameraCheck",
     "CameraFileError",
     "FlatError",
     "FlatSource",
@@ -39,6 +41,7 @@ __all__ = [
     "OutputError",
     "calibrate",
     "calibrate_metric",
+    "check_camera",
     "check_fit",
     "compare",
     "count_pages",

@@ -33,6 +33,7 @@ __all__ = [
     "find_first_lattice",
     "find_first_lattices",
     "find_first_lattices_at_half_size",
+    "fit_first_lattice",
 ]
 
 NO_MICROIMAGES = (
@@ -70,6 +71,19 @@ def find_first_lattice(picture: NDArray[np.float32], settings: DetectionSettings
         If nothing repeats in two directions, or no microimages do.
     """
     return _build_lattice(next(_find_bases(picture, settings)), picture, edge_strength(picture), settings)
+
+
+def fit_first_lattice(
+    picture: NDArray[np.float32], basis: NDArray[np.float64], settings: DetectionSettings = DEFAULT
+) -> FirstLattice:
+    """Lattice of a picture (h, w) whose `basis` (2, 2) [px] is known to some percent, and nothing of its centres.
+
+    Raises
+    ------
+    CalibrationError
+        If no microimages repeat on the picture at about this basis.
+    """
+    return _build_lattice(basis, picture, edge_strength(picture), settings)
 
 
 def find_first_lattices(picture: NDArray[np.float32], settings: DetectionSettings = DEFAULT) -> Iterator[FirstLattice]:

@@ -21,7 +21,7 @@ from .focus_order import find_focus_order
 from .lens_sample import LensFeatures, LensSample, measure_lens_features, outlier_limit, sample_lenses
 from .settings import DEFAULT, LensTypeSettings, PatternSettings
 
-__all__ = ["find_lens_types"]
+__all__ = ["find_lens_types", "is_in_step"]
 
 # Period n and steps p, q of mosaics in which lens (i, j) is of type (p * i + q * j) mod n.
 _MOSAICS: tuple[tuple[int, ...], ...] = ((3, 1, -1), (3, 1, 1), (3, 1, 0), (3, 0, 1), (2, 1, 1), (2, 1, 0), (2, 0, 1))
@@ -217,6 +217,17 @@ def _beats(
     limit = min(settings.beat_frequency, cycles / (min(lattice.image_size) / lattice.pitch))
     near = _apart(vectors[:, None] - grid @ lattice.basis.T).max(-1) < limit
     return near.any(1)
+
+
+def is_in_step(cell: NDArray[np.int8], lattice: Lattice, settings: PatternSettings = DEFAULT.pattern) -> bool:
+    """Whether beats of the lattice with the pixels repeat like the types of a `cell` (m, m)."""
+    period = len(cell)
+    i, j = np.mgrid[0:period, 0:period]
+    alike = [
+        n == period and len(set(zip(((p * i + q * j) % n).ravel().tolist(), cell.ravel().tolist(), strict=True))) == n
+        for n, p, q in _MOSAICS
+    ]
+    return bool(_beats(_VECTORS[alike], lattice, 1.0, settings.beat_cycles, settings).any())
 
 
 def _apart(difference: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .lens_sample import LensSample, outlier_limit
 from .settings import DEFAULT, FocusSettings
 
-__all__ = ["FocusOrder", "find_focus_order"]
+__all__ = ["FocusOrder", "TypeMeans", "find_focus_order"]
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def find_focus_order(
         `LensFeatures.rim_ratio`.
     """
     count = int(cell.max()) + 1
-    types = _Types(cell[tuple((sample.inner % len(cell)).T)], _unmixing(sample, cell), settings)
+    types = TypeMeans.from_sample(sample, cell, settings)
     trend = _order_over_depth(sharpness, disparity, types)
     rim = _rim_softness(outer_light, inner_loss, types) if rim_ratio < settings.flattened else None
     if trend is not None:
@@ -76,12 +76,17 @@ def _unmixing(sample: LensSample, cell: NDArray[np.int64]) -> NDArray[np.float64
 
 
 @dataclass(frozen=True)
-class _Types:
-    """Provisional type (n,) of the inner lenses, and what turns differences from neighbours into values of types."""
+class TypeMeans:
+    """Type (n,) of the inner lenses, and what turns differences from neighbours into values of types."""
 
     of: NDArray[np.int64]
     unmixing: NDArray[np.float64]
     settings: FocusSettings
+
+    @classmethod
+    def from_sample(cls, sample: LensSample, cell: NDArray[np.int64], settings: FocusSettings) -> TypeMeans:
+        """For the lenses of a sample whose types repeat after a `cell` (m, m)."""
+        return cls(cell[tuple((sample.inner % len(cell)).T)], _unmixing(sample, cell), settings)
 
     def fit_lines(
         self, values: NDArray[np.float64], places: NDArray[np.float64]
@@ -113,7 +118,7 @@ class _Types:
 
 
 def _rim_softness(
-    outer_light: NDArray[np.float64], inner_loss: NDArray[np.float64], types: _Types
+    outer_light: NDArray[np.float64], inner_loss: NDArray[np.float64], types: TypeMeans
 ) -> NDArray[np.float64] | None:
     """(count,) softness of the rims of each type, mean 0; None where that is not clear."""
     settings = types.settings
@@ -134,7 +139,7 @@ def _are_distinct(values: NDArray[np.float64], error: float, clear: float) -> bo
 
 
 def _order_over_depth(
-    sharpness: NDArray[np.float64], disparity: NDArray[np.float64], types: _Types
+    sharpness: NDArray[np.float64], disparity: NDArray[np.float64], types: TypeMeans
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None:
     """Slope of the sharpness of each type over `s / D`, focus of each, and the sign of `s` at which they are focused.
 
@@ -167,7 +172,7 @@ def _order_over_depth(
     return slope, focus, sign
 
 
-def _find_foci(sharpness: NDArray[np.float64], disparity: NDArray[np.float64], types: _Types) -> NDArray[np.float64]:
+def _find_foci(sharpness: NDArray[np.float64], disparity: NDArray[np.float64], types: TypeMeans) -> NDArray[np.float64]:
     """(count,) `s / D` where each of three types is sharpest, NaN where that is not seen.
 
     Two types are equally sharp half-way between their foci, whatever the law by which sharpness falls with defocus.

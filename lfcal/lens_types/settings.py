@@ -11,6 +11,7 @@ __all__ = [
     "LensTypeSettings",
     "PatternSettings",
     "SampleSettings",
+    "TypeCheckSettings",
 ]
 
 
@@ -85,6 +86,15 @@ class FocusSettings:
 
 
 @dataclass(frozen=True)
+class TypeCheckSettings:
+    """Tuned values of `type_check`; significances are those that no right camera of 24 simulated ones had."""
+
+    certain_pattern: float = 0.9  # confidence of a pattern that refutes another
+    rim_ratio: float = 20.0  # twice the logarithm of the likelihood ratio of another order of the rims: at most 13
+    sharpness_significance: float = 5.0  # [standard errors] of a middle type that is the least sharp
+
+
+@dataclass(frozen=True)
 class LensTypeSettings:
     """Tuned values of all stages."""
 
@@ -93,6 +103,7 @@ class LensTypeSettings:
     pattern: PatternSettings = PatternSettings()
     focus: FocusSettings = FocusSettings()
     other_mode: float = 0.2  # share of lenses in the other mode from which on a scene has both: 0.01 to 0.09 are wrong
+    check: TypeCheckSettings = TypeCheckSettings()
 
 
 DEFAULT = LensTypeSettings()

@@ -136,6 +136,7 @@ class Report:
         self.quiet = quiet
         self.log_stages = log_stages
         self.seconds: dict[str, float] = {}
+        self.warnings: list[str] = []
         self._announced = False
         self._stage = ""
         self._terminal = None if quiet or not sys.stderr.isatty() else Terminal()
@@ -190,8 +191,14 @@ class Report:
         if not self.as_json or sys.stderr.isatty():
             click.echo("compiling kernels, once per installation ...", err=self.as_json)
 
+    def warn(self, text: str) -> None:
+        """Add a warning to those that are printed at the end."""
+        self.warnings.append(text)
+
     def finish(self, figures: Mapping[str, Any]) -> None:
         """Print the figures, with the seconds of all stages, and the warnings among them on stderr."""
+        if self.warnings:
+            figures = {**figures, "warnings": [*figures.get("warnings", ()), *self.warnings]}
         figures = {**figures, "seconds": {name: round(value, 4) for name, value in self.seconds.items()}}
         if self.as_json:
             click.echo(json.dumps(_to_json_types(figures)))

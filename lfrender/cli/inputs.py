@@ -12,10 +12,11 @@ import click
 
 from lfcal import CameraFileError
 from lfcal.runtime import console
-from lfcal.runtime.image_formats import IMAGE_SUFFIXES, Mosaic
+from lfcal.runtime.image_formats import Mosaic
 from lfcal.runtime.video.raw_format import RAW_SUFFIX
 
 from ..runtime.background_imports import import_in_background
+from .camera_input import read_camera
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     from ..data.depth_map import DepthMap
 
-__all__ = ["CaptureInput", "is_published", "raw_layout", "read_camera"]
+__all__ = ["CaptureInput", "raw_layout"]
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ class CaptureInput:
     def find_camera(self, pixels: Any) -> Calibration:
         """The camera of the file, or calibrated from the white image or from the pixels.
 
-        With a camera file of lfcal, `pixels` may be anything with the shape of the flat.
+        With a camera file of lfcal, `pixels` may be a `FlatSource`.
         """
         from lfcal import FlatError, calibrate, read_flat
 
@@ -108,11 +109,21 @@ class CaptureInput:
         """The depth of the file, or of the flat in colour; `options` as for `lfrender.analyze`."""
         with self.report.stage("analyze"):
             if self.depth_file is not None:
-                return self.read_depth()
+                depth = self.read_depth()
+                if depth.image_size == (pixels.shape[1], pixels.shape[0]) and not depth.is_of(pixels):
+                    self.warn_of_other_flat()
+                return depth
             from .. import analyze
 
             self.report.announce_compilation("lfrender")
             return analyze(pixels, calibration, preset=self.preset, **options)
+
+    def warn_of_other_flat(self) -> None:
+        """Warn that the depth file was made from other pixels."""
+        self.report.warn(
+            f"{self.depth_file} was made from another flat than {self.flat}: edges of the scene may be drawn at wrong "
+            "places; analyse this flat"
+        )
 
     def read_depth(self) -> DepthMap:
         """The depth of the file."""
@@ -135,25 +146,3 @@ def raw_layout(
         with suppress(CameraFileError):
             size = load(camera).image_size
     return {"size": size, "pixel_format": pixel_format}
-
-
-def is_published(path: Path) -> bool:
-    """Whether a camera file is of another program, so that its lattice is to be checked against the pixels."""
-    return path.suffix.lower() != ".json"
-
-
-def read_camera(path: Path, pixels: Any) -> Calibration:
-    """A camera file for flats of this size; a published one gets a warning if the pixels contradict it."""
-    from lfcal import check_fit, load
-
-    if path.suffix.lower() in IMAGE_SUFFIXES and path.exists():
-        raise CameraFileError(
-            f"{path}: is an image, not a camera file; give a white image as --white, or make a camera file of it with "
-            "'lfcal calibrate'"
-        )
-    calibration = load(path, (pixels.shape[1], pixels.shape[0]))
-    misfit = check_fit(calibration, pixels).warning if is_published(path) else None
-    if misfit is None:
-        return calibration
-    warning = f"as published, {misfit}; calibrate on this flat instead: leave out -c"
-    return replace(calibration, warnings=(*calibration.warnings, warning))

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .camera_input import is_published
 from .figures import capture_figures, rendering_settings
-from .inputs import CaptureInput, is_published
+from .inputs import CaptureInput
 from .options import option_errors
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ def render_in_tiles(
             with report.stage("analyze"):
                 if capture.depth_file is not None:
                     depth = capture.read_depth()
+                    if not _is_of(depth, source, calibration):
+                        capture.warn_of_other_flat()
                 else:
                     key = fingerprint(file_identity(capture.flat), calibration.to_dict(), capture.preset)
                     depth = checkpoint.reuse(
@@ -68,6 +71,16 @@ def render_in_tiles(
         "picture": str(output), "size": list(made.size), "scale": made.scale, "valid": made.valid,
         "affine": made.affine, "tiles": made.tiles, "tiles_kept": made.kept, **capture_figures(calibration, depth),
     })  # fmt: skip
+
+
+def _is_of(depth: DepthMap, source: FlatSource, calibration: Calibration) -> bool:
+    """Whether a depth map was made from a flat, for all that is known."""
+    from ..data.flat_samples import is_same_flat, sample_source
+
+    raw = calibration.mosaic is not None and len(source.shape) == 2
+    if raw or depth.flat_samples is None or depth.image_size != source.shape[1::-1]:
+        return True
+    return is_same_flat(depth.flat_samples, sample_source(source))
 
 
 def _find_camera(capture: CaptureInput, source: FlatSource, checkpoint: Checkpoint | None = None) -> Calibration:

@@ -10,7 +10,8 @@ import click
 
 from lfcal.runtime import console
 
-from .inputs import raw_layout, read_camera
+from .camera_input import read_camera
+from .inputs import raw_layout
 from .options import (
     CAMERA,
     INPUT,

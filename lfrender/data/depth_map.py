@@ -16,6 +16,7 @@ from lfcal.runtime.frozen import Frozen
 from lfcal.runtime.output_file import atomic_write
 
 from ..runtime.quantiles import quantile
+from .flat_samples import is_same_flat, sample_flat
 from .frame_state import FrameState
 from .settings import DEFAULT, DataSettings
 from .surface import Surface
@@ -72,6 +73,8 @@ class DepthMap(Frozen):
         taken.
     frame_state : FrameState
         For the analysis of the next frame; not saved.
+    flat_samples : (m,) float32 or None
+        Fingerprint of the flat that it was made from; None where that is unknown.
     """
 
     patch_size: NDArray[np.float32]
@@ -85,6 +88,7 @@ class DepthMap(Frozen):
     reason: NDArray[np.int8] = None  # type: ignore[assignment]
     saved: dict[str, float] = field(default_factory=dict)
     frame_state: FrameState = field(default_factory=FrameState, repr=False, compare=False)
+    flat_samples: NDArray[np.float32] | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         n = len(self.patch_size)
@@ -130,6 +134,15 @@ class DepthMap(Frozen):
     def filled(self) -> NDArray[np.bool_]:
         """(n,) bool: unresolved lenses, whose `filled_patch_size` is interpolated from neighbours."""
         return np.isnan(self.patch_size)
+
+    def is_of(self, flat: NDArray) -> bool:
+        """Whether it was made from a flat (H, W) or (H, W, C), in any type or exposure; True where that is unknown.
+
+        Flats of a colour filter mosaic are given in colour, as they were analysed.
+        """
+        if self.flat_samples is None:
+            return True
+        return is_same_flat(self.flat_samples, sample_flat(flat))
 
     def distance(self, camera: Optics | Calibration) -> NDArray[np.float64]:
         """(n,) float64 [m]: distance in front of the main lens of what each lens shows; NaN where unresolved.
@@ -193,6 +206,7 @@ class DepthMap(Frozen):
                 reason=self.reason,
                 saved_by=np.array(list(self.saved), dtype=str),
                 saved=np.array(list(self.saved.values()), dtype=np.float64),
+                flat_samples=np.zeros(0, np.float32) if self.flat_samples is None else self.flat_samples,
             )
 
     @classmethod
@@ -230,6 +244,7 @@ class DepthMap(Frozen):
                     saved={str(k): float(v) for k, v in zip(data["saved_by"], data["saved"], strict=True)}
                     if "saved" in data
                     else {},
+                    flat_samples=_samples(data),
                 )
         except DepthFileError:
             raise
@@ -259,6 +274,12 @@ def default_scale(depth: DepthMap, settings: DataSettings = DEFAULT) -> float:
     if sizes.size == 0:
         return 1.0
     return max(1.0, quantile(sizes, settings.full_resolution_share))
+
+
+def _samples(data: Any) -> NDArray[np.float32] | None:
+    """The fingerprint of the flat in a file; None in those without."""
+    samples = np.asarray(data["flat_samples"], np.float32) if "flat_samples" in data else np.zeros(0, np.float32)
+    return samples if samples.size else None
 
 
 def _one_line(error: Exception) -> str:

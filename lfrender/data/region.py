@@ -109,8 +109,14 @@ def _rows_of(sub: Lattice, lattice: Lattice) -> NDArray[np.int32]:
     return grid[j, i]
 
 
-def rescale_depth(depth: DepthMap, lattice: Lattice, factor: float, saved: dict[str, float] | None = None) -> DepthMap:
-    """The same depth in pixels `factor` times as small, those of `lattice`; `saved` replaces that of `depth`."""
+def rescale_depth(
+    depth: DepthMap,
+    lattice: Lattice,
+    factor: float,
+    saved: dict[str, float] | None = None,
+    flat_samples: NDArray[np.float32] | None = None,
+) -> DepthMap:
+    """The same depth in pixels `factor` times as small, those of `lattice`; what else is given replaces that of it."""
     first_x, first_y = ((x + 0.5) * factor - 0.5 for x in depth.surface.first)
     surface = Surface(
         (depth.surface.patch_size * np.float32(factor)), (first_x, first_y), depth.surface.spacing * factor
@@ -121,4 +127,5 @@ def rescale_depth(depth: DepthMap, lattice: Lattice, factor: float, saved: dict[
         filled_patch_size=depth.filled_patch_size * np.float32(factor),
         surface=surface, pitch=lattice.pitch, image_size=lattice.image_size,
         saved=depth.saved if saved is None else saved,
+        flat_samples=depth.flat_samples if flat_samples is None else flat_samples,
     )  # fmt: skip

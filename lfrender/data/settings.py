@@ -18,6 +18,9 @@ class DataSettings:
     largest_magnification: float = 12.0  # |D / s| is bounded here; no capture has smaller patches than D / 12
     region_margin: float = 4.5  # [pitch] lenses around a region that support it: the reach of the shading correction
     region_step: float = 1.0  # [pitch] parts end at multiples of this, so that the next frame mostly has the same part
+    sample_rows: int = 16  # of the fingerprint of a flat, and
+    sample_columns: int = 64  # along each
+    same_samples: float = 0.02  # [standard deviation of the samples] by which forms of one flat differ: 8 bits 0.01
 
 
 DEFAULT = DataSettings()

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from numpy.typing import NDArray
 
 from lfcal import Calibration
 
 from ..data.depth_map import DepthMap
+from ..data.flat_samples import sample_flat
 from ..data.region import check_region, crop_flat, embed_region, rescale_depth, select_lenses
 from ..flat.validation import check_flat
 from .incremental import update_depth
@@ -90,11 +92,11 @@ def analyze(
     if previous is not None and shortcuts.still:
         if inside is not None:
             raise ValueError("give either roi or previous, not both")
-        return update_depth(flat, calibration, preset, shortcuts, *previous)
+        return replace(update_depth(flat, calibration, preset, shortcuts, *previous), flat_samples=sample_flat(flat))
     gray, small, factor = prepare_flat(flat, calibration, preset)
     if inside is None:
-        return rescale_depth(estimate_depth_map(gray, small, preset, shortcuts), lattice, factor)
+        depth = estimate_depth_map(gray, small, preset, shortcuts)
+        return rescale_depth(depth, lattice, factor, flat_samples=sample_flat(flat))
     part, sub = crop_flat(gray, small, inside)
-    return rescale_depth(
-        embed_region(estimate_depth_map(part, sub, preset, shortcuts), sub, small, inside), lattice, factor
-    )
+    depth = embed_region(estimate_depth_map(part, sub, preset, shortcuts), sub, small, inside)
+    return rescale_depth(depth, lattice, factor, flat_samples=sample_flat(flat))

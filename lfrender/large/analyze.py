@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration, FlatSource, Lattice
 
 from ..data.depth_map import DepthMap
+from ..data.flat_samples import sample_source
 from ..data.region import rescale_depth
 from ..data.surface import Surface
 from ..depth.matching.matcher import Matcher
@@ -100,7 +101,9 @@ def analyze_large(
     depth = None if plane is None else _check_plane(flat, workers, tiles, plane, confidence)
     if depth is None:
         depth = _analyze_tiles(flat, workers, tiles, progress)
-    return rescale_depth(depth, calibration.lattice, flat.factor)
+    # Those of a colour filter mosaic are not those of the flat in colour.
+    raw = calibration.mosaic is not None and len(source.shape) == 2
+    return rescale_depth(depth, calibration.lattice, flat.factor, flat_samples=None if raw else sample_source(source))
 
 
 @dataclass(frozen=True)

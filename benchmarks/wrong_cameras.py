@@ -1,0 +1,99 @@
+"""Are wrong cameras noticed? `python -m benchmarks.wrong_cameras FIRST LAST [FLAT CAMERA.json]...`
+
+Each seed simulates a scene and a white image of a random camera; the camera is calibrated on the white image, and
+checked against the scene, as it is and in worse forms. Wrong cameras are turned by 90 degrees, mirrored, shifted by a
+third of a pitch in a random direction, 0.5 % too long or short, or have their lens types in another order. Captures
+with their cameras may be added. Cameras that a turn or a mirror takes to themselves, within 0.06 pitches, are counted
+apart: their lattice is right for the flat.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+import lfcal
+
+from .random_scenes import draw
+
+__all__ = ["main"]
+
+_SAMPLES = 24
+_SAME = 0.06
+_TURN, _MIRROR = np.array([[0, 1], [-1, 0]]), np.array([[-1, 0], [0, 1]])
+
+
+def _forms(flat: NDArray[Any], rng: np.random.Generator) -> Iterator[tuple[str, NDArray[Any]]]:
+    """The flat as it is, and worse."""
+    eight = flat if flat.dtype == np.uint8 else (flat // 257).astype(np.uint8)
+    yield "as it is", flat
+    yield "a quarter as bright", eight // 4
+    yield "noise of 6 levels", np.clip(eight + rng.normal(0, 6, flat.shape), 0, 255).astype(np.uint8)
+    yield "JPEG 50", np.asarray(cv2.imdecode(cv2.imencode(".jpg", eight, [1, 50])[1], cv2.IMREAD_UNCHANGED))
+
+
+def _wrong_cameras(camera: lfcal.Calibration, rng: np.random.Generator) -> Iterator[tuple[str, lfcal.Calibration]]:
+    lattice, types = camera.lattice, camera.lens_types
+    middle = (np.array(lattice.image_size) - 1) / 2
+    angle = rng.uniform(0, 2 * np.pi)
+    third = lattice.pitch / 3 * np.array([np.cos(angle), np.sin(angle)])
+    scale = 1 + 0.005 * rng.choice([-1, 1])
+    for name, matrix in (("turned", _TURN), ("mirrored", _MIRROR), ("pitch", scale * np.eye(2))):
+        origin, basis = middle + (lattice.origin - middle) @ matrix, lattice.basis @ matrix
+        yield name, replace(camera, lattice=replace(lattice, origin=origin, basis=basis, distortion=None))
+    yield "shifted", replace(camera, lattice=replace(lattice, origin=lattice.origin + third))
+    if types is not None and types.ordered:
+        order = rng.permutation(types.count)
+        while (order == np.arange(types.count)).all():
+            order = rng.permutation(types.count)
+        yield (
+            "type order",
+            replace(camera, lens_types=lfcal.LensTypes(order[types.cell].astype(np.int8), True, types.focus)),
+        )
+
+
+def _is_same(one: lfcal.Lattice, other: lfcal.Lattice) -> bool:
+    away = other.to_index(one.centres())
+    return float(np.linalg.norm((away - np.rint(away)) @ other.basis, axis=1).max()) < _SAME * one.pitch
+
+
+def main(arguments: list[str]) -> None:
+    """Print every mistake, and the numbers of right and wrong cameras and of mistakes."""
+    first, last, files = int(arguments[0]), int(arguments[1]), arguments[2:]
+    count: Counter[str] = Counter()
+    rng = np.random.default_rng(first)
+
+    def captures() -> Iterator[tuple[str, NDArray[Any], lfcal.Calibration]]:
+        for seed in range(first, last):
+            text, capture = draw(seed, _SAMPLES)
+            yield f"{seed} {text}", capture.flat, lfcal.calibrate(capture.white, kind="white")
+        for flat, camera in zip(files[::2], files[1::2], strict=True):
+            yield flat, lfcal.read_flat(flat), lfcal.load(camera)
+
+    for name, flat, camera in captures():
+        for form, pixels in _forms(flat, rng):
+            problem = lfcal.check_camera(camera, pixels).problem
+            count["right"] += 1
+            if problem is not None:
+                count["false alarms"] += 1
+                print(f"{name}, {form}: false alarm: {problem}", flush=True)
+            for kind, wrong in _wrong_cameras(camera, rng):
+                if kind in ("turned", "mirrored") and _is_same(wrong.lattice, camera.lattice):
+                    count["the same lattice"] += 1
+                    continue
+                count[f"wrong: {kind}"] += 1
+                if lfcal.check_camera(wrong, pixels).problem is None:
+                    count[f"missed: {kind}"] += 1
+                    print(f"{name}, {form}: {kind} is not noticed", flush=True)
+    print(dict(count))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

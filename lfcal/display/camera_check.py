@@ -1,0 +1,167 @@
+"""Whether a camera belongs to a flat: its lattice against the one that the pixels show, and its lens types.
+
+The lattice that repeats on the flat is fitted anew, from the basis of the camera and nothing of its centres; where none
+repeats at that basis, it is searched without the camera. Both lattices are compared by a shift and a linear map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..camera.calibration import Calibration
+from ..lattice.lattice import Lattice
+from ..lattice.orientation import describe_orientation
+from ..runtime.errors import FlatError
+from .settings import CAMERA_CHECK, CameraCheckSettings
+
+if TYPE_CHECKING:
+    from .lattice_misfit import LatticeMisfit
+
+__all__ = ["CameraCheck", "check_camera"]
+
+_REMEDY = "give the camera of this flat, or calibrate on it"
+_TURNS = {
+    "turned by 90 degrees": [[0, 1], [-1, 0]],
+    "turned by 180 degrees": [[-1, 0], [0, -1]],
+    "mirrored left to right": [[-1, 0], [0, 1]],
+    "mirrored top to bottom": [[1, 0], [0, -1]],
+    "transposed": [[0, 1], [1, 0]],
+}
+
+
+@dataclass(frozen=True)
+class CameraCheck:
+    """What a flat says about a camera.
+
+    Parameters
+    ----------
+    fits : bool
+        False where the flat shows another lattice altogether, so that nothing computed with the camera has a meaning.
+    problem : str or None
+        What is wrong and what to do, None where nothing is.
+    adjusted : Calibration or None
+        The camera moved onto the microimages, where a shift is all that is wrong with its lattice: crops of a sensor.
+    """
+
+    fits: bool = True
+    problem: str | None = None
+    adjusted: Calibration | None = None
+
+
+def check_camera(
+    calibration: Calibration, image: ArrayLike, settings: CameraCheckSettings = CAMERA_CHECK
+) -> CameraCheck:
+    """Check whether a flat can have been made with a camera, in about a tenth of a second.
+
+    Noticed are flats or cameras that are turned or mirrored, shifts of more than a tenth of the pitch, pitches that are
+    wrong by more than a quarter of a percent, another array, and lens types in another order. A flat that shows no
+    lattice, such as a dark one, says nothing.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    image : (h, w) or (h, w, 3) array_like
+        A white image or any scene capture.
+
+    Raises
+    ------
+    FlatError
+        If the image is not of the size the camera is for.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from lfcal import Calibration, Lattice, check_camera
+    >>> y, x = np.mgrid[:300, :400]
+    >>> white = 20 + 200 * np.clip(9.5 - np.hypot(x % 20 - 10, y % 20 - 10), 0, 1)
+    >>> check_camera(Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9)), white).problem
+    >>> check_camera(Calibration(Lattice([4, 10], [[20, 0], [0, 20]], (400, 300), 9)), white).problem[:26]
+    'the microimages lie 5.9 px'
+    """
+    # Compiled code is loaded only once there is a flat.
+    from ..images.mosaic import equalise_mosaic, has_mosaic, remove_mosaic
+    from ..images.preprocessing import sqrt_luminance
+    from .lattice_misfit import choose_factor, compare_lattices, is_other_centre, reduce_flat, straighten
+
+    flat = np.asarray(image)
+    width, height = calibration.image_size
+    if flat.ndim not in (2, 3) or flat.shape[:2] != (height, width):
+        raise FlatError(
+            f"image has shape {flat.shape}; the camera is for flats of {width} x {height} px, give one of its size"
+        )
+    if flat.ndim == 2 and (calibration.mosaic is not None or has_mosaic(flat)):
+        flat = remove_mosaic(equalise_mosaic(flat))
+    given = straighten(calibration.lattice)
+    factor = choose_factor(given, settings)
+    picture, small = reduce_flat(flat, factor), given.downscaled(factor)
+    found, misfit = compare_lattices(picture, small, settings)
+    if found is None and factor > 1:
+        # Microimages that are much smaller than those of the camera may be lost at that size.
+        factor, picture, small = 1, sqrt_luminance(flat), given
+        found, misfit = compare_lattices(picture, small, settings)
+    if found is None:
+        return CameraCheck()
+    if misfit is None:
+        return CameraCheck(False, _describe_other(small, found, factor))
+    if misfit.is_small(settings) or is_other_centre(picture, found, misfit, settings):
+        return CameraCheck(problem=_check_types(calibration, flat))
+    shift = factor * misfit.shift
+    if misfit.linear_size < settings.linear:
+        moved = replace(calibration.lattice, origin=calibration.lattice.origin + shift)
+        return CameraCheck(problem=_describe_shift(small, found, shift), adjusted=replace(calibration, lattice=moved))
+    return CameraCheck(problem=_describe_linear(misfit))
+
+
+def _check_types(calibration: Calibration, flat: NDArray[Any]) -> str | None:
+    types = calibration.lens_types
+    if types is None or not types.ordered:
+        return None
+    from ..images.preprocessing import sqrt_luminance
+    from ..lens_types.type_check import find_type_conflict
+
+    conflict = find_type_conflict(sqrt_luminance(flat), calibration.lattice, types)
+    return conflict and f"{conflict}; was the flat mirrored, turned or cropped? {_REMEDY}"
+
+
+def _describe_shift(given: Lattice, found: Lattice, shift: NDArray[np.float64]) -> str:
+    distance = float(np.linalg.norm(shift))
+    turn = _find_turn(given, found)
+    cause = f"as if the flat were {turn}" if turn else "as in a crop, or with another camera"
+    return f"the microimages lie {distance:.1f} px beside those of the camera, {cause}; {_REMEDY}"
+
+
+def _describe_linear(misfit: LatticeMisfit) -> str:
+    step = np.eye(2) + misfit.linear
+    scale = 100 * (float(np.sqrt(abs(np.linalg.det(step)))) - 1)
+    turn = float(np.degrees(np.arctan2(step[0, 1] - step[1, 0], step[0, 0] + step[1, 1])))
+    return f"the pitch on the flat is {scale:+.2f} % and its rotation {turn:+.2f} degrees from the camera; {_REMEDY}"
+
+
+def _describe_other(given: Lattice, found: Lattice, factor: int) -> str:
+    (shape, rows, _), (own_shape, own_rows, _) = describe_orientation(found), describe_orientation(given)
+    turn = _find_turn(given, found)
+    cause = f", as if the flat were {turn}" if turn else ""
+    return (
+        f"the flat was not made with this camera: its microimages are {shape}, rows {rows}, pitch "
+        f"{factor * found.pitch:.2f} px, those of the camera {own_shape}, rows {own_rows}, pitch "
+        f"{factor * given.pitch:.2f} px{cause}; {_REMEDY}"
+    )
+
+
+def _find_turn(given: Lattice, found: Lattice) -> str | None:
+    """How the flat seems to be turned or mirrored, None where that explains nothing."""
+    from .lattice_misfit import LatticeMisfit
+
+    middle = (np.array(given.image_size) - 1) / 2
+    for name, matrix in _TURNS.items():
+        turned = Lattice(
+            middle + (given.origin - middle) @ matrix, given.basis @ matrix, given.image_size, given.radius
+        )
+        misfit = LatticeMisfit.between(turned, found, CAMERA_CHECK)
+        if misfit is not None and misfit.is_small(CAMERA_CHECK):
+            return name
+    return None

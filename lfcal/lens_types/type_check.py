@@ -1,0 +1,84 @@
+"""Whether the lens types of a camera are those that a flat shows.
+
+Where the flat shows the order of the types by itself, that decides. Elsewhere the order of the camera is tested: rims
+get harder from type to type, and as sharpness falls with the square of the defocus, a middle type is never the
+least sharp.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera.lens_types import LensTypes
+from ..lattice.lattice import Lattice
+from .classify import find_lens_types, is_in_step
+from .focus_order import TypeMeans
+from .lens_sample import measure_lens_features, sample_lenses
+from .settings import DEFAULT, LensTypeSettings
+
+__all__ = ["find_type_conflict"]
+
+
+def find_type_conflict(
+    picture: NDArray[np.float32], lattice: Lattice, types: LensTypes, settings: LensTypeSettings = DEFAULT
+) -> str | None:
+    """What contradicts the lens types of a camera, None where nothing does.
+
+    Parameters
+    ----------
+    picture : (h, w) float32
+        A scene, as made by `images.preprocessing.sqrt_luminance`.
+    lattice : Lattice [px]
+        Of the camera.
+    types : LensTypes
+    """
+    found = find_lens_types(picture, lattice, False, settings)
+    if found is not None and found.count == types.count:
+        if found.ordered and types.ordered:
+            same = np.array_equal(_numbers(found, types), _numbers(types, found))
+            return None if same else "the lens types of the camera are in another order than on the flat"
+        if found.confidence > settings.check.certain_pattern and not _is_same_partition(found, types):
+            return "the lens types of the camera lie at other lenses than on the flat"
+    if types.ordered and types.count == 3 and _is_refuted(picture, lattice, types, settings):
+        return "the lens types of the camera are in another order than on the flat"
+    return None
+
+
+def _numbers(types: LensTypes, other: LensTypes) -> NDArray[np.int8]:
+    """Types of a cell after which both patterns repeat."""
+    period = int(np.lcm(len(types.cell), len(other.cell)))
+    return types.of(np.stack(np.meshgrid(np.arange(period), np.arange(period), indexing="ij"), axis=-1))
+
+
+def _is_same_partition(one: LensTypes, other: LensTypes) -> bool:
+    """Whether lenses are alike in one pattern where they are in the other, whatever their numbers."""
+    pairs = np.unique(np.stack([_numbers(one, other).ravel(), _numbers(other, one).ravel()]), axis=1)
+    return pairs.shape[1] == one.count
+
+
+def _order_ratio(softness: NDArray[np.float64], error: float) -> float:
+    """Twice the logarithm of the likelihood ratio of the best order of three types and the given one.
+
+    Softness is expected to fall by equal steps; `error` is that of differences.
+    """
+    given = max(float(softness[0] - softness[-1]), 0.0)
+    return (float(np.ptp(softness)) ** 2 - given**2) / max(error, 1e-12) ** 2
+
+
+def _is_refuted(picture: NDArray[np.float32], lattice: Lattice, types: LensTypes, settings: LensTypeSettings) -> bool:
+    if lattice.radius < settings.pattern.min_radius:
+        return False
+    sample = sample_lenses(lattice, settings=settings.sample)
+    features = measure_lens_features(picture, sample, settings.sample)
+    means = TypeMeans.from_sample(sample, types.cell.astype(np.int64), settings.focus)
+    rim = features.inner_loss if is_in_step(types.cell, lattice, settings.pattern) else features.outer_light
+    if features.rim_ratio < settings.focus.flattened:
+        softness = means.fit_means(sample.subtract_neighbours(rim))
+        if softness is not None and _order_ratio(*softness) > settings.check.rim_ratio:
+            return True
+    sharpness = means.fit_means(sample.subtract_neighbours(features.sharpness))
+    if sharpness is None:
+        return False
+    valley = min(sharpness[0][0], sharpness[0][2]) - sharpness[0][1]
+    return bool(valley > settings.check.sharpness_significance * sharpness[1])

@@ -1,0 +1,71 @@
+"""The camera file of a command, checked against the flat that it is given for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lfcal import CameraFileError
+from lfcal.runtime.image_formats import IMAGE_SUFFIXES
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from lfcal import Calibration, FlatSource
+
+__all__ = ["is_published", "read_camera"]
+
+# [px] side of the part in the middle of a flat that is not in memory, on which its camera is checked.
+_CHECKED_SIDE = 3000
+
+
+def is_published(path: Path) -> bool:
+    """Whether a camera file is of another program, so that its lattice may be moved onto the pixels."""
+    return path.suffix.lower() != ".json"
+
+
+def read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
+    """A camera file for flats of this size, with a warning if the pixels contradict it.
+
+    A published one is moved onto the microimages where the flat is a crop of the sensor. Raises CameraFileError where
+    the flat shows another lattice.
+    """
+    from lfcal import check_fit, load
+
+    if path.suffix.lower() in IMAGE_SUFFIXES and path.exists():
+        raise CameraFileError(
+            f"{path}: is an image, not a camera file; give a white image as --white, or make a camera file of it with "
+            "'lfcal calibrate'"
+        )
+    calibration = load(path, (pixels.shape[1], pixels.shape[0]))
+    check = _check(calibration, pixels)
+    if not check.fits:
+        raise CameraFileError(f"{path}: {check.problem}")
+    warning = check.problem
+    if is_published(path) and isinstance(pixels, np.ndarray):
+        if check.adjusted is not None:
+            warning = (
+                "as published, the lattice lies beside the microimages, as in crops of a sensor; it was moved there"
+            )
+            calibration = check.adjusted
+        elif warning is None and (misfit := check_fit(calibration, pixels).warning):
+            warning = f"as published, {misfit}; calibrate on this flat instead: leave out -c"
+    return calibration if warning is None else replace(calibration, warnings=(*calibration.warnings, warning))
+
+
+def _check(calibration: Calibration, pixels: NDArray[Any] | FlatSource) -> Any:
+    from lfcal import check_camera
+
+    if isinstance(pixels, np.ndarray):
+        return check_camera(calibration, pixels)
+    from ..data.region import crop_lattice
+
+    size = np.array(calibration.image_size)
+    # Even, so that a colour filter mosaic keeps its phase.
+    low = np.maximum(size - _CHECKED_SIDE, 0) // 4 * 2
+    high = np.minimum(low + _CHECKED_SIDE, size)
+    part = replace(calibration, lattice=crop_lattice(calibration.lattice, low, high), gain_map=None)
+    return check_camera(part, pixels.read(*low.tolist(), *high.tolist()))
