@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -14,12 +15,19 @@ from ..output.metadata import read_metadata
 from ..output.picture import check_picture, write_picture
 from .figures import camera_figures, capture_figures, picture_figures
 from .inputs import CaptureInput
-from .options import at_most_one, capture_command, grid_size, option_errors, scale_option
+from .options import INPUT, at_most_one, capture_command, grid_size, option_errors, scale_option
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from lfcal import Calibration
+
+    from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
 
 __all__ = ["refocus", "views"]
+
+_View = TypeVar("_View")
 
 
 @capture_command(
@@ -91,6 +99,7 @@ def refocus(
     "lfrender views flat.png -o views --grid 5x5",
     "lfrender views flat.png -o pair.png --stereo",
     "lfrender views flat.png -o round.gif --animation 24",
+    "lfrender views flat.png -c camera.json -o scene --poses nerfstudio",
     output=("FOLDER|FILE", "Folder of a grid, or one file."),
 )
 @click.option(
@@ -98,6 +107,15 @@ def refocus(
 )
 @click.option("--stereo", is_flag=True, help="One picture: the view of the left eye, beside it that of the right one.")
 @click.option("--animation", type=click.IntRange(2), metavar="N", help="N views around a circle: .gif, .png or .webp.")
+@click.option(
+    "--quilt", metavar="COLUMNSxROWS", help="Views from left to right in one picture, for holographic displays: 8x6."
+)
+@click.option(
+    "--poses",
+    type=click.Choice(["nerfstudio", "colmap", "rvs"]),
+    help="The grid with cameras, depth and masks for this program; metric where the optics are known.",
+)
+@click.option("--optics", type=INPUT, help="Lengths of the camera, for --poses, if its file does not have them.")
 @click.option(
     "--aperture",
     type=click.FloatRange(0, 1, min_open=True),
@@ -116,89 +134,130 @@ def views(
     grid: str | None,
     stereo: bool,
     animation: int | None,
+    quilt: str | None,
+    poses: str | None,
+    optics: Path | None,
     aperture: float,
     scale: float | None,
     suffix: str,
     resize: tuple[int, int] | None,
 ) -> None:
     """Render FLAT sharp at every depth as seen from other places in the main lens: parallax."""
-    at_most_one("--grid", grid, "--stereo", stereo or None, "--animation", animation)
-    from .. import views as run
-    from ..output.views import resize_view, scale_for_size
-    from ..rendering.viewpoints import circle_offsets, grid_offsets
-
-    report = capture.report
-    if resize is not None and scale is not None:
-        raise click.UsageError("--resize and --scale exclude each other")
-    rows, columns = grid_size("--grid", grid or "5x5")
-    suffix = f".{suffix.lstrip('.').lower()}"
-    _check_views(output, animation, stereo, suffix, inputs=capture.files)
+    at_most_one("--grid", grid, "--stereo", stereo or None, "--animation", animation, "--quilt", quilt)
+    at_most_one("--poses", poses, "--stereo", stereo or None, "--animation", animation, "--quilt", quilt)
+    at_most_one("--resize", resize, "--scale", scale)
+    at_most_one("--resize", resize, "--poses", poses)
+    form = _ViewForm(
+        *grid_size("--grid", grid or "5x5"), f".{suffix.lstrip('.').lower()}", animation, stereo,
+        quilt and grid_size("--quilt", quilt), poses,
+    )  # fmt: skip
+    form.check(output, inputs=capture.files)
     pixels = capture.read()
-    _check_views(output, animation, stereo, suffix, pixels.dtype)
+    form.check(output, pixels.dtype)
     pixels, calibration = capture.calibrate(pixels)
     depth = capture.analyze(pixels, calibration)
-    radius = aperture * calibration.lattice.radius
-    with report.stage("render and write"):
-        offsets = circle_offsets(animation, radius) if animation else grid_offsets(rows, columns, radius)
-        if stereo:
-            offsets = [(-radius, 0.0), (radius, 0.0)]
-        with option_errors(0):
-            scale = scale if resize is None else scale_for_size(calibration, resize)
-            pictures: Iterator[Rendering] = run(pixels, calibration, depth, offsets=offsets, scale=scale)
-        if resize is not None:
-            pictures = (resize_view(picture, resize) for picture in pictures)
-        options: dict[str, Any] = {
-            "settings": {"rendering": "views", "aperture": aperture, "preset": depth.preset},
-            "embedded": read_metadata(capture.flat),
-        }
-        with report.progress("views", len(offsets)) as advance:
-            _write(output, _advance_with(pictures, advance), bool(animation), stereo, columns, suffix, options)
-    report.finish({"views": str(output), "offsets": offsets, **capture_figures(calibration, depth)})
+    report, offsets = capture.report, form.offsets(aperture * calibration.lattice.radius)
+    figures: dict[str, Any] = {"views": str(output), "offsets": offsets}
+    with report.stage("render and write"), report.progress("views", len(offsets)) as advance:
+        if poses:
+            figures |= _write_posed(output, poses, pixels, calibration, depth, offsets, scale, optics, advance)
+        else:
+            from .. import views as run
+            from ..output.views import resize_view, scale_for_size
+
+            with option_errors(0):
+                scale = scale if resize is None else scale_for_size(calibration, resize)
+                pictures: Iterator[Rendering] = run(pixels, calibration, depth, offsets=offsets, scale=scale)
+            if resize is not None:
+                pictures = (resize_view(picture, resize) for picture in pictures)
+            settings = {"rendering": "views", "aperture": aperture, "preset": depth.preset}
+            options = {"settings": settings, "embedded": read_metadata(capture.flat)}
+            figures["views"] = str(form.write(output, _advance_with(pictures, advance), options))
+    report.finish({**figures, **capture_figures(calibration, depth)})
 
 
-def _write(
-    output: Path,
-    pictures: Iterator[Rendering],
-    animation: bool,
-    stereo: bool,
-    columns: int,
-    suffix: str,
-    options: dict[str, Any],
-) -> None:
-    """Write the views as an animation, a stereo pair or a grid."""
-    from ..output.views import stereo_pair, write_animation, write_grid
+@dataclass(frozen=True)
+class _ViewForm:
+    """What views are written as: a grid, unless another form is given."""
 
-    if animation:
-        write_animation(output, pictures)
-    elif stereo:
-        write_picture(output, stereo_pair(*pictures), **options)
-    elif suffix.startswith(".yuv"):
-        from ..output.raw_video import write_view_videos
+    rows: int
+    columns: int
+    suffix: str
+    animation: int | None
+    stereo: bool
+    quilt: tuple[int, int] | None
+    poses: str | None
 
-        write_view_videos(output, pictures, suffix[1:])
-    else:
-        write_grid(output, pictures, columns, suffix, **options)
+    def offsets(self, radius: float) -> list[tuple[float, float]]:
+        """The viewpoints [px]."""
+        from ..rendering.viewpoints import circle_offsets, grid_offsets
 
+        if self.animation:
+            return circle_offsets(self.animation, radius)
+        if self.quilt:
+            return grid_offsets(1, self.quilt[0] * self.quilt[1], radius)
+        return [(-radius, 0.0), (radius, 0.0)] if self.stereo else grid_offsets(self.rows, self.columns, radius)
 
-def _advance_with(pictures: Iterable[Rendering], advance: Callable[[str], None]) -> Iterator[Rendering]:
-    """The pictures as they are drawn, with a step of the progress for each."""
-    for picture in pictures:
-        advance("")
-        yield picture
-
-
-def _check_views(
-    output: Path, animation: int | None, stereo: bool, suffix: str, dtype: Any = None, inputs: Any = ()
-) -> None:
-    from ..output.views import check_animation, check_grid
-
-    if animation:
-        check_animation(output, dtype, inputs)
-    elif stereo:
-        check_picture(output, dtype, inputs=inputs)
-    elif suffix.startswith(".yuv"):
+    def check(self, output: Path, dtype: Any = None, inputs: Any = ()) -> None:
+        """Raise an error if the views could not be written."""
         from ..output.raw_video import check_raw_format
+        from ..output.views import check_animation, check_grid
 
-        check_raw_format(output, suffix[1:])
-    else:
-        check_grid(output, suffix, dtype, inputs)
+        if self.animation:
+            check_animation(output, dtype, inputs)
+        elif self.stereo or self.quilt:
+            check_picture(output, dtype, inputs=inputs)
+        elif self.suffix.startswith(".yuv"):
+            check_raw_format(output, self.suffix[1:])
+        else:
+            check_grid(output, ".png" if self.poses else self.suffix, None if self.poses else dtype, inputs)
+
+    def write(self, output: Path, pictures: Iterator[Rendering], options: dict[str, Any]) -> Path:
+        """Write the views; returns where."""
+        from ..output.raw_video import write_view_videos
+        from ..output.views import stereo_pair, write_animation, write_grid, write_quilt
+
+        if self.animation:
+            write_animation(output, pictures)
+        elif self.quilt:
+            return write_quilt(output, pictures, *self.quilt, **options)
+        elif self.stereo:
+            write_picture(output, stereo_pair(*pictures), **options)
+        elif self.suffix.startswith(".yuv"):
+            write_view_videos(output, pictures, self.suffix[1:])
+        else:
+            write_grid(output, pictures, self.columns, self.suffix, **options)
+        return output
+
+
+def _write_posed(
+    output: Path,
+    kind: str,
+    pixels: NDArray[Any],
+    calibration: Calibration,
+    depth: DepthMap,
+    offsets: list[tuple[float, float]],
+    scale: float | None,
+    optics: Path | None,
+    advance: Callable[[str], None],
+) -> dict[str, Any]:
+    """Write views with their cameras; returns figures about these."""
+    from lfcal import Optics
+
+    from ..output.posed_files import write_posed_views
+    from ..rendering.viewpoints import still_depth, views_with_depth
+
+    known, still = Optics.load(optics) if optics is not None else None, still_depth(depth)
+    with option_errors(0):
+        drawn = views_with_depth(pixels, calibration, depth, offsets=offsets, scale=scale, still=still)
+    counted = _advance_with(drawn, advance)
+    rig = write_posed_views(output, kind, counted, calibration, depth, offsets, still, known)
+    positions = [camera.position.tolist() for camera in rig.cameras]
+    return {"unit": rig.unit, "camera_error": rig.error, "positions": positions}
+
+
+def _advance_with(views: Iterable[_View], advance: Callable[[str], None]) -> Iterator[_View]:
+    """The views as they are drawn, with a step of the progress for each."""
+    for view in views:
+        advance("")
+        yield view

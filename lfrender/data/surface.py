@@ -7,13 +7,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lfcal.runtime.fastmath import FAST
 
 from .settings import DEFAULT, DataSettings
 
-__all__ = ["DepthGrid", "Surface", "edge_step", "mark_changed_places", "patch_size_at", "sample_surface"]
+__all__ = [
+    "DepthGrid", "Surface", "edge_step", "mark_changed_places", "patch_size_at", "sample_surface", "sample_surface_at",
+]  # fmt: skip
 
 # Side of the blocks of grid values that are compared first, so that lenses amid equal blocks are skipped.
 _BLOCK = 4
@@ -92,11 +94,11 @@ def _mark_changes(old, new, first_x, first_y, spacing, centres, reach, changed):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _sample(surface, grid, first, spacing, out):
+def _sample(surface, grid, first_x, first_y, spacing, out):
     for v in prange(out.shape[0]):
-        y = np.float32(first + v * spacing)
+        y = np.float32(first_y + v * spacing)
         for u in range(out.shape[1]):
-            out[v, u] = patch_size_at(surface, grid, np.float32(first + u * spacing), y)
+            out[v, u] = patch_size_at(surface, grid, np.float32(first_x + u * spacing), y)
 
 
 @dataclass(frozen=True)
@@ -136,8 +138,17 @@ def edge_step(pitch: float, settings: DataSettings = DEFAULT) -> float:
 
 def sample_surface(surface: Surface, pitch: float, shape: tuple[int, int], spacing: float) -> NDArray[np.float32]:
     """Patch size [px] at every pixel of a picture of this shape, whose pixels are `spacing` apart on the flat."""
+    first = 0.5 * spacing - 0.5
+    return sample_surface_at(surface, edge_step(pitch), shape, (first, first), spacing)
+
+
+def sample_surface_at(
+    surface: Surface, edge: float, shape: tuple[int, int], first: ArrayLike, spacing: float
+) -> NDArray[np.float32]:
+    """As `sample_surface`, of a picture whose pixel (0, 0) lies at `first` (2,), with an edge step of `edge` [px]."""
     out = np.empty(shape, np.float32)
-    _sample(surface.patch_size, surface.grid(edge_step(pitch)), 0.5 * spacing - 0.5, spacing, out)
+    first_x, first_y = (float(n) for n in np.asarray(first))
+    _sample(surface.patch_size, surface.grid(edge), first_x, first_y, spacing, out)
     return out
 
 

@@ -21,6 +21,7 @@ from .picture import check_picture, write_picture
 
 __all__ = [
     "check_animation", "check_grid", "resize_view", "scale_for_size", "stereo_pair", "write_animation", "write_grid",
+    "write_quilt",
 ]  # fmt: skip
 
 _NO_METADATA = EmbeddedMetadata()
@@ -77,6 +78,45 @@ def write_grid(
         paths.append(Path(folder) / f"row{row + 1}_column{column + 1}{suffix}")
         write_picture(paths[-1], picture, settings=settings, embedded=embedded)
     return paths
+
+
+def write_quilt(
+    path: str | os.PathLike[str],
+    pictures: Iterable[Rendering],
+    columns: int,
+    rows: int,
+    *,
+    settings: Mapping[str, Any] | None = None,
+    embedded: EmbeddedMetadata = _NO_METADATA,
+) -> Path:
+    """Write views from left to right as a quilt of a Looking Glass display: the first at the bottom left, row by row.
+
+    The name gets the grid and the aspect of a view, from which players take them, such as `scene_qs8x6a1.33.png`.
+
+    Parameters
+    ----------
+    path : path-like
+    pictures : iterable of Rendering
+        `columns * rows` of one size.
+    columns, rows : int
+    settings, embedded
+        As for `write_picture`.
+
+    Returns
+    -------
+    Path
+        The file, with its full name.
+    """
+    images = [picture.image for picture in pictures]
+    if len(images) != columns * rows:
+        raise PictureError(f"{path}: a quilt of {columns} x {rows} needs {columns * rows} views, got {len(images)}")
+    lines = [np.concatenate(images[row * columns : (row + 1) * columns], axis=1) for row in reversed(range(rows))]
+    height, width = images[0].shape[:2]
+    target = Path(path)
+    if "_qs" not in target.stem:
+        target = target.with_stem(f"{target.stem}_qs{columns}x{rows}a{width / height:.2f}")
+    write_picture(target, np.concatenate(lines, axis=0), settings=settings, embedded=embedded)
+    return target
 
 
 def scale_for_size(calibration: Calibration, size: tuple[int, int]) -> float:

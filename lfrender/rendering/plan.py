@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lfcal import Calibration, Lattice
 
 from ..data.rendering import Rendering
-from ..data.surface import DepthGrid, Surface, edge_step
+from ..data.surface import DepthGrid, Surface, edge_step, sample_surface_at
 from ..data.viewpoint import Viewpoint
 from ..depth.surface.occlusion import project_surface
 from ..flat.distorted_lookup import lens_displacements
@@ -370,6 +370,12 @@ class RenderPlan:
     @cached_property
     def _seen_from(self) -> tuple[Surface, NDArray[np.float64]]:
         return self.viewpoint.warp_surface(self.surface, self.calibration.lattice, self._edge)
+
+    def seen_depth(self) -> NDArray[np.float32]:
+        """(rows, columns) signed patch size that each pixel of the picture shows [px]."""
+        columns, rows = self.size
+        first = 0.5 * self.spacing - 0.5 + self._moved
+        return sample_surface_at(self._seen_surface, self._edge, (rows, columns), first, self.spacing)
 
     @property
     def _seen_surface(self) -> Surface:

@@ -19,7 +19,7 @@ from ..flat.validation import check_flat
 from .plan import LitFlat, RenderPlan, finish_picture
 from .settings import DEFAULT
 
-__all__ = ["circle_offsets", "grid_offsets", "still_depth", "views"]
+__all__ = ["circle_offsets", "grid_offsets", "still_depth", "views", "views_with_depth"]
 
 
 def views(
@@ -80,7 +80,25 @@ def views(
         middle = float(np.median(virtual_depth(depth.surface.patch_size, lattice.pitch)))
     else:
         middle = lattice.pitch / still
-    return _draw_views(flat, pixels, calibration, depth, [Viewpoint(place, middle) for place in places], scale)
+    points = [Viewpoint(place, middle) for place in places]
+    return (picture for picture, _ in _draw_views(flat, pixels, calibration, depth, points, scale))
+
+
+def views_with_depth(
+    flat: NDArray,
+    calibration: Calibration,
+    depth: DepthMap,
+    *,
+    offsets: Iterable[tuple[float, float]],
+    scale: float | None = None,
+    still: float,
+) -> Iterator[tuple[Rendering, NDArray[np.float32]]]:
+    """As `views`, with the signed patch size (h, w) [px] of what each pixel shows."""
+    pixels = check_flat(flat, calibration)
+    places = [_check_offset(offset, calibration.lattice.radius) for offset in offsets]
+    points = [Viewpoint(place, calibration.lattice.pitch / still) for place in places]
+    for picture, plan in _draw_views(flat, pixels, calibration, depth, points, scale):
+        yield picture, plan.seen_depth()
 
 
 def still_depth(depth: DepthMap) -> float:
@@ -95,7 +113,7 @@ def _draw_views(
     depth: DepthMap,
     points: list[Viewpoint],
     scale: float | None,
-) -> Iterator[Rendering]:
+) -> Iterator[tuple[Rendering, RenderPlan]]:
     full = default_scale(depth)
     scale = float(full if scale is None else scale)
     coarse = scale * DEFAULT.coarse_ratio < full
@@ -108,7 +126,7 @@ def _draw_views(
             lit = lit or plan.light_once(pixels, largest)
             plan = replace(plan, lit=lit)
         image, valid = plan.draw(pixels, stored=True)
-        yield finish_picture(image, valid, plan.affine, scale, flat, calibration)
+        yield finish_picture(image, valid, plan.affine, scale, flat, calibration), plan
 
 
 def _check_offset(offset: tuple[float, float], radius: float) -> tuple[float, float]:

@@ -1,0 +1,264 @@
+"""Views with their cameras, depth and masks, in the forms of programs for many views.
+
+nerfstudio: `transforms.json`; COLMAP: a sparse model as text, with points; rvs: the camera file of MPEG's view
+synthesis (RVS, TMIV) with raw video. Each camera stands in the axes that its program has.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration, Optics, OutputError
+from lfcal.runtime.eight_bit import to_eight_bits
+from lfcal.runtime.output_file import atomic_write
+
+from ..data.depth_map import DepthMap
+from ..data.rendering import Rendering
+from .picture import write_picture
+from .poses import ViewRig, view_rig
+from .raw_video import check_raw_format, raw_format_of, yuv_frame
+
+__all__ = ["POSE_FORMATS", "write_posed_views"]
+
+# Side of the blocks of pixels of the middle view of which COLMAP gets one point.
+_POINT_STEP = 4
+# Depth of files with 16 bits, in the unit of the rig: millimetres where that holds.
+_DEPTH_STEP = 1e-3
+_FARTHEST_SHARE = 0.999
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """A view as it is written: its number, picture, and depth (h, w)."""
+
+    number: int
+    picture: Rendering
+    depth: NDArray[np.float32]
+
+    @property
+    def stem(self) -> str:
+        return f"view_{self.number:03d}"
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Pixels that were seen, at a finite distance."""
+        return self.picture.valid & np.isfinite(self.depth) & (self.depth > 0)
+
+
+def write_posed_views(
+    folder: str | os.PathLike[str],
+    kind: str,
+    views: Iterable[tuple[Rendering, NDArray[np.float32]]],
+    calibration: Calibration,
+    depth: DepthMap,
+    offsets: list[tuple[float, float]],
+    still: float,
+    optics: Optics | None = None,
+) -> ViewRig:
+    """Write views with intrinsics, extrinsics, depth and masks.
+
+    Parameters
+    ----------
+    folder : path-like
+        Made where it does not exist.
+    kind : {"nerfstudio", "colmap", "rvs"}
+    views : iterable of (Rendering, (h, w) float32)
+        As `views_with_depth` yields them for `offsets` and `still`.
+    calibration, depth, offsets, still, optics
+        As for `view_rig`.
+
+    Returns
+    -------
+    ViewRig
+
+    Raises
+    ------
+    OutputError, PictureError
+        If a file cannot be written.
+    """
+    target = Path(folder)
+    if kind not in POSE_FORMATS:
+        raise OutputError(f"{folder}: poses are written for {', '.join(POSE_FORMATS)}, not {kind!r}")
+    if kind == "rvs":
+        check_raw_format(folder, "yuv")
+    try:
+        target.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    rig: ViewRig | None = None
+    posed = []
+    for number, (picture, sizes) in enumerate(views):
+        if rig is None:
+            same = [picture.affine] * len(offsets), [(picture.image.shape[1], picture.image.shape[0])] * len(offsets)
+            rig = view_rig(calibration, depth, offsets, *same, still, optics)
+        v, u = np.mgrid[: sizes.shape[0], : sizes.shape[1]]
+        places = np.stack([u, v, np.ones_like(u)], -1) @ picture.affine.T
+        places = places + np.array(offsets[number]) * (depth.pitch / still)
+        posed.append(_Posed(number, picture, rig.depth(number, sizes, places)))
+    assert rig is not None
+    POSE_FORMATS[kind](target, posed, rig)
+    return rig
+
+
+def _write_files(folder: Path, views: list[_Posed], mask: str) -> float:
+    """Write pictures, depth and masks; returns the unit of the 16-bit depth files."""
+    for name in ("images", "depth", "masks"):
+        (folder / name).mkdir(exist_ok=True)
+    largest = max((float(view.depth[view.known].max()) for view in views if view.known.any()), default=1.0)
+    step = max(_DEPTH_STEP, largest / 65000)
+    for view in views:
+        write_picture(folder / "images" / f"{view.stem}.png", _as_png(view.picture))
+        write_picture(folder / "masks" / mask.format(view.stem), view.picture.valid.astype(np.uint8) * np.uint8(255))
+        whole = np.where(view.known, view.depth / step, 0)
+        write_picture(folder / "depth" / f"{view.stem}.png", np.rint(np.minimum(whole, 65535)).astype(np.uint16))
+        _write_depth(folder / "depth" / view.stem, np.where(view.known, view.depth, np.inf).astype(np.float32))
+    return step
+
+
+def _as_png(picture: Rendering) -> NDArray[Any]:
+    """Pixels that a PNG holds."""
+    return picture.image if picture.image.dtype.kind == "u" else to_eight_bits(picture.image, picture.white)
+
+
+def _write_depth(stem: Path, depth: NDArray[np.float32]) -> None:
+    """Write float depth as OpenEXR, channel `Z`, or as TIFF without its package."""
+    if find_spec("OpenEXR") is None:
+        write_picture(stem.with_suffix(".tif"), depth)
+        return
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with atomic_write(stem.with_suffix(".exr")) as temporary, OpenEXR.File(header, {"Z": depth}) as file:
+        file.write(str(temporary))
+
+
+def _write_text(path: Path, text: str) -> None:
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _write_nerfstudio(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
+    """`transforms.json`: axes x right, y up, z backwards, pixel (0, 0) from 0 to 1."""
+    step = _write_files(folder, views, "{}.png")
+    frames = []
+    for view, camera in zip(views, rig.cameras, strict=True):
+        x, y, z = camera.position.tolist()
+        names = zip(("k1", "k2", "p1", "p2"), camera.distortion, strict=True)
+        frames.append(
+            {
+                "file_path": f"images/{view.stem}.png",
+                "depth_file_path": f"depth/{view.stem}.png",
+                "mask_path": f"masks/{view.stem}.png",
+                "fl_x": camera.focal[0],
+                "fl_y": camera.focal[1],
+                "cx": camera.principal_point[0] + 0.5,
+                "cy": camera.principal_point[1] + 0.5,
+                "w": camera.size[0],
+                "h": camera.size[1],
+                **dict(names),
+                "transform_matrix": [[1, 0, 0, x], [0, 1, 0, -y], [0, 0, 1, -z], [0, 0, 0, 1]],
+            }
+        )
+    model = {
+        "camera_model": "OPENCV", "unit": rig.unit, "depth_unit_scale_factor": step, "frames": frames,
+    }  # fmt: skip
+    _write_text(folder / "transforms.json", json.dumps(model, indent=1) + "\n")
+
+
+def _write_colmap(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
+    """`sparse/0` as text: axes x right, y down, z forward, pixel (0, 0) from 0 to 1; masks as COLMAP names them."""
+    step = _write_files(folder, views, "{}.png.png")
+    sparse = folder / "sparse" / "0"
+    sparse.mkdir(parents=True, exist_ok=True)
+    cameras, images = [], []
+    for view, camera in zip(views, rig.cameras, strict=True):
+        number = view.number + 1
+        bent = any(camera.distortion)
+        values = [*camera.focal, *(p + 0.5 for p in camera.principal_point), *(camera.distortion if bent else ())]
+        size = f"{camera.size[0]} {camera.size[1]}"
+        cameras.append(f"{number} {'OPENCV' if bent else 'PINHOLE'} {size} {' '.join(f'{v:.12g}' for v in values)}")
+        place = " ".join(f"{-p:.12g}" for p in camera.position)
+        images.append(f"{number} 1 0 0 0 {place} {number} {view.stem}.png\n")
+    _write_text(sparse / "cameras.txt", "\n".join(cameras) + "\n")
+    _write_text(sparse / "images.txt", "\n".join(images) + "\n")
+    middle = views[len(views) // 2]
+    _write_text(sparse / "points3D.txt", _points(middle, rig))
+    _write_text(folder / "depth" / "unit.txt", f"16-bit files times {step:.9g} {rig.unit}\n")
+
+
+def _points(view: _Posed, rig: ViewRig) -> str:
+    """Lines of points that a view shows, of every few pixels."""
+    camera, image = rig.cameras[view.number], to_eight_bits(view.picture.image, view.picture.white)
+    v, u = (axis.ravel() for axis in np.mgrid[: image.shape[0] : _POINT_STEP, : image.shape[1] : _POINT_STEP])
+    keep = view.known[v, u]
+    u, v = u[keep], v[keep]
+    z = view.depth[v, u].astype(float)
+    slopes = (np.column_stack([u, v]) - camera.principal_point) / camera.focal
+    points = np.column_stack([slopes * z[:, None], z]) + camera.position
+    colours = image[v, u] if image.ndim == 3 else np.repeat(image[v, u][:, None], 3, 1)
+    lines = (
+        f"{n + 1} {p[0]:.9g} {p[1]:.9g} {p[2]:.9g} {c[0]} {c[1]} {c[2]} 0"
+        for n, (p, c) in enumerate(zip(points.tolist(), colours.tolist(), strict=True))
+    )
+    return "\n".join(lines) + "\n"
+
+
+def _write_rvs(folder: Path, views: list[_Posed], rig: ViewRig) -> None:
+    """`cameras.json`: axes x forward, y left, z up; depth as disparity of 16 bits between the depths of each view."""
+    cameras = []
+    for view, camera in zip(views, rig.cameras, strict=True):
+        layout = raw_format_of(view.picture.image.shape, "yuv420p10")
+        size = f"{layout.width}x{layout.height}"
+        known = view.depth[view.known]
+        near = float(known.min()) * 0.999 if known.size else 1.0
+        far = float(np.quantile(known, _FARTHEST_SHARE)) * 1.001 if known.size else 2.0
+        disparity = (1 / np.where(view.known, view.depth, far) - 1 / far) / (1 / near - 1 / far)
+        whole = np.rint(np.clip(disparity, 0, 1) * 65535).astype("<u2")[: layout.height, : layout.width]
+        name = f"v{view.number:02d}"
+        with atomic_write(folder / f"{name}_texture_{size}_yuv420p10le.yuv") as temporary:
+            temporary.write_bytes(yuv_frame(view.picture.image, "yuv420p10", view.picture.white))
+        grey = np.full(layout.width * layout.height // 2, 0x8000, "<u2")
+        with atomic_write(folder / f"{name}_depth_{size}_yuv420p16le.yuv") as temporary:
+            temporary.write_bytes(np.ascontiguousarray(whole).tobytes() + grey.tobytes())
+        x, y, z = camera.position.tolist()
+        cameras.append(
+            {
+                "Name": name,
+                "Position": [z, -x, -y],
+                "Rotation": [0.0, 0.0, 0.0],
+                "Depthmap": 1,
+                "Background": 0,
+                "Depth_range": [near, far],
+                "Resolution": [layout.width, layout.height],
+                "Projection": "Perspective",
+                "Focal": list(camera.focal),
+                "Principle_point": [p + 0.5 for p in camera.principal_point],
+                "BitDepthColor": 10,
+                "BitDepthDepth": 16,
+                "ColorSpace": "YUV420",
+                "DepthColorSpace": "YUV420",
+            }
+        )
+    about = {"Converted_by": "lfrender", "Unit": rig.unit}
+    model = {
+        "Version": "2.0", "Content_name": folder.name, "Fps": 1, "Frames_number": 1, "Informative": about,
+        "cameras": cameras,
+    }  # fmt: skip
+    _write_text(folder / "cameras.json", json.dumps(model, indent=1) + "\n")
+
+
+#: Writers by the name of the program.
+POSE_FORMATS: dict[str, Callable[[Path, list[_Posed], ViewRig], None]] = {
+    "nerfstudio": _write_nerfstudio,
+    "colmap": _write_colmap,
+    "rvs": _write_rvs,
+}

@@ -1,0 +1,206 @@
+"""Cameras of views: points of a simulated scene are projected to where the view shows them; files for other programs."""
+
+from __future__ import annotations
+
+import functools
+import json
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import lfcal
+import lfrender
+from data_synth import SCENES, Camera, simulate
+from lfrender.cli.main import main
+from lfrender.output.posed_files import write_posed_views
+from lfrender.output.poses import view_rig
+from lfrender.rendering.viewpoints import grid_offsets, still_depth, views_with_depth
+
+SIZE, PITCH, RATIO = (420, 360), 22.0, -0.3
+
+
+@functools.cache
+def shot():
+    camera = Camera.design(size=SIZE, pitch=PITCH, rotation=1.0)
+    return camera, simulate(SCENES["slope"](camera, left=-0.45, right=-0.25), camera, samples=12, seed=3)
+
+
+def optics_of(camera, **more):
+    return lfcal.Optics(
+        camera.focal_length, camera.mla_distance, camera.sensor_distance, camera.pixel,
+        principal_point=camera.principal_point, **more,
+    )  # fmt: skip
+
+
+@functools.cache
+def drawn():
+    camera, capture = shot()
+    calibration = capture.truth.calibration
+    depth = lfrender.analyze(capture.flat, calibration)
+    offsets = grid_offsets(3, 3, 0.7 * calibration.lattice.radius)
+    still = still_depth(depth)
+    views = list(views_with_depth(capture.flat, calibration, depth, offsets=offsets, still=still))
+    return depth, offsets, still, views
+
+
+def rays_through(camera, offset, drawn_at):
+    """Start and slope, in the axes of the scene [mm], of the ray that the lens at `drawn_at` shows at `offset`."""
+    lens = (np.asarray(drawn_at) - camera.principal_point) * camera.pixel / camera.spread
+    sensor = (np.asarray(drawn_at) + offset - camera.principal_point) * camera.pixel
+    slope = (lens - sensor) / camera.sensor_distance
+    start = lens + slope * camera.mla_distance
+    return -start, -(slope - start / camera.focal_length)
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["metres", "baselines"])
+def test_points_are_projected_to_where_their_rays_are_drawn_to_a_hundredth_of_a_pixel(known):
+    camera, capture = shot()
+    depth, offsets, still, views = drawn()
+    optics = optics_of(camera) if known else None
+    affines, sizes = [p.affine for p, _ in views], [p.image.shape[1::-1] for p, _ in views]
+    rig = view_rig(capture.truth.calibration, depth, offsets, affines, sizes, still, optics)
+    assert rig.unit == ("m" if known else "baseline")
+    rng = np.random.default_rng(0)
+    scene, ratio = rng.uniform(60, 300, (50, 2)), rng.uniform(-0.5, -0.2, 50)
+    z = camera.depth_at(ratio)
+    points = camera.place(scene, z) * 1e-3
+    if not known:
+        slope = (scene - (np.array(SIZE) - 1) / 2) / max(SIZE)
+        z = rig.depth(0, (ratio * PITCH)[None], np.zeros((1, 50, 2)))[0].astype(float)
+        points = np.column_stack([slope * z[:, None], z])
+    for number, (offset, (picture, _)) in enumerate(zip(offsets, views, strict=True)):
+        found = rig.cameras[number].project(points)
+        # Where the formula of docs/geometry.md draws the scene point, and, with optics, where a traced ray comes from.
+        where = scene + np.array(offset) / ratio[:, None] - np.array(offset) * PITCH / still
+        pixel = (where - picture.affine[:, 2]) / picture.affine[0, 0]
+        assert np.abs(found - pixel).max() < 0.01, "[px]"
+        if known:
+            start, slope = rays_through(camera, offset, scene + np.array(offset) / ratio[:, None])
+            np.testing.assert_allclose((start + slope * z[:, None]) * 1e-3, points[:, :2], atol=1e-7)
+
+
+def test_a_mark_in_the_scene_is_seen_where_its_camera_projects_it():
+    """A small disc at a known place: its centre in all views lies within 0.2 px of the projection."""
+    from data_synth import Patch, Scene
+
+    camera = Camera.design(size=SIZE, pitch=PITCH)
+    scene = SCENES["plane"](camera, ratio=RATIO)
+    (plane,) = scene.surfaces
+    place = camera.place((190.0, 170.0), camera.depth_at(RATIO))
+    side = np.linalg.norm(camera.place((190.0 + 3 * PITCH, 170.0), place[2]) - place)
+    v, u = np.mgrid[-1:1:128j, -1:1:128j]
+    disc = np.full((128, 128, 3), 0.3, np.float32) + 0.6 * np.exp(-4 * (u * u + v * v))[..., None].astype(np.float32)
+    edge = np.array([side, 0, 0]), np.array([0, side, 0])
+    marked = Patch(place - [side / 2, side / 2, 0.1], *edge, disc)
+    capture = simulate(Scene("mark", (plane, marked)), camera, samples=48, seed=1)
+    calibration = capture.truth.calibration
+    depth = lfrender.analyze(capture.flat, calibration)
+    offsets, still = grid_offsets(3, 3, 0.7 * calibration.lattice.radius), still_depth(depth)
+    views = list(views_with_depth(capture.flat, calibration, depth, offsets=offsets, still=still))
+    affines, sizes = [p.affine for p, _ in views], [p.image.shape[1::-1] for p, _ in views]
+    rig = view_rig(calibration, depth, offsets, affines, sizes, still, optics_of(camera))
+    centre = (marked.corner + (edge[0] + edge[1]) / 2) * 1e-3
+    for number, (picture, sizes_shown) in enumerate(views):
+        expected = rig.cameras[number].project(centre[None])[0]
+        x, y = np.rint(expected).astype(int)
+        half = int(picture.scale)
+        part = picture.image[y - half : y + half + 1, x - half : x + half + 1].astype(np.float32).mean(2)
+        v, u = np.mgrid[-half : half + 1, -half : half + 1]
+        weight = np.clip(part - np.quantile(part, 0.6), 0, None)
+        found = np.array([x + (weight * u).sum() / weight.sum(), y + (weight * v).sum() / weight.sum()])
+        assert np.abs(found - expected).max() < 0.2, f"view {number} [px]"
+        places = np.zeros((*sizes_shown.shape, 2)) + [190.0, 170.0]
+        z = rig.depth(number, sizes_shown, places)[y, x]
+        assert z == pytest.approx(centre[2], rel=0.02), "distance [m]"
+
+
+def test_optics_with_distortion_are_fitted_to_a_tenth_of_a_pixel():
+    camera, capture = shot()
+    depth, offsets, still, views = drawn()
+    optics = optics_of(camera, radial=(-8.0, 0.0, 0.0), tilt=(0.002, -0.001), pupil=3.0)
+    affines, sizes = [p.affine for p, _ in views], [p.image.shape[1::-1] for p, _ in views]
+    rig = view_rig(capture.truth.calibration, depth, offsets, affines, sizes, still, optics)
+    assert 0 < rig.error < 0.1, "RMS [px]"
+    assert any(rig.cameras[0].distortion)
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["metres", "baselines"])
+def test_nerfstudio_files_have_pictures_masks_and_depth_of_every_view(tmp_path, known):
+    camera, capture = shot()
+    depth, offsets, still, views = drawn()
+    optics = optics_of(camera) if known else None
+    rig = write_posed_views(
+        tmp_path / "out", "nerfstudio", views, capture.truth.calibration, depth, offsets, still, optics
+    )
+    model = json.loads((tmp_path / "out" / "transforms.json").read_text())
+    assert len(model["frames"]) == 9 and model["unit"] == rig.unit
+    frame = model["frames"][8]
+    assert np.array(frame["transform_matrix"])[0, 3] > 0 > np.array(frame["transform_matrix"])[1, 3]
+    picture = lfcal.read_flat(tmp_path / "out" / frame["file_path"])
+    stored = cv2.imread(str(tmp_path / "out" / frame["depth_file_path"]), cv2.IMREAD_UNCHANGED)
+    mask = lfcal.read_flat(tmp_path / "out" / frame["mask_path"])
+    assert picture.shape[:2] == stored.shape == mask.shape == (frame["h"], frame["w"])
+    assert stored.dtype == np.uint16 and set(np.unique(mask)) <= {0, 255}
+    if known:
+        true = camera.depth_at(-0.35) * 1e-3
+        assert np.median(stored[stored > 0]) * model["depth_unit_scale_factor"] == pytest.approx(true, rel=0.1)
+
+
+def test_colmap_reads_cameras_and_projects_points_as_they_are_drawn(tmp_path):
+    pycolmap = pytest.importorskip("pycolmap", reason="the foreign reader of COLMAP models is not installed")
+    camera, capture = shot()
+    depth, offsets, still, views = drawn()
+    rig = write_posed_views(
+        tmp_path / "out", "colmap", views, capture.truth.calibration, depth, offsets, still, optics_of(camera)
+    )
+    model = pycolmap.Reconstruction(str(tmp_path / "out" / "sparse" / "0"))
+    assert len(model.images) == 9 and len(model.points3D) > 100
+    point = camera.place((200.0, 180.0), camera.depth_at(-0.3)) * 1e-3
+    for number, image in model.images.items():
+        found = image.project_point(point) - 0.5
+        np.testing.assert_allclose(found, rig.cameras[number - 1].project(point[None])[0], atol=1e-4)
+        assert (tmp_path / "out" / "masks" / f"{image.name}.png").exists()
+
+
+def test_rvs_files_hold_disparity_between_the_depths_that_they_state(tmp_path):
+    pytest.importorskip("av", reason="raw video is written by PyAV (lfrender[video])")
+    camera, capture = shot()
+    depth, offsets, still, views = drawn()
+    write_posed_views(
+        tmp_path / "out", "rvs", views[:2], capture.truth.calibration, depth, offsets[:2], still, optics_of(camera)
+    )
+    model = json.loads((tmp_path / "out" / "cameras.json").read_text())
+    one = model["cameras"][0]
+    width, height = one["Resolution"]
+    data = np.fromfile(tmp_path / "out" / f"v00_depth_{width}x{height}_yuv420p16le.yuv", "<u2")
+    assert len(data) == width * height * 3 // 2
+    near, far = one["Depth_range"]
+    z = 1 / (data[: width * height].reshape(height, width) / 65535 * (1 / near - 1 / far) + 1 / far)
+    x, y = np.array(one["Principle_point"]) - 0.5
+    assert z[round(y), round(x)] == pytest.approx(camera.depth_at(-0.34) * 1e-3, rel=0.15)
+    assert one["Position"][1] > 0 and model["cameras"][1]["Position"][1] == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["nerfstudio", "colmap", "rvs"])
+def test_command_writes_posed_views(house_files, tmp_path, kind):
+    words = ["views", str(house_files / "flat.png"), "-c", str(house_files / "camera.json"), "-o", str(tmp_path / "v")]
+    done = CliRunner().invoke(main, [*words, "--grid", "1x2", "--poses", kind, "--scale", "5", "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["unit"] == "baseline"
+
+
+def test_quilt_has_the_leftmost_view_at_the_bottom_left_and_says_its_grid_in_its_name(house_files, tmp_path):
+    words = ["views", str(house_files / "flat.png"), "-c", str(house_files / "camera.json")]
+    words += ["-o", str(tmp_path / "q.png"), "--quilt", "3x2", "--scale", "4", "--json"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    (path,) = tmp_path.iterdir()
+    assert path.name.startswith("q_qs3x2a") and json.loads(done.stdout)["views"] == str(path)
+    flat, calibration = lfcal.read_flat(house_files / "flat.png"), lfcal.load(house_files / "camera.json")
+    radius = 0.7 * calibration.lattice.radius
+    (left,) = lfrender.views(flat, calibration, offsets=[(-radius, 0.0)], scale=4.0)
+    quilt, (height, width) = lfcal.read_flat(path), left.image.shape[:2]
+    assert quilt.shape == (2 * height, 3 * width, 3)
+    np.testing.assert_array_equal(quilt[height:, :width], left.image)
