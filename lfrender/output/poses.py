@@ -146,9 +146,7 @@ def view_rig(
     middle = (np.array(lattice.image_size) - 1) / 2
     where = np.array(offsets, dtype=float).reshape(-1, 2)
     moved = where * (lattice.pitch / still)
-    frames = [
-        (np.asarray(affine, float), shift, size) for affine, shift, size in zip(affines, moved, sizes, strict=True)
-    ]
+    frames = [(np.asarray(a, float), shift, size) for a, shift, size in zip(affines, moved, sizes, strict=True)]
     if optics is None:
         return _chosen_rig(depth, where, frames, middle)
     axis = np.array(optics.principal_point) if optics.principal_point is not None else middle

@@ -1,4 +1,4 @@
-"""Cameras of views: points of a simulated scene are projected to where the view shows them; files for other programs."""
+"""Cameras of views: points of a simulated scene are projected to where views show them; files for other programs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def optics_of(camera, **more):
 
 @functools.cache
 def drawn():
-    camera, capture = shot()
+    capture = shot()[1]
     calibration = capture.truth.calibration
     depth = lfrender.analyze(capture.flat, calibration)
     offsets = grid_offsets(3, 3, 0.7 * calibration.lattice.radius)
@@ -111,7 +111,7 @@ def test_a_mark_in_the_scene_is_seen_where_its_camera_projects_it():
         weight = np.clip(part - np.quantile(part, 0.6), 0, None)
         found = np.array([x + (weight * u).sum() / weight.sum(), y + (weight * v).sum() / weight.sum()])
         assert np.abs(found - expected).max() < 0.2, f"view {number} [px]"
-        places = np.zeros((*sizes_shown.shape, 2)) + [190.0, 170.0]
+        places = np.full((*sizes_shown.shape, 2), [190.0, 170.0])
         z = rig.depth(number, sizes_shown, places)[y, x]
         assert z == pytest.approx(centre[2], rel=0.02), "distance [m]"
 
