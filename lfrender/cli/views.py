@@ -149,7 +149,7 @@ def views(
     at_most_one("--resize", resize, "--poses", poses)
     form = _ViewForm(
         *grid_size("--grid", grid or "5x5"), f".{suffix.lstrip('.').lower()}", animation, stereo,
-        quilt and grid_size("--quilt", quilt), poses,
+        grid_size("--quilt", quilt) if quilt is not None else None, poses,
     )  # fmt: skip
     form.check(output, inputs=capture.files)
     pixels = capture.read()

@@ -203,8 +203,8 @@ def _fitted(rig: ViewRig, depth: DepthMap, frames: list[tuple[Array, Array, tupl
     depths = np.quantile(virtual, (0.02, 0.5, 0.98))
     sides = [np.linspace(0.02, 0.98, 9) * side for side in depth.image_size]
     x, y, v = (axis.ravel() for axis in np.meshgrid(*sides, depths))
-    scene = np.column_stack([x, y])
-    points = rig._optics.positions(scene, 1 / v, rig._middle)
+    scene, ratio = np.column_stack([x, y]), np.reciprocal(np.asarray(v, dtype=np.float64))
+    points = rig._optics.positions(scene, ratio, rig._middle)
     known = np.isfinite(points).all(1)
     points, scene, v = points[known], scene[known], v[known]
     cameras, squares = [], []
