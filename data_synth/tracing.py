@@ -19,8 +19,9 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from lfcal.runtime.kernels.jit import njit
 
 from .camera import Camera
 from .surfaces import Patch, Scene

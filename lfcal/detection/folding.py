@@ -11,8 +11,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
+
+from ..runtime.kernels.jit import njit
 
 __all__ = ["HIGHEST_HARMONIC", "VECTOR_LENGTH", "TileFolds", "compute_cell_bins", "fold_tiles"]
 

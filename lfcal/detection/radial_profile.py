@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.cell import cell_inradius, cell_normals, is_outside_cell
@@ -18,6 +18,7 @@ from ..lattice.lens_subset import StackedCrops, select_whole_lenses
 from ..lattice.lit_lenses import find_lit_lenses
 from ..lattice.robust_fit import TUKEY_CUTOFF, LatticeFit, field_rms, fit_lattice_shifts, shift_standard_error
 from ..runtime.errors import CalibrationError
+from ..runtime.kernels.jit import njit
 from .settings import DEFAULT, ProfileSettings
 
 __all__ = ["RadialProfile", "fit_lattice", "measure_radial_profile"]

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from ..runtime.kernels.jit import njit
 from .settings import KERNEL
 
 __all__ = [

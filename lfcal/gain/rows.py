@@ -10,10 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
+from ..runtime.kernels.jit import njit
 from .kernel import RIM_START, evaluate_level, evaluate_shape, relative_light
 from .settings import DEFAULT, KERNEL, GainSettings
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from ..runtime.fastmath import FAST
+from ..runtime.kernels.jit import njit
 from .kernel import RIM_START, ROOT_HALF
 from .settings import KERNEL
 

@@ -10,7 +10,7 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import get_num_threads, njit, prange
+from numba import get_num_threads, prange
 from numpy.typing import NDArray
 
 from ..gain.defects import Defects
@@ -19,6 +19,7 @@ from ..gain.rows import make_row_tables
 from ..gain.settings import KERNEL as GAIN_KERNEL
 from ..gain.vectorized import make_profile_tables, relative_light_at
 from ..lattice.lattice import Lattice
+from ..runtime.kernels.jit import njit
 from .estimate import GainFit
 from .lens_light import LensLights
 from .settings import DEFECT_KERNEL, DEFECTS, DefectSettings

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap, count_terms, field_frame
@@ -21,6 +21,7 @@ from ..lattice.cell import cell_normals, cell_row_bounds, row_interval
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import ReadCrop
 from ..runtime.fastmath import FAST
+from ..runtime.kernels.jit import njit
 from .estimate import GainFit, field_monomials
 from .settings import LIGHT_KERNEL, LIGHTS, LensLightSettings
 

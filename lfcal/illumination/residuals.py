@@ -11,7 +11,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap
@@ -19,6 +19,7 @@ from ..gain.kernel import RIM_START, evaluate_shape, relative_light
 from ..lattice.cell import is_outside_cell
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
+from ..runtime.kernels.jit import njit
 from .sample import Cell, Sample
 from .settings import KERNEL
 

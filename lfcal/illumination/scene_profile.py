@@ -11,13 +11,13 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap
 from ..gain.kernel import RIM_START, evaluate_shape, relative_light
 from ..lattice.cell import is_outside_cell
 from ..lattice.lattice import Lattice
+from ..runtime.kernels.jit import njit
 from .sample import Cell, draw_sample
 from .settings import KERNEL, SCENE_PROFILE, SceneProfileSettings
 

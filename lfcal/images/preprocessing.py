@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
+from ..runtime.kernels.jit import njit
 from .settings import PREPROCESSING
 
 __all__ = ["edge_strength", "luminance", "normalise_locally", "sqrt_luminance"]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..runtime.kernels.jit import njit
 from .lattice import Lattice
 
 __all__ = [

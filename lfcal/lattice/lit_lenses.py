@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
+from ..runtime.kernels.jit import njit
 from .lattice import Lattice, reduce_basis
 from .lens_subset import StackedCrops, sample_lenses
 from .settings import LIT_LENSES

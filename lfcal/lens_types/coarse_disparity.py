@@ -8,10 +8,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from ..runtime.fastmath import FAST
+from ..runtime.kernels.jit import njit
 from .lens_sample import LensSample
 from .settings import DEFAULT, DisparitySettings
 

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
+from ..runtime.kernels.jit import njit
 from .settings import DEFAULT, SampleSettings
 
 __all__ = ["LensFeatures", "LensSample", "measure_lens_features", "outlier_limit", "sample_lenses"]

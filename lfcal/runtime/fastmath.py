@@ -10,7 +10,7 @@ Results must not depend on what a process has compiled before, so there are thre
   `fastmath=False`.
 """
 
-from numba import njit
+from .kernels.jit import njit
 
 __all__ = ["FAST", "square"]
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..lattice.lens_subset import sample_mask
+from ..runtime.kernels.jit import njit
 from .settings import SCENE
 
 __all__ = ["LensShifts", "error_inflation", "find_regular_ratio", "solve_irls"]

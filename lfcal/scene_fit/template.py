@@ -9,13 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from ..detection.folding import VECTOR_LENGTH, compute_cell_bins
 from ..lattice.cell import cell_circumradius, cell_row_bounds, row_interval
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
+from ..runtime.kernels.jit import njit
 from .settings import SCENE
 
 __all__ = ["LensEquations", "build_lens_equations"]

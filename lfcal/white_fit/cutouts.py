@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from ..images.stack import clipping_level
@@ -15,6 +15,7 @@ from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops, sample_mask
 from ..lattice.lit_lenses import LitLenses
 from ..runtime.errors import CalibrationError
+from ..runtime.kernels.jit import njit
 from .edge_profile import find_edge
 from .gauss_newton import FitState, median_by_brightness, update_positions, update_weights
 from .model import WhiteModel

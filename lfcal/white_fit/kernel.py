@@ -14,11 +14,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.cell import clip_rows, is_outside_cell
 from ..runtime.fastmath import FAST
+from ..runtime.kernels.jit import njit
 from .settings import PIXELS, SOLVER
 
 __all__ = ["Cell", "Cut", "Profile", "Sums", "Windows", "accumulate", "sum_by_ring"]

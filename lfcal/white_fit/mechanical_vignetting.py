@@ -12,12 +12,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.cell import clip_rows
 from ..runtime.errors import CalibrationError
 from ..runtime.fastmath import FAST
+from ..runtime.kernels.jit import njit
 from .edge_profile import find_edge
 from .gauss_newton import FitState, converge, evaluate_cost, fit_profile, update_positions
 from .model import CatEye, WhiteModel, field_position

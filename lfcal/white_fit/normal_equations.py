@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.cell import clip_rows, is_outside_cell
 from ..lattice.robust_fit import tukey_weights
+from ..runtime.kernels.jit import njit
 from .edge_profile import edge_depths, estimate_edge_blur
 from .kernel import Cell, Cut, Profile, Sums, Windows, accumulate, sum_by_ring
 from .model import LOCAL_PARAMETERS

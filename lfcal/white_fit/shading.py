@@ -11,12 +11,13 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.cell import clip_rows
 from ..lattice.lattice import Lattice
 from ..runtime.fastmath import FAST
+from ..runtime.kernels.jit import njit
 from .normal_equations import Microimages
 from .settings import PIXELS
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels.jit import njit
 
 from .settings import DEFAULT, DataSettings
 from .surface import Surface, patch_size_at

@@ -6,11 +6,12 @@ Squared differences of pixels, and of sums over small blocks, are compared with 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Calibration
 from lfcal.runtime.fastmath import FAST, square
+from lfcal.runtime.kernels.jit import njit
 
 from ..flat.gray_flat import trusted_radius, white_level
 from ..runtime.quantiles import quantile

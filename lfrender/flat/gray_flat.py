@@ -6,11 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
 from lfcal.runtime.fastmath import FAST, square
+from lfcal.runtime.kernels.jit import njit
 
 from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached

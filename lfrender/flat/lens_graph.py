@@ -6,10 +6,11 @@ from collections.abc import Callable, Hashable
 from typing import TypeVar
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Lattice
+from lfcal.runtime.kernels.jit import njit
 
 from ..runtime.cache import cached
 from .settings import GRAPH, LensGraphSettings

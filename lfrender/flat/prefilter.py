@@ -8,8 +8,10 @@ many lenses and places, it has the sharpness of the flat itself then.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
+
+from lfcal.runtime.kernels.jit import njit
 
 from ..runtime.buffers import allocate_scratch
 

@@ -12,11 +12,12 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels.jit import njit
 
 from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached

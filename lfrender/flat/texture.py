@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels.jit import njit
 
 from ..runtime.cache import cached
 from .gray_flat import GrayFlat

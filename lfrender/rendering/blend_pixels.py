@@ -10,7 +10,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from lfcal.runtime.kernels.jit import njit
 
 from ..data.surface import patch_size_at
 from ..flat.distorted_lookup import displacement_at, nearest_index

@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels.jit import njit
 
 from .lens_runs import (
     COLUMNS,

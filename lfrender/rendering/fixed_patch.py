@@ -10,10 +10,11 @@ import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
+from lfcal.runtime.kernels.jit import njit
 
 from ..runtime.cache import cached
 from ..runtime.intrinsics import GAIN_BITS, TOGETHER, TURNED, prefetch

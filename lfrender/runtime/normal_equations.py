@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from lfcal.runtime.kernels.jit import njit
 
 __all__ = ["solve_cholesky", "substitute_factor"]
 

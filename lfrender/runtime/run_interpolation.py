@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels.jit import njit
 
 from .intrinsics import LEFT_BITS, TOGETHER, TURNED, read_bytes, read_turned, read_turned_with_gain, read_with_gain
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numba import njit
+from lfcal.runtime.kernels.jit import njit
 
 __all__ = ["coprime_stride", "plan_chunks"]
 

@@ -8,8 +8,10 @@ correlation alone, averaged over the neighbours on the same surface.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
+
+from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
 from .cost_volume import mean_steps

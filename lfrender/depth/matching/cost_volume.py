@@ -9,8 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
+
+from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.microimages import VECTOR_LENGTH, OverlapMasks, Strips, extract_strips, make_shift_masks, overlap_range

@@ -6,10 +6,11 @@ One pass over the pixels gives the cost and its derivatives, and so a Gauss-Newt
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.microimages import Strips, overlap_range

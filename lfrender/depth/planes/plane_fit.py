@@ -9,8 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
+
+from lfcal.runtime.kernels.jit import njit
 
 from ...flat.lens_graph import count_connected
 from ...runtime.normal_equations import solve_cholesky

@@ -12,8 +12,10 @@ from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
+
+from lfcal.runtime.kernels.jit import njit
 
 from .pair_pixels import (
     cut_smoothed,

@@ -9,10 +9,11 @@ from collections import namedtuple
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
+from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import join_opposite

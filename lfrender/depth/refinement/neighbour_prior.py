@@ -6,10 +6,11 @@ The prediction is used twice: as another start value for doubtful lenses, and as
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
+from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import join_opposite

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
 
 from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels.jit import njit
 
 from ...flat.microimages import copy_box
 

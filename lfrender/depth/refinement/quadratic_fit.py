@@ -11,10 +11,11 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
 from ...runtime.normal_equations import solve_cholesky, substitute_factor

@@ -12,8 +12,10 @@ from collections import namedtuple
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
+
+from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import distant_rings, two_rings

@@ -8,11 +8,12 @@ information, 2008) along rows and columns chooses one per point.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels.jit import njit
 
 from ...data.surface import Surface
 from ...flat.gray_flat import GrayFlat

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from threading import local
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
 from lfcal.runtime.fastmath import FAST, square
+from lfcal.runtime.kernels.jit import njit
 
 from ...data.surface import Surface, mark_changed_places
 from ...runtime.buffers import allocate_scratch

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
+
+from lfcal.runtime.kernels.jit import njit
 
 from .settings import PhotoconsistencySettings
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lfcal import Lattice
+from lfcal.runtime.kernels.jit import njit
 
 from ...flat.distorted_lookup import lens_displacements, nearest_index
 from ...flat.lens_graph import lens_grid

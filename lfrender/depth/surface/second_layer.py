@@ -10,10 +10,11 @@ from collections import namedtuple
 from dataclasses import replace
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
+from lfcal.runtime.kernels.jit import njit
 
 from ...flat.lens_graph import join_opposite
 from ...flat.texture import Texture

@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import downsample
 from ...flat.lens_graph import join_opposite

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from lfcal.runtime.kernels.jit import njit
 
 from .scene_grid import SceneGrid, nearest_lens
 

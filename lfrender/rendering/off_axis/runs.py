@@ -7,9 +7,9 @@ microimage.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.kernels.jit import njit
 
 from ..lens_runs import (
     _F,

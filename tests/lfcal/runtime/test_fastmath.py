@@ -10,10 +10,10 @@ import textwrap
 from importlib import import_module
 
 import pytest
-from numba.core.dispatcher import Dispatcher
 
 import lfcal
 import lfrender
+from lfcal.runtime.kernels.jit import Kernel
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def kernels():
         for name, module in sorted(sys.modules.items())
         if name.startswith(("lfcal.", "lfrender."))
         for key, value in vars(module).items()
-        if isinstance(value, Dispatcher) and value.py_func.__module__ == name
+        if isinstance(value, Kernel) and value.py_func.__module__ == name
     }
     assert len(found) > 200
     return found
@@ -56,7 +56,7 @@ def called(kernel):
     for node in nodes(kernel):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             other = kernel.py_func.__globals__.get(node.func.id)
-            if isinstance(other, Dispatcher):
+            if isinstance(other, Kernel):
                 yield from called(other) if is_inlined(other) else [other]
 
 

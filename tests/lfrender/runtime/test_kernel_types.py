@@ -5,10 +5,9 @@ from __future__ import annotations
 import pickle
 import sys
 
-from numba.core.dispatcher import Dispatcher
-
 import lfcal
 import lfrender
+from lfcal.runtime.kernels.jit import Kernel
 from lfrender.flat.lens_graph import opposite_neighbours
 
 
@@ -19,7 +18,7 @@ def compiled():
         (name, key): tuple(map(str, kernel.signatures))
         for name, module in modules
         for key, kernel in vars(module).items()
-        if isinstance(kernel, Dispatcher)
+        if isinstance(kernel, Kernel) and "dispatcher" in vars(kernel)
     }
 
 

@@ -1,0 +1,115 @@
+"""Compile kernels ahead, in one process per core."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from itertools import chain
+from queue import Empty, SimpleQueue
+
+from .signatures import Signature, read_signatures
+
+__all__ = ["compile_ahead", "signatures_of", "stages_of"]
+
+# Set for the processes that compile: no more threads than one each.
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def stages_of(module: str, name: str, encoded: str) -> list[str]:
+    """The stages that need a kernel for these types."""
+    wanted = Signature(module, name, encoded)
+    return [stage for stage, entries in read_signatures().items() if wanted in entries]
+
+
+def signatures_of(stages: Iterable[str]) -> list[Signature]:
+    """The kernels of some stages, each once, the dearest of all first."""
+    known = read_signatures()
+    chosen = [known.get(stage, ()) for stage in stages]
+    longest = max(map(len, chosen), default=0)
+    ranked = chain.from_iterable(entries[place : place + 1] for place in range(longest) for entries in chosen)
+    return list(dict.fromkeys(ranked))
+
+
+def compile_ahead(
+    signatures: Sequence[Signature],
+    *,
+    processes: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> int:
+    """Compile kernels in several processes, which leave them in Numba's cache; returns how many could not be.
+
+    Parameters
+    ----------
+    signatures : sequence of Signature
+        See `signatures_of`. Those in the cache are only loaded.
+    processes : int, optional
+        By default one for each core, but none for fewer than eight kernels.
+    progress : function of int and int, optional
+        Called in this thread with the numbers of finished and of all kernels.
+    """
+    jobs: SimpleQueue[Signature] = SimpleQueue()
+    for signature in signatures:
+        jobs.put(signature)
+    if not signatures:
+        return 0
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = max(1, min(processes or cores, len(signatures) // 8 + 1))
+    done: SimpleQueue[bool | None] = SimpleQueue()
+    failed = finished = ended = 0
+    with ThreadPoolExecutor(count) as threads:
+        for _ in range(count):
+            threads.submit(_run_process, jobs, done)
+        while ended < count:
+            result = done.get()
+            if result is None:
+                ended += 1
+                continue
+            finished += 1
+            failed += not result
+            if progress is not None:
+                progress(finished, len(signatures))
+    return failed + len(signatures) - finished
+
+
+def _run_process(jobs: SimpleQueue[Signature], done: SimpleQueue[bool | None]) -> None:
+    """Feed one process with kernels, one at a time, so that no process is left with the last few dear ones."""
+    environment = {**os.environ, **dict.fromkeys(_ONE_THREAD, "1")}
+    # The packages of this process, wherever they are.
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
+    try:
+        with suppress(OSError), subprocess.Popen(
+            [sys.executable, "-c", f"from {__name__} import _serve; _serve()"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment,
+        ) as process:  # fmt: skip
+            assert process.stdin is not None and process.stdout is not None
+            while True:
+                try:
+                    job = jobs.get_nowait()
+                except Empty:
+                    process.stdin.close()
+                    break
+                process.stdin.write(json.dumps(job) + "\n")
+                process.stdin.flush()
+                answer = process.stdout.readline()
+                if not answer:
+                    break
+                done.put(answer.strip() == "compiled")
+    finally:
+        done.put(None)
+
+
+def _serve() -> None:
+    """The loop of a process that compiles: a kernel per line of stdin, a word per kernel on stdout."""
+
+    for line in sys.stdin:
+        try:
+            Signature(*json.loads(line)).compile()
+            answer = "compiled"
+        except Exception:
+            answer = "failed"
+        print(answer, flush=True)

@@ -1,0 +1,65 @@
+"""The decorator of kernels: as `numba.njit`, but a kernel is prepared only when it is first needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import RLock
+from typing import Any
+
+__all__ = ["Kernel", "njit"]
+
+_lock = RLock()
+
+
+class Kernel:
+    """A function that Numba compiles; called from Python, or from other kernels."""
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        self.py_func = function
+        self.options = options
+        self.__name__, self.__qualname__ = function.__name__, function.__qualname__
+        self.__module__, self.__doc__ = function.__module__, function.__doc__
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.dispatcher(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        # Reached only for what is not set yet: the dispatcher, and all that it has.
+        if name == "dispatcher":
+            return self._prepare()
+        if name == "_numba_type_":
+            from numba import types
+
+            return types.Dispatcher(self.dispatcher)
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.dispatcher, name)
+
+    def __repr__(self) -> str:
+        return f"<kernel {self.__module__}.{self.__qualname__}>"
+
+    def _prepare(self) -> Any:
+        with _lock:
+            made = self.__dict__.get("dispatcher")
+            if made is None:
+                import numba
+
+                from .cache import enable_cache
+                from .compilation import watch_compilation
+
+                watch_compilation()
+                # Nobody calls kernels from C.
+                options = {**self.options, "cache": False, "no_cfunc_wrapper": True}
+                compiler: Any = numba.njit
+                made = compiler(**options)(self.py_func)
+                if self.options.get("cache"):
+                    enable_cache(self, made)
+                self.dispatcher = made
+        return made
+
+
+def njit(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
+    """Make a `Kernel` of a function, with the options of `numba.njit`; `cache=True` is the cache of `.cache`."""
+    if function is not None:
+        return Kernel(function, options)
+    return lambda function: Kernel(function, options)
