@@ -7,6 +7,7 @@
 (90, 120, 3)
 """
 
+from .boards import BoardShoot, shoot_board
 from .camera import Camera
 from .capture import Capture, Truth, load_capture
 from .scenes import SCENES
@@ -15,6 +16,7 @@ from .surfaces import Patch, Scene, Sphere, box
 
 __all__ = [
     "SCENES",
+    "BoardShoot",
     "Camera",
     "Capture",
     "Patch",
@@ -23,5 +25,6 @@ __all__ = [
     "Truth",
     "box",
     "load_capture",
+    "shoot_board",
     "simulate",
 ]

@@ -68,6 +68,13 @@ class Camera:
     stop : (float, float) or None [mm]
         Distance in front of the main lens and diameter of a fixed stop: mechanical vignetting, which cuts
         microimages to cat's eyes away from the principal point.
+    k1 : float
+        Radial distortion of the main lens: a ray that leaves it with slope `S` undistorted leaves with
+        `S (1 + k1 |S|^2)`.
+    tilt : (float, float) [rad]
+        Of microlens array and sensor together: with a positive first angle the lower part of the flat lies farther from
+        the main lens, with a positive second angle its right part nearer. Cameras with distortion or
+        tilt can photograph boards (`shoot_board`); `simulate` knows the truth of straight ones only.
     """
 
     width: int
@@ -84,6 +91,8 @@ class Camera:
     principal_point: tuple[float, float]
     natural_vignetting: bool = True
     stop: tuple[float, float] | None = None
+    k1: float = 0.0
+    tilt: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if not (1 <= self.width <= 1 << 15 and 1 <= self.height <= 1 << 15):
@@ -104,6 +113,9 @@ class Camera:
         points = [tuple(float(v) for v in point) for point in (self.origin, self.principal_point)]
         if any(len(point) != 2 or not np.isfinite(point).all() for point in points):
             raise ValueError("origin and principal_point must be two finite numbers each")
+        if not np.isfinite([self.k1, *self.tilt]).all() or max(map(abs, self.tilt)) > 0.1:
+            raise ValueError(f"k1 and tilt must be finite, tilt at most 0.1 rad, got {self.k1} and {self.tilt}")
+        object.__setattr__(self, "tilt", (float(self.tilt[0]), float(self.tilt[1])))
         object.__setattr__(self, "microlens_focal_lengths", focal)
         object.__setattr__(self, "basis", _shortest_acute(self.basis))
         object.__setattr__(self, "origin", points[0])
@@ -188,9 +200,20 @@ class Camera:
         return replace(self, **changes)
 
     @property
+    def straight(self) -> bool:
+        """Whether the main lens has no distortion and the array no tilt."""
+        return self.k1 == 0 and self.tilt == (0.0, 0.0)
+
+    @cached_property
+    def array_axes(self) -> NDArray[np.float64]:
+        """(3, 3) axes of the array, as columns, in the frame of the main lens; the third points to the lens."""
+        (cx, sx), (cy, sy) = ((np.cos(angle), -np.sin(angle)) for angle in self.tilt)
+        return np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]) @ np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+
+    @property
     def spread(self) -> float:
         """`1 + b / dL`: microimage centres are this much farther apart than the microlenses."""
-        return 1 + self.sensor_distance / self.mla_distance
+        return 1 + self.sensor_distance / (self.mla_distance * float(self.array_axes[2, 2]))
 
     @cached_property
     def lattice(self) -> Lattice:

@@ -19,7 +19,7 @@ from lfcal import Calibration
 
 from .camera import Camera
 
-__all__ = ["Capture", "Truth", "load_capture"]
+__all__ = ["Capture", "Truth", "load_capture", "write_png"]
 
 _SCHEMA = "lfsynth-capture"
 _VERSION = 1
@@ -172,6 +172,11 @@ def load_capture(folder: str | os.PathLike[str]) -> Capture:
     if flat.shape != (*size, 3) or white.shape != size or arrays["disparity"].shape != size:
         raise ValueError(f"{source}: flat, white image and truth differ in size; simulate it again")
     return Capture(flat, white, Truth(calibration=calibration, reference=reference, **arrays), camera, recipe)
+
+
+def write_png(path: Path, picture: NDArray[Any]) -> None:
+    """Write a picture, grey or RGB; the file appears whole or not at all."""
+    _write(path, _png(picture))
 
 
 def _png(picture: NDArray[Any]) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from pathlib import Path
@@ -59,6 +60,7 @@ def _list_scenes(ctx: click.Context, _param: click.Parameter, wanted: bool) -> N
         return
     for name, make in SCENES.items():
         click.echo(f"{name:10s} {(make.__doc__ or '').strip().splitlines()[0]}")
+    click.echo("board      A checkerboard in random poses, for metric calibration (--poses, --k1, --tilt, --range).")
     ctx.exit()
 
 
@@ -66,11 +68,12 @@ _EXAMPLES = """\b
 Examples:
   lfsynth house -o capture
   lfsynth clutter -o capture --size 2000x1500 --pitch 34.9 --lattice square --noise 9000,5
+  lfsynth board -o shoot --size 1600x1200 --pitch 28.3 --poses 12 --k1 -0.5 --tilt 0.2,0 --noise 12000,5
 """
 
 
 @click.command(cls=_OneLine, epilog=_EXAMPLES, context_settings={"help_option_names": ["-h", "--help"]})
-@click.argument("scene", type=click.Choice(list(SCENES)))
+@click.argument("scene", type=click.Choice([*SCENES, "board"]))
 @click.option(
     "-o", "--output", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder to write."
 )
@@ -80,6 +83,10 @@ Examples:
 @click.option("--rotation", type=float, default=0.0, show_default=True, help="Of the lattice, clockwise [degrees].")
 @click.option("--types", type=click.Choice(["1", "3"]), default="1", show_default=True, help="Kinds of microlenses.")
 @click.option("--noise", type=_Pair("FULL_WELL,READ", ",", float), help="Electrons, e.g. 12000,5; none if absent.")
+@click.option("--poses", type=click.IntRange(1), default=12, show_default=True, help="Of the board.")
+@click.option("--range", "ratios", type=_Pair("NEAR,FAR", ",", float), default="-0.5,-0.18", help="s/D of the boards.")
+@click.option("--k1", type=float, default=0.0, help="Radial distortion of the main lens; of boards only.")
+@click.option("--tilt", type=_Pair("X,Y", ",", float), default="0,0", help="Of the array [degrees]; of boards only.")
 @click.option("--bits", type=click.Choice(["8", "16"]), default="8", show_default=True)
 @click.option("--linear", is_flag=True, help="Store linear values instead of sRGB.")
 @click.option("--samples", type=int, default=48, show_default=True, help="Rays per pixel; few make noise of their own.")
@@ -97,6 +104,10 @@ def main(
     rotation: float,
     types: str,
     noise: tuple[float, float] | None,
+    poses: int,
+    ratios: tuple[float, float],
+    k1: float,
+    tilt: tuple[float, float],
     bits: str,
     linear: bool,
     samples: int,
@@ -118,6 +129,20 @@ def main(
 
     focus = (-0.45, -0.3, -0.2) if types == "3" else 0.04
     camera = Camera.design(size, pitch, lattice, rotation, focus=focus)
+    if scene == "board":
+        from .boards import shoot_board
+
+        camera = camera.replace(k1=k1, tilt=(math.radians(tilt[0]), math.radians(tilt[1])))
+        shoot = shoot_board(camera, poses, ratios=ratios, samples=samples, seed=seed, noise=noise, gamma=not linear)
+        ended("simulate")
+        shoot.save(output)
+        ended("write")
+        figures = shoot.summary() | {"folder": str(output), "seconds": round(time.perf_counter() - started, 2)}
+        if as_json:
+            click.echo(json.dumps(figures))
+        elif not quiet:
+            click.echo(f"{output}: {poses} flats of a board with squares of {shoot.square} mm, {figures['seconds']} s")
+        return
     capture = simulate(
         SCENES[scene](camera, seed=seed),
         camera,

@@ -63,6 +63,8 @@ def simulate(
     ValueError
         If an argument is out of range.
     """
+    if not camera.straight:
+        raise ValueError("simulate knows the truth of cameras without distortion and tilt; use shoot_board")
     if not 1 <= samples <= 1 << 16:
         raise ValueError(f"samples must be 1 to {1 << 16}, got {samples}")
     if bits not in (8, 16):

@@ -5,7 +5,8 @@ minus is the half turn of object space that keeps pictures upright. Camera vecto
 
     0 pixel  1, 2 principal point  3 focal length  4 dL  5 b  6 main aperture radius  7 microlens radius
     8, 9 origin  10..13 basis  14..17 inverse basis  18 spread  19 cos^4  20, 21 stop distance and radius (0: none)
-    22 reach: largest distance of a lit point from its microimage centre [px]
+    22 reach: largest distance of a lit point from its microimage centre [px]  23 whether bent: distortion or tilt
+    24 k1  25, 26 slope of the optical axis in the frame of the array  27..35 axes of the array, row by row
 
 Rows of the surface table: 0 kind, 1..3 corner or centre, 4..6 normal (4: radius of a sphere), 7..9 and 10..12
 duals of the edges, 13 texture offset, 14, 15 its width and height, 16 whether alpha cuts, 17..22 bounds.
@@ -71,6 +72,8 @@ def _camera_vector(camera: Camera) -> NDArray[np.float64]:
     values = [camera.pixel, *camera.principal_point, camera.focal_length, camera.mla_distance, camera.sensor_distance]
     values += [aperture, lens, *camera.origin, *basis.ravel(), *np.linalg.inv(basis).ravel(), camera.spread]
     values += [float(camera.natural_vignetting), stop[0], stop[1] / 2, camera.microimage_radius + defocus]
+    axes = camera.array_axes
+    values += [float(not camera.straight), camera.k1, *(axes[2, :2] / axes[2, 2]), *axes.ravel()]
     return np.array(values)
 
 
@@ -261,6 +264,24 @@ def _add(total, table, texels, background, found, u, v, weight):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _bent(cam, x, y, slope_x, slope_y):
+    """Start and slope in object space of a ray that leaves the array at `(x, y)` [mm] with a slope in its frame.
+
+    Through the tilted array to the thin main lens; its distortion turns slopes, and starts by its derivative, so that
+    the rays of a point still meet.
+    """
+    dx = cam[27] * slope_x + cam[28] * slope_y + cam[29]
+    dy = cam[30] * slope_x + cam[31] * slope_y + cam[32]
+    dz = cam[33] * slope_x + cam[34] * slope_y + cam[35]
+    way = (cam[4] - cam[33] * x - cam[34] * y) / dz
+    ax, ay = cam[27] * x + cam[28] * y + dx * way, cam[30] * x + cam[31] * y + dy * way
+    sx, sy = dx / dz - ax / cam[3], dy / dz - ay / cam[3]
+    k1 = cam[24]
+    gain, inner = 1 + k1 * (sx * sx + sy * sy), 2 * k1 * (sx * ax + sy * ay)
+    return ax, ay, gain * ax + inner * sx, gain * ay + inner * sy, gain * sx, gain * sy
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _through_lens(total, x, y, cam, cx, cy, power, table, texels, background, points, shift, chosen):
     """Add the light that reaches pixel `(x, y)` through one microlens with centre `(cx, cy)` [mm]."""
     pixel, focal, dl, b = cam[0], cam[3], cam[4], cam[5]
@@ -272,7 +293,12 @@ def _through_lens(total, x, y, cam, cx, cy, power, table, texels, background, po
     half, lens = 0.71 * pixel, cam[7]
     start_spread = half * dl / b + lens * abs(1 + bend * dl)
     slope_spread = half * abs(1 / b - dl / (b * focal)) + lens * abs(bend - (1 + bend * dl) / focal)
-    count = _choose(chosen, table, ax, ay, slope_x - ax / focal, slope_y - ay / focal, start_spread, slope_spread)
+    mx, my, ox, oy = slope_x - ax / focal, slope_y - ay / focal, ax, ay
+    if cam[23] > 0:
+        px, py = px - b * cam[25], py - b * cam[26]
+        _, _, ox, oy, mx, my = _bent(cam, cx, cy, (cx - px) / b, (cy - py) / b)
+        start_spread, slope_spread = 2 * start_spread, 2 * slope_spread
+    count = _choose(chosen, table, ox, oy, mx, my, start_spread, slope_spread)
     cosine, sine = lens * math.cos(2 * math.pi * shift[2]), lens * math.sin(2 * math.pi * shift[2])
     per_b, per_focal, share = 1 / b, 1 / focal, 1.0 / len(points)
     # One weight for all rays: of weights of their own the middle would lie beside the chief ray, and so would features.
@@ -285,6 +311,12 @@ def _through_lens(total, x, y, cam, cx, cy, power, table, texels, background, po
         ry = sine * points[k, 2] + cosine * points[k, 3]
         sx, sy = (cx + rx - ux) * per_b, (cy + ry - uy) * per_b
         sx, sy = sx - rx * power, sy - ry * power
+        if cam[23] > 0:
+            ax, ay, ox, oy, sx, sy = _bent(cam, cx + rx, cy + ry, sx, sy)
+            if ax * ax + ay * ay <= cam[6] * cam[6]:
+                found, _, u, v = _hit(table, texels, chosen, count, ox, oy, sx, sy)
+                _add(total, table, texels, background, found, u, v, share)
+            continue
         ax, ay = cx + rx + sx * dl, cy + ry + sy * dl
         if ax * ax + ay * ay > cam[6] * cam[6]:
             continue

@@ -34,7 +34,7 @@ def test_each_help_ends_with_examples_that_the_command_understands(program, name
 def test_the_simulator_shows_examples_that_it_understands():
     shown = CliRunner().invoke(data_synth.cli.main, ["--help"]).output
     lines = [line.strip() for line in shown.splitlines() if line.strip().startswith("lfsynth ")]
-    assert len(lines) == 2
+    assert len(lines) == 3
     for line in lines:
         data_synth.cli.main.make_context("lfsynth", shlex.split(line)[1:])
 

@@ -84,7 +84,8 @@ class Optics:
     tangential : (float, float)
         `p1, p2`, in the same direction.
     tilt : (float, float) [rad]
-        Of microlens array and sensor together, about the x and the y axis of the flat.
+        Of microlens array and sensor together, about the x and the y axis of the flat: with a positive first angle the
+        lower part of the flat lies farther from the main lens, with a positive second angle its right part nearer.
     curvature : float
         Of the image field: the power of the main lens is `(1 + curvature |t|^2) / F`.
     pupil : float [mm]
