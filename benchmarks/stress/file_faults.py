@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import json
 import resource
+import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -68,6 +70,7 @@ def whole_files(folder: Path) -> dict[str, bytes]:
         stream = io.BytesIO()
         tifffile.imwrite(stream, pixels, **options)
         files[f"{name}.tif"] = stream.getvalue()
+    files |= _container_files(folder, grey)
     shot = PlaneFlat(size=_SIZE)
     lfrender.analyze(shot.flat(), shot.calibration).save(folder / "depth.npz")
     camera = lfcal.calibrate(PlaneFlat(size=_SIZE, pitch=12.0, contrast=0.0, noise=0.01, fill=0.95).flat())
@@ -79,6 +82,52 @@ def whole_files(folder: Path) -> dict[str, bytes]:
             for step in range(4):
                 film.add(np.roll(colour, step, 1))
     return files | {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def _container_files(folder: Path, grey: Any) -> dict[str, bytes]:
+    """Files of the readers of containers whose packages are installed."""
+    files = {}
+    wide = grey.astype(np.uint16) << 4
+    stream = io.BytesIO()
+    tifffile.imwrite(stream, grey, ome=True, metadata={"axes": "YX"})
+    files["ome.tif"] = stream.getvalue()
+    files["film_160x120_400p8.yuv"] = grey.tobytes() * 2
+    # A Lytro file of one picture: a table of contents, its description, and packed pixels of 12 bits.
+    pairs = wide.reshape(-1, 2)
+    packed = np.stack([pairs[:, 0] >> 4, (pairs[:, 0] & 15) << 4 | pairs[:, 1] >> 8, pairs[:, 1] & 255], 1)
+    about = {"image": {"width": _SIZE[0], "height": _SIZE[1], "pixelPacking": {"bitsPerPixel": 12}}}
+    names = {"imageRef": "sha1-" + "a" * 40, "metadataRef": "sha1-" + "b" * 40}
+    blobs = [packed.astype(np.uint8).tobytes(), json.dumps(about).encode()]
+    sections = [(b"\x89LFM", "sha1-" + "c" * 40, json.dumps({"frames": [{"frame": names}]}).encode())]
+    sections += [(b"\x89LFC", name, blob) for name, blob in zip(names.values(), blobs, strict=True)]
+    lytro = struct.pack(">4s4sII", b"\x89LFP", b"\r\n\x1a\n", 1, 0)
+    for kind, name, blob in sections:
+        head = struct.pack(">4s4sII", kind, b"\r\n\x1a\n", 0, len(blob)) + name.encode().ljust(80, b"\0")
+        lytro += (head + blob).ljust(-(-len(head + blob) // 16) * 16, b"\0")
+    files["picture.lfr"] = lytro
+    if find_spec("h5py"):
+        import h5py
+
+        with h5py.File(folder / "views.h5", "w") as file:
+            file.create_dataset("LF", data=grey.reshape(4, 30, 5, 32).transpose(0, 2, 1, 3), compression="gzip")
+        files["views.h5"] = (folder / "views.h5").read_bytes()
+        (folder / "views.h5").unlink()
+    if find_spec("OpenEXR"):
+        import OpenEXR
+
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        OpenEXR.File(header, {"Y": grey.astype(np.float32)}).write(str(folder / "grey.exr"))
+        files["grey.exr"] = (folder / "grey.exr").read_bytes()
+        (folder / "grey.exr").unlink()
+    if find_spec("rawpy"):
+        tags = [
+            (33421, "H", 2, (2, 2), True), (33422, "B", 4, (0, 1, 1, 2), True), (50706, "B", 4, (1, 4, 0, 0), True),
+            (50708, "s", 5, "None", True), (50714, "H", 1, 0, True), (50717, "H", 1, 4095, True),
+        ]  # fmt: skip
+        stream = io.BytesIO()
+        tifffile.imwrite(stream, wide, photometric="CFA", extratags=tags, metadata=None)
+        files["photo.dng"] = stream.getvalue()
+    return files
 
 
 def _encoded(suffix: str, pixels: Any) -> bytes:

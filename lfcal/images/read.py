@@ -6,6 +6,7 @@ import os
 import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
-from ..runtime.image_formats import IMAGE_FORMATS, identify_format
+from ..runtime.image_formats import CONVERTERS, IMAGE_FORMATS, RAW_PHOTO_SUFFIXES, identify_format
 from .decoders import MAX_PIXELS, decode_bmp, decode_jpeg, decode_png, decode_pnm, decode_webp
+from .formats.hdf5 import read_hdf5
+from .formats.lytro import read_lytro
+from .formats.openexr import read_openexr
+from .formats.raw_photo import read_raw_photo
 from .tiff import count_tiff_pages, open_tiff, read_tiff
 from .yuv import count_yuv_frames, is_yuv, read_yuv
 from .zarr_flat import is_zarr, open_zarr
 
 __all__ = ["MAX_PIXELS", "checked_pixels", "count_pages", "file_errors", "read_flat"]
 
-# TIFF is read from its file, as it may have several pages.
 _DECODERS: dict[str, Callable[[bytes], NDArray[Any]]] = {
     "PNG": decode_png,
     "WebP": decode_webp,
@@ -29,6 +33,14 @@ _DECODERS: dict[str, Callable[[bytes], NDArray[Any]]] = {
     "BMP": decode_bmp,
     "PGM": decode_pnm,
     "PPM": decode_pnm,
+}
+
+# Containers, read from their file, with the number of a picture.
+_READERS: dict[str, Callable[[Path, int | None], NDArray[Any]]] = {
+    "TIFF": read_tiff,
+    "OpenEXR": read_openexr,
+    "HDF5": read_hdf5,
+    "Lytro": read_lytro,
 }
 
 
@@ -42,9 +54,9 @@ def read_flat(
     """Read a raw plenoptic picture with its pixel values as stored.
 
     PNG (1 to 16 bit grey, RGB, palette), TIFF (8 and 16 bit, float), WebP, JPEG, BMP, PGM, PPM and Zarr are read, and
-    frames of raw video (`.yuv`). An alpha channel is dropped and the colours below it are kept as stored. An
-    orientation tag is not obeyed: a calibration belongs to the sensor, not to how the camera was held. In a TIFF,
-    thumbnails are passed over.
+    OpenEXR, HDF5, Lytro files, raw photos and frames of raw video, some of which need a package (docs/formats.md). An
+    alpha channel is dropped and the colours below it are kept as stored. An orientation tag is not obeyed: a
+    calibration belongs to the sensor, not to how the camera was held. In a TIFF, thumbnails are passed over.
 
     Parameters
     ----------
@@ -52,7 +64,7 @@ def read_flat(
         The image file.
     page : int or None
         Which of the full pictures in a TIFF, or of the frames of raw video, from 0; with None a file with several of
-        them is refused.
+        them is refused. Of HDF5 files 1 is the white image beside the capture, of Lytro archives any is one.
     size : (int, int) or None [px]
         Width and height of raw video, if neither its name nor a camera file `.cfg` beside it has them.
     pixel_format : str or None
@@ -128,11 +140,17 @@ def _decode(source: Path, page: int | None) -> NDArray[Any]:
     if not head:
         raise FlatError("is empty")
     name = identify_format(head)
-    if name == "TIFF":
-        return read_tiff(source, page)
+    # Without LibRaw, a plain DNG is still a TIFF.
+    if source.suffix.lower() in RAW_PHOTO_SUFFIXES and (name != "TIFF" or find_spec("rawpy")):
+        return read_raw_photo(source, page)
+    if name in _READERS:
+        return _READERS[name](source, page)
     if page not in (None, 0):
         raise FlatError(f"has one picture and no page {page}")
     if name is None:
+        advice = CONVERTERS.get(source.suffix.lower())
+        if advice is not None:
+            raise FlatError(f"{source.suffix} files are not read; {advice}")
         *names, last = IMAGE_FORMATS
         raise FlatError(f"is no image this toolkit reads; give a {', '.join(names)} or {last} file")
     return _DECODERS[name](source.read_bytes())

@@ -38,19 +38,21 @@ class ZarrFlat:
     array: Any
     channels_first: bool
     folder: Path
+    leading: int = 0  # axes of length 1 before these, as OME-Zarr has them for time and planes
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Height, width and, where there are any, number of channels."""
-        shape = tuple(int(n) for n in self.array.shape)
+        shape = tuple(int(n) for n in self.array.shape[self.leading :])
         return (*shape[1:], shape[0]) if self.channels_first else shape
 
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
         """Pixels as stored, channels last; FlatError if a chunk is missing, which Zarr itself reads as black."""
         self._check_chunks(rows, columns)
+        first = (0,) * self.leading
         if self.channels_first:
-            return np.moveaxis(np.asarray(self.array[:, rows, columns]), 0, -1)
-        return np.asarray(self.array[rows, columns])
+            return np.moveaxis(np.asarray(self.array[(*first, slice(None), rows, columns)]), 0, -1)
+        return np.asarray(self.array[(*first, rows, columns)])
 
     def whole(self) -> NDArray[Any]:
         """All pixels."""
@@ -60,7 +62,7 @@ class ZarrFlat:
         """FlatError where a chunk with these pixels is missing or truncated."""
         channels = slice(0, self.shape[2]) if len(self.shape) == 3 else None
         parts = [channels, rows, columns] if self.channels_first else [rows, columns, channels]
-        sides = self.array.metadata.chunk_grid.chunk_shape
+        sides = self.array.metadata.chunk_grid.chunk_shape[self.leading :]
         chunks = (
             range(part.start // side, -(-part.stop // side))
             for part, side in zip([p for p in parts if p is not None], sides, strict=True)
@@ -68,7 +70,7 @@ class ZarrFlat:
         blosc = _is_blosc(self.array.metadata)
         bytes_each = math.prod(sides) * self.array.dtype.itemsize
         for chunk in product(*chunks):
-            name = self.array.metadata.encode_chunk_key(chunk)
+            name = self.array.metadata.encode_chunk_key((0,) * self.leading + chunk)
             if not (self.folder / name).is_file():
                 raise FlatError(
                     f"the chunk '{name}' is missing; copy the array anew, or write empty chunks too "
@@ -111,15 +113,28 @@ def open_zarr(path: Path, most: int) -> ZarrFlat:
     array: Any = zarr.open(str(path), mode="r")
     if not hasattr(array, "shape"):
         names = sorted(array.array_keys())
-        if len(names) != 1 and "0" not in names:
+        finest = _finest_scale(array)
+        if finest not in names and len(names) != 1 and "0" not in names:
             raise FlatError(f"the Zarr group holds {len(names)} arrays; give the folder of the one that is the flat")
-        array = array[names[0] if len(names) == 1 else "0"]
+        array = array[finest if finest in names else names[0] if len(names) == 1 else "0"]
     return check_zarr(array, most)
+
+
+def _finest_scale(group: Any) -> str | None:
+    """Name of the array with all pixels of an OME-Zarr group, None in others."""
+    attributes = dict(group.attrs)
+    try:
+        return str(attributes.get("ome", attributes)["multiscales"][0]["datasets"][0]["path"])
+    except (KeyError, IndexError, TypeError, AttributeError):
+        return None
 
 
 def check_zarr(array: Any, most: int) -> ZarrFlat:
     """The array as a flat, or a FlatError if its metadata describe none; nothing is decoded."""
-    shape, kind = tuple(int(n) for n in array.shape), np.dtype(array.dtype)
+    whole, kind = tuple(int(n) for n in array.shape), np.dtype(array.dtype)
+    # Time, channel and plane of OME-Zarr come first; no flat has one row.
+    leading = next((k for k, n in enumerate(whole[:-2]) if n != 1), max(len(whole) - 2, 0))
+    shape = whole[leading:]
     if len(shape) not in (2, 3) or 0 in shape:
         raise FlatError(f"a flat is one grey or RGB picture, this Zarr array has shape {shape}")
     if kind.kind not in "buif":
@@ -129,7 +144,7 @@ def check_zarr(array: Any, most: int) -> ZarrFlat:
     if height * width > most or (len(shape) == 3 and shape[0 if first else 2] > 4):
         raise FlatError(f"a flat is one grey or RGB picture of {most} px at most, this array has shape {shape}")
     chunk = getattr(array.metadata.chunk_grid, "chunk_shape", None)
-    if chunk is None or len(chunk) != len(shape) or math.prod(max(n, 1) for n in chunk) > 4 * most:
+    if chunk is None or len(chunk) != len(whole) or math.prod(max(n, 1) for n in chunk) > 4 * most:
         raise FlatError(f"chunks of shape {chunk} are not read; store the array in regular chunks of some megapixels")
     codecs = [*(getattr(array.metadata, "filters", None) or ()), getattr(array.metadata, "compressor", None)]
     unknown = {getattr(one, "codec_id", str(one)) for one in codecs if one is not None} - _NUMERIC_CODECS
@@ -138,4 +153,4 @@ def check_zarr(array: Any, most: int) -> ZarrFlat:
     root = getattr(array.store, "root", None)
     if root is None:
         raise FlatError("is no Zarr array in a folder")
-    return ZarrFlat(array, first, Path(root) / array.path)
+    return ZarrFlat(array, first, Path(root) / array.path, leading)

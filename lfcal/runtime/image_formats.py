@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 __all__ = [
-    "IMAGE_FORMATS", "IMAGE_SUFFIXES", "MOSAICS", "TIFF_SUFFIXES", "ImageFormat", "Mosaic", "identify_format"
+    "CONVERTERS", "IMAGE_FORMATS", "IMAGE_SUFFIXES", "MOSAICS", "RAW_PHOTO_SUFFIXES", "TIFF_SUFFIXES", "ImageFormat",
+    "Mosaic", "identify_format",
 ]  # fmt: skip
 
 #: Colour filters of the top left 2 x 2 pixels, row by row.
@@ -32,8 +33,27 @@ IMAGE_FORMATS = {
     "BMP": ImageFormat((".bmp",), rb"BM"),
     "PGM": ImageFormat((".pgm",), rb"P[25][\s#]"),
     "PPM": ImageFormat((".ppm",), rb"P[36][\s#]"),
+    "OpenEXR": ImageFormat((".exr",), rb"\x76\x2f\x31\x01"),
+    "HDF5": ImageFormat((".h5", ".hdf5", ".vox"), rb"\x89HDF\r\n\x1a\n"),
+    "Lytro": ImageFormat((".lfp", ".lfr"), rb"\x89LFP\r\n\x1a\n"),
 }
-IMAGE_SUFFIXES = frozenset(suffix for form in IMAGE_FORMATS.values() for suffix in form.suffixes)
+#: Raw photos, many of which begin as a TIFF does: known by their suffix alone.
+RAW_PHOTO_SUFFIXES = frozenset({".dng", ".arw", ".cr2", ".cr3", ".nef", ".orf", ".pef", ".raf", ".rw2", ".srw"})
+#: What is not read, by its suffix, and what can convert it.
+CONVERTERS = {
+    ".czi": "save it as OME-TIFF with Fiji or bfconvert (Bio-Formats)",
+    ".heic": "convert it to PNG with ImageMagick",
+    ".lif": "save it as OME-TIFF with Fiji or bfconvert (Bio-Formats)",
+    ".mat": "save the picture as TIFF or HDF5 (h5write)",
+    ".nd2": "save it as OME-TIFF with Fiji or bfconvert (Bio-Formats)",
+    ".oib": "save it as OME-TIFF with Fiji or bfconvert (Bio-Formats)",
+    ".oif": "save it as OME-TIFF with Fiji or bfconvert (Bio-Formats)",
+    ".ray": "export the raw image as PNG or TIFF with RxLive",
+    ".rays": "export the raw images as PNG or TIFF with RxLive",
+    ".raw": "it has no header: name it NAME_WxH_400p8.yuv, or 400p10, 400p12 for 16-bit samples of so many bits",
+    ".jp2": "convert it to TIFF with ImageMagick or opj_decompress",
+}
+IMAGE_SUFFIXES = RAW_PHOTO_SUFFIXES.union(suffix for form in IMAGE_FORMATS.values() for suffix in form.suffixes)
 TIFF_SUFFIXES = IMAGE_FORMATS["TIFF"].suffixes
 
 

@@ -32,9 +32,11 @@ __all__ = ["analyze"]
     white=True,
     depth=False,
 )
-@click.option("--dense", type=OUTPUT, metavar="DEPTH.tif|.pfm", help="Patch size [px] of every pixel of the picture.")
+@click.option(
+    "--dense", type=OUTPUT, metavar="DEPTH.tif|.pfm|.exr", help="Patch size [px] of every pixel of the picture."
+)
 @click.option("--picture", type=OUTPUT, metavar="DEPTH.png", help="Magnification M in colours, with its legend.")
-@click.option("--ply", type=OUTPUT, metavar="CLOUD.ply", help="Point cloud: X/D, Y/D, virtual depth D/s, colour.")
+@click.option("--ply", type=OUTPUT, metavar="CLOUD.ply|.pcd", help="Point cloud: X/D, Y/D, virtual depth D/s, colour.")
 @click.option(
     "--optics",
     "optics_file",
@@ -61,7 +63,7 @@ def analyze(
     """Find for every microlens of FLAT its patch size and whether it is telescopic or binocular."""
     report = capture.report
     check_output(output, {".npz"}, capture.files)
-    for path, suffixes in ((dense, {".tif", ".tiff", ".pfm"}), (picture, {".png"}), (ply, {".ply"})):
+    for path, suffixes in ((dense, {".tif", ".tiff", ".pfm", ".exr"}), (picture, {".png"}), (ply, {".ply", ".pcd"})):
         if path is not None:
             check_output(path, suffixes, capture.files)
     at_most_one("--workers", workers, "--scheduler", scheduler)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lfcal import OutputError
 from lfcal.runtime.output_file import atomic_write, check_output
 
 from .depth_map import DepthMap, default_scale
@@ -18,7 +20,7 @@ from .surface import sample_surface
 
 __all__ = ["DENSE_FORMATS", "DenseDepth", "dense_depth", "write_dense"]
 
-DENSE_FORMATS = (".tif", ".tiff", ".pfm")
+DENSE_FORMATS = (".tif", ".tiff", ".pfm", ".exr")
 
 
 @dataclass(frozen=True)
@@ -66,15 +68,17 @@ def dense_depth(depth: DepthMap, scale: float | None = None) -> DenseDepth:
 
 
 def write_dense(path: str | os.PathLike[str], dense: DenseDepth) -> None:
-    """Write the patch sizes [px] as 32-bit TIFF, with the affine as JSON text, or as PFM; whole or not at all.
+    """Write the patch sizes [px] as 32-bit TIFF or OpenEXR, with the affine as JSON, or as PFM; whole or not at all.
 
     Raises
     ------
     OutputError
-        If the ending is neither `.tif`, `.tiff` nor `.pfm`, or the folder cannot be written.
+        If the ending is none of these, the package OpenEXR is needed, or the folder cannot be written.
     """
     path = Path(path)
     check_output(path, set(DENSE_FORMATS))
+    if path.suffix.lower() == ".exr" and find_spec("OpenEXR") is None:
+        raise OutputError(f"{path}: .exr files need the package 'OpenEXR'; pip install 'lfrender[exr]'")
     with atomic_write(path) as temporary:
         if path.suffix.lower() == ".pfm":
             height, width = dense.patch_size.shape
@@ -82,12 +86,21 @@ def write_dense(path: str | os.PathLike[str], dense: DenseDepth) -> None:
             rows = np.ascontiguousarray(dense.patch_size[::-1], "<f4")
             Path(temporary).write_bytes(f"Pf\n{width} {height}\n-1.0\n".encode() + rows.tobytes())
             return
-        import tifffile
-
         about = {
             "software": "lfrender",
             "content": "signed patch size [px]",
             "pitch": dense.pitch,
             "affine": dense.affine.tolist(),
         }
+        if path.suffix.lower() == ".exr":
+            import OpenEXR
+
+            header = {
+                "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "comments": json.dumps(about),
+            }  # fmt: skip
+            with OpenEXR.File(header, {"Y": np.ascontiguousarray(dense.patch_size)}) as file:
+                file.write(str(temporary))
+            return
+        import tifffile
+
         tifffile.imwrite(temporary, dense.patch_size, description=json.dumps(about), metadata=None)

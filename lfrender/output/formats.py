@@ -21,6 +21,7 @@ from lfcal import LightFieldError
 from lfcal.runtime.output_file import check_output
 
 from .metadata import EmbeddedMetadata, embed_in_jpeg, embed_in_png
+from .ome import is_ome_tiff, ome_tags, write_ome_zarr
 
 __all__ = [
     "FORMATS",
@@ -50,6 +51,7 @@ class PictureFormat:
     #: `picture(path, pages, embedded, compress)` writes a picture; None for formats that hold no single pictures.
     picture: Callable[[Path, list[Page], EmbeddedMetadata, bool], None] | None = None
     alpha: bool = True
+    folder: bool = False  # whether a picture is a folder, which its writer moves into place itself
     stack: bool = False  # whether a file can hold several pictures
     tiles: bool = False  # whether it can be written tile by tile (`tiled_picture`)
     animation: str = ""  # name of the format in Pillow if it can hold an animation
@@ -115,10 +117,12 @@ def _write_tiff(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compr
 
     # Plain TIFF counts bytes with 32 bits; 32 MB are left for what stands beside the pixels.
     big = sum(pixels.nbytes for pixels, _ in pages) > 2**32 - 2**25
-    with tifffile.TiffWriter(path, bigtiff=big) as tiff:
+    ome = is_ome_tiff(path)
+    with tifffile.TiffWriter(path, bigtiff=big, ome=ome) as tiff:
         for pixels, text in pages:
-            tiles = tiff_tiles(pixels.dtype) if compress else {}
-            tiff.write(np.ascontiguousarray(pixels), **tiff_tags(pixels.shape, text, embedded.icc), **tiles)
+            options = tiff_tags(pixels.shape, text, embedded.icc) | (tiff_tiles(pixels.dtype) if compress else {})
+            options |= ome_tags(pixels.shape, text) if ome else {}
+            tiff.write(np.ascontiguousarray(pixels), **options)
 
 
 def _write_exr(path: Path, pages: list[Page], _embedded: EmbeddedMetadata, _compress: bool) -> None:
@@ -203,5 +207,5 @@ FORMATS = {
     ".webp": PictureFormat(("uint8",), _write_webp, animation="WEBP"),
     # Raw planes, by default 4:2:0 of 10 bits, as coders of video take them.
     ".yuv": PictureFormat(_WHOLE, film=("rawvideo", {}), package="av", extra="video"),
-    ".zarr": PictureFormat((*_WHOLE, "float32"), tiles=True, package="zarr", extra="zarr"),
+    ".zarr": PictureFormat((*_WHOLE, "float32"), write_ome_zarr, folder=True, tiles=True, package="zarr", extra="zarr"),
 }

@@ -40,7 +40,7 @@ def write_picture(
     embedded: EmbeddedMetadata = _NO_METADATA,
     compress: bool = False,
 ) -> None:
-    """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP or OpenEXR; the file appears whole or not at all.
+    """Write a rendering, or plain pixels, as TIFF, PNG, JPEG, WebP, OpenEXR or OME-Zarr; whole or not at all.
 
     All but WebP carry a JSON text (`ImageDescription`, `Description` or comment) with the 2x3 affine from output
     pixel `(u, v)` to scene coordinates `X` and the settings of the rendering. Pixels no lens has seen are 0; with
@@ -49,7 +49,7 @@ def write_picture(
     Parameters
     ----------
     path : path-like
-        The suffix chooses the format.
+        The suffix chooses the format; `.ome.tif` is a TIFF with OME metadata.
     picture : Rendering or (h, w) or (h, w, 3) uint8, uint16 or float32
         What to write; colours in the order red, green, blue. float32 only into TIFF and OpenEXR, uint16 only into TIFF
         and PNG.
@@ -155,5 +155,8 @@ def _page(path: str | os.PathLike[str], picture: Any, settings: Mapping[str, Any
 def _write(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compress: bool) -> None:
     write = FORMATS[path.suffix.lower()].picture
     assert write is not None
+    if FORMATS[path.suffix.lower()].folder:
+        write(path, pages, embedded, compress)
+        return
     with atomic_write(path) as temporary:
         write(temporary, pages, embedded, compress)

@@ -1,4 +1,4 @@
-"""The scene as points in virtual-depth units or metres, with the colours of the picture, and their PLY file."""
+"""The scene as points in virtual-depth units or metres, with the colours of the picture; their PLY and PCD files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from ..flat.gray_flat import white_level
 from ..flat.lens_graph import nearest_lens
 from ..rendering.render import render
 
-__all__ = ["point_cloud", "write_points"]
+__all__ = ["CLOUD_SUFFIXES", "point_cloud", "write_points"]
+
+CLOUD_SUFFIXES = frozenset({".ply", ".pcd"})
 
 _POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")],
@@ -89,8 +91,12 @@ def point_cloud(
 
 
 def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = False) -> None:
-    """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY; whole or not at all."""
-    check_output(path, {".ply"})
+    """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY or PCD; whole or not at all."""
+    check_output(path, CLOUD_SUFFIXES)
+    if Path(path).suffix.lower() == ".pcd":
+        with atomic_write(path) as temporary:
+            Path(temporary).write_bytes(_pcd_bytes(points))
+        return
     virtual = "x, y: scene coordinates over the pitch D; z: signed virtual depth D / s"
     kinds = {"f": "float", "u": "uchar"}
     header = [
@@ -103,3 +109,18 @@ def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = F
     ]
     with atomic_write(path) as temporary:
         Path(temporary).write_bytes("\n".join(header).encode() + points.astype(_POINT).tobytes())
+
+
+def _pcd_bytes(points: NDArray) -> bytes:
+    """The points as a PCD file (Point Cloud Library): the colour is a whole number 0xRRGGBB."""
+    packed = np.empty(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
+    for name in "xyz":
+        packed[name] = points[name]
+    red, green, blue = (points[name].astype(np.uint32) for name in ("red", "green", "blue"))
+    packed["rgb"] = red << 16 | green << 8 | blue
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", "FIELDS x y z rgb", "SIZE 4 4 4 4",
+        "TYPE F F F U", "COUNT 1 1 1 1", f"WIDTH {len(points)}", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(points)}", "DATA binary\n",
+    ]  # fmt: skip
+    return "\n".join(header).encode() + packed.tobytes()
