@@ -46,7 +46,8 @@ def check_parallax(
 ) -> bool:
     """Whether neighbours are seen to show the same, shifted, which proves them to be microimages.
 
-    False where lenses show next to nothing, or noise hides it.
+    False where lenses show next to nothing, noise hides it, or neighbours show nearly the same unmoved, as those of an
+    unfocused camera.
 
     Parameters
     ----------
@@ -77,6 +78,8 @@ def check_parallax(
     if not (single and _has_texture(found, white, settings)):
         return False
     if not _matches(found, settings.gain):
+        if _is_alike_unmoved(found, settings.unmoved_gain):
+            return False
         raise CalibrationError(
             f"a pattern repeats {every}, but neighbours do not show the same, shifted, as microimages do; "
             f"{RAW_FLAT_ADVICE}"
@@ -85,7 +88,7 @@ def check_parallax(
 
 
 def shows_scene(picture: NDArray[np.float32], lattice: Lattice, settings: ParallaxSettings = DEFAULT.parallax) -> bool:
-    """Whether a flat taken for a white image shows a scene: neighbours are seen to show the same, shifted.
+    """Whether a flat taken for a white image shows a scene: neighbours are seen to show the same, shifted or unmoved.
 
     `picture` and `lattice` are those of `check_parallax`.
     """
@@ -93,7 +96,9 @@ def shows_scene(picture: NDArray[np.float32], lattice: Lattice, settings: Parall
     if found is None or not found.texture > settings.texture_white:
         return False
     # Fine texture looks like noise, but noise does not match in neighbours.
-    return _matches(found, settings.gain if _has_texture(found, True, settings) else settings.sure_gain)
+    if not _has_texture(found, True, settings):
+        return _matches(found, settings.sure_gain)
+    return _matches(found, settings.gain) or _is_alike_unmoved(found, settings.unmoved_gain)
 
 
 def _has_texture(found: NeighbourComparison, white: bool, settings: ParallaxSettings) -> bool:
@@ -108,6 +113,15 @@ def _matches(found: NeighbourComparison, gain: float) -> bool:
     matched = max(found.matched**2 - found.noise**2, 0)
     other = max(min(found.unshifted, found.distant) ** 2 - found.noise**2, 0)
     return other >= gain**2 * matched
+
+
+def _is_alike_unmoved(found: NeighbourComparison, gain: float) -> bool:
+    """Whether neighbours show nearly the same at the same place, as in unfocused cameras, whose `s` is near zero.
+
+    Places inside a lens then differ by more. What all lenses have in common, as tiles, is left out before.
+    """
+    unmoved = max(found.unshifted**2 - found.noise**2, 0)
+    return found.distant**2 - found.noise**2 >= gain**2 * unmoved
 
 
 def compare_neighbours(

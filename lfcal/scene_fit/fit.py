@@ -19,7 +19,7 @@ from ..lattice.lens_subset import sample_mask, select_whole_lenses
 from ..lattice.robust_fit import LatticeFit, field_rms
 from ..runtime.errors import CalibrationError
 from .irls import LensShifts, error_inflation, find_regular_ratio, solve_irls
-from .radial_distortion import RadialEstimate, estimate_radial
+from .radial_distortion import DecentredEstimate, RadialEstimate, estimate_decentred, estimate_radial
 from .settings import SCENE
 from .template import build_lens_equations
 
@@ -163,7 +163,7 @@ class _Fitter:
         """The fit with a radial distortion if that is significant, else as it is."""
         before, lattice, estimate = fit, fit.lattice, _estimate_radial(fit)
         if lattice.distortion is None and not estimate.is_significant(lattice.pitch):
-            return fit
+            return self._add_decentred(fit)
         bend = lattice.distortion or Distortion.zero(lattice.image_size)
         for _ in range(SCENE.passes):
             bend = replace(bend, k1=bend.k1 + estimate.k1)
@@ -172,6 +172,25 @@ class _Fitter:
             if abs(estimate.k1) < SCENE.settled * estimate.error:
                 break
         return fit if replace(estimate, k1=bend.k1).is_significant(lattice.pitch) else before
+
+    def _add_decentred(self, fit: _Converged) -> _Converged:
+        """The fit with a radial distortion about any place if that is significant, else as it is."""
+        whole = _estimate_decentred(fit)
+        if not whole.is_significant(fit.lattice.pitch):
+            return fit
+        for _ in range(SCENE.sketch_passes):
+            bend = whole.distortion(fit.lattice.image_size)
+            fit = self.converge(replace(fit.lattice, distortion=bend), SCENE.sketch_passes)
+            more = _estimate_decentred(fit)
+            if more.significance < SCENE.settled:
+                break
+            whole = whole + more
+        return fit
+
+
+def _estimate_decentred(fit: _Converged) -> DecentredEstimate:
+    tile = _tiles(fit.shifts, SCENE.tiles)[0]
+    return estimate_decentred(fit.before, fit.shifts.design, fit.shifts.shift, fit.weight, tile)
 
 
 def _estimate_radial(fit: _Converged) -> RadialEstimate:

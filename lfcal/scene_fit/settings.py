@@ -52,6 +52,9 @@ class SceneFitSettings:
     irregular: float = 6.0  # F value of a significant deviation from regular: one chance in a hundred
     distortion_significance: float = 8.0  # standard errors; scenes without distortion reach 3
     distortion_shift: float = 0.003  # [pitch, RMS] least movement by a distortion; scenes without one reach 0.001
+    # Of a distortion about another place than the middle; captures without one reach 12 and 0.003.
+    decentred_significance: float = 20.0  # squared size over its covariance, per parameter
+    decentred_shift: float = 0.005  # [pitch, RMS] least movement
     bins_per_pixel: float = 3.0  # of the mean microimage
     most_bins: int = 210  # along each lattice vector; more are not worth their memory
     template_lenses: int = 1500  # that are averaged; more hardly lower its noise
