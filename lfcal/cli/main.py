@@ -10,7 +10,7 @@ import click
 from ..runtime import console
 from ..runtime.image_formats import MOSAICS, TIFF_SUFFIXES, Mosaic
 from ..runtime.output_file import atomic_write, check_output
-from .metric import metric
+from .metric import board, metric
 
 if TYPE_CHECKING:
     from ..camera.calibration import Calibration
@@ -309,6 +309,7 @@ def describe(camera: Calibration) -> dict[str, Any]:
 
 
 main.add_command(metric)
+main.add_command(board)
 
 
 if __name__ == "__main__":

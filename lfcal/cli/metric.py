@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ..boards.board import Board
     from ..metric.result import MetricCalibration
 
-__all__ = ["metric"]
+__all__ = ["board", "metric"]
 
 _INPUT, _OUTPUT = console.InputPath(), click.Path(path_type=Path)
 _PATTERNS = ("checkerboard", "charuco", "circles")
@@ -64,6 +64,12 @@ def read_board(size: str, square: float, pattern: Any, marker: float | None, dic
 @click.option("-o", "--output", type=_OUTPUT, required=True, metavar="CAMERA.json", help="Camera file to write.")
 @board_options
 @click.option("--pixel", type=float, metavar="UM", help="Side of a pixel of the sensor [um]: the scale of F, L and b.")
+@click.option(
+    "--exchange",
+    type=_OUTPUT,
+    metavar="FILE",
+    help="For other programs: .js with poses beside it (libpleno), .yml or .xml (OpenCV's pinhole) to write.",
+)
 @click.option("--poses", type=_OUTPUT, metavar="POSES.json", help="Poses of the boards to write.")
 @console.report_options
 def metric(
@@ -76,6 +82,7 @@ def metric(
     marker: float | None,
     dictionary: str,
     pixel: float | None,
+    exchange: Path | None,
     poses: Path | None,
     as_json: bool,
     quiet: bool,
@@ -89,6 +96,8 @@ def metric(
     check_output(output, {".json"}, flats)
     if poses is not None:
         check_output(poses, {".json"}, [*flats, camera, output])
+    if exchange is not None:
+        check_output(exchange, {".js", ".yml", ".yaml", ".xml"}, [*flats, camera])
     board = read_board(size, square, pattern, marker, dictionary)
     with report.stage("read"):
         from .. import load, read_flat
@@ -109,7 +118,44 @@ def metric(
         found.calibration.save(output)
         if poses is not None:
             found.save_poses(poses)
+        if exchange is not None:
+            from ..metric.exchange import write_libpleno, write_pinhole
+
+            if exchange.suffix.lower() == ".js":
+                write_libpleno(exchange, found)
+            else:
+                write_pinhole(exchange, found.calibration)
     report.finish({"camera": str(output), **describe_metric(found)})
+
+
+@click.command(
+    epilog=console.help_examples(
+        "lfcal board --board 9x6 --square 12 -o board.pdf",
+        "lfcal board --board 9x6 --square 15 --marker 11 --pattern charuco -o board.svg",
+    )
+)
+@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="BOARD.pdf|.svg", help="Page to write.")
+@board_options
+@console.report_options
+def board(
+    output: Path,
+    size: str,
+    square: float,
+    pattern: str,
+    marker: float | None,
+    dictionary: str,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Make a board to print, with a bar of 100 mm that tells whether it was printed in true size."""
+    report = console.Report(as_json, quiet)
+    check_output(output, {".pdf", ".svg"})
+    target = read_board(size, square, pattern, marker, dictionary)
+    with report.stage("write"):
+        from ..boards.printed import write_board
+
+        write_board(output, target)
+    report.finish({"written": str(output), "board": str(target), "square_mm": target.square})
 
 
 def describe_metric(found: MetricCalibration) -> dict[str, Any]:

@@ -1,0 +1,233 @@
+"""Optics and poses for other programs: libpleno's `.js`, OpenCV's pinhole of the all-in-focus picture.
+
+libpleno (github.com/comsee-research/libpleno) is the library behind the toolbox COMPOTE (Labussiere et al. 2022). The
+equivalent pinhole has `K` and the five coefficients of OpenCV, fitted over the field of the flat, as OpenCV distorts in
+the other direction.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera.calibration import Calibration
+from ..camera.optics import Optics, object_slopes, turn_to_array
+from ..runtime.errors import CameraFileError
+from ..runtime.output_file import atomic_write
+from .result import MetricCalibration
+
+__all__ = ["Pinhole", "equivalent_pinhole", "read_libpleno", "write_libpleno", "write_pinhole"]
+
+Array = NDArray[Any]
+_PINHOLE_FORMATS = (".yml", ".yaml", ".xml", ".json")
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """OpenCV's model of a camera.
+
+    Parameters
+    ----------
+    matrix : (3, 3) float64 [px]
+        `K`, of the pixels of the picture.
+    distortion : (5,) float64
+        `k1, k2, p1, p2, k3`.
+    size : (int, int) [px]
+        Width and height of the picture.
+    error : float [px]
+        Largest difference from the optics over the field.
+    """
+
+    matrix: Array
+    distortion: Array
+    size: tuple[int, int]
+    error: float
+
+
+def equivalent_pinhole(calibration: Calibration, scale: float | None = None) -> Pinhole:
+    """The pinhole that an all-in-focus picture of `scale` pixels per pitch is taken by; by default in flat pixels.
+
+    Its centre is that of the entrance pupil of the main lens. CameraFileError if the camera has no optics.
+    """
+    import cv2
+    from scipy.optimize import least_squares
+
+    optics = _optics(calibration)
+    principal = optics.principal_point
+    assert principal is not None
+    width, height = calibration.image_size
+    zoom = 1.0 if scale is None else scale / calibration.lattice.pitch
+    focal = (optics.mla_distance + optics.sensor_distance) / optics.pixel
+    x, y = np.meshgrid(np.linspace(0, width - 1, 25), np.linspace(0, height - 1, 19))
+    pixels = np.column_stack([x.ravel(), y.ravel()])
+    slopes = object_slopes((pixels - principal) / focal, (*optics.radial, *optics.tangential))
+    points = np.column_stack([slopes, np.ones(len(slopes))])
+
+    def matrix(p: Array) -> Array:
+        return np.array([[p[0], 0, p[1]], [0, p[0], p[2]], [0, 0, 1.0]])
+
+    def off(p: Array) -> Array:
+        seen = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix(p), p[3:])[0].reshape(-1, 2)
+        return (seen - pixels).ravel()
+
+    bent = any((*optics.radial, *optics.tangential))
+    start = np.array([focal, *principal, 0, 0, 0, 0, 0])
+    found = least_squares(off, start, x_scale=[focal, 1, 1, 1, 1, 1e-3, 1e-3, 1]).x if bent else start
+    error = float(np.hypot(*off(found).reshape(-1, 2).T).max()) * zoom
+    scaled = matrix(found)
+    scaled[:2] *= zoom
+    return Pinhole(scaled, found[3:], (round(width * zoom), round(height * zoom)), error)
+
+
+def write_pinhole(path: str | os.PathLike[str], calibration: Calibration, scale: float | None = None) -> None:
+    """Write `equivalent_pinhole` as `.yml`, `.xml` or `.json` as `cv2.FileStorage` reads it."""
+    import cv2
+
+    pinhole = equivalent_pinhole(calibration, scale)
+    suffix = Path(path).suffix.lower()
+    if suffix not in _PINHOLE_FORMATS:
+        raise CameraFileError(f"{path}: unknown format of a pinhole camera; use {', '.join(_PINHOLE_FORMATS)}")
+    # Written in memory: the writer goes by the ending, which a temporary name does not have.
+    storage = cv2.FileStorage(f"camera{suffix}", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write("image_width", pinhole.size[0])
+    storage.write("image_height", pinhole.size[1])
+    storage.write("camera_matrix", pinhole.matrix)
+    storage.write("distortion_coefficients", pinhole.distortion.reshape(1, 5))
+    text = storage.releaseAndGetString()
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_libpleno(path: str | os.PathLike[str], result: MetricCalibration) -> None:
+    """Write the camera as an `intrinsics.js` of libpleno, and the poses beside it as `NAME-poses.js`.
+
+    Numbers are strings there, as libpleno writes them. Its poses are those of the camera in the frame of the board; its
+    distortion leads from the ideal image point [mm] to the real one, `distortions_inverse` back. The grid of the
+    microimages (`mia`) is left to its own precalibration.
+    """
+    calibration, optics = result.calibration, result.optics
+    principal = optics.principal_point
+    assert principal is not None
+    far, near, pixel = optics.mla_distance, optics.sensor_distance, optics.pixel
+    width, height = calibration.image_size
+    pitch = calibration.lattice.pitch * pixel / (1 + near / far)
+    # Axes of the array; turning both frames upside down leaves a rotation as it is.
+    axes = turn_to_array(optics.tilt).T
+    start = [-(size - 1 - at) * pixel for size, at in zip((width, height), principal, strict=True)]
+    shape = 1 if len(calibration.lattice.steps) == 6 else 0
+    data = {
+        "D": far,
+        "d": near,
+        "I": len(optics.microlens_focal_lengths),
+        "distortions": _distortion_mm(equivalent_pinhole(calibration).distortion[[0, 1, 4, 2, 3]], far),
+        "distortions_inverse": _distortion_mm(np.array([*optics.radial, *optics.tangential]), far),
+        "main_lens": {"f": optics.focal_length, "pose": _pose(np.eye(3), np.zeros(3))},
+        "mla": {
+            "focal_lengths": list(optics.microlens_focal_lengths),
+            "mesh": {
+                "geometry": shape,
+                "pitch": [[pitch, pitch]],
+                "pose": _pose(axes, np.array([*start, -far])),
+            },
+        },
+        "mode": 2 if _binocular(calibration) else 1,
+        "pp": [list(principal)],
+        "sensor": {
+            "width": width,
+            "height": height,
+            "scale": pixel,
+            "pose": _pose(axes, np.array([*start, -(far + near)])),
+        },
+    }
+    _write_js(path, data)
+    target = Path(path)
+    poses = [
+        {"frame": pose.name, "pose": _pose(pose.rotation.T, -pose.rotation.T @ pose.translation)}
+        for pose in result.poses
+    ]
+    _write_js(target.with_name(f"{target.stem}-poses{target.suffix}"), {"poses": poses})
+
+
+def read_libpleno(path: str | os.PathLike[str]) -> Optics:
+    """Main lens, distances, distortion and microlenses of an `intrinsics.js` of libpleno.
+
+    Raises
+    ------
+    CameraFileError
+        If the file cannot be read, or a number is missing.
+    """
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+        far, near = float(data["D"]), float(data["d"])
+        bent = data.get("distortions_inverse", {})
+        radial = [float(k) * far ** (2 * n + 2) for n, k in enumerate(_flat(bent.get("radial", (0, 0, 0))))]
+        along, across = (-float(p) * far for p in _flat(bent.get("tangential", (0, 0))))
+        principal = [float(v) for v in _flat(data["pp"])] if "pp" in data else None
+        return Optics(
+            float(data["main_lens"]["f"]),
+            far,
+            near,
+            float(data["sensor"]["scale"]),
+            principal_point=None if principal is None else (principal[0], principal[1]),
+            radial=(radial[0], radial[1], radial[2]),
+            tangential=(across, along),
+            microlens_focal_lengths=tuple(float(f) for f in data.get("mla", {}).get("focal_lengths", ())),
+        )
+    except OSError as error:
+        raise CameraFileError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise CameraFileError(
+            f"{path}: not the intrinsics of libpleno ({type(error).__name__}: {error}); give its intrinsics.js"
+        ) from error
+
+
+def _flat(values: Any) -> list[Any]:
+    """The numbers of a vector, which libpleno writes as the row of a matrix."""
+    return list(values[0]) if values and isinstance(values[0], list) else list(values)
+
+
+def _distortion_mm(coefficients: Array, far: float) -> dict[str, Any]:
+    """`k1, k2, k3, p1, p2` of slopes as those of lengths [mm] in the image plane, in a frame turned by 180 degrees."""
+    k1, k2, k3, p1, p2 = coefficients
+    return {
+        "model": 0,
+        "radial": [[k1 / far**2, k2 / far**4, k3 / far**6]],
+        "tangential": [[-p2 / far, -p1 / far]],
+        "depth": [[0.0, 0.0, 0.0]],
+    }
+
+
+def _binocular(calibration: Calibration) -> bool:
+    """Whether the lens types are focused on images behind them, or nothing is known about it."""
+    types = calibration.lens_types
+    if types is None or types.focus is None or not np.isfinite(types.focus).any():
+        return True
+    return float(np.nanmedian(types.focus)) < 0
+
+
+def _optics(calibration: Calibration) -> Optics:
+    if calibration.optics is None or calibration.optics.principal_point is None:
+        raise CameraFileError("the camera holds no measured optics; make them with 'lfcal metric FLAT...'")
+    return calibration.optics
+
+
+def _pose(rotation: Array, translation: Array) -> dict[str, Any]:
+    return {"rotation": np.asarray(rotation).tolist(), "translation": [np.asarray(translation).tolist()]}
+
+
+def _write_js(path: str | os.PathLike[str], data: dict[str, Any]) -> None:
+    def as_strings(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: as_strings(one) for name, one in value.items()}
+        if isinstance(value, list):
+            return [as_strings(one) for one in value]
+        return value if isinstance(value, str) else f"{value:.17g}" if isinstance(value, float) else str(value)
+
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(as_strings(data), indent=4) + "\n", encoding="utf-8")
