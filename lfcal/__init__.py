@@ -2,26 +2,26 @@
 
 from typing import TYPE_CHECKING, Any
 
-from .calibrate import calibrate
-from .camera.calibration import Calibration
-from .camera.lens_types import LensTypes
-from .camera.optics import Optics
-from .camera_files.read_write import load
-from .display.camera_check import CameraCheck, check_camera
-from .display.compare import compare
-from .display.fit_check import check_fit
-from .display.overlay import show
-from .images.read import count_pages, read_flat
-from .images.stream import FlatSource, open_flat
-from .lattice.lattice import Lattice
 from .runtime import openmp_spin as openmp_spin
-from .runtime.errors import BoardError, CalibrationError, CameraFileError, FlatError, LightFieldError
-from .runtime.output_file import OutputError
 
 if TYPE_CHECKING:
     from .boards.board import Board
+    from .camera.calibration import Calibration
+    from .camera.lens_types import LensTypes
+    from .camera.optics import Optics
+    from .camera_files.read_write import load
+    from .display.camera_check import CameraCheck, check_camera
+    from .display.compare import compare
+    from .display.fit_check import check_fit
+    from .display.overlay import show
+    from .images.read import count_pages, read_flat
+    from .images.stream import FlatSource, open_flat
+    from .lattice.lattice import Lattice
     from .metric.calibrate import calibrate_metric, locate_board
     from .metric.result import BoardPose, MetricCalibration
+    from .pipeline import calibrate
+    from .runtime.errors import BoardError, CalibrationError, CameraFileError, FlatError, LightFieldError
+    from .runtime.output_file import OutputError
 
 __all__ = [
     "Board",
@@ -52,13 +52,35 @@ __all__ = [
     "show",
 ]
 
-# Imported at first use: calibrating an array needs none of it.
+# Imported at first use, since `--help` needs none of it. No module may bear the name of a function here, or importing
+# the one would hide the other.
 _HOMES = {
     "Board": "boards.board",
+    "BoardError": "runtime.errors",
     "BoardPose": "metric.result",
+    "Calibration": "camera.calibration",
+    "CalibrationError": "runtime.errors",
+    "CameraCheck": "display.camera_check",
+    "CameraFileError": "runtime.errors",
+    "FlatError": "runtime.errors",
+    "FlatSource": "images.stream",
+    "Lattice": "lattice.lattice",
+    "LensTypes": "camera.lens_types",
+    "LightFieldError": "runtime.errors",
     "MetricCalibration": "metric.result",
+    "Optics": "camera.optics",
+    "OutputError": "runtime.output_file",
+    "calibrate": "pipeline",
     "calibrate_metric": "metric.calibrate",
+    "check_camera": "display.camera_check",
+    "check_fit": "display.fit_check",
+    "compare": "display.compare",
+    "count_pages": "images.read",
+    "load": "camera_files.read_write",
     "locate_board": "metric.calibrate",
+    "open_flat": "images.stream",
+    "read_flat": "images.read",
+    "show": "display.overlay",
 }
 
 
@@ -70,3 +92,7 @@ def __getattr__(name: str) -> Any:
     value = getattr(import_module(f".{_HOMES[name]}", __name__), name)
     globals()[name] = value
     return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

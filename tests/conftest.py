@@ -14,6 +14,17 @@ _SHARED = _ROOT.parent / "shared"
 sys.path.append(str(_ROOT))
 
 
+def pytest_sessionstart(session):
+    """Compile kernels once per run, on all cores, before the processes that run the tests need them."""
+    config = session.config
+    if hasattr(config, "workerinput") or not getattr(config.option, "tx", None) or config.option.collectonly:
+        return
+    from lfcal.runtime.kernels.ahead import compile_ahead, signatures_of
+    from lfcal.runtime.kernels.signatures import read_signatures
+
+    compile_ahead([signature for signature in signatures_of(read_signatures()) if not signature.is_cached()])
+
+
 @pytest.fixture(scope="session")
 def shared():
     """Gives a file or folder of the captures and ray-traced flats beside the repository, or skips the test."""

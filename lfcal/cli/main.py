@@ -19,7 +19,7 @@ __all__ = ["main"]
 
 _INPUT, _OUTPUT = console.InputPath(), click.Path(path_type=Path)
 # Commands that users look for here.
-_LFRENDER_COMMANDS = "analyze", "batch", "demo", "refocus", "render", "report", "view", "views"
+_LFRENDER_COMMANDS = "analyze", "batch", "demo", "refocus", "render", "report", "view", "views", "warm"
 
 
 @click.group(
@@ -86,7 +86,6 @@ def calibrate(
                     f"{image}: is {flat.shape[1]} x {flat.shape[0]} px, {images[0]} is {flats[0].shape[1]} x "
                     f"{flats[0].shape[0]} px; give flats of one camera"
                 )
-    report.announce_compilation("lfcal")
     with report.stage("calibrate"), console.name_file_in_errors(images[0] if len(images) == 1 else f"{images[0]} ..."):
         camera = run(flats if len(flats) > 1 else flats[0], kind=kind, mosaic=mosaic)
     camera.save(output)
@@ -125,7 +124,6 @@ def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) ->
 
         flat = read_flat(image)
         calibration = _read(camera, (flat.shape[1], flat.shape[0]))
-    report.announce_compilation("lfcal")
     with report.stage("show"):
         from PIL import Image
 
@@ -151,7 +149,6 @@ def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) 
 
         pixels = read_flat(flat)
         calibration = _read(camera, (pixels.shape[1], pixels.shape[0]))
-    report.announce_compilation("lfcal")
     with report.stage("flatten"), console.name_file_in_errors(flat):
         even = calibration.flatten(pixels)
     with report.stage("write"), atomic_write(output) as temporary:

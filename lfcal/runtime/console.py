@@ -9,7 +9,7 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from typing import Any
 import click
 
 from .errors import LightFieldError
+from .kernels.observers import observe_misses
 from .path_arguments import (
     InputPath,
     SizeOption,
@@ -138,6 +139,7 @@ class Report:
         self.seconds: dict[str, float] = {}
         self.warnings: list[str] = []
         self._announced = False
+        self._compiled: set[str] = set()
         self._stage = ""
         self._terminal = None if quiet or not sys.stderr.isatty() else Terminal()
 
@@ -146,11 +148,10 @@ class Report:
         """Time a stage, and show it on a terminal while it runs."""
         start = time.perf_counter()
         self._stage = name
-        if self._terminal is not None:
-            with self._terminal.stage(name):
-                yield
-        else:
-            if self.log_stages and not (self.quiet or self.as_json):
+        with observe_misses(self._compile_missing), ExitStack() as shown:
+            if self._terminal is not None:
+                shown.enter_context(self._terminal.stage(name))
+            elif self.log_stages and not (self.quiet or self.as_json):
                 click.echo(f"{name} ...")
             yield
         self.seconds[name] = time.perf_counter() - start
@@ -183,9 +184,41 @@ class Report:
 
             yield step
 
-    def announce_compilation(self, *packages: str) -> None:
-        """Print once that kernels are being compiled, if Numba's cache has none of these packages."""
-        if self.quiet or self._announced or all(_has_compiled_kernels(name) for name in packages):
+    def compile_ahead(self, stages: Iterable[str], processes: int | None = None) -> tuple[int, int]:
+        """Compile those kernels of some stages that the cache does not have, on all cores; see `.kernels.ahead`.
+
+        Returns how many kernels were compiled, and how many could not be.
+        """
+        from .kernels.ahead import compile_ahead, signatures_of
+
+        missing = [signature for signature in signatures_of(stages) if not signature.is_cached()]
+        failed = 0
+        if missing:
+            self._announce_compilation()
+            with self.progress("compiling kernels", len(missing)) as advance:
+                failed = compile_ahead(missing, processes=processes, progress=lambda *_: advance(""))
+        return len(missing) - failed, failed
+
+    def _compile_missing(self, kernel: Any, types: Any) -> bool:
+        """Compile a kernel that the cache does not have, and with it those that are needed next; whether it did."""
+        from .kernels.ahead import remaining_stages
+        from .kernels.signatures import Signature, encode_type
+
+        self._announce_compilation()
+        try:
+            encoded = json.dumps([encode_type(kind) for kind in types])
+        except TypeError:
+            return False
+        packages = {name.partition(".")[0] for name in list(sys.modules)}
+        stages = remaining_stages(Signature(kernel.__module__, kernel.__qualname__, encoded), packages)
+        if not stages or self._compiled.issuperset(stages):
+            return False
+        self._compiled.update(stages)
+        self.compile_ahead(stages)
+        return True
+
+    def _announce_compilation(self) -> None:
+        if self._announced or self.quiet:
             return
         self._announced = True
         if not self.as_json or sys.stderr.isatty():
@@ -249,22 +282,6 @@ def _store_verbose(context: click.Context, _option: click.Parameter, value: bool
 def _is_verbose() -> bool:
     context = click.get_current_context(silent=True)
     return context is not None and bool(context.meta.get(_VERBOSE))
-
-
-def _has_compiled_kernels(package: str) -> bool:
-    """Whether Numba's cache has kernels of a package, in any of its three folders."""
-    spec = sys.modules.get(package)
-    if spec is None or not spec.__file__:
-        return True
-    modules = Path(spec.__file__).parent.rglob("*.py")
-    folders = {file.parent for file in modules if "\n@njit" in file.read_text(encoding="utf-8")}
-    if not folders:
-        return True
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    caches = [folder.glob("__pycache__/*.nbi") for folder in folders]
-    for cache in [Path(given)] if given else [Path.home() / ".cache/numba", Path.home() / "Library/Caches/numba"]:
-        caches.extend(cache.glob(f"{folder.name}_*/*.nbi") for folder in folders)
-    return any(next(iter(files), None) for files in caches)
 
 
 def _to_json_types(value: Any) -> Any:

@@ -78,7 +78,7 @@ def analyze(
     if roi is None and ply is None and (on_cluster or is_large(capture.flat)):
         from .large import analyze_in_tiles
 
-        with connect_cluster(workers, scheduler) as cluster:
+        with connect_cluster(workers, scheduler, report) as cluster:
             depth, calibration = analyze_in_tiles(capture, not exhaustive, cluster)
     else:
         pixels, calibration = capture.calibrate(capture.read("lfrender.depth.analyze"))

@@ -6,8 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from lfcal import CameraFileError
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES
 
@@ -33,6 +31,8 @@ def read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
     A published one is moved onto the microimages where the flat is a crop of the sensor. Raises CameraFileError where
     the flat shows another lattice.
     """
+    import numpy as np
+
     from lfcal import check_fit, load
 
     if path.suffix.lower() in IMAGE_SUFFIXES and path.exists():
@@ -57,6 +57,8 @@ def read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
 
 
 def _check(calibration: Calibration, pixels: NDArray[Any] | FlatSource) -> Any:
+    import numpy as np
+
     from lfcal import check_camera
 
     if isinstance(pixels, np.ndarray):

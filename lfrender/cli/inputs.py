@@ -90,7 +90,6 @@ class CaptureInput:
         if self.camera:
             calibration = read_camera(self.camera, pixels)
             return replace(calibration, mosaic=mosaic) if mosaic is not None else calibration
-        self.report.announce_compilation("lfcal")
         if self.white is None:
             with console.name_file_in_errors(self.flat):
                 calibration = calibrate(pixels, mosaic=mosaic)
@@ -115,7 +114,6 @@ class CaptureInput:
                 return depth
             from .. import analyze
 
-            self.report.announce_compilation("lfrender")
             return analyze(pixels, calibration, preset=self.preset, **options)
 
     def warn_of_other_flat(self) -> None:

@@ -61,7 +61,6 @@ def render_in_tiles(
                     depth = checkpoint.reuse(
                         "depth.npz", key, DepthMap.load, lambda: _analyze(capture, source, calibration, cluster)
                     )
-        report.announce_compilation("lfrender")
         with report.stage("render"), report.counted_progress("tiles") as progress, option_errors(0):
             made = render_large(
                 source, output, calibration, depth, patch_size=patch_size, alpha=alpha,
@@ -104,6 +103,5 @@ def _analyze(
 ) -> DepthMap:
     from .. import analyze_large
 
-    capture.report.announce_compilation("lfrender")
     with capture.report.counted_progress("tiles") as progress:
         return analyze_large(source, calibration, capture.preset, skip=skip, progress=progress, **cluster)

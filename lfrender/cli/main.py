@@ -11,6 +11,7 @@ from .pages import demo, report, view
 from .render import render
 from .sequence import batch
 from .views import refocus, views
+from .warm import warm
 
 __all__ = ["main"]
 
@@ -31,7 +32,7 @@ def main() -> None:
     """Depth and full-resolution pictures from focused plenoptic captures."""
 
 
-for _command in (analyze, render, refocus, views, batch, view, report, demo):
+for _command in (analyze, render, refocus, views, batch, view, report, demo, warm):
     main.add_command(_command)
 
 

@@ -98,13 +98,18 @@ def cluster_options(command: Any) -> Any:
 
 
 @contextmanager
-def connect_cluster(workers: int | None, scheduler: str | None) -> Iterator[dict[str, Any]]:
-    """The arguments `client` and `threads` of functions that work on a cluster, none without one."""
+def connect_cluster(workers: int | None, scheduler: str | None, report: console.Report) -> Iterator[dict[str, Any]]:
+    """The arguments `client` and `threads` of functions that work on a cluster, none without one.
+
+    What workers on this machine need is compiled first, or each of them would.
+    """
     if workers is None and scheduler is None:
         yield {}
         return
     from ..sequence.cluster import connect
 
+    if workers:
+        report.compile_ahead(("analyze", "render"))
     with connect(workers, scheduler) as client:
         yield {"client": client, "threads": 1 if workers else None}
 

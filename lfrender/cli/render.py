@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..large.size import is_large
-from ..output.metadata import read_metadata
-from ..output.picture import check_picture, write_picture
 from .figures import capture_figures, picture_figures, rendering_settings
 from .inputs import CaptureInput
 from .options import at_most_one, capture_command, cluster_options, connect_cluster, option_errors, scale_option
@@ -86,9 +84,12 @@ def render(
         if in_tiles or is_large(capture.flat):
             from .large import render_in_tiles
 
-            with connect_cluster(workers, scheduler) as cluster:
+            with connect_cluster(workers, scheduler, capture.report) as cluster:
                 render_in_tiles(capture, output, alpha=alpha, compress=compress, tile=tile, cluster=cluster, **options)
             return
+    from ..output.metadata import read_metadata
+    from ..output.picture import check_picture, write_picture
+
     check_picture(output, alpha=alpha, inputs=capture.files)
     pixels = capture.read(
         "lfrender.rendering.render", *(["tifffile"] if output.suffix.lower() in (".tif", ".tiff") else [])
@@ -108,7 +109,6 @@ def render(
         from .. import render as run
         from .. import traditional as run_traditional
 
-        capture.report.announce_compilation("lfrender")
         picture = run_traditional(pixels, calibration) if traditional else run(pixels, calibration, depth, **options)
     with capture.report.stage("write"):
         settings = rendering_settings(depth, patch_size, width)

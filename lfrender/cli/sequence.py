@@ -126,12 +126,11 @@ def batch(
     if camera or white:
         with report.stage("calibrate"):
             calibration = _find_camera(frames, camera, white)
-    report.announce_compilation("lfcal", "lfrender")
     results, start = [], perf_counter()
     with (
         report.stage("frames"),
         report.progress("frames", frames.count) as advance,
-        connect_cluster(workers, scheduler) as cluster,
+        connect_cluster(workers, scheduler, report) as cluster,
     ):
         from .. import render_frames
         from ..sequence.cluster import render_frames_on

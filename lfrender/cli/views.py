@@ -11,8 +11,6 @@ import click
 
 from lfcal.runtime import console
 
-from ..output.metadata import read_metadata
-from ..output.picture import check_picture, write_picture
 from .figures import camera_figures, capture_figures, picture_figures
 from .inputs import CaptureInput
 from .options import INPUT, at_most_one, capture_command, grid_size, option_errors, scale_option
@@ -63,6 +61,9 @@ def refocus(
     at_most_one("--patch-size", patch_sizes or None, "--at", at, "--stack", stack)
     if not (patch_sizes or at or stack):
         raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
+    from ..output.metadata import read_metadata
+    from ..output.picture import check_picture, write_picture, write_stack
+
     check_picture(output, inputs=capture.files)
     pixels = capture.read()
     check_picture(output, pixels.dtype)
@@ -73,7 +74,6 @@ def refocus(
         from .. import refocus as run
         from ..rendering.refocus import stack_depths
 
-        capture.report.announce_compilation("lfrender")
         sizes = stack_depths(depth, stack) if depth is not None and stack else list(patch_sizes)
         if len(sizes) > 1:
             pictures = focal_stack(pixels, calibration, sizes, aperture=aperture, scale=scale)
@@ -84,8 +84,6 @@ def refocus(
         settings = [{"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))]
         embedded = read_metadata(capture.flat)
         if len(pictures) > 1:
-            from ..output.picture import write_stack
-
             paths = write_stack(output, pictures, settings=settings, embedded=embedded)
         else:
             write_picture(output, pictures[0], settings=settings[0], embedded=embedded)
@@ -163,6 +161,7 @@ def views(
             figures |= _write_posed(output, poses, pixels, calibration, depth, offsets, scale, optics, advance)
         else:
             from .. import views as run
+            from ..output.metadata import read_metadata
             from ..output.views import resize_view, scale_for_size
 
             with option_errors(0):
@@ -200,6 +199,7 @@ class _ViewForm:
 
     def check(self, output: Path, dtype: Any = None, inputs: Any = ()) -> None:
         """Raise an error if the views could not be written."""
+        from ..output.picture import check_picture
         from ..output.raw_video import check_raw_format
         from ..output.views import check_animation, check_grid
 
@@ -214,6 +214,7 @@ class _ViewForm:
 
     def write(self, output: Path, pictures: Iterator[Rendering], options: dict[str, Any]) -> Path:
         """Write the views; returns where."""
+        from ..output.picture import write_picture
         from ..output.raw_video import write_view_videos
         from ..output.views import stereo_pair, write_animation, write_grid, write_quilt
 

@@ -78,7 +78,6 @@ def run_demo(
     except OSError as error:
         raise OutputError(f"{target}: cannot be made ({error.strerror})") from error
     report = report or Report(quiet=True)
-    report.announce_compilation("data_synth", "lfcal", "lfrender")
     with report.stage("simulate"):
         camera = Camera.design(flat_size, pitch=23.2, lattice="hex", rotation=0.7)
         # Noise of a pixel: a full well of 9000 electrons, and 5 of them when it is read.

@@ -14,16 +14,25 @@ from queue import Empty, SimpleQueue
 
 from .signatures import Signature, read_signatures
 
-__all__ = ["compile_ahead", "signatures_of", "stages_of"]
+__all__ = ["compile_ahead", "remaining_stages", "signatures_of"]
 
 # Set for the processes that compile: no more threads than one each.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def stages_of(module: str, name: str, encoded: str) -> list[str]:
-    """The stages that need a kernel for these types."""
-    wanted = Signature(module, name, encoded)
-    return [stage for stage, entries in read_signatures().items() if wanted in entries]
+def remaining_stages(signature: Signature, packages: Iterable[str]) -> list[str]:
+    """The first stage that needs a kernel, and those that follow it for the same kind of flat.
+
+    Stages without kernels of `packages` are left out: they are those of another program.
+    """
+    known = read_signatures()
+    first = next((stage for stage, entries in known.items() if signature in entries), None)
+    if first is None:
+        return []
+    kind, names = first.partition(", ")[2], list(known)
+    own = {stage: {entry.module.partition(".")[0] for entry in entries} for stage, entries in known.items()}
+    following = [stage for stage in names[names.index(first) + 1 :] if stage.partition(", ")[2] == kind]
+    return [first, *(stage for stage in following if own[stage] <= set(packages))]
 
 
 def signatures_of(stages: Iterable[str]) -> list[Signature]:

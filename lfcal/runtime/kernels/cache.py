@@ -7,18 +7,20 @@ import os
 import pickle
 import sys
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from .compilation import announce_miss
 from .digest import digest_kernel
-from .jit import Kernel
 
 try:
     import fcntl
 except ImportError:  # Windows: processes compile side by side
     fcntl = None  # type: ignore[assignment]
+
+if TYPE_CHECKING:
+    from .jit import Kernel
 
 __all__ = ["enable_cache"]
 
@@ -61,6 +63,13 @@ class _KernelCache(FunctionCache):
                 super().save_overload(sig, data)
         finally:
             self.unlock(sig)
+
+    def holds(self, sig: Any, codegen: Any) -> bool:
+        """Whether there is an entry for these types."""
+        try:
+            return self._index_key(sig, codegen) in self._cache_file._load_index()
+        except (OSError, *_DAMAGED):
+            return False
 
     def _load(self, sig: Any, target_context: Any) -> Any:
         try:

@@ -10,11 +10,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from hashlib import blake2b
 from types import CodeType, FunctionType, ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .jit import Kernel
+if TYPE_CHECKING:
+    from .jit import Kernel
 
 __all__ = ["digest_kernel"]
 
@@ -38,6 +39,10 @@ def digest_kernel(kernel: Kernel) -> bytes:
     return state.digest()
 
 
+def _is_kernel(value: Any) -> bool:
+    return isinstance(getattr(value, "options", None), dict) and hasattr(value, "py_func")
+
+
 def _ordered(value: Any) -> Any:
     return sorted(value) if isinstance(value, (set, frozenset)) else value
 
@@ -45,7 +50,7 @@ def _ordered(value: Any) -> Any:
 def _add(update: Callable[[bytes], None], value: Any) -> None:
     """Add a value that a function refers to."""
     update(type(value).__name__.encode() + b"\0")
-    if isinstance(value, Kernel):
+    if _is_kernel(value):
         update(value.__qualname__.encode() if id(value) in _begun else digest_kernel(value))
     elif isinstance(value, FunctionType):
         _add_function(update, value)

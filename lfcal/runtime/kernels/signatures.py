@@ -26,8 +26,20 @@ class Signature(NamedTuple):
 
     def compile(self) -> None:
         """Compile the kernel for these types, or load it from the cache."""
-        kernel = getattr(import_module(self.module), self.name)
-        kernel.compile(tuple(decode_type(entry) for entry in json.loads(self.types)))
+        getattr(import_module(self.module), self.name).compile(self._decoded())
+
+    def is_cached(self) -> bool:
+        """Whether the cache has it; True if there is no such kernel."""
+        try:
+            dispatcher = getattr(import_module(self.module), self.name).dispatcher
+            kinds = self._decoded()
+        except (ImportError, AttributeError):
+            return True
+        holds = getattr(dispatcher._cache, "holds", None)
+        return holds is None or holds(kinds, dispatcher.targetctx.codegen())
+
+    def _decoded(self) -> tuple[Any, ...]:
+        return tuple(decode_type(entry) for entry in json.loads(self.types))
 
 
 def encode_type(kind: Any) -> Any:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
-import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from numba import types
 
 from lfcal import FlatError
 from lfcal.runtime.console import CommandGroup, Report
+from lfcal.runtime.kernels.jit import njit
+from lfcal.runtime.kernels.observers import missed
 
 
 def program_raising(error):
@@ -90,16 +91,15 @@ def test_groups_of_figures_become_rows(capsys):
     assert "telescopic 0.25" in out
 
 
-def test_compilation_is_announced_once_and_only_without_a_cache(tmp_path, monkeypatch, capsys):
-    (tmp_path / "kernel.py").write_text("from numba import njit\n\n@njit(cache=True)\ndef work(): ...\n")
-    monkeypatch.setitem(sys.modules, "fresh", SimpleNamespace(__file__=str(tmp_path / "__init__.py")))
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+def test_compilation_is_announced_once_and_only_where_a_kernel_is_missing(capsys):
+    kernel = njit(lambda value: value + 1)
     report = Report()
-    report.announce_compilation("fresh")
-    report.announce_compilation("fresh")
+    with report.stage("work"):
+        kernel(1)
+    assert capsys.readouterr().out == ""  # kernels without a cache are always compiled
+    for _ in range(2):
+        with report.stage("work"):
+            assert not missed(kernel, (types.int64,))
     assert capsys.readouterr().out.count("compiling kernels") == 1
-    cache = tmp_path / "cache" / f"{tmp_path.name}_0123"
-    cache.mkdir(parents=True)
-    (cache / "kernel.work-1.py311.nbi").touch()
-    Report().announce_compilation("fresh")
+    assert not missed(kernel, (types.int64,))
     assert capsys.readouterr().out == ""
