@@ -59,6 +59,10 @@ _HOMES = {
 def __getattr__(name: str) -> Any:
     # Imported at first use: the compiler behind the kernels takes a second to load, which `--help` does not need.
     # No module may bear the name of a function here, or importing the one would hide the other.
+    if name == "data":
+        from importlib import import_module
+
+        return import_module(".data", __name__)
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

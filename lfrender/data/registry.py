@@ -1,0 +1,155 @@
+"""Captures of a lab, served from a folder or a server with a list of their hashes (pooch)."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from lfcal import FlatError, read_flat
+from lfcal.runtime.output_file import atomic_write
+
+from .samples import cache_folder
+
+__all__ = ["Registry", "open_registry", "write_registry"]
+
+#: Name of the list in a folder: a line `NAME sha256:HASH` for each file.
+LIST_NAME = "registry.txt"
+
+
+@dataclass(frozen=True)
+class Registry:
+    """Files with known hashes at one place.
+
+    Parameters
+    ----------
+    base : str
+        A folder or an address.
+    hashes : dict of str to str
+        `sha256:` and the hash, by name.
+
+    Examples
+    --------
+    >>> import tempfile, numpy, lfrender
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     lfrender.write_picture(f"{folder}/flat.png", numpy.full((20, 30), 7, numpy.uint8))
+    ...     _ = lfrender.data.write_registry(folder)
+    ...     lab = lfrender.data.open_registry(folder)
+    ...     lab.names, lab.read("flat.png").shape
+    (['flat.png'], (20, 30))
+    """
+
+    base: str
+    hashes: dict[str, str]
+    _cache: Path | None = field(default=None, repr=False)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the files."""
+        return sorted(self.hashes)
+
+    def fetch(self, name: str) -> Path:
+        """The file, from the cache if it is there with the right hash.
+
+        Raises
+        ------
+        FlatError
+            If there is no such file, it cannot be fetched, or its hash is not the one listed.
+        """
+        if name not in self.hashes:
+            raise FlatError(f"{name}: is not in the registry at {self.base}; it has {', '.join(self.names[:8])}")
+        try:
+            import pooch
+        except ImportError as error:
+            raise FlatError("registries need the package 'pooch'; pip install 'lfrender[samples]'") from error
+        place = hashlib.sha256(self.base.encode()).hexdigest()[:12]
+        store = pooch.create(
+            path=(self._cache or cache_folder()) / "fetched" / place,
+            base_url=self.base.rstrip("/") + "/",
+            registry=self.hashes,
+        )
+        pooch.get_logger().setLevel("WARNING")
+        try:
+            return Path(store.fetch(name, downloader=None if _is_address(self.base) else _copy))
+        except (OSError, ValueError) as error:
+            raise FlatError(
+                f"{self.base.rstrip('/')}/{name}: cannot be fetched ({' '.join(str(error).split())})"
+            ) from error
+
+    def read(self, name: str, page: int | None = None) -> NDArray[Any]:
+        """The pixels of a file, as `lfcal.read_flat`."""
+        return read_flat(self.fetch(name), page)
+
+
+def open_registry(
+    base: str | os.PathLike[str], hashes: Mapping[str, str] | str | os.PathLike[str] | None = None
+) -> Registry:
+    """The registry of a folder or of an address.
+
+    Parameters
+    ----------
+    base : path-like or str
+        A folder, or the address (`https://...`) of one.
+    hashes : mapping or path-like, optional
+        Hashes by name, or the list with them. By default `registry.txt` in the folder; for an address it must be given,
+        since a list from the same server would prove nothing.
+
+    Raises
+    ------
+    FlatError
+        If the list cannot be read.
+    """
+    place = os.fspath(base)
+    if hashes is None:
+        if _is_address(place):
+            raise FlatError(f"{place}: give the list of hashes too (hashes='registry.txt'); write_registry makes it")
+        hashes = Path(place) / LIST_NAME
+    if not isinstance(hashes, Mapping):
+        hashes = _read_list(Path(hashes))
+    return Registry(place, dict(hashes))
+
+
+def write_registry(folder: str | os.PathLike[str]) -> Path:
+    """Write `registry.txt` with the hashes of all files in a folder; returns its path."""
+    place = Path(folder)
+    lines = []
+    for path in sorted(place.rglob("*")):
+        name = path.relative_to(place).as_posix()
+        if path.is_file() and name != LIST_NAME and not any(part.startswith(".") for part in Path(name).parts):
+            with path.open("rb") as stream:
+                lines.append(f"{name} sha256:{hashlib.file_digest(stream, 'sha256').hexdigest()}")
+    with atomic_write(place / LIST_NAME) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return place / LIST_NAME
+
+
+def _is_address(base: str) -> bool:
+    return re.match(r"[a-z]+://", base) is not None
+
+
+def _read_list(path: Path) -> dict[str, str]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FlatError(f"{path}: cannot be read as a list of hashes ({error})") from error
+    found = {}
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        name, _, value = line.rpartition(" ")
+        if not re.fullmatch(r"sha256:[0-9a-f]{64}", value) or ".." in Path(name).parts or Path(name).is_absolute():
+            raise FlatError(f"{path}: line {number} is not 'NAME sha256:HASH'; write_registry makes the list")
+        found[name] = value
+    return found
+
+
+def _copy(url: str, output_file: Any, _pooch: Any) -> None:
+    """Downloader of pooch for folders."""
+    shutil.copyfile(url, output_file)
