@@ -94,6 +94,7 @@ Examples:
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.option("--quiet", is_flag=True, help="Print nothing.")
 @click.option("--verbose", is_flag=True, help="Print each stage on stderr, with its seconds, as soon as it has ended.")
+@click.version_option(package_name="lfrender", prog_name="lfsynth")
 @click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_scenes, help="List the scenes.")
 def main(
     scene: str,
