@@ -14,9 +14,11 @@ if TYPE_CHECKING:
     from .display.compare import compare
     from .display.fit_check import check_fit
     from .display.overlay import show
+    from .images.dark_frame import subtract_dark
     from .images.read import count_pages, read_flat
     from .images.stream import FlatSource, open_flat
     from .lattice.lattice import Lattice
+    from .lattice.stated import state_lattice
     from .metric.calibrate import calibrate_metric, locate_board
     from .metric.result import BoardPose, MetricCalibration
     from .pipeline import calibrate
@@ -50,6 +52,8 @@ __all__ = [
     "open_flat",
     "read_flat",
     "show",
+    "state_lattice",
+    "subtract_dark",
 ]
 
 # Imported at first use, since `--help` needs none of it. No module may bear the name of a function here, or importing
@@ -81,6 +85,8 @@ _HOMES = {
     "open_flat": "images.stream",
     "read_flat": "images.read",
     "show": "display.overlay",
+    "state_lattice": "lattice.stated",
+    "subtract_dark": "images.dark_frame",
 }
 
 

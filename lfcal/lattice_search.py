@@ -16,12 +16,14 @@ from .detection.first_lattice import (
     FirstLattice,
     find_first_lattices,
     find_first_lattices_at_half_size,
+    find_stated_lattices,
 )
 from .detection.settings import DEFAULT
 from .images.mosaic import remove_mosaic
 from .images.preprocessing import sqrt_luminance
 from .images.stack import average_scenes, combine_whites, select_contrasted
 from .lattice.lens_subset import ReadCrop, StackedCrops
+from .lattice.stated import LatticeHint
 from .lattice_fit import FinalLattice, fit_lattice_to_scenes, fit_lattice_to_white_image
 from .runtime.errors import RAW_FLAT_ADVICE, CalibrationError
 from .settings import CALIBRATION
@@ -47,6 +49,7 @@ class LatticeCandidate:
     single: NDArray[np.float32] | None = None  # (h, w) one of several scenes, where `picture` is their mean
     # (h, w) `picture` with less contrast, where the lattice was found on that
     softened: NDArray[np.float32] | None = None
+    stated: bool = False  # the pitch was given beforehand: these are microimages
 
 
 def find_lattice_in_crops(flat: NDArray[Any], kind: str, has_mosaic: bool) -> LatticeCandidate | None:
@@ -72,14 +75,16 @@ def find_lattice_in_piece(flat: NDArray[Any], kind: str) -> LatticeCandidate | N
     return LatticeCandidate(picture, True, start, fit_lattice_to_white_image(picture, start))
 
 
-def find_lattices(lights: list[NDArray[np.float32]], kind: str, has_mosaic: bool) -> Iterator[LatticeCandidate]:
+def find_lattices(
+    lights: list[NDArray[np.float32]], kind: str, has_mosaic: bool, hint: LatticeHint | None = None
+) -> Iterator[LatticeCandidate]:
     """Lattices of whole flats of luminance `lights` (h, w), the likeliest first; CalibrationError if there are none."""
     single = sqrt_luminance(lights[0]) if len(lights) == 1 else None
     if len(lights) > 1:
         lights = [lights[k] for k in select_contrasted(lights)]
     error: CalibrationError | None = None
     none = True
-    for start in _find_starts(lights, has_mosaic, single):
+    for start in _find_starts(lights, has_mosaic, single, hint):
         try:
             white, chosen = choose_white_or_scene(lights, start, kind)
             if white:
@@ -99,7 +104,7 @@ def find_lattices(lights: list[NDArray[np.float32]], kind: str, has_mosaic: bool
             text = f"what repeats on the image has no edges to place microimages by; {RAW_FLAT_ADVICE}"
             raise (error or CalibrationError(text)) from failure
         none = False
-        yield found
+        yield found if hint is None else replace(found, stated=True)
     if none and error is not None:
         raise error
 
@@ -137,7 +142,10 @@ def _mean_scene(lights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
 
 
 def _find_starts(
-    lights: list[NDArray[np.float32]], has_mosaic: bool, single: NDArray[np.float32] | None
+    lights: list[NDArray[np.float32]],
+    has_mosaic: bool,
+    single: NDArray[np.float32] | None,
+    hint: LatticeHint | None = None,
 ) -> Iterator[FirstLattice]:
     """First lattices on the mean of the lights, or on the first of them that has one by itself.
 
@@ -152,7 +160,7 @@ def _find_starts(
         if picture is None or has_mosaic:
             picture = sqrt_luminance(remove_mosaic(make()) if has_mosaic else make())
         try:
-            for start in _find_starts_on(picture):
+            for start in _find_starts_on(picture) if hint is None else find_stated_lattices(picture, hint):
                 found = True
                 yield start
         except CalibrationError as failure:

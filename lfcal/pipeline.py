@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .camera.calibration import Calibration
 from .images.mosaic import check_mosaic, equalise_mosaic, has_mosaic
+from .lattice.stated import LatticeHint
 from .runtime.errors import CalibrationError
 from .runtime.image_formats import Mosaic
 from .settings import CALIBRATION
@@ -27,6 +28,8 @@ def calibrate(
     image: ArrayLike | Sequence[ArrayLike],
     kind: Literal["auto", "white", "scene"] = "auto",
     mosaic: Mosaic | None = None,
+    pitch: float | None = None,
+    rotation: float | None = None,
 ) -> Calibration:
     """Find the microlens lattice on one or more flats of a camera.
 
@@ -42,6 +45,11 @@ def calibrate(
     mosaic : {"RGGB", "BGGR", "GRBG", "GBRG"} or None
         Colour filters over the top left 2 x 2 pixels of a flat (h, w). With None a mosaic is detected and removed,
         but its colours are unknown and not kept.
+    pitch : float or None [px]
+        Hint where a lattice is hard to find: mean distance between neighbouring centres, right to a tenth. What
+        repeats at that distance is taken for microimages without further proof.
+    rotation : float or None [degrees]
+        With `pitch`: rotation as `lfcal info` prints it, right to 2 degrees.
 
     Returns
     -------
@@ -70,6 +78,9 @@ def calibrate(
     """
     if kind not in ("auto", "white", "scene"):
         raise ValueError(f"kind must be 'auto', 'white' or 'scene', got {kind!r}")
+    if rotation is not None and pitch is None:
+        raise ValueError("rotation is a hint beside pitch; give both")
+    hint = None if pitch is None else LatticeHint(pitch, rotation)
     # Compiled code is loaded only once there is a flat.
     from threadpoolctl import threadpool_limits
 
@@ -80,22 +91,27 @@ def calibrate(
         check_mosaic(mosaic, flat)
     # The equations are too small for more threads to pay off.
     with threadpool_limits(1, "blas"):
-        return replace(_calibrate(flats, kind, mosaic), white_level=estimate_white_level(flats))
+        return replace(_calibrate(flats, kind, mosaic, hint), white_level=estimate_white_level(flats))
 
 
 def _calibrate(
-    flats: list[NDArray[Any]], kind: Literal["auto", "white", "scene"], mosaic: Mosaic | None
+    flats: list[NDArray[Any]],
+    kind: Literal["auto", "white", "scene"],
+    mosaic: Mosaic | None,
+    hint: LatticeHint | None,
 ) -> Calibration:
     from .detection.downscale import average_blocks, choose_block_size, upscale_calibration
 
     filtered = mosaic is not None or all(flat.ndim == 2 and has_mosaic(flat) for flat in flats)
     size = flats[0].shape[1], flats[0].shape[0]
     block = choose_block_size(flats[0])
-    found = _find_large(flats[0], kind, filtered, block) if len(flats) == 1 and kind != "scene" else None
+    one = len(flats) == 1 and kind != "scene" and hint is None
+    found = _find_large(flats[0], kind, filtered, block) if one else None
     if found is None and block > 1:
-        camera = _calibrate([average_blocks(flat, block) for flat in flats], kind, None)
+        small = hint and hint.scaled(block)
+        camera = _calibrate([average_blocks(flat, block) for flat in flats], kind, None, small)
         return replace(upscale_calibration(camera, block, size), mosaic=mosaic)
-    candidates = _find_candidates(found, flats, kind, filtered)
+    candidates = _find_candidates(found, flats, kind, filtered, hint)
     camera, found = _measure_first(candidates)
     warnings = (*camera.warnings, *_warnings(camera, found.fit.half_difference, filtered and mosaic is None))
     return replace(camera, mosaic=mosaic, warnings=warnings)
@@ -114,7 +130,7 @@ def _find_large(flat: NDArray[Any], kind: str, filtered: bool, block: int) -> La
 
 
 def _find_candidates(
-    found: LatticeCandidate | None, flats: list[NDArray[Any]], kind: str, filtered: bool
+    found: LatticeCandidate | None, flats: list[NDArray[Any]], kind: str, filtered: bool, hint: LatticeHint | None
 ) -> Iterator[LatticeCandidate]:
     """Candidates of the lattice, the likeliest first; `found` is the first of a large white image, if there is one."""
     from .images.preprocessing import luminance
@@ -125,12 +141,12 @@ def _find_candidates(
 
     others: Iterator[LatticeCandidate] = iter(())
     if found is None:
-        others = find_lattices(lights(), kind, filtered)
+        others = find_lattices(lights(), kind, filtered, hint)
         found = next(others)
     if found.white and kind == "auto" and len(flats) == 1 and _shows_scene(found):
-        others = find_lattices(lights(), "scene", filtered)
+        others = find_lattices(lights(), "scene", filtered, hint)
         found = next(others)
-    if not found.white:
+    if not found.white and hint is None:
         found, others = find_lattices_without_glare(found, others, lights, filtered)
     yield found
     yield from others
@@ -174,7 +190,7 @@ def _measure(found: LatticeCandidate) -> Calibration:
         )
     light = measure_illumination(picture, fit.lattice, white, fit.cat_eye, found.read_crop)
     lattice = fit.lattice.with_radius(light.radius)
-    doubt = _find_doubt(found, lattice)
+    doubt = None if found.stated else _find_doubt(found, lattice)
     # With half of the pixels unlike the model there is no trust in its centres.
     confidence = min(
         found.start.repeatability,

@@ -10,6 +10,7 @@ import click
 from ..runtime import console
 from ..runtime.image_formats import MOSAICS, TIFF_SUFFIXES, Mosaic
 from ..runtime.output_file import atomic_write, check_output
+from .lattice import lattice
 from .metric import board, metric
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ def main() -> None:
         "lfcal calibrate white.png -o camera.json",
         "lfcal calibrate white1.png white2.png -o camera.json",
         "lfcal calibrate scene.tif --kind scene --mosaic rggb -o camera.json",
+        "lfcal calibrate scene.tif --pitch 15.4 --dark dark.tif -o camera.json",
     )
 )
 @console.several_inputs("images", "IMAGE...")
@@ -55,6 +57,13 @@ def main() -> None:
     type=click.Choice(MOSAICS, case_sensitive=False),
     help="Colour filters of the top left 2 x 2 pixels, row by row, of a raw mosaic. Without it a mosaic is detected.",
 )
+@click.option(
+    "--pitch", type=click.FloatRange(0, min_open=True), metavar="PX", help="Pitch, right to a tenth, as hint."
+)
+@click.option(
+    "--rotation", type=float, metavar="DEGREES", help="Beside --pitch: as 'lfcal info' prints it, to 2 degrees."
+)
+@click.option("--dark", type=_INPUT, help="Dark frame that is subtracted from the images.")
 @console.page_option
 @console.raw_video_options
 @console.report_options
@@ -63,6 +72,9 @@ def calibrate(
     output: Path,
     kind: Literal["auto", "white", "scene"],
     mosaic: Mosaic | None,
+    pitch: float | None,
+    rotation: float | None,
+    dark: Path | None,
     page: int | None,
     size: tuple[int, int] | None,
     pixel_format: str | None,
@@ -74,12 +86,20 @@ def calibrate(
     Several white images, or several captures of one camera, are combined.
     """
     report = console.Report(as_json, quiet)
-    check_output(output, {".json"}, images)
+    check_output(output, {".json"}, [*images, dark])
+    if rotation is not None and pitch is None:
+        raise click.UsageError("--rotation needs --pitch")
     with report.stage("read"):
         from .. import FlatError, read_flat
         from .. import calibrate as run
 
         flats = [read_flat(image, page, size=size, pixel_format=pixel_format) for image in images]
+        if dark is not None:
+            from .. import subtract_dark
+
+            frame = read_flat(dark)
+            with console.name_file_in_errors(dark):
+                flats = [subtract_dark(flat, frame) for flat in flats]
         for image, flat in zip(images, flats, strict=True):
             if flat.shape[:2] != flats[0].shape[:2]:
                 raise FlatError(
@@ -87,7 +107,7 @@ def calibrate(
                     f"{flats[0].shape[0]} px; give flats of one camera"
                 )
     with report.stage("calibrate"), console.name_file_in_errors(images[0] if len(images) == 1 else f"{images[0]} ..."):
-        camera = run(flats if len(flats) > 1 else flats[0], kind=kind, mosaic=mosaic)
+        camera = run(flats if len(flats) > 1 else flats[0], kind, mosaic, pitch, rotation)
     camera.save(output)
     report.finish({"camera": str(output), **describe(camera)})
 
@@ -307,6 +327,7 @@ def describe(camera: Calibration) -> dict[str, Any]:
 
 main.add_command(metric)
 main.add_command(board)
+main.add_command(lattice)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import Lattice, reduce_basis
+from ..lattice.stated import LatticeHint
 from ..runtime.errors import CalibrationError
 from .cell_centre import choose_lens_centre, find_primitive_cell, find_round_centres, is_checkerboard
 from .cell_tests import check_cell, check_edges
@@ -33,6 +34,7 @@ __all__ = [
     "find_first_lattice",
     "find_first_lattices",
     "find_first_lattices_at_half_size",
+    "find_stated_lattices",
     "fit_first_lattice",
 ]
 
@@ -95,6 +97,36 @@ def find_first_lattices(picture: NDArray[np.float32], settings: DetectionSetting
         As `find_first_lattice`, if there is none at all.
     """
     yield from _build_lattices(_find_bases(picture, settings), picture, settings)
+
+
+def find_stated_lattices(
+    picture: NDArray[np.float32], hint: LatticeHint, settings: DetectionSettings = DEFAULT
+) -> list[FirstLattice]:
+    """Lattices of a picture (h, w) as stated, the roundest first.
+
+    Raises
+    ------
+    CalibrationError
+        If nothing repeats on the picture as stated.
+    """
+    bases: list[NDArray[np.float64]] = []
+    with suppress(CalibrationError):
+        bases += _find_bases(picture, settings)
+    edges = edge_strength(picture)
+    found: list[FirstLattice] = []
+    for number, basis in enumerate(bases + hint.bases()):
+        if found and number >= len(bases):
+            break
+        with suppress(CalibrationError, np.linalg.LinAlgError):
+            one = _build_lattice(basis, picture, edges, settings)
+            if hint.allows(one.lattice) and one.repeatability >= settings.first_lattice.stated_repeatability:
+                found.append(replace(one, doubt=None))
+    if not found:
+        turned = "" if hint.rotation is None else f", turned by about {hint.rotation:g} degrees"
+        raise CalibrationError(
+            f"no microimages repeat about every {hint.pitch:g} px{turned}; give other figures, or a white image"
+        )
+    return sorted(found, key=lambda one: -one.roundness)
 
 
 def find_first_lattices_at_half_size(

@@ -68,6 +68,7 @@ def analyze(
             check_output(path, suffixes, capture.files)
     at_most_one("--workers", workers, "--scheduler", scheduler)
     on_cluster = workers or scheduler
+    at_most_one("--dark", capture.dark, "--workers or --scheduler", on_cluster or None)
     at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--ply", ply)
     optics = None
     if optics_file is not None:
@@ -75,7 +76,7 @@ def analyze(
 
         optics = Optics.load(optics_file)
     pixels = None
-    if roi is None and ply is None and (on_cluster or is_large(capture.flat)):
+    if roi is None and ply is None and (on_cluster or (capture.dark is None and is_large(capture.flat))):
         from .large import analyze_in_tiles
 
         with connect_cluster(workers, scheduler, report) as cluster:

@@ -40,18 +40,21 @@ class CaptureInput:
     depth_file: Path | None = None
     mosaic: Mosaic | None = None
     preset: str = "balanced"
+    dark: Path | None = None  # frame that is subtracted from the flat and from the white image
     page: int | None = None  # of a TIFF of several pictures, or of raw video
     # Of raw video; with a camera file that has it, the size is that of the camera.
     size: tuple[int, int] | None = None
     pixel_format: str | None = None
 
     #: Fields that are options of commands.
-    OPTIONS: ClassVar = ("flat", "camera", "white", "depth_file", "mosaic", "preset", "page", "size", "pixel_format")
+    OPTIONS: ClassVar = (
+        "flat", "camera", "white", "depth_file", "mosaic", "preset", "dark", "page", "size", "pixel_format",
+    )  # fmt: skip
 
     @property
     def files(self) -> list[Path | None]:
         """The files that must not be replaced by an output."""
-        return [self.flat, self.camera, self.white, self.depth_file]
+        return [self.flat, self.camera, self.white, self.depth_file, self.dark]
 
     def load(self) -> tuple[NDArray[Any], Calibration, DepthMap]:
         """The flat in colour, its camera and its depth."""
@@ -65,7 +68,16 @@ class CaptureInput:
         with self.report.stage("read"):
             from lfcal import read_flat
 
-            return read_flat(self.flat, self.page, **raw_layout([self.flat], self.size, self.pixel_format, self.camera))
+            layout = raw_layout([self.flat], self.size, self.pixel_format, self.camera)
+            return self._subtract_dark(read_flat(self.flat, self.page, **layout))
+
+    def _subtract_dark(self, pixels: NDArray[Any]) -> NDArray[Any]:
+        if self.dark is None:
+            return pixels
+        from lfcal import read_flat, subtract_dark
+
+        with console.name_file_in_errors(self.dark):
+            return subtract_dark(pixels, read_flat(self.dark))
 
     def calibrate(self, pixels: NDArray[Any]) -> tuple[NDArray[Any], Calibration]:
         """The flat in colour, and its camera."""
@@ -101,6 +113,7 @@ class CaptureInput:
         if white.shape[:2] != pixels.shape[:2]:
             sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (white.shape, pixels.shape))
             raise FlatError(f"{self.white}: white image and flat must be of one size, they have {sizes} px")
+        white = self._subtract_dark(white)
         with console.name_file_in_errors(self.white):
             return calibrate(white, kind="white", mosaic=mosaic if white.ndim == 2 else None)
 

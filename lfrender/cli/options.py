@@ -42,6 +42,7 @@ _mosaic_option = click.option(
     type=click.Choice(MOSAICS),
     help="Colour filters of the top left 2 x 2 pixels of a raw mosaic, if the camera file does not have them.",
 )
+_dark_option = click.option("--dark", type=INPUT, help="Dark frame that is subtracted from FLAT and the white image.")
 
 
 def output_option(metavar: str, text: str) -> Callable[[Any], Any]:
@@ -77,7 +78,8 @@ def capture_command(
         decorated = preset_option(decorated) if preset else decorated
         decorated.__click_params__.extend(own)
         shared = [
-            (mosaic, _mosaic_option), (depth, _depth_option), (white, white_option), (True, _camera_option),
+            (True, _dark_option), (mosaic, _mosaic_option), (depth, _depth_option), (white, white_option),
+            (True, _camera_option),
             (output is not None, output_option(*(output or ("", "")))),
             (True, console.single_input("FLAT", "'lfrender batch' renders several")),
         ]  # fmt: skip

@@ -81,7 +81,9 @@ def render(
     # Sharpening estimates blur and noise on the whole picture.
     if not (traditional or roi or sharpen):
         in_tiles = on_cluster or tile is not None or output.suffix.lower() == ".zarr"
-        if in_tiles or is_large(capture.flat):
+        if capture.dark is not None and in_tiles:
+            raise click.UsageError("--dark is for flats that are drawn as a whole: leave out --tile and clusters")
+        if in_tiles or (capture.dark is None and is_large(capture.flat)):
             from .large import render_in_tiles
 
             with connect_cluster(workers, scheduler, capture.report) as cluster:
@@ -108,10 +110,17 @@ def render(
     with capture.report.stage("render"), option_errors(*options.values()):
         from .. import render as run
         from .. import traditional as run_traditional
+        from ..rendering.traditional import resolves_too_little
 
+        if depth is not None and not (scale or roi or sharpen) and resolves_too_little(depth):
+            traditional = True
+            capture.report.warn(
+                "next to nothing is resolved: drawn is the traditional picture, one pixel per microlens; with --scale, "
+                "the picture in focus"
+            )
         picture = run_traditional(pixels, calibration) if traditional else run(pixels, calibration, depth, **options)
     with capture.report.stage("write"):
-        settings = rendering_settings(depth, patch_size, width)
+        settings = rendering_settings(None if traditional else depth, patch_size, width)
         embedded = read_metadata(capture.flat)
         write_picture(output, picture, alpha=alpha, settings=settings, embedded=embedded, compress=compress)
     figures = {**picture_figures(picture), **capture_figures(calibration, depth)}

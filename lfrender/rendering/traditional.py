@@ -10,13 +10,15 @@ from lfcal import Calibration
 from lfcal.runtime.fastmath import FAST, square
 from lfcal.runtime.kernels.jit import njit
 
+from ..data.depth_map import REASONS, DepthMap
 from ..data.rendering import Rendering
 from ..flat.gray_flat import correction_table, has_uneven_lenses
 from ..flat.lens_graph import lens_grid
 from ..flat.validation import check_flat
 from .plan import finish_picture
+from .settings import DEFAULT, RenderSettings
 
-__all__ = ["traditional"]
+__all__ = ["resolves_too_little", "traditional"]
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
@@ -42,6 +44,13 @@ def _lens_means(flat, centres, radius, gains, gain_step, unlit, out, lit):
         for k in range(channels):
             out[lens, k] /= max(count, 1)
         lit[lens] = count
+
+
+def resolves_too_little(depth: DepthMap, settings: RenderSettings = DEFAULT) -> bool:
+    """Whether next to no lens has a depth, so that the traditional picture is all that a flat has to give."""
+    analysed = np.asarray(depth.reason) != REASONS.index("not analysed")
+    resolved = np.asarray(depth.mode)[analysed] != 0
+    return not resolved.size or float(resolved.mean()) < settings.least_resolved
 
 
 def traditional(flat: NDArray, calibration: Calibration) -> Rendering:

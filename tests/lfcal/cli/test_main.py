@@ -176,3 +176,11 @@ def test_help_imports_nothing_heavy():
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip().endswith("[]")
     assert time.perf_counter() - start < 5
+
+
+def test_lattice_is_stated_by_its_figures(tmp_path):
+    camera = tmp_path / "camera.json"
+    arguments = ["lattice", "--size", "436x436", "--pitch", "15.41", "--arrangement", "square", "-o", str(camera)]
+    assert CliRunner().invoke(main, arguments).exit_code == 0
+    stated = lfcal.load(camera)
+    assert stated.lattice.pitch == pytest.approx(15.41) and "stated" in stated.warnings[0]
