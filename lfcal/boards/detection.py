@@ -38,6 +38,7 @@ class DetectedBoard:
 
 def detect(picture: FocusedPicture, board: Board, *, settings: DetectionSettings = DETECTION) -> DetectedBoard | None:
     """Find the points of a board, or None where it is not found whole (ChArUco: not enough of it)."""
+    best: DetectedBoard | None = None
     for image, zoom in _versions(picture.image, settings):
         found = _FINDERS[board.pattern](image, board)
         if found is None:
@@ -48,8 +49,11 @@ def detect(picture: FocusedPicture, board: Board, *, settings: DetectionSettings
             continue
         if board.half_turn or (board.pattern == "checkerboard" and not _dark_corner(picture.image, board, pixels)):
             pixels = _turned(board, pixels)
-        return DetectedBoard(corner, pixels * picture.step, _plane(picture, pixels))
-    return None
+        if best is None or len(corner) > len(best.corner):
+            best = DetectedBoard(corner, pixels * picture.step, _plane(picture, pixels))
+        if len(best.corner) == len(board.points):
+            break
+    return best
 
 
 def _versions(image: NDArray[np.float32], settings: DetectionSettings) -> Iterator[tuple[NDArray[np.uint8], float]]:

@@ -70,6 +70,7 @@ def read_board(size: str, square: float, pattern: Any, marker: float | None, dic
     metavar="FILE",
     help="For other programs: .js with poses beside it (libpleno), .yml or .xml (OpenCV's pinhole) to write.",
 )
+@click.option("--report", "page", type=_OUTPUT, metavar="PAGE.html", help="Residuals, poses, what to shoot next.")
 @click.option("--poses", type=_OUTPUT, metavar="POSES.json", help="Poses of the boards to write.")
 @console.report_options
 def metric(
@@ -83,6 +84,7 @@ def metric(
     dictionary: str,
     pixel: float | None,
     exchange: Path | None,
+    page: Path | None,
     poses: Path | None,
     as_json: bool,
     quiet: bool,
@@ -96,6 +98,8 @@ def metric(
     check_output(output, {".json"}, flats)
     if poses is not None:
         check_output(poses, {".json"}, [*flats, camera, output])
+    if page is not None:
+        check_output(page, {".html"}, [*flats, camera])
     if exchange is not None:
         check_output(exchange, {".js", ".yml", ".yaml", ".xml"}, [*flats, camera])
     board = read_board(size, square, pattern, marker, dictionary)
@@ -118,6 +122,10 @@ def metric(
         found.calibration.save(output)
         if poses is not None:
             found.save_poses(poses)
+        if page is not None:
+            from ..metric_report.report import write_metric_report
+
+            write_metric_report(page, found, title=f"Metric calibration of {camera.name}")
         if exchange is not None:
             from ..metric.exchange import write_libpleno, write_pinhole
 

@@ -86,13 +86,13 @@ def calibrate_metric(
     if not 0 < pixel < 1:
         raise ValueError(f"pixel must be a positive number of mm below 1, got {pixel!r}")
     found, missing = _prepare_all(flats, names, calibration, board, settings)
-    warnings += [f"{flat.name}: {flat.reason}; left out" for flat in missing]
+    warnings += [f"{flat.name}: {flat.reason or 'too few corners'}; left out" for flat in missing]
 
     start = _first(as_triangulated([f.detected for f in found if f.detected]), calibration, board, len(found), settings)
     observations, _ = measure(found, calibration, board, start[0], pixel, start[1], most_lenses=settings.first_lenses)
     _check_seen(observations, found, settings)
     seen = triangulate(observations, START.fewest_lenses)
-    if len(np.unique(seen.pose)) == len(found):
+    if np.bincount(seen.pose, minlength=len(found)).min() >= settings.fewest_triangulated:
         start = _first(seen, calibration, board, len(found), settings)
     points = board.points - board.middle
     fitted = adjust(start[0], pixel, start[1], points, observations, BASE)

@@ -60,7 +60,8 @@ class ObservationSettings:
     ratio_error: float = 0.02  # of `s / D` there
     first_lenses: int = 8  # that each corner is fitted in at first, until the camera is about known
     fewest_flats: int = 3
-    fewest_corners: int = 12  # of a flat
+    fewest_triangulated: int = 8  # corners of each flat seen in three microimages, to start anew from them
+    fewest_corners: int = 10  # of a flat
     alike_angle: float = 4.0  # [degrees] between the normals of boards, below which their poses are alike
     alike_distance: float = 1.05  # farthest over nearest board, below which their distances are alike
     outlier_share: float = 0.4  # of the observations of a flat, from which on it belongs to another camera or board

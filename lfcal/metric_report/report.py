@@ -1,0 +1,207 @@
+"""One HTML page about a metric calibration, which needs no network."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera.optics import OPTICS_PARAMETERS
+from ..metric.result import MetricCalibration
+from ..runtime.output_file import atomic_write, check_output
+from .next_pose import suggest_poses
+
+__all__ = ["write_metric_report"]
+
+Array = NDArray[Any]
+_LENGTHS = {"focal_length", "mla_distance", "sensor_distance", "pupil"}
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
+table { border-collapse: collapse; margin: 1rem 0; } td, th { padding: .2rem .9rem; text-align: right; }
+th { border-bottom: 1px solid #999; } td:first-child, th:first-child { text-align: left; }
+svg { max-width: 100%; background: #fafafa; border: 1px solid #ddd; } .note { color: #555; }
+"""
+
+
+def write_metric_report(
+    path: str | os.PathLike[str], found: MetricCalibration, *, title: str = "Metric camera"
+) -> None:
+    """Write the report of a metric calibration as one HTML file; it appears whole or not at all."""
+    check_output(path, {".html"})
+    parts = [
+        f"<h1>{escape(title)}</h1>",
+        _summary(found),
+        "<h2>Optics</h2>",
+        _parameters(found),
+        *(f'<p class="note">{escape(note)}.</p>' for note in (*found.warnings, *found.degeneracies)),
+        "<h2>Poses of the boards</h2>",
+        _poses_picture(found),
+        _poses_table(found),
+        "<h2>Residuals over the field</h2>",
+        _field_picture(found),
+        "<h2>Residuals over distance</h2>",
+        _depth_table(found),
+        "<h2>Reliability of the stated errors</h2>",
+        _reliability(found),
+        "<h2>What to shoot next</h2>",
+        _next(found),
+    ]
+    page = (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
+        f"<style>{_STYLE}</style><body>{''.join(parts)}</body></html>\n"
+    )
+    with atomic_write(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+    cells = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<table><tr>{''.join(f'<th>{escape(name)}</th>' for name in head)}</tr>{cells}</table>"
+
+
+def _summary(found: MetricCalibration) -> str:
+    near, far = (f(pose.translation[2] for pose in found.poses) / 1000 for f in (min, max))
+    return (
+        f"<p>{len(found.poses)} flats of a {escape(str(found.board))}, squares of {found.board.square:g} mm, at "
+        f"{near:.3g} to {far:.3g} m; {int(found.used.sum())} corners in single microimages, "
+        f"{int((~found.used).sum())} outliers; RMS distance {found.rms:.4f} px.</p>"
+    )
+
+
+def _parameters(found: MetricCalibration) -> str:
+    optics = found.optics
+    rows = []
+    for name, value, error in zip(OPTICS_PARAMETERS, optics.parameters, optics.standard_errors, strict=True):
+        if error > 0:
+            unit = "mm" if name in _LENGTHS else "px" if name.startswith("principal") else ""
+            if name.startswith("tilt"):
+                value, error, unit = np.rad2deg(value), np.rad2deg(error), "degrees"
+            rows.append((name.replace("_", " "), f"{value:.6g}", f"{error:.2g}", unit))
+    rows += [
+        (f"focal length of lens type {k}", f"{f:.5g}", "", "mm") for k, f in enumerate(optics.microlens_focal_lengths)
+    ]
+    return _table(("", "value", "standard error", ""), rows)
+
+
+def _poses_table(found: MetricCalibration) -> str:
+    rows = []
+    for pose in found.poses:
+        errors = pose.standard_errors
+        bound = errors / np.sqrt(found.widening)
+        tilt = np.rad2deg(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
+        rows.append(
+            (
+                pose.name,
+                f"{pose.translation[2]:.2f}",
+                f"{errors[5]:.3f}",
+                f"{np.hypot(*errors[3:5]):.3f}",
+                f"{np.rad2deg(np.linalg.norm(errors[:3])):.4f}",
+                f"{bound[5]:.3f}",
+                f"{tilt:.1f}",
+                f"{pose.rms:.4f}",
+                str(pose.observations),
+            )
+        )
+    head = ("flat", "distance [mm]", "+-", "sideways +-", "turn +- [deg]", "Cramer-Rao bound of the distance")
+    return _table((*head, "tilt [deg]", "RMS [px]", "corners"), rows)
+
+
+def _poses_picture(found: MetricCalibration) -> str:
+    """Boards seen from above and from the side."""
+    outlines = []
+    points = found.board.points.reshape(found.board.rows, found.board.columns, 3)
+    rim = points[[0, 0, -1, -1], [0, -1, -1, 0]]
+    for pose in found.poses:
+        outlines.append(pose.place(rim))
+    every = np.concatenate(outlines)
+    far, reach = every[:, 2].max() * 1.05, max(np.abs(every[:, :2]).max() * 1.2, 1e-6)
+    across, down = 820.0 / far, 110.0 / reach
+    shapes = []
+    for axis, middle, name in ((0, 120, "from above"), (1, 380, "from the side")):
+        shapes.append(f'<text x="8" y="{middle - 100}" font-size="13">{name}</text>')
+        shapes.append(f'<line x1="20" y1="{middle}" x2="850" y2="{middle}" stroke="#ccc"/>')
+        shapes.append(f'<circle cx="20" cy="{middle}" r="5"/>')
+        for number, outline in enumerate(outlines):
+            corners = " ".join(f"{20 + z * across:.1f},{middle + side * down:.1f}" for side, z in outline[:, [axis, 2]])
+            hue = 360 * number / len(outlines)
+            shapes.append(
+                f'<polygon points="{corners}" fill="hsl({hue:.0f} 60% 50% / .25)" stroke="hsl({hue:.0f} 60% 40%)">'
+                f"<title>{escape(found.poses[number].name)}</title></polygon>"
+            )
+    shapes.append(f'<text x="850" y="505" font-size="12" text-anchor="end">{far / 1000:.3g} m</text>')
+    return f'<svg viewBox="0 0 870 515" width="870" role="img" aria-label="poses">{"".join(shapes)}</svg>'
+
+
+def _field_picture(found: MetricCalibration) -> str:
+    """Mean residual of each tile of the flat as a line, a thousand times as long."""
+    width, height = found.calibration.image_size
+    side = max(width, height) / 16
+    used = found.used
+    tile = (found.observations.centre[used] // side).astype(int)
+    key, group = np.unique(tile, axis=0, return_inverse=True)
+    count = np.bincount(group.ravel())
+    means = np.stack([np.bincount(group.ravel(), found.residual[used][:, k]) / count for k in (0, 1)], axis=1)
+    kept = count >= 5
+    largest = float(np.hypot(*means[kept].T).max()) if kept.any() else 0.0
+    factor = 0.8 * side / max(largest, 1e-9)
+    lines = []
+    for (i, j), mean in zip(key[kept], means[kept], strict=True):
+        x, y = (i + 0.5) * side, (j + 0.5) * side
+        dx, dy = mean * factor
+        lines.append(
+            f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{x + dx:.1f}" y2="{y + dy:.1f}" stroke="#b00" '
+            f'stroke-width="{side / 25:.2f}"/><circle cx="{x:.1f}" cy="{y:.1f}" r="{side / 22:.2f}"/>'
+        )
+    return (
+        f'<svg viewBox="0 0 {width} {height}" width="640" role="img" aria-label="residuals">{"".join(lines)}</svg>'
+        f"<p>Mean residuals of tiles; the longest line is {largest:.4f} px. Lines that point the same way over a "
+        "region tell of errors that the model does not hold.</p>"
+    )
+
+
+def _depth_table(found: MetricCalibration) -> str:
+    rows = []
+    order = np.argsort([pose.translation[2] for pose in found.poses])
+    for m in order:
+        mine = (found.observations.pose == m) & found.used
+        mean = found.residual[mine].mean(0)
+        # Along the baseline: a wrong patch size moves corners away from, or towards, the middle of the lenses.
+        offset = found.observations.position[mine] - found.observations.centre[mine]
+        stretch = float((offset * found.residual[mine]).sum() / max((offset**2).sum(), 1e-12))
+        rows.append(
+            (
+                f"{found.poses[m].translation[2]:.1f}",
+                f"{found.poses[m].rms:.4f}",
+                f"{mean[0]:+.4f}, {mean[1]:+.4f}",
+                f"{100 * stretch:+.4f} %",
+            )
+        )
+    return _table(("distance [mm]", "RMS [px]", "mean [px]", "residual patch size"), rows)
+
+
+def _reliability(found: MetricCalibration) -> str:
+    scale = found.noise / float(np.median(found.observations.error))
+    distance = np.hypot(*found.residual.T) / (found.observations.error * scale)
+    rows = [
+        (f"{k} sigma", f"{100 * (distance < k).mean():.1f} %", f"{100 * (1 - np.exp(-k * k / 2)):.1f} %")
+        for k in (1, 2, 3)
+    ]
+    return (
+        _table(("corners within", "measured", "expected"), rows)
+        + f"<p>Noise of one corner in one microimage, one axis: {found.noise:.4f} px. Variances of all stated errors "
+        f"are widened by {found.widening:.2f}, for errors that microimages of a corner and corners of a pose share: "
+        "1 is independent noise. The Cramer-Rao bound is the stated error without that.</p>"
+    )
+
+
+def _next(found: MetricCalibration) -> str:
+    items = [
+        f"<li>at {pose.distance / 1000:.3g} m, {pose.where} of the field, {pose.how}: errors of distances "
+        f"{100 * (1 - pose.gain):.0f} % smaller than now (with those above)</li>"
+        for pose in suggest_poses(found)
+    ]
+    return f"<ol>{''.join(items)}</ol>" if items else "<p>The board does not fit elsewhere into the field.</p>"

@@ -1,0 +1,69 @@
+"""The report of a metric calibration, and its advice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lfcal import Board, BoardPose, Calibration, Lattice, MetricCalibration
+from lfcal.metric.bundle_adjustment import adjust
+from lfcal.metric.model_order import BASE
+from lfcal.metric.observations import Observations
+from lfcal.metric.uncertainty import optics_of
+from lfcal.metric_report.next_pose import suggest_poses
+from lfcal.metric_report.report import write_metric_report
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Four boards far away, seen by the model itself with 0.02 px of noise."""
+    import importlib.util
+    from pathlib import Path
+
+    place = Path(__file__).parents[1] / "metric" / "_cameras.py"
+    spec = importlib.util.spec_from_file_location("metric_test_cameras", place)
+    cameras = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(cameras)
+    rng = np.random.default_rng(2)
+    where = cameras.poses(rng, 5, near=700, far=1100)
+    values = cameras.camera(k1=-0.5)
+    seen = cameras.observe(values, where, rng, 0.02)
+    seen = Observations(seen.pose, seen.corner, seen.centre, seen.position, np.full(len(seen), 0.02))
+    fitted = adjust(values, cameras.PIXEL, where, cameras.BOARD, seen, BASE)
+    lattice = Lattice((0, 0), [[28.3, 0], [14.15, 24.5]], (1600, 1200), 13.0)
+    errors = np.sqrt(np.diag(fitted.covariance))[14:].reshape(-1, 6)
+    board = Board(9, 6, 7.0)
+    placed = tuple(
+        BoardPose(f"{m}.png", r, t - r @ board.middle, np.diag(errors[m] ** 2), 0.03, 100)
+        for m, (r, t) in enumerate(zip(fitted.poses.rotation, fitted.poses.translation, strict=True))
+    )
+    optics = optics_of(fitted, cameras.PIXEL, 1.0)
+    return MetricCalibration(
+        replace(Calibration(lattice), optics=optics),
+        board,
+        placed,
+        fitted.free,
+        seen,
+        fitted.residual,
+        fitted.weight > 0,
+        0.02,
+        1.0,
+        ("F and L hardly separate <&>",),
+        (),
+    )
+
+
+def test_the_page_shows_errors_poses_residuals_and_advice_without_network(found, tmp_path):
+    write_metric_report(tmp_path / "page.html", found)
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    for words in ("focal length", "Cramer-Rao", "hardly separate &lt;&amp;&gt;", "2 sigma", "What to shoot next"):
+        assert words in page
+    assert page.count("<polygon") == 10  # five boards from above and from the side
+    assert "http" not in page.replace("http://www.w3.org", "")
+
+
+def test_a_further_pose_makes_distances_surer_and_each_next_one_more_so(found):
+    gains = [pose.gain for pose in suggest_poses(found, 3)]
+    assert 0 < gains[2] < gains[1] < gains[0] < 0.95
