@@ -62,7 +62,7 @@ def lattice(
     check_output(output, {".json"})
     from ..camera.calibration import Calibration
     from ..lattice.stated import state_lattice
-    from .main import describe
+    from .figures import describe
 
     try:
         stated = state_lattice(size, pitch, arrangement, rotation, centre, radius)

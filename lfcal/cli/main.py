@@ -10,6 +10,7 @@ import click
 from ..runtime import console
 from ..runtime.image_formats import MOSAICS, TIFF_SUFFIXES, Mosaic
 from ..runtime.output_file import atomic_write, check_output
+from .figures import describe
 from .lattice import lattice
 from .metric import board, metric
 
@@ -288,41 +289,6 @@ def _read_pair(a: Path, b: Path, size: tuple[int, int] | None) -> tuple[Calibrat
         second = _read(b, None)
         return _read(a, second.image_size), second
     return first, _read(b, size or first.image_size)
-
-
-def describe(camera: Calibration) -> dict[str, Any]:
-    """The figures of a calibration that commands print."""
-    from ..lattice.orientation import describe_orientation
-
-    lattice, types = camera.lattice, camera.lens_types
-    shape, rows, rotation = describe_orientation(lattice)
-    return {
-        "size": list(camera.image_size),
-        "lattice": shape,
-        "rows": rows,
-        "rotation_degrees": rotation,
-        "pitch": lattice.pitch,
-        "radius": lattice.radius,
-        "origin": lattice.origin,
-        "basis": lattice.basis,
-        "lenses": len(lattice),
-        "source": camera.source,
-        "lens_types": types
-        and {
-            "count": types.count,
-            "by_focus": types.ordered,
-            "confidence": types.confidence,
-            "focus": types.focus,
-            "cell": types.cell,
-        },
-        "lenses_used": camera.lenses_used,
-        "residual_rms": camera.residual_rms,
-        "confidence": camera.confidence,
-        "mosaic": camera.mosaic or "none",
-        "defect_pixels": len(camera.defects.pixels),
-        "defect_lenses": len(camera.defects.lenses),
-        "warnings": list(camera.warnings),
-    }
 
 
 main.add_command(metric)
