@@ -6,6 +6,7 @@ mechanical vignetting (cat-eye), natural vignetting, dust, hot pixels and noise 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -13,17 +14,27 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
-__all__ = ["WhiteImage", "random_cases", "standard_cases"]
+__all__ = ["WhiteImage", "cut_cases", "random_cases", "standard_cases"]
 
 _SUBPIXELS = 4
 _SHAPES = {"hexagonal": ((1.0, 0.0), (0.5, np.sqrt(0.75))), "square": ((1.0, 0.0), (0.0, 1.0))}
 
 
+@njit(cache=True, nogil=True)
+def _pass_edge(inside, soft, normal):
+    """Light `inside` an edge by so many px: a ramp of this width, or a normal distribution of this deviation."""
+    return 0.5 * (1 + math.erf(inside / soft * math.sqrt(0.5))) if normal else min(max(inside / soft + 0.5, 0.0), 1.0)
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def _draw(height, width, origin, basis, inverse, middle, reach, k1, radius, soft, gap, inner, outer, cut, ratio, light):
-    n = _SUBPIXELS
-    dark = radius + 0.5 * soft
+    # Edges of both discs that are blurred one by one are given as (deviation of the lens, of the cut), else as (ramp,).
+    normal = len(soft) > 1
+    n = 1 if normal else _SUBPIXELS
+    dark = radius + (5.0 if normal else 0.5) * soft[0]
+    lenses = 4 if normal else 2
     for y in prange(height):
         for x in range(width):
             total = 0.0
@@ -36,11 +47,11 @@ def _draw(height, width, origin, basis, inverse, middle, reach, k1, radius, soft
                     stretch = 1 + k1 * (ux * ux + uy * uy) / (reach * reach)
                     ux, uy = (px - middle[0]) / stretch, (py - middle[1]) / stretch
                 wx, wy = ux + middle[0] - origin[0], uy + middle[1] - origin[1]
-                i0 = np.floor(wx * inverse[0, 0] + wy * inverse[1, 0])
-                j0 = np.floor(wx * inverse[0, 1] + wy * inverse[1, 1])
+                i0 = np.floor(wx * inverse[0, 0] + wy * inverse[1, 0]) - (lenses - 2) // 2
+                j0 = np.floor(wx * inverse[0, 1] + wy * inverse[1, 1]) - (lenses - 2) // 2
                 value = 0.0
-                for corner in range(4):
-                    i, j = i0 + corner % 2, j0 + corner // 2
+                for corner in range(lenses * lenses):
+                    i, j = i0 + corner % lenses, j0 + corner // lenses
                     mx = origin[0] + i * basis[0, 0] + j * basis[1, 0] - middle[0]
                     my = origin[1] + i * basis[0, 1] + j * basis[1, 1] - middle[1]
                     stretch = 1 + k1 * (mx * mx + my * my) / (reach * reach)
@@ -49,13 +60,14 @@ def _draw(height, width, origin, basis, inverse, middle, reach, k1, radius, soft
                     if dx * dx + dy * dy >= dark * dark:
                         continue
                     r = np.sqrt(dx * dx + dy * dy)
-                    disc = min(max((radius - r) / soft + 0.5, 0.0), 1.0)
+                    disc = _pass_edge(radius - r, soft[0], normal)
                     if cut != 0 and disc > 0:
                         dx -= cut * radius * mx / reach
                         dy -= cut * radius * my / reach
                         far = np.sqrt(dx * dx + dy * dy)
-                        disc *= min(max((radius * ratio - far) / soft + 0.5, 0.0), 1.0)
-                    value = max(value, disc * (1 - inner * r * r / (radius * radius)))
+                        disc *= _pass_edge(radius * ratio - far, soft[-1], normal)
+                    disc *= 1 - inner * r * r / (radius * radius)
+                    value = value + disc if normal else max(value, disc)
                 total += value
             field = ((x - middle[0]) ** 2 + (y - middle[1]) ** 2) / (reach * reach)
             light[y, x] = (gap + (1 - gap) * total / (n * n)) * (1 - outer * field)
@@ -86,6 +98,14 @@ class WhiteImage:
         Disc diameter over the distance to the nearest neighbour.
     soft : float [px]
         Width of the ramp at the edge of a disc, before it is integrated over the pixel.
+    edges : {"ramp", "product", "overlap"}
+        "ramp": both discs have such ramps. "product": each disc is blurred by itself, pixels included, to a normal
+        distribution of deviation `blur`, and what they let through multiplies. "overlap": the overlap of discs with
+        ramps is blurred. In the last two neighbours add their light.
+    blur : float [px]
+        Standard deviation of the blur, for "product" and "overlap".
+    cut_blur : float
+        Blur of the edge of the second disc over that of the first, for "product".
     gap : float
         Light between discs over light in them.
     inner, outer : float
@@ -108,6 +128,9 @@ class WhiteImage:
     dust: int = 0
     fill: float = 0.94
     soft: float = 0.5
+    edges: str = "ramp"
+    blur: float = 0.6
+    cut_blur: float = 1.0
     gap: float = 0.02
     inner: float = 0.15
     outer: float = 0.3
@@ -152,13 +175,14 @@ class WhiteImage:
         """(h, w) light without noise and defects, 1 in an unshaded disc, all centres moved by `shift` [px]."""
         width, height = self.size
         drawn = np.empty((height, width))
+        soft = np.array([self.blur, self.blur * self.cut_blur] if self.edges == "product" else [self.soft])
         distance = np.hypot(*(np.array([(1, 0), (0, 1), (1, -1)]) @ self.basis).T).min()
         _draw(
             height, width, self.origin + shift, self.basis, np.linalg.inv(self.basis), self.middle, self.reach,
-            self.k1, self.fill * distance / 2, self.soft, self.gap, self.inner, self.outer, self.strength, self.ratio,
+            self.k1, self.fill * distance / 2, soft, self.gap, self.inner, self.outer, self.strength, self.ratio,
             drawn,
         )  # fmt: skip
-        return drawn
+        return gaussian_filter(drawn, self.blur, mode="nearest") if self.edges == "overlap" else drawn
 
     @cached_property
     def noise(self) -> float:
@@ -245,5 +269,32 @@ def random_cases(count: int, seed: int) -> dict[str, WhiteImage]:
             hot=300 if kind == "dirty" else 0, dust=40 if kind == "dirty" else 0,
             fill=float(rng.uniform(0.8, 0.98)), soft=float(rng.uniform(0.3, 1.2)), gap=float(rng.uniform(0, 0.1)),
             inner=float(rng.uniform(0.05, 0.3)), outer=float(rng.uniform(0.1, 0.5)), seed=1000 * seed + number,
+        )  # fmt: skip
+    return cases
+
+
+def cut_cases(count: int, seed: int) -> dict[str, WhiteImage]:
+    """Cut white images whose edges are blurred in other ways than those of the standard ones, some distorted, by name.
+
+    Half of them have two discs that are blurred one by one and multiply, half a blurred overlap of two discs.
+    """
+    rng = np.random.default_rng(seed)
+    cases: dict[str, WhiteImage] = {}
+    for number in range(count):
+        shape, edges = str(rng.choice(["hexagonal", "square"])), ("product", "overlap")[number % 2]
+        pitch, degrees = float(np.exp(rng.uniform(np.log(10), np.log(45)))), float(rng.uniform(0, 11))
+        degrees += 90 * float(rng.integers(2)) * (shape == "hexagonal")
+        decibels, bits = float(rng.choice([40, 30, 26, 18])), int(rng.choice([8, 16]))
+        blur = float(rng.choice([0.6, 0.6, rng.uniform(0.3, 0.11 * pitch)]))
+        cut_blur = float(rng.choice([1.0, rng.uniform(0.8, 1.5)])) if edges == "product" else 1.0
+        strength, k1 = (
+            float(rng.choice([-1, -1, 1]) * rng.uniform(0.2, 0.5)),
+            float(rng.choice([0, rng.uniform(-4e-3, 4e-3)])),
+        )
+        name = f"{number} {edges} {shape[:3]} {pitch:.2f} {degrees:.1f} {decibels:g} dB {bits} bit"
+        cases[f"{name} blur {blur:.2f} x {cut_blur:.2f} k1 {k1:.4f}"] = WhiteImage(
+            shape, pitch, degrees, decibels, bits, strength=strength, ratio=float(rng.uniform(1.03, 1.1)), k1=k1,
+            fill=float(rng.uniform(0.85, 0.95)), edges=edges, blur=blur, cut_blur=cut_blur,
+            inner=float(rng.uniform(0.0, 0.1)), outer=float(rng.uniform(0.1, 0.4)), seed=1000 * seed + number,
         )  # fmt: skip
     return cases

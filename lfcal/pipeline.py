@@ -205,7 +205,7 @@ def _measure(found: LatticeCandidate) -> Calibration:
         residual_rms=fit.residual_rms,
         lenses_used=fit.lenses_used,
         confidence=float(np.clip(confidence, 0, 1)),
-        warnings=light.warnings if doubt is None else (*light.warnings, doubt),
+        warnings=(*light.warnings, *(text for text in (doubt, fit.doubt) if text is not None)),
         lens_types=find_lens_types(picture, lattice, white),
         gain_map=light.gain_map,
         defects=light.defects,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +30,7 @@ _SCHEMA = "lfcal-camera"
 _VERSION = 2
 # In files of this version the lenses of a gain map are in rows of `j`, whatever the lattice.
 _ROW_ORDER_VERSION = 1
+_Part = TypeVar("_Part")
 
 
 @dataclass(frozen=True)
@@ -153,39 +155,37 @@ class Calibration:
                 f"version {version!r} is not known "
                 f"(this toolkit reads {_ROW_ORDER_VERSION} and {_VERSION}); calibrate again"
             )
+        # Whoever never reads a camera file need not load the library that checks it.
+        from .schema import check_fields, check_plausible
+
+        check_fields(data)
+        known, fit = data["lattice"], data["fit"]
+        bend = _unpack(known, "distortion", Distortion.from_dict)
         try:
-            known, fit, vignetting = data["lattice"], data["fit"], data["vignetting"]
-            lattice = Lattice(
-                known["origin"],
-                known["basis"],
-                tuple(data["image_size"]),
-                known["radius"],
-                known.get("distortion") and Distortion.from_dict(known["distortion"]),
-            )
-            gain = data.get("gain_map") and GainMap.from_dict(data["gain_map"])
-            residual = fit["residual_rms"]
-            return cls(
-                lattice=lattice,
-                vignetting=vignetting and Vignetting(vignetting["profile"], vignetting["step"]),
-                source=str(data["source"]),
-                residual_rms=float("nan") if residual is None else float(residual),
-                lenses_used=int(fit["lenses_used"]),
-                confidence=float(fit["confidence"]),
-                warnings=tuple(str(w) for w in data["warnings"]),
-                # Files of earlier versions have none of these.
-                lens_types=data.get("lens_types") and LensTypes.from_dict(data["lens_types"]),
-                mosaic=data.get("mosaic"),
-                gain_map=_in_centre_order(gain, lattice) if gain and version == _ROW_ORDER_VERSION else gain,
-                defects=Defects.from_dict(data["defects"]) if data.get("defects") else Defects(),
-                errors=data.get("errors") and LatticeErrors.from_dict(data["errors"]),
-                residuals=data.get("residuals") and Residuals.from_dict(data["residuals"]),
-                white_level=None if data.get("white_level") is None else float(data["white_level"]),
-                optics=data.get("optics") and Optics.from_dict(data["optics"]),
-            )
-        except KeyError as error:
-            raise CameraFileError(f"field {error} is missing; calibrate again") from error
-        except (TypeError, ValueError) as error:
-            raise CameraFileError(f"{error}; calibrate again") from error
+            lattice = Lattice(known["origin"], known["basis"], tuple(data["image_size"]), known["radius"], bend)
+        except ValueError as error:
+            raise CameraFileError(f"field lattice: {error}; calibrate again") from error
+        check_plausible(lattice)
+        gain = _unpack(data, "gain_map", GainMap.from_dict)
+        residual, white_level = fit["residual_rms"], data.get("white_level")
+        return cls(
+            lattice=lattice,
+            vignetting=_unpack(data, "vignetting", lambda part: Vignetting(part["profile"], part["step"])),
+            source=data["source"],
+            residual_rms=float("nan") if residual is None else float(residual),
+            lenses_used=fit["lenses_used"],
+            confidence=float(fit["confidence"]),
+            warnings=tuple(data["warnings"]),
+            # Files of earlier versions have none of these.
+            lens_types=_unpack(data, "lens_types", LensTypes.from_dict),
+            mosaic=data.get("mosaic"),
+            gain_map=_in_centre_order(gain, lattice) if gain and version == _ROW_ORDER_VERSION else gain,
+            defects=_unpack(data, "defects", Defects.from_dict) or Defects(),
+            errors=_unpack(data, "errors", LatticeErrors.from_dict),
+            residuals=_unpack(data, "residuals", Residuals.from_dict),
+            white_level=None if white_level is None else float(white_level),
+            optics=_unpack(data, "optics", Optics.from_dict),
+        )
 
     def gain(self) -> NDArray[np.float32]:
         """Relative illumination of every pixel, 1 at the brightest place of the field.
@@ -265,6 +265,17 @@ class Calibration:
     def to_json(self) -> str:
         """The text of the camera file that `save` writes."""
         return json.dumps(self.to_dict(), indent=2) + "\n"
+
+
+def _unpack(data: dict[str, Any], name: str, build: Callable[[Any], _Part]) -> _Part | None:
+    """What `build` makes of a field, None where that is empty or missing; CameraFileError with its name."""
+    part = data.get(name)
+    try:
+        return build(part) if part else None
+    except KeyError as error:
+        raise CameraFileError(f"field {name}: {error} is missing; calibrate again") from error
+    except (TypeError, ValueError) as error:
+        raise CameraFileError(f"field {name}: {error}; calibrate again") from error
 
 
 def _in_centre_order(gain: GainMap, lattice: Lattice) -> GainMap:

@@ -40,6 +40,9 @@ def parse_key_value(text: str, image_size: tuple[int, int] | None) -> Calibratio
             raise CameraFileError(f"'{key}' is missing")
         return pairs[key]
 
+    for key in ("LensletWidth", "LensletHeight"):
+        if get(key) % 1 != 0 or get(key) < 1:
+            raise CameraFileError(f"'{key}' must be a whole number of px, got {get(key)}")
     size = (int(get("LensletWidth")), int(get("LensletHeight")))
     if image_size is not None and tuple(image_size) != size:
         raise CameraFileError(f"is for flats of {size[0]} x {size[1]} px, not of {image_size[0]} x {image_size[1]} px")

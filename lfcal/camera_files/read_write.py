@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from ..camera.calibration import Calibration
+from ..camera.schema import check_plausible
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
 from ..runtime.output_file import atomic_write, check_output
@@ -109,7 +110,9 @@ def load(path: str | os.PathLike[str], image_size: tuple[int, int] | None = None
     if known is None:
         known = FORMATS[".csv" if source.suffix.lower() == ".csv" else ".json"]
     try:
-        return known.parse(text, image_size)
+        camera = known.parse(text, image_size)
+        check_plausible(camera.lattice)
+        return camera
     except CameraFileError as error:
         raise CameraFileError(f"{source}: {error}") from error
     except (ValueError, ArithmeticError) as error:

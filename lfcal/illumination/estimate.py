@@ -23,8 +23,8 @@ from ..lattice.cell import cell_inradius, cell_normals
 from ..lattice.lattice import Lattice
 from ..lattice.lens_subset import StackedCrops
 from ..white_fit.model import CatEye
-from ..white_fit.rim_fit import fit_best_rim
 from .residuals import GainResiduals, ResidualOptions, collect_residuals
+from .rim_fit import fit_best_rim
 from .sample import Sample, draw_sample
 from .scene_profile import fit_scene_profile
 from .settings import DEFAULT, KERNEL, EstimateSettings

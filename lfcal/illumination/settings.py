@@ -14,6 +14,7 @@ __all__ = [
     "KERNEL",
     "LIGHTS",
     "LIGHT_KERNEL",
+    "RIMS",
     "SAMPLE",
     "SCENE_PROFILE",
     "DefectKernelSettings",
@@ -22,6 +23,7 @@ __all__ = [
     "KernelSettings",
     "LensLightSettings",
     "LightKernelSettings",
+    "RimSettings",
     "SampleSettings",
     "SceneProfileSettings",
 ]  # fmt: skip
@@ -149,10 +151,28 @@ class DefectKernelSettings(NamedTuple):
     room: int = 4096  # [px] of a lens handled together
 
 
+@dataclass(frozen=True)
+class RimSettings:
+    """Tuned values of `rim_fit`."""
+
+    start_growths: tuple[float, ...] = (0.15, 0.35, 0.6)  # [disc radius] displacements in the corner to start from
+    start_radii: tuple[float, ...] = (1.0, 1.1, 1.25)  # [disc radius]
+    start_shares: tuple[float, ...] = (0.0, 0.4)  # part of the displacement that the lattice may have absorbed
+    passes: int = 12  # of Levenberg-Marquardt
+    difference: float = 1e-3  # [px] of numerical derivatives
+    converged: float = 1e-4  # relative fall of the squares that ends the fit
+    # [px] where two rims cross, blur takes light from both: times log(2), for edges blurred by half a pixel together.
+    crossing: float = 0.22
+    distinct: float = 0.1  # share of the residual by which two solutions must differ to count as two
+    explained: float = 0.8  # share of the variance of the rim that a cut must explain
+    least_effect: float = 0.05  # [px, RMS] and how much of it
+
+
 DEFAULT = EstimateSettings()
 SAMPLE = SampleSettings()
 SCENE_PROFILE = SceneProfileSettings()
 LIGHTS = LensLightSettings()
+RIMS = RimSettings()
 DEFECTS = DefectSettings()
 KERNEL = KernelSettings()
 LIGHT_KERNEL = LightKernelSettings()

@@ -95,6 +95,8 @@ class Lattice(Frozen):
             raise ValueError(f"origin must be two finite numbers, got {self.origin!r}")
         if basis.shape != (2, 2) or not np.isfinite(basis).all() or abs(np.linalg.det(basis)) < 1e-6:
             raise ValueError(f"basis must be two independent finite vectors, got {self.basis!r}")
+        if any(int(v) != v for v in self.image_size):
+            raise ValueError(f"image_size must be whole numbers of px, got {self.image_size!r}")
         width, height = (int(v) for v in self.image_size)
         if width < 1 or height < 1:
             raise ValueError(f"image_size must be positive (width, height), got {self.image_size!r}")

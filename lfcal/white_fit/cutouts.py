@@ -22,6 +22,7 @@ from .model import WhiteModel
 from .normal_equations import Microimages, mean_profile
 from .settings import FIT, PIXELS
 from .shading import fit_gain_slope, fit_slope
+from .two_discs import remove_neighbours
 
 __all__ = ["cut_out_lenses", "cut_windows"]
 
@@ -68,7 +69,7 @@ def cut_out_lenses(
         corners, light = corners[bright], light[bright]
     none, slope = np.zeros_like(centres), fit_gain_slope(centres, gain, lattice)
     lenses = Microimages(
-        light, corners, centres, none, gain, np.ones(len(gain)), slope, 0.0, 0.0,
+        light, corners, centres, none, gain, np.ones(len(gain)), slope, 0.0, 0.0, 0.0,
         normals, inradius, reach, PIXELS.ring_step, np.zeros(rings), np.ones(rings),
         np.zeros(rings), np.zeros(rings, dtype=bool), 0.0, 0.0, saturation,
     )  # fmt: skip
@@ -94,6 +95,8 @@ def cut_out_lenses(
     equations = state.lenses.equations
     own = np.clip(equations.right[:, -1] / np.maximum(equations.normal[:, -1, -1], 1e-30), -0.5, 1)
     state = replace(state, lenses=replace(state.lenses, gain=state.lenses.gain * (1 + own)))
+    if model.discs is not None:
+        state = replace(state, lenses=remove_neighbours(state.lenses, model))
     return update_weights(state, equations), lit
 
 

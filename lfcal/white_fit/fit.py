@@ -29,7 +29,7 @@ from .gauss_newton import (
     measure_offsets,
     predict_shift,
 )
-from .mechanical_vignetting import drop_needless_cut, fit_cutting_disc, resolve_disc_roles
+from .mechanical_vignetting import drop_needless_cut, fit_cutting_disc
 from .model import CatEye, WhiteModel
 from .settings import FIT, FitSettings
 
@@ -47,6 +47,7 @@ class WhiteFit:
 
     lattice: Lattice
     cat_eye: CatEye | None  # None where microimages are whole
+    doubt: str | None  # why another disc than the lens may be what cuts it, and what to do
     residual_rms: float  # [px] robust RMS distance of single microimages from the lattice
     errors: LatticeErrors  # as the scatter of the microimages implies
     lenses_used: int
@@ -84,18 +85,17 @@ def fit_white(
         enough = min(settings.order_pixels, settings.most_order_lenses * abs(float(np.linalg.det(lattice.basis))))
         fewest = settings.order_lenses
     else:
+        known = known or _distortion_orders(state.model.lattice)
         wanted = state.pixels * (state.uncertainty / settings.cut_target_error) ** 2
         enough = float(np.clip(wanted, settings.cut_least_pixels, settings.cut_most_pixels))
         fewest = settings.cut_lenses
     state, lit = cut_out_lenses(tones, state.model, enough, fewest, state.lenses, lit)
     state, step = converge(state, known, known=True)
     first = state
-    if state.model.cat_eye is not None:
-        state = resolve_disc_roles(state)
     state, orders = _select_orders(state, known, settings)
     if state.model.cat_eye is None and orders != known:
         state = fit_cutting_disc(state, state, orders)
-    if orders != known:
+    if orders:
         state, orders = drop_needless_cut(state, orders)
     if state.model.cat_eye is None:
         wanted = pixels
@@ -111,14 +111,26 @@ def fit_white(
 
 def _summarise(state: FitState, step: StepResult, settings: FitSettings) -> WhiteFit:
     own = [k for k, name in enumerate(step.names) if name not in _CUT_PARAMETERS]
-    # No model of the blur that both edges share is exact, and centres depend on it where the two discs are alike.
-    response = step.correlation_response
-    covariance = step.covariance + np.outer(response, response) * settings.correlation_error**2
+    covariance = step.covariance
+    if state.model.discs is not None:
+        # No model of the blur that both edges share is exact, and centres depend on it where the two discs are alike.
+        fault = np.hypot(state.model.discs.correlation_error, settings.correlation_error)
+        response = step.correlation_response * fault
+        covariance = covariance + np.outer(response, response)
     errors = LatticeErrors(tuple(step.names[k] for k in own), covariance[np.ix_(own, own)])
     residuals = Residuals(state.indices.astype(np.int32), measure_offsets(state, step).astype(np.float32))
+    doubt = None if state.model.discs is None else state.model.discs.doubt
+    error = float(np.sqrt((errors.of_centres(state.model.lattice) ** 2).mean()))
+    if state.model.discs is not None and error > settings.cut_promise and doubt is None:
+        doubt = (
+            f"microimages are the overlap of two discs with soft edges ({state.model.discs.blur[0]:.2f} px): their "
+            f"centres are known to {error:.2f} px only; close the aperture of the main lens for a white image without "
+            "vignetting"
+        )
     return WhiteFit(
-        state.model.lattice, state.model.cat_eye, step.residual_rms, errors, step.used, compare_halves(step), residuals
-    )
+        state.model.lattice, state.model.cat_eye, doubt, step.residual_rms, errors, step.used, compare_halves(step),
+        residuals,
+    )  # fmt: skip
 
 
 def refine_on_parts(tones: StackedCrops, lattice: Lattice, settings: FitSettings = FIT) -> Lattice:

@@ -64,7 +64,7 @@ class StepResult:
     """A Gauss-Newton step of `p` global parameters, `m` local ones and `n` lenses."""
 
     change: NDArray[np.float64]  # (p,)
-    correlation_response: NDArray[np.float64]  # (p,) derivative of the others with a fixed `CatEye.correlation`
+    correlation_response: NDArray[np.float64]  # (p,) derivative of the others with `CatEye.correlation`, which is held
     shift_rms: float  # [px] movement of the centres
     residual_rms: float  # [px] of single microimages from the lattice
     uncertainty: float  # [px] standard error of a centre, RMS
@@ -90,6 +90,7 @@ def update_positions(state: FitState) -> FitState:
         cut_offset=eye.displacement(field_position(centres, lattice)),
         cut_radius=eye.radius,
         cut_blur=eye.blur,
+        cut_tail=eye.tail,
         correlation=eye.correlation,
     )
     return replace(state, lenses=lenses)
@@ -129,14 +130,7 @@ def fit_profile(state: FitState) -> FitState:
     equations = state.lenses.equations
     profile = state.lenses.profile + np.linalg.solve(equations.profile_normal, equations.profile_right)
     lenses = replace(state.lenses, profile=profile, edge=find_edge(profile))
-    return update_positions(replace(state, model=_equalise_blur(state.model, lenses), lenses=lenses))
-
-
-def _equalise_blur(model: WhiteModel, lenses: Microimages) -> WhiteModel:
-    """The model with the cut as blurred as the edge of the microimages: the same lens and pixels blur both."""
-    if model.cat_eye is None or not lenses.blur:
-        return model
-    return replace(model, cat_eye=model.cat_eye.with_blur(lenses.blur[0]))
+    return update_positions(replace(state, lenses=lenses))
 
 
 def _gap_light(profile: NDArray[np.float64], edge: NDArray[np.bool_]) -> float:
@@ -244,9 +238,8 @@ def _solve_step(
         if state.model.cat_eye is not None:
             k = names.index("correlation")
             response = covariance[:, k] / max(float(covariance[k, k]), 1e-30)
-            room = state.model.cat_eye.least_correlation - state.model.cat_eye.correlation
-            if change[k] < room:
-                change, covariance, weight = _solve_with_fixed(k, room, jacobian, reduced, weight)
+            change, covariance, weight = _solve_with_held(k, jacobian, reduced, weight)
+            change, covariance = _combine_radii(state.model, change, covariance, names.index("radius"))
     except np.linalg.LinAlgError as error:
         raise CalibrationError(_NO_EDGES) from error
     position, positions = jacobian[:, :2], reduced.normal[:, :2, :2]
@@ -273,16 +266,34 @@ def _solve_step(
     )
 
 
-def _solve_with_fixed(
-    fixed: int, step: float, jacobian: NDArray[np.float64], reduced: ReducedEquations, weight: NDArray[np.float64]
+def _solve_with_held(
+    held: int, jacobian: NDArray[np.float64], reduced: ReducedEquations, weight: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """`solve_robustly` for the others, as if the parameter `fixed`, which makes a given step, were right already."""
+    """`solve_robustly` for all parameters but the one that is `held`."""
     count = jacobian.shape[2]
-    free = np.delete(np.arange(count), fixed)
-    change, covariance = np.full(count, step), np.zeros((count, count))
+    free = np.delete(np.arange(count), held)
+    change, covariance = np.zeros(count), np.zeros((count, count))
     solution = solve_robustly(jacobian[:, :, free], reduced, slice(None), weight)
     change[free], covariance[np.ix_(free, free)], weight = solution
     return change, covariance, weight
+
+
+def _combine_radii(
+    model: WhiteModel, change: NDArray[np.float64], covariance: NDArray[np.float64], k: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A step and its covariance with the mean of the radius of the cut that it gives and of that in `model.discs`.
+
+    By their variances: a profile that is free makes up for a wrong radius, the more the softer the edge is.
+    """
+    eye, discs = model.cat_eye, model.discs
+    assert eye is not None and discs is not None
+    own = float(covariance[k, k]) + (SOLVER.soft_fault * eye.blur * (eye.blur / eye.radius) ** 3) ** 2
+    known = discs.radius_variance
+    share = known / (known + own)
+    response = covariance[:, k] / max(float(covariance[k, k]), 1e-30)
+    away = float(discs.radius[1]) - eye.radius - float(change[k])
+    spread = share * own - float(covariance[k, k])
+    return change + (1 - share) * away * response, covariance + spread * np.outer(response, response)
 
 
 def _advance(state: FitState, step: StepResult, frozen: bool) -> FitState:
@@ -318,8 +329,7 @@ def _advance(state: FitState, step: StepResult, frozen: bool) -> FitState:
         # Of two discs that cut each other, shading decides which is the microimage: it is even about its centre.
         slope = fit_slope if state.model.cat_eye is None else field_slope
         lenses = replace(lenses, slope=slope(lenses, state.model.lattice))
-    model = _equalise_blur(apply_step(state.model, step.change, step.names), lenses)
-    return update_positions(FitState(model, state.indices, lenses))
+    return update_positions(FitState(apply_step(state.model, step.change, step.names), state.indices, lenses))
 
 
 def compare_halves(step: StepResult) -> float:

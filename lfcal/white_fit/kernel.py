@@ -22,7 +22,7 @@ from ..runtime.fastmath import FAST
 from ..runtime.kernels.jit import njit
 from .settings import PIXELS, SOLVER
 
-__all__ = ["Cell", "Cut", "Profile", "Sums", "Windows", "accumulate", "sum_by_ring"]
+__all__ = ["Cell", "Cut", "Profile", "Sums", "Windows", "accumulate", "light_through_both", "sum_by_ring"]
 
 # Gauss-Legendre nodes and their weights, for correlations up to the limit (to 1e-4 of the light) and beyond it.
 _THREE_NODES = ((-0.7745966692414834, 5 / 18), (0.0, 8 / 18), (0.7745966692414834, 5 / 18))
@@ -94,7 +94,7 @@ class Sums(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
-def _through_both(alpha, beta, first, second, correlation):
+def light_through_both(alpha, beta, first, second, correlation):
     """Light through two edges at once, and its derivative with each of them over that of the edge alone.
 
     `alpha` and `beta` are the depths inside the edges in units of their blur, `first` and `second` the light through
@@ -134,7 +134,7 @@ def _through_cut(inward, per_blur, tail, on_rim, alpha, correlation, along_both)
         return through, through, change, 0.0
     alike = min(max(correlation * along_both, -_MAX_CORRELATION), _MAX_CORRELATION)
     own = 0.5 * (1 + math.erf(alpha * _ROOT_HALF))
-    joint, falling, cutting = _through_both(alpha, depth, own, through, alike)
+    joint, falling, cutting = light_through_both(alpha, depth, own, through, alike)
     per_own = 1 / own
     apart = 1 / (1 - alike * alike)
     cross = alpha * alpha - 2 * alike * alpha * depth + depth * depth

@@ -12,14 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
-from .settings import SOLVER
+from .settings import SOLVER, TWO_DISCS
 
-__all__ = ["LOCAL_PARAMETERS", "CatEye", "WhiteModel", "apply_step", "build_jacobian", "field_position", "step_limits"]
+__all__ = [
+    "LOCAL_PARAMETERS",
+    "CatEye",
+    "TwoDiscs",
+    "WhiteModel",
+    "apply_step",
+    "build_jacobian",
+    "field_position",
+    "step_limits",
+]
 
 # Parameters of a cut lens: x, y; offset of the cutting disc (2), its radius; correlation of the blur; gain.
 LOCAL_PARAMETERS = 7
-# Variance of the position in a pixel along one of its sides [px^2].
-_PIXEL_VARIANCE = 1 / 12
 
 
 @dataclass(frozen=True)
@@ -33,21 +40,9 @@ class CatEye:
     growth: NDArray[np.float64]  # (3,) [px] `g1, g2, g3`, positive outwards
     radius: float  # [px]
     blur: float  # [px] standard deviation of its edge
+    tail: float = 0.0  # of that blur (`edge_profile.estimate_edge_blur`)
     # Of the blur of the two edges where they run alike, 0..1: 1 if light passes both discs before anything blurs it.
     correlation: float = 0.7
-
-    @property
-    def least_correlation(self) -> float:
-        """Correlation from pixels alone, whose area blurs both edges last."""
-        return min(_PIXEL_VARIANCE / self.blur**2, SOLVER.most_correlation)
-
-    def with_blur(self, blur: float) -> CatEye:
-        """With another blur of its edge [px], as far as one step may change it and pixels can show."""
-        least, most = (1 - SOLVER.most_blur_change) * self.blur, (1 + SOLVER.most_blur_change) * self.blur
-        sharpest = SOLVER.least_blur
-        blur = float(np.clip(np.clip(blur, least, most), sharpest, SOLVER.most_blur * self.radius + sharpest))
-        eye = replace(self, blur=blur)
-        return replace(eye, correlation=max(eye.correlation, eye.least_correlation))
 
     def displacement(self, field: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 2) offset [px] of the cutting disc at positions (n, 2) in the field."""
@@ -56,11 +51,45 @@ class CatEye:
 
 
 @dataclass(frozen=True)
+class TwoDiscs:
+    """A lens (first) and the disc that cuts it (second), relative to the lattice that they were fitted on."""
+
+    offset: NDArray[np.float64]  # (2, 2) [px] of their centres in the middle of the field
+    growth: NDArray[np.float64]  # (2,) [px] further displacement in the corners, positive outwards
+    bend: float  # [px] of both, in the corners, with the third power of the position
+    radius: NDArray[np.float64]  # (2,) [px]
+    blur: NDArray[np.float64]  # (2,) [px] standard deviation
+    shading: NDArray[np.float64]  # (2,) share of light lost at `scale` from the centre of each
+    gap: float  # light between microimages over that in their middle
+    tail: float  # of the blur (`edge_profile.estimate_edge_blur`)
+    correlation: float  # of the blur of edges that run alike
+    # (3,) [px] of both, in the corners: x and y stretched unlike, sheared, turned
+    shear: NDArray[np.float64]
+    scale: float  # [px] about the radius of both
+    radius_error: float  # [px] standard error of the difference of the radii
+    shading_error: float  # of the difference of the shadings
+    bend_error: float  # [px]
+    correlation_error: float
+    doubt: str | None = None  # why the second disc may be the lens
+
+    @property
+    def radius_variance(self) -> float:
+        """Of one radius [px^2], that of the model of its edge included."""
+        return 0.5 * (self.radius_error**2 + (TWO_DISCS.radius_fault * float(self.blur.mean())) ** 2)
+
+    def interchanged(self) -> TwoDiscs:
+        """With the other disc as the lens."""
+        turned = {name: getattr(self, name)[::-1] for name in ("offset", "growth", "radius", "blur", "shading")}
+        return replace(self, **turned)
+
+
+@dataclass(frozen=True)
 class WhiteModel:
     """Lattice and cat-eye (None where microimages are whole)."""
 
     lattice: Lattice
     cat_eye: CatEye | None
+    discs: TwoDiscs | None = None  # edges from which the light of neighbours is known, where there is a cat-eye
 
 
 def field_position(centres: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
@@ -132,13 +161,15 @@ def apply_step(model: WhiteModel, change: NDArray[np.float64], names: list[str])
     most, most_turn = SOLVER.most_move * eye.radius, SOLVER.most_correlation_change
     growth = np.array([float(by.get(name, [0.0])[0]) for name in ("growth", "growth2", "growth3")])
     correlation = eye.correlation + np.clip(by["correlation"][0], -most_turn, most_turn)
-    return WhiteModel(
-        lattice,
-        CatEye(
+    return replace(
+        model,
+        lattice=lattice,
+        cat_eye=CatEye(
             eye.shift + np.clip(by["shift"], -most, most),
             eye.growth + np.clip(growth, -most, most),
             eye.radius + float(np.clip(by["radius"][0], -most, most)),
             eye.blur,
-            float(np.clip(correlation, eye.least_correlation, SOLVER.most_correlation)),
+            eye.tail,
+            float(np.clip(correlation, 0.0, SOLVER.most_correlation)),
         ),
     )

@@ -43,6 +43,7 @@ class Microimages:
     slope: NDArray[np.float64]  # (n, 2) [1/px] relative change of the gain within the microimage
     cut_radius: float  # [px]
     cut_blur: float  # [px] standard deviation of the edge of the cutting disc, 0 if there is none
+    cut_tail: float  # of that blur
     normals: NDArray[np.float64]  # (k, 2) [1/px] `delta @ normal <= 0.5` inside the cell of a lens
     inradius: float  # [px] of the circle inside the cell
     circumradius: float  # [px] of the circle around the cell
@@ -218,7 +219,7 @@ def _kernel_profile(lenses: Microimages) -> Profile:
 
 def _kernel_cut(lenses: Microimages) -> Cut:
     disc = lenses.cut_offset, lenses.cut_radius, lenses.cut_blur, lenses.correlation
-    return Cut(*disc, lenses.blur[1] if lenses.blur else 0.0, lenses.gap, lenses.edge, lenses.depths)
+    return Cut(*disc, lenses.cut_tail, lenses.gap, lenses.edge, lenses.depths)
 
 
 @lru_cache(8)

@@ -6,7 +6,17 @@ from dataclasses import dataclass
 
 from ..lattice.robust_fit import TUKEY_CUTOFF
 
-__all__ = ["FIT", "LARGE", "PIXELS", "SOLVER", "VIGNETTING", "FitSettings", "LargeSettings"]
+__all__ = [
+    "FIT",
+    "LARGE",
+    "PIXELS",
+    "SOLVER",
+    "TWO_DISCS",
+    "VIGNETTING",
+    "FitSettings",
+    "LargeSettings",
+    "TwoDiscSettings",
+]
 
 
 @dataclass(frozen=True)
@@ -27,6 +37,7 @@ class FitSettings:
     cut_least_pixels: float = 1e5  # fewest pixels for cut microimages
     cut_most_pixels: float = 2e5  # most pixels for cut microimages
     cut_lenses: int = 250  # fewest lenses for cut microimages
+    cut_promise: float = 0.03  # [px] standard error of the centres of cut microimages beyond which there is a warning
     least_shift: float = 0.01  # [px, RMS] a further parameter must move centres by this
     promising: float = 0.5  # share of `least_shift` that the first step must predict to try a parameter
     significance: float = 8.0  # standard errors by which a parameter must differ from zero
@@ -59,11 +70,11 @@ class SolverSettings:
     single_step: float = 0.5  # [px] longest of its steps
     single_weight: float = 1e-9  # weight of such a lens, so low that no pixel counts as an outlier
     most_move: float = 0.1  # [disc radius] change of position or radius of the cutting disc in one step
-    most_blur_change: float = 0.3  # relative change of its blur in one step
     most_correlation_change: float = 0.2  # change of the blur correlation in one step
-    most_blur: float = 0.1  # [disc radius] blur of its edge at most, on top of `least_blur`
-    least_blur: float = 0.2  # [px] pixels of finite size blur every edge by this
     most_correlation: float = 0.98  # edges that run alike are never blurred quite alike
+    # [blur * (blur / radius)^3] error of the radius of the cut beside a free profile: on white images of another
+    # maker 0.4 px at a blur of a quarter of the radius, 0.06 px at a sixth.
+    soft_fault: float = 30.0
 
 
 @dataclass(frozen=True)
@@ -100,38 +111,55 @@ class PixelSettings:
 
 @dataclass(frozen=True)
 class VignettingSettings:
-    """Tuned values of `mechanical_vignetting` and `rim_fit`."""
+    """Tuned values of `mechanical_vignetting`."""
 
     least_gain: float = 0.005  # share of the cost that a cutting disc must save
     least_depth: float = 0.3  # [px] it must reach into microimages
     significance: float = 8.0  # standard errors: costs that differ by its square are different
-    smaller: float = 0.9  # the cut is the larger disc if shading does not decide and radii differ by this factor
     settled: float = 1.0  # [standard errors] steps of trial fits may be this long; all lenses follow afterwards
-    first_passes: int = 2  # passes after which shading shows whether the two discs are interchanged
     least_narrowing: float = 0.01  # [px] cos(2 * angle) of the edge; a cut by one pixel has 20 times this
     narrowing_significance: float = 6.0  # standard errors of it
-    inner_margin: float = 2.0  # [blur] pixels so far inside both discs measure the shading
-    fewest_pixels: int = 500  # for that
     outlier: float = 6.0  # [standard deviations] of pixels
-    field_columns: int = 8  # parts of the field in which rims are measured
-    field_rows: int = 6
-    directions: int = 24  # in which rims are measured
-    alternative: float = 1.05  # another disc with at most this times the residual of the best is tried too
-    even: float = 0.5  # share of the radius in which a microimage is even, and darker outwards
-    most_falloff: float = 0.5  # share of the light lost at the side of the cell by shading
-    least_light: float = 0.04  # share of full light that any direction counts as at least
-    start_blur: float = 0.5  # [px]
-    start_growths: tuple[float, ...] = (0.15, 0.35, 0.6)  # [disc radius] displacements in the corner to start from
-    start_radii: tuple[float, ...] = (1.0, 1.1, 1.25)  # [disc radius]
-    start_shares: tuple[float, ...] = (0.0, 0.4)  # part of the displacement that the lattice may have absorbed
-    rim_passes: int = 12  # of Levenberg-Marquardt
-    difference: float = 1e-3  # [px] of numerical derivatives
-    converged: float = 1e-4  # relative fall of the squares that ends the fit
-    # [px] where two rims cross, blur takes light from both: times log(2), for edges blurred by half a pixel together.
-    crossing: float = 0.22
-    distinct: float = 0.1  # share of the residual by which two solutions must differ to count as two
-    explained: float = 0.8  # share of the variance of the rim that a cut must explain
-    least_effect: float = 0.05  # [px, RMS] and how much of it
+
+
+@dataclass(frozen=True)
+class TwoDiscSettings:
+    """Tuned values of `two_discs`."""
+
+    lenses: int = 300  # at most, evenly chosen
+    first_pixels: int = 10_000  # at most, to begin with
+    pixels: int = 40_000  # at most
+    passes: int = 25  # of Levenberg-Marquardt, at most
+    plain_passes: int = 3  # passes before outliers lose weight
+    tries: int = 8  # of a step, with more and more damping
+    damping: float = 1e-2
+    converged: float = 1e-5  # relative fall of the cost that ends the fit
+    start_growth: float = 0.3  # [radius] distance of the two discs in the corners
+    start_radii: tuple[float, float] = (1.02, 1.08)  # [radius] of both discs
+    start_blur: float = 0.4  # [px] at least
+    start_shading: float = 0.02
+    start_correlation: float = 0.3
+    # Standard deviations by which parameters are expected to differ from where the fit starts.
+    radius_spread: float = 0.3  # [radius]
+    blur_spread: float = 0.5  # of its logarithm
+    blur_difference: float = 0.01  # of the logarithms of both
+    blur_unlike: float = 0.1  # difference from which on they are taken to be unlike
+    shading_spread: float = 0.3
+    gap_spread: float = 0.1
+    tail_spread: float = 0.03
+    correlation_spread: float = 0.5
+    least_radius: float = 0.3  # [radius] bounds of a disc
+    most_radius: float = 2.0
+    least_blur: float = 0.2  # [px] pixels of finite size blur every edge by this
+    most_blur: float = 0.5  # [radius]
+    least_tail: float = -0.03  # as of `PixelSettings`
+    most_tail: float = 0.06
+    most_correlation: float = 0.98
+    sure: float = 2.5  # standard errors by which radii or shadings must differ to tell the lens
+    radius_fault: float = 0.05  # [blur] error of the difference of radii where the model of the edges is not exact
+    shading_fault: float = 0.3  # [(blur / radius)^2] the same of shadings
+    least_bend: float = 0.15  # [px] distortion in the corners that a fit starts with
+    bend_significance: float = 6.0  # standard errors of it
 
 
 @dataclass(frozen=True)
@@ -158,4 +186,5 @@ FIT = FitSettings()
 SOLVER = SolverSettings()
 PIXELS = PixelSettings()
 VIGNETTING = VignettingSettings()
+TWO_DISCS = TwoDiscSettings()
 LARGE = LargeSettings()

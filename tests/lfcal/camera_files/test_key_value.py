@@ -105,3 +105,15 @@ def test_corner_centres_are_whole_microimages_from_border_to_border(make_camera,
     assert 14 <= written["LeftTopMICenterX"] < 60 and 14 <= written["LeftTopMICenterY"] < 60
     assert 640 - 60 < written["RightBottomMICenterX"] < 640 - 14
     assert 480 - 75 < written["RightBottomMICenterY"] < 480 - 14
+
+
+def test_size_of_half_a_pixel_and_a_pitch_larger_than_the_flat_are_refused(tmp_path):
+    path = tmp_path / "camera.cfg"
+    text = "LensletWidth : {}\nLensletHeight : 80\nMIDiameter : {}\nMLADirection : 0\n"
+    text += "CentralMIOffsetX : 1\nCentralMIOffsetY : 2\n"
+    path.write_text(text.format(100.5, 20))
+    with pytest.raises(lfcal.CameraFileError, match="LensletWidth"):
+        lfcal.load(path)
+    path.write_text(text.format(100, 1e9))
+    with pytest.raises(lfcal.CameraFileError, match="microimages"):
+        lfcal.load(path)

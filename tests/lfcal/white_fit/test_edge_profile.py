@@ -9,7 +9,6 @@ import lfcal
 from benchmarks.calibration_bound import centre_error
 from benchmarks.white_images import WhiteImage
 from lfcal.white_fit.edge_profile import edge_depths, estimate_edge_blur, find_edge
-from lfcal.white_fit.model import CatEye
 
 STEP, RADIUS, GAP = 0.125, 6.0, 0.05
 
@@ -58,17 +57,6 @@ def test_profiles_without_an_edge_have_no_blur():
     assert estimate_edge_blur(edge_depths(level, edge, 0.7, STEP), edge, STEP) is None
 
 
-def test_edges_share_at_least_the_blur_of_the_pixels():
-    eye = CatEye(np.zeros(2), np.array([1.0, 0.0, 0.0]), 5.0, 0.6, 0.3)
-    assert eye.least_correlation == pytest.approx(1 / 12 / 0.36)
-    # A step changes the blur by 30 % at most.
-    sharper = eye.with_blur(0.3)
-    assert sharper.blur == pytest.approx(0.42)
-    assert sharper.correlation == pytest.approx(1 / 12 / 0.42**2)
-    assert eye.with_blur(0.62).correlation == 0.3
-    assert eye.with_blur(0.1).with_blur(0.1).with_blur(0.1).with_blur(0.1).blur == pytest.approx(0.2)
-
-
 @pytest.mark.parametrize(
     ("shape", "pitch", "strength", "soft", "most"),
     [
@@ -78,7 +66,6 @@ def test_edges_share_at_least_the_blur_of_the_pixels():
     ],
 )
 def test_centres_of_blurred_cut_microimages_are_within_a_few_thousandths_of_a_pixel(shape, pitch, strength, soft, most):
-    # If the blur of the cut were free, centres would be off by 0.004 to 0.008 px, with stated errors of a tenth of it.
     truth = WhiteImage(shape, pitch, 5.0, strength=strength, ratio=1.04, soft=soft, gap=0.03, size=(1200, 900))
     camera = lfcal.calibrate(truth.image())
     assert centre_error(camera, truth) < most

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .settings import VIGNETTING
+from .settings import RIMS
 
 __all__ = ["RimFit", "fit_best_rim", "fit_rims"]
 
@@ -34,11 +34,11 @@ def fit_best_rim(rim: NDArray[np.float64], weight: NDArray[np.float64], field: N
         return None
     mean = float(np.average(rim, weights=weight))
     circle = float(np.average((rim - mean) ** 2, weights=weight))
-    if circle < VIGNETTING.least_effect**2:
+    if circle < RIMS.least_effect**2:
         return None
     best = fit_rims(rim, weight, field)[0]
     gain = circle - best.residual
-    clear = best.residual <= (1 - VIGNETTING.explained) * circle and gain >= VIGNETTING.least_effect**2
+    clear = best.residual <= (1 - RIMS.explained) * circle and gain >= RIMS.least_effect**2
     return best if clear else None
 
 
@@ -62,16 +62,16 @@ def fit_rims(rim: NDArray[np.float64], weight: NDArray[np.float64], field: NDArr
         return float((share * (rim - _predict_rim(p, field, along)) ** 2).sum())
 
     found: list[tuple[RimFit, NDArray[np.float64]]] = []
-    for growths in (VIGNETTING.start_growths, [-g for g in VIGNETTING.start_growths]):
+    for growths in (RIMS.start_growths, [-g for g in RIMS.start_growths]):
         starts = [
             np.array([-f * g * widest, widest, (1 - f) * g * widest, r * widest, 0.0, 0.0])
-            for g in growths for r in VIGNETTING.start_radii for f in VIGNETTING.start_shares
+            for g in growths for r in RIMS.start_radii for f in RIMS.start_shares
         ]  # fmt: skip
         best, left = _levenberg_marquardt(min(starts, key=cost), rim, share, field, along)
         own, disc, growth, radius, sx, sy = best.tolist()
         rims = _predict_rim(best, field, along)
         # Discs of one size may be found twice, once interchanged.
-        if all((share * (rims - other) ** 2).sum() > VIGNETTING.distinct * left for _, other in found):
+        if all((share * (rims - other) ** 2).sum() > RIMS.distinct * left for _, other in found):
             found.append((RimFit(own, disc, np.array([sx, sy]), growth, radius, left), rims))
     return sorted((fit for fit, _ in found), key=lambda fit: fit.residual)
 
@@ -87,7 +87,7 @@ def _predict_rim(
         aside = (centre**2).sum(1)[:, None] - ahead**2
         rims.append(ahead + np.sqrt(np.maximum(r * r - aside, 0)))
     apart = np.abs(rims[0] - rims[1])
-    return np.asarray(np.minimum(*rims) - VIGNETTING.crossing * np.log1p(np.exp(-apart / VIGNETTING.crossing)))
+    return np.asarray(np.minimum(*rims) - RIMS.crossing * np.log1p(np.exp(-apart / RIMS.crossing)))
 
 
 def _levenberg_marquardt(
@@ -99,17 +99,17 @@ def _levenberg_marquardt(
     miss = root * (rim - _predict_rim(best, field, along))
     least, damping = float((miss**2).sum()), 1e-2
     fresh = True
-    for _ in range(VIGNETTING.rim_passes):
+    for _ in range(RIMS.passes):
         if fresh:
-            nearby = (rim - _predict_rim(best + step, field, along) for step in VIGNETTING.difference * np.eye(6))
-            table = np.column_stack([((root * other - miss) / -VIGNETTING.difference).ravel() for other in nearby])
+            nearby = (rim - _predict_rim(best + step, field, along) for step in RIMS.difference * np.eye(6))
+            table = np.column_stack([((root * other - miss) / -RIMS.difference).ravel() for other in nearby])
             normal, force = table.T @ table, table.T @ miss.ravel()
         trial = best + np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + 1e-9 * np.eye(6), force)
         left = root * (rim - _predict_rim(trial, field, along))
         cost = float((left**2).sum())
         fresh = cost < least
         if fresh:
-            done = least - cost < VIGNETTING.converged * least
+            done = least - cost < RIMS.converged * least
             best, least, miss, damping = trial, cost, left, 0.3 * damping
             if done:
                 break

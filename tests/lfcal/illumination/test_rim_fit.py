@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lfcal.white_fit.rim_fit import fit_best_rim, fit_rims
+from lfcal.illumination.rim_fit import fit_best_rim, fit_rims
 
 _ANGLES = np.arange(24) * 2 * np.pi / 24
 

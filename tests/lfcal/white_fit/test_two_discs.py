@@ -1,0 +1,84 @@
+"""Two discs that cut each other: both are found whatever blurs their edges, and which of them is the lens."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lfcal
+from benchmarks.calibration_bound import centre_error
+from benchmarks.white_images import WhiteImage
+from lfcal.images.preprocessing import sqrt_luminance
+from lfcal.lattice.lens_subset import StackedCrops
+from lfcal.white_fit.cutouts import cut_out_lenses
+from lfcal.white_fit.gauss_newton import converge
+from lfcal.white_fit.model import WhiteModel
+from lfcal.white_fit.two_discs import choose_lens, fit_two_discs
+
+SIZE = (1100, 800)
+
+
+@pytest.mark.parametrize(
+    ("edges", "blur", "cut_blur", "k1"),
+    [
+        ("product", 0.6, 1.0, 0.003),
+        ("product", 1.7, 1.0, 0.0),
+        ("product", 0.6, 1.4, 0.0),
+        ("overlap", 0.7, 1.0, -0.003),
+    ],
+)
+def test_cut_lenses_are_located_whatever_blurs_the_two_discs(edges, blur, cut_blur, k1):
+    truth = WhiteImage(
+        "hexagonal", 16.3, 4.0, 34.0, 8, strength=-0.3, ratio=1.05, fill=0.92, inner=0.02, edges=edges, blur=blur,
+        cut_blur=cut_blur, k1=k1, size=SIZE,
+    )  # fmt: skip
+    camera = lfcal.calibrate(truth.image(), "white")
+    assert centre_error(camera, truth) < 0.02
+    assert not any("overlap of two discs" in text for text in camera.warnings)
+
+
+def test_two_equal_discs_without_shading_are_doubtful_and_said_so():
+    truth = WhiteImage("square", 18.3, 2.0, 30.0, 8, strength=0.3, edges="product", inner=0.0, size=SIZE)
+    camera = lfcal.calibrate(truth.image(), "white")
+    (doubt,) = (text for text in camera.warnings if "overlap of two discs" in text)
+    assert "close the aperture" in doubt
+    assert "constant in the disparity" in doubt
+
+
+@pytest.fixture(scope="module")
+def found():
+    truth = WhiteImage("square", 19.7, 3.0, 34.0, 16, strength=-0.3, ratio=1.05, inner=0.08, edges="product", size=SIZE)
+    lattice = lfcal.Lattice(truth.origin, truth.basis, truth.size, 9.0)
+    crops = StackedCrops.of(sqrt_luminance(truth.image()))
+    state, _ = cut_out_lenses(crops, WhiteModel(lattice, None), 1e5, 150, None)
+    state, _ = converge(state, (), passes=5)
+    discs = fit_two_discs(state.lenses, state.model.lattice)
+    assert discs is not None
+    return truth, choose_lens(discs)
+
+
+def test_radii_blur_and_shading_of_both_discs_are_measured(found):
+    truth, discs = found
+    radius = truth.fill * truth.pitch / 2
+    np.testing.assert_allclose(discs.radius, [radius, 1.05 * radius], atol=0.03)
+    np.testing.assert_allclose(discs.blur, 0.6, atol=0.02)
+    assert discs.growth[1] - discs.growth[0] == pytest.approx(-0.3 * radius, abs=0.03)
+    assert discs.shading[0] - discs.shading[1] > 0.05
+    assert discs.doubt is None
+
+
+def test_the_smaller_disc_is_the_lens_and_shading_decides_between_equal_ones(found):
+    discs = found[1]
+    assert choose_lens(discs.interchanged()).radius[0] == discs.radius[0]
+    equal = replace(discs, radius=np.full(2, discs.radius[0]))
+    assert choose_lens(equal.interchanged()).shading[0] == discs.shading[0]
+    assert choose_lens(equal).doubt is None
+
+
+def test_radii_and_shading_that_contradict_each_other_are_doubtful(found):
+    discs = found[1]
+    other = replace(discs, shading=discs.shading[::-1])
+    assert "shading is centred on" in choose_lens(other).doubt
+    assert choose_lens(other).radius[0] == discs.radius[0]
