@@ -152,5 +152,5 @@ def check_plausible(lattice: Lattice) -> None:
         )
     if bend is not None and not side / 100 < bend.reach < 100 * side:
         raise CameraFileError(
-            f"field lattice.distortion.reach: {bend.reach:.6g} px is not about half the diagonal of the flat; calibrate again"
+            f"field lattice.distortion.reach: {bend.reach:.6g} px is not about half the diagonal; calibrate again"
         )
