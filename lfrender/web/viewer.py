@@ -20,7 +20,7 @@ from lfcal.runtime.output_file import atomic_write
 from ..data.depth_map import DepthMap
 from .viewer_scene import viewer_scene
 
-__all__ = ["viewer_files", "write_viewer"]
+__all__ = ["viewer_files", "viewer_page", "write_viewer"]
 
 
 def viewer_files(
@@ -33,20 +33,32 @@ def viewer_files(
     for name, content in viewer_scene(flat, calibration, depth, title, **options):
         text = base64.b64encode(content).decode()
         yield f"data/{name}.js", f'lightFieldData("{name}", "{text}");\n'.encode()
+    yield "index.html", _page(title).encode()
+
+
+def viewer_page(flat: NDArray, calibration: Calibration, depth: DepthMap, title: str = "Light field") -> str:
+    """The viewer as one HTML page that holds everything; arguments as of `viewer_files`."""
+    scene = viewer_scene(flat, calibration, depth, title, compression=6)
+    return _page(title, {name: base64.b64encode(content).decode() for name, content in scene})
+
+
+def _page(title: str, data: dict[str, str] | None = None) -> str:
+    """The page, with the data files in it, or loading them from the folder `data`."""
     web = files(__package__) / "assets"
     # Modules are data URLs: browsers do not fetch files for a page that was opened from a disk.
     urls = {}
     for name in ("geometry", "scene", "renderer", "viewer"):
         script = base64.b64encode((web / f"{name}.js").read_bytes()).decode()
         urls[f"lfrender/{name}"] = f"data:text/javascript;base64,{script}"
-    page = Template((web / "viewer.html").read_text(encoding="utf-8")).substitute(
+    inside = f"<script>globalThis.lightFieldFiles = {json.dumps(data)};</script>" if data is not None else ""
+    return Template((web / "viewer.html").read_text(encoding="utf-8")).substitute(
         title=html.escape(title),
         style=(web / "viewer.css").read_text(encoding="utf-8"),
         shader=(web / "light_field.frag").read_text(encoding="utf-8"),
         prefilter=(web / "prefilter.frag").read_text(encoding="utf-8"),
         modules=json.dumps({"imports": urls}),
+        data=inside,
     )
-    yield "index.html", page.encode()
 
 
 def write_viewer(

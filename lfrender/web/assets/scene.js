@@ -1,11 +1,13 @@
 // The capture. Data files are scripts that call `lightFieldData` with their content in base64: browsers do not fetch files
 // for a page that was opened from a disk.
 
-const received = new Map();
+// A page of one file has them in itself.
+const received = new Map(Object.entries(globalThis.lightFieldFiles ?? {}));
 globalThis.lightFieldData = (name, text) => received.set(name, text);
 
 function readFile(name) {
   return new Promise((resolve, reject) => {
+    if (received.has(name)) return void resolve(received.get(name));
     const script = document.createElement("script");
     script.src = `data/${name}.js`;
     script.onload = () => {

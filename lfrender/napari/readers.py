@@ -1,0 +1,66 @@
+"""Files as layers of napari: flats, camera files and depth maps, all in scene coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from lfcal import CameraFileError, LightFieldError, load, read_flat
+from lfcal.runtime.image_formats import IMAGE_SUFFIXES
+from lfcal.runtime.video.raw_format import RAW_SUFFIX
+
+from ..data.depth_map import DepthMap
+from ..data.plots import napari_layers
+
+__all__ = ["clutter", "get_reader", "house"]
+
+_CAMERAS = (".json", ".cfg")
+Layer = tuple[Any, dict[str, Any], str]
+
+
+def get_reader(path: str | list[str]) -> Callable[[str], list[Layer]] | None:
+    """A function that reads the file as layers, None where lfrender does not read such files."""
+    first = Path(path if isinstance(path, str) else path[0])
+    suffix = first.suffix.lower()
+    if suffix in (*_CAMERAS, ".npz"):
+        # Other programs have such files too: those are left to them.
+        try:
+            _read(str(first))
+        except LightFieldError:
+            return None
+        return _read
+    return _read if suffix in {*IMAGE_SUFFIXES, RAW_SUFFIX, ".zarr"} else None
+
+
+def _read(path: str | list[str]) -> list[Layer]:
+    """Layers of one file, or of several."""
+    layers: list[Layer] = []
+    for one in [path] if isinstance(path, str) else path:
+        suffix = Path(one).suffix.lower()
+        if suffix in _CAMERAS:
+            try:
+                layers += napari_layers(calibration=load(one))
+            except RecursionError as error:
+                raise CameraFileError(f"{one}: is no camera file") from error
+        elif suffix == ".npz":
+            layers += napari_layers(depth=DepthMap.load(one))
+        else:
+            layers += napari_layers(flat=read_flat(one))
+    return layers
+
+
+def house() -> list[Layer]:
+    """The sample `house`: the flat, its true camera."""
+    from ..data import samples
+
+    sample = samples.house()
+    return napari_layers(flat=sample.flat, calibration=sample.truth.calibration)
+
+
+def clutter() -> list[Layer]:
+    """The sample `clutter`: the flat, its true camera."""
+    from ..data import samples
+
+    sample = samples.clutter()
+    return napari_layers(flat=sample.flat, calibration=sample.truth.calibration)

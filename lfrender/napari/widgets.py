@@ -1,0 +1,83 @@
+"""Functions that napari makes widgets of: calibrate, analyze, render; layers in, layers out, in scene coordinates.
+
+Annotations name napari's types without importing it: magicgui resolves them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from lfcal import Calibration, FlatError, load
+from lfcal import calibrate as find_camera
+
+from ..data.plots import napari_layers
+from ..depth.analyze import analyze as find_depth
+from ..flat.demosaicing import demosaic
+from ..rendering.render import render as draw
+
+if TYPE_CHECKING:
+    import napari.types
+    from numpy.typing import NDArray
+
+__all__ = ["analyze", "calibrate", "render"]
+
+
+def calibrate(
+    flat: napari.types.ImageData,
+    kind: Literal["auto", "white", "scene"] = "auto",
+    save_to: Path = Path(),
+) -> list[napari.types.LayerDataTuple]:
+    """The centres of the microimages as points; `save_to` is a camera file to write."""
+    camera = find_camera(_pixels(flat), kind=kind)
+    if save_to.suffix:
+        camera.save(save_to)
+    return napari_layers(calibration=camera)
+
+
+def analyze(
+    flat: napari.types.ImageData,
+    camera: Path = Path(),
+    preset: Literal["fast", "balanced", "accurate"] = "balanced",
+    save_to: Path = Path(),
+) -> list[napari.types.LayerDataTuple]:
+    """The magnification over the scene as an image; without a camera file the flat itself is calibrated."""
+    pixels, calibration = _prepare(flat, camera)
+    depth = find_depth(pixels, calibration, preset)
+    if save_to.suffix:
+        depth.save(save_to)
+    return napari_layers(depth=depth)
+
+
+def render(
+    flat: napari.types.ImageData,
+    camera: Path = Path(),
+    preset: Literal["fast", "balanced", "accurate"] = "balanced",
+    pixels_per_pitch: float = 0.0,
+) -> list[napari.types.LayerDataTuple]:
+    """The picture that is sharp everywhere, and its depth; with 0 pixels per pitch in full resolution."""
+    pixels, calibration = _prepare(flat, camera)
+    depth = find_depth(pixels, calibration, preset)
+    picture = draw(pixels, calibration, depth, scale=pixels_per_pitch or None)
+    return napari_layers(depth=depth, rendering=picture)
+
+
+def _pixels(flat: NDArray | None) -> NDArray:
+    if flat is None:
+        raise FlatError("choose a layer with a flat first")
+    pixels = np.asarray(flat)
+    if pixels.ndim == 3 and pixels.shape[2] == 4:
+        pixels = pixels[..., :3]
+    return np.ascontiguousarray(pixels)
+
+
+def _prepare(flat: NDArray | None, camera: Path) -> tuple[NDArray, Calibration]:
+    """The flat in colour, and its camera."""
+    pixels = _pixels(flat)
+    size = pixels.shape[1], pixels.shape[0]
+    calibration = load(camera, size) if camera.suffix else find_camera(pixels)
+    if calibration.mosaic is not None and pixels.ndim == 2:
+        pixels = demosaic(pixels, calibration)
+    return pixels, calibration

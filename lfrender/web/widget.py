@@ -1,0 +1,63 @@
+"""The viewer of `lfrender view` as a widget of notebooks (anywidget): the same page, with its settings as traits."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from typing import Any
+
+from numpy.typing import NDArray
+
+from lfcal import Calibration, LightFieldError
+
+from ..data.depth_map import DepthMap
+from .viewer import viewer_page
+
+__all__ = ["light_field_widget"]
+
+
+def light_field_widget(
+    flat: NDArray, calibration: Calibration, depth: DepthMap, *, title: str = "Light field", height: int = 520
+) -> Any:
+    """A light field in a notebook: click to focus, drag to look from aside.
+
+    Its traits are those of the picture and can be read, set, observed and linked: `mode` (`"focus"`, `"sharp"` or
+    `"tiles"`), `plane` (patch size in focus [px]), `aperture` (0.05 to 1), `viewpoint` (x, y [px]), `overlay` (0 to 1).
+
+    Parameters
+    ----------
+    flat : (H, W) or (H, W, C) array
+    calibration : Calibration
+    depth : DepthMap
+        Of this flat.
+    title : str
+    height : int
+        Of the widget [CSS px].
+
+    Returns
+    -------
+    anywidget.AnyWidget
+
+    Raises
+    ------
+    LightFieldError
+        If the package `anywidget` is not installed; as `viewer_page`.
+    """
+    try:
+        import anywidget
+        import traitlets
+    except ImportError as error:
+        raise LightFieldError("the widget needs the package 'anywidget'; pip install 'lfrender[notebook]'") from error
+
+    class LightField(anywidget.AnyWidget):  # type: ignore[misc, name-defined]
+        """The viewer of a light field."""
+
+        _esm = (files(__package__) / "assets" / "widget.js").read_text(encoding="utf-8")
+        page = traitlets.Unicode().tag(sync=True)
+        height = traitlets.Int(520).tag(sync=True)
+        mode = traitlets.Enum(["focus", "sharp", "tiles"], "focus").tag(sync=True)
+        plane = traitlets.Float(None, allow_none=True).tag(sync=True)
+        aperture = traitlets.Float(1.0, min=0.05, max=1.0).tag(sync=True)
+        overlay = traitlets.Float(0.0, min=0.0, max=1.0).tag(sync=True)
+        viewpoint = traitlets.List(traitlets.Float(), [0.0, 0.0], minlen=2, maxlen=2).tag(sync=True)
+
+    return LightField(page=viewer_page(flat, calibration, depth, title), height=height)
