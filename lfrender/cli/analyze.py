@@ -45,6 +45,7 @@ __all__ = ["analyze"]
     help="Focal length and distances [mm] of the camera: distances in metres, the point cloud too. By default those "
     "of the camera file, if 'lfcal metric' has measured them.",
 )
+@click.option("--metres", is_flag=True, help="Write --dense as distances in front of the main lens [m].")
 @click.option("--roi", type=float, nargs=4, metavar="X0 Y0 X1 Y1", help="Only lenses with their centre in here [px].")
 @click.option("--exhaustive", is_flag=True, help="Take no shortcuts: match every lens at every shift.")
 @cluster_options
@@ -55,6 +56,7 @@ def analyze(
     picture: Path | None,
     ply: Path | None,
     optics_file: Path | None,
+    metres: bool,
     roi: tuple[float, float, float, float] | None,
     exhaustive: bool,
     workers: int | None,
@@ -86,9 +88,11 @@ def analyze(
         with option_errors(roi):
             depth = capture.analyze(pixels, calibration, skip=not exhaustive, roi=roi)
     optics = optics or calibration.optics
+    if metres and optics is None:
+        raise click.UsageError("--metres needs optics: a camera file made by 'lfcal metric', or --optics")
     with report.stage("write"):
         depth.save(output)
-        _write_depth(depth, pixels, calibration, dense, picture, ply, optics)
+        _write_depth(depth, pixels, calibration, dense, picture, ply, optics, metres)
     report.finish({"depth": str(output), **capture_figures(calibration, depth, optics)})
 
 
@@ -100,12 +104,14 @@ def _write_depth(
     picture: Path | None,
     ply: Path | None,
     optics: Optics | None,
+    metres: bool,
 ) -> None:
     """Write the further forms of a depth map whose paths are given."""
     if dense:
-        from ..data.dense_depth import dense_depth, write_dense
+        from ..data.dense_depth import dense_depth, dense_distance, write_dense
 
-        write_dense(dense, dense_depth(depth))
+        grid = dense_depth(depth)
+        write_dense(dense, grid, dense_distance(grid, optics) if metres and optics is not None else None)
     if picture:
         from ..output.depth_picture import depth_picture
         from ..output.picture import write_picture

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import OutputError
+from lfcal import Optics, OutputError
 from lfcal.runtime.output_file import atomic_write, check_output
 
 from .depth_map import DepthMap, default_scale
 from .rendering import check_scale
 from .surface import sample_surface
 
-__all__ = ["DENSE_FORMATS", "DenseDepth", "dense_depth", "write_dense"]
+__all__ = ["DENSE_FORMATS", "DenseDepth", "dense_depth", "dense_distance", "write_dense"]
 
 DENSE_FORMATS = (".tif", ".tiff", ".pfm", ".exr")
 
@@ -67,8 +67,18 @@ def dense_depth(depth: DepthMap, scale: float | None = None) -> DenseDepth:
     return DenseDepth(out, np.array([[spacing, 0.0, first], [0.0, spacing, first]]), pitch)
 
 
-def write_dense(path: str | os.PathLike[str], dense: DenseDepth) -> None:
+def dense_distance(dense: DenseDepth, optics: Optics) -> NDArray[np.float32]:
+    """(h, w) float32 [m]: distance in front of the main lens at every pixel; NaN where nothing can be imaged there."""
+    height, width = dense.patch_size.shape
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    points = np.stack([u, v, np.ones_like(u)], axis=-1) @ dense.affine.T
+    return optics.distance(dense.patch_size / dense.pitch, points).astype(np.float32)
+
+
+def write_dense(path: str | os.PathLike[str], dense: DenseDepth, distance: NDArray[np.float32] | None = None) -> None:
     """Write the patch sizes [px] as 32-bit TIFF or OpenEXR, with the affine as JSON, or as PFM; whole or not at all.
+
+    With `distance`, as `dense_distance` makes it, that is written in their place.
 
     Raises
     ------
@@ -79,16 +89,17 @@ def write_dense(path: str | os.PathLike[str], dense: DenseDepth) -> None:
     check_output(path, set(DENSE_FORMATS))
     if path.suffix.lower() == ".exr" and find_spec("OpenEXR") is None:
         raise OutputError(f"{path}: .exr files need the package 'OpenEXR'; pip install 'lfrender[exr]'")
+    values = dense.patch_size if distance is None else distance
     with atomic_write(path) as temporary:
         if path.suffix.lower() == ".pfm":
-            height, width = dense.patch_size.shape
+            height, width = values.shape
             # Rows from the bottom up; the negative scale says little-endian.
-            rows = np.ascontiguousarray(dense.patch_size[::-1], "<f4")
+            rows = np.ascontiguousarray(values[::-1], "<f4")
             Path(temporary).write_bytes(f"Pf\n{width} {height}\n-1.0\n".encode() + rows.tobytes())
             return
         about = {
             "software": "lfrender",
-            "content": "signed patch size [px]",
+            "content": "signed patch size [px]" if distance is None else "distance in front of the main lens [m]",
             "pitch": dense.pitch,
             "affine": dense.affine.tolist(),
         }
@@ -98,9 +109,9 @@ def write_dense(path: str | os.PathLike[str], dense: DenseDepth) -> None:
             header = {
                 "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "comments": json.dumps(about),
             }  # fmt: skip
-            with OpenEXR.File(header, {"Y": np.ascontiguousarray(dense.patch_size)}) as file:
+            with OpenEXR.File(header, {"Y": np.ascontiguousarray(values)}) as file:
                 file.write(str(temporary))
             return
         import tifffile
 
-        tifffile.imwrite(temporary, dense.patch_size, description=json.dumps(about), metadata=None)
+        tifffile.imwrite(temporary, values, description=json.dumps(about), metadata=None)

@@ -176,6 +176,12 @@ def _figures(calibration: Calibration, depth: DepthMap, pictures: ReportPictures
         "calibration confidence": f"{calibration.confidence:.2f}",
         "pixels per microlens pitch": f"{pictures.sharp.scale:.1f}",
     }
+    if calibration.optics is not None:
+        away = depth.distance(calibration)
+        errors = depth.distance_error(calibration)
+        seen, sure = away[np.isfinite(away)], errors[np.isfinite(errors)]
+        if seen.size and sure.size:
+            figures["distance, median"] = f"{np.median(seen):.3g} m, each to {np.median(sure):.2g} m"
     if seconds:
         figures["time"] = f"{sum(seconds.values()):.1f} s"
     return cards(figures)

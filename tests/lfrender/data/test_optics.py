@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import tifffile
 
 import lfrender
 from data_synth import Camera, simulate
 from data_synth.scenes import plane
-from lfcal import CameraFileError
-from lfrender import Optics
+from lfcal import CalibrationError, CameraFileError
+from lfrender import DepthMap, Optics
+from lfrender.data.dense_depth import DenseDepth, dense_distance, write_dense
+from lfrender.data.surface import Surface
 from lfrender.output.point_cloud import point_cloud, write_points
 
 CAMERA = Camera.design(size=(420, 340), pitch=23.2, rotation=2.0)
@@ -63,3 +67,39 @@ def test_optics_are_kept_in_a_file_and_wrong_ones_refused(tmp_path):
         Optics.load(tmp_path / "none.json")
     with pytest.raises(ValueError, match="pixel"):
         Optics(50, 58, 0.7, -1)
+
+
+def test_distances_of_a_tilted_camera_have_errors_of_its_calibration():
+    calibration = CAMERA.calibration()
+    plain = optics_of(CAMERA)
+    covariance = np.zeros((14, 14))
+    covariance[0, 0], covariance[10, 10] = 0.02**2, 0.0005**2
+    tilted = replace(plain, principal_point=CAMERA.principal_point, tilt=(0.003, 0.0), covariance=covariance)
+    n = len(calibration.lattice)
+    surface = Surface(np.full((3, 3), -5, np.float32), (0.0, 0.0), 200.0)
+    size, error = np.full(n, -0.3 * CAMERA.pitch), np.full(n, 0.05)
+    depth = DepthMap(size, error, np.ones(n), size, surface, CAMERA.pitch, CAMERA.lattice.image_size)
+    camera = replace(calibration, optics=tilted)
+    away, stated = depth.distance(camera), depth.distance_error(camera)
+    y = calibration.lattice.centres()[:, 1]
+    # The lower part of a flat that lies farther back shows, with the same patch size, what is nearer or farther.
+    assert abs(np.corrcoef(y, away)[0, 1]) > 0.999
+    np.testing.assert_allclose(np.median(away), np.median(depth.distance(plain)), rtol=2e-3)
+    # By differences: of s, of F and of the tilt.
+    parts = [depth.distance(replace(camera, optics=replace(tilted, focal_length=tilted.focal_length + 0.01))) - away]
+    parts[0] *= 2
+    parts.append(5 * (depth.distance(replace(camera, optics=replace(tilted, tilt=(0.0031, 0.0)))) - away))
+    parts.append(tilted.distance((size + 0.05) / CAMERA.pitch, calibration.lattice.centres()) - away)
+    np.testing.assert_allclose(stated, np.sqrt(sum(part**2 for part in parts)), rtol=0.02)
+    with pytest.raises(CalibrationError, match="lfcal metric"):
+        depth.distance(calibration)
+
+
+def test_dense_depth_is_written_in_metres(tmp_path):
+    dense = DenseDepth(
+        np.full((4, 5), -0.3 * CAMERA.pitch, np.float32), np.array([[2.0, 0, 0], [0, 2.0, 0]]), CAMERA.pitch
+    )
+    distance = dense_distance(dense, optics_of(CAMERA))
+    np.testing.assert_allclose(distance, CAMERA.depth_at(-0.3) / 1000, rtol=1e-6)
+    write_dense(tmp_path / "depth.tif", dense, distance)
+    assert "[m]" in tifffile.TiffFile(tmp_path / "depth.tif").pages[0].description
