@@ -1,8 +1,9 @@
 """Captures saved in other ways: `python -m benchmarks.saved_forms FLAT...`.
 
 Each colour flat of 8 bits is calibrated and analysed as it is, and with other gammas, darker, noisy, gray, smaller,
-turned, mirrored and compressed. Printed are how far the centres of each form lie from those of the flat as it is, and
-the share of the textured lenses in the mode that most lenses of the flat as it is have, or why a form was refused.
+turned, mirrored, compressed, and in 16 bits with a sixteenth and a sixtieth of the light. Printed are how far the
+centres of each form lie from those of the flat as it is, the share of the textured lenses in the mode that most lenses
+of the flat as it is have, and the resolved lenses over those of the flat as it is, or why a form was refused.
 """
 
 from __future__ import annotations
@@ -46,10 +47,15 @@ def _compressed(quality: int) -> _Form:
     return form
 
 
+def _dim(divisor: int) -> _Form:
+    return lambda flat: np.rint(flat * (257.0 / divisor)).astype(np.uint16)
+
+
 _FORMS: dict[str, tuple[_Form, _Places]] = {
     "as it is": (np.asarray, _as_it_is),
     **{f"gamma {gamma}": (_with_gamma(gamma), _as_it_is) for gamma in (0.7, 1.4, 1.8, 2.2)},
     "floats": (lambda flat: (flat / 255).astype(np.float32), _as_it_is),
+    **{f"16 bits, 1/{divisor} of light": (_dim(divisor), _as_it_is) for divisor in (16, 60)},
     "half as bright": (lambda flat: flat // 2, _as_it_is),
     "noise of 4 levels": (_noisy, _as_it_is),
     "gray": (lambda flat: cv2.cvtColor(flat, cv2.COLOR_RGB2GRAY), _as_it_is),
@@ -77,9 +83,9 @@ def main(paths: list[str]) -> None:
     for path in paths:
         flat = lfcal.read_flat(path)
         height, width = flat.shape[:2]
-        centres, usual = np.empty((0, 2)), 0
+        centres, usual, resolved = np.empty((0, 2)), 0, 1.0
         for name, (form, places) in _FORMS.items():
-            saved, head = form(flat), f"{path.split('/')[-1]:26} {name:18}"
+            saved, head = form(flat), f"{path.split('/')[-1]:26} {name:22}"
             try:
                 camera = lfcal.calibrate(saved)
                 depth = lfrender.analyze(saved, camera)
@@ -87,13 +93,15 @@ def main(paths: list[str]) -> None:
                 print(f"{head} refused: {error}", flush=True)
                 continue
             if not len(centres):
+                resolved = float(np.isfinite(depth.patch_size).mean())
                 centres, usual = camera.lattice.centres(), int(np.sign(np.nanmedian(depth.patch_size)))
             matrix = np.array(places(width, height))
             there, textured = centres @ matrix[:, :2].T + matrix[:, 2], depth.reason != 1
             print(
                 f"{head} pitch {camera.lattice.pitch:.3f} px, centres off by {_off(camera.lattice, there):.4f} pitches;"
                 f" {100 * (depth.mode == usual)[textured].mean():.2f} % of the textured lenses in the mode of the flat"
-                f" as it is, {100 * (depth.mode == -usual)[textured].mean():.2f} % in the other",
+                f" as it is, {100 * (depth.mode == -usual)[textured].mean():.2f} % in the other;"
+                f" {100 * np.isfinite(depth.patch_size).mean() / resolved:.1f} % of its resolved lenses",
                 flush=True,
             )
 

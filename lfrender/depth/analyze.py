@@ -12,7 +12,7 @@ from lfcal import Calibration
 from ..data.depth_map import DepthMap
 from ..data.flat_samples import sample_flat
 from ..data.region import check_region, crop_flat, embed_region, rescale_depth, select_lenses
-from ..flat.validation import check_flat
+from ..flat.validation import check_flat, exposure_rows, match_exposure
 from .incremental import update_depth
 from .matching.shortcuts import Shortcuts
 from .pipeline import estimate_depth_map, prepare_flat
@@ -87,6 +87,7 @@ def analyze(
         raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
     shortcuts = Shortcuts.of(skip)
     flat = check_flat(flat, calibration)
+    calibration = match_exposure(flat[exposure_rows(len(flat))], calibration)
     lattice = calibration.lattice
     inside = None if roi is None else select_lenses(check_region(roi, lattice), lattice)
     if previous is not None and shortcuts.still:

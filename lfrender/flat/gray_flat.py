@@ -75,9 +75,12 @@ def has_uneven_lenses(calibration: Calibration) -> bool:
 
 
 def white_level(flat: NDArray, calibration: Calibration) -> float:
-    """Value of the brightest pixel that flats of the camera, or pictures rendered from them, can have: 1 for floats."""
+    """Value of the brightest pixel that flats of the camera, or pictures rendered from them, can have.
+
+    1 for floats, less where they are dim (`match_exposure`).
+    """
     if flat.dtype.kind not in "ui":
-        return 1.0
+        return min(1.0, calibration.white_level or 1.0)
     highest = float(np.iinfo(flat.dtype).max)
     return highest if calibration.white_level is None else min(highest, calibration.white_level)
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration, CalibrationError, FlatError
 
-__all__ = ["check_flat"]
+from ..runtime.cache import cached
+from .settings import GRAY, GrayFlatSettings
+
+__all__ = ["check_flat", "exposure_rows", "match_exposure"]
 
 # Largest float of a flat, where white is 1: noise and gain reach above white, but not beyond this. Set by hand.
 _BRIGHTEST = 16.0
@@ -55,3 +60,37 @@ def _check_floats(array: NDArray) -> None:
             f"flat holds floats up to {array.max():.4g}, but floats are 1 at white; divide it by the largest value of "
             "its sensor, such as 255 or 4095"
         )
+
+
+def exposure_rows(height: int, settings: GrayFlatSettings = GRAY) -> NDArray[np.int64]:
+    """Rows (n,) of a flat from which its exposure is measured."""
+    count = settings.exposure_rows
+    return np.unique((np.arange(count) + 0.5) / count * height).astype(np.int64)
+
+
+def match_exposure(rows: NDArray, calibration: Calibration, settings: GrayFlatSettings = GRAY) -> Calibration:
+    """The camera with a white level that a dim flat comes near to; the camera as it is for others.
+
+    Noise, texture and tolerances are then measured against the light of the flat, not against that of the type. The
+    white level is lowered by powers of two, so that the frames of a sequence have the same. Flats of 8 bits are never
+    dim: their steps are what limits them.
+
+    Parameters
+    ----------
+    rows : (n, W, C) or (n, W) array
+        Those of `exposure_rows`.
+    calibration : Calibration
+    """
+    if rows.dtype == np.uint8 or rows.size == 0:
+        return calibration
+    highest = 1.0 if rows.dtype.kind == "f" else float(np.iinfo(rows.dtype).max)
+    white = min(highest, calibration.white_level or highest)
+    gray = rows if rows.ndim == 2 else rows.mean(-1)
+    top = max(float(np.quantile(gray, settings.bright)), 1e-6 * white)
+    if rows.dtype.kind != "f":
+        top = max(top, settings.least_steps / settings.headroom)
+    power = int(np.floor(np.log2(white / (settings.headroom * top)))) if white > settings.headroom * top else 0
+    if power < settings.dim:
+        return calibration
+    level = white / 2**power
+    return cached(calibration, ("white level", level), lambda: replace(calibration, white_level=level))

@@ -37,6 +37,7 @@ from ..flat.gray_flat import GrayFlat, make_gray_flat
 from ..flat.gray_flat import has_uneven_lenses as uneven_lenses
 from ..flat.lens_graph import lens_grid, neighbour_rows, opposite_neighbours
 from ..flat.texture import classify_texture, estimate_noise, find_texture, sample_statistics
+from ..flat.validation import match_exposure
 from .settings import DEFAULT, LargeSettings
 from .tiles import LensTile, TileReader, lens_tiles, lens_windows
 from .workers import Workers, choose_workers
@@ -91,6 +92,7 @@ def analyze_large(
         raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
     shortcuts = Shortcuts.of(skip)
     reader = TileReader(source, calibration)
+    calibration = match_exposure(reader.sample_exposure(), calibration)
     workers = choose_workers(reader, client, threads, tuning)
     flat = FlatContext(calibration, preset, shortcuts)
     pixel_bytes = reader.channels * source.dtype.itemsize

@@ -18,6 +18,7 @@ from lfcal import Calibration, FlatSource
 
 from ..data.depth_map import DepthMap
 from ..data.rendering import Rendering
+from ..flat.validation import match_exposure
 from ..output.formats import FORMATS, PictureError, check_package
 from ..output.metadata import read_metadata
 from ..output.picture import check_picture, describe, with_alpha, write_picture
@@ -114,7 +115,8 @@ def render_large(
     if depth is None and patch_size is None:
         raise ValueError("give depth (analyze_large makes it) or patch_size")
     check_large_picture(output, source.dtype, alpha)
-    drawing = make_plan(reader.read, calibration, depth, patch_size, scale, blend)
+    exposed = match_exposure(reader.sample_exposure(), calibration)
+    drawing = make_plan(reader.read, exposed, depth, patch_size, scale, blend)
     workers = choose_workers(reader, client, threads, tuning)
     side = _tile_size(drawing, reader, tile, 1 if client is None else tuning.tiles_per_thread * workers.count, tuning)
     text = describe(Rendering(np.empty(0), drawing.affine, np.empty(0, bool), drawing.scale), settings)

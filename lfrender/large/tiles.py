@@ -20,6 +20,7 @@ from ..data.region import crop_lattice
 from ..depth.presets import Preset
 from ..depth.surface.scene_grid import grid_shape
 from ..flat.demosaicing import SUPPORT, demosaic
+from ..flat.validation import exposure_rows
 from .settings import DEFAULT, LargeSettings
 
 __all__ = ["LensTile", "Rectangle", "TileReader", "lens_tiles", "lens_windows"]
@@ -72,6 +73,11 @@ class TileReader:
             max(0, left - SUPPORT) // 2 * 2, max(0, top - SUPPORT) // 2 * 2, min(width, right + SUPPORT),
             min(height, bottom + SUPPORT),
         )  # fmt: skip
+
+    def sample_exposure(self) -> NDArray[Any]:
+        """Rows (n, W, C) of the flat from which its exposure is measured."""
+        width, height = self.calibration.image_size
+        return np.concatenate([self.read((0, row, width, row + 1)) for row in exposure_rows(height).tolist()])
 
     def _demosaic(self, part: Rectangle, raw: NDArray[Any]) -> NDArray[Any]:
         # Not done in the thread that reads ahead: kernels with several threads must not run beside each other.

@@ -15,7 +15,7 @@ from ..data.region import check_region
 from ..data.rendering import Rendering, check_patch_size, check_scale
 from ..depth.analyze import analyze
 from ..flat.lens_blur import measure_lens_blur
-from ..flat.validation import check_flat
+from ..flat.validation import check_flat, exposure_rows, match_exposure
 from .plan import Part, RenderPlan, constant_surface, finish_picture
 from .settings import DEFAULT, RenderSettings
 
@@ -105,7 +105,8 @@ def render(
     def look(part: Part) -> NDArray:
         return pixels[part[1] : part[3], part[0] : part[2]]
 
-    plan = make_plan(look, calibration, depth, patch_size, scale, blend)
+    exposed = match_exposure(pixels[exposure_rows(len(pixels))], calibration)
+    plan = make_plan(look, exposed, depth, patch_size, scale, blend)
     part = (0, 0, *plan.size) if roi is None else plan.part_of_region(roi)
     if previous is None:
         image, valid = plan.draw(pixels, part=part, stored=sharpen is None)

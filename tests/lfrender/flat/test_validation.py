@@ -1,0 +1,37 @@
+"""Flats as kernels read them: dim ones are measured against their own light."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lfcal import Calibration, Lattice
+from lfrender import analyze
+from lfrender.flat.validation import exposure_rows, match_exposure
+
+_CAMERA = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (300, 240), 9.5))
+
+
+def _plane():
+    """A plane with a patch size of 6 px (docs/geometry.md), bright floats."""
+    y, x = np.mgrid[:240, :300]
+    u, v = (10 + p // 20 * 20 - (p % 20 - 10) * 20 / 6 for p in (x, y))
+    return 0.5 + 0.2 * np.sin(u / 7 + 2 * np.sin(v / 31)) + 0.2 * np.sin(v / 8 + 3 * np.sin(u / 43))
+
+
+def test_dim_flat_of_16_bits_resolves_what_the_bright_one_does():
+    bright = analyze(_plane().astype(np.float32), _CAMERA, "fast")
+    dim = analyze(np.rint(_plane() * 65535 / 60).astype(np.uint16), _CAMERA, "fast")
+    assert np.isfinite(bright.patch_size).mean() > 0.9
+    assert np.isfinite(dim.patch_size).sum() >= 0.95 * np.isfinite(bright.patch_size).sum()
+    np.testing.assert_allclose(np.nanmedian(dim.patch_size), 6, atol=0.05)
+
+
+def test_white_level_is_lowered_by_powers_of_two_for_dim_flats_alone():
+    rows = np.full((4, 300, 3), 30000, np.uint16)
+    assert match_exposure(rows, _CAMERA) is _CAMERA
+    assert match_exposure(rows // 60, _CAMERA).white_level == 65536 / 2**6 - 1 / 64
+    assert match_exposure(np.full((4, 300), 0.01, np.float32), _CAMERA).white_level == 1 / 64
+    assert match_exposure(np.full((4, 300), 3, np.uint8), _CAMERA) is _CAMERA
+    # Fewer steps up to white than those of 8 bits would be rounding alone.
+    assert match_exposure(np.full((4, 300), 3, np.uint16), _CAMERA).white_level >= 255
+    assert exposure_rows(240).max() < 240
