@@ -144,7 +144,7 @@ def _simulate(lattice: str, focus: Any, size: tuple[int, int], channels: int = 3
     capture = simulate(SCENES["house"](camera), camera, samples=8, seed=4)
 
     def convert(pixels: Any) -> Any:
-        if channels == 1:
+        if channels == 1 and pixels.ndim == 3:
             pixels = np.rint(pixels.mean(2)).astype(np.uint8)
         return pixels.astype(np.uint16) * 257 if bits == 16 else pixels
 
@@ -193,26 +193,17 @@ def _record() -> None:
                 depth = lfrender.analyze(capture.flat, camera, preset)
         with stage(f"render{end}"):
             draw_pictures(capture.flat, camera, depth)
-    if _CAPTURES.exists():
-        # Real captures have noise and lens types of their own.
-        for kind, name in (("", "Fujita2.png"),):
-            flat = lfcal.read_flat(_CAPTURES / name)
-            with stage(f"calibrate, capture{kind}"):
+        if not kind and _CAPTURES.exists():
+            # A real capture has noise and three types of lenses.
+            flat = lfcal.read_flat(_CAPTURES / "Fujita2.png")
+            with stage("calibrate"):
                 camera = lfcal.calibrate(flat)
-            with stage(f"analyze, capture{kind}"):
+            with stage("analyze"):
                 depth = lfrender.analyze(flat, camera)
-            with stage(f"render, capture{kind}"):
+            with stage("render"):
                 lfrender.render(flat, camera, depth)
-    # What captures need beyond the simulated flats belongs to the first run too.
-    for name in ("calibrate", "analyze", "render"):
-        stages[name] += stages.pop(f"{name}, capture", [])
-    write_signatures(
-        {
-            name: [entry for _, entry in sorted(found, key=lambda item: -item[0])]
-            for name, found in stages.items()
-            if found
-        }
-    )
+        ranked = {name: sorted(found, key=lambda item: -item[0]) for name, found in stages.items() if found}
+        write_signatures({name: [entry for _, entry in found] for name, found in ranked.items()})
 
 
 def main() -> None:

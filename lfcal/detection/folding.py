@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..runtime.kernels.jit import njit
@@ -43,12 +42,17 @@ def compute_cell_bins(u, v, step_u, step_v, bins, begin, count, out):
             out[begun + np.uint64(lane)] = np.uint32(row * many) + column
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _fold(first, second, inverse, side, columns, bins, tiles, totals, count):
+@njit(
+    cache=True,
+    nogil=True,
+    share=lambda first, second, inverse, side, columns, bins, tiles, *_: len(tiles),
+    error_model="numpy",
+)
+def _fold(begin, end, first, second, inverse, side, columns, bins, tiles, totals, count):
     """Fill the `totals` (2, t, bins * bins) of both pictures, and the `count` (t, bins * bins) of pixels."""
     height, width = first.shape
     one = np.float32(1)
-    for place in prange(len(tiles)):
+    for place in range(begin, end):
         tile = tiles[place]
         y0, x0 = (tile // columns) * side, (tile % columns) * side
         across = max(min(side, width - x0), 0)

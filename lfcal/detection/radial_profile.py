@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.cell import cell_inradius, cell_normals, is_outside_cell
@@ -26,11 +25,11 @@ __all__ = ["RadialProfile", "fit_lattice", "measure_radial_profile"]
 _CHUNKS = 64
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _accumulate_profile(picture, centres, faces, inner, reach, step, chunks, total, square, count):
+@njit(cache=True, nogil=True, share=lambda picture, centres, faces, inner, reach, step, chunks, *_: chunks)
+def _accumulate_profile(begin, end, picture, centres, faces, inner, reach, step, chunks, total, square, count):
     """Sums over the distance to the centre; chunks of fixed size, so that the number of threads changes no bit."""
     lenses = centres.shape[0]
-    for chunk in prange(chunks):
+    for chunk in range(begin, end):
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0], centres[lens, 1]
             for y in range(int(np.ceil(cy - reach)), int(np.floor(cy + reach)) + 1):
@@ -53,12 +52,12 @@ def _accumulate_profile(picture, centres, faces, inner, reach, step, chunks, tot
                     count[chunk, ring + 1] += part
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, share=lambda picture, centres, *_: len(centres))
 def _accumulate_equations(
-    picture, centres, faces, inner, first, reach, step, level, slope, weight, cutoff, normal, right
+    begin, end, picture, centres, faces, inner, first, reach, step, level, slope, weight, cutoff, normal, right
 ):
     """Normal equations of the shift of each lens, from the ring between `first` and `reach`."""
-    for lens in prange(centres.shape[0]):
+    for lens in range(begin, end):
         cx, cy = centres[lens, 0], centres[lens, 1]
         xx = xy = yy = bx = by = 0.0
         for y in range(int(np.ceil(cy - reach)), int(np.floor(cy + reach)) + 1):

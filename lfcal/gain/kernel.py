@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import prange
 
 from ..runtime.kernels.jit import njit
 from .settings import KERNEL
@@ -78,14 +77,12 @@ def evaluate_level(cx, cy, field, level, powers):
     return math.exp(total + other)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def evaluate_levels(centres, field, level, out):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda centres, *_: len(centres))
+def evaluate_levels(begin, end, centres, field, level, out):
     """`evaluate_level` at places (n, 2)."""
-    places, block_size = centres.shape[0], KERNEL.lens_block
-    for block in prange((places + block_size - 1) // block_size):
-        powers = np.empty(64)
-        for n in range(block * block_size, min((block + 1) * block_size, places)):
-            out[n] = evaluate_level(centres[n, 0], centres[n, 1], field, level, powers)
+    powers = np.empty(64)
+    for n in range(begin, end):
+        out[n] = evaluate_level(centres[n, 0], centres[n, 1], field, level, powers)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -124,10 +121,10 @@ def relative_light(dx, dy, lens, profile, step, cut):
     return value, stretched, through
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def flatten_rows(flat, gain, out, highest):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda flat, gain, out, *_: len(out))
+def flatten_rows(begin, end, flat, gain, out, highest):
     """`flat` (h, w, c) divided by `gain` (h, w) where that is not NaN; rounded and clipped at `highest` if above 0."""
-    for y in prange(out.shape[0]):
+    for y in range(begin, end):
         for x in range(out.shape[1]):
             g = gain[y, x]
             for k in range(out.shape[2]):

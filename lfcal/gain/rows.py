@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
@@ -118,26 +117,25 @@ def _load_lens(a, b, tables, level, shape, keys, powers, lenses, lens):
     return lenses[slot, -1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def fill_gain(out, top, left, tables, level, shape):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda out, *_: len(out))
+def fill_gain(begin, end, out, top, left, tables, level, shape):
     """Write the gain of the rows from `top` and the columns from `left` on into `out`; NaN where a lens has too little
     light."""
-    rows, right = out.shape[0], left + out.shape[1]
+    right = left + out.shape[1]
     centres, starts, ahead = tables.centres, tables.starts, tables.ahead
     profile, step, cut, size = shape.profile, shape.step, shape.cut, RIM_START + shape.rim.shape[0]
-    for block in prange((rows + KERNEL.row_block - 1) // KERNEL.row_block):
-        keys, powers, lens = np.full(KERNEL.slots, -1), np.empty(64), np.empty(size)
-        lenses = np.empty((KERNEL.slots, size + 1))
-        for row in range(block * KERNEL.row_block, min((block + 1) * KERNEL.row_block, rows)):
-            y = top + row
-            a, b = _find_first_lens(y, starts[y, 0], starts[y, 1], centres)
-            x = 0
-            while x < right:
-                stop, p, q = _find_next_lens(y, a, b, right, centres, ahead)
-                if stop > left:
-                    bright = _load_lens(a, b, tables, level, shape, keys, powers, lenses, lens)
-                    cx, cy = centres[b, a, 0], centres[b, a, 1]
-                    for at in range(max(x, left), stop):
-                        value = relative_light(at - cx, y - cy, lens, profile, step, cut)[0] if bright > 0 else 0.0
-                        out[row, at - left] = value * bright if value >= KERNEL.least_light else np.nan
-                x, a, b = max(x, stop), p, q
+    keys, powers, lens = np.full(KERNEL.slots, -1), np.empty(64), np.empty(size)
+    lenses = np.empty((KERNEL.slots, size + 1))
+    for row in range(begin, end):
+        y = top + row
+        a, b = _find_first_lens(y, starts[y, 0], starts[y, 1], centres)
+        x = 0
+        while x < right:
+            stop, p, q = _find_next_lens(y, a, b, right, centres, ahead)
+            if stop > left:
+                bright = _load_lens(a, b, tables, level, shape, keys, powers, lenses, lens)
+                cx, cy = centres[b, a, 0], centres[b, a, 1]
+                for at in range(max(x, left), stop):
+                    value = relative_light(at - cx, y - cy, lens, profile, step, cut)[0] if bright > 0 else 0.0
+                    out[row, at - left] = value * bright if value >= KERNEL.least_light else np.nan
+            x, a, b = max(x, stop), p, q

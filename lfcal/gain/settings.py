@@ -25,8 +25,6 @@ class KernelSettings(NamedTuple):
     edge_steps: int = 32  # per standard deviation in the table of that edge; error below 1e-4 of the light
     directions: int = 32  # in which the usable radius and the mean over directions are evaluated
     same_column: float = 1e-9  # [px] lenses nearer in x lie above each other and do not follow each other in a row
-    lens_block: int = 256  # [lenses] that share working memory
-    row_block: int = 64  # [rows] that share a cache of lens shapes
     slots: int = 2048  # of that cache: enough for a row of lenses and the next one
     slot_step: int = 701  # [slots] between lenses above each other; a prime, so that the cache fills evenly
 

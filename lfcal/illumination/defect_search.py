@@ -10,7 +10,7 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import get_num_threads, prange
+from numba import get_num_threads
 from numpy.typing import NDArray
 
 from ..gain.defects import Defects
@@ -111,15 +111,13 @@ def _code_residuals(tone, count, light, ring, over, sharp, certainty, out):
         out[k] = byte if abs(value) <= limit else 255 if value > limit else 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _compute_residuals(picture, certainty, windows, chunks, tables, level, shape, out):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: given[3])
+def _compute_residuals(begin, end, picture, certainty, windows, chunks, tables, level, shape, out):
     """Residuals of all pixels as bytes (`_code_residuals`), with `certainty` (k,) = 1 / spread over the distance."""
     height, width = picture.shape
     centres, lens_gain, sides, room = tables.centres, tables.lens_gain, tables.sides, DEFECT_KERNEL.room
     certainty_32, profile_tables = certainty[:-1].astype(np.float32), make_profile_tables(shape.profile)
-    for y in prange(height):
-        out[y] = DEFECT_KERNEL.zero
-    for chunk in prange(chunks):
+    for chunk in range(begin, end):
         powers, lens, faces = np.empty(64), np.empty(RIM_START + shape.rim.shape[0]), np.empty((6, 2))
         pixels, rows = np.empty((3, room + width), np.float32), np.empty((room, 3), np.int64)
         coded, ring = np.empty(room + width, np.uint8), np.empty(room + width, np.int32)
@@ -207,7 +205,7 @@ def find_defects(
     # More than can be defects are counted, but not kept.
     found, number, most = [], 0, settings.largest_share * width * height
     margin = settings.large_square // 2
-    coded = np.empty((height, width), np.uint8)
+    coded = np.full((height, width), DEFECT_KERNEL.zero, np.uint8)
     tables = make_row_tables(lattice, gain.lens_gain)
     shape = gain.shape(lattice)
     _compute_residuals(picture, 1 / fit.spread, fit.windows, settings.chunks, tables, level, shape, coded)

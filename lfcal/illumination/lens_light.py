@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap, count_terms, field_frame
@@ -149,50 +148,49 @@ def _sum_pixels(pixels, count, shape, sums):
     sums[5], sums[6], sums[7], sums[8], sums[9] = mr, mrr, bright, most, more
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _measure_lenses(picture, top, chosen, centres, grid, noise, shape, out):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda picture, top, chosen, *_: len(chosen))
+def _measure_lenses(begin, end, picture, top, chosen, centres, grid, noise, shape, out):
     """Write `_LensMeasurements` of the `chosen` lenses into `out` (7, n).
 
     `picture` begins at row `top` of the flat. The light is the mean if it scatters by no more than `noise` (n,).
     """
-    lenses, lens_block, most = chosen.shape[0], LIGHT_KERNEL.lens_block, LIGHT_KERNEL.most_pixels
+    most = LIGHT_KERNEL.most_pixels
     tables = make_profile_tables(shape.profile)
-    for block in prange((lenses + lens_block - 1) // lens_block):
-        powers, lens, ratios = np.empty(64), np.empty(RIM_START + shape.rim.shape[0]), np.empty(most)
-        pixels, light, sums = np.empty((3, most), np.float32), np.empty(most, np.float32), np.empty(10)
-        ring, work = np.empty(most, np.int32), np.empty((5, most), np.float32)
-        for k in range(block * lens_block, min((block + 1) * lens_block, lenses)):
-            n = chosen[k]
-            cx, cy = centres[n, 0], centres[n, 1]
-            evaluate_shape(cx, cy, shape, powers, lens)
-            count = _read_pixels(picture, cx, cy - top, grid, pixels)
-            relative_light_at(pixels, count, lens, shape, tables, work, light, ring)
-            _sum_pixels(pixels, count, light, sums)
-            bright = sums[7]
-            if bright == 0:
-                out[:, n] = 0.0
-                continue
-            mean = sums[5] / bright
-            scatter = math.sqrt(max(sums[6] / bright - mean * mean, 0.0))
-            steady = bright / sums[9]
-            if scatter <= noise[n] * mean:
-                out[0, n], out[1, n], out[6, n] = mean, bright * steady, scatter / _TO_SIGMA
-            else:
-                # Dust and hot pixels do not move the median, which has the variance of two thirds of the pixels.
-                number = 0
-                for m in range(count):
-                    if light[m] > np.float32(LIGHT_KERNEL.rim_light):
-                        ratios[number] = pixels[2, m] / light[m]
-                        number += 1
-                out[0, n], out[6, n] = _median(ratios, number)
-                out[1, n] = number * steady / 1.5
-            ms, mv = sums[0] / count, sums[1] / count
-            spread_s, spread_v = sums[2] / count - ms * ms, sums[4] / count - mv * mv
-            least = LIGHT_KERNEL.flat_variance
-            even = spread_s < least * ms * ms or spread_v < least * mv * mv
-            out[2, n] = 0.0 if even else (sums[3] / count - ms * mv) / math.sqrt(spread_s * spread_v)
-            out[3, n] = math.sqrt(max(spread_s, 0.0)) / max(ms, 1e-9)
-            out[4, n], out[5, n] = mv, sums[8]
+    powers, lens, ratios = np.empty(64), np.empty(RIM_START + shape.rim.shape[0]), np.empty(most)
+    pixels, light, sums = np.empty((3, most), np.float32), np.empty(most, np.float32), np.empty(10)
+    ring, work = np.empty(most, np.int32), np.empty((5, most), np.float32)
+    for k in range(begin, end):
+        n = chosen[k]
+        cx, cy = centres[n, 0], centres[n, 1]
+        evaluate_shape(cx, cy, shape, powers, lens)
+        count = _read_pixels(picture, cx, cy - top, grid, pixels)
+        relative_light_at(pixels, count, lens, shape, tables, work, light, ring)
+        _sum_pixels(pixels, count, light, sums)
+        bright = sums[7]
+        if bright == 0:
+            out[:, n] = 0.0
+            continue
+        mean = sums[5] / bright
+        scatter = math.sqrt(max(sums[6] / bright - mean * mean, 0.0))
+        steady = bright / sums[9]
+        if scatter <= noise[n] * mean:
+            out[0, n], out[1, n], out[6, n] = mean, bright * steady, scatter / _TO_SIGMA
+        else:
+            # Dust and hot pixels do not move the median, which has the variance of two thirds of the pixels.
+            number = 0
+            for m in range(count):
+                if light[m] > np.float32(LIGHT_KERNEL.rim_light):
+                    ratios[number] = pixels[2, m] / light[m]
+                    number += 1
+            out[0, n], out[6, n] = _median(ratios, number)
+            out[1, n] = number * steady / 1.5
+        ms, mv = sums[0] / count, sums[1] / count
+        spread_s, spread_v = sums[2] / count - ms * ms, sums[4] / count - mv * mv
+        least = LIGHT_KERNEL.flat_variance
+        even = spread_s < least * ms * ms or spread_v < least * mv * mv
+        out[2, n] = 0.0 if even else (sums[3] / count - ms * mv) / math.sqrt(spread_s * spread_v)
+        out[3, n] = math.sqrt(max(spread_s, 0.0)) / max(ms, 1e-9)
+        out[4, n], out[5, n] = mv, sums[8]
 
 
 def _measure(

@@ -11,7 +11,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..gain.gain_map import GainMap
@@ -165,8 +164,10 @@ def _direction_bin(dx, dy):
     return math.floor(math.atan2(dy, dx) / (2 * math.pi) * KERNEL.directions + 0.5) % KERNEL.directions
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=FAST)
-def _add_residuals(picture, sample, cell, options, shape, slope, sums):
+@njit(
+    cache=True, nogil=True, error_model="numpy", share=lambda picture, sample, *_: len(sample.first) - 1, fastmath=FAST
+)
+def _add_residuals(begin, end, picture, sample, cell, options, shape, slope, sums):
     """Add the pixels of all lenses of a sample to the sums; `slope` (k,) is the derivative of the profile."""
     centres, places, first, stride = sample.centres, sample.places, sample.first, sample.stride
     faces, inner, reach = cell.normals, cell.inradius, cell.circumradius
@@ -174,7 +175,7 @@ def _add_residuals(picture, sample, cell, options, shape, slope, sums):
     field, radius, profile, step, cut = shape.frame, shape.radius, shape.profile, shape.step, shape.cut
     rings, rims, sector, dark = sums.rings, sums.rims, sums.sector, sums.dark
     normal, right, cut_normal, cut_right = sums.normal, sums.right, sums.cut_normal, sums.cut_right
-    for window in prange(len(first) - 1):
+    for window in range(begin, end):
         powers, lens, features = np.empty(64), np.empty(RIM_START + shape.rim.shape[0]), np.empty(6)
         for n in range(first[window], first[window + 1]):
             cx, cy = centres[n, 0], centres[n, 1]

@@ -132,7 +132,6 @@ class KernelSettings(NamedTuple):
 class LightKernelSettings(NamedTuple):
     """Values that the kernels of `lens_light` are compiled with."""
 
-    lens_block: int = 256  # [lenses] that share working memory
     most_pixels: int = 288  # room for the pixels of a lens: six times those read on the average
     most_across: int = 96  # [px] of one row of a lens: twice those read of a whole lens
     together: int = 8  # [px] copied at once where every pixel of a row is read

@@ -78,12 +78,12 @@ def _root_gradient(above, here, below, left, x, right):
     return np.sqrt(np.sqrt(across * across + down * down))
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _edge_strength(picture, out):
+@njit(cache=True, nogil=True, share=lambda picture, *_: len(picture))
+def _edge_strength(begin, end, picture, out):
     height, width = picture.shape
     # Unsigned indices: signed ones may count from the end, which prevents vector loops.
     one = np.uint64(1)
-    for y in prange(height):
+    for y in range(begin, end):
         above, here, below = picture[abs(y - 1)], picture[y], picture[y + 1 if y + 1 < height else height - 2]
         line = out[y]
         line[0] = _root_gradient(above, here, below, 1, 0, 1)
@@ -166,12 +166,12 @@ def _normalise_row(row, sums, squares, side, floor, clip, out):
         out[x] = min(max(value, -clip), clip)
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _normalise(picture, half, together, floor, clip, out):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda picture, _, together, *__: -(-len(picture) // together))
+def _normalise(begin, end, picture, half, together, floor, clip, out):
     """See `normalise_locally`; each thread takes `together` rows one after the other."""
     height, width = picture.shape
     side = 2 * half + 1
-    for part in prange((height + together - 1) // together):
+    for part in range(begin, end):
         sums, squares = np.zeros(width), np.zeros(width)
         running, running_squares = np.empty(width + side), np.empty(width + side)
         first = part * together

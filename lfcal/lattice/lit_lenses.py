@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..runtime.kernels.jit import njit
@@ -67,11 +66,11 @@ class LitLenses:
         return LitLenses(lattice, indices[inside], crop[inside])
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _measure_core_and_gaps(picture, centres, corners, core, gaps):
+@njit(cache=True, nogil=True, share=lambda picture, centres, *_: len(centres))
+def _measure_core_and_gaps(begin, end, picture, centres, corners, core, gaps):
     """Mean of a picture over the 3 x 3 px at the centre of each lens, and over the corners of its cell."""
     height, width = picture.shape
-    for lens in prange(len(centres)):
+    for lens in range(begin, end):
         cx, cy = centres[lens, 0], centres[lens, 1]
         x, y = int(np.rint(cx)), int(np.rint(cy))
         total = 0.0

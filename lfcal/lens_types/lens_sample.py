@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
@@ -124,13 +123,13 @@ def _sample_crops(lattice: Lattice, crops: StackedCrops, settings: SampleSetting
     return LensSample(lattice, index, centre, whole, centre - crops.offsets[home][:, None, None])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _accumulate(picture, centres, radius, inside, lag, rows, energy, gradient, light, count):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda picture, centres, *_: len(centres))
+def _accumulate(begin, end, picture, centres, radius, inside, lag, rows, energy, gradient, light, count):
     """Squared differences and gradients within `inside`, and light by distance to the centre, of each lens."""
     height, width = picture.shape
     rings = light.shape[1]
     per_ring, within = rings / radius, inside * inside
-    for lens in prange(len(centres)):
+    for lens in range(begin, end):
         cx, cy = centres[lens, 0], centres[lens, 1]
         pairs, square, across, down = 0, 0.0, 0.0, 0.0
         for y in range(max(0, math.ceil(cy - radius)), min(height - 1, math.floor(cy + radius)) + 1, rows):

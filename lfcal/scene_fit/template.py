@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..detection.folding import VECTOR_LENGTH, compute_cell_bins
@@ -56,12 +55,12 @@ def _gather_pixels(picture, cx, cy, lens, sides, inverse, stride, bins, place, v
     return number
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _fold(picture, centres, sides, room, inverse, stride, bins, chunks, sums):
+@njit(cache=True, nogil=True, share=lambda picture, centres, sides, room, inverse, stride, bins, chunks, *_: chunks)
+def _fold(begin, end, picture, centres, sides, room, inverse, stride, bins, chunks, sums):
     """Sum pixels, their squares and their number in the bins of the cell, for each chunk of lenses."""
     lenses = centres.shape[0]
     one = np.float32(1)
-    for chunk in prange(chunks):
+    for chunk in range(begin, end):
         cells = sums[chunk]
         place, values = np.empty(room, np.uint32), np.empty(room, np.float32)
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
@@ -113,12 +112,12 @@ def _sum_for_shift(values, level, weight, slope_x, slope_y, number, contrast, of
     return xx, xy, yy, bx, by, squares, weights
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, share=lambda picture, centres, sides, room, inverse, stride, bins, chunks, *_: chunks)
 def _accumulate(
-    picture, centres, sides, room, inverse, stride, bins, chunks, maps, cutoff, most, normal, right, noise,
+    begin, end, picture, centres, sides, room, inverse, stride, bins, chunks, maps, cutoff, most, normal, right, noise,
 ):  # fmt: skip
     lenses = centres.shape[0]
-    for chunk in prange(chunks):
+    for chunk in range(begin, end):
         place, values = np.empty(room, np.uint32), np.empty(room, np.float32)
         level, weight = np.empty(room, np.float32), np.empty(room, np.float32)
         slope_x, slope_y = np.empty(room, np.float32), np.empty(room, np.float32)

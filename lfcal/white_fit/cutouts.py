@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..images.stack import clipping_level
@@ -116,11 +115,11 @@ def _resize(values: NDArray[Any], rings: int) -> NDArray[Any]:
     return np.pad(values, (0, max(rings - len(values), 0)), mode="edge")[:rings]
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _copy_squares(tones, corners, out):
+@njit(cache=True, nogil=True, share=lambda tones, corners, *_: len(corners))
+def _copy_squares(begin, end, tones, corners, out):
     side = out.shape[1]
     height, width = tones.shape
-    for lens in prange(len(corners)):
+    for lens in range(begin, end):
         left, top = corners[lens, 0], corners[lens, 1]
         if left >= 0 and top >= 0 and left + side <= width and top + side <= height:
             # Unsigned indices need no test for wrap-around, so that several pixels are moved at once.

@@ -14,7 +14,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.cell import clip_rows, is_outside_cell
@@ -162,8 +161,14 @@ def _add_to_band(band, ring, after, w, wr, angle, falling, through):
     band[ring, 8] += own_turned * after
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=FAST)
-def accumulate(windows, cell, profile, cut, learn, sums):
+@njit(
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+    share=lambda windows, cell, profile, cut, learn, sums: len(sums[3]),
+    fastmath=FAST,
+)
+def accumulate(begin, end, windows, cell, profile, cut, learn, sums):
     """Add up all lenses into `sums`: upper halves of normal matrices; of the profile only to `learn` it."""
     light, corners, centres, gain, lens_weight, slope = windows
     normals, inradius, circumradius = cell
@@ -177,7 +182,7 @@ def accumulate(windows, cell, profile, cut, learn, sums):
         per_blur = 1 / blur
         clear, shut = max(radius - _CUT_EDGE * blur, 0.0), radius + _CUT_EDGE * blur
         clear, shut = clear * clear, shut * shut
-    for chunk in prange(chunks):
+    for chunk in range(begin, end):
         g, total = np.zeros(7), band[chunk]
         for lens in range(chunk * count // chunks, (chunk + 1) * count // chunks):
             cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]

@@ -10,7 +10,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numba import prange
 
 from ..lattice.cell import clip_rows
 from ..lattice.distortion import Distortion
@@ -113,11 +112,11 @@ def _measure_narrowing(state: FitState) -> tuple[float, float]:
     return force / information, information**-0.5
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _accumulate_narrowing(windows, field, inradius, step, rings, edge, saturation, outlier, out):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda windows, *_: len(windows[2]))
+def _accumulate_narrowing(begin, end, windows, field, inradius, step, rings, edge, saturation, outlier, out):
     """Per lens (n, 2): right side and normal matrix of the amplitude of `_measure_narrowing`."""
     light, corners, centres, gain, lens_weight, gain_slope = windows
-    for lens in prange(len(centres)):
+    for lens in range(begin, end):
         cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
         far = max(math.hypot(field[lens, 0], field[lens, 1]), 1e-6)
         top, bottom = clip_rows(cy, inradius, 0, light.shape[1])

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.cell import clip_rows, is_outside_cell
@@ -118,12 +117,12 @@ class NormalEquations:
     cost: float  # the same over all pixels
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def _accumulate_profile(windows, cell, step, total, count):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda windows, cell, step, total, *_: len(total))
+def _accumulate_profile(begin, end, windows, cell, step, total, count):
     light, corners, centres, gain, _, _ = windows
     normals, inradius, circumradius = cell
     lenses, side, chunks = light.shape[0], light.shape[1], total.shape[0]
-    for chunk in prange(chunks):
+    for chunk in range(begin, end):
         for lens in range(chunk * lenses // chunks, (chunk + 1) * lenses // chunks):
             cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
             top, bottom = clip_rows(cy, circumradius, 0, side)

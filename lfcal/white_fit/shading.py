@@ -11,7 +11,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.cell import clip_rows
@@ -62,13 +61,13 @@ def _powers(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     return powers
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=FAST)
-def _measure_slopes(windows, profile, step, reach, out):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda windows, *_: len(windows[0]), fastmath=FAST)
+def _measure_slopes(begin, end, windows, profile, step, reach, out):
     """(n, 3): slope of the light of each lens beyond `slope`, relative to its profile [1/px], and its weight [px^2]."""
     light, corners, centres, gain, _, slope = windows
-    lenses, side = light.shape[0], light.shape[1]
+    side = light.shape[1]
     per_step = 1 / step
-    for lens in prange(lenses):
+    for lens in range(begin, end):
         over, slope_x, slope_y = 1 / gain[lens], slope[lens, 0], slope[lens, 1]
         cx, cy = centres[lens, 0] - corners[lens, 0], centres[lens, 1] - corners[lens, 1]
         across = down = square = 0.0

@@ -17,7 +17,9 @@ __all__ = ["main"]
 
 
 # Commands that are often typed here by mistake, and the program that has them.
-_OTHER_PROGRAMS = dict.fromkeys(("calibrate", "compare", "convert", "flatten", "info", "show"), "lfcal")
+_OTHER_PROGRAMS = dict.fromkeys(
+    ("board", "calibrate", "compare", "convert", "flatten", "info", "metric", "show"), "lfcal"
+)
 
 
 @click.group(

@@ -9,7 +9,7 @@ from lfcal.runtime import console
 __all__ = ["warm"]
 
 
-@click.command(epilog=console.help_examples("lfrender warm", "NUMBA_CACHE_DIR=/cache lfrender warm --processes 4"))
+@click.command(epilog=console.help_examples("lfrender warm", "lfrender warm --processes 4"))
 @click.option("--processes", type=click.IntRange(1), metavar="N", help="Processes that compile. [default: all cores]")
 @console.report_options
 def warm(processes: int | None, as_json: bool, quiet: bool) -> None:

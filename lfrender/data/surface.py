@@ -50,10 +50,10 @@ def patch_size_at(surface, grid, x, y):
     return surface[j1 if fy > 0.5 else j, i1 if fx > 0.5 else i]
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _nearest(values, first_x, first_y, spacing, points, out):
+@njit(cache=True, nogil=True, share=lambda values, first_x, first_y, spacing, points, out: len(out))
+def _nearest(begin, end, values, first_x, first_y, spacing, points, out):
     rows, columns = values.shape
-    for k in prange(len(out)):
+    for k in range(begin, end):
         u, v = np.rint((points[k, 0] - first_x) / spacing), np.rint((points[k, 1] - first_y) / spacing)
         out[k] = values[min(max(int(v), 0), rows - 1), min(max(int(u), 0), columns - 1)]
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
@@ -37,12 +36,17 @@ class _Mosaic(NamedTuple):
     similar: np.float32
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _number_lenses(origin, inverse, basis, displacement, low, left, top, out):
+@njit(
+    cache=True,
+    nogil=True,
+    share=lambda origin, inverse, basis, displacement, low, left, top, out: len(out),
+    fastmath=FAST,
+)
+def _number_lenses(begin, end, origin, inverse, basis, displacement, low, left, top, out):
     """Number of the lens whose centre is nearest to each pixel; different for lenses that could be neighbours."""
-    height, width = out.shape
+    width = out.shape[1]
     distorted = displacement.size > 0
-    for y in prange(height):
+    for y in range(begin, end):
         for x in range(width):
             i, j = nearest_index(float(left + x), float(top + y), origin, inverse, displacement, low)
             dx = left + x - origin[0] - i * basis[0, 0] - j * basis[1, 0]
@@ -92,12 +96,12 @@ def _interpolate_green(flat, lens, y, x, step_y, step_x):
     return total / max(count, 1), abs(change), count
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _fill_green(mosaic, even, out):
+@njit(cache=True, nogil=True, share=lambda mosaic, *_: len(mosaic), fastmath=FAST)
+def _fill_green(begin, end, mosaic, even, out):
     """Green by the directions of edges; changes below `even` do not show one."""
     flat, lens, colours = mosaic.flat, mosaic.lens, mosaic.colours
-    height, width = flat.shape
-    for y in prange(height):
+    width = flat.shape[1]
+    for y in range(begin, end):
         for x in range(width):
             if colours[y & 1, x & 1] == 1:
                 out[y, x, 1] = flat[y, x]
@@ -130,12 +134,12 @@ def _interpolate_difference(flat, lens, colours, near, similar, wanted, guide, y
     return max(out[y, x, guide] + total, np.float32(0.0))
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _fill_colour(mosaic, colour, out):
+@njit(cache=True, nogil=True, share=lambda mosaic, *_: len(mosaic), fastmath=FAST)
+def _fill_colour(begin, end, mosaic, colour, out):
     """Red or blue, guided by green."""
     flat, lens, colours, near, similar = mosaic.flat, mosaic.lens, mosaic.colours, mosaic.near, mosaic.similar
-    height, width = flat.shape
-    for y in prange(height):
+    width = flat.shape[1]
+    for y in range(begin, end):
         for x in range(width):
             if colours[y & 1, x & 1] == colour:
                 out[y, x, colour] = flat[y, x]
@@ -143,12 +147,12 @@ def _fill_colour(mosaic, colour, out):
                 out[y, x, colour] = _interpolate_difference(flat, lens, colours, near, similar, colour, 1, y, x, out)
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _refill_rim(mosaic, out):
+@njit(cache=True, nogil=True, share=lambda mosaic, *_: len(mosaic), fastmath=FAST)
+def _refill_rim(begin, end, mosaic, out):
     """Green at the rim of a microimage, where a neighbour is missing: guided by the colour of the pixel."""
     flat, lens, colours, near, similar = mosaic.flat, mosaic.lens, mosaic.colours, mosaic.near, mosaic.similar
-    height, width = flat.shape
-    for y in prange(height):
+    width = flat.shape[1]
+    for y in range(begin, end):
         for x in range(width):
             own, colour = lens[y, x], colours[y & 1, x & 1]
             if colour != 1 and not (

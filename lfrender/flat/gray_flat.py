@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
@@ -85,12 +84,12 @@ def white_level(flat: NDArray, calibration: Calibration) -> float:
     return highest if calibration.white_level is None else min(highest, calibration.white_level)
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _average_channels(rows, channels, scale, gain, out):
+@njit(cache=True, nogil=True, share=lambda rows, channels, scale, gain, out: len(out), fastmath=FAST)
+def _average_channels(begin, end, rows, channels, scale, gain, out):
     """Mean over the channels of rows of interleaved pixels, times `scale` and, unless that is empty, `gain` (h, w)."""
-    height, width = out.shape
+    width = out.shape[1]
     weight = np.float32(scale / channels)
-    for y in prange(height):
+    for y in range(begin, end):
         row, into = rows[y], out[y]
         # The compiler uses vector instructions for strides it knows.
         if channels == 3:
@@ -110,13 +109,13 @@ def _average_channels(rows, channels, scale, gain, out):
                 into[x] *= gain[y, x]
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _average_blocks(rows, channels, factor, scale, gain, like, out):
+@njit(cache=True, nogil=True, share=lambda rows, channels, factor, scale, gain, like, out: len(out), fastmath=FAST)
+def _average_blocks(begin, end, rows, channels, factor, scale, gain, like, out):
     """`_average_channels` over blocks of `factor` x `factor` pixels; rows are summed in the type of `like`."""
-    height, width = out.shape
+    width = out.shape[1]
     together = channels * factor
     weight = np.float32(scale / (together * factor))
-    for y in prange(height):
+    for y in range(begin, end):
         line = np.empty(width * together, like.dtype)
         for k in range(len(line)):
             line[k] = rows[y * factor, k]
@@ -141,8 +140,8 @@ def _average_blocks(rows, channels, factor, scale, gain, like, out):
                 into[x] *= gain[y, x]
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _correct_lenses(centres, radius, around, share, gains, step, image):
+@njit(cache=True, nogil=True, share=lambda centres, *_: len(centres), fastmath=FAST)
+def _correct_lenses(begin, end, centres, radius, around, share, gains, step, image):
     """Multiply the pixels within `radius` of a lens centre by their gain.
 
     A lens has the pixels nearer to it than `share`, below one half, of the way to each of the lenses `around`: no two
@@ -160,7 +159,7 @@ def _correct_lenses(centres, radius, around, share, gains, step, image):
         ex = around[n, 0] if abs(around[n, 0]) > 1e-4 else np.float32(1e-4)
         room[n] = share * (square(around[n, 0]) + square(around[n, 1])) / ex
         tilt[n] = -around[n, 1] / ex
-    for lens in prange(len(centres)):
+    for lens in range(begin, end):
         cx, cy = centres[lens, 0], centres[lens, 1]
         for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
             dy = np.float32(y) - cy
@@ -182,14 +181,14 @@ def _correct_lenses(centres, radius, around, share, gains, step, image):
                 row[k] *= gains[min(np.int32((dx * dx + dy2) * inverse), last)]
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _fill_unlit(centres, radius, light, image):
+@njit(cache=True, nogil=True, share=lambda centres, *_: len(centres), fastmath=FAST)
+def _fill_unlit(begin, end, centres, radius, light, image):
     """Replace pixels whose `light` is NaN by the mean of the others within `radius` of their lens.
 
     Left dark, the cut of microimages would match like texture that moves with the lens.
     """
     height, width = image.shape
-    for lens in prange(len(centres)):
+    for lens in range(begin, end):
         cx, cy = centres[lens, 0], centres[lens, 1]
         top, bottom = max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius)))
         left, right = max(0, int(np.ceil(cx - radius))), min(width - 1, int(np.floor(cx + radius)))
@@ -323,12 +322,12 @@ def _downsample_row(image, top, first, factor, line, into):
             into[u] = weight * total
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _downsample_boxes(image, centres, half, factor, out):
+@njit(cache=True, nogil=True, share=lambda image, centres, *_: len(centres), error_model="numpy")
+def _downsample_boxes(begin, end, image, centres, half, factor, out):
     """Fill the pixels of `out` no farther than `half` from a centre, each way."""
     height, width = out.shape
     pixels, down = image.reshape(-1), image.shape[1]
-    for lens in prange(len(centres)):
+    for lens in range(begin, end):
         x, y = int(np.rint(centres[lens, 0])), int(np.rint(centres[lens, 1]))
         left, right = max(0, x - half), min(width - 1, x + half)
         columns = max(right + 1 - left, 0)
@@ -341,9 +340,9 @@ def _downsample_boxes(image, centres, half, factor, out):
             _downsample_row(image, v * factor, left * factor, factor, line, out[v, left : left + columns])
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _downsample_all(image, factor, out):
-    for v in prange(len(out)):
+@njit(cache=True, nogil=True, share=lambda image, factor, out: len(out), error_model="numpy")
+def _downsample_all(begin, end, image, factor, out):
+    for v in range(begin, end):
         _downsample_row(image, v * factor, 0, factor, np.empty(out.shape[1] * factor, np.float32), out[v])
 
 

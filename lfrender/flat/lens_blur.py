@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Calibration
@@ -111,11 +110,11 @@ def _make_models(
     return widths, average(lags.astype(np.float64)) - average(np.zeros(1))
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _mean_square_differences(flat, centres, radius, lags, out):
+@njit(cache=True, nogil=True, share=lambda flat, centres, *_: len(centres), fastmath=FAST)
+def _mean_square_differences(begin, end, flat, centres, radius, lags, out):
     """Mean square difference along rows and columns at each of the `lags`, within a circle in each microimage."""
     height, width, channels = flat.shape
-    for lens in prange(len(centres)):
+    for lens in range(begin, end):
         cx, cy = centres[lens, 0], centres[lens, 1]
         if cx < radius or cy < radius or cx > width - 1 - radius or cy > height - 1 - radius:
             continue

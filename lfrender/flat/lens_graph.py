@@ -84,9 +84,9 @@ def join_opposite(forward: NDArray[np.int32], backward: NDArray[np.int32]) -> ND
     return both if first is backward else np.hstack([forward, backward])
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _count_in_mask(mask, rows, out):
-    for lens in prange(len(rows)):
+@njit(cache=True, nogil=True, share=lambda mask, rows, *_: len(rows))
+def _count_in_mask(begin, end, mask, rows, out):
+    for lens in range(begin, end):
         count = 0
         for k in range(rows.shape[1]):
             other = rows[lens, k]
@@ -95,9 +95,9 @@ def _count_in_mask(mask, rows, out):
         out[lens] = count
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _count_similar(mask, sizes, rows, gap, out):
-    for lens in prange(len(rows)):
+@njit(cache=True, nogil=True, share=lambda mask, sizes, rows, *_: len(rows))
+def _count_similar(begin, end, mask, sizes, rows, gap, out):
+    for lens in range(begin, end):
         count = 0
         for k in range(rows.shape[1]):
             other = rows[lens, k]
@@ -211,10 +211,10 @@ def _find_two_rings(neighbours, out):
         out[lens, count:] = -1
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _walk(neighbours, steps, out):
+@njit(cache=True, nogil=True, share=lambda neighbours, steps, out: len(out))
+def _walk(begin, end, neighbours, steps, out):
     """The lenses `steps` steps from each in the directions of its neighbours, -1 if the way leaves the flat."""
-    for lens in prange(len(out)):
+    for lens in range(begin, end):
         for k in range(neighbours.shape[1]):
             at = np.int32(lens)
             for _ in range(steps):

@@ -83,9 +83,9 @@ def _filter_row_of_shorts(flat, y, channels, highest, into):
         into[k] = min(max(np.float32(here[k]) * sixteen - sides + six, zero) * twelfth, highest)
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _filter_shorts(flat, channels, highest, out):
-    for y in prange(len(flat)):
+@njit(cache=True, nogil=True, share=lambda flat, *_: len(flat))
+def _filter_shorts(begin, end, flat, channels, highest, out):
+    for y in range(begin, end):
         _filter_row_of_shorts(flat, y, channels, highest, out[y])
 
 
@@ -111,9 +111,9 @@ def _filter_row_of_bytes(flat, y, channels, line, into):
         into[k] = np.uint8((np.uint32(value) * np.uint32(5462)) >> np.uint32(16))
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _filter_bytes(flat, channels, out):
-    for y in prange(len(flat)):
+@njit(cache=True, nogil=True, share=lambda flat, *_: len(flat))
+def _filter_bytes(begin, end, flat, channels, out):
+    for y in range(begin, end):
         _filter_row_of_bytes(flat, y, channels, np.empty(flat.shape[1], np.int16), out[y])
 
 
@@ -134,17 +134,17 @@ def _pack_row(row, channels, into):
             into[x] = pixel
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _filter_and_pack_bytes(flat, channels, out):
-    for y in prange(len(flat)):
+@njit(cache=True, nogil=True, share=lambda flat, *_: len(flat))
+def _filter_and_pack_bytes(begin, end, flat, channels, out):
+    for y in range(begin, end):
         row = np.empty(flat.shape[1], np.uint8)
         _filter_row_of_bytes(flat, y, channels, np.empty(flat.shape[1], np.int16), row)
         _pack_row(row, channels, out[y])
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _filter_and_pack_shorts(flat, channels, highest, out):
-    for y in prange(len(flat)):
+@njit(cache=True, nogil=True, share=lambda flat, *_: len(flat))
+def _filter_and_pack_shorts(begin, end, flat, channels, highest, out):
+    for y in range(begin, end):
         row = np.empty(flat.shape[1], np.uint16)
         _filter_row_of_shorts(flat, y, channels, highest, row)
         _pack_row(row, channels, out[y])

@@ -12,7 +12,6 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
@@ -107,16 +106,16 @@ def _subtract_row(row, shade, share, out):
         out[k] = row[k] - share * shade[k]
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _copy_image(image, centres, wanted, radius, everywhere, out):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: len(given[0] if given[4] else given[1]))
+def _copy_image(begin, end, image, centres, wanted, radius, everywhere, out):
     """Copy the image, or the boxes about the `wanted` lenses."""
     height, across = image.shape
     if everywhere:
-        for y in prange(height):
+        for y in range(begin, end):
             out[y] = image[y]
     else:
         reach = radius + np.float32(KERNEL.beside)
-        for lens in prange(len(centres)):
+        for lens in range(begin, end):
             if wanted[lens]:
                 left, right = int(centres[lens, 0] - reach), int(centres[lens, 0] + reach) + 2
                 top, bottom = int(centres[lens, 1] - reach), int(centres[lens, 1] + reach) + 2
@@ -125,37 +124,36 @@ def _copy_image(image, centres, wanted, radius, everywhere, out):
                         out[y, x] = image[y, x]
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda _, centres, *__: len(centres))
 def _subtract_shading(
-    image, centres, wanted, near, weights, contrast, radius, largest, significance, strips, out
+    begin, end, image, centres, wanted, near, weights, contrast, radius, largest, significance, strips, out
 ):  # fmt: skip
     """Subtract the common pattern from the `wanted` lenses; `near` (n, k) are rows of the lenses that share theirs."""
     height, across = image.shape
     middle, half, width = strips.middle, strips.half, strips.width
     # Strips, `width` pixels a row, have a border of one pixel about what is in `shade`.
     count = ((width - 2) * width + KERNEL.bunch - 1) // KERNEL.bunch * KERNEL.bunch
-    for part in prange((len(centres) + KERNEL.lens_block - 1) // KERNEL.lens_block):
-        shade = np.empty(count, np.float32)
-        for lens in range(part * KERNEL.lens_block, min((part + 1) * KERNEL.lens_block, len(centres))):
-            if not wanted[lens]:
-                continue
-            shade[:] = 0.0
-            total, expected = _add_lenses(strips, centres, near[lens], lens, weights, contrast, shade)
-            if total == 0:
-                continue
-            cx, cy = centres[lens, 0], centres[lens, 1]
-            left, top = middle[lens, 0] - half + 1, middle[lens, 1] - half + 1
-            energy = _mean_square(shade, width, left, top, cx, cy, radius, across, height) / (total * total)
-            energy += np.float32(1e-9)
-            share = max(np.float32(0.0), np.float32(1.0) - significance * expected / (total * total * energy))
-            share *= largest * largest / (largest * largest + energy) / total
-            if share <= 0:
-                continue
-            for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
-                first, last = _chord(cx, cy, y, radius, across)
-                at = (y - top) * width - left
-                row, into = image[y, first : last + 1], out[y, first : last + 1]
-                _subtract_row(row, shade[at + first : at + last + 1], share, into)
+    shade = np.empty(count, np.float32)
+    for lens in range(begin, end):
+        if not wanted[lens]:
+            continue
+        shade[:] = 0.0
+        total, expected = _add_lenses(strips, centres, near[lens], lens, weights, contrast, shade)
+        if total == 0:
+            continue
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        left, top = middle[lens, 0] - half + 1, middle[lens, 1] - half + 1
+        energy = _mean_square(shade, width, left, top, cx, cy, radius, across, height) / (total * total)
+        energy += np.float32(1e-9)
+        share = max(np.float32(0.0), np.float32(1.0) - significance * expected / (total * total * energy))
+        share *= largest * largest / (largest * largest + energy) / total
+        if share <= 0:
+            continue
+        for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
+            first, last = _chord(cx, cy, y, radius, across)
+            at = (y - top) * width - left
+            row, into = image[y, first : last + 1], out[y, first : last + 1]
+            _subtract_row(row, shade[at + first : at + last + 1], share, into)
 
 
 def _steps_to_same_type(lattice: Lattice, nearby: float) -> NDArray[np.int64]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
@@ -125,8 +124,8 @@ def _mean_and_deviation(number, total, squares):
     return mean, np.sqrt(max(squares * inverse - mean * mean, np.float32(0.0)))
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _measure(image, centres, wanted, radius, middle, row_step, out):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda _, centres, *__: len(centres))
+def _measure(begin, end, image, centres, wanted, radius, middle, row_step, out):
     """Mean, contrast, contrast of the middle and roughness of the `wanted` lenses, into `out` (4, n)."""
     height, width = image.shape
     pixels = image.reshape(-1)
@@ -141,33 +140,32 @@ def _measure(image, centres, wanted, radius, middle, row_step, out):
     columns, lines = np.full(size, np.inf, np.float32), np.full(size, np.inf, np.float32)
     for k in range(tall * wide):
         columns[k], lines[k] = k % wide, k // wide * row_step
-    for part in prange((len(centres) + KERNEL.lens_block - 1) // KERNEL.lens_block):
-        box = np.zeros(min(row_step, 3) * (tall + 1) * wide + 3 * wide + 2 * KERNEL.bunch, np.float32)
-        for lens in range(part * KERNEL.lens_block, min((part + 1) * KERNEL.lens_block, len(centres))):
-            if not wanted[lens]:
-                continue
-            cx, cy = centres[lens, 0], centres[lens, 1]
-            top, bottom = max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius)))
-            left = int(np.ceil(cx - radius))
-            count = (bottom - top) // row_step + 1
-            if row_step == 1:
-                copy_box(pixels, width, left - 1, top - 1, count + 2, wide, box, 0, 1)
-            else:
-                copy_box(pixels, width, left - 1, top, count, wide, box, 0, row_step)
-                copy_box(pixels, width, left - 1, top - 1, count + 1, wide, box, tall * wide, row_step)
-                if row_step > 2:
-                    copy_box(pixels, width, left - 1, top + 1, count, wide, box, 2 * tall * wide, row_step)
-            count = max((count * wide + KERNEL.bunch - 1) // KERNEL.bunch * KERNEL.bunch, 0)
-            near = pixels[min(max(int(cy), 0), height - 1) * width + min(max(int(cx), 0), width - 1)]
-            number, total, squares, rough, inner, inner_total, inner_squares = _sum_pixels(
-                box, columns, lines, start, above, below, count, cx - np.float32(left), cy - np.float32(top),
-                np.float32(1 - left), np.float32(width - 2 - left), np.float32(bottom - top), radius * radius,
-                middle * middle, near,
-            )  # fmt: skip
-            mean, out[1, lens] = _mean_and_deviation(number, total, squares)
-            out[0, lens] = near + mean
-            out[2, lens] = _mean_and_deviation(inner, inner_total, inner_squares)[1]
-            out[3, lens] = np.sqrt(rough / (np.float32(36) * max(number, np.float32(1.0))))
+    box = np.zeros(min(row_step, 3) * (tall + 1) * wide + 3 * wide + 2 * KERNEL.bunch, np.float32)
+    for lens in range(begin, end):
+        if not wanted[lens]:
+            continue
+        cx, cy = centres[lens, 0], centres[lens, 1]
+        top, bottom = max(1, int(np.ceil(cy - radius))), min(height - 2, int(np.floor(cy + radius)))
+        left = int(np.ceil(cx - radius))
+        count = (bottom - top) // row_step + 1
+        if row_step == 1:
+            copy_box(pixels, width, left - 1, top - 1, count + 2, wide, box, 0, 1)
+        else:
+            copy_box(pixels, width, left - 1, top, count, wide, box, 0, row_step)
+            copy_box(pixels, width, left - 1, top - 1, count + 1, wide, box, tall * wide, row_step)
+            if row_step > 2:
+                copy_box(pixels, width, left - 1, top + 1, count, wide, box, 2 * tall * wide, row_step)
+        count = max((count * wide + KERNEL.bunch - 1) // KERNEL.bunch * KERNEL.bunch, 0)
+        near = pixels[min(max(int(cy), 0), height - 1) * width + min(max(int(cx), 0), width - 1)]
+        number, total, squares, rough, inner, inner_total, inner_squares = _sum_pixels(
+            box, columns, lines, start, above, below, count, cx - np.float32(left), cy - np.float32(top),
+            np.float32(1 - left), np.float32(width - 2 - left), np.float32(bottom - top), radius * radius,
+            middle * middle, near,
+        )  # fmt: skip
+        mean, out[1, lens] = _mean_and_deviation(number, total, squares)
+        out[0, lens] = near + mean
+        out[2, lens] = _mean_and_deviation(inner, inner_total, inner_squares)[1]
+        out[3, lens] = np.sqrt(rough / (np.float32(36) * max(number, np.float32(1.0))))
 
 
 def measure_statistics(

@@ -10,13 +10,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 
 from lfcal.runtime.kernels.jit import njit
 
 from ..data.surface import patch_size_at
 from ..flat.distorted_lookup import displacement_at, nearest_index
-from ..runtime.scheduling import plan_chunks
 from .settings import WEIGHTS
 
 __all__ = ["Flat", "Grid", "Lenses", "Light", "Output", "Weighting", "blend_pixels"]
@@ -308,8 +306,8 @@ def _blend_row(v, channels, flat, light, lenses, surface, depth, grid, weighting
             out[v, u, 3] = min(total3 * per_sample + half, top)
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def blend_pixels(channels, flat, light, lenses, surface, depth, grid, weighting, output):
+@njit(cache=True, nogil=True, share=lambda *given: len(given[8].image))
+def blend_pixels(begin, end, channels, flat, light, lenses, surface, depth, grid, weighting, output):
     """Draw the pixels of a `Grid` into an `Output`, with the patch sizes `surface` (h, w) on a `DepthGrid`.
 
     `channels` is any tuple of C numbers: its length belongs to its type, so that code for other channels is left out;
@@ -323,13 +321,7 @@ def blend_pixels(channels, flat, light, lenses, surface, depth, grid, weighting,
                 for o in range(len(lenses.offsets)):
                     types_about[a, b, o] = types[(a + lenses.steps[o, 0]) % cells, (b + lenses.steps[o, 1]) % cells]
     squares = light.lights * light.lights
-    # Wanted pixels come in clusters, which all threads share.
-    count, length, stride = plan_chunks(len(output.image))
-    for number in prange(count):
-        first_row = number * stride % count * length
-        for v in range(first_row, min(first_row + length, len(output.image))):
-            # The same type of number where this is compiled and where it is run: else the row is compiled twice.
-            _blend_row(
-                np.int64(v), channels, flat, light, lenses, surface, depth, grid, weighting, output, types_about,
-                squares,
-            )  # fmt: skip
+    for v in range(begin, end):
+        _blend_row(
+            v, channels, flat, light, lenses, surface, depth, grid, weighting, output, types_about, squares,
+        )  # fmt: skip

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 
 from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
@@ -35,9 +34,6 @@ from .lens_runs import (
 from .settings import WEIGHTS
 
 __all__ = ["blend_rows"]
-
-# Bands of rows that one thread blends one after the other with the same buffers.
-_TOGETHER = 4
 
 
 class _RowMemory(NamedTuple):
@@ -260,9 +256,9 @@ def _most_runs(centres, grid, bands, reach):
     return tall, tall * (ROWS * (int(2 * reach / grid.spacing) + 1 + 2 * COLUMNS) // LANES + 2)
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def blend_rows(channels, flat, light, lenses, surface, depth, grid, weighting, output, left, threads):
-    """Draw the pixels of a `Grid` into an `Output`, on so many `threads`.
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: -(-len(given[8].image) // ROWS))
+def blend_rows(begin, end, channels, flat, light, lenses, surface, depth, grid, weighting, output, left):
+    """Draw the pixels of a `Grid` into an `Output`.
 
     As `blend_pixels`, with packed pixels (h, w) uint32 or uint64 in `flat` (`prefilter_packed`) and `SortedLenses`.
     Pixels that need more than one sample are marked in `left` (h, w) instead.
@@ -275,21 +271,16 @@ def blend_rows(channels, flat, light, lenses, surface, depth, grid, weighting, o
     line, depth_line, stride = flat.pixels.reshape(-1), flat.depth.reshape(-1), np.uint64(flat.pixels.shape[1])
     bands = (rows + ROWS - 1) // ROWS
     tall, most = _most_runs(lenses.centres, grid, bands, weighting.reach)
-    groups = (bands + _TOGETHER - 1) // _TOGETHER
-    each = -(-groups // threads)
-    for number in prange(each * threads):
-        # Wanted pixels come in clusters: every thread gets rows from top to bottom.
-        group = number % each * threads + number // each
-        source = Source(
-            line, depth_line, stride, flat.corner, flat.size, light_pairs, light.step, lenses, depth.edge,
-            weighting.reach,
-        )  # fmt: skip
-        memory = _allocate_row(columns, depth.spacing, grid.spacing)
-        band, buffers = _allocate_band(len(lenses.shares)), _allocate_buffers(line, most, tall)
-        totals = np.empty(4 * LINE, np.float32)
-        for n in range(group * _TOGETHER, min((group + 1) * _TOGETHER, bands)):
-            for section in range(0, columns, SECTION):
-                _blend_section(
-                    source, channels, surface, depth, grid, weighting.tolerance, output, left, ROWS * n, section,
-                    memory, band, buffers, totals,
-                )  # fmt: skip
+    source = Source(
+        line, depth_line, stride, flat.corner, flat.size, light_pairs, light.step, lenses, depth.edge,
+        weighting.reach,
+    )  # fmt: skip
+    memory = _allocate_row(columns, depth.spacing, grid.spacing)
+    band, buffers = _allocate_band(len(lenses.shares)), _allocate_buffers(line, most, tall)
+    totals = np.empty(4 * LINE, np.float32)
+    for n in range(begin, end):
+        for section in range(0, columns, SECTION):
+            _blend_section(
+                source, channels, surface, depth, grid, weighting.tolerance, output, left, ROWS * n, section,
+                memory, band, buffers, totals,
+            )  # fmt: skip

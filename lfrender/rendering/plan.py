@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import get_num_threads
 from numpy.typing import NDArray
 
 from lfcal import Calibration, Lattice
@@ -222,9 +221,9 @@ class RenderPlan:
                 weighting = weighting._replace(
                     reach=min(weighting.reach, DEFAULT.view_reach * self.calibration.lattice.pitch)
                 )
-                blend_view_rows(self._view, channels, *inputs, weighting, output, left, get_num_threads())
+                blend_view_rows(self._view, channels, *inputs, weighting, output, left)
             else:
-                blend_rows(channels, *inputs, weighting, output, left, get_num_threads())
+                blend_rows(channels, *inputs, weighting, output, left)
             ready, grid = packed.view(pixels.dtype).reshape(*packed.shape, 4), grid._replace(wanted=left)
         lenses, general = self._lenses, read._replace(pixels=ready)
         if not grid.wanted.size or grid.wanted.any():

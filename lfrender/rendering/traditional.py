@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Calibration
@@ -21,13 +20,13 @@ from .settings import DEFAULT, RenderSettings
 __all__ = ["resolves_too_little", "traditional"]
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _lens_means(flat, centres, radius, gains, gain_step, unlit, out, lit):
+@njit(cache=True, nogil=True, share=lambda flat, centres, *_: len(centres), fastmath=FAST)
+def _lens_means(begin, end, flat, centres, radius, gains, gain_step, unlit, out, lit):
     """Mean of each microimage over the pixels that are not `unlit` ((0, 0): all are lit), and how many those are."""
     height, width, channels = flat.shape
     last = len(gains) - 1
     known = unlit.size > 0
-    for lens in prange(len(centres)):
+    for lens in range(begin, end):
         cx, cy = centres[lens, 0], centres[lens, 1]
         count = 0
         for k in range(channels):

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from threading import RLock
 from typing import Any
 
+from .sharing import share_out
+
 __all__ = ["Kernel", "njit"]
 
 _lock = RLock()
@@ -15,13 +17,17 @@ class Kernel:
     """A function that Numba compiles; called from Python, or from other kernels."""
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        self._share: Callable[..., int] | None = options.pop("share", None)
         self.py_func = function
         self.options = options
         self.__name__, self.__qualname__ = function.__name__, function.__qualname__
         self.__module__, self.__doc__ = function.__module__, function.__doc__
 
     def __call__(self, *arguments: Any) -> Any:
-        return self.dispatcher(*arguments)
+        if self._share is None:
+            return self.dispatcher(*arguments)
+        share_out(self.dispatcher, self._share(*arguments), arguments)
+        return None
 
     def __getattr__(self, name: str) -> Any:
         # Reached only for what is not set yet: the dispatcher, and all that it has.
@@ -59,7 +65,11 @@ class Kernel:
 
 
 def njit(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
-    """Make a `Kernel` of a function, with the options of `numba.njit`; `cache=True` is the cache of `.cache`."""
+    """Make a `Kernel` of a function, with the options of `numba.njit`; `cache=True` is the cache of `.cache`.
+
+    With `share`, a function of the arguments for the number of items, the kernel is called from Python without its
+    first two arguments, the first item and the end of a part of them: see `.sharing`. Kernels call it with them.
+    """
     if function is not None:
         return Kernel(function, options)
     return lambda function: Kernel(function, options)

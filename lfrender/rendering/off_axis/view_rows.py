@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
 from lfcal.runtime.kernels.jit import njit
 
 from ..blend_rows import (
-    _TOGETHER,
     _allocate_band,
     _allocate_buffers,
     _allocate_row,
@@ -72,8 +70,8 @@ def _blend_section(
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def blend_view_rows(view, channels, flat, light, lenses, surface, depth, grid, weighting, output, left, threads):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: -(-len(given[9].image) // ROWS))
+def blend_view_rows(begin, end, view, channels, flat, light, lenses, surface, depth, grid, weighting, output, left):
     """Draw the pixels of a `Grid` into an `Output` as `blend_rows`, from a viewpoint.
 
     `view` are x, y of the viewpoint and the squared radius up to which microimages are read [px]; the radius of the
@@ -87,21 +85,16 @@ def blend_view_rows(view, channels, flat, light, lenses, surface, depth, grid, w
     line, depth_line, stride = flat.pixels.reshape(-1), flat.depth.reshape(-1), np.uint64(flat.pixels.shape[1])
     bands = (rows + ROWS - 1) // ROWS
     tall, most = _most_runs(lenses.centres, grid, bands, weighting.reach)
-    groups = (bands + _TOGETHER - 1) // _TOGETHER
-    each = -(-groups // threads)
-    for number in prange(each * threads):
-        # Wanted pixels come in clusters: every thread gets rows from top to bottom.
-        group = number % each * threads + number // each
-        source = Source(
-            line, depth_line, stride, flat.corner, flat.size, light_pairs, light.step, lenses, depth.edge,
-            weighting.reach,
-        )  # fmt: skip
-        memory = _allocate_row(columns, depth.spacing, grid.spacing)
-        band, buffers = _allocate_band(len(lenses.shares)), _allocate_buffers(line, most, tall)
-        totals = np.empty(4 * LINE, np.float32)
-        for n in range(group * _TOGETHER, min((group + 1) * _TOGETHER, bands)):
-            for section in range(0, columns, SECTION):
-                _blend_section(
-                    view, source, channels, surface, depth, grid, weighting.tolerance, output, left, ROWS * n, section,
-                    memory, band, buffers, totals,
-                )  # fmt: skip
+    source = Source(
+        line, depth_line, stride, flat.corner, flat.size, light_pairs, light.step, lenses, depth.edge,
+        weighting.reach,
+    )  # fmt: skip
+    memory = _allocate_row(columns, depth.spacing, grid.spacing)
+    band, buffers = _allocate_band(len(lenses.shares)), _allocate_buffers(line, most, tall)
+    totals = np.empty(4 * LINE, np.float32)
+    for n in range(begin, end):
+        for section in range(0, columns, SECTION):
+            _blend_section(
+                view, source, channels, surface, depth, grid, weighting.tolerance, output, left, ROWS * n, section,
+                memory, band, buffers, totals,
+            )  # fmt: skip
