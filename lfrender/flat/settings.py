@@ -40,7 +40,7 @@ class GrayFlatSettings:
     exposure_rows: int = 16  # from which the exposure of a flat is measured
     headroom: float = 1.25  # least white level over the brightness of nearly all pixels of a dim flat
     bright: float = 0.99  # [quantile] of the pixels, which that brightness is
-    dim: int = 3  # powers of two by which the white level can be lowered, from which on a flat is dim
+    dim: int = 1  # powers of two by which the white level can be lowered, from which on a flat is dim
     least_steps: int = 255  # of an integer type up to white: fewer are lost in rounding
     table_size: int = 512  # samples of the vignetting table, over the squared distance
 
