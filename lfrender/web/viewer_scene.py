@@ -187,7 +187,7 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
             "share": measure_lens_blur(pixels, calibration, depth.patch_size),
         },
         "scale": default_scale(depth),
-        "reach": {"sharp": RENDERING.reach, "wide": RENDERING.refocus_reach},
+        "reach": {"sharp": RENDERING.reach, "aside": RENDERING.view_reach, "wide": RENDERING.refocus_reach},
         "agreement": RENDERING.agreement,
         "coarse": RENDERING.coarse_ratio,
         "planes": ends,

@@ -19,6 +19,7 @@ from ..lens_runs import (
     _WORK,
     COLUMNS,
     LANES,
+    PER_RUN,
     QUEUE,
     ROWS,
     _find_columns,
@@ -35,11 +36,12 @@ __all__ = ["read_lenses_about"]
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
 def _place(
-    columns, rows, slope, limits, share, lens, flat, spacing, per_light_step, u, lanes, work, whole, at, view
+    columns, rows, slope, limits, share, lens, flat, spacing, per_light_step, u, lanes, work, whole, at, view, values,
+    base,
 ):  # fmt: skip
     """Where some pixels from `u` on read a lens about the `view` (3,): x, y and squared radius of microimages [px].
 
-    Leaves in `work` and `whole` what `lens_runs` does.
+    Leaves in `work` and `whole` what `lens_runs` does, and squared distances of the lens in `values` from `base` on.
     """
     n_x, n_y, e_x, e_y, at_x, at_y = lens.n_x, lens.n_y, lens.e_x, lens.e_y, lens.at_x, lens.at_y
     inner_x, inner_y, type_at, border = lens.inner_x, lens.inner_y, lens.type_at, lens.border
@@ -52,6 +54,7 @@ def _place(
         ex = np.float32(np.int32(n_x + columns[u + k])) * spacing + e_x
         ey = np.float32(np.int32(n_y + rows[k])) * spacing + e_y
         d2 = ex * ex + ey * ey
+        values[base + k] = d2
         tilt = slope[u + k]
         dx, dy = view_x - ex * tilt, view_y - ey * tilt
         delta2 = dx * dx + dy * dy
@@ -66,13 +69,37 @@ def _place(
             fx = np.float32(1.0) if ix > last_x else fx
             fy = np.float32(1.0) if iy > last_y else fy
             ix, iy = min(max(ix, np.int32(0)), last_x), min(max(iy, np.int32(0)), last_y)
-        weight = (WEIGHTS.rim - d2 / limit) * share[type_at + u + k]
+        # The second alone grows toward the rim of a microimage.
+        weight = (WEIGHTS.rim - max(d2 / limit, delta2 / radius2)) * share[type_at + u + k]
         work[at + k] = fx
         work[at + _F + k] = fy
         work[at + _W + k] = weight if ok else np.float32(0.0)
         place = np.int32(np.int32(np.int32(iy - corner_y) * stride) + np.int32(ix - corner_x))
         whole[at + k] = place if ok else np.int32(0)
         whole[at + _F + k] = np.int32(min(delta2 * per_light_step, last_entry))
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _reduce_occluded(depth, sizes, stride, edge, per_pitch2, runs, begin, end, work, whole, values):
+    """Reduce the weight of readings whose nearest pixel shows another depth, of the runs from `begin` to `end`.
+
+    The warped surface is what is visible from the viewpoint: lenses that look from nearby are preferred.
+    """
+    half = np.float32(0.5)
+    for n in range(begin, end):
+        if not runs[n, 1]:
+            continue
+        # The queue would do the same without regard to how far away lenses are.
+        runs[n, 1] = 0
+        u, at, base = np.uint64(runs[n, 0]), np.uint64(n % QUEUE) * _WORK, np.uint64(n) * PER_RUN
+        for k in range(count_pixels(runs[n, 2])):
+            right = np.uint64(1) if work[at + k] >= half else np.uint64(0)
+            below = stride if work[at + _F + k] >= half else np.uint64(0)
+            shown = depth[np.uint64(np.uint32(whole[at + k])) + right + below]
+            beside = values[base + k] * per_pitch2 + WEIGHTS.occluded_near
+            # Without a branch, which could not be predicted.
+            occluded = abs(shown - sizes[u + k]) > np.float32(2.0) * edge
+            work[at + _W + k] *= WEIGHTS.occluded / (beside * beside) if occluded else np.float32(1.0)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -90,6 +117,7 @@ def read_lenses_about(view, source, band, lowest, highest, first, row, column, s
     )  # fmt: skip
     step, per_light_step = np.float32(spacing), np.float32(1 / source.light_step)
     found = done = 0
+    per_pitch2 = np.float32(1.0) / (source.lenses.pitch * source.lenses.pitch)
     top, bottom = first[1] + row * spacing, first[1] + (row + ROWS - 1) * spacing
     _find_columns(centres, lowest, highest, first[0], top, bottom, spacing, column, source.reach, count, ranges)
     for number in range(lowest, highest):
@@ -100,6 +128,9 @@ def read_lenses_about(view, source, band, lowest, highest, first, row, column, s
         end = _GROUP * before[(end + COLUMNS - 1) // COLUMNS]
         for u in range(_GROUP * before[begin // COLUMNS], end, LANES):
             if found == done + QUEUE:
+                _reduce_occluded(
+                    depth, sizes, stride, flat.edge, per_pitch2, runs, done, found, work, whole, values
+                )  # fmt: skip
                 _read_queue(
                     line, depth, lights, flat, sizes, runs, done, found, work, whole, corners, pairs, light,
                     light_pairs, values, sums,
@@ -110,12 +141,13 @@ def read_lenses_about(view, source, band, lowest, highest, first, row, column, s
             at, lanes = np.uint64(found % QUEUE) * _WORK, count_pixels(runs[found, 2])
             _place(
                 columns, rows, slope, limits, share, lens, flat, step, per_light_step, np.uint64(u), lanes, work, whole,
-                at, view,
+                at, view, values, np.uint64(found) * PER_RUN,
             )  # fmt: skip
             _prefetch_run(line, stride, whole, at, lanes)
             if edged[number]:
                 _prefetch_run(depth, stride, whole, at, lanes)
             found += 1
+    _reduce_occluded(depth, sizes, stride, flat.edge, per_pitch2, runs, done, found, work, whole, values)
     _read_queue(
         line, depth, lights, flat, sizes, runs, done, found, work, whole, corners, pairs, light, light_pairs, values,
         sums,

@@ -162,7 +162,7 @@ export class Renderer {
       ringStep: scene.rings.step, origin: scene.origin,
       radius: scene.radius * (settings.mode === "focus" ? settings.aperture : 1), plane,
       first: first.map((n, k) => n + moved[k]), moved, spacing, blurred: (blur * scale) ** 2,
-      reach: pitch * (settings.mode === "focus" ? scene.reach.wide : scene.reach.sharp),
+      reach: pitch * (settings.mode === "focus" ? scene.reach.wide : sharp && aside ? scene.reach.aside : scene.reach.sharp),
       agreement: sharp ? scene.agreement : tiles ? 0 : ANY_COLOUR, rows: height, overlay: settings.overlay,
       most: settings.most ?? MOST_SAMPLES,
       limits: scene.overlay.limits, background: settings.background,
