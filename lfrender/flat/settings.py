@@ -38,9 +38,10 @@ class GrayFlatSettings:
     most_boxes: float = 0.5  # [share of the flat] covered by lenses, below which they are downsampled one by one
     table_reach: float = 0.75  # [pitch] of the vignetting table
     exposure_rows: int = 16  # from which the exposure of a flat is measured
-    headroom: float = 1.25  # least white level over the brightness of nearly all pixels of a dim flat
+    headroom: float = 1.1  # least white level over the brightness of nearly all pixels of a dim flat
     bright: float = 0.99  # [quantile] of the pixels, which that brightness is
-    dim: int = 1  # powers of two by which the white level can be lowered, from which on a flat is dim
+    octave: int = 4  # steps of the white level within a factor of two
+    dim: float = 1.0  # powers of two by which the white level can be lowered, from which on a flat is dim
     least_steps: int = 255  # of an integer type up to white: fewer are lost in rounding
     table_size: int = 512  # samples of the vignetting table, over the squared distance
 

@@ -72,7 +72,7 @@ def match_exposure(rows: NDArray, calibration: Calibration, settings: GrayFlatSe
     """The camera with a white level that a dim flat comes near to; the camera as it is for others.
 
     Noise, texture and tolerances are then measured against the light of the flat, not against that of the type. The
-    white level is lowered by powers of two, so that the frames of a sequence have the same. Flats of 8 bits are never
+    white level is lowered in steps, so that the frames of a sequence have the same. Flats of 8 bits are never
     dim: their steps are what limits them.
 
     Parameters
@@ -89,8 +89,8 @@ def match_exposure(rows: NDArray, calibration: Calibration, settings: GrayFlatSe
     top = max(float(np.quantile(gray, settings.bright)), 1e-6 * white)
     if rows.dtype.kind != "f":
         top = max(top, settings.least_steps / settings.headroom)
-    power = int(np.floor(np.log2(white / (settings.headroom * top)))) if white > settings.headroom * top else 0
+    power = np.floor(settings.octave * np.log2(max(white / (settings.headroom * top), 1.0))) / settings.octave
     if power < settings.dim:
         return calibration
-    level = white / 2**power
+    level = float(white / 2**power)
     return cached(calibration, ("white level", level), lambda: replace(calibration, white_level=level))

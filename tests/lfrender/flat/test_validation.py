@@ -26,11 +26,12 @@ def test_dim_flat_of_16_bits_resolves_what_the_bright_one_does():
     np.testing.assert_allclose(np.nanmedian(dim.patch_size), 6, atol=0.05)
 
 
-def test_white_level_is_lowered_by_powers_of_two_for_dim_flats_alone():
+def test_white_level_is_lowered_in_steps_for_dim_flats_alone():
     rows = np.full((4, 300, 3), 30000, np.uint16)
     assert match_exposure(rows, _CAMERA) is _CAMERA
-    assert match_exposure(rows // 60, _CAMERA).white_level == 65536 / 2**6 - 1 / 64
-    assert match_exposure(np.full((4, 300), 0.01, np.float32), _CAMERA).white_level == 1 / 64
+    assert 1.1 * 500 <= match_exposure(rows // 60, _CAMERA).white_level < 1.1 * 500 * 2**0.25
+    assert match_exposure(rows // 60, _CAMERA) is match_exposure(rows // 59, _CAMERA)
+    assert match_exposure(np.full((4, 300), 0.01, np.float32), _CAMERA).white_level == 2**-6.5
     assert match_exposure(np.full((4, 300), 3, np.uint8), _CAMERA) is _CAMERA
     # Fewer steps up to white than those of 8 bits would be rounding alone.
     assert match_exposure(np.full((4, 300), 3, np.uint16), _CAMERA).white_level >= 255
