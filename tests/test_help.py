@@ -104,3 +104,9 @@ def test_a_command_that_fails_at_once_says_one_line(tmp_path):
         )
         assert done.returncode == 2
         assert len(done.stderr.splitlines()) == 1, done.stderr
+
+
+@pytest.mark.parametrize("program", ["lfcal", "lfrender"])
+def test_help_loads_neither_numpy_nor_numba(program):
+    code = f"import sys, {program}.cli.main; sys.exit(not sys.modules.keys().isdisjoint({{'numpy', 'numba', 'cv2'}}))"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-__all__ = ["DEFAULT", "LIT_LENSES", "LatticeSettings", "LitLensSettings"]
+__all__ = ["ARRANGEMENTS", "DEFAULT", "LIT_LENSES", "LatticeSettings", "LitLensSettings"]
+
+
+_ROOT = math.sqrt(0.75)
+#: Bases of pitch 1 by the name of their arrangement; rows of hexagonal arrays are those of nearest neighbours.
+ARRANGEMENTS = {
+    "hexagonal": ((1.0, 0.0), (0.5, _ROOT)),
+    "hexagonal-vertical": ((0.0, 1.0), (-_ROOT, 0.5)),
+    "square": ((1.0, 0.0), (0.0, 1.0)),
+}
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ __all__ = ["main"]
 
 # Commands that are often typed here by mistake, and the program that has them.
 _OTHER_PROGRAMS = dict.fromkeys(
-    ("board", "calibrate", "compare", "convert", "flatten", "info", "metric", "show"), "lfcal"
+    ("board", "calibrate", "compare", "convert", "flatten", "info", "lattice", "metric", "show"), "lfcal"
 )
 
 
