@@ -13,7 +13,9 @@ ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
-@pytest.mark.parametrize("package, program", [("lfcal", "lfcal"), ("lfrender", "lfrender"), ("data_synth", "lfsynth")])
+@pytest.mark.parametrize(
+    "package, program", [("lfcal", "lfcal"), ("lfrender", "lfrender"), ("data_synth.cli", "lfsynth")]
+)
 def test_packages_run_as_modules_and_tell_their_version(package, program):
     done = subprocess.run([sys.executable, "-m", package, "--version"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -36,13 +36,14 @@ __all__ = ["read_lenses_about"]
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
 def _place(
-    columns, rows, slope, limits, share, lens, flat, spacing, per_light_step, u, lanes, work, whole, at, view, values,
-    base,
+    columns, rows, slope, limits, share, lens, flat, steps, u, lanes, work, whole, at, view, values, base
 ):  # fmt: skip
     """Where some pixels from `u` on read a lens about the `view` (3,): x, y and squared radius of microimages [px].
 
-    Leaves in `work` and `whole` what `lens_runs` does, and squared distances of the lens in `values` from `base` on.
+    `steps` are those between pixels [px] and, reciprocal, between entries of the light table. Leaves in `work` and
+    `whole` what `lens_runs` does, and squared distances of the lens in `values` from `base` on.
     """
+    spacing, per_light_step = steps
     n_x, n_y, e_x, e_y, at_x, at_y = lens.n_x, lens.n_y, lens.e_x, lens.e_y, lens.at_x, lens.at_y
     inner_x, inner_y, type_at, border = lens.inner_x, lens.inner_y, lens.type_at, lens.border
     width, height, stride, last_entry = flat.width, flat.height, np.int32(flat.stride), flat.last_entry
@@ -140,8 +141,8 @@ def read_lenses_about(view, source, band, lowest, highest, first, row, column, s
             runs[found, 2] = max((min(u + LANES, end) - u) // _GROUP, _FEWEST)
             at, lanes = np.uint64(found % QUEUE) * _WORK, count_pixels(runs[found, 2])
             _place(
-                columns, rows, slope, limits, share, lens, flat, step, per_light_step, np.uint64(u), lanes, work, whole,
-                at, view, values, np.uint64(found) * PER_RUN,
+                columns, rows, slope, limits, share, lens, flat, (step, per_light_step), np.uint64(u), lanes, work,
+                whole, at, view, values, np.uint64(found) * PER_RUN,
             )  # fmt: skip
             _prefetch_run(line, stride, whole, at, lanes)
             if edged[number]:
