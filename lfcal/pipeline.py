@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Literal
@@ -84,14 +85,26 @@ def calibrate(
     # Compiled code is loaded only once there is a flat.
     from threadpoolctl import threadpool_limits
 
-    from .detection.capture_kind import check_flats, estimate_white_level
+    from .detection.capture_kind import check_flats, estimate_white_level, measure_overexposure
 
     flats = check_flats(image)
     for flat in flats:
         check_mosaic(mosaic, flat)
     # The equations are too small for more threads to pay off.
-    with threadpool_limits(1, "blas"):
-        return replace(_calibrate(flats, kind, mosaic, hint), white_level=estimate_white_level(flats))
+    clipped = max(measure_overexposure(flat) for flat in flats)
+    try:
+        with threadpool_limits(1, "blas"):
+            camera = _calibrate(flats, kind, mosaic, hint)
+    except CalibrationError as error:
+        if clipped < CALIBRATION.overexposed:
+            raise
+        raise CalibrationError(f"{error} ({clipped:.0%} of the pixels are over-exposed: expose less)") from error
+    if camera.source == "white" and clipped > CALIBRATION.overexposed:
+        text = (
+            f"the white image is over-exposed ({clipped:.0%} of its pixels are clipped): expose less, by a half or more"
+        )
+        camera = replace(camera, warnings=(*camera.warnings, text))
+    return replace(camera, white_level=estimate_white_level(flats))
 
 
 def _calibrate(
@@ -113,8 +126,23 @@ def _calibrate(
         return replace(upscale_calibration(camera, block, size), mosaic=mosaic)
     candidates = _find_candidates(found, flats, kind, filtered, hint)
     camera, found = _measure_first(candidates)
+    if kind == "auto" and found.white and one and _may_be_scene(camera):
+        with suppress(CalibrationError):
+            scene, other = _measure_first(_find_candidates(None, flats, "scene", filtered, None))
+            if scene.confidence > camera.confidence:
+                camera, found = scene, other
     warnings = (*camera.warnings, *_warnings(camera, found.fit.half_difference, filtered and mosaic is None))
     return replace(camera, mosaic=mosaic, warnings=warnings)
+
+
+def _may_be_scene(camera: Calibration) -> bool:
+    """Whether what was calibrated as a white image is lit more unlike from lens to lens than by dust."""
+    gain = np.zeros(0) if camera.gain_map is None else camera.gain_map.lens_gain
+    lit = gain[gain > 0]
+    unlike = len(lit) > 0 and float((np.abs(lit / np.median(lit) - 1) > CALIBRATION.unlike_gain).mean())
+    # Where the lattice is uncertain, half as many are enough.
+    share = 1.0 if camera.confidence >= CALIBRATION.min_confidence else 0.5
+    return unlike > share * CALIBRATION.unlike_lenses
 
 
 def _find_large(flat: NDArray[Any], kind: str, filtered: bool, block: int) -> LatticeCandidate | None:
@@ -191,6 +219,7 @@ def _measure(found: LatticeCandidate) -> Calibration:
     light = measure_illumination(picture, fit.lattice, white, fit.cat_eye, found.read_crop)
     lattice = fit.lattice.with_radius(light.radius)
     doubt = None if found.stated else _find_doubt(found, lattice)
+    agreement, beside = _compare_circles(found, lattice)
     # With half of the pixels unlike the model there is no trust in its centres.
     confidence = min(
         found.start.repeatability,
@@ -205,12 +234,30 @@ def _measure(found: LatticeCandidate) -> Calibration:
         residual_rms=fit.residual_rms,
         lenses_used=fit.lenses_used,
         confidence=float(np.clip(confidence, 0, 1)),
-        warnings=(*light.warnings, *(text for text in (doubt, fit.doubt) if text is not None)),
+        warnings=(*light.warnings, *(text for text in (doubt, fit.doubt, beside) if text is not None)),
         lens_types=find_lens_types(picture, lattice, white),
         gain_map=light.gain_map,
         defects=light.defects,
         errors=fit.errors,
         residuals=fit.residuals,
+        circle_agreement=agreement,
+    )
+
+
+def _compare_circles(found: LatticeCandidate, lattice: Lattice) -> tuple[float, str | None]:
+    """Agreement of circles found by Hough vote with the lattice, and a warning where they lie between its centres."""
+    from .hough.circle_vote import find_circles, find_shifted
+
+    picture = found.picture if isinstance(found.picture, np.ndarray) else found.picture.crop(0)
+    circles = find_circles(picture, lattice.pitch)
+    if not isinstance(found.picture, np.ndarray):
+        circles = replace(circles, centres=circles.centres + found.picture.corners[0])
+    own, shifted = circles.agreement(lattice), find_shifted(circles, lattice)
+    if not shifted > own + CALIBRATION.circles_beside:
+        return own, None
+    return own, (
+        f"circles on the flat lie between the centres of the lattice (agreement {shifted:.2f} there, {own:.2f} on it): "
+        "gaps may have been taken for microimages; check the circles on the flat ('lfcal show')"
     )
 
 

@@ -73,6 +73,9 @@ class Calibration:
         where it is not, for floats, or unknown.
     optics : Optics or None
         Main lens, distances and their covariance, which turn patch sizes into metres; None where not calibrated.
+    circle_agreement : float
+        Up to 1: share of the circles found by Hough vote that lie on the lattice, beyond chance; NaN where not
+        measured.
 
     Examples
     --------
@@ -99,6 +102,7 @@ class Calibration:
     residuals: Residuals | None = None
     white_level: float | None = None
     optics: Optics | None = None
+    circle_agreement: float = float("nan")
 
     def __post_init__(self) -> None:
         if self.mosaic not in (None, *MOSAICS):
@@ -132,6 +136,7 @@ class Calibration:
                 "residual_rms": None if np.isnan(self.residual_rms) else self.residual_rms,
                 "lenses_used": self.lenses_used,
                 "confidence": self.confidence,
+                "circle_agreement": None if np.isnan(self.circle_agreement) else self.circle_agreement,
             },
             "warnings": list(self.warnings),
             "lens_types": self.lens_types and self.lens_types.to_dict(),
@@ -167,7 +172,7 @@ class Calibration:
             raise CameraFileError(f"field lattice: {error}; calibrate again") from error
         check_plausible(lattice)
         gain = _unpack(data, "gain_map", GainMap.from_dict)
-        residual, white_level = fit["residual_rms"], data.get("white_level")
+        residual, white_level, circles = fit["residual_rms"], data.get("white_level"), fit.get("circle_agreement")
         return cls(
             lattice=lattice,
             vignetting=_unpack(data, "vignetting", lambda part: Vignetting(part["profile"], part["step"])),
@@ -185,6 +190,7 @@ class Calibration:
             residuals=_unpack(data, "residuals", Residuals.from_dict),
             white_level=None if white_level is None else float(white_level),
             optics=_unpack(data, "optics", Optics.from_dict),
+            circle_agreement=float("nan") if circles is None else float(circles),
         )
 
     def gain(self) -> NDArray[np.float32]:

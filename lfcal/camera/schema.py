@@ -47,6 +47,7 @@ class _Fit(Struct):
     residual_rms: Annotated[float, Meta(ge=0, le=1e5)] | None
     lenses_used: Annotated[int, Meta(ge=0)]
     confidence: _Share
+    circle_agreement: Annotated[float, Meta(ge=-1, le=1)] | None = None
 
 
 class _Vignetting(Struct):

@@ -38,6 +38,7 @@ def describe(camera: Calibration) -> dict[str, Any]:
         "lenses_used": camera.lenses_used,
         "residual_rms": camera.residual_rms,
         "confidence": camera.confidence,
+        "circle_agreement": camera.circle_agreement,
         "mosaic": camera.mosaic or "none",
         "defect_pixels": len(camera.defects.pixels),
         "defect_lenses": len(camera.defects.lenses),

@@ -18,7 +18,7 @@ from .first_lattice import FirstLattice
 from .radial_profile import RadialProfile, measure_radial_profile
 from .settings import DEFAULT, CaptureSettings
 
-__all__ = ["check_flats", "choose_white_or_scene", "estimate_white_level", "is_evenly_lit"]
+__all__ = ["check_flats", "choose_white_or_scene", "estimate_white_level", "is_evenly_lit", "measure_overexposure"]
 
 
 def check_flats(image: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[Any]]:
@@ -52,6 +52,16 @@ def estimate_white_level(flats: Sequence[NDArray[Any]]) -> float | None:
         return None
     largest = max(int(flat.max()) for flat in flats)
     return next((float(2**bits - 1) for bits in (8, 10, 12, 14) if largest < 2**bits), None)
+
+
+def measure_overexposure(flat: NDArray[Any]) -> float:
+    """Share of the pixels of a flat at the largest value that its type, or a sensor of fewer bits, can have."""
+    if flat.dtype.kind != "u":
+        return 0.0
+    top = int(flat.max())
+    if top != np.iinfo(flat.dtype).max and top not in (1023, 4095, 16383):
+        return 0.0
+    return float((flat >= top).reshape(*flat.shape[:2], -1).any(-1).mean())
 
 
 def _check_flat(image: ArrayLike, name: str) -> NDArray[Any]:

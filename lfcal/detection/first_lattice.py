@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..hough.circle_vote import circle_agreement, propose_basis
 from ..images.preprocessing import edge_strength, normalise_locally
 from ..lattice.lattice import Lattice, reduce_basis
 from ..lattice.stated import LatticeHint
@@ -57,6 +58,7 @@ class FirstLattice:
     half_difference: float  # [px] RMS distance over the flat of the lattices of two halves of the tiles
     repeatability: float  # correlation of the average microimages of two halves of the tiles, see `_repeatability`
     doubt: CalibrationError | None = None  # why this may be no lattice of microimages, unless parallax proves it
+    confirmed: bool = False  # circles found by Hough vote lie on it, where halves of the flat hardly repeat
 
 
 def find_first_lattice(picture: NDArray[np.float32], settings: DetectionSettings = DEFAULT) -> FirstLattice:
@@ -211,33 +213,74 @@ def _build_lattices(
     """`find_first_lattices` from bases of the spectrum."""
     edges = edge_strength(picture)
     error: CalibrationError | None = None
-    uncertain: FirstLattice | None = None
+    uncertain: list[FirstLattice] = []
     given: list[FirstLattice] = []
+    tried = [next(bases)]
     try:
-        first = _build_lattice(next(bases), picture, edges, settings)
+        first = _build_lattice(tried[0], picture, edges, settings)
         if _is_certain(first, settings.first_lattice):
             given.append(first)
             yield first
         else:
-            uncertain = first
+            uncertain.append(first)
     except CalibrationError as failure:
         error = failure
     certain = []
     for basis in bases:
+        tried.append(basis)
         with suppress(CalibrationError):
             found = _build_lattice(basis, picture, edges, settings)
             if _is_certain(found, settings.first_lattice):
                 certain.append(replace(found, doubt=found.doubt or error or CalibrationError(NO_MICROIMAGES)))
+            else:
+                uncertain.append(found)
     # The average of several lens types is less round than that of one.
     for found in sorted(certain, key=lambda one: -one.roundness):
         same = (one.lattice.basis for one in given)
         if not any(_is_same_lattice(found.lattice.basis, b, settings.first_lattice.same_basis) for b in same):
             given.append(found)
             yield found
-    if not given:
-        if uncertain is None:
-            raise error or CalibrationError(NO_MICROIMAGES)
-        yield uncertain
+    if given:
+        return
+    confirmed = _confirm_by_circles(uncertain, tried, picture, edges, settings)
+    yield from (replace(one, doubt=one.doubt or error or CalibrationError(NO_MICROIMAGES)) for one in confirmed)
+    if confirmed:
+        return
+    if error is not None or not uncertain:
+        raise error or CalibrationError(NO_MICROIMAGES)
+    yield uncertain[0]
+
+
+def _confirm_by_circles(
+    uncertain: list[FirstLattice],
+    tried: list[NDArray[np.float64]],
+    picture: NDArray[np.float32],
+    edges: NDArray[np.float32],
+    settings: DetectionSettings,
+) -> list[FirstLattice]:
+    """Those of the uncertain lattices, and of others that circles propose, on which circles lie, the best one first.
+
+    In crops of few lenses of several types two halves of the flat hardly repeat, whatever the lattice.
+    """
+    first, known = settings.first_lattice, [one.lattice.basis for one in uncertain]
+    pitches: list[float] = []
+    for basis in [*known, *tried]:
+        pitch = 2 * _inradius(basis)
+        if pitch >= first.min_pitch and all(abs(np.log(pitch / other)) > first.circle_pitches for other in pitches):
+            pitches.append(pitch)
+    for pitch in pitches:
+        proposed = propose_basis(picture, pitch)
+        if proposed is None or any(_is_same_lattice(proposed, basis, first.same_basis) for basis in known):
+            continue
+        known.append(proposed)
+        with suppress(CalibrationError, np.linalg.LinAlgError):
+            uncertain = [*uncertain, _build_lattice(proposed, picture, edges, settings)]
+    ranked = [
+        (circle_agreement(picture, one.lattice), one) for one in uncertain
+        if one.repeatability >= first.stated_repeatability and np.isfinite(one.half_difference)
+    ]  # fmt: skip
+    ranked = [pair for pair in ranked if pair[0] >= first.circle_agreement]
+    return [replace(one, confirmed=True) for _, one in sorted(ranked, key=lambda pair: -pair[0])]
 
 
 def _is_certain(found: FirstLattice, settings: FirstLatticeSettings) -> bool:

@@ -61,7 +61,9 @@ class FirstLatticeSettings:
     idle_tile: float = 0.1  # share of the squared lattice amplitude; stray light has a sixth of the array's light
     tone_samples: int = 32  # pixels along a tile that give its mean tone
     repeatability: float = 0.8  # least correlation of the average microimages of two halves of the flat
-    stated_repeatability: float = 0.4  # the same where the pitch was stated beforehand
+    stated_repeatability: float = 0.4  # the same where the pitch was stated beforehand, or circles confirm it
+    circle_agreement: float = 0.2  # share of circles beyond chance that must lie on an uncertain lattice
+    circle_pitches: float = 0.15  # logarithm by which pitches differ at which circles are looked for
     certain_repeatability: float = 0.97  # where one feature reaches this, the other may be too faint
     half_difference: float = 0.03  # [pitch] between lattices of two halves: scenes 0.01, detail of a plane 0.05
     doubtful_roundness: float = 0.6  # least of a doubtful average microimage: scenes 0.62, bricks mostly below 0.5

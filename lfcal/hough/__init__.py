@@ -1,0 +1,1 @@
+"""Hough vote for circle centres: a witness of the lattice that uses neither spectra nor averages."""
