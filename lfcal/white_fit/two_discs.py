@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..lattice.lattice import Lattice
@@ -291,8 +290,8 @@ def remove_neighbours(lenses: Microimages, model: WhiteModel) -> Microimages:
     return replace(lenses, light=light, gap=discs.gap * float(lenses.profile[0]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True, fastmath=FAST)
-def _evaluate(place, lens, field, steps, p, scale, reach, own, model, table):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda place, *_: len(place), fastmath=FAST)
+def _evaluate(begin, end, place, lens, field, steps, p, scale, reach, own, model, table):
     """Light (n,) of pixels, with that of the lens itself only if `own`.
 
     If `table` (n, 19) has rows, also its derivatives with all parameters.
@@ -300,7 +299,7 @@ def _evaluate(place, lens, field, steps, p, scale, reach, own, model, table):
     learn, per_square, per_reach = len(table) > 0, 1 / (scale * scale), 1 / reach
     gap, tail, correlation = p[_GAP], p[_TAIL], p[_CORRELATION]
     height, sharp = 1 - gap, np.exp(-p[_LOG_BLUR : _LOG_BLUR + 2])
-    for k in prange(len(place)):
+    for k in range(begin, end):
         row = np.zeros(_COUNT)
         total = 0.0
         x, y, far, alpha = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
