@@ -88,21 +88,29 @@ def calibrate_metric(
     found, missing = _prepare_all(flats, names, calibration, board, settings)
     warnings += [f"{flat.name}: {flat.reason or 'too few corners'}; left out" for flat in missing]
 
-    start = _first(as_triangulated([f.detected for f in found if f.detected]), calibration, board, len(found), settings)
-    observations, _ = measure(found, calibration, board, start[0], pixel, start[1], most_lenses=settings.first_lenses)
-    _check_seen(observations, found, settings)
-    seen = triangulate(observations, START.fewest_lenses)
-    if np.bincount(seen.pose, minlength=len(found)).min() >= settings.fewest_triangulated:
-        start = _first(seen, calibration, board, len(found), settings)
     points = board.points - board.middle
-    fitted = adjust(start[0], pixel, start[1], points, observations, BASE)
+    detected = as_triangulated([f.detected for f in found if f.detected])
+    first = _first(detected, calibration, board, len(found), settings)
+    observations, _ = measure(found, calibration, board, first[0], pixel, first[1], most_lenses=settings.first_lenses)
+    _check_seen(observations, found, settings)
+    second = _first(_surest(observations, detected, settings), calibration, board, len(found), settings)
+    tried = [adjust(camera, pixel, poses, points, observations, BASE) for camera, poses in (second, first)]
+    fitted = min(tried, key=lambda one: one.noise)
     # Again, from where this camera shows the corners.
     observations, blur = measure(found, calibration, board, fitted.camera, pixel, fitted.poses)
     _check_seen(observations, found, settings)
     fitted = adjust(fitted.camera, pixel, fitted.poses, points, observations, BASE)
     fitted = _without_mirrored_poses(fitted, pixel, points, observations)
-    fitted = select_order(fitted, pixel, points, observations)
+    observations = _with_noise_of_poses(fitted, observations)
+    fitted = select_order(
+        adjust(fitted.camera, pixel, fitted.poses, points, observations, BASE), pixel, points, observations
+    )
     _check_one_camera(fitted, found, observations, settings)
+    if fitted.noise > settings.largest_misfit:
+        warnings.append(
+            f"corners lie {fitted.noise:.0f} times as far from the model as their noise explains; is the board flat, "
+            "are squares and pixel right, was nothing moved?"
+        )
     return _result(fitted, pixel, calibration, board, found, observations, blur, tuple(warnings))
 
 
@@ -200,6 +208,15 @@ def _first(
     return start
 
 
+def _surest(observations: Observations, detected: Triangulated, settings: ObservationSettings) -> Triangulated:
+    """Corners triangulated from microimages; of poses with few of these, as they were detected."""
+    seen = triangulate(observations, START.fewest_lenses)
+    count = int(detected.pose.max()) + 1
+    enough = np.bincount(seen.pose, minlength=count) >= settings.fewest_triangulated
+    parts = [seen.select(enough[seen.pose]), detected.select(~enough[detected.pose])]
+    return Triangulated(*(np.concatenate(column) for column in zip(*map(Triangulated.columns, parts), strict=True)))
+
+
 def _check_seen(observations: Observations, flats: Sequence[BoardFlat], settings: ObservationSettings) -> None:
     seen = [len(np.unique(observations.corner[observations.pose == m])) for m in range(len(flats))]
     blind = [flat.name for flat, count in zip(flats, seen, strict=True) if count < min(settings.fewest_corners, 6)]
@@ -208,6 +225,13 @@ def _check_seen(observations: Observations, flats: Sequence[BoardFlat], settings
             f"{', '.join(blind)}: no corners are seen in single microimages; they are blurred there, or squares are "
             "wider than microimages: use a board of smaller squares, or move it"
         )
+
+
+def _with_noise_of_poses(fitted: Adjusted, observations: Observations) -> Observations:
+    """Stated errors scaled by how far the corners of each pose lie from the model: blur and light differ by pose."""
+    square = (fitted.residual**2).sum(1) / observations.error**2 * fitted.weight
+    noise = np.sqrt(np.bincount(observations.pose, square) / (2 * np.bincount(observations.pose, fitted.weight)))
+    return replace(observations, error=observations.error * noise[observations.pose])
 
 
 def _without_mirrored_poses(fitted: Adjusted, pixel: float, points: Array, observations: Observations) -> Adjusted:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +80,14 @@ class Triangulated:
     ratio: NDArray[np.float64]
     covariance: NDArray[np.float64]
     lenses: NDArray[np.int64]
+
+    def columns(self) -> tuple[NDArray[Any], ...]:
+        """All arrays, in the order of the fields."""
+        return self.pose, self.corner, self.scene, self.ratio, self.covariance, self.lenses
+
+    def select(self, chosen: NDArray[np.bool_]) -> Triangulated:
+        """Those of a mask."""
+        return Triangulated(*(column[chosen] for column in self.columns()))
 
 
 def triangulate(observations: Observations, fewest: int) -> Triangulated:

@@ -27,11 +27,11 @@ _NAMES = {
 
 
 def pose_factor(found: Adjusted, pixel: float, board: Array, observations: Observations) -> float:
-    """How much more the camera changes when single poses are left out than independent errors would make it.
+    """How much more the gradients of single poses scatter than those of independent errors would.
 
-    Delete-one jackknife (CR3 of MacKinnon, Nielsen and Webb 2023), one Gauss-Newton step for each pose: a variance
-    factor, at least 1, the mean over all directions of the fitted parameters. Boards that are not quite flat and errors
-    of the model show here.
+    Variance factor, at least 1, of the fitted parameters: the cluster-robust (sandwich) covariance with poses as
+    clusters, over what it is expected to be, as the mean over all directions (MacKinnon, Nielsen and Webb 2023). Boards
+    that are not quite flat and errors of the model show here.
     """
     chosen = np.array([INTERNAL.index(name) for name in found.free])
     count, own = len(found.poses.rotation), len(INTERNAL)
@@ -52,11 +52,13 @@ def pose_factor(found: Adjusted, pixel: float, board: Array, observations: Obser
     scale = 1 / np.sqrt(np.maximum(np.diag(reduced.sum(0)), 1e-300))
     reduced, gradient = reduced * np.outer(scale, scale), gradient * scale
     total = reduced.sum(0)
-    changes = np.array([np.linalg.lstsq(total - reduced[m], -gradient[m], rcond=1e-12)[0] for m in range(count)])
-    jackknife = (count - 1) / count * changes.T @ changes
-    # Mean over directions of jackknife variance over the stated one.
-    ratio = float(np.trace(total @ jackknife)) / len(chosen) / (found.noise**2 * found.cluster)
-    return max(1.0, ratio)
+    inverse = np.linalg.pinv(total, hermitian=True)
+    measured = expected = 0.0
+    for own_share, own_gradient in zip(reduced, gradient, strict=True):
+        measured += float(own_gradient @ inverse @ own_gradient)
+        # Of independent errors; the gradients of all poses add up to nothing.
+        expected += float(np.trace(inverse @ (own_share - own_share @ inverse @ own_share)))
+    return max(1.0, measured / max(expected, 1e-300) / (found.noise**2 * found.cluster))
 
 
 def optics_of(found: Adjusted, pixel: float, factor: float) -> Optics:

@@ -1,0 +1,129 @@
+"""Metric calibration on data of others: `python -m benchmarks.metric_boards [SHARED]`.
+
+`boards/`, ray-traced by an independent program: optics, poses and corners against the truth, with all twelve flats, and
+the depth of corners in flats left out (each half calibrates for the other). `metric/`, corners of a real Raytrix R12
+published with the toolbox COMPOTE: RMS distance, F with its error, and whether boards are as large as they are.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+import lfcal
+from lfcal import Board, MetricCalibration, calibrate_metric, locate_board
+from lfcal.boards.settings import CORNER
+from lfcal.metric.bundle_adjustment import adjust
+from lfcal.metric.calibrate import DEFAULT_PIXEL
+from lfcal.metric.model_order import BASE, select_order
+from lfcal.metric.observations import Observations, triangulate
+from lfcal.metric.settings import START
+from lfcal.metric.start import first_camera
+from lfcal.metric.uncertainty import describe_degeneracies, optics_of, pose_factor
+
+__all__ = ["main", "ray_traced", "real_r12"]
+
+_SQUARE, _ROWS, _COLUMNS = 10.0, 5, 9  # of the R12's board, mm
+
+
+def ray_traced(folder: Path) -> None:
+    """Print the figures of `boards/`."""
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    known, poses = truth["camera"], truth["poses"]
+    flats = [lfcal.read_flat(folder / pose["file"]) for pose in poses]
+    camera = lfcal.calibrate(lfcal.read_flat(folder / "white.png"), kind="white")
+    board = Board(9, 6, truth["board"]["square_mm"])
+    start, wall = time.process_time(), time.perf_counter()
+    found = calibrate_metric(flats, camera, board, pixel=known["pixel_mm"])
+    print(f"{len(flats)} flats: {time.process_time() - start:.0f} s processor, {time.perf_counter() - wall:.0f} s")
+    true = [known["F_mm"], known["mainlens_to_mla_mm"], known["mla_to_sensor_mm"], *known["principal_point_px"]]
+    off = found.optics.parameters[:6] - [*true, known["k1"]]
+    print("F, L, b, principal point, k1 off / stated:", np.round(off / found.optics.standard_errors[:6], 2))
+    _print_poses(found, poses)
+    left_out = []
+    for half in (slice(0, None, 2), slice(1, None, 2)):
+        some = calibrate_metric(flats[half], camera, board, pixel=known["pixel_mm"])
+        rest = [k for k in range(len(flats)) if k not in range(len(flats))[half]]
+        for k in rest:
+            corners = np.array(poses[k]["corners_mm"])
+            error = locate_board(flats[k], some.calibration, board).place(board.points) - corners
+            left_out.append(np.column_stack([np.abs(error[:, 2]), np.hypot(*error[:, :2].T)]) / corners[:, 2:] * 100)
+    share = np.concatenate(left_out)
+    print(
+        f"corners of poses left out: depth {np.median(share[:, 0]):.4f} % median, {share[:, 0].max():.4f} % at most; "
+        f"sideways {np.median(share[:, 1]):.4f} % of the distance, {share[:, 1].max():.4f} % at most"
+    )
+
+
+def _print_poses(found: MetricCalibration, poses: list[dict]) -> None:
+    sideways, depth, turn, within, bound = [], [], [], [], []
+    for pose, true in zip(found.poses, poses, strict=True):
+        off = pose.translation - true["t_mm"]
+        sideways.append(np.abs(off[:2]).max())
+        depth.append(abs(off[2]) / true["t_mm"][2] * 100)
+        cosine = (np.trace(pose.rotation @ np.transpose(true["R"])) - 1) / 2
+        turn.append(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))))
+        within.append(np.abs(off) / pose.standard_errors[3:])
+        bound.append(np.abs(off) / (pose.standard_errors[3:] / np.sqrt(found.widening)))
+    print(
+        f"poses: sideways {max(sideways):.4f} mm, depth {max(depth):.4f} % of the distance, turn {max(turn):.4f} deg "
+        f"at most; {100 * np.mean(np.array(within) < 2):.0f} % of the positions within 2 stated sigma; RMS "
+        f"{np.sqrt(np.mean(np.square(bound))):.2f} Cramer-Rao bounds of a corner noise of {found.noise:.4f} px"
+    )
+
+
+def real_r12(folder: Path) -> None:
+    """Print the figures of `metric/`."""
+    lenses = np.genfromtxt(folder / "R12-A.centres.csv", delimiter=",", names=True)
+    corners = np.genfromtxt(folder / "R12-A.corners.csv", delimiter=",", names=True)
+
+    def design(table: np.ndarray) -> np.ndarray:
+        # Odd rows of the hexagonal array are shifted by half a pitch.
+        return np.column_stack([np.ones(len(table)), table["k"] + (table["l"] + 1) % 2 / 2, table["l"]])
+
+    measured = np.column_stack([lenses["u_px"], lenses["v_px"]])
+    centres = design(corners) @ np.linalg.lstsq(design(lenses), measured, rcond=None)[0]
+    frames, pose = np.unique(corners["frame"], return_inverse=True)
+    position = np.column_stack([corners["u_px"], corners["v_px"]])
+    seen = Observations(pose, corners["corner"].astype(int), centres, position, np.ones(len(pose)))
+    points = np.array([[k % _COLUMNS, k // _COLUMNS, 0.0] for k in range(_COLUMNS * _ROWS)]) * _SQUARE
+    points -= points.mean(0)
+    start = first_camera(triangulate(seen, START.fewest_lenses), points, (4080, 3068), len(frames))
+    assert start is not None
+    fitted = adjust(start[0], DEFAULT_PIXEL, start[1], points, seen, BASE)
+    chosen = select_order(fitted, DEFAULT_PIXEL, points, seen)
+    for one in (fitted, chosen):
+        factor = pose_factor(one, DEFAULT_PIXEL, points, seen)
+        optics = optics_of(one, DEFAULT_PIXEL, factor)
+        errors = optics.standard_errors
+        print(
+            f"R12: {len(one.free)} parameters of the camera, {one.rms:.4f} px RMS over {len(seen)} corners; "
+            f"F = {optics.focal_length:.2f} +- {errors[0]:.2f}, L = {optics.mla_distance:.2f} +- {errors[1]:.2f}, "
+            f"b = {optics.sensor_distance:.4f} +- {errors[2]:.4f} mm; variances widened by {one.cluster * factor:.1f}"
+        )
+    print(*describe_degeneracies(optics), sep="\n")
+    three = triangulate(seen, START.fewest_lenses)
+    scale = []
+    for m in range(len(frames)):
+        mine = three.pose == m
+        places = optics.positions(three.scene[mine], three.ratio[mine]) * 1000
+        plane = points[three.corner[mine]]
+        spread, own = (np.linalg.norm(p - p.mean(0), axis=1) for p in (places, plane))
+        scale.append(np.median(spread[own > 0] / own[own > 0]) - 1)
+    size, scatter = 100 * np.median(scale), 100 * np.std(scale)
+    print(f"boards measured without their squares: {size:+.2f} % in size, scatter {scatter:.2f} %")
+
+
+def main(shared: str = "../shared") -> None:
+    """Print all figures."""
+    print(f"corners within {CORNER.window} squares are fitted")
+    ray_traced(Path(shared) / "boards")
+    real_r12(Path(shared) / "metric")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

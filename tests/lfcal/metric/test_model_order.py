@@ -1,0 +1,49 @@
+"""Parameters join when the data ask for them, and only then; correlated errors widen what is stated."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lfcal.metric.bundle_adjustment import adjust
+from lfcal.metric.model_order import BASE, select_order
+from lfcal.metric.observations import Observations
+from lfcal.metric.uncertainty import describe_degeneracies, optics_of, pose_factor
+
+from ._cameras import BOARD, PIXEL, camera, observe, poses
+
+
+def _fitted(values, seed, **shared):
+    rng = np.random.default_rng(seed)
+    where = poses(rng, 6, near=500, far=1100)
+    seen = observe(values, where, rng, 0.02)
+    if shared:
+        # The same error in all microimages of a corner, as of a warped print.
+        key = seen.pose * 54 + seen.corner
+        moved = seen.position + rng.normal(0, shared["error"], (key.max() + 1, 2))[key]
+        seen = Observations(seen.pose, seen.corner, seen.centre, moved, seen.error)
+    return adjust(values, PIXEL, where, BOARD, seen, BASE), seen
+
+
+def test_tilt_is_fitted_where_there_is_one_and_nothing_where_there_is_none():
+    straight, seen = _fitted(camera(k1=-0.5), 1)
+    assert select_order(straight, PIXEL, BOARD, seen).free == BASE
+    tilted, seen = _fitted(camera(k1=-0.5, tilt_x=0.0035, tilt_y=-0.002), 1)
+    # Fitted without the tilt first.
+    tilted = adjust(camera(k1=-0.5), PIXEL, tilted.poses, BOARD, seen, BASE)
+    found = select_order(tilted, PIXEL, BOARD, seen)
+    assert set(found.free) - set(BASE) == {"tilt_x", "tilt_y"}
+    assert abs(found.camera[10] - 0.0035) < 3 * np.sqrt(found.covariance[10, 10])
+
+
+def test_errors_that_corners_share_widen_the_stated_ones():
+    alone, seen = _fitted(camera(k1=-0.5), 2)
+    assert alone.cluster < 1.3
+    assert pose_factor(alone, PIXEL, BOARD, seen) < 2
+    together, _ = _fitted(camera(k1=-0.5), 2, error=0.04)
+    assert together.cluster > 3
+
+
+def test_lengths_that_hardly_separate_are_named():
+    found, _ = _fitted(camera(k1=-0.5), 3)
+    notes = describe_degeneracies(optics_of(found, PIXEL, 1.0))
+    assert any("F, L and b hardly separate" in note and "D / s = A + B / Z" in note for note in notes)

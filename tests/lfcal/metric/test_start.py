@@ -1,0 +1,25 @@
+"""The start of the adjustment: no focal length given, no pose mirrored."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from lfcal.metric.observations import triangulate
+from lfcal.metric.settings import START
+from lfcal.metric.start import first_camera
+
+from ._cameras import BOARD, camera, observe, poses
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_poses_of_a_cold_start_are_not_mirrored(seed):
+    rng = np.random.default_rng(seed)
+    where = poses(rng, 5)
+    seen = triangulate(observe(camera(k1=-0.3), where, rng, 0.05), START.fewest_lenses)
+    start = first_camera(seen, BOARD, (1600, 1200), 5)
+    assert start is not None
+    for found, true in zip(start[1].rotation, where.rotation, strict=True):
+        assert np.rad2deg(np.linalg.norm(cv2.Rodrigues(found @ true.T)[0])) < 8
+    assert 0.7 < start[0][0] / camera()[0] < 1.4
