@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
-from .facade import facade
-from .foliage import branches, leaf_mass
+from .scenery.facade import facade
+from .scenery.foliage import branches, leaf_mass
+from .scenery.textures import bricks, dead_leaves, fractal_noise, text_page
 from .surfaces import Patch, Scene, Sphere, box
-from .textures import bricks, dead_leaves, fractal_noise, text_page
 
 __all__ = ["SCENES", "blank", "clutter", "house", "periodic", "plane", "ramp", "slope"]
 

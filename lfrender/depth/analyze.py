@@ -13,6 +13,7 @@ from ..data.depth_map import DepthMap
 from ..data.flat_samples import sample_flat
 from ..data.region import check_region, crop_flat, embed_region, rescale_depth, select_lenses
 from ..flat.validation import check_flat, exposure_rows, match_exposure
+from .edges.locate_edges import locate_edges
 from .incremental import update_depth
 from .matching.shortcuts import Shortcuts
 from .pipeline import estimate_depth_map, prepare_flat
@@ -97,7 +98,8 @@ def analyze(
     gray, small, factor = prepare_flat(flat, calibration, preset)
     if inside is None:
         depth = estimate_depth_map(gray, small, preset, shortcuts)
-        return rescale_depth(depth, lattice, factor, flat_samples=sample_flat(flat))
+        depth = rescale_depth(depth, lattice, factor, flat_samples=sample_flat(flat))
+        return locate_edges(flat, calibration, depth) if PRESETS[preset].pixel_edges else depth
     part, sub = crop_flat(gray, small, inside)
     depth = embed_region(estimate_depth_map(part, sub, preset, shortcuts), sub, small, inside)
     return rescale_depth(depth, lattice, factor, flat_samples=sample_flat(flat))

@@ -96,7 +96,7 @@ def _interpolate_green(flat, lens, y, x, step_y, step_x):
     return total / max(count, 1), abs(change), count
 
 
-@njit(cache=True, nogil=True, share=lambda mosaic, *_: len(mosaic), fastmath=FAST)
+@njit(cache=True, nogil=True, share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
 def _fill_green(begin, end, mosaic, even, out):
     """Green by the directions of edges; changes below `even` do not show one."""
     flat, lens, colours = mosaic.flat, mosaic.lens, mosaic.colours
@@ -134,7 +134,7 @@ def _interpolate_difference(flat, lens, colours, near, similar, wanted, guide, y
     return max(out[y, x, guide] + total, np.float32(0.0))
 
 
-@njit(cache=True, nogil=True, share=lambda mosaic, *_: len(mosaic), fastmath=FAST)
+@njit(cache=True, nogil=True, share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
 def _fill_colour(begin, end, mosaic, colour, out):
     """Red or blue, guided by green."""
     flat, lens, colours, near, similar = mosaic.flat, mosaic.lens, mosaic.colours, mosaic.near, mosaic.similar
@@ -147,7 +147,7 @@ def _fill_colour(begin, end, mosaic, colour, out):
                 out[y, x, colour] = _interpolate_difference(flat, lens, colours, near, similar, colour, 1, y, x, out)
 
 
-@njit(cache=True, nogil=True, share=lambda mosaic, *_: len(mosaic), fastmath=FAST)
+@njit(cache=True, nogil=True, share=lambda mosaic, *_: len(mosaic.flat), fastmath=FAST)
 def _refill_rim(begin, end, mosaic, out):
     """Green at the rim of a microimage, where a neighbour is missing: guided by the colour of the pixel."""
     flat, lens, colours, near, similar = mosaic.flat, mosaic.lens, mosaic.colours, mosaic.near, mosaic.similar

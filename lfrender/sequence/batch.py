@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ def render_frames(
     overwrite: bool = False,
     views: ViewGrid | None = None,
     tuning: SequenceSettings = DEFAULT,
-) -> Iterator[FrameResult]:
+) -> Generator[FrameResult, None, None]:
     """Render the frames of a sequence into a folder, one picture a frame.
 
     The folder also gets a hidden folder with the camera, the settings, and a depth map every 5 frames. Run again with

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -37,7 +37,7 @@ def render_frames_on(
     views: ViewGrid | None = None,
     threads: int | None = None,
     tuning: SequenceSettings = DEFAULT,
-) -> Iterator[FrameResult]:
+) -> Generator[FrameResult, None, None]:
     """Render the frames of a sequence on a cluster; as `render_frames`, and the pictures are the same bit for bit.
 
     Workers read image files themselves and write the pictures: inputs and `folder` must lie on storage that all of

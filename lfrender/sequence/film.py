@@ -107,8 +107,12 @@ def render_film(
         pictures = render_frames_on(client, frames, checkpoint.folder, calibration, threads=threads, **options)
     comment = json.dumps({"software": "lfrender", "rendering": "all in focus", "preset": preset})
     partial = checkpoint.folder / f"film{output.suffix.lower()}"
-    # Closed first: no thread may still write into the film when that is closed.
-    with FilmFile(partial, speed, comment) as film, closing(_encode(pictures, film, checkpoint.folder)) as results:
+    # Closed in this order: threads must end before the film that they write into, and not in the garbage collector.
+    with (
+        closing(pictures),
+        FilmFile(partial, speed, comment) as film,
+        closing(_encode(pictures, film, checkpoint.folder)) as results,
+    ):
         for result in results:
             yield replace(result, path=output)
         if not film.count:

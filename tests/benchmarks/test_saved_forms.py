@@ -14,7 +14,7 @@ def test_forms_of_a_flat_have_its_centres_and_mode(house, tmp_path, capsys):
     cv2.imwrite(str(path), house.flat[:, :, ::-1])
     saved_forms.main([str(path)])
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 15
+    assert len(lines) == 17
     for line in lines:
         off = re.search(r"centres off by ([\d.]+) pitches", line)
         assert off is not None and float(off[1]) < 0.05, line

@@ -37,7 +37,7 @@ def test_simulates_with_all_options(tmp_path: Path) -> None:
 def test_lists_every_scene() -> None:
     result = run("--list")
     assert result.exit_code == 0
-    assert [line.split()[0] for line in result.stdout.splitlines()] == list(SCENES)
+    assert [line.split()[0] for line in result.stdout.splitlines()] == [*SCENES, "board"]
 
 
 @pytest.mark.parametrize(

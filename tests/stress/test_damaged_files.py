@@ -38,25 +38,25 @@ def test_archives_with_damaged_entries_are_no_depth_files(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "message"),
     [
-        {"basis": [[0.002, 0], [0, 0.002]]},
-        {"basis": [[20, 0], [1e9, 20]]},
-        {"origin": [1e300, 0]},
+        ({"basis": [[0.002, 0], [0, 0.002]]}, "no camera has"),
+        ({"basis": [[20, 0], [1e9, 20]]}, r"field lattice\.basis\[1\]\[0\]"),
+        ({"origin": [1e300, 0]}, r"field lattice\.origin\[0\]"),
     ],
 )
-def test_lattices_with_more_lenses_than_memory_holds_are_refused(tmp_path, change):
+def test_lattices_with_more_lenses_than_memory_holds_are_refused(tmp_path, change, message):
     path = tmp_path / "camera.json"
     lfcal.Calibration(lfcal.Lattice((10, 10), ((9, 0), (0, 9)), (300, 200), 4)).save(path)
     data = json.loads(path.read_text())
     data["lattice"] |= change
     path.write_text(json.dumps(data))
-    with pytest.raises(lfcal.CameraFileError, match="no camera has"):
+    with pytest.raises(lfcal.CameraFileError, match=message):
         lfcal.load(path)
     data["lattice"] |= {"basis": [[9, 0], [0, 9]], "origin": [10, 10]}
     data["image_size"] = [10**9, 10**9]
     path.write_text(json.dumps(data))
-    with pytest.raises(lfcal.CameraFileError, match="no camera has"):
+    with pytest.raises(lfcal.CameraFileError, match=r"field image_size\[0\]"):
         lfcal.load(path)
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .transfer import from_srgb
+from ..transfer import from_srgb
 
 __all__ = ["bricks", "dead_leaves", "fractal_noise", "linear", "text_page", "tint"]
 

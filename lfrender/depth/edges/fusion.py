@@ -1,0 +1,108 @@
+"""The patch size of each scene point, from those that the pixels of the microimages show (depth map fusion)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import prange
+
+from lfcal.runtime.kernels.jit import njit
+
+from ..surface.occlusion import depth_order
+from .geometry import LensArray, PointGrid
+
+__all__ = ["fuse_pixel_depths"]
+
+# Lenses whose pixels vote, and depths of a scene point, at most.
+_VIEWS = 5
+_DEPTHS = 8
+
+
+@njit(cache=True, nogil=True)
+def _central_lenses(lenses, x, y, near, distance2):
+    """Rows of the lenses nearest to scene point (x, y), the nearest first; returns how many there are."""
+    inverse, origin, rows, low = lenses.inverse, lenses.origin, lenses.rows, lenses.low
+    centres, ring, found, most = lenses.centres, lenses.ring, 0, len(near)
+    across, down = x - origin[0], y - origin[1]
+    i = int(np.floor(inverse[0, 0] * across + inverse[1, 0] * down + 0.5)) - low[0]
+    j = int(np.floor(inverse[0, 1] * across + inverse[1, 1] * down + 0.5)) - low[1]
+    for r in range(len(ring)):
+        ci, cj = i + ring[r, 0], j + ring[r, 1]
+        if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1] or rows[cj, ci] < 0:
+            continue
+        lens = rows[cj, ci]
+        away = (centres[lens, 0] - x) ** 2 + (centres[lens, 1] - y) ** 2
+        if found == most and away >= distance2[most - 1]:
+            continue
+        place = min(found, most - 1)
+        while place > 0 and distance2[place - 1] > away:
+            near[place], distance2[place] = near[place - 1], distance2[place - 1]
+            place -= 1
+        near[place], distance2[place] = lens, away
+        found = min(found + 1, most)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _vote(pixels, lenses, near, distance2, found, x, y, s, width):
+    """Share of the lenses that show scene point (x, y) at depth `s`, and the mean patch size that they show."""
+    slope, share, total, size = s / lenses.pitch, 0.0, 0.0, 0.0
+    for n in range(found):
+        if distance2[n] * slope * slope > lenses.radius * lenses.radius:
+            break
+        cx, cy = lenses.centres[near[n], 0], lenses.centres[near[n], 1]
+        u, v = int(cx - (x - cx) * slope + 0.5), int(cy - (y - cy) * slope + 0.5)
+        if u < 0 or v < 0 or v >= pixels.shape[0] or u >= pixels.shape[1] or np.isnan(pixels[v, u]):
+            continue
+        weight = np.exp(-distance2[n] / width)
+        total += weight
+        if abs(pixels[v, u] - s) < lenses.gap:
+            share += weight
+            size += weight * pixels[v, u]
+    return share / (total + 0.1), size / share if share > 0 else s
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def fuse_pixel_depths(pixels, lenses: LensArray, surface, grid: PointGrid, reach, width, least, out):
+    """Fill `out` with the nearest depth that most of the central lenses show at each scene point.
+
+    Parameters
+    ----------
+    pixels : (H, W) float32 [px]
+        Patch size that each pixel of the microimages shows, NaN between them.
+    lenses : LensArray
+    surface, out : (rows, columns) float32 [px]
+        Depths of a point are those of the `surface` within `reach` [grid values].
+    grid : PointGrid
+    width : float [px^2]
+        Squared distance of a lens at which its vote has fallen to 1 / e.
+    least : float
+        Share of the votes; if no depth has it, the one with the most votes counts.
+    """
+    rows, columns = surface.shape
+    for v in prange(rows):
+        near, distance2 = np.empty(_VIEWS, np.int64), np.empty(_VIEWS)
+        depths = np.empty(_DEPTHS)
+        for u in range(columns):
+            depths[0], number = surface[v, u], 1
+            for row in range(max(0, v - reach), min(rows, v + reach + 1)):
+                for column in range(max(0, u - reach), min(columns, u + reach + 1)):
+                    s, known = surface[row, column], False
+                    for k in range(number):
+                        known = known or abs(depths[k] - s) < lenses.gap
+                    if not known and number < _DEPTHS:
+                        depths[number] = s
+                        number += 1
+            out[v, u] = surface[v, u]
+            if number == 1:
+                continue
+            x, y = grid.first + u * grid.spacing, grid.first + v * grid.spacing
+            found = _central_lenses(lenses, x, y, near, distance2)
+            best, nearness = 0.0, -np.inf
+            for k in range(number):
+                share, size = _vote(pixels, lenses, near, distance2, found, x, y, depths[k], width)
+                order = depth_order(size, lenses.pitch)
+                if share >= least:
+                    if best < least or order > nearness:
+                        out[v, u], best, nearness = size, share, order
+                elif share > best:
+                    out[v, u], best = size, share
