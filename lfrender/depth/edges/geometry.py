@@ -12,7 +12,7 @@ from lfcal.runtime.kernels.jit import njit
 
 from ...flat.lens_graph import lens_grid
 
-__all__ = ["LensArray", "PointGrid", "lens_array", "mark_levels", "value_at"]
+__all__ = ["LEVELS", "LensArray", "PointGrid", "lens_array", "level_of", "mark_levels", "value_at"]
 
 #: Patch sizes are told apart in so many levels of equal width, one bit each.
 LEVELS = 64
