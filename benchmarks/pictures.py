@@ -1,4 +1,4 @@
-"""Pictures of ray-traced flats against their references: `python -m benchmarks.pictures [../shared/truth] [PRESET]`.
+"""Pictures of ray-traced flats against their references: `python -m benchmarks.pictures [../shared/truth] [edges]`.
 
 Prints PSNR and SSIM of all-in-focus pictures at 0.15 D, 0.3 D and the default scale, drawn with the depth found on the
 flat, and with the true one, which tells what is lost by drawing alone. Without a folder, scenes are simulated that
@@ -22,7 +22,6 @@ from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import compare_pictures, resample
 from lfrender.data.depth_map import default_scale
 from lfrender.data.surface import Surface
-from lfrender.depth.presets import PRESETS
 from lfrender.flat.lens_graph import nearest_lens
 
 from .truth_flats import SCALES, merit
@@ -38,10 +37,10 @@ def _true_depth(folder: Path, depth: lfrender.DepthMap) -> lfrender.DepthMap:
     return replace(depth, surface=Surface(np.ascontiguousarray(size[tuple(nearest)]), (0.5, 0.5), 2.0))
 
 
-def _rows(folder: Path, preset: str) -> str:
+def _rows(folder: Path, edges: bool) -> str:
     flat = lfcal.read_flat(folder / "flat.png")
     calibration = lfcal.calibrate(flat)
-    depth = lfrender.analyze(flat, calibration, preset)
+    depth = lfrender.analyze(flat, calibration, edges=edges)
     pitch = calibration.lattice.pitch
     lines = []
     for scale in (*(share * pitch for share in SCALES), default_scale(depth)):
@@ -83,12 +82,12 @@ _SCENES = {
 _SIZE = (720, 560)
 
 
-def _simulated_rows(name: str, how: _Simulated, preset: str) -> str:
+def _simulated_rows(name: str, how: _Simulated, edges: bool) -> str:
     camera = Camera.design(size=_SIZE, **how.camera)
     shot = simulate(SCENES[how.scene](camera, **how.arguments), camera, samples=64, seed=7, **how.stored)
     truth = shot.truth
     calibration = lfcal.calibrate(shot.white, kind="white")
-    depth = lfrender.analyze(shot.flat, calibration, preset)
+    depth = lfrender.analyze(shot.flat, calibration, edges=edges)
     first = (float(truth.reference_affine[0, 2]), float(truth.reference_affine[1, 2]))
     spacing = float(truth.reference_affine[0, 0])
     size = truth.reference_patch_size
@@ -123,17 +122,18 @@ def _simulated_rows(name: str, how: _Simulated, preset: str) -> str:
 
 def _main() -> None:
     arguments = sys.argv[1:]
-    preset = arguments.pop() if arguments and arguments[-1] in PRESETS else "balanced"
+    edges = arguments[-1:] == ["edges"]
+    arguments = arguments[: len(arguments) - edges]
     if not arguments:
         print("| scene | pixels per pitch | lfrender | lfrender, true depth | nearest lens, true depth | sharpened |")
         print("|---|---|---|---|---|---|")
         for name, how in _SCENES.items():
-            print(_simulated_rows(name, how, preset), flush=True)
+            print(_simulated_rows(name, how, edges), flush=True)
         return
     print("| scene | pixels per pitch | lfrender | lfrender, true depth |\n|---|---|---|---|")
     for path in sorted(Path(arguments[0]).iterdir()):
         if path.is_dir():
-            print(_rows(path, preset), flush=True)
+            print(_rows(path, edges), flush=True)
 
 
 if __name__ == "__main__":

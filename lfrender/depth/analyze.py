@@ -30,6 +30,7 @@ def analyze(
     skip: bool | Iterable[str] = True,
     roi: tuple[float, float, float, float] | None = None,
     previous: tuple[NDArray, DepthMap] | None = None,
+    edges: bool = False,
 ) -> DepthMap:
     """Estimate the signed patch size, mode and magnification of every microlens.
 
@@ -56,6 +57,9 @@ def analyze(
         those of their neighbours, have not changed keep it; so do lenses that still match at that depth. Over many
         frames with slow changes give the frame that was analysed, not the last one, or changes smaller than the noise
         add up.
+    edges : bool
+        Locate depth edges of the surface on every pixel of the microimages: 0.3 to 3 dB in pictures of scenes with
+        occlusion, for some ten times the time of `"balanced"`. Of whole flats: not with `roi` or `previous`.
 
     Returns
     -------
@@ -86,6 +90,8 @@ def analyze(
     """
     if preset not in PRESETS:
         raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
+    if edges and (roi is not None or previous is not None):
+        raise ValueError("edges are located on a whole flat by itself; give neither roi nor previous with it")
     shortcuts = Shortcuts.of(skip)
     flat = check_flat(flat, calibration)
     calibration = match_exposure(flat[exposure_rows(len(flat))], calibration)
@@ -99,7 +105,7 @@ def analyze(
     if inside is None:
         depth = estimate_depth_map(gray, small, preset, shortcuts)
         depth = rescale_depth(depth, lattice, factor, flat_samples=sample_flat(flat))
-        return locate_edges(flat, calibration, depth) if PRESETS[preset].pixel_edges else depth
+        return locate_edges(flat, calibration, depth) if edges else depth
     part, sub = crop_flat(gray, small, inside)
     depth = embed_region(estimate_depth_map(part, sub, preset, shortcuts), sub, small, inside)
     return rescale_depth(depth, lattice, factor, flat_samples=sample_flat(flat))

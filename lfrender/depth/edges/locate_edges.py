@@ -1,4 +1,4 @@
-"""Depth edges of a surface on the pixels of the flat, which `analyze` with the preset `accurate` ends with."""
+"""Depth edges of a surface on the pixels of the flat, which `analyze` ends with if asked for `edges`."""
 
 from __future__ import annotations
 

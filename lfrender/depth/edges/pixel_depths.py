@@ -45,16 +45,6 @@ class PixelCosts(NamedTuple):
     reach: Any  # [px]
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _sample(image, x, y, channel):
-    height, width = image.shape[:2]
-    x, y = min(max(x, 0.0), width - 1.001), min(max(y, 0.0), height - 1.001)
-    i, j = int(x), int(y)
-    fx, fy = x - i, y - j
-    above = (1 - fx) * image[j, i, channel] + fx * image[j, i + 1, channel]
-    return (1 - fy) * above + fy * ((1 - fx) * image[j + 1, i, channel] + fx * image[j + 1, i + 1, channel])
-
-
 @njit(cache=True, nogil=True)
 def _list_depths(surface, first, spacing, x, y, lenses, reach, depths):
     """Patch sizes of the surface that the lens at (x, y) may show, in `depths`; returns how many there are."""
@@ -82,15 +72,16 @@ def _list_depths(surface, first, spacing, x, y, lenses, reach, depths):
     return found
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _mismatch(image, lenses, lens, x, y, s, patch, weight, total, allowed, before, share, costs):
     """Mismatch of a pixel, whose 3 x 3 `patch` is given, with the `share` of the other lenses that fit it best at
     depth `s`, where it shows scene point (x, y); lenses that show a nearer depth `before` do not count."""
     centres, rows, low, ring = lenses.centres, lenses.rows, lenses.low, lenses.ring
     slope, count, radius = s / lenses.pitch, 0, lenses.radius
-    i, j = lenses.indices[lens, 0] - low[0], lenses.indices[lens, 1] - low[1]
+    at_i, at_j = lenses.indices[lens, 0] - low[0], lenses.indices[lens, 1] - low[1]
+    height, width = image.shape[:2]
     for r in range(1, len(ring)):
-        ci, cj = i + ring[r, 0], j + ring[r, 1]
+        ci, cj = at_i + ring[r, 0], at_j + ring[r, 1]
         if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1]:
             continue
         other = rows[cj, ci]
@@ -106,11 +97,20 @@ def _mismatch(image, lenses, lens, x, y, s, patch, weight, total, allowed, befor
                 continue
             if depth_order(before[v, u], lenses.pitch) > depth_order(s, lenses.pitch) + lenses.gap:
                 continue
-        squares = 0.0
+        i, j = int(px), int(py)
+        if i < 1 or j < 1 or i >= width - 2 or j >= height - 2:
+            continue
+        fx, fy = np.float32(px - i), np.float32(py - j)
+        w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
+        squares = np.float32(0.0)
         for e in range(9):
+            v, u = j + e // 3 - 1, i + e % 3 - 1
+            apart2 = np.float32(0.0)
             for channel in range(3):
-                apart = _sample(image, px + e % 3 - 1, py + e // 3 - 1, channel) - patch[e * 3 + channel]
-                squares += weight[e] * apart * apart
+                apart = w00 * image[v, u, channel] + w01 * image[v, u + 1, channel]
+                apart += w10 * image[v + 1, u, channel] + w11 * image[v + 1, u + 1, channel] - patch[e * 3 + channel]
+                apart2 += apart * apart
+            squares += weight[e] * apart2
         squares /= total
         costs[count] = squares / (squares + allowed)
         count += 1
@@ -141,7 +141,8 @@ def _aggregate_line(cost, value, inside, image, left, top, number, lenses, c, v,
             for k in range(number):
                 best = jump if linked else 0.0
                 if linked:
-                    for q in range(number):
+                    # Depths ascend: others than those beside it are a jump away.
+                    for q in range(max(0, k - 1), min(number, k + 2)):
                         step = abs(value[v, u, k] - value[from_v, from_u, q]) / lenses.gap
                         price = min(jump, c.slant * step) if step < 1.5 else jump
                         best = min(best, previous[q] - lowest + price)
@@ -186,7 +187,8 @@ def _measure_lens(lens, image, lenses, surface, grid, levels, before, c, out):
     number = _list_depths(surface, first, spacing, x, y, lenses, c.reach, depths)
     cost, value = np.zeros((size, size, _DEPTHS), np.float32), np.zeros((size, size, _DEPTHS), np.float32)
     inside = np.zeros((size, size), np.bool_)
-    patch, weight, costs = np.empty(27), np.empty(9), np.empty(_VIEWS)
+    patch, weight = np.empty(27, np.float32), np.empty(9, np.float32)
+    costs = np.empty(_VIEWS)
     present, place = np.zeros(_DEPTHS, np.bool_), np.empty((_DEPTHS, 2))
     nearest = 0
     for k in range(1, number):

@@ -44,11 +44,13 @@ def test_fewer_places_beside_branches_have_the_depth_of_the_other_surface(house_
     assert after.surface.first == depth.surface.first and after.surface.spacing == depth.surface.spacing
 
 
-def test_the_preset_accurate_ends_with_it_and_lenses_keep_their_depth(house_in_front):
-    flat, calibration, _, true = house_in_front
-    accurate = lfrender.analyze(flat, calibration, "accurate")
-    off = np.abs(accurate.surface.patch_size - true) > 0.05 * accurate.pitch
-    assert off.mean() < 0.05
+def test_analyze_ends_with_it_where_asked_for(house_in_front):
+    flat, calibration, depth, _ = house_in_front
+    found = lfrender.analyze(flat, calibration, edges=True)
+    assert np.array_equal(found.surface.patch_size, locate_edges(flat, calibration, depth).surface.patch_size)
+    assert np.array_equal(found.patch_size, depth.patch_size, equal_nan=True)
+    with pytest.raises(ValueError, match="neither roi nor previous"):
+        lfrender.analyze(flat, calibration, edges=True, roi=(50, 50, 200, 200))
 
 
 def test_a_surface_without_edges_is_left_alone(house_in_front):
