@@ -6,7 +6,7 @@ These are the public names; others are reached by the sub-packages that `docs/ar
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from lfcal import Optics
+    from lfcal import Optics as Optics
 
     from .data.depth_map import DepthMap
     from .data.rendering import Rendering
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DepthMap",
-    "Optics",
     "Rendering",
     "analyze",
     "analyze_large",
@@ -40,7 +39,7 @@ __all__ = [
 
 _HOMES = {
     "DepthMap": "data.depth_map",
-    "Optics": "lfcal",
+    "Optics": "lfcal",  # documented there
     "Rendering": "data.rendering",
     "analyze": "depth.analyze",
     "analyze_large": "large.analyze",
