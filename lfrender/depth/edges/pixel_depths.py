@@ -26,6 +26,10 @@ _VIEWS = 10
 _BINS = 512
 # [pitch] smallest patch size: beyond, a microimage spans more lenses than are looked at.
 _LEAST = 0.02
+# Mismatch of a pixel that no other lens shows; price of each lens that is missing to a few. Set by hand.
+_UNSEEN = 0.6
+_FEW_COST = 0.05
+_FEW = 3
 
 
 class PixelCosts(NamedTuple):
@@ -117,10 +121,10 @@ def _mismatch(image, lenses, lens, x, y, s, patch, weight, total, allowed, befor
         if count == _VIEWS:
             break
     if count == 0:
-        return 0.6
+        return _UNSEEN
     number = max(1, int(share * count + 0.5))
     best = np.sort(costs[:count])
-    return best[:number].mean() + 0.05 * max(0, 3 - count)
+    return best[:number].mean() + _FEW_COST * max(0, _FEW - count)
 
 
 @njit(cache=True, nogil=True)
