@@ -1,6 +1,10 @@
 """How the documentation is built: `sphinx-build docs build/docs` after `pip install '.[docs]'`."""
 
+import zlib
 from importlib.metadata import version as installed
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
 
 project = "lfrender"
 version = release = installed("lfrender")
@@ -10,13 +14,23 @@ extensions = [
     "numpydoc",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
+    "sphinx.ext.intersphinx",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.viewcode",
+    "sphinx_click",
+    "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["gallery/*", "sg_execution_times.rst"]
+exclude_patterns = ["gallery/*", "drawings/*", "sg_execution_times.rst"]
 html_theme = "furo"
 html_title = "lfrender"
 html_theme_options = {"source_directory": "docs/"}
+html_static_path = ["style"]
+html_css_files = ["pages.css"]
+templates_path = ["templates"]
+myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
+copybutton_prompt_text = "$ "
 autosummary_generate = True
 autodoc_typehints = "none"
 numpydoc_show_class_members = False
@@ -29,4 +43,81 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "image_scrapers": ("matplotlib",),
     "abort_on_example_error": True,
+    "thumbnail_size": (640, 448),
 }
+
+# Types in docstrings link to the documentation of other projects. A build must not need a network, so the few names
+# are listed here instead of being fetched.
+numpydoc_xref_param_type = True
+numpydoc_xref_aliases = {
+    "Path": "pathlib.Path",
+    "path-like": "os.PathLike",
+    "array": "numpy.ndarray",
+    "array_like": ":term:`numpy:array_like`",
+    "Axes": "matplotlib.axes.Axes",
+    "Calibration": "lfcal.Calibration",
+    "Lattice": "lfcal.Lattice",
+    "Optics": "lfcal.Optics",
+    "Board": "lfcal.Board",
+    "DepthMap": "lfrender.DepthMap",
+    "Rendering": "lfrender.Rendering",
+}
+_OTHER_PROJECTS = {
+    "python": (
+        "https://docs.python.org/3/",
+        {
+            "bltin-boolean-values std:label": "library/stdtypes.html#boolean-type-bool",
+            "bool py:class": "library/functions.html#bool",
+            "dict py:class": "library/stdtypes.html#dict",
+            "float py:class": "library/functions.html#float",
+            "iterable std:term": "glossary.html#term-iterable",
+            "sequence std:term": "glossary.html#term-sequence",
+            "int py:class": "library/functions.html#int",
+            "list py:class": "library/stdtypes.html#list",
+            "os.PathLike py:class": "library/os.html#os.PathLike",
+            "OSError py:exception": "library/exceptions.html#OSError",
+            "pathlib.Path py:class": "library/pathlib.html#pathlib.Path",
+            "str py:class": "library/stdtypes.html#str",
+            "tuple py:class": "library/stdtypes.html#tuple",
+            "ValueError py:exception": "library/exceptions.html#ValueError",
+        },
+    ),
+    "numpy": (
+        "https://numpy.org/doc/stable/",
+        {
+            "array_like std:term": "glossary.html#term-array_like",
+            "numpy.ndarray py:class": "reference/generated/numpy.ndarray.html#numpy.ndarray",
+        },
+    ),
+    "matplotlib": (
+        "https://matplotlib.org/stable/",
+        {"matplotlib.axes.Axes py:class": "api/_as_gen/matplotlib.axes.Axes.html#matplotlib.axes.Axes"},
+    ),
+}
+
+
+def _inventory(project: str, names: dict[str, str]) -> str:
+    """A file that lists names of another project, in the form that Sphinx reads."""
+    head = (
+        f"# Sphinx inventory version 2\n# Project: {project}\n# Version: \n"
+        "# The remainder of this file is compressed using zlib.\n"
+    )
+    lines = "".join(f"{name} 1 {place} -\n" for name, place in names.items())
+    file = Path(mkdtemp()) / "objects.inv"
+    file.write_bytes(head.encode() + zlib.compress(lines.encode()))
+    return str(file)
+
+
+def _show_examples(_app: object, ctx: Any, lines: list[str]) -> None:
+    """The examples at the end of a command's help as a block of code."""
+    calls = [line for line in (ctx.command.epilog or "").splitlines() if line.startswith("  ")]
+    if calls:
+        lines[:] = ["**Examples**", "", ".. code-block:: sh", "", *(f"   {line.strip()}" for line in calls), ""]
+
+
+def setup(app: Any) -> None:
+    """Called by Sphinx."""
+    app.connect("sphinx-click-process-epilog", _show_examples)
+
+
+intersphinx_mapping = {name: (url, _inventory(name, names)) for name, (url, names) in _OTHER_PROJECTS.items()}

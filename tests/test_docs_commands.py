@@ -1,0 +1,103 @@
+"""Every command that README and the documentation show is understood; those of the first pages are run."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import data_synth.cli
+import lfcal.cli.main
+import lfrender.cli.main
+
+ROOT = Path(__file__).parents[1]
+PROGRAMS = {"lfcal": lfcal.cli.main.main, "lfrender": lfrender.cli.main.main, "lfsynth": data_synth.cli.main}
+PAGES = [ROOT / "README.md", *(p for p in sorted((ROOT / "docs").rglob("*.md")) if "built" not in str(p))]
+# What waits for somebody, takes long, or is run by other tests.
+_NOT_RUN = {("lfrender", "view"), ("lfrender", "demo"), ("lfrender", "warm"), ("lfsynth", "house")}
+
+
+def blocks(page, *languages):
+    text = page.read_text(encoding="utf-8")
+    return re.findall(rf"^```(?:{'|'.join(languages)})\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+
+
+def _calls(lines):
+    """Program and arguments of each line that calls one of the programs."""
+    for line in lines:
+        # Environment variables before a command, and what follows it in the shell.
+        line = re.sub(r"^(?:[A-Z_]+=\S+ )+", "", re.split(r" && | \| ", line.removeprefix("$ "))[0])
+        words = shlex.split(line, comments=True) if line.split(" ")[0] in PROGRAMS else []
+        if len(words) > 1:
+            yield words[0], words[1:]
+
+
+def _without_blocks(page):
+    return re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+
+
+def commands(page):
+    """The commands in blocks of code."""
+    lines = [line for block in blocks(page, "sh", "console") for line in block.splitlines()]
+    return list(_calls([*lines, *re.findall(r"^    (\w+ .*)$", _without_blocks(page), re.MULTILINE)]))
+
+
+def mentions(page):
+    """The commands in the text, which may leave out what is not of interest there."""
+    return list(_calls(re.findall(r"`((?:lfcal|lfrender|lfsynth) \w+ [^`]+)`", _without_blocks(page))))
+
+
+def _params(calls):
+    return [
+        pytest.param(program, words, id=f"{page.stem}: {program} {' '.join(words)}"[:90])
+        for page in PAGES
+        for program, words in calls(page)
+    ]
+
+
+@pytest.mark.parametrize(("program", "words"), _params(commands))
+def test_a_command_in_the_documentation_is_understood(program, words):
+    # Where the page leaves a number or a name to the reader.
+    words = [{"MM": "1", "N": "3"}.get(word, word) for word in words]
+    if program == "lfsynth":
+        PROGRAMS[program].make_context(program, words)
+        return
+    name, *arguments = words
+    PROGRAMS[program].commands[name].make_context(name, arguments)
+
+
+@pytest.mark.parametrize(("program", "words"), _params(mentions))
+def test_a_command_in_the_text_has_the_options_that_are_named(program, words):
+    group = PROGRAMS[program]
+    known = [o for p in (group if program == "lfsynth" else group.commands[words[0]]).params for o in p.opts]
+    assert [word for word in words if re.match(r"--?[a-z]", word) and word not in [*known, "--help"]] == []
+
+
+@pytest.fixture
+def folder(house_files, tmp_path, monkeypatch):
+    """A folder with a small capture, as `lfsynth house -o capture` makes it."""
+    (tmp_path / "capture").mkdir()
+    for name in ("flat.png", "white.png"):
+        shutil.copy(house_files / name, tmp_path / "capture")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/start.md", "docs/refocus.md"])
+def test_commands_and_code_of_a_page_run(page, folder):
+    for program, words in commands(ROOT / page):
+        if (program, words[0]) in _NOT_RUN and "--export" not in words:
+            continue
+        # The capture is smaller than that of the page.
+        words = ["200" if word == "550" else word for word in words]
+        result = CliRunner().invoke(PROGRAMS[program], words, catch_exceptions=False)
+        assert result.exit_code == 0, f"{program} {' '.join(words)}: {result.output}"
+        if "-o" in words:
+            made = folder / words[words.index("-o") + 1]
+            assert made.exists() or list(folder.glob(f"{made.stem}*")), f"{made.name} is not there"
+    for code in blocks(ROOT / page, "python"):
+        exec(compile(code, page, "exec"), {})
