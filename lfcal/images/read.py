@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
-from ..runtime.image_formats import CONVERTERS, IMAGE_FORMATS, RAW_PHOTO_SUFFIXES, identify_format
+from ..runtime.image_formats import CONVERTERS, IMAGE_FORMATS, RAW_PHOTO_SUFFIXES, VIDEO_FORMATS, identify_format
 from .decoders import MAX_PIXELS, decode_bmp, decode_jpeg, decode_png, decode_pnm, decode_webp
 from .formats.hdf5 import read_hdf5
 from .formats.lytro import read_lytro
 from .formats.openexr import read_openexr
 from .formats.raw_photo import read_raw_photo
+from .formats.video import read_video_frame
 from .tiff import count_tiff_pages, open_tiff, read_tiff
 from .yuv import count_yuv_frames, is_yuv, read_yuv
 from .zarr_flat import is_zarr, open_zarr
@@ -54,7 +55,7 @@ def read_flat(
     """Read a raw plenoptic picture with its pixel values as stored.
 
     PNG (1 to 16 bit grey, RGB, palette), TIFF (8 and 16 bit, float), WebP, JPEG, BMP, PGM, PPM and Zarr are read, and
-    OpenEXR, HDF5, Lytro files, raw photos and frames of raw video, some of which need a package (docs/formats.md). An
+    OpenEXR, HDF5, Lytro files, raw photos and frames of videos, some of which need a package (docs/formats.md). An
     alpha channel is dropped and the colours below it are kept as stored. An orientation tag is not obeyed: a
     calibration belongs to the sensor, not to how the camera was held. In a TIFF, thumbnails are passed over.
 
@@ -63,7 +64,7 @@ def read_flat(
     path : path-like
         The image file.
     page : int or None
-        Which of the full pictures in a TIFF, or of the frames of raw video, from 0; with None a file with several of
+        Which of the full pictures in a TIFF, or of the frames of a video, from 0; with None a file with several of
         them is refused. Of HDF5 files 1 is the white image beside the capture, of Lytro archives any is one.
     size : (int, int) or None [px]
         Width and height of raw video, if neither its name nor a camera file `.cfg` beside it has them.
@@ -145,6 +146,8 @@ def _decode(source: Path, page: int | None) -> NDArray[Any]:
         return read_raw_photo(source, page)
     if name in _READERS:
         return _READERS[name](source, page)
+    if name is None and source.suffix.lower() in VIDEO_FORMATS:
+        return read_video_frame(source, page)
     if page not in (None, 0):
         raise FlatError(f"has one picture and no page {page}")
     if name is None:

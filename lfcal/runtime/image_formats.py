@@ -1,4 +1,4 @@
-"""The image formats that flats are read from, with their suffixes and first bytes; the colour mosaics they may hold."""
+"""The image and video formats that flats are read from, with their suffixes and first bytes; the colour mosaics they may hold."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 __all__ = [
-    "CONVERTERS", "IMAGE_FORMATS", "IMAGE_SUFFIXES", "MOSAICS", "RAW_PHOTO_SUFFIXES", "TIFF_SUFFIXES", "ImageFormat",
-    "Mosaic", "identify_format",
+    "CONVERTERS", "IMAGE_FORMATS", "IMAGE_SUFFIXES", "MOSAICS", "RAW_PHOTO_SUFFIXES", "TIFF_SUFFIXES",
+    "VIDEO_FORMATS", "ImageFormat", "Mosaic", "identify_format",
 ]  # fmt: skip
 
 #: Colour filters of the top left 2 x 2 pixels, row by row.
@@ -39,6 +39,11 @@ IMAGE_FORMATS = {
 }
 #: Raw photos, many of which begin as a TIFF does: known by their suffix alone.
 RAW_PHOTO_SUFFIXES = frozenset({".dng", ".arw", ".cr2", ".cr3", ".nef", ".orf", ".pef", ".raf", ".rw2", ".srw"})
+#: Suffixes of videos, and FFmpeg's name of the format of raw streams, which have no header that names it.
+VIDEO_FORMATS = {
+    ".mp4": None, ".mkv": None, ".mov": None, ".avi": None, ".webm": None, ".y4m": None, ".m4v": None,
+    ".vvc": "vvc", ".266": "vvc", ".hevc": "hevc", ".265": "hevc", ".h264": "h264", ".264": "h264",
+}  # fmt: skip
 #: What is not read, by its suffix, and what can convert it.
 CONVERTERS = {
     ".czi": "save it as OME-TIFF with Fiji or bfconvert (Bio-Formats)",

@@ -77,7 +77,7 @@ class SizeOption(click.ParamType):
 
 def page_option(command: Any) -> Any:
     """Give a command the option `--page`."""
-    text = "Which picture of a TIFF of several, or frame of raw video, from 0."
+    text = "Which picture of a TIFF of several, or frame of a video, from 0."
     return click.option("--page", type=click.IntRange(0), metavar="N", help=text)(command)
 
 

@@ -41,7 +41,7 @@ class CaptureInput:
     mosaic: Mosaic | None = None
     preset: str = "balanced"
     dark: Path | None = None  # frame that is subtracted from the flat and from the white image
-    page: int | None = None  # of a TIFF of several pictures, or of raw video
+    page: int | None = None  # of a TIFF of several pictures, or of a video
     # Of raw video; with a camera file that has it, the size is that of the camera.
     size: tuple[int, int] | None = None
     pixel_format: str | None = None

@@ -15,18 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import FlatError, count_pages, read_flat
-from lfcal.runtime.image_formats import IMAGE_SUFFIXES, TIFF_SUFFIXES
+from lfcal.runtime.image_formats import IMAGE_SUFFIXES, TIFF_SUFFIXES, VIDEO_FORMATS
 from lfcal.runtime.video.frame_pixels import import_av, rgb_pixels
 from lfcal.runtime.video.raw_format import RAW_SUFFIX
 
 __all__ = ["Frame", "Frames", "is_video", "open_frames"]
-
-# Suffixes of videos, and FFmpeg's name of the format of raw streams, which have no header that names it.
-_VIDEOS = {
-    ".mp4": None, ".mkv": None, ".mov": None, ".avi": None, ".webm": None, ".y4m": None, ".m4v": None,
-    ".vvc": "vvc", ".266": "vvc", ".hevc": "hevc", ".265": "hevc", ".h264": "h264", ".264": "h264",
-}  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Frame:
@@ -127,7 +120,7 @@ def open_frames(
 
 def is_video(path: Path) -> bool:
     """Whether a path has the suffix of a video, raw or not."""
-    return path.suffix.lower() in {*_VIDEOS, RAW_SUFFIX} and not path.is_dir()
+    return path.suffix.lower() in {*VIDEO_FORMATS, RAW_SUFFIX} and not path.is_dir()
 
 
 def _parts(path: Path, layout: dict[str, Any]) -> list[_Part]:
@@ -142,7 +135,7 @@ def _parts(path: Path, layout: dict[str, Any]) -> list[_Part]:
         return [part for file in sorted(files, key=_numeric_order) for part in _parts(file, layout)]
     if not path.exists():
         raise FlatError(f"{path}: no such file or folder")
-    if path.suffix.lower() in _VIDEOS:
+    if path.suffix.lower() in VIDEO_FORMATS:
         import_av(path)
         return [_Part(path, None)]
     if path.suffix.lower() == RAW_SUFFIX:
@@ -188,7 +181,7 @@ def _read_header(path: Path, value: Callable[[Any], Any]) -> Any:
 
 def _open_video(path: Path) -> Any:
     """Open a video, which must have pictures, for a `with` statement."""
-    container = import_av(path).open(str(path), format=_VIDEOS[path.suffix.lower()])
+    container = import_av(path).open(str(path), format=VIDEO_FORMATS[path.suffix.lower()])
     if not container.streams.video:
         container.close()
         raise FlatError(f"{path}: there is no video in it")

@@ -113,8 +113,9 @@ def _size_beside(path: Path) -> tuple[int, int] | None:
 
 
 def _format_in_name(name: str) -> tuple[str | None, int | None]:
-    """Subsampling and bits as names of test sequences have them: `yuv420p10le`, `420p_10b`, `p444_12bit`."""
+    """Subsampling and bits as names of sequences have them: `yuv420p10le`, `420p_10b`, `p444_12bit`, `gray8`."""
     words = re.sub(r"\d{2,6}[xX]\d{2,6}", " ", name.lower())
+    words = re.sub(r"(?<![a-z])gr[ae]y(?=(?:8|10|12)(?!\d))", "400p", words)
     subsampling = re.search(r"(?<!\d)(?:yuv|p)?(400|420|422|444)(?!\d)p?(8|10|12)?(?:le)?", words)
     bits = re.search(r"(?<!\d)(8|10|12)[-_ ]?(?:bits?|bpp|b)(?![a-z0-9])", words)
     named = subsampling[2] if subsampling and subsampling[2] else bits[1] if bits else None

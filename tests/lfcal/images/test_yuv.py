@@ -52,6 +52,8 @@ def convert(frame):
         ("a_64x48_p422_10bit.yuv", ("422", 10)),
         ("a_64x48_8b_400.yuv", ("400", 8)),
         ("Race_64x48_50_12b_444.yuv", ("444", 12)),
+        ("a_64x48_gray8b.yuv", ("400", 8)),
+        ("a_64x48_gray10le.yuv", ("400", 10)),
     ],
 )
 def test_layout_follows_from_the_name(tmp_path, name, expected):
