@@ -21,6 +21,7 @@ from lfcal.runtime.video.raw_format import RAW_SUFFIX
 
 __all__ = ["Frame", "Frames", "is_video", "open_frames"]
 
+
 @dataclass(frozen=True)
 class Frame:
     """One frame of a sequence; `read` returns its flat (h, w) or (h, w, 3), or raises FlatError."""
