@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from fractions import Fraction
 from pathlib import Path
 
@@ -40,12 +41,12 @@ def test_wrong_number_is_refused(film, page, message):
 def test_damaged_video_is_refused(film, tmp_path):
     path = tmp_path / "damaged.mp4"
     path.write_bytes(film.read_bytes()[:200])
-    with pytest.raises(lfcal.FlatError, match="damaged.mp4: "):
+    with pytest.raises(lfcal.FlatError, match=r"damaged\.mp4: "):
         lfcal.read_flat(path, 0)
 
 
 def test_package_that_is_missing_is_named(film, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "av", None)
+    monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(lfcal.FlatError, match=r"lfrender\[video\]"):
         lfcal.read_flat(film, 0)
 
