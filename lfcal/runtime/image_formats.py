@@ -1,4 +1,4 @@
-"""The image and video formats that flats are read from, with their suffixes and first bytes; the colour mosaics they may hold."""
+"""The formats that flats are read from, images and videos, with suffixes and first bytes; the colour mosaics they hold."""
 
 from __future__ import annotations
 
