@@ -1,4 +1,4 @@
-"""The formats that flats are read from, images and videos, with suffixes and first bytes; the colour mosaics they hold."""
+"""The formats that flats are read from, with their suffixes and first bytes; the colour mosaics they may hold."""
 
 from __future__ import annotations
 
