@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -26,7 +27,7 @@ __all__ = ["calibrate"]
 
 
 def calibrate(
-    image: ArrayLike | Sequence[ArrayLike],
+    image: ArrayLike | str | os.PathLike[str] | Sequence[ArrayLike | str | os.PathLike[str]],
     kind: Literal["auto", "white", "scene"] = "auto",
     mosaic: Mosaic | None = None,
     pitch: float | None = None,
@@ -36,10 +37,10 @@ def calibrate(
 
     Parameters
     ----------
-    image : (h, w) or (h, w, 3) array_like, any integer or float type, or a sequence of such
-        Raw sensor picture: a white image or any scene. Several are combined: white images are added, weighted by
-        their exposure and without clipped pixels; of scenes the edges between microimages are averaged. Flats
-        without contrast, such as dark or saturated ones, are left out.
+    image : (h, w) or (h, w, 3) array_like of any integer or float type, path-like, or a sequence of such
+        Raw sensor picture: a white image or any scene; a path is read with `read_flat`. Several are combined: white
+        images are added, weighted by their exposure and without clipped pixels; of scenes the edges between microimages
+        are averaged. Flats without contrast, such as dark or saturated ones, are left out.
     kind : {"auto", "white", "scene"}
         What the flats show; `"auto"` decides by whether microimages are evenly lit inside. Where some of several are
         white images, only these are used.
@@ -87,7 +88,7 @@ def calibrate(
 
     from .detection.capture_kind import check_flats, estimate_white_level, measure_overexposure
 
-    flats = check_flats(image)
+    flats = check_flats(_read_paths(image))
     for flat in flats:
         check_mosaic(mosaic, flat)
     # The equations are too small for more threads to pay off.
@@ -105,6 +106,17 @@ def calibrate(
         )
         camera = replace(camera, warnings=(*camera.warnings, text))
     return replace(camera, white_level=estimate_white_level(flats))
+
+
+def _read_paths(image: Any) -> Any:
+    """The flats given, with the pixels of files in the place of their paths."""
+    if isinstance(image, (str, os.PathLike)):
+        from .images.read import read_flat
+
+        return read_flat(image)
+    if isinstance(image, (list, tuple)) and any(isinstance(one, (str, os.PathLike)) for one in image):
+        return [_read_paths(one) for one in image]
+    return image
 
 
 def _calibrate(

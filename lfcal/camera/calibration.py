@@ -33,7 +33,7 @@ _ROW_ORDER_VERSION = 1
 _Part = TypeVar("_Part")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Calibration:
     """Where the microimages of a camera are, how they are lit, and how well both are known.
 
@@ -250,6 +250,10 @@ class Calibration:
         from .plotting import plot_calibration
 
         return plot_calibration(self, ax)
+
+    def __repr__(self) -> str:
+        sure = "" if self.source in ("published", "truth") else f", confidence {self.confidence:.2f}"
+        return f"Calibration({self.lattice!r}, source {self.source!r}{sure})"
 
     def _repr_html_(self) -> str:
         from .plotting import calibration_card

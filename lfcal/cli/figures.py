@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ..camera.calibration import Calibration
 
-__all__ = ["describe"]
+__all__ = ["describe", "summarise"]
 
 
 def describe(camera: Calibration) -> dict[str, Any]:
@@ -44,3 +44,20 @@ def describe(camera: Calibration) -> dict[str, Any]:
         "defect_lenses": len(camera.defects.lenses),
         "warnings": list(camera.warnings),
     }
+
+
+def summarise(camera: Calibration) -> list[str]:
+    """What a camera file holds, in sentences."""
+    from ..lattice.orientation import describe_orientation
+
+    shape, _, rotation = describe_orientation(camera.lattice)
+    sources = {"white": "measured on a white image", "scene": "measured on a capture", "published": "as published"}
+    how = sources.get(camera.source, f"from {camera.source}")
+    lenses = f"{len(camera.lattice):,} microlenses, {camera.lattice.pitch:.2f} px apart"
+    sentences = [f"{lenses}: a {shape} lattice turned by {rotation:.2f} degrees."]
+    sure = "" if camera.source == "published" else f", confidence {camera.confidence:.0%}"
+    if camera.lens_types is not None:
+        sure += f"; {camera.lens_types.count} types of lenses"
+    defects = len(camera.defects.pixels) + len(camera.defects.lenses)
+    sentences.append(f"{how[:1].upper()}{how[1:]}{sure}{f'; {defects:,} defects' if defects else ''}.")
+    return sentences

@@ -13,11 +13,9 @@ from ..runtime.output_file import check_output
 __all__ = ["lattice"]
 
 
-@click.command(
-    epilog=console.help_examples(
-        "lfcal lattice --size 2048x1536 --pitch 15.41 --arrangement square -o camera.json",
-        "lfcal lattice --size 2048x2048 --pitch 23.2 --centre 1019.8 1031.2 -o camera.json",
-    )
+@console.command(
+    "lfcal lattice --size 2048x1536 --pitch 15.41 --arrangement square -o camera.json",
+    "lfcal lattice --size 2048x2048 --pitch 23.2 --centre 1019.8 1031.2 -o camera.json",
 )
 @click.option("--size", type=console.SizeOption(), required=True, metavar="WxH", help="Size of the flats [px].")
 @click.option("--pitch", type=float, required=True, metavar="PX", help="Distance between neighbouring centres [px].")
@@ -38,7 +36,7 @@ __all__ = ["lattice"]
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=console.OutputPath(".json"),
     required=True,
     metavar="CAMERA.json",
     help="Camera file to write.",
@@ -55,14 +53,14 @@ def lattice(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """State the lattice of a camera, where no flat shows it well enough to be calibrated on.
+    """State the lattice of a camera that no flat shows well enough.
 
     The light of the microimages stays unknown. Commands that use the file check it against the flat.
     """
     check_output(output, {".json"})
     from ..camera.calibration import Calibration
     from ..lattice.stated import state_lattice
-    from .figures import describe
+    from .figures import describe, summarise
 
     try:
         stated = state_lattice(size, pitch, arrangement, rotation, centre, radius)
@@ -71,4 +69,7 @@ def lattice(
     warning = "the lattice was stated, not measured"
     camera = Calibration(stated, source="published", confidence=1.0, warnings=(warning,))
     camera.save(output)
-    console.Report(as_json, quiet).finish({"camera": str(output), **describe(camera)})
+    figures = {"camera": str(output), **describe(camera)}
+    console.Report(as_json, quiet).finish(
+        figures, summarise(camera)[0], f"{output} is written; check it with 'lfcal show'."
+    )

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
+import cloup
 
 from ..runtime import console
 from ..runtime.image_formats import MOSAICS, TIFF_SUFFIXES, Mosaic
 from ..runtime.output_file import atomic_write, check_output
-from .figures import describe
+from .figures import describe, summarise
 from .lattice import lattice
 from .metric import board, metric
 
@@ -19,54 +20,45 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-_INPUT, _OUTPUT = console.InputPath(), click.Path(path_type=Path)
+_INPUT, _OUTPUT, _CAMERA = console.InputPath(), console.OutputPath(), console.OutputPath(".json")
 # Commands that users look for here.
 _LFRENDER_COMMANDS = "analyze", "batch", "demo", "refocus", "render", "report", "view", "views", "warm"
 
 
-@click.group(
-    cls=console.CommandGroup,
-    name="lfcal",
-    context_settings={"help_option_names": ["-h", "--help"]},
-    other_programs=dict.fromkeys(_LFRENDER_COMMANDS, "lfrender"),
-    file_command="calibrate {} -o camera.json",
-)
-@click.version_option(package_name="lfrender", prog_name="lfcal")
-def main() -> None:
-    """Find the microimages of a focused plenoptic camera."""
-
-
-@main.command(
-    epilog=console.help_examples(
-        "lfcal calibrate white.png -o camera.json",
-        "lfcal calibrate white1.png white2.png -o camera.json",
-        "lfcal calibrate scene.tif --kind scene --mosaic rggb -o camera.json",
-        "lfcal calibrate scene.tif --pitch 15.4 --dark dark.tif -o camera.json",
-    )
+@console.command(
+    "lfcal calibrate white.png -o camera.json",
+    "lfcal calibrate white1.png white2.png -o camera.json",
+    "lfcal calibrate scene.tif --kind scene --mosaic rggb -o camera.json",
+    "lfcal calibrate scene.tif --pitch 15.4 --dark dark.tif -o camera.json",
 )
 @console.several_inputs("images", "IMAGE...")
-@click.option("-o", "--output", type=_OUTPUT, required=True, metavar="CAMERA.json", help="Camera file to write.")
-@click.option(
-    "--kind",
-    type=click.Choice(["auto", "white", "scene"]),
-    default="auto",
-    show_default=True,
-    help="What the images show: an evenly lit white surface, or any scene.",
+@console.grouped(
+    "Files",
+    click.option("-o", "--output", type=_CAMERA, required=True, metavar="CAMERA.json", help="Camera file to write."),
+    click.option("--dark", type=_INPUT, help="Dark frame that is subtracted from the images."),
 )
-@click.option(
-    "--mosaic",
-    type=click.Choice(MOSAICS, case_sensitive=False),
-    help="Colour filters of the top left 2 x 2 pixels, row by row, of a raw mosaic. Without it a mosaic is detected.",
+@console.grouped(
+    "What is known",
+    click.option(
+        "--kind",
+        type=click.Choice(["auto", "white", "scene"]),
+        default="auto",
+        show_default=True,
+        help="What the images show: an evenly lit white surface, or any scene.",
+    ),
+    click.option(
+        "--mosaic",
+        type=click.Choice(MOSAICS, case_sensitive=False),
+        help="Colour filters of the top left 2 x 2 pixels of a raw mosaic, row by row. By default it is detected.",
+    ),
+    click.option(
+        "--pitch", type=click.FloatRange(0, min_open=True), metavar="PX", help="Pitch, right to a tenth, as hint."
+    ),
+    click.option(
+        "--rotation", type=float, metavar="DEGREES", help="Beside --pitch: as 'lfcal info' prints it, to 2 degrees."
+    ),
 )
-@click.option(
-    "--pitch", type=click.FloatRange(0, min_open=True), metavar="PX", help="Pitch, right to a tenth, as hint."
-)
-@click.option(
-    "--rotation", type=float, metavar="DEGREES", help="Beside --pitch: as 'lfcal info' prints it, to 2 degrees."
-)
-@click.option("--dark", type=_INPUT, help="Dark frame that is subtracted from the images.")
-@console.page_option
-@console.raw_video_options
+@console.grouped("Reading IMAGE", console.page_option, console.raw_video_options)
 @console.report_options
 def calibrate(
     images: tuple[Path, ...],
@@ -82,9 +74,10 @@ def calibrate(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Find the microlens lattice on IMAGE, a white image or any scene capture, and write it as a camera file.
+    """Find the microlenses on IMAGE and write them as a camera file.
 
-    Several white images, or several captures of one camera, are combined.
+    IMAGE is a white image, or any capture of a scene. Several white images, or several captures of one camera, are
+    combined.
     """
     report = console.Report(as_json, quiet)
     check_output(output, {".json"}, [*images, dark])
@@ -110,7 +103,7 @@ def calibrate(
     with report.stage("calibrate"), console.name_file_in_errors(images[0] if len(images) == 1 else f"{images[0]} ..."):
         camera = run(flats if len(flats) > 1 else flats[0], kind, mosaic, pitch, rotation)
     camera.save(output)
-    report.finish({"camera": str(output), **describe(camera)})
+    report.finish({"camera": str(output), **describe(camera)}, *summarise(camera), f"{output} in {report.took}.")
 
 
 def _size_options(command: Any) -> Any:
@@ -121,7 +114,7 @@ def _size_options(command: Any) -> Any:
     )
 
 
-@main.command(epilog=console.help_examples("lfcal info camera.json", "lfcal info calibration.xml --image flat.png"))
+@console.command("lfcal info camera.json", "lfcal info calibration.xml --image flat.png")
 @click.argument("camera", type=_INPUT)
 @_size_options
 @console.report_options
@@ -131,13 +124,13 @@ def info(camera: Path, size: str | None, image: Path | None, as_json: bool, quie
     console.Report(as_json, quiet).finish({"camera": str(camera), **describe(calibration)})
 
 
-@main.command(epilog=console.help_examples("lfcal show camera.json --image white.png -o show.png"))
+@console.command("lfcal show camera.json --image white.png -o show.png")
 @click.argument("camera", type=_INPUT)
 @click.option("--image", type=_INPUT, required=True, help="A white image or scene capture of that camera.")
 @click.option("-o", "--output", type=_OUTPUT, required=True, metavar="SHOW.png", help="Picture to write.")
 @console.report_options
 def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) -> None:
-    """Draw the centres and circles of CAMERA over the centre and corners of an image."""
+    """Draw the circles of CAMERA over the centre and the corners of an image."""
     report = console.Report(as_json, quiet)
     check_output(output, {".png"}, [camera, image])
     with report.stage("read"):
@@ -153,16 +146,20 @@ def show(camera: Path, image: Path, output: Path, as_json: bool, quiet: bool) ->
         picture = Image.fromarray(run(calibration, flat))
     with report.stage("write"), atomic_write(output) as temporary:
         picture.save(temporary, compress_level=4)
-    report.finish({"picture": str(output), **describe(calibration)})
+    figures = {"picture": str(output), **describe(calibration)}
+    report.finish(figures, *summarise(calibration), f"{output}: the circles should lie on the microimages.")
 
 
-@main.command(epilog=console.help_examples("lfcal flatten flat.png -c camera.json -o even.tif"))
+@console.command("lfcal flatten flat.png -c camera.json -o even.tif")
 @click.argument("flat", type=_INPUT)
 @click.option("-c", "--camera", type=_INPUT, required=True, help="Camera file with a gain map.")
 @click.option("-o", "--output", type=_OUTPUT, required=True, metavar="FLAT.tif", help="Flattened flat to write.")
 @console.report_options
 def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) -> None:
-    """Divide FLAT by the gain of CAMERA, so that microimages are evenly lit; pixels of unknown gain stay."""
+    """Light the microimages of FLAT evenly, by the gain map of CAMERA.
+
+    Pixels are divided by their gain; those of unknown gain stay.
+    """
     report = console.Report(as_json, quiet)
     check_output(output, TIFF_SUFFIXES, [flat, camera])
     with report.stage("read"):
@@ -176,16 +173,22 @@ def flatten(flat: Path, camera: Path, output: Path, as_json: bool, quiet: bool) 
         import tifffile
 
         tifffile.imwrite(temporary, even, photometric="rgb" if even.ndim == 3 else "minisblack")
-    report.finish({"written": str(output), "size": [even.shape[1], even.shape[0]], "type": str(even.dtype)})
+    report.finish(
+        {"written": str(output), "size": [even.shape[1], even.shape[0]], "type": str(even.dtype)},
+        f"{output}: {even.shape[1]} x {even.shape[0]} px of {even.dtype}, evenly lit, in {report.took}.",
+    )
 
 
-@main.command(epilog=console.help_examples("lfcal compare monday.json friday.json"))
+@console.command("lfcal compare monday.json friday.json")
 @click.argument("a", type=_INPUT)
 @click.argument("b", type=_INPUT)
 @_size_options
 @console.report_options
 def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: bool, quiet: bool) -> None:
-    """Differences of the microimage centres of cameras A and B: B minus A, in pixels."""
+    """Tell how the microimage centres of cameras A and B differ.
+
+    All differences are B minus A, in pixels.
+    """
     from .. import compare as run
 
     first, second = _read_pair(a, b, _read_size(size, image))
@@ -203,12 +206,10 @@ def compare(a: Path, b: Path, size: str | None, image: Path | None, as_json: boo
     console.Report(as_json, quiet).finish({"a": str(a), "b": str(b), **figures, "field": field, "warnings": warnings})
 
 
-@main.command(
-    epilog=console.help_examples(
-        "lfcal convert camera.json -o calibration.xml",
-        "lfcal convert calibration.xml --image flat.png -o camera.json",
-        "lfcal convert camera.json --image flat.png -o camera.cfg",
-    )
+@console.command(
+    "lfcal convert camera.json -o calibration.xml",
+    "lfcal convert calibration.xml --image flat.png -o camera.json",
+    "lfcal convert camera.json --image flat.png -o camera.cfg",
 )
 @click.argument("camera", type=_INPUT)
 @click.option("-o", "--output", type=_OUTPUT, required=True, metavar="FILE", help=".xml, .cfg, .csv or .json to write.")
@@ -228,7 +229,10 @@ def convert(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Write CAMERA in the format of another program, or a camera of another program in ours."""
+    """Write CAMERA in the format of another program, or the reverse.
+
+    The suffix of the output chooses the format.
+    """
     from ..camera_files.read_write import FORMATS
     from ..camera_files.read_write import convert as run
 
@@ -240,7 +244,8 @@ def convert(
 
         mode = find_scene_mode(read_flat(image), calibration.lattice)
     run(calibration, output, mode=mode)
-    console.Report(as_json, quiet).finish({"written": str(output), **describe(calibration)})
+    figures = {"written": str(output), **describe(calibration)}
+    console.Report(as_json, quiet).finish(figures, *summarise(calibration), f"{output} is written.")
 
 
 def _read_size(size: str | None, image: Path | None) -> tuple[int, int] | None:
@@ -291,9 +296,22 @@ def _read_pair(a: Path, b: Path, size: tuple[int, int] | None) -> tuple[Calibrat
     return first, _read(b, size or first.image_size)
 
 
-main.add_command(metric)
-main.add_command(board)
-main.add_command(lattice)
+@cloup.group(
+    cls=console.CommandGroup,
+    name="lfcal",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    other_programs=dict.fromkeys(_LFRENDER_COMMANDS, "lfrender"),
+    file_command="calibrate {} -o camera.json",
+)
+@click.version_option(package_name="lfrender", prog_name="lfcal")
+def main() -> None:
+    """Find the microimages of a focused plenoptic camera, and write them as a camera file."""
+
+
+main.section("Calibrate a camera", calibrate, lattice)
+main.section("Look at camera files", info, show, compare)
+main.section("Use them elsewhere", convert, flatten)
+main.section("Measure in metres", board, metric)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["board", "metric"]
 
-_INPUT, _OUTPUT = console.InputPath(), click.Path(path_type=Path)
+_INPUT, _OUTPUT = console.InputPath(), console.OutputPath(".json")
 _PATTERNS = ("checkerboard", "charuco", "circles")
 
 
@@ -53,11 +53,9 @@ def read_board(size: str, square: float, pattern: Any, marker: float | None, dic
     return Board(*counts, square, pattern, marker, dictionary)
 
 
-@click.command(
-    epilog=console.help_examples(
-        "lfcal metric board_*.png -c camera.json --board 9x6 --square 12.0 -o camera.json",
-        "lfcal metric board_*.png -c camera.json --board 9x6 --square 12 --pixel 5.5 -o metric.json --poses poses.json",
-    )
+@console.command(
+    "lfcal metric board_*.png -c camera.json --board 9x6 --square 12.0 -o camera.json",
+    "lfcal metric board_*.png -c camera.json --board 9x6 --square 12 --pixel 5.5 -o metric.json --poses poses.json",
 )
 @console.several_inputs("flats", "FLAT...")
 @click.option("-c", "--camera", type=_INPUT, required=True, help="Camera file of 'lfcal calibrate'.")
@@ -89,9 +87,10 @@ def metric(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Measure focal length, distances, distortion and tilt of a camera on FLATs of a board in several poses.
+    """Measure the optics of a camera on FLATs of a board, for metres.
 
-    With the camera file that is written, depth and point clouds of its flats are in metres.
+    Focal length, distances, distortion and tilt are fitted to several poses of the board. With the camera file that is
+    written, depth and point clouds of its flats are in metres.
     """
     report = console.Report(as_json, quiet)
     # The camera may be written over: it is the same one, which knows more.
@@ -133,14 +132,19 @@ def metric(
                 write_libpleno(exchange, found)
             else:
                 write_pinhole(exchange, found.calibration)
-    report.finish({"camera": str(output), **describe_metric(found)})
-
-
-@click.command(
-    epilog=console.help_examples(
-        "lfcal board --board 9x6 --square 12 -o board.pdf",
-        "lfcal board --board 9x6 --square 15 --marker 11 --pattern charuco -o board.svg",
+    optics = found.optics
+    report.finish(
+        {"camera": str(output), **describe_metric(found)},
+        f"{len(found.residual):,} corners on {len(found.poses)} flats fit to {found.rms:.2f} px RMS.",
+        f"Focal length {optics.focal_length:.2f} mm; microlenses {optics.mla_distance:.2f} mm behind the main lens, "
+        f"{optics.sensor_distance:.3f} mm before the sensor.",
+        f"{output} in {report.took}: depth of its flats is in metres.",
     )
+
+
+@console.command(
+    "lfcal board --board 9x6 --square 12 -o board.pdf",
+    "lfcal board --board 9x6 --square 15 --marker 11 --pattern charuco -o board.svg",
 )
 @click.option("-o", "--output", type=_OUTPUT, required=True, metavar="BOARD.pdf|.svg", help="Page to write.")
 @board_options
@@ -155,7 +159,10 @@ def board(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Make a board to print, with a bar of 100 mm that tells whether it was printed in true size."""
+    """Make a board to print, for 'lfcal metric'.
+
+    A bar of 100 mm on it tells whether it was printed in true size.
+    """
     report = console.Report(as_json, quiet)
     check_output(output, {".pdf", ".svg"})
     target = read_board(size, square, pattern, marker, dictionary)
@@ -163,7 +170,10 @@ def board(
         from ..boards.printed import write_board
 
         write_board(output, target)
-    report.finish({"written": str(output), "board": str(target), "square_mm": target.square})
+    report.finish(
+        {"written": str(output), "board": str(target), "square_mm": target.square},
+        f"{output}: {target}. Print it in true size: the bar is 100 mm long.",
+    )
 
 
 def describe_metric(found: MetricCalibration) -> dict[str, Any]:

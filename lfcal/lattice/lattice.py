@@ -56,7 +56,7 @@ def reduce_basis(basis: ArrayLike) -> NDArray[np.float64]:
     return np.array([first, second])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Lattice(Frozen):
     """Centres `c(i, j) = origin + i*a1 + j*a2`, plus an optional distortion, of all microimages on one flat.
 
@@ -111,6 +111,10 @@ class Lattice(Frozen):
 
     def __len__(self) -> int:
         return len(self._indices)
+
+    def __repr__(self) -> str:
+        width, height = self.image_size
+        return f"Lattice({len(self)} microimages, {self.pitch:.4g} px apart, on {width} x {height} px)"
 
     @cached_property
     def steps(self) -> NDArray[np.int64]:

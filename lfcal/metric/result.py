@@ -73,7 +73,7 @@ class BoardPose:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MetricCalibration:
     """A camera that measures.
 
@@ -113,6 +113,9 @@ class MetricCalibration:
     widening: float
     degeneracies: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"MetricCalibration({len(self.poses)} poses, {len(self.residual)} corners, {self.rms:.3f} px RMS)"
 
     @property
     def optics(self) -> Optics:

@@ -7,12 +7,22 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from lfcal.runtime import console
 from lfcal.runtime.output_file import check_output
 
 from ..large.size import is_large
-from .figures import capture_figures
+from .figures import camera_sentence, capture_figures, depth_sentences
 from .inputs import CaptureInput
-from .options import INPUT, OUTPUT, at_most_one, capture_command, cluster_options, connect_cluster, option_errors
+from .options import (
+    INPUT,
+    OUTPUT,
+    at_most_one,
+    capture_command,
+    cluster_options,
+    connect_cluster,
+    option_errors,
+    roi_option,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,31 +33,49 @@ if TYPE_CHECKING:
 
 __all__ = ["analyze"]
 
+# Suffixes of the forms of depth beside .npz.
+_DENSE, _PICTURE, _POINTS = (".tif", ".tiff", ".pfm", ".exr"), (".png",), (".ply", ".pcd")
+
 
 @capture_command(
     "lfrender analyze flat.png -o depth.npz",
     "lfrender analyze flat.png -c camera.json -o depth.npz --dense depth.tif --picture depth.png",
     "lfrender analyze flat.png -c camera.json -o depth.npz --roi 400 300 900 700",
-    output=("DEPTH.npz", "Depth map to write."),
+    "lfrender analyze flat.png -o cloud.ply",
+    output=("DEPTH.npz", "Depth map to write; or .tif, .png, .ply: see below.", ".npz"),
     white=True,
     depth=False,
 )
-@click.option(
-    "--dense", type=OUTPUT, metavar="DEPTH.tif|.pfm|.exr", help="Patch size [px] of every pixel of the picture."
+@console.grouped(
+    "Further forms of the depth",
+    click.option(
+        "--dense",
+        type=OUTPUT,
+        metavar="DEPTH.tif|.pfm|.exr",
+        help="Patch size [px] of every pixel of the picture.",
+    ),
+    click.option("--picture", type=OUTPUT, metavar="DEPTH.png", help="Magnification M in colours, with its legend."),
+    click.option(
+        "--ply", type=OUTPUT, metavar="CLOUD.ply|.pcd", help="Point cloud: X/D, Y/D, virtual depth D/s, colour."
+    ),
 )
-@click.option("--picture", type=OUTPUT, metavar="DEPTH.png", help="Magnification M in colours, with its legend.")
-@click.option("--ply", type=OUTPUT, metavar="CLOUD.ply|.pcd", help="Point cloud: X/D, Y/D, virtual depth D/s, colour.")
-@click.option(
-    "--optics",
-    "optics_file",
-    type=INPUT,
-    metavar="OPTICS.json",
-    help="Focal length and distances [mm] of the camera: distances in metres, the point cloud too. By default those "
-    "of the camera file, if 'lfcal metric' has measured them.",
+@console.grouped(
+    "Metres",
+    click.option(
+        "--optics",
+        "optics_file",
+        type=INPUT,
+        metavar="OPTICS.json",
+        help="Focal length and distances [mm] of the camera: distances in metres, the point cloud too. By default "
+        "those of the camera file, if 'lfcal metric' has measured them.",
+    ),
+    click.option("--metres", is_flag=True, help="Write --dense as distances in front of the main lens [m]."),
 )
-@click.option("--metres", is_flag=True, help="Write --dense as distances in front of the main lens [m].")
-@click.option("--roi", type=float, nargs=4, metavar="X0 Y0 X1 Y1", help="Only lenses with their centre in here [px].")
-@click.option("--exhaustive", is_flag=True, help="Take no shortcuts: match every lens at every shift.")
+@console.grouped(
+    "What to analyse",
+    roi_option("Only lenses with their centre between two opposite corners [px]."),
+    click.option("--exhaustive", is_flag=True, help="Take no shortcuts: match every lens at every shift."),
+)
 @cluster_options
 def analyze(
     capture: CaptureInput,
@@ -62,12 +90,20 @@ def analyze(
     workers: int | None,
     scheduler: str | None,
 ) -> None:
-    """Find for every microlens of FLAT its patch size and whether it is telescopic or binocular."""
+    """Find the depth of every microlens of FLAT, and its mode.
+
+    Depth is the signed patch size: telescopic where it is positive, binocular where it is negative. The suffix of the
+    output chooses its form: .npz holds all that was found, the others are those of --dense, --picture and --ply.
+    """
     report = capture.report
-    check_output(output, {".npz"}, capture.files)
-    for path, suffixes in ((dense, {".tif", ".tiff", ".pfm", ".exr"}), (picture, {".png"}), (ply, {".ply", ".pcd"})):
+    suffix = output.suffix.lower()
+    check_output(output, {".npz", *_DENSE, *_PICTURE, *_POINTS}, capture.files)
+    for path, suffixes in ((dense, _DENSE), (picture, _PICTURE), (ply, _POINTS)):
         if path is not None:
             check_output(path, suffixes, capture.files)
+    dense = output if suffix in _DENSE else dense
+    picture = output if suffix in _PICTURE else picture
+    ply = output if suffix in _POINTS else ply
     at_most_one("--workers", workers, "--scheduler", scheduler)
     on_cluster = workers or scheduler
     at_most_one("--dark", capture.dark, "--workers or --scheduler", on_cluster or None)
@@ -91,9 +127,15 @@ def analyze(
     if metres and optics is None:
         raise click.UsageError("--metres needs optics: a camera file made by 'lfcal metric', or --optics")
     with report.stage("write"):
-        depth.save(output)
+        if suffix == ".npz":
+            depth.save(output)
         _write_depth(depth, pixels, calibration, dense, picture, ply, optics, metres)
-    report.finish({"depth": str(output), **capture_figures(calibration, depth, optics)})
+    written = dict.fromkeys(str(path) for path in (output, dense, picture, ply) if path is not None)
+    report.finish(
+        {"depth": str(output), **capture_figures(calibration, depth, optics)},
+        camera_sentence(calibration), *depth_sentences(calibration, depth, optics),
+        f"{', '.join(written)} in {report.took}.",
+    )  # fmt: skip
 
 
 def _write_depth(

@@ -12,7 +12,10 @@ if TYPE_CHECKING:
     from ..data.depth_map import DepthMap
     from ..data.rendering import Rendering
 
-__all__ = ["camera_figures", "capture_figures", "picture_figures", "rendering_settings"]
+__all__ = [
+    "camera_figures", "camera_sentence", "capture_figures", "depth_sentences", "eight_bits_sentence", "percent",
+    "picture_figures", "picture_sentence", "rendering_settings",
+]  # fmt: skip
 
 
 def rendering_settings(
@@ -97,3 +100,60 @@ def picture_figures(picture: Rendering) -> dict[str, Any]:
         "valid": float(np.mean(picture.valid)),
         "affine": picture.affine,
     }
+
+
+def percent(share: float) -> str:
+    """A share in percent, with a digit behind the point only where it would be 0 or 100 without."""
+    rounded = f"{100 * share:.0f}"
+    if rounded in ("0", "100") and share not in (0.0, 1.0):
+        rounded = f"{100 * share:.1f}"
+    return f"{rounded} %"
+
+
+def camera_sentence(calibration: Calibration) -> str:
+    """How many lenses there are, and where the camera comes from."""
+    sources = {"white": "found on the white image", "scene": "found on the flat itself"}
+    how = sources.get(calibration.source, "as the camera file says")
+    sure = f" (confidence {percent(calibration.confidence)})" if calibration.source in sources else ""
+    return f"{len(calibration.lattice):,} microlenses, {calibration.lattice.pitch:.1f} px apart, {how}{sure}."
+
+
+def depth_sentences(calibration: Calibration, depth: DepthMap | None = None, optics: Optics | None = None) -> list[str]:
+    """The shares of the modes; with optics, the distances."""
+    if depth is None:
+        return []
+    import numpy as np
+
+    from ..data.depth_map import REASONS
+    from ..output.depth_picture import MODES
+
+    figures = capture_figures(calibration, depth, optics)
+    analysed = np.asarray(depth.mode)[np.asarray(depth.reason) != REASONS.index("not analysed")]
+    part = f"{analysed.size:,} lenses in this part" if analysed.size < len(depth) else "lenses"
+    shares = [(float(np.mean(analysed == code)), name) for code, name in MODES.items()] if analysed.size else []
+    sentences = [f"Of the {part} {', '.join(f'{percent(n)} {name}' for n, name in shares if n >= 0.0005)}."]
+    if optics is not None and figures["distance_median"] == figures["distance_median"]:
+        near, far = figures["distance_range"]
+        sentences.append(
+            f"Distances {near:.3g} to {far:.3g} m, half of them below {figures['distance_median']:.3g} m, each to "
+            f"{figures['distance_error']:.2g} m."
+        )
+    return sentences
+
+
+def eight_bits_sentence(white: float | None, dtype: Any) -> str:
+    """How pixels of more than 8 bits were written with 8."""
+    import numpy as np
+
+    top = 1 if np.dtype(dtype).kind == "f" else white or np.iinfo(dtype).max
+    return f"Written with 8 bits: 0 to {top:g} became 0 to 255 in proportion, without a tone curve."
+
+
+def picture_sentence(path: Any, picture: Rendering, what: str, took: str) -> str:
+    """Where a picture is, how large, what it shows, and how long all took."""
+    import numpy as np
+
+    height, width = picture.image.shape[:2]
+    unseen = 1 - float(np.mean(picture.valid))
+    hole = f"; {percent(unseen)} of it seen by no lens" if unseen > 0.001 else ""
+    return f"{path}: {width} x {height} px, {what}, in {took}{hole}."

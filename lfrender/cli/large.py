@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .camera_input import is_published
-from .figures import capture_figures, rendering_settings
+from .figures import camera_sentence, capture_figures, depth_sentences, rendering_settings
 from .inputs import CaptureInput
 from .options import option_errors
 
@@ -66,10 +66,16 @@ def render_in_tiles(
                 source, output, calibration, depth, patch_size=patch_size, alpha=alpha,
                 settings=rendering_settings(depth, patch_size), progress=progress, **options, **cluster,
             )  # fmt: skip
-    report.finish({
+    kept = f", {made.kept} of them kept from an earlier run" if made.kept else ""
+    width, height = made.size
+    figures = {
         "picture": str(output), "size": list(made.size), "scale": made.scale, "valid": made.valid,
         "affine": made.affine, "tiles": made.tiles, "tiles_kept": made.kept, **capture_figures(calibration, depth),
-    })  # fmt: skip
+    }  # fmt: skip
+    report.finish(
+        figures, camera_sentence(calibration), *depth_sentences(calibration, depth),
+        f"{output}: {width} x {height} px in {made.tiles} tiles{kept}, in {report.took}.",
+    )  # fmt: skip
 
 
 def _is_of(depth: DepthMap, source: FlatSource, calibration: Calibration) -> bool:

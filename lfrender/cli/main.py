@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import click
+import cloup
 
 from lfcal.runtime import console
 
@@ -22,7 +23,7 @@ _OTHER_PROGRAMS = dict.fromkeys(
 )
 
 
-@click.group(
+@cloup.group(
     cls=console.CommandGroup,
     name="lfrender",
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -34,8 +35,10 @@ def main() -> None:
     """Depth and full-resolution pictures from focused plenoptic captures."""
 
 
-for _command in (analyze, render, refocus, views, batch, view, report, demo, warm):
-    main.add_command(_command)
+main.section("First steps", demo, warm)
+main.section("One capture", render, analyze, refocus, views)
+main.section("Look and share", view, report)
+main.section("Sequences", batch)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
-from pathlib import Path
 from typing import Any
 
 import click
@@ -17,11 +16,12 @@ from lfcal.runtime.image_formats import MOSAICS
 from .inputs import CaptureInput
 
 __all__ = [
-    "CAMERA", "INPUT", "OUTPUT", "at_most_one", "capture_command", "cluster_options", "connect_cluster", "grid_size",
-    "option_errors", "output_option", "preset_option", "scale_option", "white_option",
+    "CAMERA", "INPUT", "OUTPUT", "at_most_one", "capture_command", "cluster_options", "connect_cluster",
+    "eight_bits_option", "grid_size", "option_errors", "output_option", "preset_option", "roi_option", "scale_option",
+    "white_option",
 ]  # fmt: skip
 
-INPUT, OUTPUT = console.InputPath(), click.Path(path_type=Path)
+INPUT, OUTPUT = console.InputPath(), console.OutputPath()
 CAMERA = "Camera file of lfcal, or a published calibration (.xml, .cfg)."
 
 preset_option = click.option(
@@ -34,6 +34,12 @@ preset_option = click.option(
 scale_option = click.option(
     "--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch."
 )
+eight_bits_option = click.option(
+    "--8bit",
+    "eight_bits",
+    is_flag=True,
+    help="Write 8 bits a channel, in proportion: 0 to white become 0 to 255. JPEG and WebP do so by themselves.",
+)
 white_option = click.option("--white", type=INPUT, help="Calibrate from this white image of the same camera.")
 _camera_option = click.option("-c", "--camera", type=INPUT, help=f"{CAMERA} Without it, FLAT itself is calibrated.")
 _depth_option = click.option("--depth", "depth_file", type=INPUT, help="Depth map made by 'lfrender analyze'.")
@@ -45,14 +51,21 @@ _mosaic_option = click.option(
 _dark_option = click.option("--dark", type=INPUT, help="Dark frame that is subtracted from FLAT and the white image.")
 
 
-def output_option(metavar: str, text: str) -> Callable[[Any], Any]:
-    """The option `--output`."""
-    return click.option("-o", "--output", type=OUTPUT, required=True, metavar=metavar, help=text)
+def output_option(metavar: str, text: str, piped: str = "") -> Callable[[Any], Any]:
+    """The option `--output`; `piped` is the format of what goes to stdout with `-`, if that is possible."""
+    kind = console.OutputPath(piped)
+    text += f" With -, {piped[1:].upper()} to stdout." if piped else ""
+    return click.option("-o", "--output", type=kind, required=True, metavar=metavar, help=text)
+
+
+def roi_option(text: str) -> Callable[[Any], Any]:
+    """The option `--roi`; `lfrender.data.region.check_region` checks it, for commands and functions alike."""
+    return click.option("--roi", type=float, nargs=4, metavar="X0 Y0 X1 Y1", help=text)
 
 
 def capture_command(
     *examples: str,
-    output: tuple[str, str] | None = None,
+    output: tuple[str, ...] | None = None,
     white: bool = False,
     depth: bool = True,
     mosaic: bool = False,
@@ -61,7 +74,7 @@ def capture_command(
     """Make a command that works on one capture, with the options that such commands share.
 
     The function is called with `capture`, a `CaptureInput`, in place of these options, and with its own ones. `output`
-    is placeholder and help of the option `--output`; `examples` are calls to show in the help.
+    is what `output_option` takes; `examples` are calls to show in the help.
     """
 
     def decorate(function: Any) -> click.Command:
@@ -74,18 +87,22 @@ def capture_command(
         own = run.__dict__.pop("__click_params__", [])
         # Click shows the option of the outermost decorator first.
         decorated: Any = console.report_options(run)
-        decorated = console.page_option(console.raw_video_options(decorated))
-        decorated = preset_option(decorated) if preset else decorated
+        reading = [_mosaic_option] if mosaic else []
+        reading += [console.page_option, console.raw_video_options]
+        decorated = console.grouped("Reading FLAT", *reading)(decorated)
+        decorated = console.grouped("Depth analysis", preset_option)(decorated) if preset else decorated
         decorated.__click_params__.extend(own)
-        shared = [
-            (True, _dark_option), (mosaic, _mosaic_option), (depth, _depth_option), (white, white_option),
-            (True, _camera_option),
+        files = [
             (output is not None, output_option(*(output or ("", "")))),
-            (True, console.single_input("FLAT", "'lfrender batch' renders several")),
+            (True, _camera_option), (white, white_option), (depth, _depth_option), (True, _dark_option),
         ]  # fmt: skip
-        for wanted, option in shared:
-            decorated = option(decorated) if wanted else decorated
-        return click.command(epilog=console.help_examples(*examples))(decorated)
+        decorated = console.grouped("Files", *(option for wanted, option in files if wanted))(decorated)
+        flat = console.single_input(
+            "FLAT",
+            "'lfrender batch' renders several",
+            "render all flats in it with 'lfrender batch {} -o pictures', or give one of them",
+        )
+        return console.command(*examples)(flat(decorated))
 
     return decorate
 
@@ -96,7 +113,7 @@ def cluster_options(command: Any) -> Any:
     workers = click.option(
         "--workers", type=click.IntRange(1), help="Work in so many processes of this machine (needs Dask)."
     )
-    return workers(scheduler(command))
+    return console.grouped("Several processes", workers, scheduler)(command)
 
 
 @contextmanager

@@ -7,10 +7,29 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from lfcal.runtime import console
+
 from ..large.size import is_large
-from .figures import capture_figures, picture_figures, rendering_settings
+from .figures import (
+    camera_sentence,
+    capture_figures,
+    depth_sentences,
+    eight_bits_sentence,
+    picture_figures,
+    picture_sentence,
+    rendering_settings,
+)
 from .inputs import CaptureInput
-from .options import at_most_one, capture_command, cluster_options, connect_cluster, option_errors, scale_option
+from .options import (
+    at_most_one,
+    capture_command,
+    cluster_options,
+    connect_cluster,
+    eight_bits_option,
+    option_errors,
+    roi_option,
+    scale_option,
+)
 
 if TYPE_CHECKING:
     from typing import Literal
@@ -22,30 +41,37 @@ __all__ = ["render"]
     "lfrender render flat.png -o picture.tif",
     "lfrender render flat.png -c camera.json --depth depth.npz --scale 12 -o picture.png",
     "lfrender render flat.png --white white.png --patch-size -8.5 -o binocular.png",
-    output=("PICTURE", "Picture to write: .tif, .png, ..."),
+    output=("PICTURE", "Picture to write: .tif, .png, .jpg, ...", ".png"),
     white=True,
     mosaic=True,
 )
-@click.option(
-    "--patch-size", type=float, help="One signed patch size [px] for all lenses: > 0 telescopic, < 0 binocular."
+@console.grouped(
+    "What to draw",
+    click.option(
+        "--patch-size", type=float, help="One signed patch size [px] for all lenses: > 0 telescopic, < 0 binocular."
+    ),
+    click.option("--blend", is_flag=True, help="With --patch-size: the mean over lenses instead of the nearest one."),
+    click.option("--traditional", is_flag=True, help="One pixel per microlens, the mean of its microimage."),
+    scale_option,
+    roi_option("Draw only this part, between two opposite corners [px of the flat]."),
+    click.option(
+        "--sharpen",
+        metavar="auto|PX",
+        help="Correct the blur of the microlenses, as far as noise allows: as measured, or of so many output pixels.",
+    ),
 )
-@click.option("--blend", is_flag=True, help="With --patch-size: the mean over lenses instead of the nearest one.")
-@click.option("--traditional", is_flag=True, help="One pixel per microlens, the mean of its microimage.")
-@scale_option
-@click.option(
-    "--sharpen",
-    metavar="auto|PX",
-    help="Correct the blur of the microlenses, as far as noise allows: as measured, or of so many output pixels.",
+@console.grouped(
+    "How to write it",
+    eight_bits_option,
+    click.option("--alpha", is_flag=True, help="Make pixels that no lens has seen transparent (not in JPEG)."),
+    click.option("--compress", is_flag=True, help="Write a TIFF in deflated tiles: smaller and slower."),
+    click.option(
+        "--tile",
+        type=click.IntRange(16),
+        metavar="PIXELS",
+        help="Draw in tiles of this side, with little memory; an interrupted run is continued. [default: large flats]",
+    ),
 )
-@click.option("--alpha", is_flag=True, help="Make pixels that no lens has seen transparent (not in JPEG).")
-@click.option("--compress", is_flag=True, help="Write a TIFF in deflated tiles: smaller and slower.")
-@click.option(
-    "--tile",
-    type=click.IntRange(16),
-    metavar="PIXELS",
-    help="Draw in tiles of this side, with little memory; an interrupted run is continued. [default: large flats]",
-)
-@click.option("--roi", type=float, nargs=4, metavar="X0 Y0 X1 Y1", help="Draw only this part [px of the flat].")
 @cluster_options
 def render(
     capture: CaptureInput,
@@ -55,6 +81,7 @@ def render(
     traditional: bool,
     scale: float | None,
     sharpen: str | None,
+    eight_bits: bool,
     alpha: bool,
     compress: bool,
     tile: int | None,
@@ -62,7 +89,7 @@ def render(
     workers: int | None,
     scheduler: str | None,
 ) -> None:
-    """Render FLAT as one picture that is sharp wherever any mode of the camera is.
+    """Draw FLAT as one picture that is sharp at every depth.
 
     Without --depth, --patch-size and --traditional the depth is analysed first. A flat of more than 100 MB, as TIFF or
     Zarr, is read and drawn in tiles; the finished tiles of an interrupted run are used by the next one.
@@ -83,6 +110,8 @@ def render(
         in_tiles = on_cluster or tile is not None or output.suffix.lower() == ".zarr"
         if capture.dark is not None and in_tiles:
             raise click.UsageError("--dark is for flats that are drawn as a whole: leave out --tile and clusters")
+        if eight_bits and (in_tiles or is_large(capture.flat)):
+            raise click.UsageError("--8bit is for flats that are drawn as a whole: write the pixels as they are")
         if in_tiles or (capture.dark is None and is_large(capture.flat)):
             from .large import render_in_tiles
 
@@ -104,7 +133,8 @@ def render(
         if roi:
             from ..rendering.render import expand_roi
 
-            needed = expand_roi(roi, calibration)
+            with option_errors(roi):
+                needed = expand_roi(roi, calibration)
         depth = capture.analyze(pixels, calibration, roi=needed)
     options |= {"sharpen": width, "roi": roi}
     with capture.report.stage("render"), option_errors(*options.values()):
@@ -119,12 +149,32 @@ def render(
                 "the picture in focus"
             )
         picture = run_traditional(pixels, calibration) if traditional else run(pixels, calibration, depth, **options)
+    from ..output.picture import eight_bits as to_eight_bits
+    from ..output.picture import needs_eight_bits
+
+    figures = {**picture_figures(picture), **capture_figures(calibration, depth)}
+    stated = []
+    if (eight_bits and picture.image.dtype.name != "uint8") or needs_eight_bits(output, picture):
+        stated = [eight_bits_sentence(picture.white, picture.image.dtype)]
+        picture = to_eight_bits(picture)
     with capture.report.stage("write"):
         settings = rendering_settings(None if traditional else depth, patch_size, width)
         embedded = read_metadata(capture.flat)
         write_picture(output, picture, alpha=alpha, settings=settings, embedded=embedded, compress=compress)
-    figures = {**picture_figures(picture), **capture_figures(calibration, depth)}
-    capture.report.finish({"picture": str(output), **figures})
+    what = _describe_drawing(traditional, patch_size, blend)
+    capture.report.finish(
+        {"picture": str(output), **figures},
+        camera_sentence(calibration), *depth_sentences(calibration, None if traditional else depth),
+        picture_sentence(output, picture, what, capture.report.took), *stated,
+    )  # fmt: skip
+
+
+def _describe_drawing(traditional: bool, patch_size: float | None, blend: bool) -> str:
+    if traditional:
+        return "a pixel per microlens"
+    if patch_size is None:
+        return "sharp at every depth"
+    return f"of one patch size, {patch_size:g} px{', mixed from all lenses' if blend else ''}"
 
 
 def _sharpen_width(text: str | None) -> float | Literal["auto"] | None:

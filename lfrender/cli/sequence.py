@@ -11,6 +11,7 @@ import click
 from lfcal.runtime import console
 
 from .camera_input import read_camera
+from .figures import percent
 from .inputs import raw_layout
 from .options import (
     CAMERA,
@@ -34,39 +35,47 @@ if TYPE_CHECKING:
 __all__ = ["batch"]
 
 
-@click.command(
-    epilog=console.help_examples(
-        "lfrender batch frames -o pictures",
-        "lfrender batch film.mkv -c camera.json -o pictures --format png",
-        "lfrender batch film.mkv -c camera.json -o sharp.mp4",
-        "lfrender batch frames/*.png -o pictures --workers 4",
-        "lfrender batch film_2048x2048_420p10.yuv -c camera.cfg -o views --views 5x5 --format yuv --resize 1920x1080",
-    )
+@console.command(
+    "lfrender batch frames -o pictures",
+    "lfrender batch film.mkv -c camera.json -o pictures --format png",
+    "lfrender batch film.mkv -c camera.json -o sharp.mp4",
+    "lfrender batch frames/*.png -o pictures --workers 4",
+    "lfrender batch film_2048x2048_420p10.yuv -c camera.cfg -o views --views 5x5 --format yuv --resize 1920x1080",
 )
 @console.several_inputs("inputs", "INPUT...")
-@console.raw_video_options
-@output_option("FOLDER|FILM", "Folder for the pictures, or a film: .mp4, or .mkv without any loss.")
-@click.option("-c", "--camera", type=INPUT, help=f"{CAMERA} Without it, the first frame is calibrated.")
-@white_option
-@scale_option
-@click.option("--format", "suffix", help="Format of the pictures: tif, png, ...; of views also yuv.  [default: tif]")
-@click.option(
-    "--views",
-    metavar="ROWSxCOLUMNS",
-    help="Views of a grid: with --format yuv a file for each, v000-WxH.yuv ..., else FRAME/image_001 ...",
+@console.grouped(
+    "Files",
+    output_option("FOLDER|FILM", "Folder for the pictures, or a film: .mp4, or .mkv without any loss."),
+    click.option("-c", "--camera", type=INPUT, help=f"{CAMERA} Without it, the first frame is calibrated."),
+    white_option,
+    click.option("--overwrite", is_flag=True, help="Render all frames again; else pictures already there are kept."),
 )
-@click.option(
-    "--aperture", type=click.FloatRange(0, 1, min_open=True), help="Of --views, as in 'lfrender views'.  [default: 0.7]"
+@console.grouped(
+    "What to draw",
+    scale_option,
+    click.option(
+        "--format", "suffix", help="Format of the pictures: tif, jpg, ...; of views also yuv.  [default: tif]"
+    ),
+    click.option(
+        "--fps",
+        type=click.FloatRange(0, 1000, min_open=True),
+        help="Pictures a second of a film.  [default: as the input, or 25]",
+    ),
+    click.option(
+        "--views",
+        metavar="ROWSxCOLUMNS",
+        help="Views of a grid: with --format yuv a file for each, v000-WxH.yuv ..., else FRAME/image_001 ...",
+    ),
+    click.option(
+        "--aperture",
+        type=click.FloatRange(0, 1, min_open=True),
+        help="Of --views, as in 'lfrender views'.  [default: 0.7]",
+    ),
+    click.option("--resize", type=console.SizeOption(), help="Size of --views [px]."),
 )
-@click.option("--resize", type=console.SizeOption(), help="Size of --views [px].")
-@click.option(
-    "--fps",
-    type=click.FloatRange(0, 1000, min_open=True),
-    help="Pictures a second of a film.  [default: as the input, or 25]",
-)
-@click.option("--overwrite", is_flag=True, help="Render all frames again; else pictures already there are kept.")
+@console.grouped("Depth analysis", preset_option)
+@console.grouped("Reading INPUT", console.raw_video_options)
 @cluster_options
-@preset_option
 @console.report_options
 def batch(
     inputs: tuple[Path, ...],
@@ -88,10 +97,11 @@ def batch(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Render all frames of a sequence: image files, folders of them, TIFF files of several pages, videos.
+    """Render all frames of a sequence.
 
-    The camera is calibrated once, depth is kept where nothing moves, pictures already there are kept, and a frame that
-    cannot be read is reported and does not stop the others (exit code 1).
+    Frames are image files, folders of them, pages of TIFF files, and videos. The camera is calibrated once, depth
+    is kept where nothing moves, pictures already there are kept, and a frame that cannot be read is reported and
+    does not stop the others (exit code 1).
     """
     from .. import open_frames
     from ..sequence.frames import is_video
@@ -142,7 +152,15 @@ def batch(
             advance(result.message)
     figures = {"film" if film else "pictures": str(output), **_count(results, perf_counter() - start)}
     failures = [result.message for result in results if result.outcome == "failed"]
-    report.finish({**figures, "warnings": failures} if as_json else figures)
+    counts = [f"{figures['rendered']:,} frames rendered, {figures['seconds_per_frame']:.2f} s each"]
+    counts += [f"{figures['kept']:,} kept from before"] if figures["kept"] else []
+    counts += [f"{len(failures):,} failed"] if failures else []
+    still = f" {percent(figures['still'])} of their lenses had not moved." if figures["still"] > 0.005 else ""
+    report.finish(
+        {**figures, "warnings": failures} if as_json else figures,
+        f"{', '.join(counts)}.{still}",
+        f"{output} is written.",
+    )
     return 1 if failures else 0
 
 

@@ -11,9 +11,18 @@ import click
 
 from lfcal.runtime import console
 
-from .figures import camera_figures, capture_figures, picture_figures
+from ..sequence.animation import MOVING_SUFFIXES, PICTURES, check_moving, write_moving
+from .figures import (
+    camera_figures,
+    camera_sentence,
+    capture_figures,
+    depth_sentences,
+    eight_bits_sentence,
+    picture_figures,
+    picture_sentence,
+)
 from .inputs import CaptureInput
-from .options import INPUT, at_most_one, capture_command, grid_size, option_errors, scale_option
+from .options import INPUT, at_most_one, capture_command, eight_bits_option, grid_size, option_errors, scale_option
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,20 +40,29 @@ _View = TypeVar("_View")
 @capture_command(
     "lfrender refocus flat.png --at 700 420 -o picture.tif",
     "lfrender refocus flat.png -c camera.json -o stack.tif --stack 12",
-    output=("PICTURE", "Picture to write: .tif, .png, ..."),
+    "lfrender refocus flat.png -o focus.mp4",
+    output=("PICTURE", "Picture to write: .tif, .jpg, ...; or .gif, .mp4: from far to near and back.", ".png"),
     preset=False,
 )
-@click.option(
-    "--patch-size",
-    "patch_sizes",
-    type=float,
-    multiple=True,
-    help="Signed patch size [px] in focus: > 0 telescopic, < 0 binocular. Several times: a focal stack.",
+@console.grouped(
+    "What to draw",
+    click.option("--at", type=float, nargs=2, metavar="X Y", help="Focus on this place [px of the flat]."),
+    click.option(
+        "--patch-size",
+        "patch_sizes",
+        type=float,
+        multiple=True,
+        help="Signed patch size [px] in focus: > 0 telescopic, < 0 binocular. Several times: a focal stack.",
+    ),
+    click.option(
+        "--stack", type=click.IntRange(1), metavar="N", help="N pictures from the farthest depth to the nearest."
+    ),
+    click.option(
+        "--aperture", type=float, default=1.0, show_default=True, help="Part of the aperture used, 0.05 to 1."
+    ),
+    scale_option,
+    eight_bits_option,
 )
-@click.option("--at", type=float, nargs=2, metavar="X Y", help="Focus on this place [px of the flat] instead.")
-@click.option("--stack", type=click.IntRange(1), metavar="N", help="N pictures from the farthest depth to the nearest.")
-@click.option("--aperture", type=float, default=1.0, show_default=True, help="Part of the aperture used, 0.05 to 1.")
-@scale_option
 def refocus(
     capture: CaptureInput,
     output: Path,
@@ -53,20 +71,27 @@ def refocus(
     stack: int | None,
     aperture: float,
     scale: float | None,
+    eight_bits: bool,
 ) -> None:
-    """Render FLAT in focus at one depth, out of focus before and behind it.
+    """Draw FLAT in focus at one depth, out of focus before and behind.
 
-    Several depths make a focal stack on one grid: pages of one TIFF, or PICTURE_01.png and so on.
+    Several depths make a focal stack on one grid: pages of one TIFF, or PICTURE_01.png and so on; as .gif, .mp4 or .mkv
+    an animation.
     """
     at_most_one("--patch-size", patch_sizes or None, "--at", at, "--stack", stack)
+    moving = output.suffix.lower() in MOVING_SUFFIXES
     if not (patch_sizes or at or stack):
-        raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
-    from ..output.metadata import read_metadata
-    from ..output.picture import check_picture, write_picture, write_stack
+        if not moving:
+            raise click.UsageError("give one of --patch-size, --at and --stack: the depth in focus")
+        stack = PICTURES
+    if moving and (at or len(patch_sizes) == 1):
+        raise click.UsageError(f"{output} moves through several depths: give --stack N, or another suffix")
+    from ..output.picture import check_picture
 
-    check_picture(output, inputs=capture.files)
+    check = check_moving if moving else check_picture
+    check(output, inputs=capture.files)
     pixels = capture.read()
-    check_picture(output, pixels.dtype)
+    check(output, pixels.dtype)
     pixels, calibration = capture.calibrate(pixels)
     depth = capture.analyze(pixels, calibration) if at or stack else None
     with capture.report.stage("render"), option_errors(0):
@@ -80,52 +105,89 @@ def refocus(
         else:
             one = sizes[0] if sizes else None
             pictures = [run(pixels, calibration, one, position=at, depth=depth, aperture=aperture, scale=scale)]
-    with capture.report.stage("write"):
-        settings = [{"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))]
-        embedded = read_metadata(capture.flat)
-        if len(pictures) > 1:
-            paths = write_stack(output, pictures, settings=settings, embedded=embedded)
-        else:
-            write_picture(output, pictures[0], settings=settings[0], embedded=embedded)
-            paths = [output]
+    settings = [{"rendering": "refocused", "patch_size": size, "at": at} for size in (sizes or (None,))]
+    paths, stated = _write_refocused(capture, output, pictures, settings, eight_bits)
     written = {"picture": str(output)} if len(paths) == 1 else {"pictures": [str(path) for path in paths]}
     figures = {**picture_figures(pictures[0]), **camera_figures(calibration, depth)}
-    capture.report.finish({**written, "patch_sizes": sizes, **figures})
+    what = f"{len(pictures)} depths" if len(pictures) > 1 else "in focus at one depth"
+    named = output if len(paths) == 1 else f"{paths[0]} to {paths[-1].name}"
+    capture.report.finish(
+        {**written, "patch_sizes": sizes, **figures},
+        camera_sentence(calibration), picture_sentence(named, pictures[0], what, capture.report.took), *stated,
+    )  # fmt: skip
+
+
+def _write_refocused(
+    capture: CaptureInput, output: Path, pictures: list[Rendering], settings: list[dict[str, Any]], eight_bits: bool
+) -> tuple[list[Path], list[str]]:
+    """Write one picture, a stack or an animation; the files, and what is to be said about them."""
+    from ..output.metadata import read_metadata
+    from ..output.picture import eight_bits as to_eight_bits
+    from ..output.picture import needs_eight_bits, write_picture, write_stack
+
+    first, stated = pictures[0], []
+    moving = output.suffix.lower() in MOVING_SUFFIXES
+    if first.image.dtype.name != "uint8" and (eight_bits or needs_eight_bits(output, first)):
+        stated = [eight_bits_sentence(first.white, first.image.dtype)]
+        pictures = [to_eight_bits(picture) for picture in pictures]
+    with capture.report.stage("write"):
+        embedded = read_metadata(capture.flat)
+        if moving:
+            write_moving(output, [*pictures, *pictures[-2:0:-1]])
+        elif len(pictures) > 1:
+            return write_stack(output, pictures, settings=settings, embedded=embedded), stated
+        else:
+            write_picture(output, pictures[0], settings=settings[0], embedded=embedded)
+    return [output], stated
 
 
 @capture_command(
     "lfrender views flat.png -o views --grid 5x5",
     "lfrender views flat.png -o pair.png --stereo",
-    "lfrender views flat.png -o round.gif --animation 24",
+    "lfrender views flat.png -o round.gif",
     "lfrender views flat.png -c camera.json -o scene --poses nerfstudio",
     output=("FOLDER|FILE", "Folder of a grid, or one file."),
 )
-@click.option(
-    "--grid", metavar="ROWSxCOLUMNS", help="Pictures on a grid of viewpoints, row1_column1 ... [default: 5x5]"
+@console.grouped(
+    "What to draw: a grid of views in a folder, or one file",
+    click.option(
+        "--grid", metavar="ROWSxCOLUMNS", help="Pictures on a grid of viewpoints, row1_column1 ... [default: 5x5]"
+    ),
+    click.option("--stereo", is_flag=True, help="The view of the left eye, and beside it that of the right one."),
+    click.option(
+        "--animation",
+        type=click.IntRange(2),
+        metavar="N",
+        help=f"N views around a circle; {PICTURES} where the output is .gif, .mp4 or .mkv.",
+    ),
+    click.option(
+        "--quilt",
+        metavar="COLUMNSxROWS",
+        help="Views from left to right in one picture, for holographic displays: 8x6.",
+    ),
+    click.option(
+        "--poses",
+        type=click.Choice(["nerfstudio", "colmap", "rvs"]),
+        help="The grid with cameras, depth and masks for this program; metric where the optics are known.",
+    ),
+    click.option("--optics", type=INPUT, help="Lengths of the camera, for --poses, if its file does not have them."),
 )
-@click.option("--stereo", is_flag=True, help="One picture: the view of the left eye, beside it that of the right one.")
-@click.option("--animation", type=click.IntRange(2), metavar="N", help="N views around a circle: .gif, .png or .webp.")
-@click.option(
-    "--quilt", metavar="COLUMNSxROWS", help="Views from left to right in one picture, for holographic displays: 8x6."
+@console.grouped(
+    "How to draw it",
+    click.option(
+        "--aperture",
+        type=click.FloatRange(0, 1, min_open=True),
+        default=0.7,
+        show_default=True,
+        help="How far from the middle, as a part of the radius of the microimages: more parallax, less light.",
+    ),
+    scale_option,
+    click.option("--resize", type=console.SizeOption(), help="Size of the views [px]."),
+    click.option(
+        "--format", "suffix", default="tif", show_default=True, help="Of the grid's pictures: tif, png, yuv, ..."
+    ),
+    eight_bits_option,
 )
-@click.option(
-    "--poses",
-    type=click.Choice(["nerfstudio", "colmap", "rvs"]),
-    help="The grid with cameras, depth and masks for this program; metric where the optics are known.",
-)
-@click.option("--optics", type=INPUT, help="Lengths of the camera, for --poses, if its file does not have them.")
-@click.option(
-    "--aperture",
-    type=click.FloatRange(0, 1, min_open=True),
-    default=0.7,
-    show_default=True,
-    help="How far from the middle, as a part of the radius of the microimages: more parallax, less light.",
-)
-@scale_option
-@click.option(
-    "--format", "suffix", default="tif", show_default=True, help="Format of the grid's pictures: tif, png, yuv, ..."
-)
-@click.option("--resize", type=console.SizeOption(), help="Size of the views [px].")
 def views(
     capture: CaptureInput,
     output: Path,
@@ -139,12 +201,18 @@ def views(
     scale: float | None,
     suffix: str,
     resize: tuple[int, int] | None,
+    eight_bits: bool,
 ) -> None:
-    """Render FLAT sharp at every depth as seen from other places in the main lens: parallax."""
+    """Draw FLAT as seen from other places in the main lens: parallax.
+
+    Every view is sharp at every depth.
+    """
     at_most_one("--grid", grid, "--stereo", stereo or None, "--animation", animation, "--quilt", quilt)
     at_most_one("--poses", poses, "--stereo", stereo or None, "--animation", animation, "--quilt", quilt)
     at_most_one("--resize", resize, "--scale", scale)
     at_most_one("--resize", resize, "--poses", poses)
+    if animation is None and output.suffix.lower() in MOVING_SUFFIXES and not (grid or stereo or quilt or poses):
+        animation = PICTURES
     form = _ViewForm(
         *grid_size("--grid", grid or "5x5"), f".{suffix.lstrip('.').lower()}", animation, stereo,
         grid_size("--quilt", quilt) if quilt is not None else None, poses,
@@ -169,10 +237,22 @@ def views(
                 pictures: Iterator[Rendering] = run(pixels, calibration, depth, offsets=offsets, scale=scale)
             if resize is not None:
                 pictures = (resize_view(picture, resize) for picture in pictures)
+            if eight_bits:
+                from ..output.picture import eight_bits as to_eight_bits
+
+                pictures = (to_eight_bits(picture) for picture in pictures)
             settings = {"rendering": "views", "aperture": aperture, "preset": depth.preset}
             options = {"settings": settings, "embedded": read_metadata(capture.flat)}
             figures["views"] = str(form.write(output, _advance_with(pictures, advance), options))
-    report.finish({**figures, **capture_figures(calibration, depth)})
+    if pixels.dtype.name != "uint8" and (eight_bits or form.holds_eight_bits(output)):
+        stated = [eight_bits_sentence(calibration.white_level, pixels.dtype)]
+    else:
+        stated = []
+    report.finish(
+        {**figures, **capture_figures(calibration, depth)},
+        camera_sentence(calibration), *depth_sentences(calibration, depth),
+        f"{figures['views']}: {len(offsets)} views, in {report.took}.", *stated,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -199,18 +279,33 @@ class _ViewForm:
 
     def check(self, output: Path, dtype: Any = None, inputs: Any = ()) -> None:
         """Raise an error if the views could not be written."""
+        from ..output.formats import FORMATS
         from ..output.picture import check_picture
         from ..output.raw_video import check_raw_format
         from ..output.views import check_animation, check_grid
 
         if self.animation:
-            check_animation(output, dtype, inputs)
+            check = check_moving if output.suffix.lower() in MOVING_SUFFIXES else check_animation
+            check(output, dtype, inputs)
         elif self.stereo or self.quilt:
             check_picture(output, dtype, inputs=inputs)
+        elif output.suffix.lower() in FORMATS and not output.is_dir():
+            raise click.UsageError(
+                f"{output} is one file: say what it shows with --stereo, --animation N or --quilt 8x6, or give a folder"
+            )
         elif self.suffix.startswith(".yuv"):
             check_raw_format(output, self.suffix[1:])
         else:
             check_grid(output, ".png" if self.poses else self.suffix, None if self.poses else dtype, inputs)
+
+    def holds_eight_bits(self, output: Path) -> bool:
+        """Whether the files have 8 bits a channel whatever the flat has."""
+        from ..output.formats import FORMATS
+
+        if self.animation:
+            return output.suffix.lower() != ".mkv"
+        kind = FORMATS.get(output.suffix.lower() if self.stereo or self.quilt else self.suffix)
+        return kind is not None and kind.pixel_types == ("uint8",)
 
     def write(self, output: Path, pictures: Iterator[Rendering], options: dict[str, Any]) -> Path:
         """Write the views; returns where."""
@@ -219,7 +314,8 @@ class _ViewForm:
         from ..output.views import stereo_pair, write_animation, write_grid, write_quilt
 
         if self.animation:
-            write_animation(output, pictures)
+            write = write_moving if output.suffix.lower() in MOVING_SUFFIXES else write_animation
+            write(output, pictures)
         elif self.quilt:
             return write_quilt(output, pictures, *self.quilt, **options)
         elif self.stereo:

@@ -43,7 +43,7 @@ def _finite(values: NDArray[np.float32]) -> bool:
         return bool(np.isfinite(values.sum()))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DepthMap(Frozen):
     """Depth of every lens, in the order of `lattice.centres()`, and of every place of the picture.
 
@@ -178,6 +178,11 @@ class DepthMap(Frozen):
         from .plots import plot_depth
 
         return plot_depth(self, ax)
+
+    def __repr__(self) -> str:
+        names = (TELESCOPIC, "telescopic"), (BINOCULAR, "binocular"), (UNRESOLVED, "unresolved")
+        shares = [f"{np.mean(self.mode == code):.0%} {name}" for code, name in names] if len(self) else []
+        return f"DepthMap({', '.join([f'{len(self)} lenses', *shares])}; {self.preset!r})"
 
     def _repr_html_(self) -> str:
         from .plots import depth_html

@@ -24,16 +24,18 @@ _NOT_ANALYSED = 4
 
 
 def check_region(roi: tuple[float, float, float, float], lattice: Lattice) -> tuple[float, float, float, float]:
-    """Four finite numbers `x0 < x1`, `y0 < y1` that overlap the flat, or a ValueError that says what is wrong."""
+    """Two opposite corners of a part of the flat as `x0 < x1`, `y0 < y1`, or a ValueError that says what is wrong."""
     try:
         x0, y0, x1, y1 = (float(v) for v in roi)
     except (TypeError, ValueError):
         raise ValueError(f"roi must be four numbers x0, y0, x1, y1 [px], got {roi!r}") from None
     width, height = lattice.image_size
-    if not all(map(math.isfinite, (x0, y0, x1, y1))) or x0 >= x1 or y0 >= y1:
-        raise ValueError(f"roi must have x0 < x1 and y0 < y1, got {roi!r}")
+    given = " ".join(f"{value:g}" for value in (x0, y0, x1, y1))
+    if not all(map(math.isfinite, (x0, y0, x1, y1))) or x0 == x1 or y0 == y1:
+        raise ValueError(f"roi {given} has no area: give two opposite corners, x0 y0 x1 y1 [px]")
+    x0, x1, y0, y1 = min(x0, x1), max(x0, x1), min(y0, y1), max(y0, y1)
     if x1 < 0 or y1 < 0 or x0 >= width or y0 >= height:
-        raise ValueError(f"roi {roi!r} lies outside the flat of {width} x {height} px")
+        raise ValueError(f"roi {given} lies outside the flat of {width} x {height} px")
     return x0, y0, x1, y1
 
 
@@ -42,7 +44,8 @@ def select_lenses(roi: tuple[float, float, float, float], lattice: Lattice) -> N
     centres = lattice.centres()
     inside = np.asarray(((centres >= roi[:2]) & (centres <= roi[2:])).all(1), bool)
     if not inside.any():
-        raise ValueError(f"no microlens has its centre in roi {roi!r}: make it larger than the pitch")
+        given = " ".join(f"{value:g}" for value in roi)
+        raise ValueError(f"no microlens has its centre in roi {given}: make it larger than {lattice.pitch:.1f} px")
     return inside
 
 

@@ -24,7 +24,7 @@ def check_patch_size(patch_size: float, pitch: float) -> None:
         raise ValueError(f"patch_size must lie between 0 and the pitch {pitch:.1f} px, got {patch_size}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Rendering:
     """A picture drawn from a flat.
 
@@ -63,6 +63,14 @@ class Rendering:
         from .plots import plot_rendering
 
         return plot_rendering(self, ax)
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape[:2]
+        channels = self.image.shape[2] if self.image.ndim == 3 else 1
+        return (
+            f"Rendering({width} x {height} px, {channels} x {self.image.dtype}, {self.scale:.4g} px per pitch, "
+            f"{np.mean(self.valid):.1%} seen)"
+        )
 
     def _repr_html_(self) -> str:
         from .plots import rendering_html

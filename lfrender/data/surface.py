@@ -102,7 +102,7 @@ def _sample(surface, grid, first_x, first_y, spacing, out):
             out[v, u] = patch_size_at(surface, grid, np.float32(first_x + u * spacing), y)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Surface:
     """Signed patch size on a regular grid of scene points.
 
@@ -119,6 +119,10 @@ class Surface:
     patch_size: NDArray[np.float32]
     first: tuple[float, float]
     spacing: float
+
+    def __repr__(self) -> str:
+        rows, columns = self.patch_size.shape
+        return f"Surface({columns} x {rows} patch sizes, {self.spacing:.3g} px apart)"
 
     def grid(self, edge: float) -> DepthGrid:
         """For kernels; patch sizes that differ by less than `edge` [px] belong to one surface."""

@@ -51,7 +51,7 @@ def analyze(
         Shortcuts to take: True all, False none (the exhaustive search), or some of `"blank"`, `"ranges"`, `"plane"`,
         `"still"`, `"steady"` (see `Shortcuts`). `DepthMap.saved` has the share of the work that each has saved.
     roi : (x0, y0, x1, y1), optional [px]
-        Only lenses with their centre in this part of the flat are analysed; the others are unresolved.
+        Only lenses with their centre between these opposite corners are analysed; the others are unresolved.
     previous : (flat, DepthMap), optional
         An earlier frame of the same camera and exposure, and its depth with the same preset: lenses whose pixels, and
         those of their neighbours, have not changed keep it; so do lenses that still match at that depth. Over many

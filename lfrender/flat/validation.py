@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +29,8 @@ def check_flat(flat: NDArray, calibration: Calibration) -> NDArray:
     CalibrationError
         If the calibration was made for another image size.
     """
+    if isinstance(flat, (str, os.PathLike)):
+        raise FlatError(f"flat is a path; give its pixels, lfcal.read_flat({os.fspath(flat)!r})")
     array = np.asarray(flat)
     if array.ndim == 2:
         array = array[:, :, None]

@@ -59,6 +59,12 @@ class PictureFormat:
     package: str = ""  # that is needed ...
     extra: str = ""  # ... and the extra of lfrender that installs it
 
+    def reduces(self, pixel_type: str | None) -> bool:
+        """Whether it holds 8 bits a channel in the place of pixels of this type."""
+        return (
+            pixel_type in ("uint16", "float32") and pixel_type not in self.pixel_types and "uint8" in self.pixel_types
+        )
+
 
 def check_format(
     path: str | os.PathLike[str],
@@ -70,13 +76,14 @@ def check_format(
     """Raise an error if a file could not be written, before anything is computed for it.
 
     OutputError if no format with this use has such a suffix, the folder cannot be written, or `path` is one of the
-    `inputs` that are read for it. PictureError if the format cannot hold pixels of this type or an alpha channel, or
-    needs a package that is not installed.
+    `inputs` that are read for it. PictureError if the format can hold neither pixels of this type nor 8 bits, or no
+    alpha channel, or needs a package that is not installed.
     """
     check_output(path, [suffix for suffix, kind in FORMATS.items() if getattr(kind, use)], inputs)
     suffix = Path(path).suffix.lower()
     kind = FORMATS[suffix]
-    if dtype is not None and np.dtype(dtype).name not in kind.pixel_types:
+    name = None if dtype is None else np.dtype(dtype).name
+    if name not in (None, *kind.pixel_types) and not kind.reduces(name):
         raise PictureError(f"{path}: {suffix} cannot hold {np.dtype(dtype).name} pixels; use .tif")
     check_package(path, kind)
     if alpha and not kind.alpha:

@@ -5,18 +5,24 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lfcal.runtime.eight_bit import to_eight_bits
 from lfcal.runtime.output_file import atomic_write
 
+from ..data.rendering import Rendering
 from .formats import FORMATS, Page, PictureError, check_format
 from .metadata import EmbeddedMetadata
 
-__all__ = ["PictureError", "check_picture", "describe", "with_alpha", "write_picture", "write_stack"]
+__all__ = [
+    "PictureError", "check_picture", "describe", "eight_bits", "needs_eight_bits", "with_alpha", "write_picture",
+    "write_stack",
+]  # fmt: skip
 
 _NO_METADATA = EmbeddedMetadata()
 
@@ -51,8 +57,8 @@ def write_picture(
     path : path-like
         The suffix chooses the format; `.ome.tif` is a TIFF with OME metadata.
     picture : Rendering or (h, w) or (h, w, 3) uint8, uint16 or float32
-        What to write; colours in the order red, green, blue. float32 only into TIFF and OpenEXR, uint16 only into TIFF
-        and PNG.
+        What to write; colours in the order red, green, blue. What a format cannot hold is written with 8 bits, in
+        proportion: float32 into all but TIFF and OpenEXR, uint16 into JPEG and WebP; see `eight_bits`.
     alpha : bool
         Add the mask of valid pixels as an alpha channel (not in JPEG).
     settings : mapping, optional
@@ -124,6 +130,22 @@ def write_stack(
     return paths
 
 
+def needs_eight_bits(path: str | os.PathLike[str], picture: Any) -> bool:
+    """Whether the format of `path` holds 8 bits a channel, but not the pixels of a picture."""
+    kind = FORMATS.get(Path(path).suffix.lower())
+    return kind is not None and kind.reduces(np.asarray(getattr(picture, "image", picture)).dtype.name)
+
+
+def eight_bits(picture: Any) -> Any:
+    """A rendering, or plain pixels, with 8 bits a channel: 0 to white become 0 to 255, without a tone curve.
+
+    White is that of the rendering, else the largest value of the type, and 1 of floats.
+    """
+    if not isinstance(picture, Rendering):
+        return to_eight_bits(np.asarray(picture))
+    return replace(picture, image=to_eight_bits(picture.image, picture.white), white=None)
+
+
 def describe(picture: Any, settings: Mapping[str, Any] | None) -> dict[str, Any]:
     """The entries of the JSON text of a picture."""
     description: dict[str, Any] = {"software": "lfrender"}
@@ -142,6 +164,7 @@ def with_alpha(pixels: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
 
 def _page(path: str | os.PathLike[str], picture: Any, settings: Mapping[str, Any] | None, alpha: bool = False) -> Page:
     """Pixels and JSON text of a picture, if the format of `path` can hold them."""
+    picture = eight_bits(picture) if needs_eight_bits(path, picture) else picture
     pixels = np.asarray(getattr(picture, "image", picture))
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or not pixels.size:
         raise PictureError(f"{path}: a picture has shape (h, w) or (h, w, 3), got {pixels.shape}")

@@ -57,7 +57,7 @@ def render(
         Undo the blur of the microlenses as far as noise allows: "auto" measures it on the flat, a number is the side
         of the square that it averages over [output px].
     roi : (float, float, float, float), optional [px]
-        Draw only the pixels whose scene points lie between `x0, y0` and `x1, y1`, with the bits of the whole picture.
+        Draw only the pixels whose scene points lie between two opposite corners, with the bits of the whole picture.
         Without `depth`, only the lenses in there are analysed.
     previous : (flat, DepthMap, Rendering), optional
         An earlier frame of the same camera and exposure, its depth, and its picture drawn with the same options. Pixels
@@ -130,6 +130,7 @@ def expand_roi(
     roi: tuple[float, float, float, float], calibration: Calibration, settings: RenderSettings = DEFAULT
 ) -> tuple[float, float, float, float]:
     """The part of the flat `x0, y0, x1, y1` [px] whose lenses show a part of the scene."""
+    roi = check_region(roi, calibration.lattice)
     margin = settings.reach * calibration.lattice.pitch
     return roi[0] - margin, roi[1] - margin, roi[2] + margin, roi[3] + margin
 

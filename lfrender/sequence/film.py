@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatError, OutputError, read_flat
 from lfcal.runtime.eight_bit import to_eight_bits
+from lfcal.runtime.output_file import atomic_write
 from lfcal.runtime.video.frame_pixels import convert_frame, frame_of_planes
 
 from ..output.formats import FORMATS, PictureError, check_format
@@ -30,7 +31,9 @@ from .job import FrameResult, load_camera
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["FilmFile", "check_film", "render_film", "to_film_pixels"]
+    from ..data.rendering import Rendering
+
+__all__ = ["FilmFile", "check_film", "render_film", "to_film_pixels", "write_film"]
 
 # What PyAV calls arrays of so many channels and bytes, and how FFV1 stores them.
 _LAYOUTS = {
@@ -147,6 +150,18 @@ def _add(film: FilmFile, picture: Path, times: int, white: float | None) -> None
     pixels = to_film_pixels(read_flat(picture), film.eight_bits, white)
     for _ in range(times):
         film.add(pixels)
+
+
+def write_film(path: str | os.PathLike[str], pictures: Iterable[Rendering], rate: Fraction = Fraction(25, 2)) -> None:
+    """Write pictures, such as views around a circle, as a film; the file appears whole or not at all.
+
+    `rate` is that of `write_animation` [pictures a second]. Errors as of `check_film`.
+    """
+    check_film(Path(path))
+    comment = json.dumps({"software": "lfrender"})
+    with atomic_write(path) as temporary, FilmFile(temporary, rate, comment) as film:
+        for picture in pictures:
+            film.add(to_film_pixels(picture.image, film.eight_bits, picture.white))
 
 
 def check_film(path: Path, inputs: Iterable[Path | None] = ()) -> None:

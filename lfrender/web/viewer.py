@@ -68,14 +68,15 @@ def write_viewer(
     depth: DepthMap,
     title: str = "Light field",
 ) -> Path:
-    """Write the viewer as static files; returns the path of its page.
+    """Write the viewer as one page that holds everything, or as static files; returns the path of its page.
 
-    The page works where the folder is served, and from a disk. To put it on a web page, use an `iframe`.
+    The page works where it is served, and from a disk. To put it on a web page, use an `iframe`.
 
     Parameters
     ----------
     folder : path-like
-        Made if it does not exist; files of the same names in it are replaced.
+        One page, if it ends with `.html` or `.htm`; else the folder of the files, made if it does not exist, where
+        files of the same names are replaced.
     flat, calibration, depth, title
         As for `viewer_files`.
 
@@ -87,6 +88,10 @@ def write_viewer(
         As `render`.
     """
     target = Path(folder)
+    if target.suffix.lower() in (".html", ".htm"):
+        with atomic_write(target) as temporary:
+            temporary.write_text(viewer_page(flat, calibration, depth, title), encoding="utf-8")
+        return target
     try:
         (target / "data").mkdir(parents=True, exist_ok=True)
     except OSError as error:

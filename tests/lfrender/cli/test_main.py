@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -254,9 +255,83 @@ def test_inputs_are_never_replaced(house, tmp_path):
     assert (tmp_path / "flat.png").read_bytes() == before
 
 
-def test_sixteen_bits_do_not_go_into_jpeg(house, tmp_path):
-    cv2.imwrite(str(tmp_path / "flat.png"), house.flat.astype(np.uint16) * 257)
-    assert_refused(run("render", tmp_path / "flat.png", "-o", tmp_path / "picture.jpg"), "uint16")
+def test_sixteen_bits_become_eight_where_the_format_or_the_user_wants_it_and_that_is_said(house_files, tmp_path):
+    flat, camera = lfcal.read_flat(house_files / "flat.png"), house_files / "camera.json"
+    tifffile.imwrite(tmp_path / "flat.tif", flat.astype(np.uint16) * 257, photometric="rgb")
+    ask = ("render", tmp_path / "flat.tif", "-c", camera, "--patch-size", "6")
+    pictures = {}
+    for name, options in (("a.jpg", ()), ("b.png", ("--8bit",)), ("c.png", ())):
+        result = run(*ask, "-o", tmp_path / name, *options)
+        assert result.exit_code == 0, result.output
+        assert ("8 bits: 0 to 65535 became 0 to 255 in proportion" in result.stdout) == (name != "c.png")
+        pictures[name] = lfcal.read_flat(tmp_path / name)
+    assert [picture.dtype for picture in pictures.values()] == [np.uint8, np.uint8, np.uint16]
+    assert np.abs(pictures["b.png"] - pictures["c.png"] / 257).max() <= 0.5
+    assert np.abs(pictures["a.jpg"].astype(float) - pictures["b.png"]).mean() < 6  # grey levels: JPEG
+
+
+def test_a_command_ends_with_sentences_and_percentages(house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    lines = run("render", flat, "-c", camera, "-o", tmp_path / "picture.png").stdout.splitlines()
+    assert [line for line in lines if not line.startswith("compiling")] == lines[-3:]
+    assert lines[-3] == "588 microlenses, 20.3 px apart, as the camera file says."
+    assert re.fullmatch(r"Of the lenses \d+ % telescopic, \d+ % binocular, \d+(\.\d)? % unresolved\.", lines[-2])
+    size = "{1} x {0}".format(*lfcal.read_flat(tmp_path / "picture.png").shape)
+    assert lines[-1].startswith(f"{tmp_path / 'picture.png'}: {size} px, sharp at every depth, in ")
+
+
+def test_opposite_corners_of_a_region_come_in_any_order(house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    ask = ("-c", camera, "--patch-size", "6", "-o")
+    pictures = []
+    for corners in ((100, 80, 220, 190), (220, 190, 100, 80), (100, 190, 220, 80)):
+        figures_of("render", flat, "--roi", *corners, *ask, tmp_path / "p.png")
+        pictures.append(lfcal.read_flat(tmp_path / "p.png"))
+    assert np.array_equal(pictures[0], pictures[1]) and np.array_equal(pictures[0], pictures[2])
+    for command in (("render", flat, *ask[:2]), ("analyze", flat, *ask[:2])):
+        out = tmp_path / ("o.png" if command[0] == "render" else "o.npz")
+        assert_refused(run(*command, "--roi", 900, 800, 600, 700, "-o", out), "roi 900 800 600 700 lies outside", "520")
+        assert_refused(run(*command, "--roi", 40, 80, 40, 190, "-o", out), "roi 40 80 40 190 has no area")
+
+
+def test_the_suffix_decides_in_which_form_depth_is_written(house_files, tmp_path):
+    ask = ("analyze", house_files / "flat.png", "-c", house_files / "camera.json", "--preset", "fast", "-o")
+    for name in ("depth.tif", "depth.png", "cloud.ply"):
+        figures_of(*ask, tmp_path / name)
+    assert sorted(os.listdir(tmp_path)) == ["cloud.ply", "depth.png", "depth.tif"]
+    assert tifffile.imread(tmp_path / "depth.tif").dtype == np.float32
+    assert lfcal.read_flat(tmp_path / "depth.png").ndim == 3
+
+
+def test_the_suffix_decides_whether_views_and_focus_move(house_files, tmp_path):
+    flat, camera = house_files / "flat.png", house_files / "camera.json"
+    common = ("-c", camera, "--scale", "2")
+    for command in ("views", "refocus"):
+        assert run(command, flat, *common, "-o", tmp_path / f"{command}.gif").exit_code == 0
+        with Image.open(tmp_path / f"{command}.gif") as moving:
+            assert moving.n_frames == (24 if command == "views" else 46)  # there, and back again
+    assert run("refocus", flat, *common, "--stack", "3", "-o", tmp_path / "focus.mp4").exit_code == 0
+    assert_refused(run("views", flat, *common, "-o", tmp_path / "v.png"), "--stereo, --animation N or --quilt")
+    assert_refused(run("refocus", flat, *common, "--at", 9, 9, "-o", tmp_path / "f.gif"), "several depths")
+
+
+def test_a_folder_in_the_place_of_a_flat_points_to_batch(house_files, tmp_path):
+    refused = run("render", house_files, "-o", tmp_path / "p.png")
+    assert_refused(refused, f"{house_files} is a folder", f"'lfrender batch {house_files} -o pictures'")
+
+
+def test_flats_come_from_pipes_and_pictures_go_into_them(house_files, tmp_path):
+    ask = ["-c", str(house_files / "camera.json"), "--patch-size", "6", "-o"]
+    data = (house_files / "flat.png").read_bytes()
+    piped = CliRunner().invoke(main, ["render", "-", *ask, "-"], input=data)
+    assert piped.exit_code == 0, piped.stderr
+    run("render", house_files / "flat.png", *ask, tmp_path / "p.png")
+    (tmp_path / "piped.png").write_bytes(piped.stdout_bytes)
+    assert np.array_equal(lfcal.read_flat(tmp_path / "piped.png"), lfcal.read_flat(tmp_path / "p.png"))
+    assert "stdout.png: " in piped.stderr
+    named = CliRunner().invoke(main, ["render", "-", *ask, "-.tif"], input=data)
+    assert named.stdout_bytes[:2] in (b"II", b"MM")
+    assert_refused(CliRunner().invoke(main, ["render", "-", *ask, "-"], input=b""), "nothing came")
 
 
 def test_published_calibrations_are_accepted(shared, tmp_path):

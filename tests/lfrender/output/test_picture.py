@@ -12,6 +12,7 @@ import tifffile
 from PIL import Image, ImageCms
 
 from lfcal import OutputError, read_flat
+from lfrender.data.rendering import Rendering
 from lfrender.output.metadata import EmbeddedMetadata, read_metadata
 from lfrender.output.picture import PictureError, check_picture, write_picture, write_stack
 
@@ -87,9 +88,8 @@ def test_alpha_is_the_mask_of_valid_pixels(tmp_path, rendering, extension, grey)
 
 def test_formats_that_cannot_hold_the_pixels_are_refused(tmp_path, rendering):
     for name, pixels in [
-        ("a.jpg", rendering.image.astype(np.uint16)),
-        ("a.png", rendering.image.astype(np.float32)),
-        ("a.webp", rendering.image.astype(np.float32)),
+        ("a.exr", rendering.image.astype(np.uint16)),
+        ("a.jpg", rendering.image.astype(np.int64)),
         ("a.tif", rendering.image.astype(np.int64)),
         ("a.tif", rendering.image[..., :2]),
         ("a.tif", np.zeros((0, 5), np.uint8)),
@@ -99,6 +99,17 @@ def test_formats_that_cannot_hold_the_pixels_are_refused(tmp_path, rendering):
     with pytest.raises(PictureError, match="alpha"):
         write_picture(tmp_path / "a.jpg", rendering, alpha=True)
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.webp", "a.png"])
+def test_pixels_that_a_format_cannot_hold_are_written_with_8_bits_up_to_white(tmp_path, rendering, name):
+    ramp = np.tile(np.linspace(0, 1, 64, dtype=np.float32), (48, 1))
+    twelve = Rendering((ramp * 4095).astype(np.uint16), rendering.affine, np.ones(ramp.shape, bool), 1.0, 4095.0)
+    for picture, most in ((ramp, 3), (twelve, 3)):
+        if name != "a.png" or picture is ramp:
+            write_picture(tmp_path / name, picture)
+            found = read_flat(tmp_path / name).astype(float).reshape(48, 64, -1)[..., 0]
+            assert np.abs(found - 255 * ramp).max() <= most  # grey levels: in proportion, no tone curve
 
 
 def test_unknown_endings_and_folders_are_refused_beforehand(tmp_path):

@@ -12,11 +12,13 @@ from typing import Any
 
 import click
 
-from .errors import LightFieldError
-from .video.raw_format import parse_size
+from ..errors import LightFieldError
+from ..video.raw_format import parse_size
+from .pipes import is_pipe, stdin_file, stdout_file
 
 __all__ = [
     "InputPath",
+    "OutputPath",
     "SizeOption",
     "page_option",
     "raw_video_options",
@@ -38,6 +40,8 @@ class InputPath(click.Path):
         super().__init__(path_type=Path)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "-" and ctx is not None:
+            return stdin_file(ctx)
         paths = _expand(os.fspath(value))
         if len(paths) > 1:
             self.fail(f"{value} stands for {len(paths)} files, one is wanted", param, ctx)
@@ -46,11 +50,30 @@ class InputPath(click.Path):
         return super().convert(paths[0], param, ctx)
 
 
-def single_input(name: str, hint: str = "") -> Callable[[Any], Any]:
-    """An argument that is one file; `hint` names the command for several."""
+class OutputPath(click.Path):
+    """A file or folder to be written; `-` is stdout, in the format `piped`, and `-.tif` and the like name another."""
+
+    name = "path"
+
+    def __init__(self, piped: str = "") -> None:
+        super().__init__(path_type=Path)
+        self.piped = piped
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if isinstance(value, str) and is_pipe(value) and ctx is not None:
+            if not self.piped:
+                self.fail("cannot be written to stdout; give a name", param, ctx)
+            return stdout_file(ctx, value[1:] or self.piped)
+        return super().convert(value, param, ctx)
+
+
+def single_input(name: str, hint: str = "", folder_hint: str = "") -> Callable[[Any], Any]:
+    """An argument that is one file; `hint` names the command for several, `folder_hint` that for a folder `{}`."""
 
     def one(ctx: click.Context, param: click.Parameter, values: Sequence[str]) -> Path:
         paths = _all_inputs(ctx, param, values)
+        if folder_hint and len(paths) == 1 and paths[0].is_dir() and paths[0].suffix.lower() != ".zarr":
+            raise click.UsageError(f"{paths[0]} is a folder; {folder_hint.format(paths[0])}", ctx)
         if len(paths) > 1:
             # Words after a file are mostly options without their dashes: then the hint does not help.
             end = f"; {hint}" if hint and all(path.exists() for path in paths) else ""
@@ -93,7 +116,7 @@ def several_inputs(name: str, metavar: str) -> Callable[[Any], Any]:
 
 
 def _all_inputs(ctx: click.Context, _param: click.Parameter, values: Sequence[str]) -> tuple[Path, ...]:
-    paths = tuple(path for value in values for path in _expand(value))
+    paths = tuple(path for value in values for path in ([stdin_file(ctx)] if value == "-" else _expand(value)))
     ctx.meta.setdefault(_INPUTS, []).extend(paths)
     return paths
 
