@@ -42,6 +42,13 @@ class BoardShoot:
     translations : (n, 3) float64 [mm]
     square : float [mm]
     camera : Camera
+
+    Examples
+    --------
+    >>> from data_synth import Camera, shoot_board
+    >>> shoot = shoot_board(Camera.design(size=(500, 400), pitch=28.3), poses=2, samples=1)
+    >>> shoot.flats[0].shape, shoot.white.shape
+    ((400, 500), (400, 500))
     """
 
     flats: tuple[NDArray[np.uint8], ...]
@@ -107,6 +114,13 @@ def shoot_board(
         Of one sign: telescopic (positive) or binocular (negative).
     samples, seed, noise, gamma
         As in `simulate`.
+
+    Examples
+    --------
+    >>> from data_synth import Camera, shoot_board
+    >>> shoot = shoot_board(Camera.design(size=(500, 400), pitch=28.3), poses=2, samples=1)
+    >>> len(shoot.flats)
+    2
     """
     if ratios[0] * ratios[1] <= 0 or poses < 1:
         raise ValueError(f"give one pose or more and s/D of one sign, got {poses} and {ratios}")

@@ -75,6 +75,13 @@ class Camera:
         Of microlens array and sensor together: with a positive first angle the lower part of the flat lies farther from
         the main lens, with a positive second angle its right part nearer. Cameras with distortion or
         tilt can photograph boards (`shoot_board`); `simulate` knows the truth of straight ones only.
+
+    Examples
+    --------
+    >>> from data_synth import SCENES, Camera, simulate
+    >>> camera = Camera.design(size=(120, 90), pitch=20)
+    >>> round(camera.pitch, 3), camera.lattice.image_size
+    (20.0, (120, 90))
     """
 
     width: int

@@ -64,6 +64,14 @@ class Truth:
         Reference pixel `(u, v, 1)` to scene coordinates `X` [flat px].
     reference_patch_size : (h, w) float32 [px]
         Signed `s` on the grid of the reference.
+
+    Examples
+    --------
+    >>> from data_synth import SCENES, Camera, simulate
+    >>> camera = Camera.design(size=(120, 90), pitch=20)
+    >>> truth = simulate(SCENES["plane"](camera, ratio=-0.3), camera, samples=1).truth
+    >>> set(truth.mode.tolist()) <= {-1, 0}
+    True
     """
 
     calibration: Calibration
@@ -93,6 +101,14 @@ class Capture:
     camera : Camera
     recipe : dict
         How it was made, as plain values: scene, samples, seed, noise, bits, gamma, exposure.
+
+    Examples
+    --------
+    >>> from data_synth import SCENES, Camera, simulate
+    >>> camera = Camera.design(size=(120, 90), pitch=20)
+    >>> capture = simulate(SCENES["plane"](camera), camera, samples=1)
+    >>> capture.flat.dtype, capture.truth.calibration.source
+    (dtype('uint8'), 'truth')
     """
 
     flat: NDArray[Any]
@@ -151,6 +167,17 @@ def load_capture(folder: str | os.PathLike[str]) -> Capture:
         If a file is missing or cannot be read.
     ValueError
         If a file is not part of a capture, or damaged.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from data_synth import SCENES, Camera, simulate
+    >>> camera = Camera.design(size=(120, 90), pitch=20)
+    >>> capture = simulate(SCENES["blank"](camera), camera, samples=1)
+    >>> with TemporaryDirectory() as folder:
+    ...     capture.save(folder)
+    ...     load_capture(folder).flat.shape
+    (90, 120, 3)
     """
     source = Path(folder)
     try:

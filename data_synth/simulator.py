@@ -62,6 +62,14 @@ def simulate(
     ------
     ValueError
         If an argument is out of range.
+
+    Examples
+    --------
+    >>> from data_synth import SCENES, Camera, simulate
+    >>> camera = Camera.design(size=(120, 90), pitch=20)
+    >>> capture = simulate(SCENES["blank"](camera), camera, samples=1)
+    >>> capture.flat.shape, capture.white.shape
+    ((90, 120, 3), (90, 120))
     """
     if not camera.straight:
         raise ValueError("simulate knows the truth of cameras without distortion and tilt; use shoot_board")
@@ -135,6 +143,14 @@ def true_view(
     -------
     (h, w, 3) float32
         Through the sRGB curve, 0 to 1.
+
+    Examples
+    --------
+    >>> from data_synth import SCENES, Camera, simulate
+    >>> camera = Camera.design(size=(120, 90), pitch=20)
+    >>> affine = [[2, 0, 10], [0, 2, 10]]
+    >>> true_view(SCENES["plane"](camera), camera, (0, 0), affine, (50, 35), samples=1).shape
+    (35, 50, 3)
     """
     from . import tracing
 

@@ -38,6 +38,14 @@ class Patch:
         Order `x, y, z`; `z` is the distance in front of the main lens.
     texture : (h, w, 3) or (h, w, 4) float32
         Linear radiance over `v, u`, 1 is white. A fourth channel cuts the patch away where it is below one half.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from data_synth import Patch
+    >>> texture = np.full((4, 4, 3), 0.5, np.float32)
+    >>> Patch((-100, -100, 1000), (200, 0, 0), (0, 200, 0), texture).bounds.tolist()
+    [[-100.0, -100.0, 1000.0], [100.0, 100.0, 1000.0]]
     """
 
     corner: NDArray[np.float64]
@@ -71,6 +79,13 @@ class Sphere:
     radius : float [mm]
     texture : (h, w, 3) float32
         Linear radiance; the middle column faces the camera.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from data_synth import Sphere
+    >>> Sphere((0, 0, 1000), 50, np.full((4, 4, 3), 0.5, np.float32)).radius
+    50
     """
 
     centre: NDArray[np.float64]
@@ -102,6 +117,14 @@ class Scene:
         In any order; the nearest along each ray is seen.
     background : (float, float, float)
         Linear radiance where no surface is hit.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from data_synth import Patch, Scene
+    >>> wall = Patch((-100, -100, 1000), (200, 0, 0), (0, 200, 0), np.full((4, 4, 3), 0.5, np.float32))
+    >>> Scene("wall", (wall,)).name
+    'wall'
     """
 
     name: str
@@ -119,6 +142,13 @@ def box(centre: ArrayLike, axes: ArrayLike, texture: ArrayLike) -> tuple[Patch, 
         Rows are the half edges.
     texture : (h, w, 3) array_like
         The same on every side.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from data_synth import box
+    >>> len(box((0, 0, 1000), 50 * np.eye(3), np.full((4, 4, 3), 0.5, np.float32)))
+    6
     """
     middle, half = _checked_vector(centre, "centre"), np.array(axes, dtype=np.float64)
     sides = []

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import pkgutil
 import re
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 
@@ -35,6 +37,35 @@ def test_names_that_the_reference_lists_by_sub_package_exist(package):
     for name in re.findall(r"^   (\w+(?:\.\w+)+)$", part, re.MULTILINE):
         module, _, attribute = f"{package}.{name}".rpartition(".")
         assert hasattr(import_module(module), attribute), name
+
+
+def _documented():
+    """Each name of the reference, and the object that it stands for."""
+    text = (DOCS / "api.rst").read_text(encoding="utf-8")
+    for package, part in re.findall(r"currentmodule:: (\w+)\n(.*?)(?=\.\. currentmodule|\Z)", text, re.DOTALL):
+        for name in re.findall(r"^   (\w+(?:\.\w+)*)$", part, re.MULTILINE):
+            yield f"{package}.{name}", pkgutil.resolve_name(f"{package}.{name}")
+
+
+DOCUMENTED = [pytest.param(thing, id=name) for name, thing in _documented()]
+
+
+@pytest.mark.parametrize("thing", [p for p in DOCUMENTED if p.id != "data_synth.SCENES"])
+def test_every_name_in_the_reference_has_an_example(thing):
+    assert ">>> " in thing.__doc__
+
+
+@pytest.mark.parametrize("thing", [p for p in DOCUMENTED if inspect.isclass(p.values[0])])
+def test_every_public_method_of_a_class_in_the_reference_is_described(thing):
+    bare = [
+        name for name, member in inspect.getmembers(thing, callable) if name[0] != "_" and not inspect.getdoc(member)
+    ]
+    bare += [
+        name
+        for name, member in vars(thing).items()
+        if name[0] != "_" and isinstance(member, property | cached_property) and not inspect.getdoc(member)
+    ]
+    assert bare == []
 
 
 def test_every_page_is_in_a_table_of_contents():

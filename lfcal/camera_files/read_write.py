@@ -139,6 +139,16 @@ def convert(
         If the suffix is of no known format or the file cannot be written.
     CameraFileError
         If the format cannot hold this lattice.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfcal
+    >>> camera = lfcal.Calibration(lfcal.Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9))
+    >>> with TemporaryDirectory() as folder:
+    ...     convert(camera, f"{folder}/camera.csv")
+    ...     len(lfcal.load(f"{folder}/camera.csv", (400, 300)).lattice)
+    300
     """
     check_output(path, FORMATS)
     form = FORMATS[Path(path).suffix.lower()]

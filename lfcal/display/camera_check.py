@@ -45,6 +45,12 @@ class CameraCheck:
         What is wrong and what to do, None where nothing is.
     adjusted : Calibration or None
         The camera moved onto the microimages, where a shift is all that is wrong with its lattice: crops of a sensor.
+
+    Examples
+    --------
+    >>> from lfcal import CameraCheck
+    >>> CameraCheck().fits, CameraCheck(problem="the microimages lie 5.9 px beside those of the camera").problem[:16]
+    (True, 'the microimages ')
     """
 
     fits: bool = True

@@ -29,6 +29,15 @@ class LatticeDifference:
         Rotation from A to B, clockwise on the screen.
     positions, field : (3, 3, 2) float64 [px]
         Corners, edge middles and middle of the flat, in rows from the top, and the difference at each.
+
+    Examples
+    --------
+    >>> from lfcal import Calibration, Lattice, compare
+    >>> first = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9))
+    >>> second = Calibration(Lattice([10.5, 10], [[20, 0], [0, 20]], (400, 300), 9))
+    >>> difference = compare(first, second)
+    >>> round(difference.rms, 3), difference.mean_shift.round(3).tolist()
+    (0.5, [0.5, 0.0])
     """
 
     rms: float

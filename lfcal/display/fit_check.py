@@ -41,6 +41,14 @@ class FitCheck:
         five regions show centres.
     pitch : float [px]
         Of the given lattice.
+
+    Examples
+    --------
+    >>> import lfcal, lfrender
+    >>> sample = lfrender.data.house(size=(400, 300), samples=2)
+    >>> check = lfcal.check_fit(sample.truth.calibration, sample.white)
+    >>> bool(check.max_offset < 0.5), check.warning
+    (True, None)
     """
 
     positions: NDArray[np.float64]

@@ -39,6 +39,13 @@ def show(calibration: Calibration, image: ArrayLike) -> NDArray[np.uint8]:
     ------
     FlatError
         If the image is not of the size the calibration is for.
+
+    Examples
+    --------
+    >>> import lfcal, lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> lfcal.show(sample.truth.calibration, sample.white).dtype
+    dtype('uint8')
     """
     flat = np.asarray(image)
     width, height = calibration.image_size

@@ -81,6 +81,16 @@ def read_flat(
     FlatError
         If the file is missing, damaged, truncated, larger than `MAX_PIXELS`, no image, or holds NaN or infinity, or
         has no such page.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfcal, lfrender, numpy
+    >>> with TemporaryDirectory() as folder:
+    ...     lfrender.write_picture(f"{folder}/flat.png", numpy.zeros((20, 30, 3), numpy.uint8))
+    ...     flat = lfcal.read_flat(f"{folder}/flat.png")
+    >>> flat.shape, flat.dtype
+    ((20, 30, 3), dtype('uint8'))
     """
     source = Path(path)
     with file_errors(source):
@@ -116,6 +126,15 @@ def count_pages(
     ------
     FlatError
         If the file cannot be read.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfcal, numpy, tifffile
+    >>> with TemporaryDirectory() as folder:
+    ...     tifffile.imwrite(f"{folder}/frames.tif", numpy.zeros((5, 20, 30), numpy.uint8), photometric="minisblack")
+    ...     lfcal.count_pages(f"{folder}/frames.tif")
+    5
     """
     with file_errors(Path(path)):
         if is_yuv(Path(path)):

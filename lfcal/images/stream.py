@@ -43,6 +43,16 @@ class FlatSource:
         uint8, uint16 or float32.
     in_parts : bool
         Whether parts are read from the file; else the flat is in memory.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfcal, numpy, tifffile
+    >>> with TemporaryDirectory() as folder:
+    ...     tifffile.imwrite(f"{folder}/big.tif", numpy.arange(600, dtype=numpy.uint16).reshape(20, 30))
+    ...     with lfcal.open_flat(f"{folder}/big.tif") as source:
+    ...         source.shape, source.read(5, 5, 15, 10).shape
+    ((20, 30), (5, 10))
     """
 
     def __init__(self, path: Path, read: _Read, shape: tuple[int, ...], file: Any = None, in_parts: bool = True):
@@ -104,6 +114,16 @@ def open_flat(path: str | os.PathLike[str], page: int | None = None) -> FlatSour
     ------
     FlatError
         As `read_flat`; damaged pixels are found when they are read.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfcal, numpy, tifffile
+    >>> with TemporaryDirectory() as folder:
+    ...     tifffile.imwrite(f"{folder}/big.tif", numpy.arange(600, dtype=numpy.uint16).reshape(20, 30))
+    ...     with lfcal.open_flat(f"{folder}/big.tif") as source:
+    ...         source.shape, source.read(5, 5, 15, 10).shape
+    ((20, 30), (5, 10))
     """
     source = Path(path)
     if source.is_dir() and is_zarr(source):

@@ -40,6 +40,13 @@ class Distortion(Frozen):
         Displacement in x and in y; None where there is none.
     middle : (2,) float64 [px] or None
         Where the general part vanishes; needed where there is one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> distortion = Distortion(np.array([200.0, 150.0]), 0.01, 0.0, 250.0)
+    >>> distortion.apply(np.array([[400.0, 150.0]])).round(2).tolist()
+    [[400.28, 150.0]]
     """
 
     centre: NDArray[np.float64]

@@ -30,6 +30,14 @@ class Residuals(Frozen):
         them where they are very many.
     offset : (n, 2) float32 [px]
         From the lattice centre to the centre measured on this microimage alone, order `x, y`.
+
+    Examples
+    --------
+    >>> import lfcal, lfrender
+    >>> sample = lfrender.data.house(size=(400, 300), samples=2)
+    >>> residuals = lfcal.calibrate(sample.white, kind="white").residuals
+    >>> residuals.indices.shape == residuals.offset.shape
+    True
     """
 
     indices: NDArray[np.int32]

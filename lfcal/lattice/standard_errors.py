@@ -27,6 +27,14 @@ class LatticeErrors(Frozen):
         `"origin"`, `"a1"`, `"a2"`, each for x and y [px]; then `"k1"`, `"k2"`, `"centre"` (twice, [px]) or `"general"`
         (14 times, [px]) as far as they were fitted.
     covariance : (p, p) float64
+
+    Examples
+    --------
+    >>> import lfcal, lfrender
+    >>> sample = lfrender.data.house(size=(400, 300), samples=2)
+    >>> camera = lfcal.calibrate(sample.white, kind="white")
+    >>> bool((camera.errors.of_centres(camera.lattice) < 0.1).all())
+    True
     """
 
     names: tuple[str, ...]

@@ -71,6 +71,16 @@ def calibrate_metric(
     BoardError
         If the board is found on fewer than three flats, has another number of corners, if all poses are alike, or if
         the flats come from different cameras.
+
+    Examples
+    --------
+    >>> import lfcal, lfrender
+    >>> shoot = lfrender.data.board(size=(420, 340), pitch=28.3, poses=4, samples=8)
+    >>> camera = lfcal.calibrate(shoot.white, kind="white")
+    >>> board = lfcal.Board(9, 6, shoot.square)
+    >>> found = lfcal.calibrate_metric(shoot.flats, camera, board, pixel=shoot.camera.pixel)  # doctest: +SKIP
+    >>> found.calibration.optics is found.optics  # doctest: +SKIP
+    True
     """
     names = list(names) if names is not None else [f"flat {m + 1}" for m in range(len(flats))]
     if len(names) != len(flats):
@@ -125,6 +135,15 @@ def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, nam
         If the flat is not of the size the camera is for.
     BoardError
         If the board is not found, or the camera has no optics.
+
+    Examples
+    --------
+    >>> import lfcal, lfrender  # doctest: +SKIP
+    >>> shoot = lfrender.data.board(size=(420, 340), pitch=28.3, poses=4, samples=8)  # doctest: +SKIP
+    >>> camera = lfcal.calibrate(shoot.white, kind="white")  # doctest: +SKIP
+    >>> board = lfcal.Board(9, 6, shoot.square)  # doctest: +SKIP
+    >>> found = lfcal.calibrate_metric(shoot.flats, camera, board, pixel=shoot.camera.pixel)  # doctest: +SKIP
+    >>> lfcal.locate_board(shoot.flats[0], found.calibration, board).translation.shape  # doctest: +SKIP
     """
     optics = calibration.optics
     if optics is None or optics.principal_point is None:

@@ -41,6 +41,15 @@ class BoardPose:
         Of the distances between observed and predicted corners in microimages, without outliers.
     observations : int
         Corners in microimages, without outliers.
+
+    Examples
+    --------
+    >>> import lfcal, numpy as np
+    >>> pose = lfcal.BoardPose("one", np.eye(3), np.array([0.0, 0.0, 800.0]), np.eye(6) / 100, 0.02, 900)
+    >>> pose.standard_errors[3:].tolist()  # of the translation [mm]
+    [0.1, 0.1, 0.1]
+    >>> pose.place(np.array([[7.0, 0.0, 0.0]])).tolist()  # of a corner of the board, before the main lens [mm]
+    [[7.0, 0.0, 800.0]]
     """
 
     name: str
@@ -100,6 +109,15 @@ class MetricCalibration:
     degeneracies : tuple of str
         Parameters that hardly separate, and what is well known instead.
     warnings : tuple of str
+
+    Examples
+    --------
+    >>> import lfcal, lfrender  # doctest: +SKIP
+    >>> shoot = lfrender.data.board(size=(420, 340), pitch=28.3, poses=4, samples=8)  # doctest: +SKIP
+    >>> camera = lfcal.calibrate(shoot.white, kind="white")  # doctest: +SKIP
+    >>> board = lfcal.Board(9, 6, shoot.square)  # doctest: +SKIP
+    >>> found = lfcal.calibrate_metric(shoot.flats, camera, board, pixel=shoot.camera.pixel)  # doctest: +SKIP
+    >>> len(found.poses), found.optics.focal_length, found.rms  # doctest: +SKIP
     """
 
     calibration: Calibration

@@ -7,20 +7,62 @@ RAW_FLAT_ADVICE = "give a raw flat from the sensor, of a camera with a microlens
 
 
 class LightFieldError(Exception):
-    """Base of all errors that users can cause and mend."""
+    """Base of all errors that users can cause and mend.
+
+    Examples
+    --------
+    >>> import lfcal
+    >>> try:
+    ...     lfcal.load("no.json")
+    ... except lfcal.LightFieldError as error:
+    ...     print(type(error).__name__)
+    CameraFileError
+    """
 
 
 class FlatError(LightFieldError, ValueError):
-    """An image cannot be read or cannot be a flat (raw plenoptic picture)."""
+    """An image cannot be read or cannot be a flat (raw plenoptic picture).
+
+    Examples
+    --------
+    >>> import lfcal
+    >>> lfcal.read_flat("no.png")
+    Traceback (most recent call last):
+    lfcal.runtime.errors.FlatError: no.png: cannot be read (No such file or directory)
+    """
 
 
 class CalibrationError(LightFieldError, ValueError):
-    """No reliable microlens lattice was found, or a lattice does not fit a flat."""
+    """No reliable microlens lattice was found, or a lattice does not fit a flat.
+
+    Examples
+    --------
+    >>> import lfcal, numpy
+    >>> lfcal.calibrate(numpy.full((300, 400), 100, numpy.uint8))  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    lfcal.runtime.errors.CalibrationError: the image is one even grey; ...
+    """
 
 
 class CameraFileError(LightFieldError, ValueError):
-    """A camera file is missing, damaged, or belongs to another image size."""
+    """A camera file is missing, damaged, or belongs to another image size.
+
+    Examples
+    --------
+    >>> import lfcal
+    >>> lfcal.Calibration.from_dict({})
+    Traceback (most recent call last):
+    lfcal.runtime.errors.CameraFileError: not an lfcal-camera file; make one with 'lfcal calibrate IMAGE'
+    """
 
 
 class BoardError(LightFieldError, ValueError):
-    """A board was not found on flats, or what was found cannot calibrate a camera."""
+    """A board was not found on flats, or what was found cannot calibrate a camera.
+
+    Examples
+    --------
+    >>> import lfcal
+    >>> lfcal.Board(1, 6, 7.0)
+    Traceback (most recent call last):
+    lfcal.runtime.errors.BoardError: a board has 2 to 200 inner corners each way, got 1 x 6
+    """

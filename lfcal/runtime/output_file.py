@@ -14,7 +14,15 @@ __all__ = ["OutputError", "atomic_write", "check_output"]
 
 
 class OutputError(LightFieldError, OSError):
-    """A result cannot be written where or how it was asked for."""
+    """A result cannot be written where or how it was asked for.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> check_output(Path("picture.tif"), {".png"})
+    Traceback (most recent call last):
+    lfcal.runtime.output_file.OutputError: picture.tif: unknown output format '.tif'; use .png
+    """
 
 
 @contextmanager
@@ -27,6 +35,17 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     ------
     OutputError
         If the file cannot be made, written or moved.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder, "figures.txt")
+    ...     with atomic_write(file) as temporary:
+    ...         _ = temporary.write_text("1 2 3")
+    ...         before = file.exists()
+    ...     before, file.read_text()
+    (False, '1 2 3')
     """
     target = Path(path)
     temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
@@ -62,6 +81,14 @@ def check_output(
     ------
     OutputError
         If the ending is not allowed, `path` is a folder or one of the inputs, or no file can be made beside it.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> check_output(Path("picture.png"), {".png", ".tif"})
+    >>> check_output(Path("picture.gif"), {".png"})
+    Traceback (most recent call last):
+    lfcal.runtime.output_file.OutputError: picture.gif: unknown output format '.gif'; use .png
     """
     target = Path(path)
     if target.suffix.lower() not in suffixes:

@@ -56,6 +56,16 @@ def dense_depth(depth: DepthMap, scale: float | None = None) -> DenseDepth:
     ------
     ValueError
         If `scale` is not between 0 and four times the pitch.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> dense = dense_depth(depth, scale=6)
+    >>> dense.patch_size.shape, dense.pitch
+    ((47, 62), 23.2)
     """
     pitch = depth.pitch
     scale = check_scale(default_scale(depth) if scale is None else scale, pitch)
@@ -84,6 +94,18 @@ def write_dense(path: str | os.PathLike[str], dense: DenseDepth, distance: NDArr
     ------
     OutputError
         If the ending is none of these, the package OpenEXR is needed, or the folder cannot be written.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> with TemporaryDirectory() as folder:
+    ...     write_dense(f"{folder}/depth.tif", dense_depth(depth, scale=6))
+    ...     Path(folder, "depth.tif").exists()
+    True
     """
     path = Path(path)
     check_output(path, set(DENSE_FORMATS))

@@ -75,6 +75,17 @@ class DepthMap(Frozen):
         For the analysis of the next frame; not saved.
     flat_samples : (m,) float32 or None
         Fingerprint of the flat that it was made from; None where that is unknown.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> len(depth) == len(camera.lattice), set(depth.mode.tolist()) <= {-1, 0, 1}
+    (True, True)
+    >>> bool((depth.magnification[depth.mode != 0] >= 1).all())
+    True
     """
 
     patch_size: NDArray[np.float32]
@@ -274,6 +285,15 @@ def default_scale(depth: DepthMap, settings: DataSettings = DEFAULT) -> float:
     """Output pixels per pitch that keep the flat's resolution where patches are largest [px per pitch].
 
     Full resolution after Lumsdaine and Georgiev 2008, section 4: as many output pixels per lens as its patch has.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> bool(1 < default_scale(depth) < camera.lattice.pitch)
+    True
     """
     sizes = np.abs(depth.patch_size[np.isfinite(depth.patch_size)])
     if sizes.size == 0:

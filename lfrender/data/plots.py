@@ -106,6 +106,14 @@ def napari_layers(
     -------
     list of (data, keywords, type)
         napari's layer data tuples; napari itself need not be installed.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> [kind for _, _, kind in napari_layers(flat, camera)]
+    ['image', 'points']
     """
     layers: list[tuple[Any, dict[str, Any], str]] = []
     if flat is not None:

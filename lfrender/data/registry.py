@@ -105,6 +105,17 @@ def open_registry(
     ------
     FlatError
         If the list cannot be read.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender, numpy
+    >>> with TemporaryDirectory() as folder:
+    ...     lfrender.write_picture(f"{folder}/flat.png", numpy.zeros((20, 30), numpy.uint8))
+    ...     _ = lfrender.data.write_registry(folder)
+    ...     lab = lfrender.data.open_registry(folder)
+    ...     lab.names, lab.read("flat.png").shape
+    (['flat.png'], (20, 30))
     """
     place = os.fspath(base)
     if hashes is None:
@@ -117,7 +128,19 @@ def open_registry(
 
 
 def write_registry(folder: str | os.PathLike[str]) -> Path:
-    """Write `registry.txt` with the hashes of all files in a folder; returns its path."""
+    """Write `registry.txt` with the hashes of all files in a folder; returns its path.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender, numpy
+    >>> with TemporaryDirectory() as folder:
+    ...     lfrender.write_picture(f"{folder}/flat.png", numpy.zeros((20, 30), numpy.uint8))
+    ...     _ = lfrender.data.write_registry(folder)
+    ...     lab = lfrender.data.open_registry(folder)
+    ...     lab.names, lab.read("flat.png").shape
+    (['flat.png'], (20, 30))
+    """
     place = Path(folder)
     lines = []
     for path in sorted(place.rglob("*")):

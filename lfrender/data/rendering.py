@@ -40,6 +40,18 @@ class Rendering:
         Output pixels per microlens pitch, `P`.
     white : float, optional
         White level of an integer image, if it is less than the largest value of the type.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> picture = lfrender.render(flat, camera, depth, scale=6)
+    >>> picture.image.shape, picture.scale
+    ((47, 62, 3), 6.0)
+    >>> (picture.affine @ [0, 0, 1]).round().tolist()  # where the first pixel lies on the flat
+    [1.0, 1.0]
     """
 
     image: NDArray

@@ -33,7 +33,14 @@ _NOISE = (9000.0, 5.0)
 
 
 def cache_folder() -> Path:
-    """Where samples and fetched captures are kept: `$LFRENDER_CACHE`, or the user's cache of the system."""
+    """Where samples and fetched captures are kept: `$LFRENDER_CACHE`, or the user's cache of the system.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> lfrender.data.cache_folder().name
+    'lfrender'
+    """
     given = os.environ.get(CACHE_VARIABLE)
     if given:
         return Path(given)
@@ -83,35 +90,70 @@ def house(
 def clutter(
     *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, samples: int = 16, seed: int = 0, **camera: Any
 ) -> Capture:
-    """Balls, boxes and cards before a wall, binocular, depth edges everywhere; arguments as of `house`."""
+    """Balls, boxes and cards before a wall, binocular, depth edges everywhere; arguments as of `house`.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> lfrender.data.clutter(size=(120, 90), samples=1).flat.shape
+    (90, 120, 3)
+    """
     return _scene("clutter", size, pitch, samples, seed, camera)
 
 
 def plane(
     *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, samples: int = 16, seed: int = 0, **camera: Any
 ) -> Capture:
-    """One plane that faces the camera, binocular; arguments as of `house`."""
+    """One plane that faces the camera, binocular; arguments as of `house`.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> lfrender.data.plane(size=(120, 90), samples=1).flat.shape
+    (90, 120, 3)
+    """
     return _scene("plane", size, pitch, samples, seed, camera)
 
 
 def slope(
     *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, samples: int = 16, seed: int = 0, **camera: Any
 ) -> Capture:
-    """One slanted plane, binocular; arguments as of `house`."""
+    """One slanted plane, binocular; arguments as of `house`.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> lfrender.data.slope(size=(120, 90), samples=1).flat.shape
+    (90, 120, 3)
+    """
     return _scene("slope", size, pitch, samples, seed, camera)
 
 
 def ramp(
     *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, samples: int = 16, seed: int = 0, **camera: Any
 ) -> Capture:
-    """A smooth ramp of brightness, on which every seam shows; arguments as of `house`."""
+    """A smooth ramp of brightness, on which every seam shows; arguments as of `house`.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> lfrender.data.ramp(size=(120, 90), samples=1).flat.shape
+    (90, 120, 3)
+    """
     return _scene("ramp", size, pitch, samples, seed, camera)
 
 
 def periodic(
     *, size: tuple[int, int] = (800, 600), pitch: float = 23.2, samples: int = 16, seed: int = 0, **camera: Any
 ) -> Capture:
-    """Texture that repeats, whose depth is ambiguous; arguments as of `house`."""
+    """Texture that repeats, whose depth is ambiguous; arguments as of `house`.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> lfrender.data.periodic(size=(120, 90), samples=1).flat.shape
+    (90, 120, 3)
+    """
     return _scene("periodic", size, pitch, samples, seed, camera)
 
 
@@ -130,6 +172,13 @@ def board(
     -------
     data_synth.BoardShoot
         With `flats`, `white`, `camera`, and the poses.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> shoot = lfrender.data.board(poses=2, size=(300, 240))
+    >>> len(shoot.flats), shoot.white.shape
+    (2, (240, 300))
     """
     from data_synth import shoot_board
 

@@ -87,6 +87,21 @@ def analyze_large(
     ------
     FlatError, CalibrationError, ValueError
         As `analyze`.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfcal
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> with TemporaryDirectory() as folder:
+    ...     lfrender.write_picture(f"{folder}/flat.tif", flat)
+    ...     with lfcal.open_flat(f"{folder}/flat.tif") as source:
+    ...         depth = lfrender.analyze_large(source, camera, "fast")
+    >>> len(depth) == len(camera.lattice)
+    True
     """
     if preset not in PRESETS:
         raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")

@@ -53,6 +53,21 @@ class LargePicture:
         Share of the pixels that at least one lens has seen.
     tiles, kept : int
         Number of tiles, and how many of them an earlier run had finished.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfcal
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> with TemporaryDirectory() as folder:
+    ...     lfrender.write_picture(f"{folder}/flat.tif", flat)
+    ...     with lfcal.open_flat(f"{folder}/flat.tif") as source:
+    ...         made = lfrender.render_large(source, f"{folder}/picture.tif", camera, patch_size=-7.0, scale=6)
+    >>> made.scale
+    6.0
     """
 
     path: Path
@@ -109,6 +124,21 @@ def render_large(
     ------
     FlatError, CalibrationError, ValueError, OutputError, PictureError
         As `render` and `write_picture`.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfcal
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> with TemporaryDirectory() as folder:
+    ...     lfrender.write_picture(f"{folder}/flat.tif", flat)
+    ...     with lfcal.open_flat(f"{folder}/flat.tif") as source:
+    ...         made = lfrender.render_large(source, f"{folder}/picture.tif", camera, depth, scale=6)
+    >>> made.scale
+    6.0
     """
     output = Path(path)
     reader = TileReader(source, calibration)

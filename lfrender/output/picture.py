@@ -113,6 +113,17 @@ def write_stack(
     ------
     OutputError, PictureError
         As `write_picture`; also without any picture.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> stack = lfrender.focal_stack(flat, camera, [-7.0, 7.0], scale=6)
+    >>> with TemporaryDirectory() as folder:
+    ...     [path.name for path in write_stack(f"{folder}/stack.tif", list(stack))]
+    ['stack.tif']
     """
     if not pictures:
         raise PictureError(f"{path}: a stack needs at least one picture")

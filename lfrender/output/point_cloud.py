@@ -91,7 +91,21 @@ def point_cloud(
 
 
 def write_points(path: str | os.PathLike[str], points: NDArray, metres: bool = False) -> None:
-    """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY or PCD; whole or not at all."""
+    """Write the points of `point_cloud`, made with optics if `metres`, as binary PLY or PCD; whole or not at all.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> points = point_cloud(flat, camera, depth)
+    >>> with TemporaryDirectory() as folder:
+    ...     write_points(f"{folder}/cloud.ply", points)
+    >>> points.dtype.names
+    ('x', 'y', 'z', 'red', 'green', 'blue')
+    """
     check_output(path, CLOUD_SUFFIXES)
     if Path(path).suffix.lower() == ".pcd":
         with atomic_write(path) as temporary:

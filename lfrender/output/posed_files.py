@@ -84,6 +84,21 @@ def write_posed_views(
     ------
     OutputError, PictureError
         If a file cannot be written.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> from lfrender.rendering.viewpoints import views_with_depth
+    >>> offsets = [(-4.0, 0.0), (4.0, 0.0)]
+    >>> pairs = views_with_depth(flat, camera, depth, offsets=offsets, scale=6, still=-7.0)
+    >>> with TemporaryDirectory() as folder:
+    ...     rig = write_posed_views(folder, "nerfstudio", pairs, camera, depth, offsets, still=-7.0)
+    >>> len(rig.cameras)
+    2
     """
     target = Path(folder)
     if kind not in POSE_FORMATS:

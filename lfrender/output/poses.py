@@ -40,6 +40,19 @@ class ViewCamera:
         Width and height.
     distortion : (k1, k2, p1, p2)
         As OpenCV has it.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> offsets = [(-4.0, 0.0), (4.0, 0.0)]
+    >>> pictures = list(lfrender.views(flat, camera, depth, offsets=offsets, scale=6, still=-7.0))
+    >>> affines, sizes = [p.affine for p in pictures], [p.image.shape[1::-1] for p in pictures]
+    >>> rig = view_rig(camera, depth, offsets, affines, sizes, still=-7.0)
+    >>> rig.cameras[0].project(np.array([[0.0, 0.0, 5.0]])).shape
+    (1, 2)
     """
 
     position: Array
@@ -79,6 +92,19 @@ class ViewRig:
         `"m"`, or `"baseline"` of neighbouring views.
     error : float [px]
         RMS distance of what the cameras project from what the optics do; 0 where it is exact.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> offsets = [(-4.0, 0.0), (4.0, 0.0)]
+    >>> pictures = list(lfrender.views(flat, camera, depth, offsets=offsets, scale=6, still=-7.0))
+    >>> affines, sizes = [p.affine for p in pictures], [p.image.shape[1::-1] for p in pictures]
+    >>> rig = view_rig(camera, depth, offsets, affines, sizes, still=-7.0)
+    >>> len(rig.cameras)
+    2
     """
 
     cameras: tuple[ViewCamera, ...]
@@ -140,6 +166,19 @@ def view_rig(
     still : float [px]
         As for `views`.
     optics : Optics, optional
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> offsets = [(-4.0, 0.0), (4.0, 0.0)]
+    >>> pictures = list(lfrender.views(flat, camera, depth, offsets=offsets, scale=6, still=-7.0))
+    >>> affines, sizes = [p.affine for p in pictures], [p.image.shape[1::-1] for p in pictures]
+    >>> rig = view_rig(camera, depth, offsets, affines, sizes, still=-7.0)
+    >>> len(rig.cameras)
+    2
     """
     lattice = calibration.lattice
     optics = optics or calibration.optics

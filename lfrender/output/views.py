@@ -67,6 +67,18 @@ def write_grid(
     ------
     OutputError, PictureError
         If the folder or a picture cannot be written.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> pictures = lfrender.views(flat, camera, depth, offsets=[(-4, 0), (4, 0)], scale=6)
+    >>> with TemporaryDirectory() as folder:
+    ...     [path.name for path in write_grid(folder, pictures, columns=2, suffix=".png")]
+    ['row1_column1.png', 'row1_column2.png']
     """
     try:
         Path(folder).mkdir(exist_ok=True)
@@ -106,6 +118,18 @@ def write_quilt(
     -------
     Path
         The file, with its full name.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> pictures = lfrender.views(flat, camera, depth, offsets=[(-4, 0), (4, 0)], scale=6)
+    >>> with TemporaryDirectory() as folder:
+    ...     write_quilt(f"{folder}/scene.png", pictures, columns=2, rows=1).name
+    'scene_qs2x1a1.32.png'
     """
     images = [picture.image for picture in pictures]
     if len(images) != columns * rows:
@@ -142,7 +166,18 @@ def resize_view(picture: Rendering, size: tuple[int, int]) -> Rendering:
 
 
 def stereo_pair(left: Rendering, right: Rendering) -> Rendering:
-    """Two views side by side, for parallel viewing: the left eye's on the left. The affine is that of the left one."""
+    """Two views side by side, for parallel viewing: the left eye's on the left. The affine is that of the left one.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> left, right = lfrender.views(flat, camera, depth, offsets=[(-4, 0), (4, 0)], scale=6)
+    >>> left.image.shape, stereo_pair(left, right).image.shape
+    ((47, 62, 3), (47, 124, 3))
+    """
     image = np.concatenate([left.image, right.image], axis=1)
     return replace(left, image=image, valid=np.concatenate([left.valid, right.valid], axis=1))
 
@@ -175,6 +210,19 @@ def write_animation(path: str | os.PathLike[str], pictures: Iterable[Rendering],
     ------
     OutputError, PictureError
         As `check_animation`; also without any picture.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> pictures = lfrender.views(flat, camera, depth, offsets=[(-4, 0), (4, 0)], scale=6)
+    >>> with TemporaryDirectory() as folder:
+    ...     write_animation(f"{folder}/around.gif", pictures)
+    ...     Path(folder, "around.gif").exists()
+    True
     """
     from PIL import Image
 

@@ -110,6 +110,14 @@ def focal_stack(
     ------
     FlatError, CalibrationError, ValueError
         As `refocus`; ValueError also without any patch size.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> [picture.image.shape for picture in lfrender.focal_stack(flat, camera, [-7.0, 7.0], scale=6)]
+    [(47, 62, 3), (47, 62, 3)]
     """
     sizes = [float(s) for s in patch_sizes]
     if not sizes:
@@ -133,6 +141,15 @@ def stack_depths(depth: DepthMap, count: int, settings: RenderSettings = DEFAULT
     ------
     ValueError
         If `count` is below 1, or no lens of the depth map is resolved.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> len(stack_depths(depth, 5))
+    5
     """
     if count < 1:
         raise ValueError(f"a stack has at least one picture, got {count}")

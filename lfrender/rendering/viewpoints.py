@@ -65,6 +65,16 @@ def views(
         As `render`.
     ValueError
         If a number makes no picture.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> left, right = lfrender.views(flat, camera, depth, offsets=[(-4, 0), (4, 0)], scale=6)
+    >>> left.image.shape, bool((left.image != right.image).any())
+    ((47, 62, 3), True)
     """
     pixels = check_flat(flat, calibration)
     lattice = calibration.lattice
@@ -93,7 +103,18 @@ def views_with_depth(
     scale: float | None = None,
     still: float,
 ) -> Iterator[tuple[Rendering, NDArray[np.float32]]]:
-    """As `views`, with the signed patch size (h, w) [px] of what each pixel shows."""
+    """As `views`, with the signed patch size (h, w) [px] of what each pixel shows.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> (picture, size), = views_with_depth(flat, camera, depth, offsets=[(4, 0)], scale=6, still=-7.0)
+    >>> picture.image.shape, size.shape
+    ((47, 62, 3), (47, 62))
+    """
     pixels = check_flat(flat, calibration)
     places = [_check_offset(offset, calibration.lattice.radius) for offset in offsets]
     points = [Viewpoint(place, calibration.lattice.pitch / still) for place in places]
@@ -160,6 +181,12 @@ def grid_offsets(rows: int, columns: int, radius: float) -> list[tuple[float, fl
 
 
 def circle_offsets(count: int, radius: float) -> list[tuple[float, float]]:
-    """Viewpoints evenly spread on a circle, from the right clockwise in the picture [px]."""
+    """Viewpoints evenly spread on a circle, from the right clockwise in the picture [px].
+
+    Examples
+    --------
+    >>> [(round(x), round(y)) for x, y in circle_offsets(4, 10)]
+    [(10, 0), (0, 10), (-10, 0), (0, -10)]
+    """
     angles = 2 * np.pi * np.arange(count) / max(count, 1)
     return [(float(radius * np.cos(a)), float(radius * np.sin(a))) for a in angles]

@@ -70,6 +70,19 @@ def render_frames(
     ------
     OutputError
         If the folder or a picture cannot be written, or it holds pictures made with other settings.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> with TemporaryDirectory() as folder:
+    ...     for number in range(2):
+    ...         lfrender.write_picture(f"{folder}/{number}.png", flat)
+    ...     frames = lfrender.open_frames([folder])
+    ...     [done.outcome for done in lfrender.render_frames(frames, f"{folder}/out", camera, preset="fast")]
+    ['rendered', 'rendered']
     """
     job = Job.open(Path(folder), calibration, preset, scale, suffix, overwrite, views)
     names: list[str] = []

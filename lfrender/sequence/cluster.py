@@ -60,6 +60,15 @@ def render_frames_on(
     ------
     OutputError
         As `render_frames`.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> from distributed import Client  # doctest: +SKIP
+    >>> client = Client("tcp://host:8786")  # doctest: +SKIP
+    >>> frames = lfrender.open_frames(["/data/frames"])  # doctest: +SKIP
+    >>> for done in render_frames_on(client, frames, "/data/pictures"):  # doctest: +SKIP
+    ...     print(done.name, done.outcome)
     """
     job = Job.open(Path(folder).absolute(), calibration, preset, scale, suffix, overwrite, views)
     run = _Run(client, job, (str(job.folder), preset, suffix, threads, views), tuning)

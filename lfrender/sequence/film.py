@@ -88,6 +88,19 @@ def render_film(
         If the film cannot be written, or is there already.
     FlatError
         If none of the frames can be rendered.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> with TemporaryDirectory() as folder:
+    ...     for number in range(2):
+    ...         lfrender.write_picture(f"{folder}/{number}.png", flat)
+    ...     done = list(render_film(lfrender.open_frames([folder]), f"{folder}/film.mp4", camera, preset="fast"))
+    >>> [frame.outcome for frame in done]
+    ['rendered', 'rendered']
     """
     output = Path(path).absolute()
     check_film(output, frames.files)

@@ -48,7 +48,21 @@ class _Part:
 
 @dataclass(frozen=True)
 class Frames:
-    """A sequence of frames; each iteration starts from the first one."""
+    """A sequence of frames; each iteration starts from the first one.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> with TemporaryDirectory() as folder:
+    ...     for number in range(2):
+    ...         lfrender.write_picture(f"{folder}/{number}.png", flat)
+    ...     frames = lfrender.open_frames([folder])
+    ...     frames.count, [path.name for path in frames.files]
+    (2, ['0.png', '1.png'])
+    """
 
     parts: tuple[_Part, ...]
 

@@ -56,6 +56,19 @@ class FrameResult:
         From the pixels to the picture.
     still : float
         Share of the lenses that kept the depth of an earlier frame.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> with TemporaryDirectory() as folder:
+    ...     for number in range(2):
+    ...         lfrender.write_picture(f"{folder}/{number}.png", flat)
+    ...     first, *_ = lfrender.render_frames(lfrender.open_frames([folder]), f"{folder}/out", camera, preset="fast")
+    >>> first.name, first.path.name, first.outcome
+    ('0', '0.tif', 'rendered')
     """
 
     name: str

@@ -41,6 +41,21 @@ class ViewGrid:
         Distance of its corners from the middle, as a part of the radius of the microimages.
     size : (int, int) or None [px]
         Width and height of the views; with None the scale of the run.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> with TemporaryDirectory() as folder:
+    ...     for number in range(2):
+    ...         lfrender.write_picture(f"{folder}/{number}.png", flat)
+    ...     grid = ViewGrid(1, 2)
+    ...     frames = lfrender.open_frames([folder])
+    ...     done = list(lfrender.render_frames(frames, f"{folder}/out", camera, preset="fast", views=grid))
+    >>> grid.count
+    2
     """
 
     rows: int = 5

@@ -89,6 +89,18 @@ def write_report(
         If the file cannot be written.
     FlatError, CalibrationError
         As `render`.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> with TemporaryDirectory() as folder:
+    ...     write_report(f"{folder}/report.html", flat, camera, depth)
+    ...     open(f"{folder}/report.html").read(15)
+    '<!doctype html>'
     """
     pictures = draw_pictures(flat, calibration, depth) if pictures is None else pictures
     charts = {name: png_url(picture) for name, picture in maps(depth, calibration.lattice).items()}

@@ -37,7 +37,17 @@ def viewer_files(
 
 
 def viewer_page(flat: NDArray, calibration: Calibration, depth: DepthMap, title: str = "Light field") -> str:
-    """The viewer as one HTML page that holds everything; arguments as of `viewer_files`."""
+    """The viewer as one HTML page that holds everything; arguments as of `viewer_files`.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> viewer_page(flat, camera, depth)[:15]
+    '<!doctype html>'
+    """
     scene = viewer_scene(flat, calibration, depth, title, compression=6)
     return _page(title, {name: base64.b64encode(content).decode() for name, content in scene})
 
@@ -86,6 +96,17 @@ def write_viewer(
         If the folder cannot be made or written.
     FlatError, CalibrationError
         As `render`.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> with TemporaryDirectory() as folder:
+    ...     write_viewer(f"{folder}/page", flat, camera, depth).name
+    'index.html'
     """
     target = Path(folder)
     if target.suffix.lower() in (".html", ".htm"):

@@ -41,6 +41,15 @@ def light_field_widget(
     ------
     LightFieldError
         If the package `anywidget` is not installed; as `viewer_page`.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> widget = light_field_widget(flat, camera, depth)  # doctest: +SKIP
+    >>> widget.plane = -6.2  # doctest: +SKIP
     """
     try:
         import anywidget
