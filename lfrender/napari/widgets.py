@@ -1,14 +1,14 @@
 """Functions that napari makes widgets of: calibrate, analyze, render; layers in, layers out, in scene coordinates.
 
-Annotations name napari's types without importing it: magicgui resolves them.
+Annotations name napari's types without importing it: magicgui resolves these strings, and these alone, so that all
+other annotations have to be types.
 """
-
-from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfcal import Calibration, FlatError, load
 from lfcal import calibrate as find_camera
@@ -20,16 +20,15 @@ from ..rendering.render import render as draw
 
 if TYPE_CHECKING:
     import napari.types
-    from numpy.typing import NDArray
 
 __all__ = ["analyze", "calibrate", "render"]
 
 
 def calibrate(
-    flat: napari.types.ImageData,
+    flat: "napari.types.ImageData",
     kind: Literal["auto", "white", "scene"] = "auto",
     save_to: Path = Path(),
-) -> list[napari.types.LayerDataTuple]:
+) -> list["napari.types.LayerDataTuple"]:
     """The centres of the microimages as points; `save_to` is a camera file to write."""
     camera = find_camera(_pixels(flat), kind=kind)
     if save_to.suffix:
@@ -38,11 +37,11 @@ def calibrate(
 
 
 def analyze(
-    flat: napari.types.ImageData,
+    flat: "napari.types.ImageData",
     camera: Path = Path(),
     preset: Literal["fast", "balanced", "accurate"] = "balanced",
     save_to: Path = Path(),
-) -> list[napari.types.LayerDataTuple]:
+) -> list["napari.types.LayerDataTuple"]:
     """The magnification over the scene as an image; without a camera file the flat itself is calibrated."""
     pixels, calibration = _prepare(flat, camera)
     depth = find_depth(pixels, calibration, preset)
@@ -52,11 +51,11 @@ def analyze(
 
 
 def render(
-    flat: napari.types.ImageData,
+    flat: "napari.types.ImageData",
     camera: Path = Path(),
     preset: Literal["fast", "balanced", "accurate"] = "balanced",
     pixels_per_pitch: float = 0.0,
-) -> list[napari.types.LayerDataTuple]:
+) -> list["napari.types.LayerDataTuple"]:
     """The picture that is sharp everywhere, and its depth; with 0 pixels per pitch in full resolution."""
     pixels, calibration = _prepare(flat, camera)
     depth = find_depth(pixels, calibration, preset)
