@@ -77,6 +77,18 @@ def test_a_command_in_the_text_has_the_options_that_are_named(program, words):
     assert [word for word in words if re.match(r"--?[a-z]", word) and word not in [*known, "--help"]] == []
 
 
+def printed_after(page, command):
+    """What the page says a command prints: the lines after it in a block of a console."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    found = re.search(rf"^\$ {re.escape(command)}\n((?:[^$`].*\n)*)", text, re.MULTILINE)
+    return found[1] if found else ""
+
+
+def mask(text):
+    """A text without its numbers, which are those of another capture."""
+    return re.sub(r"\d[\d,.]*(?=\D)", "N", text)
+
+
 @pytest.fixture
 def folder(house_files, tmp_path, monkeypatch):
     """A folder with a small capture, as `lfsynth house -o capture` makes it."""
@@ -99,5 +111,7 @@ def test_commands_and_code_of_a_page_run(page, folder):
         if "-o" in words:
             made = folder / words[words.index("-o") + 1]
             assert made.exists() or list(folder.glob(f"{made.stem}*")), f"{made.name} is not there"
+        output = printed_after(page, f"{program} {' '.join(words)}")
+        assert not output or mask(result.output) == mask(output)
     for code in blocks(ROOT / page, "python"):
         exec(compile(code, page, "exec"), {})

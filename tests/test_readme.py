@@ -12,7 +12,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 # Words of each section at most, of its code and tables too; the first is the head.
 WORDS = {
     "lfrender": 60,
-    "Quick start": 80,
+    "Quick start": 100,
     "What it does": 145,
     "Python": 40,
     "Accuracy and speed": 155,

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["calibration_card", "plot_calibration"]
 
+_MOST_CENTRES = 1000  # that can be told apart on a plot
 # Colours of lens types.
 _TYPE_COLOURS = ("#2d7dd2", "#e6721a", "#3a9d5d", "#8e5bb5")
 
@@ -45,9 +46,8 @@ def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
     lattice = calibration.lattice
     width, height = calibration.image_size
     if calibration.residuals is None:
-        centres = lattice.centres()
-        ax.scatter(*centres.T, s=2, linewidths=0)
-        ax.set_title("Centres of the microimages")
+        _plot_centres(calibration, ax)
+        return ax
     else:
         positions, mean, error = calibration.residuals.mean_over_grid(lattice)
         arrows = ax.quiver(*positions.T, *mean.T, np.hypot(*mean.T) / error, angles="xy", cmap="viridis")
@@ -56,6 +56,28 @@ def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
         ax.set_title(f"Mean residuals of the lattice, at most {longest:.2g} px")
     ax.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", xlabel="x [px]", ylabel="y [px]")
     return ax
+
+
+def _plot_centres(calibration: Calibration, ax: Any) -> None:
+    """Centres and usable circles of the microimages: all of them, or where they are too many those in the middle."""
+    from matplotlib.collections import EllipseCollection
+
+    lattice = calibration.lattice
+    centres, (width, height) = lattice.centres(), calibration.image_size
+    left, top, right, bottom = -0.5, -0.5, width - 0.5, height - 0.5
+    title = f"{len(centres):,} microimages"
+    if len(centres) > _MOST_CENTRES:
+        side = lattice.pitch * _MOST_CENTRES**0.5 / 2
+        left, right = max(left, width / 2 - side), min(right, width / 2 + side)
+        top, bottom = max(top, height / 2 - side), min(bottom, height / 2 + side)
+        title += ", those in the middle"
+    shown = centres[((centres > (left, top)) & (centres < (right, bottom))).all(1)]
+    sizes = np.full(len(shown), 2 * lattice.radius)
+    circles = EllipseCollection(sizes, sizes, 0 * sizes, units="xy", offsets=shown, transOffset=ax.transData)
+    circles.set(facecolor="none", edgecolor=_TYPE_COLOURS[0], linewidth=0.6)
+    ax.add_collection(circles)
+    ax.plot(*shown.T, ".", markersize=2, color=_TYPE_COLOURS[1])
+    ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xlabel="x [px]", ylabel="y [px]", title=title)
 
 
 def _lattice_svg(lattice: Lattice, types: LensTypes | None = None) -> str:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .eight_bit import to_eight_bits
 
-__all__ = ["get_axes", "html_card", "thumbnail"]
+__all__ = ["colour_bar", "get_axes", "html_card", "thumbnail"]
 
 _PICTURE_HEIGHT = 240  # of a card [CSS px]
 
@@ -47,6 +47,21 @@ def thumbnail(image: NDArray, name: str, white: float | None = None) -> str:
     picture.save(stream, "PNG")
     data = base64.b64encode(stream.getvalue()).decode()
     return f"<img alt='{escape(name)}' style='height:{_PICTURE_HEIGHT}px' src='data:image/png;base64,{data}'>"
+
+
+def colour_bar(steps: NDArray, low: str, high: str, others: Mapping[str, tuple[int, int, int]]) -> str:
+    """HTML of a scale of colours: `steps` (k, 3) 0..255 from low to high, and other colours with their names."""
+    stops = ", ".join("rgb({},{},{})".format(*step) for step in np.asarray(steps).tolist())
+    keys = "".join(
+        f"<span style='display:inline-block;width:1em;height:1em;margin:0 .4em 0 1em;vertical-align:-.15em;"
+        f"background:rgb{colour}'></span>{escape(name)}"
+        for name, colour in others.items()
+    )
+    return (
+        f"<div style='height:10px;margin:6px 0 2px;background:linear-gradient(to right, {stops})'></div>"
+        f"<div style='display:flex;justify-content:space-between;font-size:.85em'><span>{escape(low)}</span>"
+        f"<span>{keys}</span><span>{escape(high)}</span></div>"
+    )
 
 
 def get_axes(given: Any) -> Any:

@@ -56,7 +56,7 @@ class DepthMap(Frozen):
         one plane, all lenses share the error of that plane.
     confidence : (n,) float32
         0..1, the probability that `patch_size` is the right optimum of the match.
-    drawn : (n,) float32 [px]
+    filled_patch_size : (n,) float32 [px]
         `patch_size`, with unresolved lenses filled from their neighbours; finite.
     surface : Surface
         `filled_patch_size` densified to a regular grid of scene points, with depth edges located on the pixels.
@@ -75,6 +75,8 @@ class DepthMap(Frozen):
         For the analysis of the next frame; not saved.
     flat_samples : (m,) float32 or None
         Fingerprint of the flat that it was made from; None where that is unknown.
+    centres : (n, 2) float32 [px] or None
+        Of the microimages, for plots; None in files of earlier versions.
 
     Examples
     --------
@@ -100,6 +102,7 @@ class DepthMap(Frozen):
     saved: dict[str, float] = field(default_factory=dict)
     frame_state: FrameState = field(default_factory=FrameState, repr=False, compare=False)
     flat_samples: NDArray[np.float32] | None = field(default=None, repr=False, compare=False)
+    centres: NDArray[np.float32] | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         n = len(self.patch_size)
@@ -117,6 +120,8 @@ class DepthMap(Frozen):
             raise ValueError("reason must be 0 for every lens with a patch size, and only for those")
         reason.flags.writeable = False
         object.__setattr__(self, "reason", reason)
+        if self.centres is not None and self.centres.shape != (n, 2):
+            raise ValueError(f"centres must have one place per lens ({n}), got shape {self.centres.shape}")
         if not _finite(self.filled_patch_size) or not _finite(self.surface.patch_size):
             raise ValueError("drawn and surface must be finite")
         object.__setattr__(self, "image_size", (int(self.image_size[0]), int(self.image_size[1])))
@@ -175,7 +180,7 @@ class DepthMap(Frozen):
         return optics.distance_error(self.patch_size.astype(np.float64) / self.pitch, error, points)
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the magnification over the scene, unresolved places filled, on a logarithmic colour scale.
+        """Draw the magnification over the scene on a logarithmic colour scale; unresolved lenses are grey.
 
         Parameters
         ----------
@@ -223,6 +228,7 @@ class DepthMap(Frozen):
                 saved_by=np.array(list(self.saved), dtype=str),
                 saved=np.array(list(self.saved.values()), dtype=np.float64),
                 flat_samples=np.zeros(0, np.float32) if self.flat_samples is None else self.flat_samples,
+                centres=np.zeros((0, 2), np.float32) if self.centres is None else self.centres,
             )
 
     @classmethod
@@ -260,7 +266,8 @@ class DepthMap(Frozen):
                     saved={str(k): float(v) for k, v in zip(data["saved_by"], data["saved"], strict=True)}
                     if "saved" in data
                     else {},
-                    flat_samples=_samples(data),
+                    flat_samples=_optional(data, "flat_samples"),
+                    centres=_optional(data, "centres"),
                 )
         except DepthFileError:
             raise
@@ -301,10 +308,10 @@ def default_scale(depth: DepthMap, settings: DataSettings = DEFAULT) -> float:
     return max(1.0, quantile(sizes, settings.full_resolution_share))
 
 
-def _samples(data: Any) -> NDArray[np.float32] | None:
-    """The fingerprint of the flat in a file; None in those without."""
-    samples = np.asarray(data["flat_samples"], np.float32) if "flat_samples" in data else np.zeros(0, np.float32)
-    return samples if samples.size else None
+def _optional(data: Any, name: str) -> NDArray[np.float32] | None:
+    """An array of a file; None in those without."""
+    values = np.asarray(data[name], np.float32) if name in data else np.zeros(0, np.float32)
+    return values if values.size else None
 
 
 def _one_line(error: Exception) -> str:

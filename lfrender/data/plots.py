@@ -16,15 +16,20 @@ if TYPE_CHECKING:
 
 __all__ = ["depth_html", "napari_layers", "plot_depth", "plot_rendering", "rendering_html"]
 
+# Colour of unresolved lenses, as in the maps of `lfrender.output.depth_picture`.
+
+_UNRESOLVED = (150, 150, 150)
+
 
 def depth_html(depth: DepthMap) -> str:
-    """HTML with the magnification over the scene in colours, and the key figures of a depth map."""
+    """HTML with the magnification over the scene in colours, unresolved lenses grey, and the figures of a depth map."""
     import cv2
 
     known = depth.magnification[np.isfinite(depth.magnification)]
     shown, low, high = _magnification(depth)
     share = np.log(shown / low) / np.log(high / low)
     colours = cv2.applyColorMap(np.rint(255 * share).astype(np.uint8), cv2.COLORMAP_TURBO)[:, :, ::-1]
+    colours[_unresolved_places(depth)] = _UNRESOLVED
     figures = {
         "lenses": f"{len(depth)}, preset {depth.preset}",
         "modes": ", ".join(
@@ -37,7 +42,10 @@ def depth_html(depth: DepthMap) -> str:
         figures["standard error of s"] = f"{np.median(depth.standard_error[depth.mode != 0]):.2g} px (median)"
     if depth.saved:
         figures["saved"] = ", ".join(f"{name} {part:.0%}" for name, part in depth.saved.items())
-    return notebook.html_card("DepthMap", figures, notebook.thumbnail(colours, "magnification over the scene"))
+    steps = cv2.applyColorMap(np.linspace(0, 255, 9).astype(np.uint8)[None], cv2.COLORMAP_TURBO)[0, :, ::-1]
+    bar = notebook.colour_bar(steps, f"M = {low:.2f}", f"{high:.2f}", {"unresolved": _UNRESOLVED})
+    picture = f"<div>{notebook.thumbnail(colours, 'magnification over the scene')}{bar}</div>"
+    return notebook.html_card("DepthMap", figures, picture)
 
 
 def rendering_html(rendering: Rendering) -> str:
@@ -59,11 +67,15 @@ def plot_depth(depth: DepthMap, ax: Any = None) -> Any:
     from matplotlib.colors import LogNorm
 
     shown, low, high = _magnification(depth)
+    shown[_unresolved_places(depth)] = np.nan
     surface = depth.surface
     left, top = (first - surface.spacing / 2 for first in surface.first)
     extent = (left, left + shown.shape[1] * surface.spacing, top + shown.shape[0] * surface.spacing, top)
     drawn = ax.imshow(shown, extent=extent, norm=LogNorm(low, high), cmap="turbo", interpolation="nearest")
-    ax.figure.colorbar(drawn, ax=ax, label="magnification M")
+    ax.set_facecolor(np.array(_UNRESOLVED) / 255)
+    bar = ax.figure.colorbar(drawn, ax=ax, label="magnification M (grey: unresolved)")
+    bar.set_ticks(np.geomspace(low, high, 5), labels=[f"{tick:.2g}" for tick in np.geomspace(low, high, 5)])
+    bar.minorticks_off()
     ax.set(xlabel="x [flat px]", ylabel="y [flat px]", title="Magnification")
     return ax
 
@@ -142,3 +154,16 @@ def _magnification(depth: DepthMap) -> tuple[NDArray[np.float32], float, float]:
     low, high = (float(value) for value in np.percentile(whole, (1, 99)))
     high = max(high, 1.2 * low)
     return np.clip(whole, low, high), low, high
+
+
+def _unresolved_places(depth: DepthMap) -> NDArray[np.bool_]:
+    """(h, w) places of the surface whose nearest lens is unresolved; none where the centres are not known."""
+    surface = depth.surface
+    rows, columns = surface.patch_size.shape
+    if depth.centres is None or not depth.filled.any():
+        return np.zeros((rows, columns), bool)
+    from scipy.spatial import cKDTree
+
+    v, u = np.indices((rows, columns))
+    places = np.column_stack([u.ravel(), v.ravel()]) * surface.spacing + surface.first
+    return depth.filled[cKDTree(depth.centres).query(places)[1]].reshape(rows, columns)

@@ -129,6 +129,6 @@ def rescale_depth(
         standard_error=depth.standard_error * np.float32(factor),
         filled_patch_size=depth.filled_patch_size * np.float32(factor),
         surface=surface, pitch=lattice.pitch, image_size=lattice.image_size,
-        saved=depth.saved if saved is None else saved,
+        centres=lattice.centres().astype(np.float32), saved=depth.saved if saved is None else saved,
         flat_samples=depth.flat_samples if flat_samples is None else flat_samples,
     )  # fmt: skip

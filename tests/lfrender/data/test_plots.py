@@ -33,6 +33,45 @@ def test_a_notebook_shows_each_result_with_a_picture_and_figures(drawn):
         assert np.asarray(picture).std() > 10
 
 
+def test_unresolved_lenses_are_grey_and_colours_have_a_bar(drawn):
+    plt = pytest.importorskip("matplotlib.pyplot", reason="Matplotlib is not installed")
+    plt.switch_backend("agg")
+    depth = drawn[1]
+    size = depth.patch_size.copy()
+    left = depth.centres[:, 0] < 0.25 * depth.image_size[0]
+    size[left] = np.nan
+    depth = lfrender.DepthMap(
+        size, depth.standard_error, depth.confidence, depth.filled_patch_size, depth.surface, depth.pitch,
+        depth.image_size, centres=depth.centres,
+    )  # fmt: skip
+    axes = depth.plot(plt.figure().gca())
+    masked = np.ma.getmaskarray(axes.images[0].get_array())
+    columns = masked.shape[1]
+    assert masked[:, : int(0.2 * columns)].all()
+    assert masked.mean() == pytest.approx(0.25, abs=0.1)
+    labels = [label.get_text() for label in axes.images[0].colorbar.ax.get_yticklabels()]
+    assert len(labels) == 5 and all(re.fullmatch(r"[\d.]+", label) for label in labels)
+    html = depth._repr_html_()
+    assert "linear-gradient" in html and "unresolved" in html
+    plt.close("all")
+
+
+def test_thousands_of_centres_are_plotted_as_a_crop():
+    plt = pytest.importorskip("matplotlib.pyplot", reason="Matplotlib is not installed")
+    plt.switch_backend("agg")
+    lattice = lfcal.Lattice([10, 10], [[14, 0], [7, 12.1]], (4000, 3000), 6.5)
+    axes = lfcal.Calibration(lattice).plot(plt.figure().gca())
+    assert 800 < len(axes.collections[0].get_offsets()) < 1200
+    assert f"{len(lattice):,} microimages" in axes.get_title()
+    plt.close("all")
+
+
+def test_a_depth_file_keeps_the_centres(drawn, tmp_path):
+    depth = drawn[1]
+    depth.save(tmp_path / "depth.npz")
+    np.testing.assert_array_equal(lfrender.DepthMap.load(tmp_path / "depth.npz").centres, depth.centres)
+
+
 def test_a_warning_is_shown_with_html_escaped(drawn):
     from dataclasses import replace
 
