@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration
 from lfrender.data.rendering import Rendering
-from lfrender.flat.gray_flat import correction_table, trusted_radius
+from lfrender.flat.gray_flat import correction_tables, trusted_radius
 from lfrender.flat.lens_graph import lens_grid
 from lfrender.flat.validation import check_flat
 from lfrender.rendering.plan import convert_to_dtype
@@ -96,7 +96,7 @@ def _slice(
     from scipy.fft import fft2, fftfreq, ifft2
 
     centres = calibration.lattice.centres()
-    gains, step = correction_table(calibration)
+    (gains, *_), step = correction_tables(calibration)
     rows, columns = grid.shape
     known = grid >= 0
     down, across = fftfreq(rows * fine, 1 / rows / fine) / rows, fftfreq(columns * fine, 1 / columns / fine) / columns

@@ -228,7 +228,10 @@ def _measure(found: LatticeCandidate) -> Calibration:
             f"two halves of the microimages of {pitch:.1f} px pitch disagree about the lattice; "
             "give a sharper flat or a white image"
         )
-    light = measure_illumination(picture, fit.lattice, white, fit.cat_eye, found.read_crop)
+    light = measure_illumination(
+        picture, fit.lattice, white, fit.cat_eye, found.read_crop,
+        lambda lattice: find_lens_types(picture, lattice, white),
+    )  # fmt: skip
     lattice = fit.lattice.with_radius(light.radius)
     doubt = None if found.stated else _find_doubt(found, lattice)
     agreement, beside = _compare_circles(found, lattice)
@@ -247,7 +250,7 @@ def _measure(found: LatticeCandidate) -> Calibration:
         lenses_used=fit.lenses_used,
         confidence=float(np.clip(confidence, 0, 1)),
         warnings=(*light.warnings, *(text for text in (doubt, fit.doubt, beside) if text is not None)),
-        lens_types=find_lens_types(picture, lattice, white),
+        lens_types=light.lens_types,
         gain_map=light.gain_map,
         defects=light.defects,
         errors=fit.errors,

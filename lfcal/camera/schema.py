@@ -62,6 +62,11 @@ class _LensTypes(Struct):
     confidence: _Share
 
 
+class _TypeLight(Struct):
+    cell: list[list[Annotated[int, Meta(ge=0, le=127)]]]
+    light: str
+
+
 class _GainMap(Struct):
     profile: str
     step: _Length
@@ -72,6 +77,8 @@ class _GainMap(Struct):
     rim: list[_Values]
     cut: _Values
     dark: float
+    # Files of earlier versions have none.
+    types: _TypeLight | None = None
 
 
 class _Packed(Struct):

@@ -7,7 +7,7 @@ centre, stretched in each direction to the rim there, cut by a second disc where
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,6 +70,10 @@ class GainMap(Frozen):
         of its edge. Empty if there is none.
     stray_light : float
         Light outside the cutting disc.
+    type_light : (t, k) float64
+        Light of each type of lens over that of `profile`, where types differ; else (0, 0).
+    type_cell : (m, m) int8
+        Lens `(i, j)` is of type `type_cell[i % m, j % m]`; (0, 0) where types do not differ.
     """
 
     profile: NDArray[np.float64]
@@ -81,11 +85,14 @@ class GainMap(Frozen):
     rim: NDArray[np.float64]
     cut: NDArray[np.float64]
     stray_light: float = 0.0
+    type_light: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+    type_cell: NDArray[np.int8] = field(default_factory=lambda: np.zeros((0, 0), np.int8))
 
     def __post_init__(self) -> None:
         for name, kind, dimensions in (
             ("profile", np.float64, 1), ("level", np.float64, 1), ("lens_gain", np.float32, 1),
             ("shading", np.float64, 2), ("rim", np.float64, 2), ("cut", np.float64, 1),
+            ("type_light", np.float64, 2), ("type_cell", np.int8, 2),
         ):  # fmt: skip
             object.__setattr__(self, name, _readonly(getattr(self, name), kind, dimensions, name))
         numbers = {name: float(getattr(self, name)) for name in ("step", "radius", "stray_light")}
@@ -99,6 +106,10 @@ class GainMap(Frozen):
             raise ValueError("profile, level, shading or rim of a gain map is of a wrong shape")
         if self.rim.shape[0] % 2 != 1 or len(self.cut) not in (0, 5) or (len(self.cut) and not self.cut[4] > 0):
             raise ValueError("rim or cut of a gain map is of a wrong shape")
+        types, light = self.type_cell, self.type_light
+        fits = light.shape == (types.max(initial=-1) + 1, len(self.profile)) and types.shape[0] == types.shape[1]
+        if types.size + light.size and not (fits and types.min(initial=0) == 0 and light.min() > 0):
+            raise ValueError("type_light or type_cell of a gain map is of a wrong shape")
 
     @classmethod
     def round(cls, profile: Any, step: float, radius: float, cut: Any = ()) -> GainMap:
@@ -133,6 +144,11 @@ class GainMap(Frozen):
         frame = field_frame(lattice)
         return MicroimageShape(frame, self.radius, self.profile, self.step, self.shading, self.rim, cut)
 
+    @property
+    def profiles(self) -> NDArray[np.float64]:
+        """(t, k) profile of each type of lens; (1, k) where they do not differ."""
+        return self.profile * self.type_light if self.type_light.size else self.profile[None]
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings; `profile` and `lens_gain` as encoded arrays."""
         return {
@@ -145,14 +161,21 @@ class GainMap(Frozen):
             "rim": self.rim.tolist(),
             "cut": self.cut.tolist(),
             "dark": self.stray_light,
+            "types": {"cell": self.type_cell.tolist(), "light": encode_array(self.type_light.astype("<f4"))}
+            if self.type_light.size
+            else None,
         }
 
     @classmethod
     def from_dict(cls, data: Any) -> GainMap:
         """Inverse of `to_dict`; KeyError, TypeError or ValueError if `data` is malformed."""
+        profile, types = decode_array(data["profile"], "<f4"), data.get("types")
+        cell = np.array(types["cell"] if types else np.zeros((0, 0)))
+        light = decode_array(types["light"], "<f4").reshape(-1, len(profile)) if types else np.zeros((0, 0))
         return cls(
-            decode_array(data["profile"], "<f4"), data["step"], data["radius"], data["level"],
+            profile, data["step"], data["radius"], data["level"],
             decode_array(data["own"], "<f2"), data["shade"], data["rim"], data["cut"], data["dark"],
+            light, cell,
         )  # fmt: skip
 
 
@@ -169,7 +192,8 @@ class RegionGain:
     def __init__(self, gain_map: GainMap, lattice: Lattice, settings: GainSettings = DEFAULT) -> None:
         from .rows import make_row_tables
 
-        self._model = make_row_tables(lattice, gain_map.lens_gain, settings), gain_map.level, gain_map.shape(lattice)
+        tables = make_row_tables(lattice, gain_map.lens_gain, gain_map.type_cell, settings)
+        self._model = tables, gain_map.level, gain_map.shape(lattice), gain_map.profiles
         self._band = settings.band
 
     def at(self, left: int, top: int, width: int, height: int) -> NDArray[np.float32]:

@@ -29,6 +29,8 @@ class RowTables(NamedTuple):
         Of all lenses on the flat and some around it, by lattice index.
     lens_gain : (b, a) float32
         As in `GainMap`.
+    types : (b, a) int8
+        Types of the lenses, 0 where they do not differ.
     starts : (h, 2) int64
         Column and row, in these tables, of a lens near the first pixel of each row of the flat.
     sides : (6, 2) int64
@@ -39,13 +41,16 @@ class RowTables(NamedTuple):
 
     centres: NDArray[np.float64]
     lens_gain: NDArray[np.float32]
+    types: NDArray[np.int8]
     starts: NDArray[np.int64]
     sides: NDArray[np.int64]
     ahead: NDArray[np.int64]
 
 
-def make_row_tables(lattice: Lattice, lens_gain: NDArray[np.float32], settings: GainSettings = DEFAULT) -> RowTables:
-    """Tables of a flat; ValueError if `lens_gain` is of another number of lenses."""
+def make_row_tables(
+    lattice: Lattice, lens_gain: NDArray[np.float32], type_cell: NDArray[np.int8], settings: GainSettings = DEFAULT
+) -> RowTables:
+    """Tables of a flat; `lens_gain` and `type_cell` as in `GainMap`. ValueError if there are other lenses."""
     width, height = lattice.image_size
     rows = np.arange(height, dtype=np.float64)
     starts = np.rint(lattice.to_index(np.column_stack([np.zeros(height), rows]))).astype(np.int64)
@@ -61,11 +66,15 @@ def make_row_tables(lattice: Lattice, lens_gain: NDArray[np.float32], settings: 
     gains = np.ones(centres.shape[:2], np.float32)
     if len(lens_gain):
         gains[indices[:, 1] - low[1], indices[:, 0] - low[0]] = lens_gain
+    types = np.zeros(centres.shape[:2], np.int8)
+    if type_cell.size:
+        i, j = (np.arange(low[axis], high[axis] + 1) % len(type_cell) for axis in (0, 1))
+        types[:] = type_cell[i[None, :], j[:, None]]
     # With the shorter diagonal: cells have at most six sides.
     cross = min(((1, 1), (1, -1)), key=lambda step: float(np.hypot(*(step @ lattice.basis))))
     sides = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), cross, (-cross[0], -cross[1])])
     ahead = sides[(sides @ lattice.basis)[:, 0] > -settings.largest_tilt * lattice.pitch]
-    return RowTables(centres, gains, np.ascontiguousarray(starts - low), sides, ahead)
+    return RowTables(centres, gains, types, np.ascontiguousarray(starts - low), sides, ahead)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -118,12 +127,12 @@ def _load_lens(a, b, tables, level, shape, keys, powers, lenses, lens):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda out, *_: len(out))
-def fill_gain(begin, end, out, top, left, tables, level, shape):
+def fill_gain(begin, end, out, top, left, tables, level, shape, profiles):
     """Write the gain of the rows from `top` and the columns from `left` on into `out`; NaN where a lens has too little
-    light."""
+    light; `profiles` (t, k) are those of the types of lenses."""
     right = left + out.shape[1]
-    centres, starts, ahead = tables.centres, tables.starts, tables.ahead
-    profile, step, cut, size = shape.profile, shape.step, shape.cut, RIM_START + shape.rim.shape[0]
+    centres, starts, ahead, types = tables.centres, tables.starts, tables.ahead, tables.types
+    step, cut, size = shape.step, shape.cut, RIM_START + shape.rim.shape[0]
     keys, powers, lens = np.full(KERNEL.slots, -1), np.empty(64), np.empty(size)
     lenses = np.empty((KERNEL.slots, size + 1))
     for row in range(begin, end):
@@ -135,6 +144,7 @@ def fill_gain(begin, end, out, top, left, tables, level, shape):
             if stop > left:
                 bright = _load_lens(a, b, tables, level, shape, keys, powers, lenses, lens)
                 cx, cy = centres[b, a, 0], centres[b, a, 1]
+                profile = profiles[types[b, a]]
                 for at in range(max(x, left), stop):
                     value = relative_light(at - cx, y - cy, lens, profile, step, cut)[0] if bright > 0 else 0.0
                     out[row, at - left] = value * bright if value >= KERNEL.least_light else np.nan

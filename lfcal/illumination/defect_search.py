@@ -112,11 +112,14 @@ def _code_residuals(tone, count, light, ring, over, sharp, certainty, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: given[3])
-def _compute_residuals(begin, end, picture, certainty, windows, chunks, tables, level, shape, out):
-    """Residuals of all pixels as bytes (`_code_residuals`), with `certainty` (k,) = 1 / spread over the distance."""
+def _compute_residuals(begin, end, picture, certainty, windows, chunks, tables, level, shape, profiles, out):
+    """Residuals of all pixels as bytes (`_code_residuals`), with `certainty` (k,) = 1 / spread over the distance.
+
+    `profiles` (t, k) are those of the types of lenses.
+    """
     height, width = picture.shape
     centres, lens_gain, sides, room = tables.centres, tables.lens_gain, tables.sides, DEFECT_KERNEL.room
-    certainty_32, profile_tables = certainty[:-1].astype(np.float32), make_profile_tables(shape.profile)
+    certainty_32, (starts, rises, edge) = certainty[:-1].astype(np.float32), make_profile_tables(profiles)
     for chunk in range(begin, end):
         powers, lens, faces = np.empty(64), np.empty(RIM_START + shape.rim.shape[0]), np.empty((6, 2))
         pixels, rows = np.empty((3, room + width), np.float32), np.empty((room, 3), np.int64)
@@ -127,7 +130,8 @@ def _compute_residuals(begin, end, picture, certainty, windows, chunks, tables, 
                 start, stop = _find_cell(a, b, centres, sides, height, faces)
                 if stop <= start or lens_gain[b, a] <= 0:
                     continue
-                cx, cy = centres[b, a, 0], centres[b, a, 1]
+                cx, cy, kind = centres[b, a, 0], centres[b, a, 1], tables.types[b, a]
+                profile_tables = starts[kind], rises[kind], edge
                 known = False
                 bright = sharp = 0.0
                 y = start
@@ -206,9 +210,11 @@ def find_defects(
     found, number, most = [], 0, settings.largest_share * width * height
     margin = settings.large_square // 2
     coded = np.full((height, width), DEFECT_KERNEL.zero, np.uint8)
-    tables = make_row_tables(lattice, gain.lens_gain)
+    tables = make_row_tables(lattice, gain.lens_gain, gain.type_cell)
     shape = gain.shape(lattice)
-    _compute_residuals(picture, 1 / fit.spread, fit.windows, settings.chunks, tables, level, shape, coded)
+    _compute_residuals(
+        picture, 1 / fit.spread, fit.windows, settings.chunks, tables, level, shape, gain.profiles, coded
+    )
 
     def search_band(top: int) -> tuple[int, NDArray[np.int32]]:
         start, stop = max(0, top - margin), min(height, top + band + margin)

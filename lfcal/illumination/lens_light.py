@@ -204,8 +204,15 @@ def _measure(
     across = max(1, round(math.sqrt(each / settings.row_preference)))
     grid = _PixelGrid(sides, across, max(1, round(each / across)))
     shape = gain.shape(lattice)
+    kinds = _types_of(gain, lattice)
+
+    def measure(part: NDArray[np.float32], top: int, chosen: NDArray[np.int64]) -> None:
+        for kind, profile in enumerate(gain.profiles):
+            own = chosen[kinds[chosen] == kind] if len(gain.profiles) > 1 else chosen
+            _measure_lenses(part, top, own, centres, grid, noise, shape._replace(profile=profile), out)
+
     if not callable(picture):
-        _measure_lenses(picture, 0, np.arange(len(centres)), centres, grid, noise, shape, out)
+        measure(picture, 0, np.arange(len(centres)))
         return _LensMeasurements(*out)
     width, height = lattice.image_size
     rows = settings.band
@@ -215,9 +222,16 @@ def _measure(
     for number, (start, stop) in enumerate(zip(np.append(0, ends[:-1]).tolist(), ends.tolist(), strict=True)):
         top = max(0, math.floor(number * rows + sides[6, 0]) - 1)
         bottom = min(height, math.ceil((number + 1) * rows + sides[6, 1]) + 1)
-        strip = picture(0, top, width, bottom - top)
-        _measure_lenses(strip, top, order[start:stop], centres, grid, noise, shape, out)
+        measure(picture(0, top, width, bottom - top), top, order[start:stop])
     return _LensMeasurements(*out)
+
+
+def _types_of(gain: GainMap, lattice: Lattice) -> NDArray[np.int8]:
+    """(n,) row of `gain.profiles` of each lens."""
+    if not gain.type_cell.size:
+        return np.zeros(len(lattice), np.int8)
+    i, j = lattice.indices().T % len(gain.type_cell)
+    return gain.type_cell[i, j]
 
 
 def measure_lens_lights(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera.lens_types import LensTypes
 from ..gain.defects import Defects
 from ..gain.gain_map import GainMap
 from ..gain.kernel import radial_mean
@@ -19,6 +21,7 @@ from .defect_search import find_defects
 from .estimate import estimate_gain
 from .lens_light import find_unlit_in_scene, measure_lens_lights
 from .settings import DEFAULT, DEFECTS
+from .type_profiles import fit_type_profiles
 
 __all__ = ["Illumination", "measure_illumination"]
 
@@ -38,6 +41,8 @@ class Illumination:
     warnings : tuple of str
     outlier_share : float
         Share of the pixels of a white image that differ from the gain map; 0 if not measured.
+    lens_types : LensTypes or None
+        What `find_types` found.
     """
 
     gain_map: GainMap
@@ -46,6 +51,7 @@ class Illumination:
     defects: Defects
     warnings: tuple[str, ...]
     outlier_share: float = 0.0
+    lens_types: LensTypes | None = None
 
 
 def measure_illumination(
@@ -54,6 +60,7 @@ def measure_illumination(
     white: bool,
     cat_eye: CatEye | None = None,
     read_crop: ReadCrop | None = None,
+    find_types: Callable[[Lattice], LensTypes | None] | None = None,
 ) -> Illumination:
     """Gain map, vignetting and defects from a flat.
 
@@ -69,9 +76,14 @@ def measure_illumination(
         The disc that cuts microimages, if known.
     read_crop : ReadCrop or None
         Needed if `picture` are crops: reads others. Of defects only unlit lenses are found then.
+    find_types : function of a Lattice, optional
+        Finds the types of its lenses, which may differ in their light, given the usable radius.
     """
     fit = estimate_gain(picture, lattice, not white, cat_eye)
-    gain = fit.gain
+    vignetting, radius = _average(fit.gain, lattice)
+    types = find_types(lattice.with_radius(radius)) if find_types else None
+    gain = fit_type_profiles(picture, lattice.with_radius(radius), fit.gain, types, not white)
+    fit = replace(fit, gain=gain)
     warnings: tuple[str, ...] = ()
     share = 0.0
     if not white:
@@ -92,8 +104,7 @@ def measure_illumination(
                 f"{share:.1%} of the pixels differ from the gain map, too many for defects: none are recorded; check "
                 "the white image for structure or saturation",
             )
-    vignetting, radius = _average(gain, lattice)
-    return Illumination(gain, vignetting, radius, defects, warnings, share)
+    return Illumination(gain, vignetting, radius, defects, warnings, share, types)
 
 
 def _average(gain: GainMap, lattice: Lattice) -> tuple[Vignetting, float]:

@@ -2,13 +2,14 @@
 
 On the average a scene is as bright at the rims of microimages as in their middles. The ratio of the summed light at one
 distance to that at others is free of it. The mean of ratios within lenses is not: a lens with something bright in its
-middle is darker around it more often than not.
+middle is darker around it more often than not. Types of lenses differ in the blur of their rims: their sums in one part
+of the field, where all see the same, are compared.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,23 +19,38 @@ from ..gain.kernel import RIM_START, evaluate_shape, relative_light
 from ..lattice.cell import is_outside_cell
 from ..lattice.lattice import Lattice
 from ..runtime.kernels.jit import njit
-from .sample import Cell, draw_sample
+from .sample import Cell, Sample, draw_sample
 from .settings import KERNEL, SCENE_PROFILE, SceneProfileSettings
 
-__all__ = ["fit_scene_profile"]
+__all__ = ["fit_scene_profile", "sum_light"]
+
+
+class RingSums(NamedTuple):
+    """Sums over the distance to the centre, by window of the field and type of lens.
+
+    Parameters
+    ----------
+    light, weight : (w, t, k) float64
+        Of the luminance, and of weights.
+    """
+
+    light: NDArray[np.float64]
+    weight: NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sum_light(picture, sample, cell, brightest, shape, light, weight):
-    """Sums of luminance, and of weights, over the distance to the centre, by window of the field (w, k)."""
-    centres, first, stride, reach = sample.centres, sample.first, sample.stride, cell.circumradius
+def _sum_light(picture, sample, cell, brightest, shape, types, light, weight):
+    """Add up `RingSums`; `types` (n,) are those of the sampled lenses."""
+    centres, places, first, stride, reach = (
+        sample.centres, sample.places, sample.first, sample.stride, cell.circumradius
+    )  # fmt: skip
     profile, step, cut = shape.profile, shape.step, shape.cut
     powers, lens = np.empty(64), np.empty(RIM_START + shape.rim.shape[0])
     total, number = np.empty(len(profile)), np.empty(len(profile))
     for window in range(len(first) - 1):
         for n in range(first[window], first[window + 1]):
-            cx, cy = centres[n, 0], centres[n, 1]
-            evaluate_shape(cx, cy, shape, powers, lens)
+            evaluate_shape(centres[n, 0], centres[n, 1], shape, powers, lens)
+            cx, cy = places[n, 0], places[n, 1]
             total[:], number[:] = 0.0, 0.0
             clipped, count = 0, 0
             # The content of a scene differs little from row to row.
@@ -59,8 +75,20 @@ def _sum_light(picture, sample, cell, brightest, shape, light, weight):
                     number[ring] += through * (1 - part)
                     number[ring + 1] += through * part
             if clipped * KERNEL.clipped_share <= count:
-                light[window] += total
-                weight[window] += number
+                light[window, types[n]] += total
+                weight[window, types[n]] += number
+
+
+def sum_light(
+    picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, brightest: float, sample: Sample,
+    types: NDArray[np.int8],
+) -> RingSums:  # fmt: skip
+    """Sums of the light of a sample of lenses of these `types` (n,); other arguments as of `fit_scene_profile`."""
+    shape = len(sample.first) - 1, int(types.max(initial=0)) + 1, len(gain.profile)
+    sums = RingSums(np.zeros(shape), np.zeros(shape))
+    kernel: Any = _sum_light
+    kernel(picture, sample, Cell.of(lattice), brightest, gain.shape(lattice), types, *sums)
+    return sums
 
 
 def fit_scene_profile(
@@ -81,9 +109,8 @@ def fit_scene_profile(
     settings : SceneProfileSettings
     """
     sample = draw_sample(lattice, settings.pixels)
-    light, weight = np.zeros((2, len(sample.first) - 1, len(gain.profile)))
-    kernel: Any = _sum_light
-    kernel(picture, sample, Cell.of(lattice), brightest, gain.shape(lattice), light, weight)
+    light, weight = sum_light(picture, lattice, gain, brightest, sample, np.zeros(len(sample.centres), np.int8))
+    light, weight = light[:, 0], weight[:, 0]
     rings = np.arange(len(gain.profile))
     core = rings * gain.step < settings.core * gain.radius
     level = light[:, core].sum(1) / np.maximum(weight[:, core].sum(1), 1e-12)

@@ -17,6 +17,7 @@ __all__ = [
     "RIMS",
     "SAMPLE",
     "SCENE_PROFILE",
+    "TYPE_PROFILES",
     "DefectKernelSettings",
     "DefectSettings",
     "EstimateSettings",
@@ -26,6 +27,7 @@ __all__ = [
     "RimSettings",
     "SampleSettings",
     "SceneProfileSettings",
+    "TypeProfileSettings",
 ]  # fmt: skip
 
 
@@ -75,6 +77,21 @@ class SceneProfileSettings:
     darkest: float = 0.02  # [mean over windows] darker windows of the field are left out
     middle: float = 1.5  # [px] from the centre within which the profile is constant; a pixel blurs as much
     shrinkage: float = 2.0  # [standard errors] departures from 1 below it become 1
+
+
+@dataclass(frozen=True)
+class TypeProfileSettings:
+    """Tuned values of `type_profiles`."""
+
+    pixels: float = 6e6  # summed: all of a small flat, as scenes differ from lens to lens
+    core: float = 0.5  # [usable radius] in which types are alike: blur of rims does not reach there
+    darkest: float = 0.02  # [mean over windows] darker windows of the field are left out
+    fewest_windows: int = 4  # of the field, for an error to be told from their scatter
+    middle: float = 1.5  # [px] from the centre within which light is constant; a pixel blurs as much
+    smooth: float = 1.25  # [px] over which the light of types is averaged; rims are softer
+    shrinkage: float = 2.0  # [standard errors] differences below it become 0
+    largest: float = 2.0  # factor between the light of a type and the mean of all that rims may reach
+    relevance: float = 0.005  # largest difference from which on types count: half a level of a mid-grey byte
 
 
 @dataclass(frozen=True)
@@ -170,6 +187,7 @@ class RimSettings:
 DEFAULT = EstimateSettings()
 SAMPLE = SampleSettings()
 SCENE_PROFILE = SceneProfileSettings()
+TYPE_PROFILES = TypeProfileSettings()
 LIGHTS = LensLightSettings()
 RIMS = RimSettings()
 DEFECTS = DefectSettings()

@@ -18,8 +18,8 @@ from ..runtime.intrinsics import prefetch
 from .settings import GRAY, KERNEL
 
 __all__ = [
-    "GrayFlat", "correction_table", "downsample", "downsample_lattice", "has_uneven_lenses", "make_gray_flat",
-    "trusted_radius", "white_level",
+    "GrayFlat", "correction_cell", "correction_tables", "downsample", "downsample_lattice", "has_uneven_lenses",
+    "make_gray_flat", "trusted_radius", "white_level",
 ]  # fmt: skip
 
 
@@ -47,30 +47,44 @@ class GrayFlat:
     lens_type: NDArray[np.int8] | None = None
 
 
-def correction_table(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
-    """Factor that undoes the vignetting, over the squared distance from the lens centre.
+def correction_tables(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
+    """Factors that undo the vignetting, over the squared distance from the lens centre.
 
     Returns
     -------
-    factors : (k,) float32
-        At squared distances `0, step, 2*step, ...`.
+    factors : (t, k) float32
+        At squared distances `0, step, 2*step, ...`, for each type of lens if the gain map has several profiles.
     step : float [px^2]
     """
     reach = (GRAY.table_reach * calibration.lattice.pitch) ** 2
     squared = np.linspace(0.0, reach, GRAY.table_size)
     if calibration.vignetting is None:
-        return np.ones(len(squared), np.float32), float(squared[1])
-    light = calibration.vignetting.at(np.sqrt(squared))
+        return np.ones((1, len(squared)), np.float32), float(squared[1])
+    radii = np.sqrt(squared)
+    light = calibration.vignetting.at(radii)[None]
+    gain = calibration.gain_map
+    if gain is not None and gain.type_light.size:
+        light = light * np.array([np.interp(radii / gain.step, np.arange(len(one)), one) for one in gain.type_light])
     return (1.0 / np.maximum(light, 1.0 / GRAY.largest_gain)).astype(np.float32), float(squared[1])
 
 
-def has_uneven_lenses(calibration: Calibration) -> bool:
-    """Whether lenses differ in their light, so that one radial profile would not make a flat even."""
+def correction_cell(calibration: Calibration) -> NDArray[np.int8]:
+    """(m, m) which of `correction_tables` is that of lens `(i, j)`: `cell[i % m, j % m]`."""
+    gain = calibration.gain_map
+    return np.zeros((1, 1), np.int8) if gain is None or not gain.type_cell.size else gain.type_cell
+
+
+def has_uneven_lenses(calibration: Calibration, types: bool = False) -> bool:
+    """Whether lenses differ in their light, so that one radial profile would not make a flat even.
+
+    One for each type of lens does not count, unless `types` is set.
+    """
     known = calibration.gain_map
     if known is None:
         return False
     uneven = max(np.abs(known.shading).max(), np.abs(known.level[1:]).max(initial=0.0))
-    return bool(known.lens_gain.size or known.cut.size or uneven > GRAY.uneven)
+    typed = types and known.type_light.size > 0
+    return bool(known.lens_gain.size or known.cut.size or uneven > GRAY.uneven or typed)
 
 
 def white_level(flat: NDArray, calibration: Calibration) -> float:
@@ -141,14 +155,14 @@ def _average_blocks(begin, end, rows, channels, factor, scale, gain, like, out):
 
 
 @njit(cache=True, nogil=True, share=lambda centres, *_: len(centres), fastmath=FAST)
-def _correct_lenses(begin, end, centres, radius, around, share, gains, step, image):
-    """Multiply the pixels within `radius` of a lens centre by their gain.
+def _correct_lenses(begin, end, centres, tables, radius, around, share, gains, step, image):
+    """Multiply the pixels within `radius` of a lens centre by their gain, from row `tables` (n,) of `gains` (t, k).
 
     A lens has the pixels nearer to it than `share`, below one half, of the way to each of the lenses `around`: no two
     share a pixel.
     """
     height, width = image.shape
-    last = np.int32(len(gains) - 1)
+    last = np.int32(gains.shape[1] - 1)
     inverse = np.float32(1 / step)
     # A table of floats: conversion of integers is slow inside a vector loop.
     steps = np.arange(2 * int(radius) + 3).astype(np.float32)
@@ -160,7 +174,7 @@ def _correct_lenses(begin, end, centres, radius, around, share, gains, step, ima
         room[n] = share * (square(around[n, 0]) + square(around[n, 1])) / ex
         tilt[n] = -around[n, 1] / ex
     for lens in range(begin, end):
-        cx, cy = centres[lens, 0], centres[lens, 1]
+        cx, cy, gain = centres[lens, 0], centres[lens, 1], gains[tables[lens]]
         for y in range(max(0, int(np.ceil(cy - radius))), min(height - 1, int(np.floor(cy + radius))) + 1):
             dy = np.float32(y) - cy
             dy2 = dy * dy
@@ -178,7 +192,7 @@ def _correct_lenses(begin, end, centres, radius, around, share, gains, step, ima
             first = np.float32(left) - cx
             for k in range(len(row)):
                 dx = first + steps[k]
-                row[k] *= gains[min(np.int32((dx * dx + dy2) * inverse), last)]
+                row[k] *= gain[min(np.int32((dx * dx + dy2) * inverse), last)]
 
 
 @njit(cache=True, nogil=True, share=lambda centres, *_: len(centres), fastmath=FAST)
@@ -267,11 +281,13 @@ def _correction_image(calibration: Calibration, lattice: Lattice, factor: int) -
     image = np.ones(lattice.image_size[::-1], np.float32)
     radius = trusted_radius(calibration)
     radius = radius if factor == 1 else radius / factor - GRAY.mixed
-    gains, step = correction_table(calibration)
+    gains, step = correction_tables(calibration)
+    cell = correction_cell(calibration)
+    i, j = lattice.indices().T % len(cell)
     around = lattice.steps @ lattice.basis
     share = GRAY.own_share if lattice.distortion is None else GRAY.own_share_distorted
     _correct_lenses(
-        lattice.centres().astype(np.float32), np.float32(radius + GRAY.margin), around.astype(np.float32),
+        lattice.centres().astype(np.float32), cell[i, j], np.float32(radius + GRAY.margin), around.astype(np.float32),
         np.float32(share), gains, step / factor**2, image,
     )  # fmt: skip
     return image

@@ -35,9 +35,10 @@ class Flat(NamedTuple):
 class Light(NamedTuple):
     """Gain and light of a lens over the squared distance from its centre."""
 
-    gains: Any  # (k,) float32: correction of the vignetting
-    lights: Any  # (k,) float32: the illumination, of which a weight is the square
+    gains: Any  # (t, k) float32: correction of the vignetting
+    lights: Any  # (t, k) float32: the illumination, of which a weight is the square
     step: Any  # float32 [px^2]: distance between table entries
+    cell: Any  # (m, m) int8: lens (i, j) has table `cell[i % m, j % m]`
 
 
 class Lenses(NamedTuple):
@@ -108,15 +109,18 @@ def _interpolate(line, at, across, down, w00, w01, w10, w11):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _blend_row(v, channels, flat, light, lenses, surface, depth, grid, weighting, output, types_about, squares):
+def _blend_row(
+    v, channels, flat, light, lenses, surface, depth, grid, weighting, output, types_about, rings_about, squares
+):
     """Fill row `v` as `blend_pixels` does.
 
-    `types_about` (m, m, k) are the types of the lenses about one, since integer divisions are slow, and `squares` those
-    of the lights.
+    `types_about` and `rings_about` (m, m, k) are the types of the lenses about one, and where their light tables begin,
+    since integer divisions are slow; `squares` (t k,) are those of the lights.
     """
     pixels, shown_depth, corner = flat.pixels, flat.depth, flat.corner
     width, height, line = flat.size[0], flat.size[1], flat.pixels.reshape(-1)
-    gains, last_ring, per_light_step = light.gains, len(light.gains) - 1, 1 / light.step
+    gains, last_ring, per_light_step = light.gains.reshape(-1), light.gains.shape[1] - 1, 1 / light.step
+    lit_cells = len(light.cell)
     origin, inverse, basis, bend, low = lenses.origin, lenses.inverse, lenses.basis, lenses.displacements, lenses.low
     offsets, steps, shares, radius, pitch = lenses.offsets, lenses.steps, lenses.shares, lenses.radius, lenses.pitch
     first, start, spacing, scale, wanted = grid.first, grid.start, grid.spacing, grid.scale, grid.wanted
@@ -165,7 +169,9 @@ def _blend_row(v, channels, flat, light, lenses, surface, depth, grid, weighting
             base_y = np.float32(y - origin[1] - (i * basis[0, 1] + j * basis[1, 1]))
             limit = min((radius + aside) / max(abs(slope), np.float32(1e-6)), reach)
             limit2 = limit * limit
-            ratio, types = 0, types_about[0, 0]
+            ratio, types, rings = 0, types_about[0, 0], rings_about[0, 0]
+            if lit_cells > 1:
+                rings = rings_about[int(i) % lit_cells, int(j) % lit_cells]
             if typed:
                 ratio = min(max(int((slope + 1) * half_ratios + 0.5), 0), last_ratio)
                 types = types_about[int(i) % cells, int(j) % cells]
@@ -216,7 +222,7 @@ def _blend_row(v, channels, flat, light, lenses, surface, depth, grid, weighting
                         ix, fx = width - 2, np.float32(1.0)
                     if iy > height - 2:
                         iy, fy = height - 2, np.float32(1.0)
-                ring = np.uint64(min(int(delta2 * per_light_step), last_ring))
+                ring = np.uint64(min(int(delta2 * per_light_step), last_ring) + rings[members[m]])
                 gain = gains[ring]
                 # Unsigned places: signed ones are checked for being counted from the end.
                 row_at, column_at = np.uint64(iy - corner[1]), np.uint64(ix - corner[0])
@@ -306,6 +312,19 @@ def _blend_row(v, channels, flat, light, lenses, surface, depth, grid, weighting
             out[v, u, 3] = min(total3 * per_sample + half, top)
 
 
+@njit(cache=True, nogil=True)
+def _look_up_about(cell, steps):
+    """(m, m, k) values of a repeating `cell` (m, m) at `steps` (k, 2) from each of its lenses; 0 if it is empty."""
+    size = max(len(cell), 1)
+    about = np.zeros((size, size, len(steps)), np.int64)
+    if cell.size > 0:
+        for a in range(size):
+            for b in range(size):
+                for o in range(len(steps)):
+                    about[a, b, o] = cell[(a + steps[o, 0]) % size, (b + steps[o, 1]) % size]
+    return about
+
+
 @njit(cache=True, nogil=True, share=lambda *given: len(given[8].image))
 def blend_pixels(begin, end, channels, flat, light, lenses, surface, depth, grid, weighting, output):
     """Draw the pixels of a `Grid` into an `Output`, with the patch sizes `surface` (h, w) on a `DepthGrid`.
@@ -313,15 +332,11 @@ def blend_pixels(begin, end, channels, flat, light, lenses, surface, depth, grid
     `channels` is any tuple of C numbers: its length belongs to its type, so that code for other channels is left out;
     pixels of the flat may have more. The bits do not depend on the part that is drawn.
     """
-    cells, types = max(len(lenses.types), 1), lenses.types
-    types_about = np.zeros((cells, cells, len(lenses.offsets)), np.int64)
-    if types.size > 0:
-        for a in range(cells):
-            for b in range(cells):
-                for o in range(len(lenses.offsets)):
-                    types_about[a, b, o] = types[(a + lenses.steps[o, 0]) % cells, (b + lenses.steps[o, 1]) % cells]
-    squares = light.lights * light.lights
+    types_about = _look_up_about(lenses.types, lenses.steps)
+    rings_about = light.gains.shape[1] * _look_up_about(light.cell, lenses.steps)
+    squares = (light.lights * light.lights).reshape(-1)
     for v in range(begin, end):
         _blend_row(
-            v, channels, flat, light, lenses, surface, depth, grid, weighting, output, types_about, squares,
+            v, channels, flat, light, lenses, surface, depth, grid, weighting, output, types_about,
+            rings_about, squares,
         )  # fmt: skip

@@ -264,16 +264,17 @@ def blend_rows(begin, end, channels, flat, light, lenses, surface, depth, grid, 
     Pixels that need more than one sample are marked in `left` (h, w) instead.
     """
     rows, columns, _ = output.image.shape
-    lights = np.empty(2 * len(light.gains), np.float32)
-    for k in range(len(light.gains)):
-        lights[2 * k], lights[2 * k + 1] = light.gains[k], light.lights[k] * light.lights[k]
+    gains, transmission = light.gains.reshape(-1), light.lights.reshape(-1)
+    lights = np.empty(2 * len(gains), np.float32)
+    for k in range(len(gains)):
+        lights[2 * k], lights[2 * k + 1] = gains[k], transmission[k] * transmission[k]
     light_pairs = lights.view(np.uint64)
     line, depth_line, stride = flat.pixels.reshape(-1), flat.depth.reshape(-1), np.uint64(flat.pixels.shape[1])
     bands = (rows + ROWS - 1) // ROWS
     tall, most = _most_runs(lenses.centres, grid, bands, weighting.reach)
     source = Source(
-        line, depth_line, stride, flat.corner, flat.size, light_pairs, light.step, lenses, depth.edge,
-        weighting.reach,
+        line, depth_line, stride, flat.corner, flat.size, light_pairs, light.gains.shape[1], light.step, lenses,
+        depth.edge, weighting.reach,
     )  # fmt: skip
     memory = _allocate_row(columns, depth.spacing, grid.spacing)
     band, buffers = _allocate_band(len(lenses.shares)), _allocate_buffers(line, most, tall)

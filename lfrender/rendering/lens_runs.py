@@ -55,6 +55,7 @@ class SortedLenses(NamedTuple):
 
     centres: Any  # (n, 2) float64 [px]
     types: Any  # (n,) int64: 0 if all are alike
+    tables: Any  # (n,) int64: light table of each
     edged: Any  # (n,) bool: `Flat.depth` is set on their pixels
     shares: Any  # (types, r) float32: weight of a type over s / D from -1 to 1
     radius: Any  # float32 [px]
@@ -69,7 +70,8 @@ class Source(NamedTuple):
     stride: Any  # uint64: pixels from a row to the next
     corner: Any  # (2,) int [px]: flat coordinates of the first pixel
     size: Any  # (2,) int [px]: of the whole flat
-    lights: Any  # (k,) uint64: gain and weight, two float32, over the squared distance from the lens centre
+    lights: Any  # (t k,) uint64: gain and weight, two float32, over the squared distance from the lens centre
+    rings: Any  # entries `k` of one light table
     light_step: Any  # [px^2]
     lenses: SortedLenses
     edge: Any  # patch sizes that differ by less belong to one surface [px]
@@ -111,7 +113,7 @@ class _Flat(NamedTuple):
     corner_y: Any
     stride: Any  # uint64: pixels from a row to the next
     edge: Any  # patch sizes that differ by less belong to one surface [px]
-    last_entry: Any  # float32: of the light table
+    last_entry: Any  # float32: of a light table
 
 
 # Numba counts references each time that an array is taken out of a tuple. Functions that run for every run of pixels
@@ -130,6 +132,7 @@ class _Lens(NamedTuple):
     inner_x: Any  # float32 [px]: the rest of it
     inner_y: Any
     type_at: Any  # where the shares of its type begin
+    light_at: Any  # int32: where its light table begins
     border: Any  # it may reach beyond the border of the flat
 
 
@@ -148,6 +151,7 @@ def _place(columns, rows, slope, limits, share, lens, flat, spacing, per_light_s
     """
     n_x, n_y, e_x, e_y, at_x, at_y = lens.n_x, lens.n_y, lens.e_x, lens.e_y, lens.at_x, lens.at_y
     inner_x, inner_y, type_at, border = lens.inner_x, lens.inner_y, lens.type_at, lens.border
+    light_at = lens.light_at
     width, height, stride, last_entry = flat.width, flat.height, np.int32(flat.stride), flat.last_entry
     corner_x, corner_y = flat.corner_x, flat.corner_y
     last_x, last_y = np.int32(width - 2), np.int32(height - 2)
@@ -174,7 +178,7 @@ def _place(columns, rows, slope, limits, share, lens, flat, spacing, per_light_s
         work[at + _W + k] = weight if ok else np.float32(0.0)
         place = np.int32(np.int32(np.int32(iy - corner_y) * stride) + np.int32(ix - corner_x))
         whole[at + k] = place if ok else np.int32(0)
-        whole[at + _F + k] = np.int32(min(d2 * tilt * tilt * per_light_step, last_entry))
+        whole[at + _F + k] = np.int32(np.int32(min(d2 * tilt * tilt * per_light_step, last_entry)) + light_at)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -309,9 +313,9 @@ def _find_columns(centres, lowest, highest, x, top, bottom, spacing, column, rea
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _locate_lens(centres, types, lens, flat, radius, first, row, column, spacing):
+def _locate_lens(lenses, lens, flat, first, row, column, spacing):
     """Place of a lens relative to a band, counted from the first pixel of the picture, whatever part is drawn."""
-    cx, cy = centres[lens, 0], centres[lens, 1]
+    cx, cy, radius = lenses.centres[lens, 0], lenses.centres[lens, 1], lenses.radius
     per_spacing = 1 / spacing
     anchor_x = int(np.rint((cx - first[0]) * per_spacing))
     anchor_y = int(np.rint((cy - first[1]) * per_spacing))
@@ -321,7 +325,8 @@ def _locate_lens(centres, types, lens, flat, radius, first, row, column, spacing
     return _Lens(
         np.int32(column - anchor_x), np.int32(row - anchor_y), np.float32(first[0] + anchor_x * spacing - cx),
         np.float32(first[1] + anchor_y * spacing - cy), np.int32(at_x), np.int32(at_y), np.float32(cx - at_x),
-        np.float32(cy - at_y), np.uint64(types[lens]) * np.uint64(LINE),
+        np.float32(cy - at_y), np.uint64(lenses.types[lens]) * np.uint64(LINE),
+        np.int32(lenses.tables[lens] * (np.int64(flat.last_entry) + 1)),
         not (low <= cx <= high_x and low <= cy <= high_y),
     )  # fmt: skip
 
@@ -334,19 +339,14 @@ def read_lenses(source, band, lowest, highest, first, row, column, spacing, coun
     the groups of columns that are drawn before each of its `count` columns.
     """
     line, depth, lights, stride = source.line, source.depth, source.lights, source.stride
-    centres, types, edged, radius = (
-        source.lenses.centres,
-        source.lenses.types,
-        source.lenses.edged,
-        source.lenses.radius,
-    )
+    centres, edged = source.lenses.centres, source.lenses.edged
     columns, rows, slope, limits, share = band.column, band.row, band.slope, band.limit2, band.share
     work, whole, corners, pairs = buffers.work, buffers.place, buffers.corners, buffers.corner_pairs
     light, light_pairs, values, sums = buffers.light, buffers.light_pairs, buffers.values, buffers.sums
     sizes, runs, ranges = band.size, buffers.runs, buffers.ranges
     flat = _Flat(
         np.int32(source.size[0]), np.int32(source.size[1]), np.int32(source.corner[0]), np.int32(source.corner[1]),
-        stride, source.edge, np.float32(len(lights) - 1),
+        stride, source.edge, np.float32(source.rings - 1),
     )  # fmt: skip
     step, per_light_step = np.float32(spacing), np.float32(1 / source.light_step)
     found = done = 0
@@ -358,7 +358,7 @@ def read_lenses(source, band, lowest, highest, first, row, column, spacing, coun
         begin, end = ranges[0, number - lowest], ranges[1, number - lowest]
         if begin >= end:
             continue
-        lens = _locate_lens(centres, types, number, flat, radius, first, row, column, spacing)
+        lens = _locate_lens(source.lenses, number, flat, first, row, column, spacing)
         end = _GROUP * before[(end + COLUMNS - 1) // COLUMNS]
         for u in range(_GROUP * before[begin // COLUMNS], end, LANES):
             if found == done + QUEUE:

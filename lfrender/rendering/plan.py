@@ -20,7 +20,7 @@ from ..data.surface import DepthGrid, Surface, edge_step, sample_surface_at
 from ..data.viewpoint import Viewpoint
 from ..depth.surface.occlusion import project_surface
 from ..flat.distorted_lookup import lens_displacements
-from ..flat.gray_flat import correction_table, has_uneven_lenses, white_level
+from ..flat.gray_flat import correction_cell, correction_tables, has_uneven_lenses, white_level
 from ..flat.lens_type_weights import focus_weights
 from ..flat.prefilter import prefilter_flat, prefilter_packed
 from ..runtime.cache import cached
@@ -174,7 +174,17 @@ class RenderPlan:
             return self._blend(pixels, corner, part, np.empty(shape, pixels.dtype if stored else np.float32))
         size, first = float(np.copysign(self.scale, self.surface.patch_size[0, 0])), 0.5 * self.spacing - 0.5
         lattice = self.calibration.lattice
-        return render_patches(pixels, corner, lattice, size, first, self.aperture * lattice.radius, *self._gains, part)
+        return render_patches(
+            pixels,
+            corner,
+            lattice,
+            size,
+            first,
+            self.aperture * lattice.radius,
+            self._gains[0][0],
+            self._gains[1],
+            part,
+        )
 
     def render_changed(
         self, pixels: NDArray[Any], wanted: NDArray[np.bool_], image: NDArray[Any], valid: NDArray[np.bool_]
@@ -259,7 +269,7 @@ class RenderPlan:
                 shown = np.full(pixels.shape[:2], np.nan, np.float32)
             shown[dilate_mask(unknown)] = np.inf
             edged[:] = True
-        return LitFlat(pixels, shown, Light(gains, lights, np.float32(step)), edged)
+        return LitFlat(pixels, shown, Light(gains, lights, np.float32(step), self._gain_cell), edged)
 
     @property
     def _depth(self) -> tuple[NDArray[np.float32], DepthGrid]:
@@ -275,10 +285,10 @@ class RenderPlan:
 
     def _sorted_lenses(self, edged: NDArray[np.bool_]) -> SortedLenses:
         camera, lattice = self.calibration, self.calibration.lattice
-        order, centres, types = cached(camera, "sorted lenses", lambda: _sort_lenses(camera))
+        order, centres, types, tables = cached(camera, "sorted lenses", lambda: _sort_lenses(camera))
         aside = float(np.hypot(*self.viewpoint.offset))
         radius, pitch = np.float32(self.aperture * lattice.radius + aside), np.float32(lattice.pitch)
-        return SortedLenses(centres, types, edged[order], self._shares[1], radius, pitch)
+        return SortedLenses(centres, types, tables, edged[order], self._shares[1], radius, pitch)
 
     def _suits_rows(self, pixels: NDArray[Any]) -> bool:
         """Whether `blend_rows` can draw most pixels."""
@@ -302,7 +312,9 @@ class RenderPlan:
     def _shows_patches(self) -> bool:
         """Whether the picture consists of patches of the flat, pixel by pixel."""
         lattice, sizes = self.calibration.lattice, self.surface.patch_size
-        if self.blend or sizes.size > 1 or lattice.distortion is not None or has_uneven_lenses(self.calibration):
+        if self.blend or sizes.size > 1 or lattice.distortion is not None:
+            return False
+        if has_uneven_lenses(self.calibration, types=True):
             return False
         if np.float32(self.scale) != abs(sizes[0, 0]) or min(lattice.image_size) < 2:
             return False
@@ -351,7 +363,11 @@ class RenderPlan:
     @cached_property
     def _gains(self) -> tuple[NDArray[np.float32], float]:
         camera = self.calibration
-        return cached(camera, "gain table", lambda: correction_table(camera))
+        return cached(camera, "gain table", lambda: correction_tables(camera))
+
+    @property
+    def _gain_cell(self) -> NDArray[np.int8]:
+        return correction_cell(self.calibration)
 
     @cached_property
     def _part_gain(self) -> Any:
@@ -385,15 +401,20 @@ class RenderPlan:
         return self._seen_from[1]
 
 
-def _sort_lenses(calibration: Calibration) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
-    """Order of the lenses by y, their centres in that order, and their types, 0 if all count alike."""
+def _sort_lenses(
+    calibration: Calibration,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Order of the lenses by y, their centres, types and light tables in that order; types are 0 if all count alike."""
     centres, cell = calibration.lattice.centres(), focus_weights(calibration.lens_types)[0]
     order = np.argsort(centres[:, 1], kind="stable")
-    kinds = np.zeros(len(order), np.int64)
-    if cell.size:
-        i, j = (calibration.lattice.indices()[order] % len(cell)).T
-        kinds[:] = cell[i, j]
-    return order, np.ascontiguousarray(centres[order]), kinds
+    indices = calibration.lattice.indices()[order]
+
+    def look_up(cell: NDArray[np.int8]) -> NDArray[np.int64]:
+        i, j = (indices % len(cell)).T
+        return cell[i, j].astype(np.int64)
+
+    kinds = look_up(cell) if cell.size else np.zeros(len(order), np.int64)
+    return order, np.ascontiguousarray(centres[order]), kinds, look_up(correction_cell(calibration))
 
 
 def constant_surface(patch_size: float) -> Surface:

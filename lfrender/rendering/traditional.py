@@ -11,7 +11,7 @@ from lfcal.runtime.kernels.jit import njit
 
 from ..data.depth_map import REASONS, DepthMap
 from ..data.rendering import Rendering
-from ..flat.gray_flat import correction_table, has_uneven_lenses
+from ..flat.gray_flat import correction_tables, has_uneven_lenses
 from ..flat.lens_graph import lens_grid
 from ..flat.validation import check_flat
 from .plan import finish_picture
@@ -78,9 +78,9 @@ def traditional(flat: NDArray, calibration: Calibration) -> Rendering:
     """
     pixels = check_flat(flat, calibration)
     lattice = calibration.lattice
-    gains, gain_step = correction_table(calibration)
+    (gains, *_), gain_step = correction_tables(calibration)
     unlit = np.empty((0, 0), bool)
-    if has_uneven_lenses(calibration):
+    if has_uneven_lenses(calibration, types=True):
         unlit = np.isnan(calibration.gain())
         pixels, gains = calibration.flatten(pixels), np.ones_like(gains)
     means = np.empty((len(lattice), pixels.shape[2]), np.float32)

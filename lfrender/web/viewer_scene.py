@@ -17,7 +17,7 @@ from ..data.depth_map import DepthMap, default_scale
 from ..data.viewpoint import Viewpoint, virtual_depth
 from ..depth.surface.occlusion import project_surface
 from ..flat.distorted_lookup import lens_displacements
-from ..flat.gray_flat import correction_table, has_uneven_lenses, white_level
+from ..flat.gray_flat import correction_tables, has_uneven_lenses, white_level
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.lens_graph import nearest_lens
 from ..flat.lens_type_weights import focus_weights
@@ -109,9 +109,9 @@ def _correct_vignetting(
     pixels: NDArray, calibration: Calibration
 ) -> tuple[NDArray, NDArray[np.float32], NDArray[np.float32], float]:
     """The flat, corrected if its lenses differ; gain and transmission over squared distance from a centre; its step."""
-    gains, step = correction_table(calibration)
+    (gains, *_), step = correction_tables(calibration)
     lights = (1 / gains).astype(np.float32)
-    if has_uneven_lenses(calibration):
+    if has_uneven_lenses(calibration, types=True):
         pixels, gains = calibration.flatten(pixels), np.ones_like(gains)
     return pixels, gains, lights, step
 

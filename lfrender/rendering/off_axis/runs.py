@@ -46,6 +46,7 @@ def _place(
     spacing, per_light_step = steps
     n_x, n_y, e_x, e_y, at_x, at_y = lens.n_x, lens.n_y, lens.e_x, lens.e_y, lens.at_x, lens.at_y
     inner_x, inner_y, type_at, border = lens.inner_x, lens.inner_y, lens.type_at, lens.border
+    light_at = lens.light_at
     width, height, stride, last_entry = flat.width, flat.height, np.int32(flat.stride), flat.last_entry
     corner_x, corner_y = flat.corner_x, flat.corner_y
     last_x, last_y = np.int32(width - 2), np.int32(height - 2)
@@ -77,7 +78,7 @@ def _place(
         work[at + _W + k] = weight if ok else np.float32(0.0)
         place = np.int32(np.int32(np.int32(iy - corner_y) * stride) + np.int32(ix - corner_x))
         whole[at + k] = place if ok else np.int32(0)
-        whole[at + _F + k] = np.int32(min(delta2 * per_light_step, last_entry))
+        whole[at + _F + k] = np.int32(np.int32(min(delta2 * per_light_step, last_entry)) + light_at)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -107,14 +108,14 @@ def _reduce_occluded(depth, sizes, stride, edge, per_pitch2, runs, begin, end, w
 def read_lenses_about(view, source, band, lowest, highest, first, row, column, spacing, count, before, buffers):
     """Add up the readings of the lenses `lowest` to `highest` in a part of a band, as `lens_runs.read_lenses`."""
     line, depth, lights, stride = source.line, source.depth, source.lights, source.stride
-    centres, types, edged = source.lenses.centres, source.lenses.types, source.lenses.edged
+    centres, edged = source.lenses.centres, source.lenses.edged
     columns, rows, slope, limits, share = band.column, band.row, band.slope, band.limit2, band.share
     work, whole, corners, pairs = buffers.work, buffers.place, buffers.corners, buffers.corner_pairs
     light, light_pairs, values, sums = buffers.light, buffers.light_pairs, buffers.values, buffers.sums
     sizes, runs, ranges = band.size, buffers.runs, buffers.ranges
     flat = _Flat(
         np.int32(source.size[0]), np.int32(source.size[1]), np.int32(source.corner[0]), np.int32(source.corner[1]),
-        stride, source.edge, np.float32(len(lights) - 1),
+        stride, source.edge, np.float32(source.rings - 1),
     )  # fmt: skip
     step, per_light_step = np.float32(spacing), np.float32(1 / source.light_step)
     found = done = 0
@@ -125,7 +126,7 @@ def read_lenses_about(view, source, band, lowest, highest, first, row, column, s
         begin, end = ranges[0, number - lowest], ranges[1, number - lowest]
         if begin >= end:
             continue
-        lens = _locate_lens(centres, types, number, flat, source.lenses.radius, first, row, column, spacing)
+        lens = _locate_lens(source.lenses, number, flat, first, row, column, spacing)
         end = _GROUP * before[(end + COLUMNS - 1) // COLUMNS]
         for u in range(_GROUP * before[begin // COLUMNS], end, LANES):
             if found == done + QUEUE:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 import lfcal
+from lfcal import Lattice
 from lfcal.cli.main import main
+from lfcal.gain.gain_map import GainMap
 
 
 def inside_discs(truth, camera, margin):
@@ -72,3 +75,18 @@ def test_command_writes_the_flattened_flat(calibrated_white, tmp_path):
     assert result.exit_code == 0, result.output
     written = lfcal.read_flat(tmp_path / "even.tif")
     np.testing.assert_array_equal(written, lfcal.load(tmp_path / "camera.json").flatten(image))
+
+
+def test_lenses_have_the_profile_of_their_type_also_after_saving():
+    lattice = Lattice([10, 10], [[20, 0], [0, 20]], (200, 160), 9)
+    cell = np.array([[0, 1], [1, 0]], np.int8)
+    typed = replace(
+        GainMap.round(np.ones(60), 0.25, 9), type_light=[np.full(60, 0.9), np.full(60, 1.1)], type_cell=cell
+    )
+    gain = GainMap.from_dict(typed.to_dict()).gain(lattice)
+    assert np.abs(gain[10, 10] - 0.9) < 1e-6 and np.abs(gain[10, 30] - 1.1) < 1e-6 and np.abs(gain[30, 30] - 0.9) < 1e-6
+
+
+def test_light_of_types_without_their_places_is_refused():
+    with pytest.raises(ValueError, match="type_light"):
+        replace(GainMap.round(np.ones(60), 0.25, 9), type_light=np.ones((2, 60)))

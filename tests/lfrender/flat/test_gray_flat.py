@@ -7,7 +7,7 @@ import pytest
 
 from lfcal import Calibration, Lattice
 from lfcal.gain.vignetting import Vignetting
-from lfrender.flat.gray_flat import GrayFlat, correction_table, downsample, make_gray_flat
+from lfrender.flat.gray_flat import GrayFlat, correction_tables, downsample, make_gray_flat
 
 BASES = [((20, 0), (0, 20)), ((20, 0), (10, 17.32)), ((0, 20), (17.32, 10)), ((19.5, 4.5), (5.85, 19.1))]
 
@@ -20,7 +20,7 @@ def test_pixels_have_the_gain_of_the_nearest_lens(basis):
     gray = make_gray_flat(np.ones((160, 200, 3), np.float32), calibration)
     y, x = np.mgrid[:160, :200]
     distance = np.sqrt(((np.stack([x, y], -1)[:, :, None] - lattice.centres()) ** 2).sum(-1)).min(-1)
-    gains, step = correction_table(calibration)
+    (gains, *_), step = correction_tables(calibration)
     wanted = gains[np.minimum(distance**2 / step, len(gains) - 1).astype(int)]
     trusted = distance < gray.radius + 0.9
     assert trusted.mean() > 0.4

@@ -1,0 +1,39 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lfcal import Lattice, LensTypes
+from lfcal.gain.gain_map import GainMap
+from lfcal.illumination.type_profiles import fit_type_profiles
+
+_TYPES = LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]])
+_LATTICE = Lattice([10, 10], [[20, 0], [10, 17.3]], (600, 400), 9)
+_STEP = 0.25
+
+
+def _typed(difference: float) -> GainMap:
+    radii = np.arange(60) * _STEP
+    ramp = np.clip((radii - 5) / 2, 0, 1)
+    gain = GainMap.round(np.ones(60), _STEP, 9)
+    light = np.array([1 - difference * ramp, np.ones(60), 1 + difference * ramp])
+    return replace(gain, type_light=light, type_cell=_TYPES.cell)
+
+
+def _flat(gain: GainMap, contrast: float) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    scene = np.kron(1 + contrast * rng.standard_normal((40, 60)), np.ones((10, 10)))
+    return np.sqrt(np.maximum(0.5 * scene * gain.gain(_LATTICE), 0)).astype(np.float32)
+
+
+@pytest.mark.parametrize(("contrast", "error"), [(0.02, 0.005), (0.1, 0.015)])
+def test_light_of_three_types_is_told_apart_to_one_and_a_half_per_cent_on_scenes(contrast, error):
+    typed = _typed(0.1)
+    found = fit_type_profiles(_flat(typed, contrast), _LATTICE, GainMap.round(np.ones(60), _STEP, 9), _TYPES, True)
+    inside = (np.arange(60) * _STEP < 9) & (np.abs(np.arange(60) * _STEP - 6) > 1.5)
+    assert np.abs(found.type_light - typed.type_light)[:, inside].max() < error
+
+
+def test_types_that_are_lit_alike_have_one_profile():
+    found = fit_type_profiles(_flat(_typed(0), 0.1), _LATTICE, GainMap.round(np.ones(60), _STEP, 9), _TYPES, True)
+    assert found.type_light.size == 0
