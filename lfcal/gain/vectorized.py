@@ -31,7 +31,7 @@ def make_edge_table():
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def make_profile_tables(profile):
-    """Samples of the profile (k,), or profiles (t, k), their differences, and `make_edge_table`, for `relative_light_at`."""
+    """Samples of the profile (k,), or profiles (t, k), differences, and `make_edge_table`, for `relative_light_at`."""
     return profile[..., :-1].astype(np.float32), np.diff(profile).astype(np.float32), make_edge_table()
 
 

@@ -1,8 +1,8 @@
 """Light of the types of a multi-focus array: the profile of each over that of all, where they differ.
 
-Microlenses of another focal length blur the image of the main aperture, and so the rims of their microimages, in another
-way. In one part of the field all types see the same: there the sums of their light at one distance to the centre are
-compared, each over the light in the middle of its lenses.
+Microlenses of another focal length blur the image of the main aperture, and so the rims of their microimages, in
+another way. In one part of the field all types see the same: there the sums of their light at one distance to the
+centre are compared, each over the light in the middle of its lenses.
 """
 
 from __future__ import annotations
