@@ -9,30 +9,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..runtime.kernels.jit import njit
 from .settings import PREPROCESSING
 
 __all__ = ["edge_strength", "luminance", "normalise_locally", "sqrt_luminance"]
-
-# Types of raw values whose root is computed without a conversion first.
-_DIRECT_TYPES = (np.uint8, np.uint16, np.float32)
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def _root(values, out):
-    for y in prange(values.shape[0]):
-        for x in range(values.shape[1]):
-            out[y, x] = np.sqrt(max(np.float32(values[y, x]), np.float32(0)))
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def _scale(values, factor):
-    for y in prange(values.shape[0]):
-        for x in range(values.shape[1]):
-            values[y, x] *= factor
 
 
 def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
@@ -57,15 +39,11 @@ def sqrt_luminance(image: NDArray[Any]) -> NDArray[np.float32]:
 
     Photon noise is then the same in light and shade. Negative values (dark noise) count as 0.
     """
-    if image.ndim == 2 and image.dtype in _DIRECT_TYPES:
-        grey = np.empty(image.shape, np.float32)
-        _root(image, grey)
-    else:
-        grey = luminance(image)
-        np.sqrt(grey, out=grey)
+    grey = luminance(image)
+    np.sqrt(grey, out=grey)
     mean = float(grey.mean())
     if mean > 0:
-        _scale(grey, np.float32(1 / mean))
+        grey *= np.float32(1 / mean)
     return grey
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from ..runtime.fastmath import FAST
@@ -45,8 +44,8 @@ def _sums(pixels, width, height, cx, cy, first, second, number):
     return count, sum_a, sum_b, sum_aa, sum_bb, sum_ab
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _correlate(picture, centres, steps, ratios, radius, spacing, covariance, variance):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda picture, centres, *_: len(centres))
+def _correlate(begin, end, picture, centres, steps, ratios, radius, spacing, covariance, variance):
     """Covariances and mean variances (n, ratios) of lenses and their neighbours, added up over the `steps`."""
     height, width = picture.shape
     pixels = picture.reshape(-1)
@@ -68,7 +67,7 @@ def _correlate(picture, centres, steps, ratios, radius, spacing, covariance, var
                 first[pair, 0, n], first[pair, 1, n] = x - ux, y - uy
                 second[pair, 0, n], second[pair, 1, n] = steps[step, 0] + x + ux, steps[step, 1] + y + uy
                 size[pair] += 1
-    for lens in prange(len(centres)):
+    for lens in range(begin, end):
         cx, cy = np.float32(centres[lens, 0] + 0.5), np.float32(centres[lens, 1] + 0.5)
         for pair in range(pairs):
             number, a, b, aa, bb, ab = _sums(pixels, width, height, cx, cy, first[pair], second[pair], size[pair])

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal.runtime.fastmath import FAST
@@ -68,17 +67,21 @@ def _differ(old, new, top, bottom, left, right):
     return False
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _mark_changes(old, new, first_x, first_y, spacing, centres, reach, changed):
-    """Set `changed` of lenses with a value within `reach` that differs between two surfaces."""
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda old, new, some: len(some))
+def _mark_blocks(begin, end, old, new, some):
+    """Set `some` of the blocks that differ between two surfaces, and unset the rest."""
     rows, columns = new.shape
-    down, across = (rows + _BLOCK - 1) // _BLOCK, (columns + _BLOCK - 1) // _BLOCK
-    some = np.empty((down, across), np.bool_)
-    for j in prange(down):
-        for i in range(across):
+    for j in range(begin, end):
+        for i in range(some.shape[1]):
             v, u = j * _BLOCK, i * _BLOCK
             some[j, i] = _differ(old, new, v, min(v + _BLOCK, rows), u, min(u + _BLOCK, columns))
-    for lens in prange(len(centres)):
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda *given: len(given[6]))
+def _mark_changes(begin, end, old, new, some, first_x, first_y, spacing, centres, reach, changed):
+    """Set `changed` of lenses with a value within `reach` that differs between two surfaces, in `some` blocks."""
+    rows, columns = new.shape
+    for lens in range(begin, end):
         if changed[lens]:
             continue
         x, y = (centres[lens, 0] - first_x) / spacing, (centres[lens, 1] - first_y) / spacing
@@ -94,9 +97,9 @@ def _mark_changes(old, new, first_x, first_y, spacing, centres, reach, changed):
                     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _sample(surface, grid, first_x, first_y, spacing, out):
-    for v in prange(out.shape[0]):
+@njit(cache=True, nogil=True, share=lambda *given: len(given[5]))
+def _sample(begin, end, surface, grid, first_x, first_y, spacing, out):
+    for v in range(begin, end):
         y = np.float32(first_y + v * spacing)
         for u in range(out.shape[1]):
             out[v, u] = patch_size_at(surface, grid, np.float32(first_x + u * spacing), y)
@@ -161,4 +164,7 @@ def mark_changed_places(
     before: Surface, after: Surface, places: NDArray[np.floating], reach: float, changed: NDArray[np.bool_]
 ) -> None:
     """Set `changed` (n,) where a grid value differs within `reach` [px] of `places` (n, 2); the grids are the same."""
-    _mark_changes(before.patch_size, after.patch_size, *after.first, after.spacing, places, reach, changed)
+    old, new = before.patch_size, after.patch_size
+    some = np.empty((-(-new.shape[0] // _BLOCK), -(-new.shape[1] // _BLOCK)), bool)
+    _mark_blocks(old, new, some)
+    _mark_changes(old, new, some, *after.first, after.spacing, places, reach, changed)

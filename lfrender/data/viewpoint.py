@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
@@ -117,21 +116,21 @@ def virtual_depth(patch_size: NDArray[np.float32], pitch: float) -> NDArray[np.f
     return depth
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _warp(surface, grid, view, still, nearest, farthest, bounds, least, pitch, out):
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda surface, *_: len(surface))
+def _warp(begin, end, surface, grid, view, still, nearest, farthest, bounds, least, pitch, out):
     """Follow the ray of every grid value of `out` (h, w) from near to far until it meets the surface.
 
     Nothing on its way is nearer than `bounds` (h, w). Positions are relative to the first grid value. At virtual depth
     `t`, the ray of the pixel `Y` passes over `Y - q (t - still)`.
     """
-    rows, columns = surface.shape
+    columns = surface.shape[1]
     view_x, view_y, cell = view[0], view[1], grid.spacing
     aside = np.sqrt(view_x * view_x + view_y * view_y)
     zero = np.float32(0.0)
     # Half a grid value per step, so that no part of the surface is missed.
     steps = max(1, int(np.ceil((farthest - nearest) * aside / (np.float32(0.5) * cell))))
     step = (farthest - nearest) / steps
-    for v in prange(rows):
+    for v in range(begin, end):
         for u in range(columns):
             before, above = zero, zero
             found = surface[v, u]

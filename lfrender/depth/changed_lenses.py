@@ -6,7 +6,6 @@ Squared differences of pixels, and of sums over small blocks, are compared with 
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Calibration
@@ -55,17 +54,17 @@ def _over_blocks(row, side, out):
             out[u] = row[2 * u] + row[2 * u + 1]
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
-def _compare_blocks(first, second, channels, side, like, out):
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda *given: given[5].shape[1])
+def _compare_blocks(begin, end, first, second, channels, side, like, out):
     """Fill `out` (4, h, w): per block of `side` x `side` pixels, 2 or 4, the sum of the differences, that of their
     squares, the brightness, and, in every other row, the squared response of the first flat to a Laplacian mask
     (Immerkaer, Fast Noise Variance Estimation, 1996); all of sums over the channels.
 
     Rows are of the type of `like`: short integers, of which vectors hold many.
     """
-    _, rows, columns = out.shape
+    columns = out.shape[2]
     width = columns * side
-    for v in prange(rows):
+    for v in range(begin, end):
         channel_by_channel = np.empty(width * channels, like.dtype)
         gray, apart = np.empty((3, width), like.dtype), np.empty(width, like.dtype)
         sums, squares = np.zeros(width, np.float32), np.zeros(width, np.float32)
@@ -104,14 +103,14 @@ def _compare_blocks(first, second, channels, side, like, out):
             _over_blocks(rough, side, out[3, v])
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _pool(blocks, centres, side, radius, per_pixel, out):
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda blocks, centres, *_: len(centres))
+def _pool(begin, end, blocks, centres, side, radius, per_pixel, out):
     """Per lens: mean, variance of blocks, roughness^2, difference^2 of a pixel and of a block, and number of blocks."""
     _, rows, columns = blocks.shape
     # Middle of block 0.
     middle = np.float32(0.5 * (side - 1))
     area = np.float32(side * side)
-    for lens in prange(len(centres)):
+    for lens in range(begin, end):
         cx, cy = (centres[lens, 0] - middle) / side, (centres[lens, 1] - middle) / side
         reach = radius / side
         total = squares = rough = energy = sums = np.float32(0.0)

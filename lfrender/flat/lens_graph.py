@@ -6,7 +6,6 @@ from collections.abc import Callable, Hashable
 from typing import TypeVar
 
 import numpy as np
-from numba import prange
 from numpy.typing import ArrayLike, NDArray
 
 from lfcal import Lattice
@@ -184,24 +183,31 @@ def _find_rings_of(neighbours, lens, paths, out):
     return count
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _find_two_rings(neighbours, out):
+@njit(cache=True, nogil=True)
+def _is_complete(neighbours, lens):
+    least = 0
+    for k in range(neighbours.shape[1]):
+        least = min(least, neighbours[lens, k])
+    return least == 0
+
+
+@njit(cache=True, nogil=True, share=lambda neighbours, out: len(out))
+def _find_two_rings(begin, end, neighbours, out):
     """As `_find_rings_of`, for each lens. The paths of one lens with complete rings serve all that have all neighbours;
     lenses of the second ring to which such a path is broken are left out."""
     most, first = out.shape[1], neighbours.shape[1]
-    paths, known = np.empty((most, 2), np.int64), False
+    paths, found, known = np.empty((most, 2), np.int64), np.empty(most, out.dtype), False
     for lens in range(len(out)):
-        if (neighbours[lens] >= 0).all() and _find_rings_of(neighbours, lens, paths, out[lens]) == most:
+        if _is_complete(neighbours, lens) and _find_rings_of(neighbours, lens, paths, found) == most:
             known = True
             break
-    for lens in prange(len(out)):
-        complete = known
-        for k in range(first):
-            complete &= neighbours[lens, k] >= 0
-        if not complete:
-            _find_rings_of(neighbours, lens, np.empty((most, 2), np.int64), out[lens])
+    unused = np.empty((most, 2), np.int64)
+    for lens in range(begin, end):
+        if not known or not _is_complete(neighbours, lens):
+            _find_rings_of(neighbours, lens, unused, out[lens])
             continue
-        out[lens, :first] = neighbours[lens]
+        for k in range(first):
+            out[lens, k] = neighbours[lens, k]
         count = first
         for n in range(first, most):
             other = neighbours[neighbours[lens, paths[n, 0]], paths[n, 1]]

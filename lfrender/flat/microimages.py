@@ -12,7 +12,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
@@ -120,11 +119,11 @@ def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
                 out[into + k] = pixels[np.uint64(at) + k]
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
-def _extract(image, middle, complete, means, half, width, rows, step, wanted, done, values):
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda image, middle, *_: len(middle))
+def _extract(begin, end, image, middle, complete, means, half, width, rows, step, wanted, done, values):
     pixels, across = image.reshape(-1), image.shape[1]
     size = rows * step * width
-    for lens in prange(len(middle)):
+    for lens in range(begin, end):
         if done[lens] or not (wanted.size == 0 or wanted[lens]):
             continue
         done[lens] = True
@@ -138,10 +137,14 @@ def _extract(image, middle, complete, means, half, width, rows, step, wanted, do
         mean = means[lens]
         for k in range(np.uint64(size)):
             strip[k] -= mean
-    # Vector loops read on beyond a strip: what is there must be a number.
-    for lens in prange(len(middle) if wanted.size > 0 else 0):
+
+
+@njit(cache=True, nogil=True)
+def _clear_beyond(size, wanted, done, values):
+    """Vector loops read on beyond a strip: what is there must be a number."""
+    for lens in range(len(wanted)):
         if wanted[lens]:
-            for k in range((lens + 1) * size, min((lens + 1) * size + _SPARE, len(middle) * size)):
+            for k in range((lens + 1) * size, min((lens + 1) * size + _SPARE, len(wanted) * size)):
                 if not done[k // size]:
                     values[k] = 0.0
 
@@ -162,6 +165,8 @@ def extract_strips(
         gray.image, strips.centre_pixels, strips.complete, means, strips.half_width, strips.width, strips.rows,
         strips.step, np.empty(0, bool) if wanted is None else wanted, strips.extracted, strips.values,
     )  # fmt: skip
+    if wanted is not None:
+        _clear_beyond(strips.rows * strips.step * strips.width, wanted, strips.extracted, strips.values)
     return strips
 
 

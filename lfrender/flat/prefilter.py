@@ -8,7 +8,6 @@ many lenses and places, it has the sharpness of the flat itself then.
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.kernels.jit import njit
@@ -42,11 +41,11 @@ def prefilter_flat(pixels: NDArray) -> NDArray:
 
 
 # Without fastmath: a part of a flat gets the same bits as the whole, whatever pixels a vector loop handles together.
-@njit(cache=True, nogil=True, parallel=True)
-def _filter_floats(flat, channels, out):
+@njit(cache=True, nogil=True, share=lambda flat, *_: len(flat))
+def _filter_floats(begin, end, flat, channels, out):
     height, width = flat.shape
     middle, side = np.float32(1 + 4 * (1 / 12)), np.float32(1 / 12)
-    for y in prange(height):
+    for y in range(begin, end):
         above, here, below = flat[max(y - 1, 0)], flat[y], flat[min(y + 1, height - 1)]
         into = out[y]
         n = width - 2 * channels
@@ -54,8 +53,8 @@ def _filter_floats(flat, channels, out):
         up, down, target = above[channels:], below[channels:], into[channels:]
         for k in range(n):
             target[k] = middle * own[k] - side * ((before[k] + after[k]) + (up[k] + down[k]))
-        for end in range(min(2 * channels, width)):
-            k = end if end < channels else width - 2 * channels + end
+        for edge in range(min(2 * channels, width)):
+            k = edge if edge < channels else width - 2 * channels + edge
             left, right = here[k - channels if k >= channels else k], here[k + channels if k < width - channels else k]
             into[k] = middle * here[k] - side * ((left + right) + (above[k] + below[k]))
 

@@ -10,7 +10,6 @@ import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
@@ -287,12 +286,11 @@ def _draw_row(source, lattice, gain, picture, borders, v, row, valid):
 
 
 # Without fastmath: sums in any order would differ between a process that compiles this and one that loads it.
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _draw_patches(source, lattice, borders, gain, picture, out, valid):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: len(given[5]))
+def _draw_patches(begin, end, source, lattice, borders, gain, picture, out, valid):
     """Fill `out` (rows, columns C), which is the `part` of the picture; all bits are those of the whole picture."""
-    for v in prange(picture.part[1], picture.part[3]):
-        at = v - picture.part[1]
-        _draw_row(source, lattice, gain, picture, borders, np.int64(v), out[at], valid[at])
+    for at in range(begin, end):
+        _draw_row(source, lattice, gain, picture, borders, picture.part[1] + at, out[at], valid[at])
 
 
 def _cell(lattice: Lattice) -> NDArray[np.float64]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
@@ -22,11 +21,11 @@ __all__ = ["find_changed_pixels", "redraw"]
 _STRIP = 16
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _mark_pixels(places, side, out):
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda places, side, out: -(-len(out) // _STRIP))
+def _mark_pixels(begin, end, places, side, out):
     """Set the pixels of `out` within `side` of some of `places` (m, 2), and unset the rest."""
     rows, columns = out.shape
-    for strip in prange((rows + _STRIP - 1) // _STRIP):
+    for strip in range(begin, end):
         top, bottom = strip * _STRIP, min(rows, (strip + 1) * _STRIP)
         # How many more lenses reach a pixel than the one to its left, summed up along the row below.
         more = np.zeros((bottom - top, columns + 1), np.int32)

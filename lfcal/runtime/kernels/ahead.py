@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import subprocess
@@ -114,7 +115,8 @@ def _run_process(jobs: SimpleQueue[Signature], done: SimpleQueue[bool | None]) -
 
 def _serve() -> None:
     """The loop of a process that compiles: a kernel per line of stdin, a word per kernel on stdout."""
-
+    # Nearly all that compiling makes lives as long as this process.
+    gc.disable()
     for line in sys.stdin:
         try:
             Signature(*json.loads(line)).compile()

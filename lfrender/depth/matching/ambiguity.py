@@ -8,7 +8,6 @@ correlation alone, averaged over the neighbours on the same surface.
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.kernels.jit import njit
@@ -34,11 +33,13 @@ def overlap_weights(gray: GrayFlat, rows: NDArray[np.int32], shifts: NDArray[np.
     return (weight / max(len(steps), 1)).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _measure_ambiguity(cost, weight, rows, best, wanted, tolerance, settings, uniqueness, primary, secondary):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda cost, weight, rows, best, *_: len(best))
+def _measure_ambiguity(
+    begin, end, cost, weight, rows, best, wanted, tolerance, settings, uniqueness, primary, secondary
+):
     least_temperature, temperature_share, dip, least_weight = settings
     shifts = cost.shape[1]
-    for lens in prange(len(best)):
+    for lens in range(begin, end):
         uniqueness[lens] = 1.0
         primary[lens] = secondary[lens] = 0.0
         if not wanted[lens]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.kernels.jit import njit
@@ -18,7 +17,6 @@ from ...flat.gray_flat import GrayFlat
 from ...flat.microimages import VECTOR_LENGTH, OverlapMasks, Strips, extract_strips, make_shift_masks, overlap_range
 from ...runtime.buffers import allocate_pooled
 from ...runtime.cache import cached
-from ...runtime.scheduling import plan_chunks
 from .pair_moments import Overlap, pair_moments, rim_moments, strip_moments
 from .settings import COST
 
@@ -113,8 +111,8 @@ def moments_cost(count, sa, sb, saa, sbb, sab, mean_difference, row_step, floor,
 
 # No fast math here: Numba optimises such a body once when it compiles and twice when it loads it from the cache, which
 # would add in another order. The row loops above keep their order.
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _pair_costs(lenses, rows, active, done, shifts, which, terms, table, fresh, out):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda lenses, rows, *_: len(rows))
+def _pair_costs(begin, end, lenses, rows, active, done, shifts, which, terms, table, fresh, out):
     image, centres, radius, pitch, means, contrast = lenses
     noise, shading, half_weight, row_step = terms
     strips, middle, whole, half, width, size, columns, lines, bunch, slots, masks, ends, counts = table
@@ -124,63 +122,58 @@ def _pair_costs(lenses, rows, active, done, shifts, which, terms, table, fresh, 
     near_zero = np.empty(len(shifts), np.float32)
     for k in range(len(shifts)):
         near_zero[k] = shading_decay(shifts[k], pitch)
-    parts, each, stride = plan_chunks(len(centres))
-    for part in prange(parts):
-        begin = part * stride % parts * each
-        for lens in range(begin, min(begin + each, len(centres))):
-            if fresh:
-                out[lens] = 1.0
-            ax, ay = centres[lens, 0], centres[lens, 1]
-            for d in range(rows.shape[1]):
-                other = rows[lens, d]
-                if other < 0 or not (active[lens] or active[other]) or done[lens] or done[other]:
-                    continue
-                bx, by = centres[other, 0], centres[other, 1]
-                mean = np.float32(0.5) * (means[lens] + means[other])
-                floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
-                doubt = shading_doubt(min(contrast[lens], contrast[other]))
-                stripped = whole[lens] and whole[other]
-                gap_x, gap_y = middle[other, 0] - middle[lens, 0], middle[other, 1] - middle[lens, 1]
-                for k in which:
-                    grow = one + shifts[k] / pitch
-                    tx, ty = (bx - ax) * grow, (by - ay) * grow
-                    floor_x, floor_y = np.floor(tx), np.floor(ty)
-                    fx, fy = tx - floor_x, ty - floor_y
-                    weights = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
-                    dx, dy = int(floor_x) - gap_x, int(floor_y) - gap_y
-                    slot = -1
-                    if stripped and abs(dx) <= reach and abs(dy) <= reach:
-                        slot = slots[dy + reach, dx + reach]
-                    # Strips are relative to the mean of their lens, the flat is not.
-                    difference = means[lens] - means[other]
-                    if slot >= 0 and counts[slot] * row_step > enough:
-                        count = np.float32(counts[slot])
-                        start = ends[slot, 0]
-                        sa, sb, saa, sbb, sab = strip_moments(
-                            pixels, lens * size + start, other * size + start, ends[slot, 2], ends[slot, 3], line,
-                            slot * length + start, ends[slot, 1], weights,
-                        )  # fmt: skip
-                    elif slot >= 0:
-                        first, number = overlap_range(dx, dy, half, width, row_step, bunch)
-                        if number <= 0:
-                            continue
-                        mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
-                        low_x, low_y = np.float32(-half - dx), np.float32(-half - dy)
-                        both = Overlap(ax - mx, ay - my, bx - tx - mx, by - ty - my, low_x, low_y, radius * radius)
-                        count, sa, sb, saa, sbb, sab = rim_moments(
-                            pixels, columns, lines, lens * size + first, other * size + first, ends[slot, 2],
-                            ends[slot, 3], first, number, both, weights,
-                        )  # fmt: skip
-                    else:
-                        count, sa, sb, saa, sbb, sab = pair_moments(
-                            image, ax, ay, bx, by, radius, tx, ty, mean, row_step
-                        )
-                        difference = np.float32(0.0)
-                    if count < 4:
+    for lens in range(begin, end):
+        if fresh:
+            out[lens] = 1.0
+        ax, ay = centres[lens, 0], centres[lens, 1]
+        for d in range(rows.shape[1]):
+            other = rows[lens, d]
+            if other < 0 or not (active[lens] or active[other]) or done[lens] or done[other]:
+                continue
+            bx, by = centres[other, 0], centres[other, 1]
+            mean = np.float32(0.5) * (means[lens] + means[other])
+            floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
+            doubt = shading_doubt(min(contrast[lens], contrast[other]))
+            stripped = whole[lens] and whole[other]
+            gap_x, gap_y = middle[other, 0] - middle[lens, 0], middle[other, 1] - middle[lens, 1]
+            for k in which:
+                grow = one + shifts[k] / pitch
+                tx, ty = (bx - ax) * grow, (by - ay) * grow
+                floor_x, floor_y = np.floor(tx), np.floor(ty)
+                fx, fy = tx - floor_x, ty - floor_y
+                weights = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+                dx, dy = int(floor_x) - gap_x, int(floor_y) - gap_y
+                slot = -1
+                if stripped and abs(dx) <= reach and abs(dy) <= reach:
+                    slot = slots[dy + reach, dx + reach]
+                # Strips are relative to the mean of their lens, the flat is not.
+                difference = means[lens] - means[other]
+                if slot >= 0 and counts[slot] * row_step > enough:
+                    count = np.float32(counts[slot])
+                    start = ends[slot, 0]
+                    sa, sb, saa, sbb, sab = strip_moments(
+                        pixels, lens * size + start, other * size + start, ends[slot, 2], ends[slot, 3], line,
+                        slot * length + start, ends[slot, 1], weights,
+                    )  # fmt: skip
+                elif slot >= 0:
+                    first, number = overlap_range(dx, dy, half, width, row_step, bunch)
+                    if number <= 0:
                         continue
-                    out[lens, d, k] = moments_cost(
-                        count, sa, sb, saa, sbb, sab, difference, row_step, floor, half_weight, doubt * near_zero[k]
-                    )
+                    mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
+                    low_x, low_y = np.float32(-half - dx), np.float32(-half - dy)
+                    both = Overlap(ax - mx, ay - my, bx - tx - mx, by - ty - my, low_x, low_y, radius * radius)
+                    count, sa, sb, saa, sbb, sab = rim_moments(
+                        pixels, columns, lines, lens * size + first, other * size + first, ends[slot, 2],
+                        ends[slot, 3], first, number, both, weights,
+                    )  # fmt: skip
+                else:
+                    count, sa, sb, saa, sbb, sab = pair_moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step)
+                    difference = np.float32(0.0)
+                if count < 4:
+                    continue
+                out[lens, d, k] = moments_cost(
+                    count, sa, sb, saa, sbb, sab, difference, row_step, floor, half_weight, doubt * near_zero[k]
+                )
 
 
 def overlap_masks(

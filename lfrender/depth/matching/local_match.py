@@ -6,7 +6,6 @@ One pass over the pixels gives the cost and its derivatives, and so a Gauss-Newt
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
@@ -71,8 +70,8 @@ def _mask(columns, lines, start, count, both, out):
 
 
 # No fast math here, as in `cost_volume._pair_costs`.
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _local_costs(lenses, rows, active, expected, terms, table, out):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda lenses, rows, *_: len(rows))
+def _local_costs(begin, end, lenses, rows, active, expected, terms, table, out):
     """Fill `out` (n, d, 3) with the cost of each pair, and its first and second derivative."""
     image, centres, radius, pitch, means, contrast = lenses
     noise, shading, half_weight, row_step = terms
@@ -80,7 +79,7 @@ def _local_costs(lenses, rows, active, expected, terms, table, out):
     reach, length = len(slots) // 2, masks.shape[1]
     one, half_way = np.float32(1.0), np.float32(0.5)
     pixels, line = strips.reshape(-1), masks.reshape(-1)
-    for lens in prange(len(centres)):
+    for lens in range(begin, end):
         shared = np.empty(length, np.float32)
         ax, ay = centres[lens, 0], centres[lens, 1]
         for d in range(rows.shape[1]):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.kernels.jit import njit
@@ -20,9 +19,9 @@ _FILL_ROUNDS = 24
 _NEGLIGIBLE = np.float32(24.0)
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _confidence(total, best, scale, tolerance, out):
-    for lens in prange(len(best)):
+@njit(cache=True, nogil=True, share=lambda total, best, *_: len(best))
+def _confidence(begin, end, total, best, scale, tolerance, out):
+    for lens in range(begin, end):
         own = total[lens]
         least, at = own[best[lens]], best[lens]
         here = everywhere = np.float32(0.0)
@@ -37,9 +36,9 @@ def _confidence(total, best, scale, tolerance, out):
         out[lens] = here / everywhere
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _find_minimum(cost, among, best, value):
-    for lens in prange(len(best)):
+@njit(cache=True, nogil=True, share=lambda cost, among, best, value: len(best))
+def _find_minimum(begin, end, cost, among, best, value):
+    for lens in range(begin, end):
         at, least = 0, np.float32(np.inf)
         own = cost[lens]
         for k in range(len(own)):
@@ -67,10 +66,10 @@ def confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, 
     return out
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _fit_parabola(total, best, out):
+@njit(cache=True, nogil=True, share=lambda total, best, out: len(best))
+def _fit_parabola(begin, end, total, best, out):
     half = np.float32(0.5)
-    for lens in prange(len(best)):
+    for lens in range(begin, end):
         at, own = best[lens], total[lens]
         out[lens] = 0.0
         if at < 1 or at > len(own) - 2:
@@ -88,10 +87,10 @@ def fit_parabola(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArray
     return out
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _smooth(values, unknown, neighbours, gap, out):
+@njit(cache=True, nogil=True, share=lambda values, unknown, *_: len(unknown))
+def _smooth(begin, end, values, unknown, neighbours, gap, out):
     """Mean of the neighbours of each unknown lens that differ from it by `gap` at most, or its own value."""
-    for u in prange(len(unknown)):
+    for u in range(begin, end):
         lens = unknown[u]
         total = np.float32(0.0)
         count = 0
@@ -121,9 +120,9 @@ def fill_unresolved(
     return result
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _find_second_minimum(cost, best, distance, index, value):
-    for lens in prange(len(cost)):
+@njit(cache=True, nogil=True, share=lambda cost, *_: len(cost))
+def _find_second_minimum(begin, end, cost, best, distance, index, value):
+    for lens in range(begin, end):
         at, least = 0, np.float32(np.inf)
         own = cost[lens]
         for k in range(1, len(own) - 1):

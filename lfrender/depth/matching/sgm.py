@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
@@ -17,11 +16,11 @@ __all__ = ["aggregate_costs", "average_pair_costs"]
 _LANES = 16
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _lens_costs(pair, forward, backward, lenses, out):
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda *given: len(given[4]))
+def _lens_costs(begin, end, pair, forward, backward, lenses, out):
     """Mean pair cost of each of the `lenses` over all neighbours that it has."""
     half = forward.shape[1]
-    for n in prange(len(out)):
+    for n in range(begin, end):
         lens, count = lenses[n], 0
         for k in range(out.shape[1]):
             out[n, k] = 0.0
@@ -97,9 +96,9 @@ def _walk(cost, chain, slope, jump, total):
             covered, shift = covered + shift, min(2 * shift, _LANES)
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _walk_all(cost, chains, starts, slope, jump, wanted, total):
-    for c in prange(len(starts) - 1):
+@njit(cache=True, nogil=True, share=lambda cost, chains, starts, *_: len(starts) - 1)
+def _walk_all(begin, end, cost, chains, starts, slope, jump, wanted, total):
+    for c in range(begin, end):
         some = False
         for k in range(starts[c], starts[c + 1]):
             some = some or wanted[chains[k]]

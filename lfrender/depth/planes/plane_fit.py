@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.kernels.jit import njit
@@ -67,9 +66,9 @@ class Plane:
         return np.hypot(shared, size2 * np.sqrt(np.maximum(variance, 0)))
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _over_grid(inverse, left, top, spacing, out):
-    for v in prange(out.shape[0]):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: len(given[4]))
+def _over_grid(begin, end, inverse, left, top, spacing, out):
+    for v in range(begin, end):
         row = out[v]
         start = inverse[0] + inverse[1] * left + inverse[2] * (top + spacing * v)
         for u in range(len(row)):

@@ -12,7 +12,6 @@ from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.kernels.jit import njit
@@ -113,11 +112,11 @@ def _products(cutout, shifted, raster, overlap, scale2, dark, out):
                 out[k, m] -= share * out[free, m]
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _compare_pairs(image, centres, radius, pitch, rows, sizes, scale2, dark, lenses, out):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: len(given[8]))
+def _compare_pairs(begin, end, image, centres, radius, pitch, rows, sizes, scale2, dark, lenses, out):
     """Fill `out` (m, d, 5, 5) with the `_products` of the pairs of `lenses` (m,) with known `sizes` (n, d), 0 for the
     others."""
-    for number in prange(len(lenses)):
+    for number in range(begin, end):
         lens = lenses[number]
         out[number] = 0.0
         raster, flat = pixel_raster(radius), flat_pixels(image)

@@ -9,7 +9,6 @@ from collections import namedtuple
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
@@ -156,21 +155,19 @@ def _fit_lens(lens, centres, pitch, neighbours, pairs, pair_variance, start, pri
     spreads[lens, 3] = max(weights - 1 - 2 * own, np.float32(0.0))
 
 
-# Numba drops writes to arrays of a NamedTuple in a function that is compiled to run in parallel: all of them are in the
-# functions that it calls.
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda centres, *_: len(centres))
 def _fit_planes(
-    centres, pitch, neighbours, pairs: PairFits, pair_variance, start, prior, robust: _Robust, out: _Planes
+    begin, end, centres, pitch, neighbours, pairs: PairFits, pair_variance, start, prior, robust: _Robust, out: _Planes
 ):
-    for lens in prange(len(centres)):
+    for lens in range(begin, end):
         _fit_lens(lens, centres, pitch, neighbours, pairs, pair_variance, start, prior, robust, out)
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _predict_slants(neighbours, gap, least_curvature2, planes: _Planes, prior):
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda neighbours, *_: len(neighbours))
+def _predict_slants(begin, end, neighbours, gap, least_curvature2, planes: _Planes, prior):
     """Fill `prior` with the mean slant of each lens and its neighbours on one surface, and its inverse variance."""
     sizes, slants, spreads = planes.sizes, planes.slants, planes.spreads
-    for lens in prange(len(sizes)):
+    for lens in range(begin, end):
         if not np.isfinite(spreads[lens, 0]):
             continue
         weight = np.float32(1.0) / spreads[lens, 1]
@@ -199,12 +196,12 @@ def _predict_slants(neighbours, gap, least_curvature2, planes: _Planes, prior):
         prior[lens, 2] = np.float32(1.0) / (curvature + 1 / total + least_curvature2)
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _standard_errors(neighbours, pitch, gap, common, growth, opposite, planes: _Planes, out, slant_errors):
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda neighbours, *_: len(neighbours))
+def _standard_errors(begin, end, neighbours, pitch, gap, common, growth, opposite, planes: _Planes, out, slant_errors):
     """Errors of lenses, scaled by the scatter of their pairs and of their neighbours' on one surface; for `common`,
     `growth` and `opposite` see the settings."""
     sizes, spreads = planes.sizes, planes.spreads
-    for lens in prange(len(sizes)):
+    for lens in range(begin, end):
         out[lens] = slant_errors[lens] = np.inf
         if not np.isfinite(spreads[lens, 0]):
             continue

@@ -6,7 +6,6 @@ The prediction is used twice: as another start value for doubtful lenses, and as
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
@@ -37,12 +36,14 @@ def _median(values, count, ordered):
     return np.float32(0.5) * (ordered[(count - 1) // 2] + ordered[count // 2])
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _predict(centres, pitch, neighbours, sizes, errors, slants, usable_error, outlier, about, reach, means, spreads):
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda centres, *_: len(centres))
+def _predict(
+    begin, end, centres, pitch, neighbours, sizes, errors, slants, usable_error, outlier, about, reach, means, spreads
+):
     """Fill `means` and `spreads` with the mean and standard deviation of what neighbours predict within `reach` of
     `about`; NaN where no neighbour has an error below `usable_error`, the deviation also where fewer than three do."""
     most = neighbours.shape[1]
-    for lens in prange(len(centres)):
+    for lens in range(begin, end):
         means[lens] = spreads[lens] = np.nan
         values, apart = np.empty(most, np.float32), np.empty(most, np.float32)
         ordered = np.empty(most, np.float32)

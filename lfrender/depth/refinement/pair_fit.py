@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
@@ -20,7 +19,6 @@ from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
 from ...runtime.cache import cached
-from ...runtime.scheduling import plan_chunks
 from ..same_surface import same_surface
 from .defocus_difference import (
     NO_DIFFERENCE,
@@ -183,52 +181,51 @@ def _start_values(first, second, tolerance):
     return middle if together else first, middle if together else second, together
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _fit_pairs(image, centres, radius, pitch, rows, start, scale2, constants, defocus, sizes, variances, places):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda image, centres, *_: len(centres))
+def _fit_pairs(
+    begin, end, image, centres, radius, pitch, rows, start, scale2, constants, defocus, sizes, variances, places
+):
     """Fit the pairs of each lens with its neighbours in `rows`; the last arguments are the arrays of `PairFits`."""
-    parts, each, jump = plan_chunks(len(centres))
-    for part in prange(parts):
-        raster, flat = pixel_raster(radius), flat_pixels(image)
-        side, stride, columns, raster_rows = raster.side, raster.stride, raster.columns, raster.rows
-        pixels, height, width = flat.pixels, flat.height, flat.width
-        kinds, blurs, growths = defocus.kinds, defocus.blurs, defocus.growths
-        buffers, cutout = new_buffers(raster.size), new_cutout(raster.size, len(kinds) > 0)
-        light, slope_x, slope_y, laplacian = cutout.light, cutout.slope_x, cutout.slope_y, cutout.laplacian
-        box, lines, shifted, whole = buffers.box, buffers.lines, buffers.shifted, buffers.step
-        begin = part * jump % parts * each
-        for lens in range(begin, min(begin + each, len(centres))):
-            ax, ay = centres[lens, 0], centres[lens, 1]
-            left, top = first_pixel(ax, radius, side, width), first_pixel(ay, radius, side, height)
-            ready = False
-            for d in range(rows.shape[1]):
-                other = rows[lens, d]
-                for k in range(2):
-                    sizes[lens, d, k] = np.nan
-                    variances[lens, d, k] = np.inf
-                    places[lens, d, k, 0] = places[lens, d, k, 1] = 0.0
-                if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
-                    continue
-                if not ready:
-                    cut_smoothed(flat, raster, left, top, buffers, cutout)
-                    if len(kinds) > 0:
-                        add_tone_curve(cutout, defocus.curve, defocus.dark)
-                    ready = True
-                blur = growth = np.float32(0.0)
+    raster, flat = pixel_raster(radius), flat_pixels(image)
+    side, stride, columns, raster_rows = raster.side, raster.stride, raster.columns, raster.rows
+    pixels, height, width = flat.pixels, flat.height, flat.width
+    kinds, blurs, growths = defocus.kinds, defocus.blurs, defocus.growths
+    buffers, cutout = new_buffers(raster.size), new_cutout(raster.size, len(kinds) > 0)
+    light, slope_x, slope_y, laplacian = cutout.light, cutout.slope_x, cutout.slope_y, cutout.laplacian
+    box, lines, shifted, whole = buffers.box, buffers.lines, buffers.shifted, buffers.step
+    for lens in range(begin, end):
+        ax, ay = centres[lens, 0], centres[lens, 1]
+        left, top = first_pixel(ax, radius, side, width), first_pixel(ay, radius, side, height)
+        ready = False
+        for d in range(rows.shape[1]):
+            other = rows[lens, d]
+            for k in range(2):
+                sizes[lens, d, k] = np.nan
+                variances[lens, d, k] = np.inf
+                places[lens, d, k, 0] = places[lens, d, k, 1] = 0.0
+            if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
+                continue
+            if not ready:
+                cut_smoothed(flat, raster, left, top, buffers, cutout)
                 if len(kinds) > 0:
-                    blur, growth = blurs[kinds[lens], kinds[other]], growths[kinds[lens], kinds[other]]
-                first, second, together = _start_values(start[lens], start[other], constants.same_surface * pitch)
-                for k in range(1 if together else 2):
-                    s, variance, x, y = _fit_pair(
-                        pixels, (height, width), (side, stride), columns, raster_rows, (left, top),
-                        (ax, ay, centres[other, 0], centres[other, 1]), radius, pitch, first if k == 0 else second,
-                        max(scale2[lens], scale2[other]), (blur, growth), light, slope_x, slope_y, laplacian, box,
-                        lines, shifted, whole, constants,
-                    )  # fmt: skip
-                    sizes[lens, d, k], variances[lens, d, k] = s, variance
-                    places[lens, d, k, 0], places[lens, d, k, 1] = x, y
-                if together:
-                    sizes[lens, d, 1], variances[lens, d, 1] = sizes[lens, d, 0], variances[lens, d, 0]
-                    places[lens, d, 1, 0], places[lens, d, 1, 1] = places[lens, d, 0, 0], places[lens, d, 0, 1]
+                    add_tone_curve(cutout, defocus.curve, defocus.dark)
+                ready = True
+            blur = growth = np.float32(0.0)
+            if len(kinds) > 0:
+                blur, growth = blurs[kinds[lens], kinds[other]], growths[kinds[lens], kinds[other]]
+            first, second, together = _start_values(start[lens], start[other], constants.same_surface * pitch)
+            for k in range(1 if together else 2):
+                s, variance, x, y = _fit_pair(
+                    pixels, (height, width), (side, stride), columns, raster_rows, (left, top),
+                    (ax, ay, centres[other, 0], centres[other, 1]), radius, pitch, first if k == 0 else second,
+                    max(scale2[lens], scale2[other]), (blur, growth), light, slope_x, slope_y, laplacian, box,
+                    lines, shifted, whole, constants,
+                )  # fmt: skip
+                sizes[lens, d, k], variances[lens, d, k] = s, variance
+                places[lens, d, k, 0], places[lens, d, k, 1] = x, y
+            if together:
+                sizes[lens, d, 1], variances[lens, d, 1] = sizes[lens, d, 0], variances[lens, d, 0]
+                places[lens, d, 1, 0], places[lens, d, 1, 1] = places[lens, d, 0, 0], places[lens, d, 0, 1]
 
 
 def usable_radius(gray: GrayFlat, settings: PairFitSettings = _DEFAULT) -> float:

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
@@ -19,7 +18,6 @@ from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
 from ...runtime.normal_equations import solve_cholesky, substitute_factor
-from ...runtime.scheduling import plan_chunks
 from .lens_plane import LensFits
 from .pair_fit import usable_radius
 from .pair_pixels import (
@@ -295,20 +293,17 @@ def _new_memory(size, neighbours):
     )  # fmt: skip
 
 
-# Numba drops writes to arrays of a NamedTuple in a function that is compiled to run in parallel: all of them are in the
-# functions that it calls.
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _fit_quadratic(image, centres, radius, pitch, neighbours, start, scale2, wanted, constants: _Constants, out):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda image, centres, *_: len(centres))
+def _fit_quadratic(
+    begin, end, image, centres, radius, pitch, neighbours, start, scale2, wanted, constants: _Constants, out
+):
     """Fit all `wanted` lenses from the `start` fits and write to `out`, both (patch_size, standard_error, slant,
     slant_error)."""
-    parts, each, stride = plan_chunks(len(centres))
-    for part in prange(parts):
-        raster, flat = pixel_raster(radius), flat_pixels(image)
-        memory = _new_memory(raster.size, neighbours.shape[1])
-        begin = part * stride % parts * each
-        for lens in range(begin, min(begin + each, len(centres))):
-            if wanted[lens]:
-                _fit_lens(lens, flat, raster, centres, radius, pitch, neighbours, start, scale2, constants, memory, out)
+    raster, flat = pixel_raster(radius), flat_pixels(image)
+    memory = _new_memory(raster.size, neighbours.shape[1])
+    for lens in range(begin, end):
+        if wanted[lens]:
+            _fit_lens(lens, flat, raster, centres, radius, pitch, neighbours, start, scale2, constants, memory, out)
 
 
 def _products_of_terms() -> NDArray[np.int64]:

@@ -12,14 +12,12 @@ from collections import namedtuple
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import distant_rings, two_rings
-from ...runtime.scheduling import plan_chunks
 from .lens_plane import LensFits
 from .settings import SmoothingSettings
 
@@ -231,51 +229,48 @@ def _gather(
     return count, weight
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda centres, *_: len(centres))
 def _smooth(
-    centres, pitch, radius, rows, sizes, errors, slants, slant_errors, wanted, centred, trust, constants: _Constants,
-    out,
+    begin, end, centres, pitch, radius, rows, sizes, errors, slants, slant_errors, wanted, centred, trust,
+    constants: _Constants, out,
 ):  # fmt: skip
     """Combine the `wanted` lenses in `out` (n, 7), which holds the fits of all: sizes, errors, slants x and y, their
     errors, significance of curvatures, and shares of inliers."""
     c = constants
-    parts, each, stride = plan_chunks(len(centres))
-    for part in prange(parts):
-        gathered, near = np.empty((_GATHERED, rows.shape[1])), np.empty((_NEAR, rows.shape[1]))
-        begin = part * stride % parts * each
-        for lens in range(begin, min(begin + each, len(centres))):
-            own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
-            if not (wanted[lens] and np.isfinite(own_variance)):
-                continue
-            count, weight = _gather(
-                lens, centres, pitch, radius, rows, sizes, errors, slants, slant_errors, centred, trust, c, gathered,
-                near,
-            )  # fmt: skip
-            out[lens, 6] = weight / max(count, 1)
-            if weight < c.least_weight:
-                continue
-            slant_known = 1 / (np.float64(slant_errors[lens]) ** 2 + c.least_slant * c.least_slant)
-            averaged = (1 - centred[lens]) * _mean_reach(own, radius, c.farthest)
-            curvature, variance = _curvature(
-                count, near, own, own_variance, averaged, slant_known, 1 / (c.likely_curvature * pitch) ** 2
-            )
-            out[lens, 5] = curvature * curvature / variance
-            curvature *= max(1 - c.significance * variance / (curvature * curvature), 0.0)
-            # What the curvature adds to all sizes, also to that of the lens itself, is taken from them.
-            uncertain_part = averaged * averaged * variance if curvature != 0 else 0.0
-            for k in range(count):
-                near[0, k] += curvature * (averaged - near[5, k])
-            own_variance += uncertain_part
-            predicted, spread, shared, x_slant, y_slant, slanted = _predict(count, near, slant_known, c.rounds)
-            if predicted * predicted > c.outlier * c.outlier * (spread + own_variance):
-                continue
-            out[lens, 0] = own - averaged * curvature + own_variance / (own_variance + spread) * predicted
-            out[lens, 2] += x_slant
-            out[lens, 3] += y_slant
-            out[lens, 4] = np.sqrt(slanted)
-            joint = own_variance * spread / (own_variance + spread) + uncertain_part
-            common = c.common_error_growth * pitch * abs(own / pitch) ** 3
-            out[lens, 1] = np.sqrt(joint + c.correlation * min(shared, own_variance) + c.common_error**2 + common**2)
+    gathered, near = np.empty((_GATHERED, rows.shape[1])), np.empty((_NEAR, rows.shape[1]))
+    for lens in range(begin, end):
+        own, own_variance = np.float64(sizes[lens]), np.float64(errors[lens]) ** 2
+        if not (wanted[lens] and np.isfinite(own_variance)):
+            continue
+        count, weight = _gather(
+            lens, centres, pitch, radius, rows, sizes, errors, slants, slant_errors, centred, trust, c, gathered,
+            near,
+        )  # fmt: skip
+        out[lens, 6] = weight / max(count, 1)
+        if weight < c.least_weight:
+            continue
+        slant_known = 1 / (np.float64(slant_errors[lens]) ** 2 + c.least_slant * c.least_slant)
+        averaged = (1 - centred[lens]) * _mean_reach(own, radius, c.farthest)
+        curvature, variance = _curvature(
+            count, near, own, own_variance, averaged, slant_known, 1 / (c.likely_curvature * pitch) ** 2
+        )
+        out[lens, 5] = curvature * curvature / variance
+        curvature *= max(1 - c.significance * variance / (curvature * curvature), 0.0)
+        # What the curvature adds to all sizes, also to that of the lens itself, is taken from them.
+        uncertain_part = averaged * averaged * variance if curvature != 0 else 0.0
+        for k in range(count):
+            near[0, k] += curvature * (averaged - near[5, k])
+        own_variance += uncertain_part
+        predicted, spread, shared, x_slant, y_slant, slanted = _predict(count, near, slant_known, c.rounds)
+        if predicted * predicted > c.outlier * c.outlier * (spread + own_variance):
+            continue
+        out[lens, 0] = own - averaged * curvature + own_variance / (own_variance + spread) * predicted
+        out[lens, 2] += x_slant
+        out[lens, 3] += y_slant
+        out[lens, 4] = np.sqrt(slanted)
+        joint = own_variance * spread / (own_variance + spread) + uncertain_part
+        common = c.common_error_growth * pitch * abs(own / pitch) ** 3
+        out[lens, 1] = np.sqrt(joint + c.correlation * min(shared, own_variance) + c.common_error**2 + common**2)
 
 
 @dataclass(frozen=True)

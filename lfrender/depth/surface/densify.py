@@ -8,7 +8,6 @@ information, 2008) along rows and columns chooses one per point.
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
@@ -71,17 +70,31 @@ def _aggregate(depths, costs, single, gap, jump, slant, part, total):
             previous[k] = message[k]
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _choose(depths, costs, gap, jump, slant, part, total, out):
+def _choose(
+    depths: NDArray[np.float32],
+    costs: NDArray[np.float32],
+    gap: np.float32,
+    jump: np.float32,
+    slant: np.float32,
+    part: np.float32,
+    total: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
     """Choose one hypothesis per scene point by paths along its row and column, both ways."""
-    most, rows, columns = depths.shape
-    single, turned = np.empty((rows, columns), np.bool_), np.empty((columns, rows), np.bool_)
-    for v in prange(rows):
+    single = np.isnan(depths[1])
+    turned = np.ascontiguousarray(single.T)
+    _follow_rows(depths, costs, gap, jump, slant, part, single, total)
+    _follow_columns(depths, costs, gap, jump, slant, part, turned, total)
+    _take_cheapest(depths, single, total, out)
+
+
+@njit(cache=True, nogil=True, share=lambda depths, *_: depths.shape[1])
+def _follow_rows(begin, end, depths, costs, gap, jump, slant, part, single, total):
+    most, _, columns = depths.shape
+    for v in range(begin, end):
         some = False
         for u in range(columns):
-            only = np.isnan(depths[1, v, u])
-            single[v, u] = turned[u, v] = only
-            if not only:
+            if not single[v, u]:
                 some = True
                 for k in range(most):
                     total[k, v, u] = 0.0
@@ -90,13 +103,25 @@ def _choose(depths, costs, gap, jump, slant, part, total, out):
             _aggregate(
                 depths[:, v, ::-1], costs[:, v, ::-1], single[v, ::-1], gap, jump, slant, part, total[:, v, ::-1]
             )
-    for u in prange(columns):
-        if not turned[u].all():
+
+
+@njit(cache=True, nogil=True, share=lambda depths, *_: depths.shape[2])
+def _follow_columns(begin, end, depths, costs, gap, jump, slant, part, turned, total):
+    for u in range(begin, end):
+        some = False
+        for v in range(turned.shape[1]):
+            some = some or not turned[u, v]
+        if some:
             _aggregate(depths[:, :, u], costs[:, :, u], turned[u], gap, jump, slant, part, total[:, :, u])
             _aggregate(
                 depths[:, ::-1, u], costs[:, ::-1, u], turned[u, ::-1], gap, jump, slant, part, total[:, ::-1, u]
             )
-    for v in prange(rows):
+
+
+@njit(cache=True, nogil=True, share=lambda depths, *_: depths.shape[1])
+def _take_cheapest(begin, end, depths, single, total, out):
+    most, _, columns = depths.shape
+    for v in range(begin, end):
         for u in range(columns):
             best = 0
             if not single[v, u]:
@@ -108,12 +133,12 @@ def _choose(depths, costs, gap, jump, slant, part, total, out):
             out[v, u] = depths[best, v, u]
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _remove_specks(chosen, depths, gap, reach, out):
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda chosen, *_: len(chosen))
+def _remove_specks(begin, end, chosen, depths, gap, reach, out):
     """Replace points with several hypotheses that differ from most points about them by the median of those."""
     rows, columns = chosen.shape
     side = 2 * reach + 1
-    for v in prange(rows):
+    for v in range(begin, end):
         window = np.empty(side * side, np.float32)
         for u in range(columns):
             here = chosen[v, u]
@@ -184,7 +209,8 @@ def densify(
     constants = hypothesis_constants(
         gap, pitch, settings.voting_reach * pitch, view_constants(gray.radius, step, floor)
     )
-    agreeing = find_agreeing_lenses(values, seconds, trust, lattice.indices(), grid, ring, gap, constants.trusted)
+    agreeing = np.empty(len(values), np.int8)
+    find_agreeing_lenses(values, seconds, trust, lattice.indices(), grid, ring, gap, constants.trusted, agreeing)
     known = before is not None and before.patch_size.shape == shape and before.first == start
     old = before.patch_size if before is not None and known and unchanged is not None else _NOTHING
     table = np.empty((len(values), 6), np.float32)
@@ -198,7 +224,7 @@ def densify(
             allocate_scratch(name, (MAX_HYPOTHESES, *shape), np.float32) for name in ("depths", "costs", "totals")
         )
         points, changed = grid._replace(spacing=spacing / part), allocate_scratch("unsettled", old.shape, np.bool_)
-        if old.size:
+        if old.size and unchanged is not None:
             mark_changed_points(unchanged, gray.centres, lattice.indices(), around, ring, points, changed)
         propose_hypotheses(
             gray.image, table, around, ring, agreeing, points, constants, changed, old, coarse, depths, costs

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
-from numba import prange
 
 from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
 
 from ...flat.distorted_lookup import nearest_index
-from ...runtime.scheduling import coprime_stride
 from ..same_surface import same_surface
 from .occlusion import depth_order
 from .photoconsistency import (
@@ -79,14 +77,13 @@ def _add_occlusion(depths, costs, matches, c):
         costs[k] += c.occluded_cost * nearer
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def find_agreeing_lenses(values, seconds, trust, indices, grid: SceneGrid, ring, gap, trusted):
-    """(n,) int8: 1 for lenses that agree to one `gap` with all trusted lenses of `ring`, which have no second depths.
-
-    2 where none of them is trusted, nor the lens itself; 0 elsewhere.
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda values, *_: len(values))
+def find_agreeing_lenses(begin, end, values, seconds, trust, indices, grid: SceneGrid, ring, gap, trusted, agreeing):
+    """Set `agreeing` (n,) int8: 1 for lenses that agree to one `gap` with all trusted lenses of `ring`, which have no
+    second depths; 2 where none of them is trusted, nor the lens itself; 0 elsewhere.
     """
-    agreeing, lookup, low = np.empty(len(values), np.int8), grid.rows, grid.low
-    for lens in prange(len(values)):
+    lookup, low = grid.rows, grid.low
+    for lens in range(begin, end):
         lowest = highest = values[lens]
         single, alone = True, trust[lens] < trusted
         for r in range(len(ring)):
@@ -99,7 +96,6 @@ def find_agreeing_lenses(values, seconds, trust, indices, grid: SceneGrid, ring,
             for m in range(seconds.shape[1]):
                 single = single and not np.isfinite(seconds[other, m])
         agreeing[lens] = _ALONE if alone else single and highest - lowest <= gap
-    return agreeing
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -179,10 +175,10 @@ def _try_beside(image, pixels, near_x, near_y, work, c, central, x, y, s, least,
     return s, least
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: given[10].shape[1])
 def propose_hypotheses(
-    image, table, around, ring, agreeing, grid: SceneGrid, constants: HypothesisConstants, changed, old, coarse, depths,
-    costs,
+    begin, end, image, table, around, ring, agreeing, grid: SceneGrid, constants: HypothesisConstants, changed, old,
+    coarse, depths, costs,
 ):  # fmt: skip
     """Depth hypotheses of each scene point in `depths`, their cost in `costs`, both (most, rows, columns).
 
@@ -206,17 +202,14 @@ def propose_hypotheses(
         Surface of twice the spacing: where its values about a point agree, their mean is the only hypothesis, elsewhere
         only those that one of them has; (0, 0) if there is none.
     """
-    most, rows, columns = depths.shape
+    most, _, columns = depths.shape
     pixels, c, gap = image.reshape(-1), constants, constants.gap
     votes = np.float32(1.0), c.second_weight, np.float32(1.0)
     most_near, known = len(ring), table.shape[1]
     # Arrays are taken out of the tuple once: each access counts references.
     first, spacing, lookup, low = grid.first, grid.spacing, grid.rows, grid.low
     origin, inverse, bend, bend_low = grid.origin, grid.inverse, grid.bend, grid.bend_low
-    # Depth edges are clustered: the stride spreads them over the threads.
-    stride = coprime_stride(rows)
-    for row in prange(rows):
-        v = row * stride % rows
+    for v in range(begin, end):
         nearby, distance = np.empty((known, most_near), np.float32), np.empty(most_near, np.float32)
         voters, shares = np.empty(most_near, np.int64), np.empty(most_near, np.float32)
         sizes, weights = np.empty(known * most_near, np.float32), np.empty(known * most_near, np.float32)

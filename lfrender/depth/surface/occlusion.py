@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from threading import local
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal import Lattice
@@ -18,7 +17,6 @@ from lfcal.runtime.kernels.jit import njit
 
 from ...data.surface import Surface, mark_changed_places
 from ...runtime.buffers import allocate_scratch
-from ...runtime.scheduling import coprime_stride
 
 __all__ = ["project_surface"]
 
@@ -43,10 +41,10 @@ def depth_order(s, pitch):
     return s if s > 0 else s + 2 * pitch
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _compute_ranges(surface, lows, highs):
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda surface, lows, highs: len(lows))
+def _compute_ranges(begin, end, surface, lows, highs):
     """Fill `lows` and `highs` with the least and largest value of each square of the surface."""
-    for v in prange(lows.shape[0]):
+    for v in range(begin, end):
         for u in range(lows.shape[1]):
             square = surface[v * _SQUARE : (v + 1) * _SQUARE, u * _SQUARE : (u + 1) * _SQUARE]
             low = high = square[0, 0]
@@ -134,41 +132,14 @@ def _erase(centres, lenses, radius, corner, edged, out):
                     out[y - top, x - left] = np.nan
 
 
-@njit(cache=True, nogil=True)
-def _sort_into_bands(centres, chosen, top, tall, order, ends):
-    """Sort the `chosen` lenses by bands of `tall` rows into `order`; `ends` are the places after the last of each."""
-    band = np.empty(len(chosen), np.int64)
-    ends[:] = 0
-    for k in range(len(chosen)):
-        band[k] = min(max(int((centres[chosen[k], 1] - top) / tall), 0), len(ends) - 1)
-        ends[band[k]] += 1
-    for k in range(1, len(ends)):
-        ends[k] += ends[k - 1]
-    for k in range(len(chosen) - 1, -1, -1):
-        ends[band[k]] -= 1
-        order[ends[band[k]]] = chosen[k]
-    ends[:-1], ends[-1] = ends[1:], len(chosen)
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def _project_chosen(
-    surface, first_x, first_y, spacing, centres, radius, pitch, reach, edge, corner, chosen, fresh, edged, out
+@njit(cache=True, nogil=True, share=lambda *given: len(given[5]))
+def _project_bands(
+    begin, end, surface, ranges, place, centres, order, ends, radius, pitch, reach, edge, corner, fresh, edged, out
 ):  # fmt: skip
-    """Project the surface into the lenses of rows `chosen` (m,); a `fresh` output is filled with NaN first."""
-    # Depth edges are clustered: the stride spreads them over the threads. Bands stay in the cache of their thread.
-    tall = max(int(_BAND * pitch), 1)
-    bands = (out.shape[0] + tall - 1) // tall
-    stride = coprime_stride(max(bands, 1))
-    for number in prange(bands if fresh else 0):
-        first = number * stride % bands * tall
-        out[first : first + tall] = np.nan
-    rows, columns = (surface.shape[0] + _SQUARE - 1) // _SQUARE, (surface.shape[1] + _SQUARE - 1) // _SQUARE
-    lows, highs = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
-    _compute_ranges(surface, lows, highs)
-    order, ends = np.empty(len(chosen), np.int64), np.empty(bands, np.int64)
-    _sort_into_bands(centres, chosen, corner[1], tall, order, ends)
-    for number in prange(bands):
-        band = number * stride % bands
+    """Project the surface into the lenses of some bands; unless `out` is `fresh`, they are erased first."""
+    lows, highs = ranges
+    first_x, first_y, spacing = place
+    for band in range(begin, end):
         lenses = order[ends[band - 1] if band else 0 : ends[band]]
         if not fresh:
             _erase(centres, lenses, radius, corner, edged, out)
@@ -176,6 +147,48 @@ def _project_chosen(
             surface, lows, highs, first_x, first_y, spacing, centres, lenses, radius, pitch, reach, edge, corner, edged,
             out,
         )  # fmt: skip
+
+
+def _sort_into_bands(
+    rows: NDArray[np.float32], chosen: NDArray[np.int64], tall: int, bands: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The `chosen` lenses sorted by bands of `tall` pixel rows, and the places after the last of each band."""
+    band = np.clip((rows[chosen] / tall).astype(np.int64), 0, bands - 1)
+    return chosen[np.argsort(band, kind="stable")], np.cumsum(np.bincount(band, minlength=bands))
+
+
+def _project_chosen(
+    surface: Surface,
+    lattice: Lattice,
+    centres: NDArray[np.float32],
+    limits: tuple[float, float, float],
+    corner: tuple[int, int],
+    chosen: NDArray[np.int64],
+    fresh: bool,
+    edged: NDArray[np.bool_],
+    out: NDArray[np.float32],
+) -> None:
+    """Project the surface into the lenses of rows `chosen` (m,); a `fresh` output is filled with NaN first.
+
+    The `limits` are the radius of lenses, and `reach` and `edge` of `project_surface`.
+    """
+    if not out.size:
+        return
+    if fresh:
+        out.fill(np.nan)
+    values = surface.patch_size
+    ranges = tuple(np.empty((-(-values.shape[0] // _SQUARE), -(-values.shape[1] // _SQUARE)), np.float32) for _ in "lh")
+    _compute_ranges(values, *ranges)
+    # Bands stay in the cache of their thread.
+    tall = max(int(_BAND * lattice.pitch), 1)
+    bands = -(-out.shape[0] // tall)
+    order, ends = _sort_into_bands(centres[:, 1] - corner[1], chosen, tall, bands)
+    radius, reach, edge = map(np.float32, limits)
+    place = np.float32(surface.first[0]), np.float32(surface.first[1]), np.float32(surface.spacing)
+    pitch = np.float32(lattice.pitch)
+    _project_bands(
+        values, ranges, place, centres, order, ends, radius, pitch, reach, edge, corner, fresh, edged, out
+    )  # fmt: skip
 
 
 def project_surface(
@@ -230,11 +243,7 @@ def project_surface(
         differs = np.zeros(len(places), bool)
         mark_changed_places(before.surface, surface, centres, reach + surface.spacing, differs)
         chosen, fresh, found = np.flatnonzero(differs), False, before.edged
-    _project_chosen(
-        surface.patch_size, np.float32(surface.first[0]), np.float32(surface.first[1]), np.float32(surface.spacing),
-        places, np.float32(radius), np.float32(lattice.pitch), np.float32(reach), np.float32(edge), (left, top), chosen,
-        fresh, found, out,
-    )  # fmt: skip
+    _project_chosen(surface, lattice, places, (radius, reach, edge), (left, top), chosen, fresh, found, out)
     # Lenses that share pixels cannot be erased one by one; an array that is no view is not scratch memory.
     if purpose is not None and out.base is not None and lattice.distortion is None:
         setattr(_last, purpose, _Projection(surface, geometry, found, out))

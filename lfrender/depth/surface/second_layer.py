@@ -10,7 +10,6 @@ from collections import namedtuple
 from dataclasses import replace
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
@@ -18,7 +17,6 @@ from lfcal.runtime.kernels.jit import njit
 
 from ...flat.lens_graph import join_opposite
 from ...flat.texture import Texture
-from ...runtime.scheduling import plan_chunks
 from ..matching.matcher import Matcher
 from ..matching.peaks import confidence, fit_parabola
 from ..matching.sgm import aggregate_costs
@@ -114,23 +112,21 @@ def _mark_unexplained(image, centres, radius, pitch, rows, lens, s, least, row_s
     return unexplained / max(total, 1)
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda image, centres, *_: len(centres))
 def _mark_all_unexplained(
-    image, centres, radius, pitch, rows, sizes, wanted, contrast, floor, share_of_lens, row_step, mask, shares
+    begin, end, image, centres, radius, pitch, rows, sizes, wanted, contrast, floor, share_of_lens, row_step, mask,
+    shares,
 ):  # fmt: skip
     """As `_mark_unexplained` for all `wanted` lenses, with the `shares` (n,) of their pixels."""
-    parts, each, stride = plan_chunks(len(centres))
-    for part in prange(parts):
-        windows = new_windows(radius)
-        views = np.empty(rows.shape[1] * windows.stride * windows.stride, np.float32)
-        begin = part * stride % parts * each
-        for lens in range(begin, min(begin + each, len(centres))):
-            shares[lens] = 0.0
-            if wanted[lens]:
-                least = floor + share_of_lens * contrast[lens] * contrast[lens]
-                shares[lens] = _mark_unexplained(
-                    image, centres, radius, pitch, rows, lens, sizes[lens], least, row_step, windows, views, mask
-                )
+    windows = new_windows(radius)
+    views = np.empty(rows.shape[1] * windows.stride * windows.stride, np.float32)
+    for lens in range(begin, end):
+        shares[lens] = 0.0
+        if wanted[lens]:
+            least = floor + share_of_lens * contrast[lens] * contrast[lens]
+            shares[lens] = _mark_unexplained(
+                image, centres, radius, pitch, rows, lens, sizes[lens], least, row_step, windows, views, mask
+            )
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
@@ -188,54 +184,52 @@ def _moments(flat, own, number, bx, by, radius, tx, ty, mean):
     return count, sa, sb, saa, sbb, sab
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST, share=lambda image, mask, centres, *_: len(centres))
 def _match_masked(
-    image, mask, centres, radius, pitch, rows, means, wanted, shifts, floor, half, offset_weight, row_step, out
+    begin, end, image, mask, centres, radius, pitch, rows, means, wanted, shifts, floor, half, offset_weight, row_step,
+    out,
 ):  # fmt: skip
     """Mismatch of the masked pixels of each `wanted` lens with the better half of its neighbours, at every shift.
 
     A match over `half` pixels counts half, and so does the share `offset_weight` of a difference in mean brightness.
     """
     most = square(2 * int(radius) + 3)
-    parts, each, stride = plan_chunks(len(centres))
-    for part in prange(parts):
-        flat, values = flat_pixels(image), np.empty(rows.shape[1], np.float32)
-        own = _Masked(
-            np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.int64),
-            np.empty(most, np.float32),
-        )  # fmt: skip
-        begin = part * stride % parts * each
-        for lens in range(begin, min(begin + each, len(centres))):
-            if not wanted[lens]:
-                continue
-            ax, ay = centres[lens, 0], centres[lens, 1]
-            number = _gather_masked(image, mask, ax, ay, radius, row_step, own)
-            for k in range(len(shifts)):
-                grow = 1 + shifts[k] / pitch
-                shown = 0
-                for d in range(rows.shape[1]):
-                    other = rows[lens, d]
-                    if other < 0:
-                        continue
-                    bx, by = centres[other, 0], centres[other, 1]
-                    count, sa, sb, saa, sbb, sab = _moments(
-                        flat, own, number, bx, by, radius, (bx - ax) * grow, (by - ay) * grow, means[lens]
-                    )
-                    if count < 4:
-                        continue
-                    inverse = np.float32(1.0) / count
-                    ma, mb = sa * inverse, sb * inverse
-                    variance = (saa + sbb) * inverse - ma * ma - mb * mb
-                    offset = offset_weight * (ma - mb) * (ma - mb)
-                    residual = variance - 2 * (sab * inverse - ma * mb) + offset
-                    quality = (residual + floor) / (variance + offset + floor)
-                    trust = count * row_step / (count * row_step + half)
-                    _insert(values, shown, 1 - trust * (1 - quality))
-                    shown += 1
-                out[lens, k] = 1.0
-                if shown >= 2:
-                    better = (shown + 1) // 2
-                    out[lens, k] = values[:better].sum() / better
+    flat, values = flat_pixels(image), np.empty(rows.shape[1], np.float32)
+    own = _Masked(
+        np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.int64),
+        np.empty(most, np.float32),
+    )  # fmt: skip
+    for lens in range(begin, end):
+        if not wanted[lens]:
+            continue
+        ax, ay = centres[lens, 0], centres[lens, 1]
+        number = _gather_masked(image, mask, ax, ay, radius, row_step, own)
+        for k in range(len(shifts)):
+            grow = 1 + shifts[k] / pitch
+            shown = 0
+            for d in range(rows.shape[1]):
+                other = rows[lens, d]
+                if other < 0:
+                    continue
+                bx, by = centres[other, 0], centres[other, 1]
+                count, sa, sb, saa, sbb, sab = _moments(
+                    flat, own, number, bx, by, radius, (bx - ax) * grow, (by - ay) * grow, means[lens]
+                )
+                if count < 4:
+                    continue
+                inverse = np.float32(1.0) / count
+                ma, mb = sa * inverse, sb * inverse
+                variance = (saa + sbb) * inverse - ma * ma - mb * mb
+                offset = offset_weight * (ma - mb) * (ma - mb)
+                residual = variance - 2 * (sab * inverse - ma * mb) + offset
+                quality = (residual + floor) / (variance + offset + floor)
+                trust = count * row_step / (count * row_step + half)
+                _insert(values, shown, 1 - trust * (1 - quality))
+                shown += 1
+            out[lens, k] = 1.0
+            if shown >= 2:
+                better = (shown + 1) // 2
+                out[lens, k] = values[:better].sum() / better
 
 
 def find_second_layer(

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
@@ -112,10 +111,10 @@ def _confirmed_share(image, centres, radius, pitch, rows, lens, s, first, c):
     return count / total if count >= least and count > c.over_chance * chance else 0.0
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
-def _measure_shares(image, centres, radius, pitch, rows, lenses, sizes, firsts, constants: _Constants, out):
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda *given: len(given[5]))
+def _measure_shares(begin, end, image, centres, radius, pitch, rows, lenses, sizes, firsts, constants: _Constants, out):
     """As `_confirmed_share` for some `lenses` (m,), with `sizes` and `firsts` (m,)."""
-    for task in prange(len(lenses)):
+    for task in range(begin, end):
         out[task] = _confirmed_share(
             image, centres, radius, pitch, rows, lenses[task], sizes[task], firsts[task], constants
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
+from numpy.typing import NDArray
 
 from lfcal.runtime.kernels.jit import njit
 
@@ -29,19 +29,30 @@ def _mark_cell(grid, i, j, centre_x, centre_y, half_x, half_y, out):
                 out[v, u] = True
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def mark_changed_points(unchanged, centres, indices, around, ring, grid: SceneGrid, out):
+def mark_changed_points(
+    unchanged: NDArray[np.bool_],
+    centres: NDArray[np.floating],
+    indices: NDArray[np.integer],
+    around: NDArray[np.integer],
+    ring: NDArray[np.integer],
+    grid: SceneGrid,
+    out: NDArray[np.bool_],
+) -> None:
     """Set `out` (rows, columns) to the scene points of lenses that are not `unchanged` (n,), and to those beyond the
     border of the lattice that have such a lens about them.
 
     `around` (n, k) are the rows of the lenses of `ring` about each.
     """
-    for v in prange(len(out)):
-        out[v] = False
+    out.fill(False)
+    _mark_cells(unchanged, centres, indices, around, ring, grid, out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda unchanged, *_: len(unchanged))
+def _mark_cells(begin, end, unchanged, centres, indices, around, ring, grid: SceneGrid, out):
     basis = grid.basis
     half_x = 0.5 * (abs(basis[0, 0]) + abs(basis[1, 0])) * _CELL
     half_y = 0.5 * (abs(basis[0, 1]) + abs(basis[1, 1])) * _CELL
-    for lens in prange(len(unchanged)):
+    for lens in range(begin, end):
         if unchanged[lens]:
             continue
         i, j, x, y = indices[lens, 0], indices[lens, 1], centres[lens, 0], centres[lens, 1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.kernels.jit import njit
@@ -138,11 +137,18 @@ def initial_reasons(
     return np.select([~textured, unshared, unsure], [1, 3, 2], 0).astype(np.int8)
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _have_similar(values, ordered, gap, least, out):
-    for k in prange(len(values)):
-        # In parallel, which numpy's search is not. Comparisons with NaN are false.
-        last = np.searchsorted(ordered, values[k] - gap) + least - 1
+@njit(cache=True, nogil=True, share=lambda values, *_: len(values))
+def _have_similar(begin, end, values, ordered, gap, least, out):
+    for k in range(begin, end):
+        # On all threads, which NumPy's search is not. Comparisons with NaN are false.
+        first, beyond = 0, len(ordered)
+        while first < beyond:
+            middle = (first + beyond) // 2
+            if ordered[middle] < values[k] - gap:
+                first = middle + 1
+            else:
+                beyond = middle
+        last = first + least - 1
         out[k] = last < len(ordered) and ordered[last] < values[k] + gap
 
 

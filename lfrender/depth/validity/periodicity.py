@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST
@@ -77,10 +76,12 @@ def _draw(image, centres, sizes, lenses, middle, own, pitch, radius, stride, zoo
                 weight[j + 1, u] += f * number
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _draw_parts(image, centres, sizes, lenses, ends, middles, owns, pitch, radius, stride, zoom, lights, weights):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: len(given[4]))
+def _draw_parts(
+    begin, end, image, centres, sizes, lenses, ends, middles, owns, pitch, radius, stride, zoom, lights, weights
+):
     """Draw each part of the scene; its `lenses` end before its place in `ends`."""
-    for part in prange(len(ends)):
+    for part in range(begin, end):
         start = ends[part - 1] if part > 0 else 0
         _draw(
             image, centres, sizes, lenses[start : ends[part]], middles[part], owns[part], pitch, radius, stride, zoom,
