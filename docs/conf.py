@@ -68,6 +68,7 @@ _OTHER_PROJECTS = {
         {
             "bltin-boolean-values std:label": "library/stdtypes.html#boolean-type-bool",
             "bool py:class": "library/functions.html#bool",
+            "None py:data": "library/constants.html#None",
             "dict py:class": "library/stdtypes.html#dict",
             "float py:class": "library/functions.html#float",
             "iterable std:term": "glossary.html#term-iterable",

@@ -14,7 +14,7 @@ from scipy.ndimage import map_coordinates
 from data_synth import SCENES, Camera, simulate
 
 camera = Camera.design(size=(360, 260), pitch=30.0)
-fig, axes = plt.subplots(2, 3, figsize=(10, 6), layout="constrained")
+fig, axes = plt.subplots(2, 3, figsize=(8, 5), layout="constrained")
 for row, ratio in zip(axes, (0.3, -0.3), strict=True):
     capture = simulate(SCENES["plane"](camera, ratio=ratio), camera, samples=8)
     gray = capture.flat.mean(2)

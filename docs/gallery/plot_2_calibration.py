@@ -23,7 +23,7 @@ print(
     f"centres within {nearest.max():.4f} px, mean standard error {found.errors.of_centres(found.lattice).mean():.4f} px"
 )
 
-fig, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+fig, (left, right) = plt.subplots(1, 2, figsize=(9.5, 4), layout="constrained")
 left.imshow(capture.white, cmap="gray")
 left.plot(*found.lattice.centres().T, "+", color="tab:orange")
 left.set(title="Centres on the white image", xlim=(0, 160), ylim=(120, 0))

@@ -19,13 +19,13 @@ depth = lfrender.analyze(capture.flat, calibration)
 print(f"telescopic {(depth.mode == 1).mean():.0%}, binocular {(depth.mode == -1).mean():.0%}")
 
 size = 0.3 * calibration.lattice.pitch
-fig, axes = plt.subplots(2, 2, figsize=(10, 8), layout="constrained")
+fig, axes = plt.subplots(2, 2, figsize=(8, 6), layout="constrained")
 for ax, name, picture in (
     (axes[0, 0], "telescopic for all", lfrender.render(capture.flat, calibration, patch_size=size)),
     (axes[0, 1], "binocular for all", lfrender.render(capture.flat, calibration, patch_size=-size)),
     (axes[1, 0], "each place in its own", lfrender.render(capture.flat, calibration, depth)),
 ):
     picture.plot(ax)
-    ax.set_title(name)
-depth.plot(axes[1, 1])
+    ax.set(title=name, xlabel="", ylabel="", xticks=[], yticks=[])
+depth.plot(axes[1, 1]).set(xlabel="", ylabel="", xticks=[], yticks=[])
 plt.show()

@@ -22,7 +22,7 @@ print(f"median error {np.median(np.abs(error)):.3f} px")
 for code, reason in enumerate(("resolved", "too little texture", "ambiguous", "image plane on the microlenses")):
     print(f"{reason}: {(depth.reason == code).mean():.1%}")
 
-fig, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+fig, (left, right) = plt.subplots(1, 2, figsize=(8, 3.6), layout="constrained")
 drawn = left.scatter(*truth.calibration.lattice.centres().T, c=depth.confidence, s=30, cmap="viridis", vmin=0, vmax=1)
 left.set(title="Confidence", aspect="equal", xlabel="x [px]", ylabel="y [px]")
 left.invert_yaxis()

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["calibration_card", "plot_calibration"]
 
-_MOST_CENTRES = 1000  # that can be told apart on a plot
+_MOST_CENTRES = 600  # that can be told apart on a plot
 # Colours of lens types.
 _TYPE_COLOURS = ("#2d7dd2", "#e6721a", "#3a9d5d", "#8e5bb5")
 
