@@ -22,6 +22,11 @@ from .viewer_scene import viewer_scene
 
 __all__ = ["viewer_files", "viewer_page", "write_viewer"]
 
+# Scripts of the page, each a module that imports only those before it.
+_MODULES = (
+    "geometry", "scene", "renderer", "composition", "files", "readout", "address", "controls", "pointer", "viewer",
+)  # fmt: skip
+
 
 def viewer_files(
     flat: NDArray, calibration: Calibration, depth: DepthMap, title: str = "Light field", **options: Any
@@ -57,7 +62,7 @@ def _page(title: str, data: dict[str, str] | None = None) -> str:
     web = files(__package__) / "assets"
     # Modules are data URLs: browsers do not fetch files for a page that was opened from a disk.
     urls = {}
-    for name in ("geometry", "scene", "renderer", "viewer"):
+    for name in _MODULES:
         script = base64.b64encode((web / f"{name}.js").read_bytes()).decode()
         urls[f"lfrender/{name}"] = f"data:text/javascript;base64,{script}"
     inside = f"<script>globalThis.lightFieldFiles = {json.dumps(data)};</script>" if data is not None else ""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfcal import Calibration, CalibrationError, LightFieldError
+from lfcal import Calibration, CalibrationError, LightFieldError, Optics
 from lfcal.runtime.eight_bit import to_eight_bits
 
 from ..data.depth_map import DepthMap, default_scale
@@ -50,9 +50,10 @@ def viewer_scene(
 ) -> Iterator[tuple[str, bytes]]:
     """The data of the viewer: names and contents of one JSON object, and of pictures and arrays beside it.
 
-    These are `scene.json`, `surface.f32`, `resolved.u8`, `flat-COLUMN-ROW.png` (8 bits per channel) and
-    `occlusion-COLUMN-ROW.png`. `tile` is the largest side of a texture [px], `compression` of the PNG files is 0 to 9.
-    Errors as of `render`, and LightFieldError if the flat needs more tiles than browsers take.
+    These are `scene.json`, `surface.f32`, `confidence.u8`, `flat-COLUMN-ROW.png` (8 bits per channel), `occlusion-
+    COLUMN-ROW.png` and, where the optics of the camera are known, `positions.f32`. `tile` is the largest side of a
+    texture [px], `compression` of the PNG files is 0 to 9. Errors as of `render`, and LightFieldError if the flat
+    needs more tiles than browsers take.
     """
     pixels = check_flat(flat, calibration)
     if depth.image_size != calibration.image_size or len(depth) != len(calibration.lattice):
@@ -68,7 +69,7 @@ def viewer_scene(
     even, gains, lights, step = _correct_vignetting(pixels, calibration)
     codes, central_codes = _occlusion_codes(calibration, depth, edge)
     scene = _tables(calibration, depth, edge, pixels)
-    scene |= {"title": title, "size": [width, height]}
+    scene |= {"title": title, "size": [width, height], "metric": calibration.optics is not None}
     scene["rings"] = {"step": step, "values": _base64(np.column_stack([gains, lights]), np.float32)}
     with_occlusion, white = [], white_level(pixels, calibration)
     for name, (x, y, side) in tiles.items():
@@ -85,7 +86,11 @@ def viewer_scene(
     }  # fmt: skip
     surface = depth.surface
     yield "surface.f32", np.ascontiguousarray(surface.patch_size, "<f4").tobytes()
-    yield "resolved.u8", _resolved(calibration, depth).tobytes()
+    lenses, points = _lenses_of_surface(calibration, depth)
+    known = np.where(depth.filled, 0, np.rint(1 + 254 * np.clip(np.nan_to_num(depth.confidence), 0, 1)))
+    yield "confidence.u8", known.astype(np.uint8)[lenses].tobytes()
+    if calibration.optics is not None:
+        yield "positions.f32", _positions(calibration.optics, surface.patch_size, points, depth).tobytes()
     yield "scene.json", json.dumps(scene).encode()
 
 
@@ -143,13 +148,21 @@ def _encode(patch_size: NDArray[np.float32], pitch: float, last: int) -> NDArray
     return np.where(np.isnan(patch_size), 0, np.rint(1 + share * (last - 2))).astype(np.float32)
 
 
-def _resolved(calibration: Calibration, depth: DepthMap) -> NDArray[np.uint8]:
-    """(h, w): 1 where the nearest lens has a depth of its own."""
+def _lenses_of_surface(calibration: Calibration, depth: DepthMap) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    """The nearest lens (n,) of every grid value of the surface, row by row, and its scene point (n, 2)."""
     surface = depth.surface
     v, u = np.indices(surface.patch_size.shape)
     points = np.column_stack([u.ravel(), v.ravel()]) * surface.spacing + surface.first
-    own = ~depth.filled[nearest_lens(calibration.lattice, points)]
-    return own.reshape(surface.patch_size.shape).astype(np.uint8)
+    return nearest_lens(calibration.lattice, points), points
+
+
+def _positions(
+    optics: Optics, patch_size: NDArray[np.float32], points: NDArray[np.float64], depth: DepthMap
+) -> NDArray[np.float32]:
+    """(n, 3) [m]: where the scene points of the surface lie in front of the main lens; NaN at infinity."""
+    middle = (np.array(depth.image_size) - 1) / 2
+    places = optics.positions(points, patch_size.ravel().astype(np.float64) / depth.pitch, middle)
+    return np.where(np.isfinite(places).all(1, keepdims=True), places, np.nan).astype("<f4")
 
 
 def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDArray) -> dict[str, Any]:
@@ -200,18 +213,29 @@ def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDAr
 
 
 def _planes(
-    depth: DepthMap, ends: tuple[float, float] = (0.01, 0.99), margin: float = 0.15, smallest: float = 0.04
+    depth: DepthMap,
+    ends: tuple[float, float] = (0.01, 0.99),
+    margin: float = 0.15,
+    smallest: float = 0.04,
+    depth_of_field: float = 0.03,
 ) -> tuple[list[float], float]:
-    """Ends of the slider of depth, and the patch size in the middle.
+    """Ends of the slider of depth, and the patch size that the page opens with.
 
-    Depths are `s` of telescopic and `s + 2 D` of binocular lenses, which grows toward the camera. `ends` are shares of
-    the lenses; `margin` is added at both sides [of the range]; `smallest` is the smallest patch [pitch].
+    In focus is the largest thing with texture: the depth at which most lenses lie within `depth_of_field` [pitch],
+    each as much as it is sure. Depths are `s` of telescopic and `s + 2 D` of binocular lenses, which grows toward
+    the camera. `ends` are shares of the lenses; `margin` is added at both sides [of the range]; `smallest` is the
+    smallest patch [pitch].
     """
-    known = depth.patch_size[np.isfinite(depth.patch_size)].astype(float)
-    known = known if known.size else depth.filled_patch_size.astype(float)
+    resolved = np.isfinite(depth.patch_size)
+    resolved = resolved if resolved.any() else np.ones(len(depth), bool)
+    known = depth.filled_patch_size[resolved].astype(float)
     pitch = depth.pitch
-    near = np.sort(np.where(known > 0, known, known + 2 * pitch))
-    low, middle, high = np.quantile(near, (ends[0], 0.5, ends[1]), method="nearest")
+    near = np.where(known > 0, known, known + 2 * pitch)
+    low, high = np.quantile(near, ends, method="nearest")
+    order = np.argsort(near)
+    sure = np.concatenate([[0.0], np.cumsum(np.maximum(np.nan_to_num(depth.confidence[resolved][order]), 1e-3))])
+    inside = [np.searchsorted(near[order], near[order] + side * depth_of_field * pitch) for side in (-1, 1)]
+    middle = near[order][np.argmax(sure[inside[1]] - sure[inside[0]])]
     more = margin * max(high - low, 0.2 * pitch)
     least = smallest * pitch
     limits = [max(float(low - more), least), min(float(high + more), 2 * pitch - least)]

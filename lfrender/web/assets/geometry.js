@@ -72,8 +72,8 @@ export class Frame {
   }
 
   // The place under pixel (u, v) stays under it.
-  zoom(factor, u, v, width, height, smallest) {
-    const largest = 2 * this.fitted(width, height);
+  zoom(factor, u, v, width, height, smallest, full) {
+    const largest = Math.max(2 * this.fitted(width, height), full);
     const spacing = clamp(this.spacing / factor, Math.min(smallest, largest), largest);
     const from = [u - (width - 1) / 2, v - (height - 1) / 2];
     this.middle = this.middle.map((m, k) => clamp(m + from[k] * (this.spacing - spacing), 0, this.size[k] - 1));

@@ -69,12 +69,17 @@ uniform mat2 basis, inverseBasis;   // columns are the rows of the tables: index
 uniform ivec2 displacementsLow;
 uniform float radius;               // usable radius times aperture
 uniform float plane;                // the one s of all places, or 0 for the surface
+uniform vec2 between;               // ends of the range of depths that are sharp, toward the camera; first > second: none
+uniform vec2 corner;                // of the picture, on what is drawn into
+uniform float exposure;             // factor on all colours
 uniform vec2 first;                 // X of the middle of pixel (0, 0)
 uniform float spacing;              // between pixels, in X
 uniform vec3 offsets[128];          // of lenses from the nearest one, and their least distance from X
 uniform int offsetCount;
 uniform vec2 moved;                 // what was added to X for the viewpoint
-uniform float blurred, reach, agreement;
+uniform float blurred;
+uniform float reach, agreement;        // of places out of their own depth ...
+uniform float reachOwn, agreementOwn;  // ... and of those that are drawn at it
 uniform float rows;                 // of the picture
 uniform float most;                 // sub-samples along a pixel's side; fewer while something moves
 uniform float overlay;              // share of the colours of M
@@ -84,10 +89,21 @@ uniform vec3 background;
 const int MOST = 37;
 const float OCCLUDED_WEIGHT = 1e-4;
 
-float sizeAt(vec2 X) { return plane != 0.0 ? plane : surfaceAt(X).x; }
+// Whether the place whose size was asked for last is drawn at its own depth.
+bool own;
+
+float sizeAt(vec2 X) {
+  own = plane == 0.0;
+  if (!own && between.x > between.y) return plane;
+  float s = surfaceAt(X).x;
+  if (own) return s;
+  float near = s > 0.0 ? s : s + 2.0 * pitch, held = clamp(near, between.x, between.y);
+  own = held == near;
+  return held < pitch ? held : held - 2.0 * pitch;
+}
 
 bool crossesEdge(vec2 X, float s) {
-  if (plane != 0.0) return false;
+  if (!own) return false;
   float h = 0.5 * spacing;
   for (int corner = 0; corner < 4; corner++) {
     vec2 to = vec2((corner & 1) == 1 ? h : -h, (corner & 2) == 2 ? h : -h);
@@ -160,7 +176,7 @@ LensSample sampleLens(vec2 X, vec2 base, ivec2 index, int o, float s, float limi
     // The surface visible through the centre of the main lens may differ from that visible from a viewpoint beside it.
     float share = aside > 0.0 || code.z > 254.5 ? (value - 1.0) / 65533.0 : (code.z - 1.0) / 253.0;
     float depth = (share * 2.0 - 1.0) * pitch;
-    if (unlit || (plane == 0.0 && known && abs(depth - s) > 2.0 * edge)) {
+    if (unlit || (own && known && abs(depth - s) > 2.0 * edge)) {
       weight *= OCCLUDED_WEIGHT;
       if (aside > 0.0) {
         float beside = d2 / (pitch * pitch) + 0.05;
@@ -178,7 +194,8 @@ vec4 colourAt(vec2 X, float s) {
   vec2 base = X - origin - basis * index;
   ivec2 at = ivec2(index);
   float slope = abs(s) / pitch;
-  float limit = min((radius + (plane == 0.0 ? length(view) : 0.0)) / max(slope, 1e-6), reach);
+  float limit = min((radius + (own ? length(view) : 0.0)) / max(slope, 1e-6), own ? reachOwn : reach);
+  float tolerance = own ? agreementOwn : agreement;
   float beside = isDistorted() ? 0.75 * pitch : length(base), farthest = limit + beside;
   int found = 0;
   vec3 mean = vec3(0.0), central = vec3(0.0);
@@ -191,17 +208,17 @@ vec4 colourAt(vec2 X, float s) {
       best = one.distance;
       central = one.colour;
       // One lens is enough; all others in the list are farther away.
-      if (agreement <= 0.0) farthest = min(farthest, sqrt(best) + beside);
+      if (tolerance <= 0.0) farthest = min(farthest, sqrt(best) + beside);
     }
     mean += one.weight * one.colour;
     norm += one.weight;
     found++;
   }
   if (found == 0) return vec4(0.0);
-  if (agreement <= 0.0) return vec4(central, 1.0);
+  if (tolerance <= 0.0) return vec4(central, 1.0);
   mean /= norm;
-  if (agreement > 100.0) return vec4(mean, 1.0);
-  float t2 = agreement * agreement;
+  if (tolerance > 100.0) return vec4(mean, 1.0);
+  float t2 = tolerance * tolerance;
   vec3 mixed = vec3(0.0);
   norm = 0.0;
   found = 0;
@@ -227,7 +244,7 @@ vec3 magnificationColour(vec2 X) {
 }
 
 void main() {
-  vec2 pixel = vec2(gl_FragCoord.x - 0.5, rows - 0.5 - gl_FragCoord.y);
+  vec2 place = gl_FragCoord.xy - corner, pixel = vec2(place.x - 0.5, rows - 0.5 - place.y);
   vec2 X = first + pixel * spacing, shown = X - moved;
   // The picture ends with the flat, as that of the renderer.
   if (any(lessThan(shown, vec2(-0.5))) || any(greaterThan(shown, flatSize - 0.5))) {
@@ -249,7 +266,7 @@ void main() {
     vec2 at = X + to * apart;
     total += colourAt(at, across == 1 ? s : sizeAt(at));
   }
-  vec3 colour = total.a > 0.0 ? total.rgb / total.a : background;
+  vec3 colour = total.a > 0.0 ? exposure * total.rgb / total.a : background;
   if (overlay > 0.0 && total.a > 0.0) colour = mix(colour, magnificationColour(X), overlay);
   result = vec4(colour, 1.0);
 }

@@ -61,7 +61,7 @@ export class Renderer {
     const [rows, columns] = scene.surface.shape, both = new Float32Array(2 * rows * columns);
     for (let n = 0; n < rows * columns; n++) {
       both[2 * n] = scene.surface.values[n];
-      both[2 * n + 1] = scene.surface.resolved[n];
+      both[2 * n + 1] = scene.surface.confidence[n] ? 1 : 0;
     }
     const rings = floats(scene.rings.values), shares = floats(scene.types.shares);
     const displacements = floats(scene.displacements.values), kinds = Math.max(scene.types.side, 1);
@@ -143,27 +143,36 @@ export class Renderer {
     gl.deleteFramebuffer(target);
   }
 
-  // settings: mode "focus" (one plane, all lenses), "sharp" (every place at its own depth) or "tiles" (one plane, the
-  // nearest lens alone); plane s; aperture 0..1; q; overlay 0..1; `most` sub-samples along a pixel's side. `first` and `spacing` place the pixels.
-  draw(settings, width, height, first, spacing, target = null) {
+  // settings: mode "focus" (one plane, all lenses), "range" (places between two depths at their own, others at the nearer
+  // end), "sharp" (every place at its own depth) or "tiles" (one plane, the nearest lens alone); plane s; range; aperture
+  // 0..1; q; overlay 0..1; brightness [EV]; `most` sub-samples along a pixel's side. `first` and `spacing` place the pixels.
+  // window: corner (x, y) on what is drawn into, the columns from `clip` on alone, and the colours of `mask` alone.
+  draw(settings, width, height, first, spacing, target = null, window = {}) {
     const { gl, scene } = this, { pitch } = scene, sharp = settings.mode === "sharp", tiles = settings.mode === "tiles";
+    const range = settings.mode === "range", wide = range || settings.mode === "focus", { x = 0, y = 0, clip, mask } = window;
     const plane = sharp ? 0 : settings.plane, q = settings.q, aside = Math.hypot(...q) > 0, scale = pitch / spacing;
     const still = pitch / settings.plane, moved = q.map(n => n * still);
-    const warped = aside && this.canWarp && (sharp || settings.overlay > 0) && this.warpSurface(q, still);
+    const warped = aside && this.canWarp && (sharp || range || settings.overlay > 0) && this.warpSurface(q, still);
     const full = sharp ? scene.scale : Math.abs(plane);
-    const fine = scale * (settings.mode === "focus" ? 1 : scene.coarse) >= full;
+    const fine = scale * (wide ? 1 : scene.coarse) >= full;
     const blur = fine ? 0 : sharp ? scene.blur.share : scene.blur.width / Math.abs(plane);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
-    gl.viewport(0, 0, width, height);
+    gl.viewport(x, y, width, height);
+    if (mask) gl.colorMask(...mask);
+    if (clip !== undefined) {
+      gl.enable(gl.SCISSOR_TEST);
+      gl.scissor(x + clip, y, width - clip, height);
+    }
     gl.useProgram(this.main.program);
     this.set(this.main.places, {
       surfaceFirst: scene.surface.first.map((n, k) => n + (warped ? moved[k] : 0)), cell: scene.surface.spacing,
       edge: scene.surface.edge, pitch, view: q, flatSize: scene.size, tileStep: scene.tiles.side - 3, tileSide: scene.tiles.side,
       ringStep: scene.rings.step, origin: scene.origin,
-      radius: scene.radius * (settings.mode === "focus" ? settings.aperture : 1), plane,
+      radius: scene.radius * (wide ? settings.aperture : 1), plane, between: range ? settings.range : [1, 0],
+      corner: [x, y], exposure: 2 ** (settings.brightness ?? 0),
       first: first.map((n, k) => n + moved[k]), moved, spacing, blurred: (blur * scale) ** 2,
-      reach: pitch * (settings.mode === "focus" ? scene.reach.wide : sharp && aside ? scene.reach.aside : scene.reach.sharp),
-      agreement: sharp ? scene.agreement : tiles ? 0 : ANY_COLOUR, rows: height, overlay: settings.overlay,
+      reach: pitch * (wide ? scene.reach.wide : scene.reach.sharp), reachOwn: pitch * (aside ? scene.reach.aside : scene.reach.sharp),
+      agreement: tiles ? 0 : ANY_COLOUR, agreementOwn: scene.agreement, rows: height, overlay: settings.overlay,
       most: settings.most ?? MOST_SAMPLES,
       limits: scene.overlay.limits, background: settings.background,
     });
@@ -178,6 +187,8 @@ export class Renderer {
     const instead = { surface: warped && "warped", flatTiles: tiles && "plainTiles" };
     NAMES.forEach((name, unit) => this.bind(places[name], unit, instead[name] || name));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.colorMask(true, true, true, true);
   }
 
   // The surface as seen from q, into the texture `warped`.
@@ -215,14 +226,14 @@ export class Renderer {
     if (place) gl.uniform1i(place, unit);
   }
 
-  // The picture as RGBA bytes, top row first.
-  pixels(settings, width, height, first, spacing) {
+  // What `draw(target)` draws as RGBA bytes, top row first.
+  pixels(width, height, draw) {
     const { gl } = this, buffer = gl.createRenderbuffer(), target = gl.createFramebuffer();
     gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
     gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA8, width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, buffer);
-    this.draw(settings, width, height, first, spacing, target);
+    draw(target);
     const upward = new Uint8Array(4 * width * height), out = new Uint8ClampedArray(upward.length);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, upward);
     for (let v = 0; v < height; v++) out.set(upward.subarray(4 * width * v, 4 * width * (v + 1)), 4 * width * (height - 1 - v));

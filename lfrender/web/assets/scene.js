@@ -38,6 +38,9 @@ export async function picture(name) {
 export async function loadScene() {
   const scene = JSON.parse(new TextDecoder().decode(bytes(await readFile("scene.json"))));
   scene.surface.values = floats(await readFile("surface.f32"));
-  scene.surface.resolved = bytes(await readFile("resolved.u8"));
+  // 0 where there is no depth of its own, else 1 to 255.
+  scene.surface.confidence = bytes(await readFile("confidence.u8"));
+  // x, y, z [m] of every grid point, where the optics of the camera are known.
+  scene.surface.positions = scene.metric ? floats(await readFile("positions.f32")) : undefined;
   return scene;
 }

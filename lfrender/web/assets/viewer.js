@@ -1,43 +1,120 @@
-// The page: settings changed by mouse, keys and controls, and when to draw.
+// The page: its settings, and when to draw.
 
-import { Frame, clamp, modeName, depthOrder, patchSize, visiblePatchSize } from "lfrender/geometry";
+import { readAddress, writeAddress } from "lfrender/address";
+import { compose, eyes } from "lfrender/composition";
+import { controlPage, showSettings, showStatus } from "lfrender/controls";
+import { saveFilm, savePicture } from "lfrender/files";
+import { Frame, clamp, depthOrder, patchSize } from "lfrender/geometry";
+import { controlPointer } from "lfrender/pointer";
+import { describeDistance, describePlace, isInside, placeAt, seenAt } from "lfrender/readout";
 import { Renderer } from "lfrender/renderer";
-import { bytes, loadScene } from "lfrender/scene";
+import { loadScene } from "lfrender/scene";
 
-const CLICK = 4; // px a click may move
 const SLOW = 15; // ms that a picture may take while something moves, for 60 a second; beyond, it is drawn coarser
 const COARSEST = 6;
+const GLIDE = 280; // ms that focus takes from one depth to another
+const RANGE = 0.12; // [range of all depths] width of the sharp range at first
+const HINT = "Click to focus there. Drag to look from aside.";
 const $ = id => document.getElementById(id);
 
 class Viewer {
   constructor(scene, renderer, canvas) {
     Object.assign(this, { scene, renderer, canvas });
     this.frame = new Frame(scene);
-    this.settings = { mode: "focus", plane: scene.plane, aperture: 1, q: [0, 0], overlay: 0, background: [0, 0, 0] };
+    this.settings = {
+      mode: "focus", plane: scene.plane, range: this.rangeAbout(scene.plane), aperture: 1, q: [0, 0], overlay: 0, brightness: 0, stereo: "",
+      background: [0, 0, 0],
+    };
+    // Beside this picture (A), where it is compared with another (B).
+    this.other = { mode: "sharp" };
+    this.compared = false;
+    this.line = 0.5;
+    this.measuring = false;
+    this.marks = [];
     this.coarse = 1;
     this.moving = false;
     this.fitted = true;
+    this.fromAddress();
     new ResizeObserver(() => this.resize()).observe(canvas);
-    this.controls();
-    this.pointer();
-    canvas.addEventListener("keydown", event => this.key(event));
+    controlPage(this);
+    controlPointer(this);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.set({}));
     canvas.addEventListener("webglcontextlost", () => showStatus("The graphics card was reset; reload the page."));
     this.resize();
   }
 
-  // --- drawing
+  // --- settings
 
   set(change) {
+    cancelAnimationFrame(this.gliding);
+    this.gliding = undefined;
+    this.apply(change);
+  }
+
+  apply(change) {
     Object.assign(this.settings, change);
-    const { scene, settings } = this;
-    settings.plane = patchSize(clamp(depthOrder(settings.plane, scene.pitch), ...scene.planes), scene.pitch);
+    const { scene, settings } = this, hold = near => clamp(near, ...scene.planes);
+    settings.plane = patchSize(hold(depthOrder(settings.plane, scene.pitch)), scene.pitch);
+    settings.range = settings.range.map(hold).sort((a, b) => a - b);
     const length = Math.hypot(...settings.q);
     if (length > scene.radius) settings.q = settings.q.map(n => (n * scene.radius) / length);
-    this.showSettings();
-    if (settings.mode === "tiles") this.loadPlain();
+    showSettings(this);
+    this.noteAddress();
+    if (settings.mode === "tiles" || (this.compared && this.other.mode === "tiles")) this.loadPlain();
     this.request();
   }
+
+  // The ends of a sharp range about a patch size, as wide as that one is now.
+  rangeAbout(plane, [low, high] = [0, RANGE * (this.scene.planes[1] - this.scene.planes[0])]) {
+    const near = depthOrder(plane, this.scene.pitch), half = (high - low) / 2;
+    return [near - half, near + half];
+  }
+
+  // Draw coarser while something moves, and in full when it rests.
+  move(change, by = "set") {
+    this.moving = true;
+    clearTimeout(this.rest);
+    this.rest = setTimeout(() => {
+      this.moving = false;
+      this.request();
+    }, 160);
+    this[by](change);
+  }
+
+  // Focus moves to another depth through all between.
+  glide(plane) {
+    const { pitch } = this.scene, from = depthOrder(this.settings.plane, pitch), to = depthOrder(plane, pitch);
+    if (matchMedia("(prefers-reduced-motion: reduce)").matches || this.settings.mode === "sharp") return this.set({ plane });
+    cancelAnimationFrame(this.gliding);
+    let part = 0, before = performance.now();
+    const step = now => {
+      // Where pictures take long, it takes longer too, and still shows some on the way.
+      part = clamp(part + clamp(now - before, 0, GLIDE / 4) / GLIDE, 0, 1);
+      before = now;
+      const eased = part * part * (3 - 2 * part);
+      if (part === 1) return this.move({ plane });
+      this.gliding = requestAnimationFrame(step);
+      this.move({ plane: patchSize(from + (to - from) * eased, pitch) }, "apply");
+    };
+    this.gliding = requestAnimationFrame(step);
+  }
+
+  fromAddress() {
+    const { settings, view } = readAddress(location.hash.slice(1));
+    Object.assign(this.settings, settings);
+    if (!view) return;
+    this.fitted = false;
+    Object.assign(this.frame, { middle: view.slice(0, 2), spacing: view[2] });
+  }
+
+  // Once the settings rest; not where the page is a part of another.
+  noteAddress() {
+    if (window !== window.top) return;
+    clearTimeout(this.noting);
+    this.noting = setTimeout(() => this.ready && history.replaceState(null, "", `#${writeAddress(this)}`), 250);
+  }
+
+  // --- drawing
 
   // The flat without prefilter, loaded when first needed.
   loadPlain() {
@@ -51,8 +128,14 @@ class Viewer {
     if (!width || !height) return;
     this.width = Math.round(width * devicePixelRatio);
     this.height = Math.round(height * devicePixelRatio);
-    if (this.fitted) this.frame.fit(this.width, this.height);
-    this.set({});
+    if (this.fitted) this.frame.fit(this.settings.stereo === "side" ? this.width / 2 : this.width, this.height);
+    this.apply({});
+  }
+
+  // For one eye or two.
+  view(stereo) {
+    this.set({ stereo });
+    this.resize();
   }
 
   request() {
@@ -63,7 +146,8 @@ class Viewer {
   }
 
   draw() {
-    if (!this.ready || (this.settings.mode === "tiles" && !this.renderer.textures.plainTiles)) return;
+    const other = this.compared ? this.comparison() : undefined, modes = [this.settings.mode, other?.mode];
+    if (!this.ready || (modes.includes("tiles") && !this.renderer.textures.plainTiles)) return;
     const { canvas, frame, renderer } = this, factor = this.moving ? this.coarse : 1;
     const width = Math.max(1, Math.round(this.width / factor)), height = Math.max(1, Math.round(this.height / factor));
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
@@ -72,7 +156,9 @@ class Viewer {
     const stage = getComputedStyle(canvas.parentElement).backgroundColor.match(/[\d.]+/g).slice(0, 3);
     this.settings.background = stage.map(n => n / 255);
     // With coarser pixels, one sample each: more would take the time that was saved.
-    renderer.draw(factor > 1 ? { ...this.settings, most: 1 } : this.settings, width, height, first, spacing);
+    const now = settings => settings && { ...settings, background: this.settings.background, ...(factor > 1 && { most: 1 }) };
+    compose(renderer, now(this.settings), width, height, first, spacing, null, now(other), this.line);
+    this.drawMarks();
     // Measured at rest too, so that on a slow card the first pictures of a movement are coarse already.
     this.time(start, factor);
   }
@@ -93,35 +179,87 @@ class Viewer {
     setTimeout(look);
   }
 
-  // Draw coarser while something moves, and in full when it rests.
-  move(change) {
-    this.moving = true;
-    clearTimeout(this.rest);
-    this.rest = setTimeout(() => {
-      this.moving = false;
-      this.request();
-    }, 160);
-    this.set(change);
+  // For scripts on the page: the picture as RGBA bytes, pixel (0, 0) at scene point `first`.
+  pixels(width, height, first, spacing, settings = {}) {
+    const all = { ...this.settings, background: [0, 0, 0], ...settings };
+    return this.renderer.pixels(width, height, target => compose(this.renderer, all, width, height, first, spacing, target));
   }
 
-  // --- focus, zoom
+  // --- comparison
 
-  focus(u, v) {
-    const { scene, settings, frame } = this, [x, y] = frame.at(u, v, this.width, this.height);
-    if (x < -0.5 || y < -0.5 || x > scene.size[0] - 0.5 || y > scene.size[1] - 0.5) return;
-    const still = scene.pitch / settings.plane, moved = settings.q.map(n => n * still);
-    const s = visiblePatchSize(scene, x, y, settings.q, still);
-    const { first, spacing, shape, resolved } = scene.surface;
-    const column = clamp(Math.round((x - moved[0] - first[0]) / spacing), 0, shape[1] - 1);
-    const row = clamp(Math.round((y - moved[1] - first[1]) / spacing), 0, shape[0] - 1);
-    const own = resolved[row * shape[1] + column];
-    this.set({ plane: s, mode: settings.mode === "sharp" ? "focus" : settings.mode });
-    showStatus(own ? "" : "No depth was found here; focused at the depth of its neighbours.");
+  // What is shown right of the line: the settings kept as B, from where A is seen.
+  comparison() {
+    return { ...this.settings, stereo: "", ...this.other };
   }
+
+  keep() {
+    const { mode, plane, range, aperture, overlay, brightness } = this.settings;
+    this.other = { mode, plane, range, aperture, overlay, brightness };
+    this.compare(true);
+  }
+
+  compare(on) {
+    this.compared = on;
+    this.view(on ? "" : this.settings.stereo);
+  }
+
+  // --- focus, places, distances
+
+  // The place under a pixel, undefined beyond the flat.
+  placeUnder(u, v) {
+    const { scene, settings, width } = this, half = Math.floor(width / 2), side = settings.stereo === "side";
+    const seen = settings.stereo ? eyes(settings, scene.radius)[side && u >= half ? 1 : 0] : settings;
+    const at = this.frame.at(side ? (u % half) + (width - half) / 2 : u, v, width, this.height);
+    return isInside(scene, at) ? placeAt(scene, at, seen) : undefined;
+  }
+
+  click(u, v) {
+    const place = this.placeUnder(u, v);
+    if (!place) return;
+    if (this.measuring) return this.mark(place);
+    const { mode } = this.settings;
+    showStatus(place.sure ? "" : "No depth was found here; focused at the depth of its neighbours.");
+    if (mode === "range") return this.set({ range: this.rangeAbout(place.s, this.settings.range), plane: place.s });
+    if (mode === "sharp") this.set({ mode: "focus" });
+    this.glide(place.s);
+  }
+
+  hover(u, v) {
+    const place = u === undefined ? undefined : this.placeUnder(u, v);
+    $("readout").textContent = place ? describePlace(place, this.scene) : "";
+  }
+
+  measure(on) {
+    this.measuring = on;
+    this.marks = [];
+    showStatus(on ? "Click two places." : "");
+    this.set({});
+  }
+
+  mark(place) {
+    this.marks = this.marks.length === 1 ? [...this.marks, place] : [place];
+    showStatus(this.marks.length === 2 ? describeDistance(...this.marks, this.scene) : "Click the second place.");
+    this.set({});
+  }
+
+  drawMarks() {
+    const { frame, width, height, settings, scene } = this, first = frame.first(width, height);
+    const points = this.marks.map(place => seenAt(place, scene, settings).map((n, k) => (n - first[k]) / frame.spacing / devicePixelRatio));
+    const circles = points.map(([x, y]) => `<circle cx="${x}" cy="${y}" r="6"/>`).join("");
+    const line = points.length === 2 ? `<path d="M${points.map(point => point.join(" ")).join("L")}"/>` : "";
+    $("marks").innerHTML = line + circles;
+  }
+
+  endHint() {
+    if ($("status").textContent === HINT) showStatus("");
+  }
+
+  // --- zoom, viewpoint
 
   zoom(factor, u = (this.width - 1) / 2, v = (this.height - 1) / 2) {
     this.fitted = false;
-    this.frame.zoom(factor, u, v, this.width, this.height, this.scene.pitch / (8 * this.scene.scale));
+    const full = this.scene.pitch / this.scene.scale;
+    this.frame.zoom(factor, u, v, this.width, this.height, full / 8, full);
     this.move({});
   }
 
@@ -134,152 +272,51 @@ class Viewer {
     this.resize();
   }
 
-  look(dx, dy) {
-    this.move({ q: [this.settings.q[0] + dx, this.settings.q[1] + dy] });
-  }
-
-  near(step) {
-    const { pitch, planes } = this.scene;
-    this.move({ plane: patchSize(clamp(depthOrder(this.settings.plane, pitch) + step * (planes[1] - planes[0]), ...planes), pitch) });
-  }
-
-  // --- mouse and fingers
-
-  pointer() {
-    const { canvas } = this, down = new Map();
-    let start, travelled = 0;
-    const place = event => [event.offsetX * devicePixelRatio, event.offsetY * devicePixelRatio];
-    canvas.addEventListener("pointerdown", event => {
-      canvas.setPointerCapture(event.pointerId);
-      down.set(event.pointerId, place(event));
-      start = { q: this.settings.q, pan: event.shiftKey || event.button !== 0, several: down.size > 1 };
-      if (down.size === 1) travelled = 0;
-    });
-    canvas.addEventListener("pointermove", event => {
-      const before = down.get(event.pointerId);
-      if (!before) return;
-      const now = place(event), [du, dv] = now.map((n, k) => n - before[k]);
-      down.set(event.pointerId, now);
-      travelled += Math.hypot(du, dv) / devicePixelRatio;
-      if (travelled <= CLICK) return;
-      canvas.classList.add("moving");
-      if (down.size > 1) this.pinch([...down.values()], before, now);
-      else if (start.pan) this.pan(du, dv);
-      // A third of the picture's width moves across the whole aperture; near objects follow the hand.
-      else this.look(-(du / this.width) * 6 * this.scene.radius, -(dv / this.width) * 6 * this.scene.radius);
-    });
-    const end = event => {
-      if (!down.delete(event.pointerId)) return;
-      canvas.classList.remove("moving");
-      if (event.type === "pointerup" && travelled <= CLICK && !start.pan && !start.several) this.focus(...place(event));
-    };
-    canvas.addEventListener("pointerup", end);
-    canvas.addEventListener("pointercancel", end);
-    canvas.addEventListener("contextmenu", event => event.preventDefault());
-    canvas.addEventListener("wheel", event => {
-      event.preventDefault();
-      const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 30 : 1;
-      this.zoom(Math.exp(-clamp(event.deltaY * lines, -300, 300) / 500), ...place(event));
-    }, { passive: false });
-  }
-
-  pinch(fingers, before, now) {
-    const other = fingers.find(finger => finger !== now);
-    const [was, is] = [before, now].map(n => Math.hypot(n[0] - other[0], n[1] - other[1]));
-    this.pan((now[0] - before[0]) / 2, (now[1] - before[1]) / 2);
-    if (was > 1) this.zoom(is / was, (now[0] + other[0]) / 2, (now[1] + other[1]) / 2);
-  }
-
   pan(du, dv) {
     this.fitted = false;
     this.frame.pan(du, dv);
     this.move({});
   }
 
-  key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const arrow = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
-    const toggle = mode => this.set({ mode: this.settings.mode === mode ? "focus" : mode });
-    const actions = {
-      "+": () => this.zoom(1.25), "=": () => this.zoom(1.25), "-": () => this.zoom(0.8), "0": () => this.fit(), "1": () => this.full(),
-      PageUp: () => this.near(0.02), PageDown: () => this.near(-0.02), Enter: () => this.focus((this.width - 1) / 2, (this.height - 1) / 2),
-      ",": () => this.aperture(-0.05), ".": () => this.aperture(0.05), a: () => toggle("sharp"), t: () => toggle("tiles"),
-      m: () => this.set({ overlay: this.settings.overlay ? 0 : 0.6 }), c: () => this.set({ q: [0, 0] }),
-    };
-    const action = arrow
-      ? () => (event.shiftKey ? this.pan(-60 * arrow[0], -60 * arrow[1]) : this.look(...arrow.map(n => n * 0.08 * this.scene.radius)))
-      : actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-    if (!action) return;
-    event.preventDefault();
-    action();
+  look(dx, dy) {
+    this.move({ q: [this.settings.q[0] + dx, this.settings.q[1] + dy] });
+  }
+
+  near(step) {
+    const { pitch, planes } = this.scene, by = step * (planes[1] - planes[0]);
+    const plane = patchSize(clamp(depthOrder(this.settings.plane, pitch) + by, ...planes), pitch);
+    this.move({ plane, range: this.settings.range.map(near => near + by) });
   }
 
   aperture(step) {
     this.move({ aperture: clamp(this.settings.aperture + step, 0.05, 1) });
   }
 
-  // --- controls beside the picture
-
-  controls() {
-    const { scene } = this, { pitch } = scene;
-    [$("plane").min, $("plane").max] = scene.planes;
-    $("plane").addEventListener("input", event => this.move({ plane: patchSize(Number(event.target.value), pitch) }));
-    $("aperture").addEventListener("input", event => this.move({ aperture: Number(event.target.value) }));
-    for (const choice of document.getElementsByName("mode")) choice.addEventListener("change", () => this.set({ mode: choice.value }));
-    $("overlay").addEventListener("change", event => this.set({ overlay: event.target.checked ? 0.6 : 0 }));
-    $("centre").addEventListener("click", () => this.set({ q: [0, 0] }));
-    $("in").addEventListener("click", () => this.zoom(1.25));
-    $("out").addEventListener("click", () => this.zoom(0.8));
-    $("full").addEventListener("click", () => this.full());
-    $("fit").addEventListener("click", () => this.fit());
-    $("save").addEventListener("click", () => this.save());
-    const [low, high] = scene.overlay.limits, ramp = bytes(scene.overlay.ramp), stops = [];
-    for (let n = 0; n < 256; n += 15) stops.push(`rgb(${ramp.slice(3 * n, 3 * n + 3).join(" ")})`);
-    $("ramp").style.background = `linear-gradient(to right, ${stops})`;
-    $("low").textContent = `M = ${low.toFixed(1)}`;
-    $("high").textContent = high.toFixed(1);
-    $("about").textContent = `${scene.size.join(" × ")} px, pitch ${pitch.toFixed(2)} px`;
+  toggle(mode) {
+    this.set({ mode: this.settings.mode === mode ? "focus" : mode });
   }
 
-  showSettings() {
-    const { scene, settings, frame } = this, s = settings.plane;
-    const words = `${modeName(s)}, M ${(scene.pitch / Math.abs(s)).toFixed(2)}, s ${s > 0 ? "+" : "−"}${Math.abs(s).toFixed(2)} px`;
-    $("plane").value = depthOrder(s, scene.pitch);
-    $("plane").setAttribute("aria-valuetext", words);
-    $("plane-value").textContent = words;
-    $("aperture").value = settings.aperture;
-    $("aperture").disabled = settings.mode !== "focus";
-    $("aperture-value").textContent = `${Math.round(100 * settings.aperture)} %`;
-    const [x, y] = settings.q.map(n => Math.round((100 * n) / scene.radius));
-    $("viewpoint").textContent = x || y ? `${x} %, ${y} %` : "centre";
-    $("zoom").textContent = `${Math.round((100 * scene.pitch) / (frame.spacing * scene.scale))} %`;
-    $("overlay").checked = settings.overlay > 0;
-    $("legend").hidden = !settings.overlay;
-    for (const choice of document.getElementsByName("mode")) choice.checked = choice.value === settings.mode;
+  fullScreen() {
+    if (document.fullscreenElement) document.exitFullscreen();
+    else document.documentElement.requestFullscreen();
   }
 
-  // For scripts on the page: the picture as RGBA bytes, pixel (0, 0) at scene point `first`.
-  pixels(width, height, first, spacing, settings = {}) {
-    return this.renderer.pixels({ ...this.settings, background: [0, 0, 0], ...settings }, width, height, first, spacing);
-  }
+  // --- files
 
   save() {
-    const { width, height, frame } = this;
-    const image = new ImageData(this.pixels(width, height, frame.first(width, height), frame.spacing), width, height);
-    const sheet = Object.assign(document.createElement("canvas"), { width, height });
-    sheet.getContext("2d").putImageData(image, 0, 0);
-    sheet.toBlob(blob => {
-      const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: `${fileName(this.scene.title)}.png` });
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-    });
+    savePicture(this);
   }
-}
 
-const fileName = title => title.replace(/\.[^.]*$/, "") || "view";
-
-function showStatus(words) {
-  $("status").textContent = words;
+  async saveFilm(kind) {
+    $("film").disabled = true;
+    try {
+      await saveFilm(this, kind, (done, all) => showStatus(done < all ? `Drawing the film, ${done} of ${all}` : "Recording two seconds"));
+      showStatus("");
+    } catch (error) {
+      showStatus(`The film cannot be recorded: ${error.message}`);
+    }
+    $("film").disabled = false;
+  }
 }
 
 export async function start() {
@@ -288,8 +325,8 @@ export async function start() {
     const viewer = new Viewer(scene, renderer, $("picture"));
     await renderer.load((done, all) => showStatus(`Loading the flat, ${done} of ${all}`));
     viewer.ready = true;
-    showStatus("");
-    viewer.set({});
+    showStatus(HINT);
+    viewer.apply({});
     // Keys work at once, but not where the page is a part of another.
     if (window === window.top) viewer.canvas.focus({ preventScroll: true, focusVisible: false });
     globalThis.lightField = viewer;

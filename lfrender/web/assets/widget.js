@@ -1,6 +1,6 @@
 // The viewer in a notebook: its page in a frame, and the settings of both kept equal.
 
-const SHARED = ["mode", "plane", "aperture", "overlay"];
+const SHARED = ["mode", "plane", "range", "aperture", "overlay", "brightness"];
 
 function render({ model, el }) {
   const frame = Object.assign(document.createElement("iframe"), { srcdoc: model.get("page"), title: "Light field" });

@@ -5,11 +5,14 @@ from __future__ import annotations
 import base64
 import shutil
 import time
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 _CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+READY = "window.lightField"
+RESTS = "lightField.pending === undefined && !lightField.moving && !lightField.gliding"
 # WebGL without a graphics card; a container has no room for Chromium's own sandbox.
 _OPTIONS = (
     "--headless=new", "--no-sandbox", "--disable-dev-shm-usage",
@@ -57,3 +60,17 @@ def pixels(browser, shape, affine, **settings):
         width, height, affine[:, 2].tolist(), float(affine[0, 0]), settings,
     )  # fmt: skip
     return np.frombuffer(base64.b64decode(text), np.uint8).reshape(height, width, 4)[..., :3]
+
+
+def mouse(page, *steps):
+    """Press at the first position on the canvas, move over the others, and release."""
+    from selenium.webdriver import ActionChains
+
+    canvas = page.find_element("id", "picture")
+    middle = canvas.size["width"] / 2, canvas.size["height"] / 2
+    chain = ActionChains(page, duration=20)
+    chain.move_to_element_with_offset(canvas, *(round(p - m) for p, m in zip(steps[0], middle, strict=True)))
+    chain.click_and_hold()
+    for before, after in pairwise(steps):
+        chain.move_by_offset(*(round(b - a) for a, b in zip(before, after, strict=True)))
+    chain.release().perform()

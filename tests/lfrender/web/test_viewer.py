@@ -6,11 +6,9 @@ import json
 import signal
 import subprocess
 import sys
-import threading
 import urllib.request
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -26,51 +24,11 @@ from lfrender.data.depth_map import DepthMap
 from lfrender.data.surface import Surface
 from lfrender.flat.prefilter import prefilter_flat
 from lfrender.web.viewer import viewer_files, write_viewer
-from lfrender.web.viewer_server import PageServer
 
-from ._browser import errors, pixels, start_browser, wait_for
+from ._browser import READY, RESTS, errors, mouse, pixels, wait_for
 
 # Patch sizes of the house and of the branches in front of it [px].
 FAR, NEAR = 6.09, -6.0
-READY = "window.lightField"
-RESTS = "lightField.pending === undefined && !lightField.moving"
-
-
-@pytest.fixture(scope="module")
-def browser():
-    driver = start_browser()
-    yield driver
-    driver.quit()
-
-
-@pytest.fixture(scope="module")
-def captured(house):
-    """Flat, camera and depth of the house."""
-    camera = house.truth.calibration
-    return house.flat, camera, lfrender.analyze(house.flat, camera)
-
-
-@pytest.fixture(scope="module")
-def served(captured):
-    """The viewer of the house on a server, in several tiles."""
-    server = PageServer(dict(viewer_files(*captured, "house.png", tile=256)))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield server
-    server.shutdown()
-    server.server_close()
-
-
-@pytest.fixture
-def page(browser, served):
-    if browser.current_url != served.url:
-        browser.get(served.url)
-        wait_for(browser, READY)
-    browser.execute_script(
-        "lightField.set({ mode: 'focus', plane: lightField.scene.plane, q: [0, 0], aperture: 1, overlay: 0 });"
-        "lightField.fit()"
-    )
-    yield browser
-    assert errors(browser) == []
 
 
 def off(browser, picture, **settings):
@@ -162,20 +120,6 @@ def place_of(page, wanted, depth, lattice):
     return (float(x), float(y)), on_page
 
 
-def mouse(page, *steps):
-    """Press at the first position on the canvas, move over the others, and release."""
-    from selenium.webdriver import ActionChains
-
-    canvas = page.find_element("id", "picture")
-    middle = canvas.size["width"] / 2, canvas.size["height"] / 2
-    chain = ActionChains(page, duration=20)
-    chain.move_to_element_with_offset(canvas, *(round(p - m) for p, m in zip(steps[0], middle, strict=True)))
-    chain.click_and_hold()
-    for before, after in pairwise(steps):
-        chain.move_by_offset(*(round(b - a) for a, b in zip(before, after, strict=True)))
-    chain.release().perform()
-
-
 def around(page, place, side, spacing, **settings):
     """The picture about a scene point."""
     first = np.array(place) - spacing * (side - 1) / 2
@@ -195,6 +139,7 @@ def test_a_click_focuses_there(page, captured, wanted, other):
     page.execute_script("lightField.set({ plane: arguments[0] })", other)
     before, piece = blur(page, place), around(page, place, 14, 2.0)
     mouse(page, on_page)
+    wait_for(page, RESTS)
     plane = page.execute_script("return lightField.settings.plane")
     assert plane == pytest.approx(float(depth.surface.at(np.array([place]))[0]), abs=0.3)
     assert blur(page, place) < 0.5 * before
