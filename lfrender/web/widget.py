@@ -22,7 +22,8 @@ def light_field_widget(
 
     Its traits are those of the picture and can be read, set, observed and linked: `mode` (`"focus"`, `"range"`,
     `"sharp"` or `"tiles"`), `plane` (patch size in focus [px]), `range` (ends of the sharp range, `s`, or `s + 2 D` of
-    binocular ones [px]), `brightness` (-3 to 3 [EV]), `aperture` (0.05 to 1), `viewpoint` (x, y [px]), `overlay` (0 to 1).
+    binocular ones [px]), `brightness` (-3 to 3 [EV]), `aperture` (0.05 to 1), `viewpoint` (x, y [px]), `overlay`
+    (0 to 1).
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ function render({ model, el }) {
   const take = () => {
     if (!viewer) return;
     const change = { q: [...model.get("viewpoint")] };
-    for (const name of SHARED) if (model.get(name) !== null) change[name] = model.get(name);
+    for (const name of SHARED) if (model.get(name) != null) change[name] = model.get(name);
     ours = true;
     viewer.set(change);
     ours = false;
