@@ -148,16 +148,16 @@ def _encode(patch_size: NDArray[np.float32], pitch: float, last: int) -> NDArray
     return np.where(np.isnan(patch_size), 0, np.rint(1 + share * (last - 2))).astype(np.float32)
 
 
-def _lenses_of_surface(calibration: Calibration, depth: DepthMap) -> tuple[NDArray[Any], NDArray[np.float64]]:
+def _lenses_of_surface(calibration: Calibration, depth: DepthMap) -> tuple[NDArray[Any], NDArray[Any]]:
     """The nearest lens (n,) of every grid value of the surface, row by row, and its scene point (n, 2)."""
     surface = depth.surface
     v, u = np.indices(surface.patch_size.shape)
-    points = np.column_stack([u.ravel(), v.ravel()]) * surface.spacing + surface.first
+    points = np.column_stack([u.ravel(), v.ravel()]).astype(np.float64) * surface.spacing + surface.first
     return nearest_lens(calibration.lattice, points), points
 
 
 def _positions(
-    optics: Optics, patch_size: NDArray[np.float32], points: NDArray[np.float64], depth: DepthMap
+    optics: Optics, patch_size: NDArray[np.float32], points: NDArray[Any], depth: DepthMap
 ) -> NDArray[np.float32]:
     """(n, 3) [m]: where the scene points of the surface lie in front of the main lens; NaN at infinity."""
     middle = (np.array(depth.image_size) - 1) / 2
