@@ -97,11 +97,12 @@ def real_r12(folder: Path) -> None:
     fitted = adjust(start[0], DEFAULT_PIXEL, start[1], points, seen, BASE)
     chosen = select_order(fitted, DEFAULT_PIXEL, points, seen)
     for one in (fitted, chosen):
-        factor = pose_factor(one, DEFAULT_PIXEL, points, seen)
+        factor = pose_factor(one, DEFAULT_PIXEL, seen)
         optics = optics_of(one, DEFAULT_PIXEL, factor)
         errors = optics.standard_errors
         print(
-            f"R12: {len(one.free)} parameters of the camera, {one.rms:.4f} px RMS over {len(seen)} corners; "
+            f"R12: {len(one.free)} parameters ({' '.join(one.free[6:])}), "
+            f"{one.rms:.4f} px RMS over {len(seen)} corners; "
             f"F = {optics.focal_length:.2f} +- {errors[0]:.2f}, L = {optics.mla_distance:.2f} +- {errors[1]:.2f}, "
             f"b = {optics.sensor_distance:.4f} +- {errors[2]:.4f} mm; variances widened by {one.cluster * factor:.1f}"
         )

@@ -1,4 +1,4 @@
-"""Robust bundle adjustment of the camera and the poses of the boards, with the covariance of both.
+"""Robust bundle adjustment of the camera, the poses of the boards and their shape, with the covariance of both.
 
 Levenberg-Marquardt on the normal equations, built pose by pose. With a dozen poses they are a dense matrix of a hundred
 unknowns, solved exactly: iterative sparse solvers (`scipy.optimize.least_squares` with LSMR) stop short along the weak
@@ -16,11 +16,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from .board_shape import SHAPE, deform, shape_derivatives
 from .camera_model import INTERNAL, project
 from .observations import Observations
 from .settings import ADJUSTMENT, AdjustmentSettings
 
-__all__ = ["Adjusted", "Normals", "Poses", "adjust", "normal_equations", "residuals"]
+__all__ = ["Adjusted", "Normals", "Poses", "adjust", "normal_equations", "residuals", "unknowns"]
 
 Array = NDArray[Any]
 
@@ -44,7 +45,10 @@ class Poses:
 
 @dataclass(frozen=True)
 class Normals:
-    """Normal equations of the camera's 14 parameters followed by 6 of each pose, and the residuals (n, 2) [px]."""
+    """Normal equations and the residuals (n, 2) [px].
+
+    The unknowns are 14 parameters of the camera, 6 of each pose, and 5 of the shape of the board.
+    """
 
     matrix: Array
     gradient: Array
@@ -62,6 +66,10 @@ class Adjusted:
     free : tuple of str
         Those that were fitted.
     poses : Poses
+    shape : (5,) float64 [mm]
+        Of the board, `SHAPE`; 0 where it is taken to be flat.
+    board : (k, 3) float64 [mm]
+        Points of the board with that shape.
     residual : (n, 2) float64 [px]
         Observed minus predicted.
     weight : (n,) float64
@@ -70,13 +78,15 @@ class Adjusted:
         Standard deviation of residuals over stated errors.
     cluster : float
         Factor, at least 1, by which errors that the microimages of a corner share widen the covariance.
-    covariance : (14 + 6 m, 14 + 6 m) float64
-        Of camera and poses, `noise` and `cluster` included; 0 of what was not fitted.
+    covariance : (14 + 6 m + 5, 14 + 6 m + 5) float64
+        Of camera, poses and shape, `noise` and `cluster` included; 0 of what was not fitted.
     """
 
     camera: Array
     free: tuple[str, ...]
     poses: Poses
+    shape: Array
+    board: Array
     residual: Array
     weight: Array
     noise: float
@@ -108,15 +118,16 @@ def normal_equations(
     by_turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
     by_pose = np.concatenate([seen.by_point @ by_turn, seen.by_point], axis=2)
     scale = (np.sqrt(weight) / o.error)[:, None]
-    rows = np.concatenate([seen.by_camera, by_pose], axis=2) * scale[:, :, None]
+    by_shape = seen.by_point @ (poses.rotation[o.pose] @ shape_derivatives(board)[o.corner])
+    rows = np.concatenate([seen.by_camera, by_pose, by_shape], axis=2) * scale[:, :, None]
     scaled = residual * scale
     own = len(INTERNAL)
-    size = own + 6 * len(poses.rotation)
+    size = own + 6 * len(poses.rotation) + len(SHAPE)
     matrix, gradient = np.zeros((size, size)), np.zeros(size)
     ends = np.searchsorted(o.pose, np.arange(len(poses.rotation) + 1))
     for m, (first, last) in enumerate(pairwise(ends)):
-        block = rows[first:last].reshape(-1, own + 6)
-        index = np.r_[:own, own + 6 * m : own + 6 * m + 6]
+        block = rows[first:last].reshape(-1, rows.shape[2])
+        index = np.r_[:own, own + 6 * m : own + 6 * m + 6, size - len(SHAPE) : size]
         matrix[np.ix_(index, index)] += block.T @ block
         gradient[index] += block.T @ scaled[first:last].ravel()
     return Normals(matrix, gradient, residual)
@@ -130,9 +141,10 @@ def adjust(
     observations: Observations,
     free: Sequence[str],
     *,
+    shape: Array | None = None,
     settings: AdjustmentSettings = ADJUSTMENT,
 ) -> Adjusted:
-    """Fit the parameters `free` of `INTERNAL` and all poses.
+    """Fit the parameters `free` of `INTERNAL` and `SHAPE`, and all poses.
 
     Parameters
     ----------
@@ -142,27 +154,39 @@ def adjust(
     poses : Poses
         Start.
     board : (k, 3) float64 [mm]
-        Points of the board, about its middle.
+        Points of the flat board, about its middle.
     observations : Observations
-    free : names of `INTERNAL`
+    free : names of `INTERNAL` and `SHAPE`
         Empty to fit poses alone.
+    shape : (5,) float64 [mm], optional
+        Start; by default the board is flat.
     """
     problem = _Problem(pixel, board, observations)
-    chosen = np.r_[[INTERNAL.index(name) for name in free], 14 : 14 + 6 * len(poses.rotation)].astype(int)
-    weight, noise = _weights(residuals(camera, pixel, poses, board, observations), observations, settings)
+    chosen = unknowns(free, len(poses.rotation))
+    shape = np.zeros(len(SHAPE)) if shape is None else shape
+    found = residuals(camera, pixel, poses, deform(board, shape), observations)
+    weight, noise = _weights(found, observations, settings)
     for _ in range(settings.scale_passes):
-        camera, poses = _minimise(problem, camera, poses, chosen, weight, settings)
-        found = residuals(camera, pixel, poses, board, observations)
+        camera, poses, shape = _minimise(problem, camera, poses, shape, chosen, weight, settings)
+        found = residuals(camera, pixel, poses, deform(board, shape), observations)
         weight, noise = _weights(found, observations, settings)
     # Least squares without the outliers: its errors are those of the normal matrix.
     weight = (np.hypot(*found.T) / observations.error < settings.rejection * noise).astype(np.float64)
-    camera, poses = _minimise(problem, camera, poses, chosen, weight, settings)
+    camera, poses, shape = _minimise(problem, camera, poses, shape, chosen, weight, settings)
+    board = deform(board, shape)
     normals = normal_equations(camera, pixel, poses, board, observations, weight)
     noise = _noise(normals.residual, weight, observations, len(chosen))
     cluster = _cluster_factor(normals.residual, weight, noise, observations)
     covariance = np.zeros_like(normals.matrix)
     covariance[np.ix_(chosen, chosen)] = _inverse(normals.matrix[np.ix_(chosen, chosen)]) * noise**2 * cluster
-    return Adjusted(camera, tuple(free), poses, normals.residual, weight, noise, cluster, covariance)
+    return Adjusted(camera, tuple(free), poses, shape, board, normals.residual, weight, noise, cluster, covariance)
+
+
+def unknowns(free: Sequence[str], poses: int) -> NDArray[np.int64]:
+    """Places of the parameters `free`, and of those of all poses, among the unknowns of the normal equations."""
+    own, last = len(INTERNAL), len(INTERNAL) + 6 * poses
+    places = {name: k for k, name in enumerate(INTERNAL)} | {name: last + k for k, name in enumerate(SHAPE)}
+    return np.sort(np.r_[[places[name] for name in free], own:last].astype(np.int64))
 
 
 @dataclass(frozen=True)
@@ -171,8 +195,8 @@ class _Problem:
     board: Array
     observations: Observations
 
-    def cost(self, camera: Array, poses: Poses, weight: Array) -> float:
-        found = residuals(camera, self.pixel, poses, self.board, self.observations)
+    def cost(self, camera: Array, poses: Poses, shape: Array, weight: Array) -> float:
+        found = residuals(camera, self.pixel, poses, deform(self.board, shape), self.observations)
         if not np.isfinite(found).all():
             return np.inf
         return float((weight / self.observations.error**2 * (found**2).sum(1)).sum())
@@ -182,34 +206,37 @@ def _minimise(
     problem: _Problem,
     camera: Array,
     poses: Poses,
+    shape: Array,
     chosen: NDArray[np.int64],
     weight: Array,
     settings: AdjustmentSettings,
-) -> tuple[Array, Poses]:
+) -> tuple[Array, Poses, Array]:
     """Levenberg-Marquardt with fixed weights."""
-    cost, damping = problem.cost(camera, poses, weight), settings.first_damping
+    cost, damping = problem.cost(camera, poses, shape, weight), settings.first_damping
     own = len(INTERNAL)
     for _ in range(settings.iterations):
-        normals = normal_equations(camera, problem.pixel, poses, problem.board, problem.observations, weight)
+        board = deform(problem.board, shape)
+        normals = normal_equations(camera, problem.pixel, poses, board, problem.observations, weight)
         matrix, gradient = normals.matrix[np.ix_(chosen, chosen)], normals.gradient[chosen]
         scale = 1 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
         unit = matrix * np.outer(scale, scale)
         while True:
             step = np.zeros(len(normals.gradient))
             step[chosen] = scale * np.linalg.solve(unit + damping * np.eye(len(unit)), scale * gradient)
-            tried = camera + step[:own], poses.moved(step[own:].reshape(-1, 6))
+            turns, bend = step[own : -len(SHAPE)], step[-len(SHAPE) :]
+            tried = camera + step[:own], poses.moved(turns.reshape(-1, 6)), shape + bend
             new = problem.cost(*tried, weight)
             if new < cost or damping > 1e8:
                 break
             damping *= 10
         if not new < cost:
             break
-        camera, poses = tried
+        camera, poses, shape = tried
         done = cost - new <= settings.tolerance * cost
         cost, damping = new, damping / 10
         if done:
             break
-    return camera, poses
+    return camera, poses, shape
 
 
 def _weights(residual: Array, observations: Observations, settings: AdjustmentSettings) -> tuple[Array, float]:

@@ -16,7 +16,7 @@ from ..boards.board import Board
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics
 from ..runtime.errors import BoardError, FlatError
-from .bundle_adjustment import Adjusted, Poses, adjust
+from .bundle_adjustment import Adjusted, Poses, adjust, normal_equations
 from .camera_model import INTERNAL, to_internal
 from .model_order import BASE, select_order
 from .observations import Observations, Triangulated, triangulate
@@ -167,7 +167,7 @@ def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, nam
             pose = found.poses
         tried.append((found.noise * np.sqrt(found.cluster), found, observations))
     _, found, observations = min(tried, key=lambda one: one[0])
-    return _pose(found, 0, board, observations, name, _camera_share(found, optics, points, observations))
+    return _pose(found, 0, board, observations, name, _camera_share(found, optics, observations))
 
 
 def _checked(flat: ArrayLike, name: str, calibration: Calibration) -> Array:
@@ -303,8 +303,7 @@ def _result(
     blur: Array,
     warnings: tuple[str, ...],
 ) -> MetricCalibration:
-    points = board.points - board.middle
-    factor = pose_factor(fitted, pixel, points, observations)
+    factor = pose_factor(fitted, pixel, observations)
     optics = optics_of(fitted, pixel, factor)
     optics = replace(optics, microlens_focal_lengths=_microlenses(optics, calibration))
     widened = replace(fitted, covariance=fitted.covariance * factor)
@@ -319,7 +318,19 @@ def _result(
         noise=float(np.median(observations.error)) * fitted.noise,
         widening=fitted.cluster * factor,
         degeneracies=describe_degeneracies(optics),
-        warnings=warnings,
+        warnings=warnings + _shape_warnings(fitted, board.points - board.middle),
+        board_shape=fitted.shape,
+    )
+
+
+def _shape_warnings(fitted: Adjusted, points: Array) -> tuple[str, ...]:
+    if not fitted.shape.any():
+        return ()
+    off = fitted.board - points
+    bend, aside = np.ptp(off[:, 2]), np.hypot(*off[:, :2].T).max()
+    return (
+        f"the board is not flat and square (bent by {bend:.2g} mm, points {aside:.2g} mm aside), which is reckoned with; "
+        "one on glass or aluminium measures better",
     )
 
 
@@ -340,15 +351,14 @@ def _pose(
     return BoardPose(name, turn, shift - middle, change @ covariance @ change.T, rms, int(used.sum()))
 
 
-def _camera_share(found: Adjusted, optics: Optics, points: Array, observations: Observations) -> Array | None:
+def _camera_share(found: Adjusted, optics: Optics, observations: Observations) -> Array | None:
     """(6, 6) covariance of the pose that comes from that of the camera."""
     if optics.covariance is None:
         return None
-    from .bundle_adjustment import normal_equations
-
-    normals = normal_equations(found.camera, optics.pixel, found.poses, points, observations, found.weight)
+    normals = normal_equations(found.camera, optics.pixel, found.poses, found.board, observations, found.weight)
     own = len(INTERNAL)
-    by_internal = -np.linalg.solve(normals.matrix[own:, own:], normals.matrix[own:, :own])
+    pose_of = slice(own, own + 6)
+    by_internal = -np.linalg.solve(normals.matrix[pose_of, pose_of], normals.matrix[pose_of, :own])
     change = np.eye(own)
     change[:3, :3] = to_internal(optics.parameters[:3], optics.pixel)[1]
     by_optics = by_internal @ change

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .bundle_adjustment import Adjusted, adjust, normal_equations
+from .board_shape import SHAPE
+from .bundle_adjustment import Adjusted, adjust, normal_equations, unknowns
 from .camera_model import INTERNAL
 from .observations import Observations
 from .settings import ADJUSTMENT, AdjustmentSettings
@@ -27,6 +28,8 @@ _GROUPS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("tilt_x", "tilt_y"), ()),
     (("curvature",), ()),
     (("pupil",), ()),
+    (SHAPE[:3], ()),
+    (SHAPE[3:], ()),
 )
 
 
@@ -48,25 +51,28 @@ def select_order(
     price = settings.bayes_factor * math.log(2 * corners)
     while True:
         gains = {
-            group: _gain(found, pixel, board, observations, group) / len(group)
+            group: _gain(found, pixel, observations, group) / len(group)
             for group, before in _GROUPS
             if group[0] not in found.free and set(before) <= set(found.free)
         }
         best = max(gains, key=lambda group: gains[group], default=None)
         if best is None or gains[best] <= price:
             return found
-        tried = adjust(found.camera, pixel, found.poses, board, observations, (*found.free, *best), settings=settings)
+        free = (*found.free, *best)
+        tried = adjust(
+            found.camera, pixel, found.poses, board, observations, free, shape=found.shape, settings=settings
+        )
         if not tried.noise < found.noise:
             return found
         found = tried
 
 
-def _gain(found: Adjusted, pixel: float, board: Array, observations: Observations, group: tuple[str, ...]) -> float:
+def _gain(found: Adjusted, pixel: float, observations: Observations, group: tuple[str, ...]) -> float:
     """Expected fall of -2 log likelihood if `group` is fitted too."""
-    normals = normal_equations(found.camera, pixel, found.poses, board, observations, found.weight)
-    own = len(INTERNAL)
-    fitted = np.r_[[INTERNAL.index(name) for name in found.free], own : len(normals.gradient)].astype(int)
-    new = np.array([INTERNAL.index(name) for name in group])
+    normals = normal_equations(found.camera, pixel, found.poses, found.board, observations, found.weight)
+    count = len(found.poses.rotation)
+    fitted = unknowns(found.free, count)
+    new = np.setdiff1d(unknowns(group, count), unknowns((), count))
     matrix, gradient = normals.matrix, normals.gradient
     both = np.linalg.solve(matrix[np.ix_(fitted, fitted)], matrix[np.ix_(fitted, new)])
     left = matrix[np.ix_(new, new)] - matrix[np.ix_(new, fitted)] @ both

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from ..boards.board import Board
 from ..camera.calibration import Calibration
 from ..camera.optics import Optics
 from ..runtime.output_file import atomic_write
+from .board_shape import SHAPE
 from .observations import Observations
 
 __all__ = ["BoardPose", "MetricCalibration"]
@@ -109,6 +110,8 @@ class MetricCalibration:
     degeneracies : tuple of str
         Parameters that hardly separate, and what is well known instead.
     warnings : tuple of str
+    board_shape : (5,) float64 [mm]
+        By how much the board is not flat and square, as `lfcal.metric.board_shape.SHAPE`: 0 where the data did not ask.
 
     Examples
     --------
@@ -131,6 +134,7 @@ class MetricCalibration:
     widening: float
     degeneracies: tuple[str, ...]
     warnings: tuple[str, ...]
+    board_shape: Array = field(default_factory=lambda: np.zeros(len(SHAPE)))
 
     def __repr__(self) -> str:
         return f"MetricCalibration({len(self.poses)} poses, {len(self.residual)} corners, {self.rms:.3f} px RMS)"
@@ -156,6 +160,7 @@ class MetricCalibration:
                 "columns": self.board.columns,
                 "rows": self.board.rows,
                 "square_mm": self.board.square,
+                "shape_mm": dict(zip(SHAPE, self.board_shape.tolist(), strict=True)),
             },
             "fitted": list(self.fitted),
             "rms_px": self.rms,

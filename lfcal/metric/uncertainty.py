@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.optics import OPTICS_PARAMETERS, Optics
-from .bundle_adjustment import Adjusted, Poses, normal_equations
+from .bundle_adjustment import Adjusted, Poses, normal_equations, unknowns
 from .camera_model import INTERNAL, from_internal, to_internal
 from .observations import Observations
 from .settings import UNCERTAINTY, UncertaintySettings
@@ -26,15 +26,17 @@ _NAMES = {
 }
 
 
-def pose_factor(found: Adjusted, pixel: float, board: Array, observations: Observations) -> float:
+def pose_factor(found: Adjusted, pixel: float, observations: Observations) -> float:
     """How much more the gradients of single poses scatter than those of independent errors would.
 
     Variance factor, at least 1, of the fitted parameters: the cluster-robust (sandwich) covariance with poses as
-    clusters, over what it is expected to be, as the mean over all directions (MacKinnon, Nielsen and Webb 2023). Boards
-    that are not quite flat and errors of the model show here.
+    clusters, over what it is expected to be, as the mean over all directions (MacKinnon, Nielsen and Webb 2023). Errors
+    of the model show here.
     """
-    chosen = np.array([INTERNAL.index(name) for name in found.free])
     count, own = len(found.poses.rotation), len(INTERNAL)
+    # With one pose, its own unknowns lie between those of the camera and of the board.
+    of_pose = slice(own, own + 6)
+    chosen = np.setdiff1d(unknowns(found.free, 1), np.arange(own, own + 6))
     if count <= 3 or not len(chosen):
         return 1.0
     reduced = np.zeros((count, len(chosen), len(chosen)))
@@ -44,11 +46,11 @@ def pose_factor(found: Adjusted, pixel: float, board: Array, observations: Obser
         part = observations.select(mine)
         part = Observations(part.pose * 0, part.corner, part.centre, part.position, part.error)
         pose = Poses(found.poses.rotation[m : m + 1], found.poses.translation[m : m + 1])
-        normals = normal_equations(found.camera, pixel, pose, board, part, found.weight[mine])
-        across = normals.matrix[chosen][:, own:]
-        both = np.linalg.lstsq(normals.matrix[own:, own:], across.T, rcond=1e-12)[0]
+        normals = normal_equations(found.camera, pixel, pose, found.board, part, found.weight[mine])
+        across = normals.matrix[chosen][:, of_pose]
+        both = np.linalg.lstsq(normals.matrix[of_pose, of_pose], across.T, rcond=1e-12)[0]
         reduced[m] = normals.matrix[np.ix_(chosen, chosen)] - across @ both
-        gradient[m] = normals.gradient[chosen] - both.T @ normals.gradient[own:]
+        gradient[m] = normals.gradient[chosen] - both.T @ normals.gradient[of_pose]
     scale = 1 / np.sqrt(np.maximum(np.diag(reduced.sum(0)), 1e-300))
     reduced, gradient = reduced * np.outer(scale, scale), gradient * scale
     total = reduced.sum(0)

@@ -144,6 +144,7 @@ def _information(
     noise = np.full(len(corner), found.noise * np.sqrt(found.widening))
     observations = Observations(np.zeros(len(corner), int), corner, centres[lens], none, noise)
     normals = normal_equations(camera, found.optics.pixel, pose, points, observations, np.ones(len(corner)))
-    own = len(INTERNAL)
-    matrix = normals.matrix
-    return matrix[:own, :own] - matrix[:own, own:] @ np.linalg.solve(matrix[own:, own:], matrix[own:, :own])
+    own, matrix = len(INTERNAL), normals.matrix
+    pose_of = slice(own, own + 6)
+    across = matrix[:own, pose_of]
+    return matrix[:own, :own] - across @ np.linalg.solve(matrix[pose_of, pose_of], across.T)

@@ -32,14 +32,14 @@ def poses(rng, count=8, near=350.0, far=1200.0, tilt=0.45):
     return Poses(np.array(turns), np.array(shifts))
 
 
-def observe(values, where, rng, noise, pitch=28.3, radius=11.5, size=(1600, 1200)):
-    """Observations of `BOARD` in a hexagonal array, with normal errors [px]."""
+def observe(values, where, rng, noise, pitch=28.3, radius=11.5, size=(1600, 1200), board=BOARD):
+    """Observations of a board in a hexagonal array, with normal errors [px]."""
     i, j = np.mgrid[-10 : size[0] / pitch + 10, -2 : size[1] / pitch * 1.2 + 2].reshape(2, -1)
     centres = np.column_stack([(i - 5 + (j % 2) / 2) * pitch, j * pitch * 0.75**0.5])
     centres = centres[(centres >= 0).all(1) & (centres < size).all(1)]
     rows = []
     for m in range(len(where.rotation)):
-        for k, point in enumerate(BOARD @ where.rotation[m].T + where.translation[m]):
+        for k, point in enumerate(board @ where.rotation[m].T + where.translation[m]):
             seen = project(values, PIXEL, np.repeat(point[None], len(centres), 0), centres).position
             kept = np.hypot(*(seen - centres).T) < radius
             rows += [(m, k, *c, *p) for c, p in zip(centres[kept], seen[kept], strict=True)]

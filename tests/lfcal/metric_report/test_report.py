@@ -33,7 +33,7 @@ def found():
     seen = Observations(seen.pose, seen.corner, seen.centre, seen.position, np.full(len(seen), 0.02))
     fitted = adjust(values, cameras.PIXEL, where, cameras.BOARD, seen, BASE)
     lattice = Lattice((0, 0), [[28.3, 0], [14.15, 24.5]], (1600, 1200), 13.0)
-    errors = np.sqrt(np.diag(fitted.covariance))[14:].reshape(-1, 6)
+    errors = np.sqrt(np.diag(fitted.covariance))[14:-5].reshape(-1, 6)
     board = Board(9, 6, 7.0)
     placed = tuple(
         BoardPose(f"{m}.png", r, t - r @ board.middle, np.diag(errors[m] ** 2), 0.03, 100)
