@@ -329,8 +329,8 @@ def _shape_warnings(fitted: Adjusted, points: Array) -> tuple[str, ...]:
     off = fitted.board - points
     bend, aside = np.ptp(off[:, 2]), np.hypot(*off[:, :2].T).max()
     return (
-        f"the board is not flat and square (bent by {bend:.2g} mm, points {aside:.2g} mm aside), which is reckoned with; one "
-        "on glass or aluminium measures better",
+        f"the board is not flat and square (bent by {bend:.2g} mm, points {aside:.2g} mm aside), which is "
+        "reckoned with; one on glass or aluminium measures better",
     )
 
 
