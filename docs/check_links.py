@@ -1,4 +1,4 @@
-"""Check the local links of the built documentation; ends with 1 if one is broken: `python docs/check_links.py FOLDER`."""
+"""Check local links of the built documentation, `python docs/check_links.py FOLDER`; ends with 1 if one is broken."""
 
 from __future__ import annotations
 
