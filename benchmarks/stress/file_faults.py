@@ -155,9 +155,13 @@ def damaged(whole: bytes, number: int) -> bytes:
 
 
 def _read_film(path: Path) -> int:
-    """Read all frames, and raise the first error of theirs when all have been tried."""
+    """Read all frames and the last one alone, and raise the first error of theirs when all have been tried."""
     errors: list[lfcal.LightFieldError] = []
     count = 0
+    try:
+        lfcal.read_flat(path, 3)
+    except lfcal.LightFieldError as error:
+        errors.append(error)
     for frame in islice(open_frames([path]), _MOST_FRAMES):
         try:
             frame.read()
@@ -180,7 +184,7 @@ def _reader(name: str) -> Callable[[Path], Any]:
     if suffix in (".json", ".xml", ".cfg", ".csv"):
         # A camera is of use only where its lenses can be counted.
         return lambda path: len(lfcal.load(path, None if suffix == ".json" else _SIZE).lattice)
-    return lambda path: (lfcal.count_pages(path), lfcal.read_flat(path))
+    return lambda path: (lfcal.count_pages(path), lfcal.read_flat(path, 0 if suffix == ".yuv" else None))
 
 
 def fuzz(folder: Path, numbers: range, more: dict[str, bytes] | None = None) -> tuple[int, list[Fault]]:
@@ -197,7 +201,8 @@ def fuzz(folder: Path, numbers: range, more: dict[str, bytes] | None = None) -> 
     good.mkdir()
     faults, tried = [], 0
     for name, whole in (whole_files(good) | (more or {})).items():
-        read, path = _reader(name), folder / f"damaged{Path(name).suffix}"
+        # With its name, from which the size of raw video follows.
+        read, path = _reader(name), folder / f"damaged_{name}"
         for number in numbers:
             path.write_bytes(damaged(whole, number))
             start = time.process_time()
