@@ -27,6 +27,9 @@ def read_openexr(path: Path, page: int | None) -> NDArray[np.float32]:
         raise FlatError(f"has one picture and no page {page}")
     _check_header(path)
     with OpenEXR.File(str(path), separate_channels=True) as file:
+        # The library leaves out what it cannot decode.
+        if not file.parts:
+            raise FlatError("damaged or truncated OpenEXR")
         if len(file.parts) != 1:
             raise FlatError(f"the OpenEXR file holds {len(file.parts)} pictures; save the one that is the flat alone")
         channels: dict[str, Any] = {name: channel.pixels for name, channel in file.channels().items()}

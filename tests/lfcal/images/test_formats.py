@@ -147,6 +147,16 @@ def test_openexr_colours_and_grey_are_floats(tmp_path, kind):
     np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "b.exr"), pixels[..., 0].astype(np.float32))
 
 
+def test_truncated_openexr_is_refused_as_such(tmp_path):
+    OpenEXR = pytest.importorskip("OpenEXR", reason="OpenEXR needs lfrender[exr]")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"Y": RNG.random((64, 64)).astype(np.float32)}).write(str(tmp_path / "a.exr"))
+    data = (tmp_path / "a.exr").read_bytes()
+    (tmp_path / "a.exr").write_bytes(data[: len(data) // 2])
+    with pytest.raises(lfcal.FlatError, match="damaged or truncated OpenEXR"):
+        lfcal.read_flat(tmp_path / "a.exr")
+
+
 def test_openexr_of_an_impossible_size_is_refused_at_once(tmp_path):
     OpenEXR = pytest.importorskip("OpenEXR", reason="OpenEXR needs lfrender[exr]")
     header = {"compression": OpenEXR.NO_COMPRESSION, "type": OpenEXR.scanlineimage}
