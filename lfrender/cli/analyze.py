@@ -20,6 +20,7 @@ from .options import (
     capture_command,
     cluster_options,
     connect_cluster,
+    edges_option,
     option_errors,
     roi_option,
 )
@@ -73,6 +74,7 @@ _DENSE, _PICTURE, _POINTS = (".tif", ".tiff", ".pfm", ".exr"), (".png",), (".ply
 )
 @console.grouped(
     "What to analyse",
+    edges_option,
     roi_option("Only lenses with their centre between two opposite corners [px]."),
     click.option("--exhaustive", is_flag=True, help="Take no shortcuts: match every lens at every shift."),
 )
@@ -85,6 +87,7 @@ def analyze(
     ply: Path | None,
     optics_file: Path | None,
     metres: bool,
+    edges: bool,
     roi: tuple[float, float, float, float] | None,
     exhaustive: bool,
     workers: int | None,
@@ -108,13 +111,14 @@ def analyze(
     on_cluster = workers or scheduler
     at_most_one("--dark", capture.dark, "--workers or --scheduler", on_cluster or None)
     at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--ply", ply)
+    at_most_one("--edges", edges or None, "--roi", roi, "--workers or --scheduler", on_cluster or None)
     optics = None
     if optics_file is not None:
         from lfcal import Optics
 
         optics = Optics.load(optics_file)
     pixels = None
-    if roi is None and ply is None and (on_cluster or (capture.dark is None and is_large(capture.flat))):
+    if roi is None and ply is None and (on_cluster or (capture.dark is None and not edges and is_large(capture.flat))):
         from .large import analyze_in_tiles
 
         with connect_cluster(workers, scheduler, report) as cluster:
@@ -122,7 +126,7 @@ def analyze(
     else:
         pixels, calibration = capture.calibrate(capture.read("lfrender.depth.analyze"))
         with option_errors(roi):
-            depth = capture.analyze(pixels, calibration, skip=not exhaustive, roi=roi)
+            depth = capture.analyze(pixels, calibration, skip=not exhaustive, roi=roi, edges=edges)
     optics = optics or calibration.optics
     if metres and optics is None:
         raise click.UsageError("--metres needs optics: a camera file made by 'lfcal metric', or --optics")

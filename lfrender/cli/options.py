@@ -17,8 +17,8 @@ from .inputs import CaptureInput
 
 __all__ = [
     "CAMERA", "INPUT", "OUTPUT", "at_most_one", "capture_command", "cluster_options", "connect_cluster",
-    "eight_bits_option", "grid_size", "option_errors", "output_option", "preset_option", "roi_option", "scale_option",
-    "white_option",
+    "edges_option", "eight_bits_option", "grid_size", "option_errors", "output_option", "preset_option", "roi_option",
+    "scale_option", "white_option",
 ]  # fmt: skip
 
 INPUT, OUTPUT = console.InputPath(), console.OutputPath()
@@ -30,6 +30,11 @@ preset_option = click.option(
     default="balanced",
     show_default=True,
     help="How much time the depth analysis may take.",
+)
+edges_option = click.option(
+    "--edges",
+    is_flag=True,
+    help="Place depth edges on the pixels of the microimages: cleaner outlines, in some ten times the time.",
 )
 scale_option = click.option(
     "--scale", type=click.FloatRange(0, min_open=True), help="Output pixels per microlens pitch."

@@ -25,6 +25,7 @@ from .options import (
     capture_command,
     cluster_options,
     connect_cluster,
+    edges_option,
     eight_bits_option,
     option_errors,
     roi_option,
@@ -53,6 +54,7 @@ __all__ = ["render"]
     click.option("--blend", is_flag=True, help="With --patch-size: the mean over lenses instead of the nearest one."),
     click.option("--traditional", is_flag=True, help="One pixel per microlens, the mean of its microimage."),
     scale_option,
+    edges_option,
     roi_option("Draw only this part, between two opposite corners [px of the flat]."),
     click.option(
         "--sharpen",
@@ -85,6 +87,7 @@ def render(
     alpha: bool,
     compress: bool,
     tile: int | None,
+    edges: bool,
     roi: tuple[float, float, float, float] | None,
     workers: int | None,
     scheduler: str | None,
@@ -101,6 +104,8 @@ def render(
     at_most_one("--roi", roi, "--sharpen", sharpen, *mean, "--tile", tile)
     at_most_one("--workers", workers, "--scheduler", scheduler)
     at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--sharpen", sharpen, *mean)
+    for other in (("--depth", capture.depth_file), ("--patch-size", patch_size), ("--roi", roi), mean):
+        at_most_one("--edges", edges or None, *other)
     if blend and patch_size is None:
         raise click.UsageError("--blend needs --patch-size")
     width = _sharpen_width(sharpen)
@@ -108,6 +113,8 @@ def render(
     # Sharpening estimates blur and noise on the whole picture.
     if not (traditional or roi or sharpen):
         in_tiles = on_cluster or tile is not None or output.suffix.lower() == ".zarr"
+        if edges and (in_tiles or is_large(capture.flat)):
+            raise click.UsageError("--edges is for flats that are analysed as a whole: leave it out here")
         if capture.dark is not None and in_tiles:
             raise click.UsageError("--dark is for flats that are drawn as a whole: leave out --tile and clusters")
         if eight_bits and (in_tiles or is_large(capture.flat)):
@@ -135,7 +142,7 @@ def render(
 
             with option_errors(roi):
                 needed = expand_roi(roi, calibration)
-        depth = capture.analyze(pixels, calibration, roi=needed)
+        depth = capture.analyze(pixels, calibration, roi=needed, edges=edges)
     options |= {"sharpen": width, "roi": roi}
     with capture.report.stage("render"), option_errors(*options.values()):
         from .. import render as run

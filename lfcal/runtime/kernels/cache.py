@@ -8,6 +8,7 @@ import pickle
 import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
 
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
@@ -22,15 +23,23 @@ except ImportError:  # Windows: processes compile side by side
 if TYPE_CHECKING:
     from .jit import Kernel
 
-__all__ = ["enable_cache"]
+__all__ = ["enable_cache", "release_locks"]
 
 _DAMAGED = (EOFError, pickle.UnpicklingError, ValueError, KeyError, AttributeError, ImportError, IndexError)
+_caches: WeakSet[_KernelCache] = WeakSet()
 
 
 def enable_cache(kernel: Kernel, dispatcher: Any) -> None:
     """Give a dispatcher the cache of its kernel; none where no folder can be written to."""
     with suppress(RuntimeError):
         dispatcher._cache = _KernelCache(kernel)
+
+
+def release_locks() -> None:
+    """Let other processes compile the kernels that this one has begun, after an error."""
+    for cache in list(_caches):
+        for sig in list(cache._locks):
+            cache.unlock(sig)
 
 
 class _KernelCache(FunctionCache):
@@ -44,6 +53,7 @@ class _KernelCache(FunctionCache):
         self._cache_file = IndexDataCacheFile(self._cache_path, f"{name}.{version}", digest_kernel(kernel))
         self._lock_path = os.path.join(self._cache_path, f"{name}.{version}.lock")
         self._locks: dict[Any, int] = {}
+        _caches.add(self)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         found = self._load(sig, target_context)
@@ -83,7 +93,8 @@ class _KernelCache(FunctionCache):
 
     def _lock(self, sig: Any) -> bool:
         """Wait until no other process compiles the kernel; whether there is a lock now."""
-        if fcntl is None or sig in self._locks:
+        # A lock of this process, for other types, would never come free while it waits.
+        if fcntl is None or self._locks:
             return False
         try:
             lock = os.open(self._lock_path, os.O_CREAT | os.O_RDWR)

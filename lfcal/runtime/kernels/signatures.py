@@ -26,7 +26,14 @@ class Signature(NamedTuple):
 
     def compile(self) -> None:
         """Compile the kernel for these types, or load it from the cache."""
-        getattr(import_module(self.module), self.name).compile(self._decoded())
+        try:
+            getattr(import_module(self.module), self.name).compile(self._decoded())
+        except BaseException:
+            # What cannot be compiled is never saved, which would let others compile it.
+            from .cache import release_locks
+
+            release_locks()
+            raise
 
     def is_cached(self) -> bool:
         """Whether the cache has it; True if there is no such kernel."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
 from lfcal.runtime.kernels.jit import njit
 
@@ -61,8 +60,9 @@ def _vote(pixels, lenses, near, distance2, found, x, y, s, width):
     return share / (total + 0.1), size / share if share > 0 else s
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def fuse_pixel_depths(pixels, lenses: LensArray, surface, grid: PointGrid, reach, width, least, out):
+@njit(cache=True, nogil=True, share=lambda pixels, lenses, surface, *_: len(surface))
+def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: PointGrid, several, reach, width, least,
+                      out):  # fmt: skip
     """Fill `out` with the nearest depth that most of the central lenses show at each scene point.
 
     Parameters
@@ -73,16 +73,19 @@ def fuse_pixel_depths(pixels, lenses: LensArray, surface, grid: PointGrid, reach
     surface, out : (rows, columns) float32 [px]
         Depths of a point are those of the `surface` within `reach` [grid values].
     grid : PointGrid
+    several : (rows, columns) bool
+        Points that have several depths within `reach`; only they are filled.
     width : float [px^2]
         Squared distance of a lens at which its vote has fallen to 1 / e.
     least : float
         Share of the votes; if no depth has it, the one with the most votes counts.
     """
     rows, columns = surface.shape
-    for v in prange(rows):
-        near, distance2 = np.empty(_VIEWS, np.int64), np.empty(_VIEWS)
-        depths = np.empty(_DEPTHS)
+    near, distance2, depths = np.empty(_VIEWS, np.int64), np.empty(_VIEWS), np.empty(_DEPTHS)
+    for v in range(begin, end):
         for u in range(columns):
+            if not several[v, u]:
+                continue
             depths[0], number = surface[v, u], 1
             for row in range(max(0, v - reach), min(rows, v + reach + 1)):
                 for column in range(max(0, u - reach), min(columns, u + reach + 1)):
@@ -92,9 +95,6 @@ def fuse_pixel_depths(pixels, lenses: LensArray, surface, grid: PointGrid, reach
                     if not known and number < _DEPTHS:
                         depths[number] = s
                         number += 1
-            out[v, u] = surface[v, u]
-            if number == 1:
-                continue
             x, y = grid.first + u * grid.spacing, grid.first + v * grid.spacing
             found = _central_lenses(lenses, x, y, near, distance2)
             best, nearness = 0.0, -np.inf

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,7 +16,7 @@ from ...data.surface import Surface
 from ...flat.gray_flat import white_level
 from ..surface.settings import DensifySettings
 from .fusion import fuse_pixel_depths
-from .geometry import PointGrid, lens_array, mark_levels
+from .geometry import LensArray, PointGrid, lens_array, mark_levels
 from .pixel_depths import PixelCosts, measure_pixel_depths
 from .settings import DEFAULT, EdgeSettings
 
@@ -43,27 +44,47 @@ def locate_edges(
         return depth
     image = _colours(flat, calibration)
     lenses, grid = lens_array(lattice, gap), PointGrid(float(surface.first[0]), float(surface.spacing))
-    reach = settings.reach * lattice.pitch / surface.spacing
-    costs = PixelCosts(
-        settings.foreign_cost, settings.absent_cost, 3 * settings.noise**2, settings.contrast_share,
-        settings.same_colour**2, settings.open_share, settings.occluded_share, settings.jump, settings.edge_share,
-        settings.edge_colour**2, settings.slant, settings.reach * lattice.pitch,
-    )  # fmt: skip
-    before: NDArray[np.float32] = np.zeros((1, 1), np.float32)
-    for _ in range(2):
-        pixels = np.full(image.shape[:2], np.nan, np.float32)
-        measure_pixel_depths(image, lenses, values, grid, mark_levels(values, lattice.pitch, reach), before, costs,
-                             pixels)  # fmt: skip
-        fused = np.empty(values.shape, np.float32)
-        width = settings.vote_width * lattice.pitch**2
-        fuse_pixel_depths(pixels, lenses, values, grid, int(reach), width, settings.vote_share, fused)
-        values, before = fused, pixels
-        costs = costs._replace(open_share=settings.visible_share)
+    first = _measure(image, lenses, values, grid, np.zeros((1, 1), np.float32), settings.open_share, settings)
+    values = _fuse(first, lenses, values, grid, settings)
+    second = _measure(image, lenses, values, grid, first, settings.visible_share, settings)
+    values = _fuse(second, lenses, values, grid, settings)
     return replace(depth, surface=Surface(values, surface.first, surface.spacing))
 
 
+def _measure(
+    image: NDArray[np.float32], lenses: LensArray, surface: NDArray[np.float32], grid: PointGrid,
+    before: NDArray[np.float32], share: float, settings: EdgeSettings,
+) -> NDArray[np.float32]:  # fmt: skip
+    """(H, W) [px] the patch size of each pixel, NaN between the microimages."""
+    reach = settings.reach * lenses.pitch
+    costs = PixelCosts(
+        settings.foreign_cost, settings.absent_cost, 3 * settings.noise**2, settings.contrast_share,
+        settings.same_colour**2, share, settings.occluded_share, settings.jump, settings.edge_share,
+        settings.edge_colour**2, settings.slant, reach,
+    )  # fmt: skip
+    pixels = np.full(image.shape[:2], np.nan, np.float32)
+    levels = mark_levels(surface, lenses.pitch, reach / grid.spacing)
+    measure_pixel_depths(image, lenses, surface, grid, levels, before, costs, pixels)
+    return pixels
+
+
+def _fuse(
+    pixels: NDArray[np.float32], lenses: LensArray, surface: NDArray[np.float32], grid: PointGrid,
+    settings: EdgeSettings,
+) -> NDArray[np.float32]:  # fmt: skip
+    """(rows, columns) [px] the surface that the pixels show."""
+    reach = int(settings.reach * lenses.pitch / grid.spacing)
+    around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    several = cv2.dilate(surface, around) - cv2.erode(surface, around) > lenses.gap
+    fused = surface.copy()
+    fuse_pixel_depths(pixels, lenses, surface, grid, several, reach, settings.vote_width * lenses.pitch**2,
+                      settings.vote_share, fused)  # fmt: skip
+    return fused
+
+
 def _colours(flat: NDArray[Any], calibration: Calibration) -> NDArray[np.float32]:
-    """(H, W, 3) the flat, divided by its gain, white = 1."""
+    """(H, W, 4) the flat in three colours, divided by its gain, white = 1; the last channel is 0."""
     image = calibration.flatten(flat).astype(np.float32) / np.float32(white_level(flat, calibration))
-    return np.ascontiguousarray(np.broadcast_to(image[..., :3] if image.shape[2] > 2 else image[..., :1],
-                                                (*image.shape[:2], 3)))  # fmt: skip
+    out: NDArray[np.float32] = np.zeros((*image.shape[:2], 4), np.float32)
+    out[..., :3] = image[..., :3] if image.shape[2] > 2 else image[..., :1]
+    return out

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 
 from lfcal.runtime.kernels.jit import njit
 
@@ -30,6 +29,8 @@ _LEAST = 0.02
 _UNSEEN = 0.6
 _FEW_COST = 0.05
 _FEW = 3
+# Pixels each way around one that show one surface in the first round: it is not looked at again.
+_AROUND = 2
 
 
 class PixelCosts(NamedTuple):
@@ -49,10 +50,41 @@ class PixelCosts(NamedTuple):
     reach: Any  # [px]
 
 
+class _Microimage(NamedTuple):
+    """Work space for the pixels of one lens, `size` each way; k counts its depths."""
+
+    inside: Any  # (size, size) bool: pixels of the microimage
+    value: Any  # (size, size, k) [px] patch size that each depth has there
+    cost: Any  # (size, size, k)
+    open: Any  # (size, size) bool: pixels that several depths are possible for
+    present: Any  # (size, size, k) bool: the surface has this depth nearby
+    weight: Any  # (size, size, 9) of the pixels of a patch, sum 1
+    allowed: Any  # (size, size) mismatch that noise and blur explain
+    apart: Any  # (size, size) squared difference to another lens
+    stamp: Any  # (size, size) which lens and depth `apart` is of
+    count: Any  # (size, size) lenses that a pixel has been compared with
+    views: Any  # (size, size, _VIEWS) mismatch of each
+    total: Any  # (size, size, k) sum of the paths of semi-global matching
+    jumps: Any  # (4, size, size) price of a depth edge to the neighbour in each of four directions
+
+
 @njit(cache=True, nogil=True)
-def _list_depths(surface, first, spacing, x, y, lenses, reach, depths):
+def _make_work_space(size):
+    return _Microimage(
+        np.zeros((size, size), np.bool_), np.zeros((size, size, _DEPTHS), np.float32),
+        np.zeros((size, size, _DEPTHS), np.float32), np.zeros((size, size), np.bool_),
+        np.zeros((size, size, _DEPTHS), np.bool_), np.zeros((size, size, 9), np.float32),
+        np.zeros((size, size), np.float32), np.zeros((size, size), np.float32), np.zeros((size, size), np.int64),
+        np.zeros((size, size), np.int64), np.zeros((size, size, _VIEWS), np.float32),
+        np.zeros((size, size, _DEPTHS), np.float32), np.zeros((4, size, size), np.float32),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _list_depths(surface, grid, x, y, lenses, reach, depths):
     """Patch sizes of the surface that the lens at (x, y) may show, in `depths`; returns how many there are."""
     rows, columns = surface.shape
+    first, spacing = grid.first, grid.spacing
     count, total = np.zeros(_BINS), np.zeros(_BINS)
     width, span = 0.25 * lenses.gap, int(3.5 * lenses.pitch / spacing)
     at_u, at_v = int((x - first) / spacing + 0.5), int((y - first) / spacing + 0.5)
@@ -76,158 +108,34 @@ def _list_depths(surface, first, spacing, x, y, lenses, reach, depths):
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _mismatch(image, lenses, lens, x, y, s, patch, weight, total, allowed, before, share, costs):
-    """Mismatch of a pixel, whose 3 x 3 `patch` is given, with the `share` of the other lenses that fit it best at
-    depth `s`, where it shows scene point (x, y); lenses that show a nearer depth `before` do not count."""
-    centres, rows, low, ring = lenses.centres, lenses.rows, lenses.low, lenses.ring
-    slope, count, radius = s / lenses.pitch, 0, lenses.radius
-    at_i, at_j = lenses.indices[lens, 0] - low[0], lenses.indices[lens, 1] - low[1]
-    height, width = image.shape[:2]
-    for r in range(1, len(ring)):
-        ci, cj = at_i + ring[r, 0], at_j + ring[r, 1]
-        if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1]:
-            continue
-        other = rows[cj, ci]
-        if other < 0:
-            continue
-        dx, dy = (x - centres[other, 0]) * slope, (y - centres[other, 1]) * slope
-        if dx * dx + dy * dy > radius * radius:
-            continue
-        px, py = centres[other, 0] - dx, centres[other, 1] - dy
-        if before.size > 1:
-            u, v = int(px + 0.5), int(py + 0.5)
-            if u < 0 or v < 0 or v >= before.shape[0] or u >= before.shape[1]:
-                continue
-            if depth_order(before[v, u], lenses.pitch) > depth_order(s, lenses.pitch) + lenses.gap:
-                continue
-        i, j = int(px), int(py)
-        if i < 1 or j < 1 or i >= width - 2 or j >= height - 2:
-            continue
-        fx, fy = np.float32(px - i), np.float32(py - j)
-        w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-        squares = np.float32(0.0)
-        for e in range(9):
-            v, u = j + e // 3 - 1, i + e % 3 - 1
-            apart2 = np.float32(0.0)
-            for channel in range(3):
-                apart = w00 * image[v, u, channel] + w01 * image[v, u + 1, channel]
-                apart += w10 * image[v + 1, u, channel] + w11 * image[v + 1, u + 1, channel] - patch[e * 3 + channel]
-                apart2 += apart * apart
-            squares += weight[e] * apart2
-        squares /= total
-        costs[count] = squares / (squares + allowed)
-        count += 1
-        if count == _VIEWS:
-            break
-    if count == 0:
-        return _UNSEEN
-    number = max(1, int(share * count + 0.5))
-    best = np.sort(costs[:count])
-    return best[:number].mean() + _FEW_COST * max(0, _FEW - count)
+@njit(cache=True, nogil=True)
+def _is_settled(before, px, py, gap):
+    """Whether the first round found one surface on all pixels around this one."""
+    if before.size == 1:
+        return False
+    s, height, width = before[py, px], before.shape[0], before.shape[1]
+    for v in range(max(0, py - _AROUND), min(height, py + _AROUND + 1)):
+        for u in range(max(0, px - _AROUND), min(width, px + _AROUND + 1)):
+            if abs(before[v, u] - s) > gap:
+                return False
+    return True
 
 
 @njit(cache=True, nogil=True)
-def _aggregate_line(cost, value, inside, image, left, top, number, lenses, c, v, u, down, across, total):
-    """Add one path of semi-global matching, from pixel (u, v) on, to `total`."""
-    size = len(inside)
-    previous, current = np.zeros(number), np.zeros(number)
-    lowest, linked, from_v, from_u = 0.0, False, 0, 0
-    while 0 <= v < size and 0 <= u < size:
-        if inside[v, u]:
-            jump = c.jump
-            if linked:
-                apart = 0.0
-                for channel in range(3):
-                    apart += (image[top + v, left + u, channel] - image[top + from_v, left + from_u, channel]) ** 2
-                jump = c.jump * (c.edge_share + (1 - c.edge_share) * np.exp(-apart / c.edge2))
-            least = np.inf
-            for k in range(number):
-                best = jump if linked else 0.0
-                if linked:
-                    # Depths ascend: others than those beside it are a jump away.
-                    for q in range(max(0, k - 1), min(number, k + 2)):
-                        step = abs(value[v, u, k] - value[from_v, from_u, q]) / lenses.gap
-                        price = min(jump, c.slant * step) if step < 1.5 else jump
-                        best = min(best, previous[q] - lowest + price)
-                current[k] = cost[v, u, k] + best
-                total[v, u, k] += current[k]
-                least = min(least, current[k])
-            lowest = least
-            previous[:] = current
-            linked, from_v, from_u = True, v, u
-        else:
-            linked = False
-        v, u = v + down, u + across
-
-
-@njit(cache=True, nogil=True)
-def _aggregate(cost, value, inside, image, left, top, number, lenses, c, total):
-    """Semi-global matching along eight directions inside a microimage."""
-    size = len(inside)
-    for down in range(-1, 2):
-        for across in range(-1, 2):
-            if down == 0 and across == 0:
-                continue
-            for start in range(size):
-                if down != 0:
-                    v = 0 if down > 0 else size - 1
-                    _aggregate_line(cost, value, inside, image, left, top, number, lenses, c, v, start, down, across,
-                                    total)  # fmt: skip
-                if across != 0 and not (down != 0 and start == (0 if down > 0 else size - 1)):
-                    u = 0 if across > 0 else size - 1
-                    _aggregate_line(cost, value, inside, image, left, top, number, lenses, c, start, u, down, across,
-                                    total)  # fmt: skip
-
-
-@njit(cache=True, nogil=True)
-def _measure_lens(lens, image, lenses, surface, grid, levels, before, c, out):
-    """Fill `out` with the patch sizes of the pixels of one lens."""
+def _list_candidates(x, y, left, top, size, surface, grid, levels, lenses, depths, number, before, c, work, shape):
+    """Fill `work` with the depths that each pixel may show; returns whether there is a choice anywhere."""
     first, spacing, pitch, radius = grid.first, grid.spacing, lenses.pitch, lenses.radius
-    x, y = lenses.centres[lens, 0], lenses.centres[lens, 1]
-    half = int(radius) + 1
-    size, left, top = 2 * half + 1, int(x + 0.5) - half, int(y + 0.5) - half
-    depths = np.empty(_DEPTHS)
-    number = _list_depths(surface, first, spacing, x, y, lenses, c.reach, depths)
-    cost, value = np.zeros((size, size, _DEPTHS), np.float32), np.zeros((size, size, _DEPTHS), np.float32)
-    inside = np.zeros((size, size), np.bool_)
-    patch, weight = np.empty(27, np.float32), np.empty(9, np.float32)
-    costs = np.empty(_VIEWS)
-    present, place = np.zeros(_DEPTHS, np.bool_), np.empty((_DEPTHS, 2))
-    nearest = 0
-    for k in range(1, number):
-        if depth_order(depths[k], pitch) > depth_order(depths[nearest], pitch):
-            nearest = k
+    choice = False
     for row in range(size):
         for column in range(size):
+            work.open[row, column] = False
             px, py = left + column, top + row
             dx, dy = px - x, py - y
-            if dx * dx + dy * dy > radius * radius:
-                continue
-            if px < 1 or py < 1 or px >= image.shape[1] - 1 or py >= image.shape[0] - 1:
-                continue
-            inside[row, column] = True
-            if number < 2:
-                s = depths[0] if number else value_at(surface, first, spacing, x, y)
-                if abs(s) > _LEAST * pitch:
-                    s = value_at(surface, first, spacing, x - dx * pitch / s, y - dy * pitch / s)
-                out[py, px] = s
-                continue
-            total, contrast = 0.0, 0.0
-            for e in range(9):
-                apart = 0.0
-                for channel in range(3):
-                    patch[e * 3 + channel] = image[py + e // 3 - 1, px + e % 3 - 1, channel]
-                    apart += (patch[e * 3 + channel] - image[py, px, channel]) ** 2
-                weight[e] = np.exp(-apart / (2 * c.colour2))
-                total += weight[e]
-            for channel in range(3):
-                mean, squares = 0.0, 0.0
-                for e in range(9):
-                    mean += weight[e] * patch[e * 3 + channel]
-                    squares += weight[e] * patch[e * 3 + channel] ** 2
-                contrast += squares / total - (mean / total) ** 2
-            allowed = c.contrast * contrast + c.noise2
+            work.inside[row, column] = (
+                dx * dx + dy * dy <= radius * radius and 1 <= px < shape[1] - 1 and 1 <= py < shape[0] - 1
+            )
+            among = 0
+            settled = work.inside[row, column] and _is_settled(before, px, py, lenses.gap)
             for k in range(number):
                 s = depths[k]
                 if abs(s) < _LEAST * pitch:
@@ -238,39 +146,260 @@ def _measure_lens(lens, image, lenses, surface, grid, levels, before, c, out):
                 if own:
                     s = here
                     at_x, at_y = x - dx * pitch / s, y - dy * pitch / s
-                value[row, column, k] = s
                 bit = np.uint64(level_of(s, pitch))
-                present[k] = own or (value_at(levels, first, spacing, at_x, at_y) >> bit) & np.uint64(1) != 0
-                place[k, 0], place[k, 1] = at_x, at_y
-                cost[row, column, k] = 0.0 if own else c.foreign
-            alone = present[:number].sum() < 2
-            for k in range(number):
-                share = c.open_share if k == nearest or before.size > 1 else c.occluded_share
-                if not present[k]:
-                    cost[row, column, k] = c.absent
-                elif not alone:
-                    cost[row, column, k] += _mismatch(
-                        image, lenses, lens, place[k, 0], place[k, 1], value[row, column, k], patch, weight, total,
-                        allowed, before, share, costs,
-                    )  # fmt: skip
-    if number < 2:
-        return
-    aggregated = np.zeros((size, size, number), np.float32)
-    _aggregate(cost, value, inside, image, left, top, number, lenses, c, aggregated)
+                present = own or (value_at(levels, first, spacing, at_x, at_y) >> bit) & np.uint64(1) != 0
+                if settled:
+                    present = abs(s - before[py, px]) < lenses.gap
+                work.value[row, column, k] = s
+                work.present[row, column, k] = present
+                work.cost[row, column, k] = c.absent if not present else 0.0 if own else c.foreign
+                among += present
+            work.open[row, column] = work.inside[row, column] and among > 1
+            choice = choice or work.open[row, column]
+    return choice
+
+
+@njit(cache=True, nogil=True)
+def _describe_patches(image, left, top, size, c, work):
+    """Weights of the 3 x 3 pixels around each open pixel, which are few across edges, and the mismatch allowed."""
     for row in range(size):
         for column in range(size):
-            if inside[row, column]:
-                out[top + row, left + column] = value[row, column, aggregated[row, column].argmin()]
+            if not work.open[row, column]:
+                continue
+            px, py, total = left + column, top + row, np.float32(0.0)
+            weight = work.weight[row, column]
+            for e in range(9):
+                apart = np.float32(0.0)
+                for channel in range(3):
+                    step = image[py + e // 3 - 1, px + e % 3 - 1, channel] - image[py, px, channel]
+                    apart += step * step
+                weight[e] = 1 / (1 + apart / (2 * c.colour2))
+                total += weight[e]
+            contrast = np.float32(0.0)
+            for e in range(9):
+                weight[e] /= total
+            for channel in range(3):
+                mean, squares = np.float32(0.0), np.float32(0.0)
+                for e in range(9):
+                    value = image[py + e // 3 - 1, px + e % 3 - 1, channel]
+                    mean += weight[e] * value
+                    squares += weight[e] * value * value
+                contrast += squares - mean * mean
+            work.allowed[row, column] = c.contrast * contrast + c.noise2
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def measure_pixel_depths(image, lenses: LensArray, surface, grid: PointGrid, levels, before, c: PixelCosts, out):
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _squared_difference(image, px, py, x, y):
+    """Squared difference of pixel (px, py) and the flat at (x, y), over the colours."""
+    i, j = int(x), int(y)
+    fx, fy = np.float32(x - i), np.float32(y - j)
+    w11 = fx * fy
+    w01, w10 = fx - w11, fy - w11
+    w00 = np.float32(1.0) - fx - w10
+    squares = np.float32(0.0)
+    for channel in range(4):
+        step = w00 * image[j, i, channel] + w01 * image[j, i + 1, channel] + w10 * image[j + 1, i, channel]
+        step += w11 * image[j + 1, i + 1, channel] - image[py, px, channel]
+        squares += step * step
+    return squares
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _compare_lens(image, other_x, other_y, to_x, to_y, mark, left, top, size, k, depth, lenses, before, work):
+    """Compare the open pixels with those of another lens, which lies (to_x, to_y) from this one, at their depth k."""
+    height, width, radius2, pitch = image.shape[0], image.shape[1], lenses.radius * lenses.radius, lenses.pitch
+    x, y = other_x - to_x, other_y - to_y
+    # The microimages overlap in a box, a little larger for the pixels that show another depth than `depth`.
+    middle_x, middle_y = x - left - to_x * depth / pitch, y - top - to_y * depth / pitch
+    more = lenses.radius + lenses.gap * max(abs(to_x), abs(to_y)) / pitch + 1
+    first_row, last_row = max(1, int(middle_y - more)), min(size - 1, int(middle_y + more) + 2)
+    first_column, last_column = max(1, int(middle_x - more)), min(size - 1, int(middle_x + more) + 2)
+    for row in range(first_row, last_row):
+        for column in range(first_column, last_column):
+            if work.count[row, column] >= _VIEWS:
+                continue
+            s = work.value[row, column, k]
+            dx, dy = left + column - x + to_x * s / pitch, top + row - y + to_y * s / pitch
+            if dx * dx + dy * dy > radius2:
+                continue
+            u, v = int(other_x + dx + 0.5), int(other_y + dy + 0.5)
+            if u < 2 or v < 2 or u >= width - 3 or v >= height - 3:
+                continue
+            if before.size > 1 and depth_order(before[v, u], pitch) > depth_order(s, pitch) + lenses.gap:
+                continue
+            squares = np.float32(0.0)
+            for e in range(9):
+                r, q = row + e // 3 - 1, column + e % 3 - 1
+                if work.stamp[r, q] != mark:
+                    work.stamp[r, q] = mark
+                    slope = work.value[r, q, k] / pitch
+                    at_x = min(max(left + q + to_x * (1 + slope), 0.0), width - 2.0)
+                    at_y = min(max(top + r + to_y * (1 + slope), 0.0), height - 2.0)
+                    work.apart[r, q] = _squared_difference(image, left + q, top + r, at_x, at_y)
+                squares += work.weight[row, column, e] * work.apart[r, q]
+            work.views[row, column, work.count[row, column]] = squares / (squares + work.allowed[row, column])
+            work.count[row, column] += 1
+
+
+@njit(cache=True, nogil=True)
+def _mean_of_best(views, count, share):
+    """Mean of the `share` of the first `count` values that are the least; they are sorted."""
+    if count == 0:
+        return _UNSEEN
+    for n in range(1, count):
+        value, place = views[n], n
+        while place > 0 and views[place - 1] > value:
+            views[place] = views[place - 1]
+            place -= 1
+        views[place] = value
+    number = max(1, int(share * count + 0.5))
+    return views[:number].sum() / number + _FEW_COST * max(0, _FEW - count)
+
+
+@njit(cache=True, nogil=True)
+def _compare_depth(image, lens, k, depth, share, mark, left, top, size, lenses, before, work):
+    """Add the mismatch with the other lenses to the costs of depth k; returns the last mark in `work.stamp`."""
+    rows, low, ring, centres = lenses.rows, lenses.low, lenses.ring, lenses.centres
+    at_i, at_j = lenses.indices[lens, 0] - low[0], lenses.indices[lens, 1] - low[1]
+    candidates = 0
+    for row in range(size):
+        for column in range(size):
+            compared = work.open[row, column] and work.present[row, column, k]
+            work.count[row, column] = 0 if compared else _VIEWS
+            candidates += compared
+    if candidates == 0:
+        return mark
+    for r in range(1, len(ring)):
+        ci, cj = at_i + ring[r, 0], at_j + ring[r, 1]
+        if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1] or rows[cj, ci] < 0:
+            continue
+        other = rows[cj, ci]
+        mark += 1
+        _compare_lens(image, centres[other, 0], centres[other, 1], centres[other, 0] - centres[lens, 0],
+                      centres[other, 1] - centres[lens, 1], mark, left, top, size, k, depth, lenses, before,
+                      work)  # fmt: skip
+    for row in range(size):
+        for column in range(size):
+            if work.open[row, column] and work.present[row, column, k]:
+                work.cost[row, column, k] += _mean_of_best(work.views[row, column], work.count[row, column], share)
+    return mark
+
+
+@njit(cache=True, nogil=True)
+def _price_jumps(image, left, top, size, c, work):
+    """Prices of depth edges between neighbouring pixels: lower where their colours differ."""
+    for direction in range(4):
+        down, across = (0, 1, 1, 1)[direction], (1, -1, 0, 1)[direction]
+        for row in range(size - down):
+            for column in range(max(0, -across), size - max(0, across)):
+                if work.inside[row, column] and work.inside[row + down, column + across]:
+                    apart = np.float32(0.0)
+                    for channel in range(3):
+                        step = image[top + row, left + column, channel]
+                        step -= image[top + row + down, left + column + across, channel]
+                        apart += step * step
+                    work.jumps[direction, row, column] = c.jump * (
+                        c.edge_share + (1 - c.edge_share) * np.exp(-apart / c.edge2)
+                    )
+
+
+@njit(cache=True, nogil=True)
+def _aggregate_line(work, size, number, gap, slant, v, u, down, across):
+    """Add one path of semi-global matching, from pixel (u, v) on, to the total."""
+    previous, current = np.zeros(number, np.float32), np.zeros(number, np.float32)
+    lowest, linked, from_v, from_u = np.float32(0.0), False, 0, 0
+    forward = down > 0 or (down == 0 and across > 0)
+    direction = 0 if down == 0 else 2 + across * down
+    while 0 <= v < size and 0 <= u < size:
+        if work.inside[v, u]:
+            least = np.float32(np.inf)
+            if linked:
+                jump = work.jumps[direction, from_v, from_u] if forward else work.jumps[direction, v, u]
+                for k in range(number):
+                    best = jump
+                    for q in range(max(0, k - 1), min(number, k + 2)):
+                        # Depths ascend: others than those beside it are a jump away.
+                        step = abs(work.value[v, u, k] - work.value[from_v, from_u, q]) / gap
+                        if step < 1.5:
+                            best = min(best, previous[q] - lowest + slant * step)
+                    current[k] = work.cost[v, u, k] + best
+                    work.total[v, u, k] += current[k]
+                    least = min(least, current[k])
+            else:
+                for k in range(number):
+                    current[k] = work.cost[v, u, k]
+                    work.total[v, u, k] += current[k]
+                    least = min(least, current[k])
+            lowest = least
+            previous[:] = current
+            linked, from_v, from_u = True, v, u
+        else:
+            linked = False
+        v, u = v + down, u + across
+
+
+@njit(cache=True, nogil=True)
+def _aggregate(size, number, lenses, c, work):
+    """Semi-global matching along eight directions inside a microimage."""
+    work.total[:size, :size] = 0
+    for down in range(-1, 2):
+        for across in range(-1, 2):
+            if down == 0 and across == 0:
+                continue
+            for start in range(size):
+                if down != 0:
+                    v = 0 if down > 0 else size - 1
+                    _aggregate_line(work, size, number, lenses.gap, c.slant, v, start, down, across)
+                if across != 0 and not (down != 0 and start == (0 if down > 0 else size - 1)):
+                    u = 0 if across > 0 else size - 1
+                    _aggregate_line(work, size, number, lenses.gap, c.slant, start, u, down, across)
+
+
+@njit(cache=True, nogil=True)
+def _measure_lens(lens, image, lenses, surface, grid, levels, before, c, work, mark, out):
+    """Fill `out` with the patch sizes of the pixels of one lens; returns the last mark in `work.stamp`."""
+    pitch, radius = lenses.pitch, lenses.radius
+    x, y = lenses.centres[lens, 0], lenses.centres[lens, 1]
+    half = int(radius) + 2
+    size, left, top = 2 * half + 1, int(x + 0.5) - half, int(y + 0.5) - half
+    depths = np.empty(_DEPTHS)
+    number = _list_depths(surface, grid, x, y, lenses, c.reach, depths)
+    if number == 0:
+        depths[0], number = value_at(surface, grid.first, grid.spacing, x, y), 1
+    choice = _list_candidates(x, y, left, top, size, surface, grid, levels, lenses, depths, number, before, c, work,
+                              image.shape)  # fmt: skip
+    if choice:
+        _describe_patches(image, left, top, size, c, work)
+        nearest = 0
+        for k in range(1, number):
+            if depth_order(depths[k], pitch) > depth_order(depths[nearest], pitch):
+                nearest = k
+        for k in range(number):
+            share = c.open_share if k == nearest or before.size > 1 else c.occluded_share
+            mark = _compare_depth(image, lens, k, depths[k], share, mark, left, top, size, lenses, before, work)
+        _price_jumps(image, left, top, size, c, work)
+        _aggregate(size, number, lenses, c, work)
+    for row in range(size):
+        for column in range(size):
+            if work.inside[row, column]:
+                best, least = 0, np.float32(np.inf)
+                for k in range(number):
+                    value = work.total[row, column, k] if choice else work.cost[row, column, k]
+                    if value < least:
+                        best, least = k, value
+                out[top + row, left + column] = work.value[row, column, best]
+    return mark
+
+
+@njit(cache=True, nogil=True, share=lambda image, lenses, *_: len(lenses.centres))
+def measure_pixel_depths(begin, end, image, lenses: LensArray, surface, grid: PointGrid, levels, before,
+                         c: PixelCosts, out):  # fmt: skip
     """Fill `out` (H, W) with the patch size [px] that each pixel of the microimages shows.
 
     Parameters
     ----------
-    image : (H, W, 3) float32
-        The flat, divided by its gain; white = 1.
+    image : (H, W, 4) float32
+        The flat, divided by its gain; white = 1. The last channel is 0.
     lenses : LensArray
     surface : (rows, columns) float32 [px]
     grid : PointGrid
@@ -280,5 +409,6 @@ def measure_pixel_depths(image, lenses: LensArray, surface, grid: PointGrid, lev
         Result of the first round; (1, 1) in that.
     c : PixelCosts
     """
-    for lens in prange(len(lenses.centres)):
-        _measure_lens(lens, image, lenses, surface, grid, levels, before, c, out)
+    work, mark = _make_work_space(2 * (int(lenses.radius) + 2) + 1), 0
+    for lens in range(begin, end):
+        mark = _measure_lens(lens, image, lenses, surface, grid, levels, before, c, work, mark, out)

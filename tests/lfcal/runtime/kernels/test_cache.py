@@ -64,3 +64,24 @@ def test_a_damaged_entry_is_made_anew(call):
         file.write_bytes(file.read_bytes()[:20])
     assert call() == (7, 0)
     assert call() == (7, 1)
+
+
+def test_types_that_do_not_fit_keep_no_other_from_being_compiled(call, tmp_path):
+    call()
+    compile_two = """
+import json, sys, lfcal
+from numba import errors, types
+from lfcal.runtime.kernels.signatures import Signature, encode_type
+lfcal.__path__.append(sys.argv[1])
+for kind in (types.none, types.float32):
+    try:
+        Signature("lfcal.digested.kernel", "run", json.dumps([encode_type(kind)])).compile()
+        print("compiled")
+    except errors.TypingError:
+        print("failed")
+"""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(call.cache), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run([sys.executable, "-c", compile_two, str(tmp_path)], env=environment, capture_output=True,
+                          text=True, check=True, timeout=60)  # fmt: skip
+    assert done.stdout.split() == ["failed", "compiled"]
+    assert not list(call.cache.rglob("*.lock"))
