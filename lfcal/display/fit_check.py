@@ -63,13 +63,29 @@ class FitCheck:
         return float(np.linalg.norm(self.trend, axis=-1).max())
 
     @property
+    def limit(self) -> float:
+        """Offset [px] up to which not to worry: no picture shows it, or single regions differ as much."""
+        rest = np.linalg.norm(self.offset - self.trend, axis=-1)
+        return max(FIT_CHECK.warning_offset * self.pitch, FIT_CHECK.warning_significance * float(np.nanmedian(rest)))
+
+    @property
+    def verdict(self) -> str:
+        """Whether to worry, and why, in a sentence."""
+        if np.isnan(self.max_offset):
+            return "too few regions of this flat show where their microimages are; a white image would"
+        if self.warning is not None:
+            return f"{self.warning}, which pictures show: calibrate on this flat"
+        return (
+            f"within {self.max_offset:.2f} px of this flat; no reason to worry: what the scene shows in microimages "
+            f"moves such figures, and pictures show nothing below {self.limit:.1f} px"
+        )
+
+    @property
     def warning(self) -> str | None:
         """What is wrong with the lattice where pictures would show it, else None."""
         if np.isnan(self.max_offset):
             return None
-        rest = np.linalg.norm(self.offset - self.trend, axis=-1)
-        significant = FIT_CHECK.warning_significance * float(np.nanmedian(rest))
-        if not self.max_offset > max(FIT_CHECK.warning_offset * self.pitch, significant):
+        if not self.max_offset > self.limit:
             return None
         row, column = np.unravel_index(int(np.linalg.norm(self.trend, axis=-1).argmax()), (3, 3))
         return f"the lattice is off by up to {self.max_offset:.1f} px in the {_REGION_NAMES[row][column]}"

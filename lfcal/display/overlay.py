@@ -97,7 +97,8 @@ def _describe(calibration: Calibration, fit: FitCheck) -> tuple[str, str]:
     )
     residual = "" if np.isnan(calibration.residual_rms) else f", residual {calibration.residual_rms:.3f} px RMS"
     unknown = np.isnan(fit.max_offset)
-    off = "its fit to this flat is unknown" if unknown else f"off this flat by {fit.max_offset:.2f} px"
+    worry = "too much, calibrate on this flat" if fit.warning else f"no worry below {fit.limit:.1f}"
+    off = "its fit to this flat is unknown" if unknown else f"off this flat by {fit.max_offset:.2f} px ({worry})"
     size = "{} x {} px".format(*calibration.image_size)
     types = "" if calibration.lens_types is None else f"{calibration.lens_types.count} lens types, "
     second = f"{size}, {types}from {calibration.source}{residual}, confidence {calibration.confidence:.2f}; {off}"

@@ -119,5 +119,5 @@ def demo(output: Path, as_json: bool, quiet: bool) -> None:
         "the capture alone.",
         f"The mode is right in {percent(modes)} of the lenses that see one depth; the picture is {merit:.1f} dB "
         "from the truth.",
-        f"{figures['page']} in {report.took}: open it in a browser.",
+        f"{figures['page']} in {report.took}, {report.seconds['simulate']:.1f} s of it for the simulation.",
     )

@@ -12,19 +12,22 @@ from string import Template
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, show
+from lfcal import Calibration
 from lfcal.runtime.output_file import atomic_write
 
 from ..data.depth_map import REASONS, DepthMap
 from ..output.depth_picture import MODE_COLOURS, MODES, magnification_limits
+from .calibration_figure import calibration_panels, enlarged_crop
 from .report_figures import (
     ReportPictures,
     bars,
     cards,
     data_urls,
     draw_pictures,
+    fit_width,
     magnification_histogram,
     maps,
+    outliers,
     png_url,
     table,
 )
@@ -109,9 +112,11 @@ def write_report(
         **{name: picture.image for name, picture in pictures.fixed.items()},
         "traditional": pictures.traditional.image,
         **(compare or {}),
-        "calibration": show(calibration, flat),
+        "flat": fit_width(flat, 1120, calibration.white_level),
     }
-    room = largest - sum(map(len, charts.values())) - len(further)
+    panels = calibration_panels(flat, calibration)
+    crop = enlarged_crop(flat, _most_detail(pictures), 7 * calibration.lattice.pitch)
+    room = largest - sum(map(len, charts.values())) - len(further) - len(panels) - len(crop)
     urls, size = data_urls(shown, room, calibration.white_level)
     web = files(__package__) / "assets"
     limits = magnification_limits(depth.magnification)
@@ -135,7 +140,12 @@ def write_report(
         high=f"{limits[1]:.2f}",
         modes_legend=_modes_legend(depth),
         reasons=_reasons(depth),
-        calibration=urls["calibration"],
+        outliers=outliers(depth),
+        flat=urls["flat"],
+        crop=crop,
+        lenses=f"{len(calibration.lattice):,}",
+        pitch=f"{calibration.lattice.pitch:.1f}",
+        panels=panels,
         camera=_camera(calibration),
         saved=_saved(depth),
         times=bars(dict(seconds)) if seconds else "<p>Not measured.</p>",
@@ -161,14 +171,21 @@ def _summary(calibration: Calibration, depth: DepthMap, pictures: ReportPictures
 def _warnings(calibration: Calibration, depth: DepthMap, size: float) -> str:
     warnings = list(calibration.warnings)
     if calibration.confidence < 0.5:
-        warnings.append(f"The calibration is doubtful (confidence {calibration.confidence:.2f}); try a white image.")
+        warnings.append(
+            f"The calibration is doubtful (confidence {calibration.confidence:.2f}): worry if circles lie beside the "
+            "microimages below, and calibrate on a white image then."
+        )
     missing = float(np.mean(depth.filled))
     if missing > 0.5:
         warnings.append(
-            f"{missing:.0%} of the lenses have no depth of their own. They are drawn with that of their neighbours."
+            f"{missing:.0%} of the lenses have no depth of their own. They are drawn with that of neighbours, which "
+            "is no harm where the scene has no texture; worry where it has."
         )
     if size < 1:
-        warnings.append(f"The pictures on this page are reduced to {size:.0%} of their width and height.")
+        warnings.append(
+            f"The pictures on this page are reduced to {size:.0%} of their width and height; 'lfrender render' "
+            "writes them whole."
+        )
     if not warnings:
         return ""
     return (
@@ -176,6 +193,19 @@ def _warnings(calibration: Calibration, depth: DepthMap, size: float) -> str:
         + "".join(f"<li>{escape(text[:1].upper() + text[1:])}</li>" for text in warnings)
         + "</ul></section>"
     )
+
+
+def _most_detail(pictures: ReportPictures) -> NDArray[np.float64]:
+    """The place of the flat [px] about which lenses differ most."""
+    import cv2
+
+    image = pictures.traditional.image.astype(np.float32)
+    image = image if image.ndim == 2 else np.ascontiguousarray(image[..., :3].mean(2))
+    spread = cv2.blur(image**2, (7, 7)) - cv2.blur(image, (7, 7)) ** 2
+    spread[[0, -1]] = spread[:, [0, -1]] = 0
+    v, u = np.unravel_index(int(spread.argmax()), spread.shape)
+    place: NDArray[np.float64] = pictures.traditional.affine @ [u, v, 1]
+    return place
 
 
 def _figures(calibration: Calibration, depth: DepthMap, pictures: ReportPictures, seconds: Mapping[str, float]) -> str:
@@ -200,8 +230,8 @@ def _figures(calibration: Calibration, depth: DepthMap, pictures: ReportPictures
 
 
 def _choices(pictures: ReportPictures, names: Mapping[str, str]) -> str:
-    # The pictures that differ most from the all-in-focus one come first.
-    order = [*pictures.fixed, *(name for name in names if name not in pictures.fixed and name != "all_in_focus")]
+    # What the same flat shows without depth comes first.
+    order = ["traditional", *(name for name in names if name not in ("traditional", "all_in_focus"))]
     sizes = {name: f" ({size:+.2f} px)" for name, size in pictures.patch_size.items()}
     return "".join(
         f'<button type="button" data-choice="{name}" aria-pressed="{"true" if n == 0 else "false"}">'

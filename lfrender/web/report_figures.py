@@ -28,8 +28,8 @@ from ..rendering.render import render
 from ..rendering.traditional import traditional
 
 __all__ = [
-    "ReportPictures", "bars", "cards", "data_urls", "draw_pictures", "magnification_histogram", "map_grid", "maps",
-    "png_url", "table", "table_rows",
+    "ReportPictures", "bars", "cards", "data_urls", "draw_pictures", "fit_width", "magnification_histogram", "map_grid",
+    "maps", "outliers", "png_url", "table", "table_rows", "webp_url",
 ]  # fmt: skip
 
 
@@ -66,8 +66,6 @@ def data_urls(pictures: Mapping[str, ArrayLike], most: int, white: float | None 
     All have the same quality, the best that fits, and below that the same reduction of width and height. `white` is the
     white level of integer pictures of more than 8 bits; by default the largest value of their type.
     """
-    import cv2
-
     shown = {name: to_eight_bits(_to_rgb(np.asarray(picture)), white) for name, picture in pictures.items()}
     urls: dict[str, str] = {}
     for size, quality in ((1.0, 92), (1.0, 78), (0.5, 85), (0.25, 85), (0.125, 80)):
@@ -78,9 +76,7 @@ def data_urls(pictures: Mapping[str, ArrayLike], most: int, white: float | None 
         for name, picture in shown.items():
             # The traditional picture, of a pixel per lens, stays as it is.
             reduced = picture if max(picture.shape) < 400 or size == 1 else _reduce(picture, size)
-            done, data = cv2.imencode(".webp", reduced[..., ::-1], [cv2.IMWRITE_WEBP_QUALITY, quality])
-            assert done
-            urls[name] = "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()
+            urls[name] = webp_url(reduced, quality)
         if sum(map(len, urls.values())) <= most:
             break
     return urls, size
@@ -93,6 +89,22 @@ def png_url(picture: NDArray[np.uint8]) -> str:
     done, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     assert done
     return "data:image/png;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def webp_url(picture: NDArray[np.uint8], quality: int = 85) -> str:
+    """A picture (h, w) or (h, w, C) as WebP in a data URL."""
+    import cv2
+
+    done, data = cv2.imencode(".webp", _to_rgb(picture)[..., ::-1], [cv2.IMWRITE_WEBP_QUALITY, quality])
+    assert done
+    return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def fit_width(picture: NDArray, widest: int, white: float | None = None) -> NDArray[np.uint8]:
+    """A picture with 8 bits, reduced to at most `widest` columns."""
+    return _reduce(
+        to_eight_bits(picture[..., :3] if picture.ndim == 3 else picture, white), min(1.0, widest / picture.shape[1])
+    )
 
 
 def _reduce(picture: NDArray[np.uint8], size: float) -> NDArray[Any]:
@@ -135,41 +147,54 @@ def maps(depth: DepthMap, lattice: Lattice) -> dict[str, NDArray[np.uint8]]:
 
 
 def magnification_histogram(
-    depth: DepthMap, bins: int = 48, width: int = 1080, height: int = 240, left: int = 56, below: int = 34
+    depth: DepthMap, bins: int = 40, width: int = 900, height: int = 280, left: int = 84, below: int = 30
 ) -> str:
-    """SVG: number of lenses over magnification on a logarithmic scale, telescopic ones below binocular ones.
+    """SVG: number of lenses over magnification on a logarithmic scale, telescopic ones above the axis, binocular below.
 
-    The size and the margins are in units of the drawing.
+    Heights are square roots. What lies beyond the limits of the scale, mostly errors, is in a pale bar at each end. The
+    size and the margins are in units of the drawing.
     """
     low, high = magnification_limits(depth.magnification)
-    edges = np.geomspace(low, high, bins + 1)
-    known = np.clip(depth.magnification.astype(np.float64), edges[0], edges[-1])
+    edges = np.array([0.0, *np.geomspace(low, high, bins + 1), np.inf])
+    known = depth.magnification.astype(np.float64)
     counts = {code: np.histogram(known[depth.mode == code], edges)[0] for code in (1, -1)}
-    most = max(int(sum(counts.values()).max()), 1)  # type: ignore[union-attr]
-    plot_width, plot_height = width - left - 8, height - below - 10
+    # Square roots: a wall has thousands of lenses of one M, and single branches are seen beside it.
+    tall = {code: np.sqrt(max(count.max(), 1)) for code, count in counts.items()}
+    # Both modes have one scale; the axis lies where it leaves room for either.
+    unit = (height - below - 20) / sum(max(n, 0.12 * max(tall.values())) for n in tall.values())
+    axis, step = 10 + unit * max(tall[1], 0.12 * max(tall.values())), (width - left - 8) / (bins + 2)
     parts = []
-    for n in range(bins):
-        base = 0.0
-        for code, count in counts.items():
-            bar = plot_height * count[n] / most
-            if not bar:
-                continue
-            label = f"{count[n]:,} {MODES[code]} lenses, M {edges[n]:.2f} to {edges[n + 1]:.2f}"
-            parts.append(
-                f'<rect x="{left + plot_width * n / bins + 0.5:.1f}" y="{10 + plot_height - base - bar:.1f}" '
-                f'width="{plot_width / bins - 1:.1f}" height="{bar:.1f}" fill="rgb{MODE_COLOURS[code]}">'
-                f"<title>{label}</title></rect>"
+    for code, count in counts.items():
+        for n in np.nonzero(count)[0]:
+            bar = unit * np.sqrt(count[n])
+            beyond = n in (0, bins + 1)
+            pale = ' opacity=".45"' if beyond else ""
+            span = (
+                f"M {edges[n]:.2f} to {edges[n + 1]:.2f}"
+                if not beyond
+                else "M " + (f"below {low:.2f}" if n == 0 else f"above {high:.2f}")
             )
-            base += bar
-    floor = height - below
-    parts.append(f'<path d="M{left} {floor}H{width - 8}" stroke="currentColor" opacity=".4"/>')
+            parts.append(
+                f'<rect x="{left + step * n + 0.5:.1f}" y="{axis - bar if code > 0 else axis:.1f}" '
+                f'width="{step - 1:.1f}" height="{bar:.1f}" fill="rgb{MODE_COLOURS[code]}"{pale}>'
+                f"<title>{count[n]:,} {MODES[code]} lenses, {span}</title></rect>"
+            )
+        place = 10 + 10 if code > 0 else height - below - 4
+        parts.append(f'<text x="{left - 8}" y="{place}" text-anchor="end">{count.max():,}</text>')
+    parts.append(f'<path d="M{left} {axis:.1f}H{width - 8}" stroke="currentColor" opacity=".5"/>')
     for tick in _ticks(low, high):
-        x = left + plot_width * np.log(tick / low) / np.log(high / low)
-        parts.append(f'<text x="{x:.1f}" y="{floor + 23}" text-anchor="middle">{tick:g}</text>')
-    parts.append(f'<text x="{left - 6}" y="18" text-anchor="end">{most:,}</text>')
-    parts.append(f'<text x="{left - 6}" y="{floor}" text-anchor="end">0</text>')
+        x = left + step + step * bins * np.log(tick / low) / np.log(high / low)
+        parts.append(f'<text x="{x:.1f}" y="{height - 6}" text-anchor="middle">{tick:g}</text>')
     label = f"Histogram of the magnification of {int(sum(c.sum() for c in counts.values())):,} lenses"
     return f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{label}">{"".join(parts)}</svg>'
+
+
+def outliers(depth: DepthMap) -> str:
+    """How many lenses the histogram marks as beyond its scale, in a sentence."""
+    low, high = magnification_limits(depth.magnification)
+    known = depth.magnification[np.isfinite(depth.magnification)]
+    beyond = int(np.sum((known < low) | (known > high)))
+    return f"Pale bars at the ends: {beyond:,} lenses beyond the scale, mostly errors." if beyond else ""
 
 
 def _ticks(low: float, high: float) -> list[float]:

@@ -14,6 +14,8 @@ import lfcal
 from lfrender.cli.main import main
 from lfrender.web.demo import run_demo
 
+from ._browser import start_browser
+
 PICTURES = ["all_in_focus", "binocular", "flat", "flat_crop", "magnification", "modes", "reference", "telescopic"]
 
 
@@ -56,6 +58,18 @@ def test_page_needs_nothing_but_itself(demo):
     assert not re.search(r"\$[a-z]", page.text)
 
 
+def test_the_page_fits_a_phone(demo):
+    browser = start_browser()
+    try:
+        browser.execute_cdp_cmd(
+            "Emulation.setDeviceMetricsOverride", {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+        )
+        browser.get((demo[0] / "index.html").as_uri())
+        assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
+    finally:
+        browser.quit()
+
+
 def test_figures_are_those_of_a_working_chain(demo):
     _, figures = demo
     merit = figures["merit"]
@@ -68,6 +82,16 @@ def test_figures_are_those_of_a_working_chain(demo):
         assert figures["calibration"][kind]["centre_error"] < 0.2
     assert figures["fixed_patch_size"]["telescopic"] > 0 > figures["fixed_patch_size"]["binocular"]
     assert figures["seconds"]["analyze"] > 0
+
+
+def test_the_page_counts_the_seconds_of_a_capture_and_not_those_of_the_simulation(demo):
+    folder, figures = demo
+    text = (folder / "index.html").read_text(encoding="utf-8")
+    times = text.partition("Time per stage")[2].partition("</table>")[0]
+    assert re.findall(r'<th scope="row">(\w+)</th>', times) == ["calibrate", "analyze", "render"]
+    seconds = figures["seconds"]
+    own = seconds["calibrate from the capture"] + seconds["analyze"] + seconds["render"]
+    assert f"<dt>time</dt><dd>{own:.1f} s</dd>" in text
 
 
 def test_figures_are_plain_numbers(demo):

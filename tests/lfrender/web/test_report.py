@@ -15,7 +15,7 @@ import lfrender
 from lfrender.cli.main import main
 from lfrender.flat.lens_graph import nearest_lens
 from lfrender.web.report import write_report
-from lfrender.web.report_figures import data_urls, draw_pictures, magnification_histogram, map_grid, maps
+from lfrender.web.report_figures import data_urls, draw_pictures, magnification_histogram, map_grid, maps, outliers
 
 from ._browser import errors, start_browser, wait_for
 
@@ -80,6 +80,22 @@ def test_the_page_has_warnings_times_and_shares(report, captured):
     assert f"{np.mean(depth.reason == 1):.2%} of the lenses" in page.text
 
 
+def test_the_raw_flat_comes_first_and_the_comparison_opens_with_the_traditional_picture(report):
+    text = report.read_text(encoding="utf-8")
+    sections = re.findall(r'<section aria-labelledby="(\w+)"', text)
+    assert sections[:4] == ["flat", "pictures", "depth", "calibrated"]
+    assert re.findall(r'data-choice="(\w+)" aria-pressed="true"', text) == ["traditional"]
+    page = Page(text).text
+    # Terms are explained where they appear.
+    for words in (
+        "a microimage, a small view",
+        "the pitch D = 20.3 px",
+        "the patch size s",
+        "Magnification M = D / |s|",
+    ):
+        assert words in " ".join(page.split())
+
+
 def test_modes_that_do_not_occur_are_not_compared_with(captured, pictures):
     flat, camera, depth = captured
     assert sorted(pictures.fixed) == ["binocular", "telescopic"]
@@ -95,6 +111,20 @@ def test_the_histogram_counts_every_resolved_lens_once(captured):
         int(n.replace(",", "")) for n in re.findall(r"<title>([\d,]+) \w+ lenses", magnification_histogram(depth))
     ]
     assert sum(counts) == np.sum(depth.mode != 0)
+
+
+def test_the_histogram_has_both_modes_on_either_side_and_marks_outliers(captured):
+    depth = captured[2]
+    drawn = magnification_histogram(depth)
+    axis = float(re.search(r'<path d="M[\d.]+ ([\d.]+)H', drawn).group(1))
+    bars = re.findall(r'y="([\d.]+)" width="[\d.]+" height="([\d.]+)"[^>]*><title>[\d,]+ (\w+) lenses', drawn)
+    assert {mode for *_, mode in bars} == {"telescopic", "binocular"}
+    for top, tall, mode in bars:
+        beside = float(top) + float(tall) if mode == "telescopic" else float(top)
+        assert beside == pytest.approx(axis, abs=0.2)
+    pale = re.findall(r'opacity=".45"><title>([\d,]+) \w+ lenses, M (?:below|above)', drawn)
+    counted = re.search(r"ends: ([\d,]+) lenses", outliers(depth))
+    assert sum(int(n) for n in pale) == int(counted.group(1) if counted else 0)
 
 
 def test_a_depth_map_without_any_depth_has_a_report_too(captured, tmp_path):
@@ -184,11 +214,19 @@ def test_the_line_moves_and_the_picture_zooms_to_its_own_pixels(report):
         )
         browser.find_element("css selector", "[data-choice=traditional]").click()
         assert browser.find_element("id", "name").text == "traditional"
-        # No sideways scrolling on a narrow screen.
-        browser.execute_cdp_cmd(
-            "Emulation.setDeviceMetricsOverride", {"width": 400, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-        )
-        assert browser.execute_script("return document.documentElement.scrollWidth") <= 400
+        browser.find_element("id", "fit").click()
+        # No sideways scrolling on a narrow screen, of the page or of anything on it.
+        for width in (390, 800):
+            browser.execute_cdp_cmd(
+                "Emulation.setDeviceMetricsOverride",
+                {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": False},
+            )
+            wide = browser.execute_script(
+                "return [...document.querySelectorAll(':not(svg *)')].filter(e => e.clientWidth && "
+                "e.scrollWidth > e.clientWidth + 1 && getComputedStyle(e).overflowX !== 'visible' || "
+                "e.getBoundingClientRect().right > innerWidth + 1).map(e => e.tagName + e.className)"
+            )
+            assert wide == [], width
         assert errors(browser) == []
     finally:
         browser.quit()
