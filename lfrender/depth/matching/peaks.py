@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from lfcal.runtime.kernels.jit import njit
 
+from ...flat.lens_graph import count_similar
 from ..same_surface import same_surface
 
 __all__ = ["confidence", "fill_unresolved", "find_minimum", "find_second_minimum", "fit_parabola"]
@@ -15,6 +16,8 @@ __all__ = ["confidence", "fill_unresolved", "find_minimum", "find_second_minimum
 _TEMPERATURE = 0.05
 # Rounds of smoothing that spread patch sizes over unresolved lenses.
 _FILL_ROUNDS = 24
+# Rounds in which guesses that stand alone are replaced before: pairs of them lose one at a time.
+_OUTLIER_ROUNDS = 3
 # exp of minus this does not show in single precision.
 _NEGLIGIBLE = np.float32(24.0)
 
@@ -107,13 +110,20 @@ def fill_unresolved(
 ) -> NDArray[np.float32]:
     """Smooth the `values` (n,) [px] of lenses that are not `known` (n,), first guesses, toward their neighbours.
 
-    Values that differ by more than `gap` [px] belong to different surfaces.
+    Values that differ by more than `gap` [px] belong to different surfaces. A guess that hardly any neighbour has is
+    replaced by the median of theirs.
     """
     result = values.copy()
     unknown = np.flatnonzero(~known)
     if unknown.size == 0:
         return result
-    other = values.copy()
+    for _ in range(_OUTLIER_ROUNDS):
+        similar = count_similar(np.ones(len(result), bool), result, neighbours, gap)
+        alone = np.flatnonzero(~known & (similar <= 1) & (neighbours >= 0).any(1))
+        around = np.where(neighbours[alone] >= 0, result[neighbours[alone]], np.nan)
+        # The lower median is a value that one of them has, not the mean of two surfaces.
+        result[alone] = np.nanquantile(around, 0.5, axis=1, method="lower") if len(alone) else 0
+    other = result.copy()
     for _ in range(_FILL_ROUNDS):
         _smooth(result, unknown, neighbours, np.float32(gap), other)
         result, other = other, result

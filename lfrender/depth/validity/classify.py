@@ -69,6 +69,8 @@ def classify_lenses(
     ] = 2
     faint = (reason > 1) & (found.correlation < settings.shared) & (signal < settings.faint_signal)
     reason[faint] = 1
+    for _ in range(2):
+        reason[_alone_and_weak(reason == 0, found, refined, signal, neighbours, pitch, settings)] = 1
     error = inflate_errors(error, correlation, settings.uncertainty)
     sure = np.where(textured & ~faint, np.minimum(found.confidence, found.uniqueness), 0)
     sure = combine_confidence(sure, refined, error, correlation, neighbours, pitch, settings.uncertainty)
@@ -119,6 +121,29 @@ def _may_match_by_chance(
     better = resolved & (found.correlation >= settings.shared * signal)
     similar = count_similar(better, refined, neighbours, settings.uncertainty.same_surface * pitch)
     return np.asarray(resolved & (found.correlation < settings.by_chance) & (similar < 2))
+
+
+def _alone_and_weak(
+    resolved: NDArray[np.bool_],
+    found: MatchResult,
+    refined: NDArray,
+    signal: NDArray[np.float32],
+    neighbours: NDArray[np.int32],
+    pitch: float,
+    settings: ClassifySettings,
+) -> NDArray[np.bool_]:
+    """Lenses whose depth hardly any neighbour has, and whose texture is as weak as their match.
+
+    What stands alone in front of something has an outline. On blank walls noise and the coding of files match somewhere.
+    """
+    if not resolved.any():
+        return resolved
+    similar = count_similar(resolved, refined, neighbours, settings.uncertainty.same_surface * pitch)
+    # Contrasts over the noise, as squares, compared with those of typical lenses.
+    share = np.float32(1) - signal
+    weak = settings.weak_contrast**2 * share > np.median(share[resolved])
+    proven = (found.confidence >= settings.proven_confidence) & (found.correlation >= settings.by_chance)
+    return np.asarray(resolved & (similar <= settings.alone) & weak & ~proven)
 
 
 def initial_reasons(

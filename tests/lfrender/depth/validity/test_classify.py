@@ -38,3 +38,26 @@ def test_low_contrast_without_a_match_counts_as_too_little_texture():
     reason, _, sure = classify_lenses(np.ones(4, bool), found, sizes, np.full(4, 9.0), signal, centres, alone, 23.0)
     assert reason.tolist() == [1, 1, 3, 3]
     assert (sure[:2] == 0).all() and (sure[2:] > 0).all()
+
+
+def test_weak_lens_alone_at_its_depth_has_too_little_texture_but_a_clear_one_is_kept():
+    row = np.arange(-3, 4)
+    centres = (20 * np.stack(np.meshgrid(row, row), -1).reshape(-1, 2)).astype(np.float32)
+    apart = np.linalg.norm(centres[:, None] - centres, axis=2)
+    neighbours = np.full((49, 4), -1, np.int32)
+    for lens, near in enumerate(apart):
+        beside = np.flatnonzero((near > 0) & (near < 21))
+        neighbours[lens, : len(beside)] = beside
+    sizes, signal = np.full(49, 5, np.float32), np.full(49, 0.99, np.float32)
+    weak, clear = 16, 32
+    sizes[[weak, clear]] = 9
+    match = np.full(49, 0.9, np.float32)
+    match[weak] = 0.45
+    # Contrast a third of that of the others.
+    signal[weak] = 0.91
+    none = np.zeros(49, np.float32)
+    found = MatchResult(sizes, match, match, match, np.ones(49), match, none, sizes * np.nan, match, match, 1.0, 0.0)
+    reason = classify_lenses(
+        np.ones(49, bool), found, sizes, np.full(49, 0.05), signal, centres, neighbours, 20.0
+    )[0]  # fmt: skip
+    assert reason[weak] == 1 and reason[clear] == 0 and (reason == 0).sum() == 48
