@@ -134,7 +134,7 @@ def _alone_and_weak(
 ) -> NDArray[np.bool_]:
     """Lenses whose depth hardly any neighbour has, and whose texture is as weak as their match.
 
-    What stands alone in front of something has an outline. On blank walls noise and the coding of files match somewhere.
+    What stands alone in front of something has an outline. On blank walls noise and file coding match somewhere.
     """
     if not resolved.any():
         return resolved

@@ -52,7 +52,7 @@ def test_weak_lens_alone_at_its_depth_has_too_little_texture_but_a_clear_one_is_
     weak, clear = 16, 32
     sizes[[weak, clear]] = 9
     match = np.full(49, 0.9, np.float32)
-    match[weak] = 0.45
+    match[weak] = 0.6
     # Contrast a third of that of the others.
     signal[weak] = 0.91
     none = np.zeros(49, np.float32)
