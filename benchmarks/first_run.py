@@ -36,6 +36,8 @@ _KINDS: dict[str, dict[str, Any]] = {
 def _run(*arguments: str, cache: Path, python: str = sys.executable) -> tuple[float, float]:
     """Wall and processor seconds of a process of Python, with its own processes."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(_ROOT)}
+    # An installed package has its bytecode; without it, each start compiles all sources anew.
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     start = time.perf_counter()
     done = subprocess.run([python, *arguments], env=environment, capture_output=True, text=True)

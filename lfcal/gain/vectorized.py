@@ -6,8 +6,10 @@ Loops that only read and write in order become vector instructions; table look-u
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..runtime.fastmath import FAST
 from ..runtime.kernels.jit import njit
@@ -19,18 +21,18 @@ __all__ = [
 ]  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def make_edge_table():
+@cache
+def make_edge_table() -> NDArray[np.float32]:
     """Light through the edge of a cutting disc, from `edge` standard deviations outside to as many inside."""
-    table = np.empty(2 * round(KERNEL.edge) * KERNEL.edge_steps + 2, np.float32)
-    for k in range(len(table)):
-        table[k] = 0.5 * (1 + math.erf((k / KERNEL.edge_steps - KERNEL.edge) * ROOT_HALF))
+    places = np.arange(2 * round(KERNEL.edge) * KERNEL.edge_steps + 2) / KERNEL.edge_steps - KERNEL.edge
+    table = np.array([0.5 * (1 + math.erf(place * ROOT_HALF)) for place in places], np.float32)
     table[0], table[-2], table[-1] = 0.0, 1.0, 1.0
     return table
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def make_profile_tables(profile):
+def make_profile_tables(
+    profile: NDArray[np.float64],
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Samples of the profile (k,), or profiles (t, k), differences, and `make_edge_table`, for `relative_light_at`."""
     return profile[..., :-1].astype(np.float32), np.diff(profile).astype(np.float32), make_edge_table()
 

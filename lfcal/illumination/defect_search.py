@@ -112,14 +112,14 @@ def _code_residuals(tone, count, light, ring, over, sharp, certainty, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: given[3])
-def _compute_residuals(begin, end, picture, certainty, windows, chunks, tables, level, shape, profiles, out):
+def _compute_residuals(begin, end, picture, certainty, windows, chunks, tables, level, shape, profile_tables, out):
     """Residuals of all pixels as bytes (`_code_residuals`), with `certainty` (k,) = 1 / spread over the distance.
 
-    `profiles` (t, k) are those of the types of lenses.
+    The `profile_tables` are `make_profile_tables` of the profiles (t, k) of the types of lenses.
     """
     height, width = picture.shape
     centres, lens_gain, sides, room = tables.centres, tables.lens_gain, tables.sides, DEFECT_KERNEL.room
-    certainty_32, (starts, rises, edge) = certainty[:-1].astype(np.float32), make_profile_tables(profiles)
+    starts, rises, edge = profile_tables
     for chunk in range(begin, end):
         powers, lens, faces = np.empty(64), np.empty(RIM_START + shape.rim.shape[0]), np.empty((6, 2))
         pixels, rows = np.empty((3, room + width), np.float32), np.empty((room, 3), np.int64)
@@ -131,7 +131,7 @@ def _compute_residuals(begin, end, picture, certainty, windows, chunks, tables, 
                 if stop <= start or lens_gain[b, a] <= 0:
                     continue
                 cx, cy, kind = centres[b, a, 0], centres[b, a, 1], tables.types[b, a]
-                profile_tables = starts[kind], rises[kind], edge
+                own_tables = starts[kind], rises[kind], edge
                 known = False
                 bright = sharp = 0.0
                 y = start
@@ -155,9 +155,9 @@ def _compute_residuals(begin, end, picture, certainty, windows, chunks, tables, 
                         sharp = 1 / windows[line, column]
                     if bright <= 0:
                         break
-                    relative_light_at(pixels, count, lens, shape, profile_tables, work, light, ring)
+                    relative_light_at(pixels, count, lens, shape, own_tables, work, light, ring)
                     over = np.float32(1 / bright)
-                    _code_residuals(pixels[2], count, light, ring, over, np.float32(sharp), certainty_32, coded)
+                    _code_residuals(pixels[2], count, light, ring, over, np.float32(sharp), certainty, coded)
                     count = 0
                     for k in range(kept):
                         count = _write_row(coded, count, rows[k, 0], rows[k, 1], rows[k, 2], out)
@@ -213,7 +213,15 @@ def find_defects(
     tables = make_row_tables(lattice, gain.lens_gain, gain.type_cell)
     shape = gain.shape(lattice)
     _compute_residuals(
-        picture, 1 / fit.spread, fit.windows, settings.chunks, tables, level, shape, gain.profiles, coded
+        picture,
+        (1 / fit.spread[:-1]).astype(np.float32),
+        fit.windows,
+        settings.chunks,
+        tables,
+        level,
+        shape,
+        make_profile_tables(gain.profiles),
+        coded,
     )
 
     def search_band(top: int) -> tuple[int, NDArray[np.int32]]:

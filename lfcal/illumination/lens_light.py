@@ -149,13 +149,13 @@ def _sum_pixels(pixels, count, shape, sums):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda picture, top, chosen, *_: len(chosen))
-def _measure_lenses(begin, end, picture, top, chosen, centres, grid, noise, shape, out):
+def _measure_lenses(begin, end, picture, top, chosen, centres, grid, noise, shape, tables, out):
     """Write `_LensMeasurements` of the `chosen` lenses into `out` (7, n).
 
-    `picture` begins at row `top` of the flat. The light is the mean if it scatters by no more than `noise` (n,).
+    `picture` begins at row `top` of the flat; `tables` are `make_profile_tables`. The light is the mean if it scatters
+    by no more than `noise` (n,).
     """
     most = LIGHT_KERNEL.most_pixels
-    tables = make_profile_tables(shape.profile)
     powers, lens, ratios = np.empty(64), np.empty(RIM_START + shape.rim.shape[0]), np.empty(most)
     pixels, light, sums = np.empty((3, most), np.float32), np.empty(most, np.float32), np.empty(10)
     ring, work = np.empty(most, np.int32), np.empty((5, most), np.float32)
@@ -209,7 +209,8 @@ def _measure(
     def measure(part: NDArray[np.float32], top: int, chosen: NDArray[np.int64]) -> None:
         for kind, profile in enumerate(gain.profiles):
             own = chosen[kinds[chosen] == kind] if len(gain.profiles) > 1 else chosen
-            _measure_lenses(part, top, own, centres, grid, noise, shape._replace(profile=profile), out)
+            tables = make_profile_tables(profile)
+            _measure_lenses(part, top, own, centres, grid, noise, shape._replace(profile=profile), tables, out)
 
     if not callable(picture):
         measure(picture, 0, np.arange(len(centres)))

@@ -38,8 +38,8 @@ class RingSums(NamedTuple):
     weight: NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _sum_light(picture, sample, cell, brightest, shape, types, light, weight):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda picture, sample, *_: len(sample.first) - 1)
+def _sum_light(begin, end, picture, sample, cell, brightest, shape, types, light, weight):
     """Add up `RingSums`; `types` (n,) are those of the sampled lenses."""
     centres, places, first, stride, reach = (
         sample.centres, sample.places, sample.first, sample.stride, cell.circumradius
@@ -47,7 +47,7 @@ def _sum_light(picture, sample, cell, brightest, shape, types, light, weight):
     profile, step, cut = shape.profile, shape.step, shape.cut
     powers, lens = np.empty(64), np.empty(RIM_START + shape.rim.shape[0])
     total, number = np.empty(len(profile)), np.empty(len(profile))
-    for window in range(len(first) - 1):
+    for window in range(begin, end):
         for n in range(first[window], first[window + 1]):
             evaluate_shape(centres[n, 0], centres[n, 1], shape, powers, lens)
             cx, cy = places[n, 0], places[n, 1]
@@ -75,8 +75,9 @@ def _sum_light(picture, sample, cell, brightest, shape, types, light, weight):
                     number[ring] += through * (1 - part)
                     number[ring + 1] += through * part
             if clipped * KERNEL.clipped_share <= count:
-                light[window, types[n]] += total
-                weight[window, types[n]] += number
+                for k in range(len(profile)):
+                    light[window, types[n], k] += total[k]
+                    weight[window, types[n], k] += number[k]
 
 
 def sum_light(

@@ -107,10 +107,15 @@ def _weighted_quantile(values, weight, wanted, about, near, near_weight):
         # Written in any case: a branch would be mispredicted as often as not.
         near[high], near_weight[high] = value, w
         high += int((value >= least) & (value <= most))
-    if under < wanted <= under + near_weight[:high].sum():
+    among = under
+    for k in range(high):
+        among += near_weight[k]
+    if under < wanted <= among:
         wanted -= under
     else:
-        near[:], near_weight[:], high = values, weight, len(values)
+        high = len(values)
+        for k in range(high):
+            near[k], near_weight[k] = values[k], weight[k]
     while True:
         one, other, third = near[low], near[(low + high) // 2], near[high - 1]
         pivot = max(min(one, other), min(max(one, other), third))
@@ -144,7 +149,10 @@ def _iterate(
     design, shift, spread, prior, basis, ratio, inliers, outlier, passes, converged, weights, changes, variances
 ):
     square, near, near_weight = np.empty(len(shift)), np.empty(len(shift)), np.empty(len(shift))
-    expected, wanted = -2 * np.log(1 - inliers), inliers * prior.sum()
+    total = 0.0
+    for k in range(len(prior)):
+        total += prior[k]
+    expected, wanted = -2 * np.log(1 - inliers), inliers * total
     before = np.empty(6)
     for start in range(len(weights)):
         weight, change = weights[start], changes[start]

@@ -154,7 +154,9 @@ def _group(edges, mean, rough, pixel, level, ends, groups):
     for lens in range(len(mean) - 1, -1, -1):
         ends[level[lens]] -= 1
         groups[0, ends[level[lens]]], groups[1, ends[level[lens]]] = rough[lens], pixel[lens]
-    ends[:-1], ends[-1] = ends[1:], len(mean)
+    for k in range(len(ends) - 1):
+        ends[k] = ends[k + 1]
+    ends[-1] = len(mean)
 
 
 def find_changed_lenses(

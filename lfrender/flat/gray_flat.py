@@ -165,7 +165,9 @@ def _correct_lenses(begin, end, centres, tables, radius, around, share, gains, s
     last = np.int32(gains.shape[1] - 1)
     inverse = np.float32(1 / step)
     # A table of floats: conversion of integers is slow inside a vector loop.
-    steps = np.arange(2 * int(radius) + 3).astype(np.float32)
+    steps = np.empty(2 * int(radius) + 3, np.float32)
+    for k in range(len(steps)):
+        steps[k] = k
     # A lens has the pixels left or right of each half-way line x = room + tilt * y to a neighbour.
     room, tilt = np.empty(len(around), np.float32), np.empty(len(around), np.float32)
     for n in range(len(around)):

@@ -136,7 +136,7 @@ def _blend_row(
     radius2 = (radius - 1) * (radius - 1)
     # Farther from the border than this, every lens in reach and all it shows lie on the flat.
     margin = reach + radius + 1
-    zero, per_channel = np.float32(0.0), np.float32(1 / len(channels))
+    zero, per_channel = np.float32(0.0), np.float32(1 / output.image.shape[2])
     across, down = np.uint64(pixels.shape[2]), np.uint64(pixels.shape[1] * pixels.shape[2])
     values, weights = np.empty((_MAX_LENSES, 4), np.float32), np.empty(_MAX_LENSES, np.float32)
     members = np.empty(len(offsets) + 1, np.int64)
@@ -304,11 +304,11 @@ def _blend_row(
         valid[v, u] = total_weight > 0
         per_sample = 1 / total_weight if total_weight > 0 else zero
         out[v, u, 0] = min(total0 * per_sample + half, top)
-        if len(channels) > 1:
+        if len(channels) > 1 and out.shape[2] > 1:
             out[v, u, 1] = min(total1 * per_sample + half, top)
-        if len(channels) > 2:
+        if len(channels) > 2 and out.shape[2] > 2:
             out[v, u, 2] = min(total2 * per_sample + half, top)
-        if len(channels) > 3:
+        if len(channels) > 3 and out.shape[2] > 3:
             out[v, u, 3] = min(total3 * per_sample + half, top)
 
 
@@ -329,8 +329,8 @@ def _look_up_about(cell, steps):
 def blend_pixels(begin, end, channels, flat, light, lenses, surface, depth, grid, weighting, output):
     """Draw the pixels of a `Grid` into an `Output`, with the patch sizes `surface` (h, w) on a `DepthGrid`.
 
-    `channels` is any tuple of C numbers: its length belongs to its type, so that code for other channels is left out;
-    pixels of the flat may have more. The bits do not depend on the part that is drawn.
+    `channels` is any tuple of at least C numbers: its length belongs to its type, so that code for other channels is
+    left out; those of the flat beyond C are 0. The bits do not depend on the part that is drawn.
     """
     types_about = _look_up_about(lenses.types, lenses.steps)
     rings_about = light.gains.shape[1] * _look_up_about(light.cell, lenses.steps)

@@ -13,6 +13,7 @@ import numpy as np
 from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
 
+from ..runtime.order_statistics import count_below
 from .lens_runs import (
     COLUMNS,
     FOURTH,
@@ -115,7 +116,7 @@ def _normalise(sums, count):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _store(totals, sizes, wanted, row, columns, count, end, largest, channels, output, v, left, section):
+def _store(totals, sizes, wanted, row, columns, count, end, largest, output, v, left, section):
     """Round and store row `v` of the picture, `row` of the band; columns from `end` on do not exist."""
     out, valid, half, top = output.image[v], output.valid[v], output.half, output.top
     for k in range(count):
@@ -129,9 +130,9 @@ def _store(totals, sizes, wanted, row, columns, count, end, largest, channels, o
             continue
         valid[u] = totals[at] > 0
         out[u, 0] = min(totals[SECOND + at] + half, top)
-        if len(channels) > 1:
+        if out.shape[1] > 1:
             out[u, 1] = min(totals[THIRD + at] + half, top)
-        if len(channels) > 2:
+        if out.shape[1] > 2:
             out[u, 2] = min(totals[FOURTH + at] + half, top)
 
 
@@ -204,7 +205,7 @@ def _allocate_buffers(line, runs, lenses):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _blend_section(
-    source, channels, surface, depth, grid, tolerance, output, left, upper, section, memory, band, buffers, totals
+    source, surface, depth, grid, tolerance, output, left, upper, section, memory, band, buffers, totals
 ):  # fmt: skip
     """Blend at most `SECTION` columns from column `section` on, of the band whose first row is `upper`."""
     rows, columns, _ = output.image.shape
@@ -227,11 +228,11 @@ def _blend_section(
     buffers.sums[:] = 0
     totals[:] = 0
     y = first[1] + row * spacing
-    lowest = np.searchsorted(lenses.centres[:, 1], y - source.reach)
-    highest = np.searchsorted(lenses.centres[:, 1], y + (ROWS - 1) * spacing + source.reach)
+    lowest = count_below(lenses.centres[:, 1], y - source.reach)
+    highest = count_below(lenses.centres[:, 1], y + (ROWS - 1) * spacing + source.reach)
     found = read_lenses(source, band, lowest, highest, first, row, column, spacing, count, memory.before, buffers)
     _normalise(buffers.sums, np.uint64(lanes))
-    t2, per_channel = tolerance * tolerance, np.float32(1 / len(channels))
+    t2, per_channel = tolerance * tolerance, np.float32(1 / output.image.shape[2])
     for n in range(found):
         at, u, pixels = np.uint64(n) * PER_RUN, np.uint64(buffers.runs[n, 0]), count_pixels(buffers.runs[n, 2])
         add_agreeing(buffers.values, at, buffers.sums, u, pixels, t2, per_channel, totals)
@@ -240,7 +241,7 @@ def _blend_section(
     for v in range(upper, lower):
         wanted = grid.wanted[v] if grid.wanted.size else grid.wanted[:0, 0]
         _store(
-            totals, band.size, wanted, v - upper, memory.columns, asked, count, largest, channels, output, v, left[v],
+            totals, band.size, wanted, v - upper, memory.columns, asked, count, largest, output, v, left[v],
             section,
         )  # fmt: skip
 
@@ -252,12 +253,12 @@ def _most_runs(centres, grid, bands, reach):
     for band in range(bands):
         y = grid.first[1] + (grid.start[1] + ROWS * band) * grid.spacing
         above, below = y - reach, y + (ROWS - 1) * grid.spacing + reach
-        tall = max(tall, np.searchsorted(centres[:, 1], below) - np.searchsorted(centres[:, 1], above))
+        tall = max(tall, count_below(centres[:, 1], below) - count_below(centres[:, 1], above))
     return tall, tall * (ROWS * (int(2 * reach / grid.spacing) + 1 + 2 * COLUMNS) // LANES + 2)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: -(-len(given[8].image) // ROWS))
-def blend_rows(begin, end, channels, flat, light, lenses, surface, depth, grid, weighting, output, left):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: -(-len(given[7].image) // ROWS))
+def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting, output, left):
     """Draw the pixels of a `Grid` into an `Output`.
 
     As `blend_pixels`, with packed pixels (h, w) uint32 or uint64 in `flat` (`prefilter_packed`) and `SortedLenses`.
@@ -282,6 +283,6 @@ def blend_rows(begin, end, channels, flat, light, lenses, surface, depth, grid, 
     for n in range(begin, end):
         for section in range(0, columns, SECTION):
             _blend_section(
-                source, channels, surface, depth, grid, weighting.tolerance, output, left, ROWS * n, section,
+                source, surface, depth, grid, weighting.tolerance, output, left, ROWS * n, section,
                 memory, band, buffers, totals,
             )  # fmt: skip

@@ -349,7 +349,8 @@ def read_lenses(source, band, lowest, highest, first, row, column, spacing, coun
         stride, source.edge, np.float32(source.rings - 1),
     )  # fmt: skip
     step, per_light_step = np.float32(spacing), np.float32(1 / source.light_step)
-    found = done = 0
+    # Integers that are not known to be 0, which would be other types.
+    found = done = np.int64(0)
     top, bottom = first[1] + row * spacing, first[1] + (row + ROWS - 1) * spacing
     _find_columns(
         centres, lowest, highest, first[0], top, bottom, spacing, column, source.reach, count, ranges

@@ -210,7 +210,8 @@ class RenderPlan:
         """Blend a part of the picture into `image`, rounded to its type."""
         valid = np.empty(image.shape[:2], bool) if valid is None else valid
         wanted = np.empty((0, 0), bool) if wanted is None else wanted
-        channels = (0,) * pixels.shape[2]
+        # Packed pixels have three, so that flats of one use the same code.
+        channels = (0,) * (3 if self._suits_rows(pixels) else pixels.shape[2])
         tolerance = np.float32(self.agreement * white_level(pixels, self.calibration) if self.blend else 0.0)
         lit = self.lit or self._light(pixels, corner, wanted.size > 0)
         pixels, edged, light = lit.pixels, lit.edged, lit.light
@@ -231,9 +232,9 @@ class RenderPlan:
                 weighting = weighting._replace(
                     reach=min(weighting.reach, DEFAULT.view_reach * self.calibration.lattice.pitch)
                 )
-                blend_view_rows(self._view, channels, *inputs, weighting, output, left)
+                blend_view_rows(self._view, *inputs, weighting, output, left)
             else:
-                blend_rows(channels, *inputs, weighting, output, left)
+                blend_rows(*inputs, weighting, output, left)
             ready, grid = packed.view(pixels.dtype).reshape(*packed.shape, 4), grid._replace(wanted=left)
         lenses, general = self._lenses, read._replace(pixels=ready)
         if not grid.wanted.size or grid.wanted.any():

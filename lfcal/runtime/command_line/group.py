@@ -67,6 +67,9 @@ class CommandGroup(cloup.Group):
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         kwargs["standalone_mode"] = False
+        if "numpy" not in sys.modules:
+            # For matrices as small as ours, threads that wait for each other take several times as long.
+            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         try:
             # Python warnings are for developers; results have warnings of their own for users.
             with warnings.catch_warnings():

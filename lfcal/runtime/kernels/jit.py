@@ -52,8 +52,10 @@ class Kernel:
 
                 from .cache import enable_cache
                 from .compilation import watch_compilation
+                from .library import link_on_demand
 
                 watch_compilation()
+                link_on_demand()
                 # Nobody calls kernels from C.
                 options = {**self.options, "cache": False, "no_cfunc_wrapper": True}
                 compiler: Any = numba.njit

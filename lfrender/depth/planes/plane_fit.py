@@ -15,6 +15,7 @@ from lfcal.runtime.kernels.jit import njit
 
 from ...flat.lens_graph import count_connected
 from ...runtime.normal_equations import solve_cholesky
+from ...runtime.order_statistics import median_of
 from ...runtime.quantiles import median
 from .settings import PLANE, PlaneSettings
 
@@ -148,12 +149,18 @@ def _fit_inverse_terms(rows, sizes, rounds, near_median, outlier, min_scatter, s
     """`_fit_inverse` for terms (k, n), k at most 3."""
     count, number = rows.shape
     inverse, left, right = np.zeros(count), np.empty((count, count)), np.empty(count)
-    middle = np.median(sizes)
+    residual, work = np.empty(number), sizes.copy()
+    middle = median_of(work)
     inverse[0] = 1 / middle
-    residual = sizes - middle
+    for n in range(number):
+        residual[n] = sizes[n] - middle
     for turn in range(rounds):
         weighed = turn > 0 or count == 1 or near_median
-        limit = outlier * max(1.48 * np.median(np.abs(residual)), min_scatter) if weighed else np.inf
+        limit = np.inf
+        if weighed:
+            for n in range(number):
+                work[n] = abs(residual[n])
+            limit = outlier * max(1.48 * median_of(work), min_scatter)
         left[:], right[:] = 0.0, 0.0
         for n in range(number):
             s = sizes[n]

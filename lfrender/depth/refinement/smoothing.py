@@ -206,7 +206,8 @@ def _gather(
     lens, centres, pitch, radius, rows, sizes, errors, slants, slant_errors, centred, trust, constants, gathered, near
 ):  # fmt: skip
     """Fill `near` with the neighbours `rows` of a lens; returns how many they are, and the sum of their weights."""
-    count, per_pitch = 0, 1 / np.float64(pitch)
+    # An integer that is not known to be 0, which would be another type.
+    count, per_pitch = np.int64(0), 1 / np.float64(pitch)
     least = constants.least_slant * constants.least_slant
     for k in range(rows.shape[1]):
         other = rows[lens, k]

@@ -19,6 +19,7 @@ from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import neighbour_rows
 from ...runtime.buffers import allocate_scratch
 from ...runtime.cache import cached
+from ...runtime.order_statistics import select
 from ..same_surface import same_surface
 from .hypotheses import MAX_HYPOTHESES, find_agreeing_lenses, hypothesis_constants, propose_hypotheses
 from .photoconsistency import view_constants
@@ -152,7 +153,7 @@ def _remove_specks(begin, end, chosen, depths, gap, reach, out):
                     count += 1
                     agree += same_surface(chosen[y, x], here, gap)
             if 2 * agree < count:
-                out[v, u] = np.sort(window[:count])[count // 2]
+                out[v, u] = select(window[:count], count // 2)
 
 
 def _steps_nearby(lattice: Lattice, reach: float) -> NDArray[np.int64]:

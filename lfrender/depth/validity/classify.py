@@ -9,6 +9,7 @@ from lfcal.runtime.kernels.jit import njit
 
 from ...flat.lens_graph import count_similar
 from ...flat.settings import SHADING
+from ...runtime.order_statistics import count_below
 from ..matching.matcher import MatchResult
 from .settings import CLASSIFY, ClassifySettings
 from .uncertainty import (
@@ -166,14 +167,7 @@ def initial_reasons(
 def _have_similar(begin, end, values, ordered, gap, least, out):
     for k in range(begin, end):
         # On all threads, which NumPy's search is not. Comparisons with NaN are false.
-        first, beyond = 0, len(ordered)
-        while first < beyond:
-            middle = (first + beyond) // 2
-            if ordered[middle] < values[k] - gap:
-                first = middle + 1
-            else:
-                beyond = middle
-        last = first + least - 1
+        last = count_below(ordered, values[k] - gap) + least - 1
         out[k] = last < len(ordered) and ordered[last] < values[k] + gap
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from lfcal.runtime.kernels.jit import njit
 
+from ...runtime.order_statistics import count_below
 from ..blend_rows import (
     _allocate_band,
     _allocate_buffers,
@@ -27,7 +28,7 @@ __all__ = ["blend_view_rows"]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _blend_section(
-    view, source, channels, surface, depth, grid, tolerance, output, left, upper, section, memory, band, buffers, totals
+    view, source, surface, depth, grid, tolerance, output, left, upper, section, memory, band, buffers, totals
 ):  # fmt: skip
     """Blend at most `SECTION` columns from column `section` on, of the band whose first row is `upper`."""
     rows, columns, _ = output.image.shape
@@ -50,13 +51,13 @@ def _blend_section(
     buffers.sums[:] = 0
     totals[:] = 0
     y = first[1] + row * spacing
-    lowest = np.searchsorted(lenses.centres[:, 1], y - source.reach)
-    highest = np.searchsorted(lenses.centres[:, 1], y + (ROWS - 1) * spacing + source.reach)
+    lowest = count_below(lenses.centres[:, 1], y - source.reach)
+    highest = count_below(lenses.centres[:, 1], y + (ROWS - 1) * spacing + source.reach)
     found = read_lenses_about(
         view, source, band, lowest, highest, first, row, column, spacing, count, memory.before, buffers
     )  # fmt: skip
     _normalise(buffers.sums, np.uint64(lanes))
-    t2, per_channel = tolerance * tolerance, np.float32(1 / len(channels))
+    t2, per_channel = tolerance * tolerance, np.float32(1 / output.image.shape[2])
     for n in range(found):
         at, u, pixels = np.uint64(n) * PER_RUN, np.uint64(buffers.runs[n, 0]), count_pixels(buffers.runs[n, 2])
         add_agreeing(buffers.values, at, buffers.sums, u, pixels, t2, per_channel, totals)
@@ -65,13 +66,13 @@ def _blend_section(
     for v in range(upper, lower):
         wanted = grid.wanted[v] if grid.wanted.size else grid.wanted[:0, 0]
         _store(
-            totals, band.size, wanted, v - upper, memory.columns, asked, count, largest, channels, output, v, left[v],
+            totals, band.size, wanted, v - upper, memory.columns, asked, count, largest, output, v, left[v],
             section,
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: -(-len(given[9].image) // ROWS))
-def blend_view_rows(begin, end, view, channels, flat, light, lenses, surface, depth, grid, weighting, output, left):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: -(-len(given[8].image) // ROWS))
+def blend_view_rows(begin, end, view, flat, light, lenses, surface, depth, grid, weighting, output, left):
     """Draw the pixels of a `Grid` into an `Output` as `blend_rows`, from a viewpoint.
 
     `view` are x, y of the viewpoint and the squared radius up to which microimages are read [px]; the radius of the
@@ -96,6 +97,6 @@ def blend_view_rows(begin, end, view, channels, flat, light, lenses, surface, de
     for n in range(begin, end):
         for section in range(0, columns, SECTION):
             _blend_section(
-                view, source, channels, surface, depth, grid, weighting.tolerance, output, left, ROWS * n, section,
+                view, source, surface, depth, grid, weighting.tolerance, output, left, ROWS * n, section,
                 memory, band, buffers, totals,
             )  # fmt: skip
