@@ -21,7 +21,7 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["gallery/*", "drawings/*", "sg_execution_times.rst"]
+exclude_patterns = ["built_overview.md", "gallery/*", "drawings/*", "sg_execution_times.rst"]
 html_theme = "furo"
 html_title = "lfrender"
 html_theme_options = {"source_directory": "docs/"}
@@ -116,8 +116,25 @@ def _show_examples(_app: object, ctx: Any, lines: list[str]) -> None:
         lines[:] = ["**Examples**", "", ".. code-block:: sh", "", *(f"   {line.strip()}" for line in calls), ""]
 
 
+def _write_overview(_app: object) -> None:
+    """`built_overview.md`: all commands by workflow, as in `--help`."""
+    import click
+
+    import lfcal.cli.main
+    import lfrender.cli.main
+
+    rows = ["| to | command | |", "|---|---|---|"]
+    for program, group in (("lfcal", lfcal.cli.main.main), ("lfrender", lfrender.cli.main.main)):
+        for section in group.list_sections(click.Context(group)):
+            for number, (name, command) in enumerate(section.list_commands()):
+                title = "" if number else f"**{section.title}**"
+                rows.append(f"| {title} | `{program} {name}` | {command.get_short_help_str(100)} |")
+    Path(__file__).with_name("built_overview.md").write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
 def setup(app: Any) -> None:
     """Called by Sphinx."""
+    app.connect("builder-inited", _write_overview)
     app.connect("sphinx-click-process-epilog", _show_examples)
 
 
