@@ -1,0 +1,28 @@
+"""Tuned numbers are moved, and put back."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.sensitivity import moved, tuned_numbers
+from lfrender.depth.settings import PIPELINE, PipelineSettings
+
+
+def test_numbers_of_all_rooms_are_found():
+    rooms = {kind.__module__.split(".")[2] for kind, _ in tuned_numbers()}
+    assert {"matching", "refinement", "surface", "validity", "planes", "edges"} <= rooms
+    assert (PipelineSettings, "gap") in tuned_numbers()
+
+
+def test_a_number_moves_in_the_defaults_and_comes_back():
+    before = PIPELINE.gap
+    with pytest.raises(RuntimeError), moved(PipelineSettings, "gap", 0.7):
+        assert PIPELINE.gap == pytest.approx(0.7 * before)
+        raise RuntimeError
+    assert before == PIPELINE.gap
+
+
+def test_whole_numbers_move_by_one_at_least():
+    before = PIPELINE.min_sample
+    with moved(PipelineSettings, "min_sample", 1.0 + 1e-9):
+        assert before + 1 == PIPELINE.min_sample
