@@ -61,8 +61,8 @@ def _params(calls):
 
 @pytest.mark.parametrize(("program", "words"), _params(commands))
 def test_a_command_in_the_documentation_is_understood(program, words):
-    # Where the page leaves a number or a name to the reader.
-    words = [{"MM": "1", "N": "3"}.get(word, word) for word in words]
+    # Where the page leaves a number to the reader.
+    words = ["3" if word == "N" else word for word in words]
     if program == "lfsynth":
         PROGRAMS[program].make_context(program, words)
         return
