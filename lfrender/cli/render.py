@@ -147,14 +147,11 @@ def render(
     with capture.report.stage("render"), option_errors(*options.values()):
         from .. import render as run
         from .. import traditional as run_traditional
-        from ..rendering.traditional import resolves_too_little
+        from ..rendering.traditional import TOO_LITTLE, resolves_too_little
 
         if depth is not None and not (scale or roi or sharpen) and resolves_too_little(depth):
             traditional = True
-            capture.report.warn(
-                "next to nothing is resolved: drawn is the traditional picture, one pixel per microlens; with --scale, "
-                "the picture in focus"
-            )
+            capture.report.warn(TOO_LITTLE.format("--scale"))
         picture = run_traditional(pixels, calibration) if traditional else run(pixels, calibration, depth, **options)
     from ..output.picture import eight_bits as to_eight_bits
     from ..output.picture import needs_eight_bits

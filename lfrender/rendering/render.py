@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Literal
 
@@ -18,6 +19,7 @@ from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat, exposure_rows, match_exposure
 from .plan import Part, RenderPlan, constant_surface, finish_picture
 from .settings import DEFAULT, RenderSettings
+from .traditional import TOO_LITTLE, resolves_too_little, traditional
 
 __all__ = ["expand_roi", "make_plan", "render"]
 
@@ -67,7 +69,8 @@ def render(
     Returns
     -------
     Rendering
-        Image of the flat's dtype and channels.
+        Image of the flat's dtype and channels. Where next to no lens has a depth, and no option asks for more, it is
+        the traditional picture, with a UserWarning: one pixel per pitch, all else would be made up.
 
     Raises
     ------
@@ -101,6 +104,10 @@ def render(
         scale = previous[2].scale
     if patch_size is None and depth is None:
         depth = analyze(pixels, calibration, roi=roi and expand_roi(roi, calibration))
+    plain = all(option is None for option in (patch_size, scale, blend, sharpen, roi, previous))
+    if depth is not None and plain and depth.image_size == calibration.image_size and resolves_too_little(depth):
+        warnings.warn(TOO_LITTLE.format("scale"), stacklevel=2)
+        return traditional(flat, calibration)
 
     def look(part: Part) -> NDArray:
         return pixels[part[1] : part[3], part[0] : part[2]]

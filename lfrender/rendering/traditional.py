@@ -17,7 +17,10 @@ from ..flat.validation import check_flat
 from .plan import finish_picture
 from .settings import DEFAULT, RenderSettings
 
-__all__ = ["resolves_too_little", "traditional"]
+__all__ = ["TOO_LITTLE", "resolves_too_little", "traditional"]
+
+#: What is said where the traditional picture is drawn instead of one in focus; takes the name of the option.
+TOO_LITTLE = "next to nothing is resolved: drawn is the traditional picture, one pixel per microlens; with {}, the picture in focus"
 
 
 @njit(cache=True, nogil=True, share=lambda flat, centres, *_: len(centres), fastmath=FAST)

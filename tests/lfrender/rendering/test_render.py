@@ -198,3 +198,13 @@ def test_a_part_has_the_bits_of_the_whole_picture():
             lfrender.render(shot.flat, calibration, depth, roi=bad)
     with pytest.raises(ValueError, match="either roi or sharpen"):
         lfrender.render(shot.flat, calibration, depth, roi=(100, 60, 300, 200), sharpen="auto")
+
+
+def test_flat_without_any_depth_is_drawn_at_a_pixel_per_lens_and_that_is_said():
+    camera = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (400, 300), 9))
+    flat = np.full((300, 400), 100, np.uint8)
+    depth = lfrender.analyze(flat, camera)
+    with pytest.warns(UserWarning, match="next to nothing is resolved"):
+        picture = lfrender.render(flat, camera, depth)
+    assert picture.scale == 1 and picture.image.shape == (15, 20)
+    assert lfrender.render(flat, camera, depth, scale=5).image.shape == (75, 100)
