@@ -20,7 +20,10 @@ from .settings import DEFAULT, RenderSettings
 __all__ = ["TOO_LITTLE", "resolves_too_little", "traditional"]
 
 #: What is said where the traditional picture is drawn instead of one in focus; takes the name of the option.
-TOO_LITTLE = "next to nothing is resolved: drawn is the traditional picture, one pixel per microlens; with {}, the picture in focus"
+TOO_LITTLE = (
+    "next to nothing is resolved: drawn is the traditional picture, one pixel per microlens; with {}, the picture "
+    "in focus"
+)
 
 
 @njit(cache=True, nogil=True, share=lambda flat, centres, *_: len(centres), fastmath=FAST)
