@@ -55,7 +55,7 @@ def summarise(camera: Calibration) -> list[str]:
     how = sources.get(camera.source, f"from {camera.source}")
     lenses = f"{len(camera.lattice):,} microlenses, {camera.lattice.pitch:.2f} px apart"
     sentences = [f"{lenses}: a {shape} lattice turned by {rotation:.2f} degrees."]
-    sure = "" if camera.source == "published" else f", confidence {camera.confidence:.0%}"
+    sure = "" if camera.source == "published" else f", confidence {100 * camera.confidence:.0f} %"
     if camera.lens_types is not None:
         sure += f"; {camera.lens_types.count} types of lenses"
     defects = len(camera.defects.pixels) + len(camera.defects.lenses)

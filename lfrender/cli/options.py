@@ -65,7 +65,19 @@ def output_option(metavar: str, text: str, piped: str = "") -> Callable[[Any], A
 
 def roi_option(text: str) -> Callable[[Any], Any]:
     """The option `--roi`; `lfrender.data.region.check_region` checks it, for commands and functions alike."""
-    return click.option("--roi", type=float, nargs=4, metavar="X0 Y0 X1 Y1", help=text)
+    return click.option("--roi", type=_Corner(), nargs=4, metavar="X0 Y0 X1 Y1", help=text)
+
+
+class _Corner(click.ParamType):
+    """A coordinate of a corner."""
+
+    name = "px"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        try:
+            return float(value)
+        except ValueError:
+            self.fail(f"give four numbers, X0 Y0 X1 Y1 [px of the flat]; {value!r} is none", param, ctx)
 
 
 def capture_command(
@@ -163,4 +175,11 @@ def option_errors(*values: Any) -> Iterator[None]:
     except ValueError as error:
         if all(value is None for value in values):
             raise
-        raise click.UsageError(str(error)) from error
+        raise click.UsageError(_name_option(str(error))) from error
+
+
+def _name_option(message: str) -> str:
+    """A message about an argument of a function, about the option that it comes from."""
+    argument, space, rest = message.partition(" ")
+    options = {"patch_size": "--patch-size", "position": "--at"} | {n: f"--{n}" for n in ("aperture", "roi", "scale")}
+    return f"{options.get(argument, argument)}{space}{rest}"

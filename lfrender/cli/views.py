@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 __all__ = ["refocus", "views"]
 
 _View = TypeVar("_View")
+# Suffixes that no folder has, of files that are not written.
+_NO_FOLDERS = frozenset({".apng", ".avi", ".m4v", ".mov", ".mpeg", ".mpg", ".webm", ".wmv"})
 
 
 @capture_command(
@@ -289,6 +291,10 @@ class _ViewForm:
             check(output, dtype, inputs)
         elif self.stereo or self.quilt:
             check_picture(output, dtype, inputs=inputs)
+        elif output.suffix.lower() in _NO_FOLDERS and not output.is_dir():
+            raise click.UsageError(
+                f"{output}: films and animations are written as {', '.join(sorted(MOVING_SUFFIXES))}"
+            )
         elif output.suffix.lower() in FORMATS and not output.is_dir():
             raise click.UsageError(
                 f"{output} is one file: say what it shows with --stereo, --animation N or --quilt 8x6, or give a folder"

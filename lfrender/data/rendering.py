@@ -14,14 +14,14 @@ __all__ = ["Rendering", "check_patch_size", "check_scale"]
 def check_scale(scale: float, pitch: float) -> float:
     """The scale [px per pitch] as a float, or a ValueError that says which are possible."""
     if not (np.isfinite(scale) and 0 < scale <= 4 * pitch):
-        raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * pitch:.0f}), got {scale}")
+        raise ValueError(f"scale must lie between 0 and four times the pitch ({4 * pitch:.0f}), got {scale:g}")
     return float(scale)
 
 
 def check_patch_size(patch_size: float, pitch: float) -> None:
     """Raise a ValueError unless `|patch_size|` [px] lies between 0 and the pitch."""
     if not 0 < abs(patch_size) < pitch:
-        raise ValueError(f"patch_size must lie between 0 and the pitch {pitch:.1f} px, got {patch_size}")
+        raise ValueError(f"patch_size must lie between 0 and the pitch {pitch:.1f} px, got {patch_size:g}")
 
 
 @dataclass(frozen=True, repr=False)

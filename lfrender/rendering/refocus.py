@@ -76,7 +76,7 @@ def refocus(
     assert patch_size is not None
     check_patch_size(patch_size, lattice.pitch)
     if not DEFAULT.least_aperture <= aperture <= 1:
-        raise ValueError(f"aperture must lie between {DEFAULT.least_aperture} and 1, got {aperture}")
+        raise ValueError(f"aperture must lie between {DEFAULT.least_aperture} and 1, got {aperture:g}")
     scale = check_scale(abs(patch_size) if scale is None else scale, lattice.pitch)
     coarse = scale < abs(patch_size)
     blur = measure_lens_blur(pixels, calibration, np.full(len(lattice), patch_size, np.float32)) if coarse else 0.0
@@ -173,7 +173,9 @@ def _depth_at(
     place = np.array(position, dtype=float)
     width, height = calibration.image_size
     if place.shape != (2,) or not ((place >= -0.5) & (place <= (width - 0.5, height - 0.5))).all():
-        raise ValueError(f"position must be x, y on the flat of {width} x {height} px, got {position!r}")
+        raise ValueError(
+            f"position must be x, y on the flat of {width} x {height} px, got {' '.join(map(str, np.ravel(position)))}"
+        )
     if depth is None:
         from ..depth.analyze import analyze
 

@@ -15,7 +15,7 @@ import cloup
 
 from ..errors import LightFieldError
 from .path_arguments import suggest_similar_names
-from .pipes import write_to_stdout
+from .pipes import name_pipes, write_to_stdout
 
 __all__ = ["Command", "CommandGroup", "command", "grouped"]
 
@@ -104,7 +104,7 @@ class CommandGroup(cloup.Group):
         sys.exit(code if isinstance(code, int) else 0)
 
     def _fail(self, message: str) -> None:
-        click.echo(f"{self.name or 'error'}: {' '.join(message.split())}", err=True)
+        click.echo(f"{self.name or 'error'}: {name_pipes(' '.join(message.split()))}", err=True)
         sys.exit(_USER_ERROR)
 
 

@@ -5,6 +5,7 @@ Both go through a file of a temporary folder, since formats are chosen by suffix
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 import tempfile
@@ -14,8 +15,9 @@ import click
 
 from ..image_formats import IMAGE_FORMATS, identify_format
 
-__all__ = ["has_stdout_file", "is_pipe", "stdin_file", "stdout_file", "write_to_stdout"]
+__all__ = ["has_stdout_file", "is_pipe", "name_pipes", "stdin_file", "stdout_file", "write_to_stdout"]
 
+_FILES = re.compile(r"[^\s:'\"]*lfrender-pipe-[^/\\]+[/\\](stdin|stdout)\.\w+")
 # Where the context of a command keeps the file of stdin, and that for stdout.
 _STDIN, _STDOUT = "lfcal.stdin", "lfcal.stdout"
 
@@ -54,6 +56,11 @@ def has_stdout_file(ctx: click.Context | None) -> bool:
     return ctx is not None and _STDOUT in ctx.find_root().meta
 
 
+def name_pipes(text: str) -> str:
+    """A text in which the files that stand for pipes are called `stdin` and `stdout`."""
+    return _FILES.sub(r"\1", text)
+
+
 def write_to_stdout(ctx: click.Context) -> None:
     """Pass on the file for stdout, if a command has written one."""
     path = ctx.find_root().meta.get(_STDOUT)
@@ -68,6 +75,6 @@ def write_to_stdout(ctx: click.Context) -> None:
 def _folder(root: click.Context) -> Path:
     """A folder that is removed when the command has ended."""
     if "lfcal.pipes" not in root.meta:
-        root.meta["lfcal.pipes"] = Path(root.with_resource(tempfile.TemporaryDirectory(prefix="lfrender-")))
+        root.meta["lfcal.pipes"] = Path(root.with_resource(tempfile.TemporaryDirectory(prefix="lfrender-pipe-")))
     folder: Path = root.meta["lfcal.pipes"]
     return folder

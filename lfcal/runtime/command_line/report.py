@@ -15,7 +15,7 @@ import click
 
 from ..errors import LightFieldError
 from ..kernels.observers import observe_misses
-from .pipes import has_stdout_file
+from .pipes import has_stdout_file, name_pipes
 from .terminal import Terminal
 
 __all__ = ["Report", "name_file_in_errors", "report_options"]
@@ -149,19 +149,19 @@ class Report:
             figures = {**figures, "warnings": [*figures.get("warnings", ()), *self.warnings]}
         figures = {**figures, "seconds": {name: round(value, 4) for name, value in self.seconds.items()}}
         if self.as_json:
-            click.echo(json.dumps(_to_json_types(figures)), err=_is_piped())
+            click.echo(name_pipes(json.dumps(_to_json_types(figures))), err=_is_piped())
             return
         for warning in figures.get("warnings", ()):
-            click.echo(f"warning: {warning}", err=True)
+            click.echo(name_pipes(f"warning: {warning}"), err=True)
         if self.quiet:
             return
         for sentence in sentences:
-            click.echo(sentence, err=_is_piped())
+            click.echo(name_pipes(sentence), err=_is_piped())
         if not sentences:
             rows = _rows({name: value for name, value in figures.items() if name != "warnings"})
             width = max(map(len, rows)) + 2
             for name, value in rows.items():
-                click.echo(f"{name.replace('_', ' '):{width}}{value}", err=_is_piped())
+                click.echo(f"{name.replace('_', ' '):{width}}{name_pipes(value)}", err=_is_piped())
 
 
 @contextmanager
