@@ -147,7 +147,10 @@ class GainMap(Frozen):
     @property
     def profiles(self) -> NDArray[np.float64]:
         """(t, k) profile of each type of lens; (1, k) where they do not differ."""
-        return self.profile * self.type_light if self.type_light.size else self.profile[None]
+        profiles = self.profile * self.type_light if self.type_light.size else self.profile[None]
+        # As the profile itself: for writable arrays, kernels are compiled anew.
+        profiles.flags.writeable = False
+        return profiles
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings; `profile` and `lens_gain` as encoded arrays."""

@@ -71,7 +71,8 @@ def correction_tables(calibration: Calibration) -> tuple[NDArray[np.float32], fl
 def correction_cell(calibration: Calibration) -> NDArray[np.int8]:
     """(m, m) which of `correction_tables` is that of lens `(i, j)`: `cell[i % m, j % m]`."""
     gain = calibration.gain_map
-    return np.zeros((1, 1), np.int8) if gain is None or not gain.type_cell.size else gain.type_cell
+    # Writable in any case: for read-only arrays, kernels are compiled anew.
+    return np.zeros((1, 1), np.int8) if gain is None or not gain.type_cell.size else gain.type_cell.copy()
 
 
 def has_uneven_lenses(calibration: Calibration, types: bool = False) -> bool:

@@ -38,4 +38,5 @@ def focus_weights(
     if types is None or types.focus is None or types.count < 2 or not np.isfinite(types.focus).all():
         return np.zeros((0, 0), np.int8), np.ones((1, WEIGHT_STEPS), np.float32)
     distance = np.abs(np.linspace(-1, 1, WEIGHT_STEPS) - types.focus[:, None]) + settings.sharp
-    return types.cell, ((distance.min(0) / distance) ** settings.steepness).astype(np.float32)
+    # Writable as above: for read-only arrays, kernels are compiled anew.
+    return types.cell.copy(), ((distance.min(0) / distance) ** settings.steepness).astype(np.float32)

@@ -58,7 +58,7 @@ def compile_ahead(
     signatures : sequence of Signature
         See `signatures_of`. Those in the cache are only loaded.
     processes : int, optional
-        By default one for each core, but none for fewer than eight kernels.
+        By default one for each core, but not for fewer than three kernels each.
     progress : function of int and int, optional
         Called in this thread with the numbers of finished and of all kernels.
     """
@@ -68,7 +68,7 @@ def compile_ahead(
     if not signatures:
         return 0
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = max(1, min(processes or cores, len(signatures) // 8 + 1))
+    count = max(1, min(processes or cores, len(signatures) // 3 + 1))
     done: SimpleQueue[bool | None] = SimpleQueue()
     failed = finished = ended = 0
     with ThreadPoolExecutor(count) as threads:
