@@ -15,7 +15,7 @@ WORDS = {
     "Quick start": 100,
     "What it does": 145,
     "Python": 40,
-    "Accuracy and speed": 155,
+    "Accuracy and speed": 165,
     "Limits": 80,
     "Documentation": 100,
 }
