@@ -24,6 +24,12 @@ class Defects(Frozen):
         `x, y` of pixels that are hot, dead or under dust or scratches.
     lenses : (m, 2) int32
         Lattice indices `i, j` of lenses that are missing or unlit.
+
+    Examples
+    --------
+    >>> defects = Defects(pixels=[[17, 4], [80, 31]])
+    >>> len(defects.pixels), len(defects.lenses)
+    (2, 0)
     """
 
     pixels: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 2), np.int32))

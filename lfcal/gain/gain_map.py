@@ -74,6 +74,15 @@ class GainMap(Frozen):
         Light of each type of lens over that of `profile`, where types differ; else (0, 0).
     type_cell : (m, m) int8
         Lens `(i, j)` is of type `type_cell[i % m, j % m]`; (0, 0) where types do not differ.
+
+    Examples
+    --------
+    >>> import lfcal, lfrender
+    >>> sample = lfrender.data.house(size=(400, 300), samples=2)
+    >>> camera = lfcal.calibrate(sample.white, kind="white")
+    >>> light = camera.gain()  # of every pixel of the flat, 1 at the brightest
+    >>> light.shape, camera.gain_map.step
+    ((300, 400), 0.25)
     """
 
     profile: NDArray[np.float64]

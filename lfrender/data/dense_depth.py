@@ -34,6 +34,16 @@ class DenseDepth:
     affine : (2, 3) float64
         From pixel `(u, v, 1)` to scene coordinates.
     pitch : float [px]
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> dense = dense_depth(depth, scale=6)
+    >>> dense.patch_size.shape, dense.affine.shape
+    ((47, 62), (2, 3))
     """
 
     patch_size: NDArray[np.float32]

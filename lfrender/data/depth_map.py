@@ -34,7 +34,14 @@ _VERSION = 2
 
 
 class DepthFileError(LightFieldError, ValueError):
-    """A depth file is missing, damaged, or belongs to another camera."""
+    """A depth file is missing, damaged, or belongs to another camera.
+
+    Examples
+    --------
+    >>> DepthMap.load("no.npz")
+    Traceback (most recent call last):
+    lfrender.data.depth_map.DepthFileError: no.npz: cannot be read as a depth file (No such file or directory)
+    """
 
 
 def _finite(values: NDArray[np.float32]) -> bool:

@@ -117,6 +117,16 @@ class Surface:
         Scene coordinates of grid value `[0, 0]`, order `x, y`.
     spacing : float [px]
         Distance between grid values in scene coordinates.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> rows, columns = depth.surface.patch_size.shape
+    >>> depth.surface.at(np.array([[120.0, 90.0]])).shape  # patch size at a place of the scene
+    (1,)
     """
 
     patch_size: NDArray[np.float32]

@@ -39,7 +39,15 @@ Page = tuple[NDArray[Any], str]
 
 
 class PictureError(LightFieldError, ValueError):
-    """A picture cannot be written in the requested format."""
+    """A picture cannot be written in the requested format.
+
+    Examples
+    --------
+    >>> import lfrender.output.picture
+    >>> lfrender.output.picture.write_stack("stack.tif", [])
+    Traceback (most recent call last):
+    lfrender.output.formats.PictureError: stack.tif: a stack needs at least one picture
+    """
 
 
 @dataclass(frozen=True)

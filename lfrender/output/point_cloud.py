@@ -63,6 +63,16 @@ def point_cloud(
     ------
     CalibrationError
         If `depth` belongs to another camera.
+
+    Examples
+    --------
+    >>> import lfrender
+    >>> sample = lfrender.data.house(size=(240, 180), samples=2)
+    >>> flat, camera = sample.flat, sample.truth.calibration
+    >>> depth = lfrender.analyze(flat, camera, "fast")
+    >>> points = point_cloud(flat, camera, depth, points_per_pitch=4)
+    >>> points.dtype.names
+    ('x', 'y', 'z', 'red', 'green', 'blue')
     """
     lattice = calibration.lattice
     if depth.image_size != lattice.image_size or len(depth) != len(lattice):
