@@ -19,6 +19,7 @@ from .options import (
     at_most_one,
     cluster_options,
     connect_cluster,
+    eight_bits_option,
     grid_size,
     output_option,
     preset_option,
@@ -56,6 +57,7 @@ __all__ = ["batch"]
     click.option(
         "--format", "suffix", help="Format of the pictures: tif, jpg, ...; of views also yuv.  [default: tif]"
     ),
+    eight_bits_option,
     click.option(
         "--fps",
         type=click.FloatRange(0, 1000, min_open=True),
@@ -86,6 +88,7 @@ def batch(
     white: Path | None,
     scale: float | None,
     suffix: str | None,
+    eight_bits: bool,
     views: str | None,
     aperture: float | None,
     resize: tuple[int, int] | None,
@@ -115,8 +118,8 @@ def batch(
     if film := is_video(output):
         if views is not None:
             raise click.UsageError(f"{output} is a film; views go into a folder")
-        if suffix is not None:
-            raise click.UsageError(f"{output} is a film: leave out --format")
+        if suffix is not None or eight_bits:
+            raise click.UsageError(f"{output} is a film: leave out --format and --8bit")
         from ..sequence.film import check_film
 
         check_film(output, inputs)
@@ -124,7 +127,9 @@ def batch(
     else:
         if fps is not None:
             raise click.UsageError("--fps is for films: give -o FILM.mp4 or FILM.mkv")
-        options |= {"folder": output, "suffix": f".{(suffix or 'tif').lstrip('.')}"}
+        if eight_bits and (suffix or "").lstrip(".").startswith("yuv"):
+            raise click.UsageError("--8bit is for pictures: leave it out, or --format yuv")
+        options |= {"folder": output, "eight_bits": eight_bits, "suffix": f".{(suffix or 'tif').lstrip('.')}"}
         if views is not None:
             from ..sequence.view_grid import ViewGrid
 

@@ -32,6 +32,7 @@ def render_frames(
     suffix: str = ".tif",
     overwrite: bool = False,
     views: ViewGrid | None = None,
+    eight_bits: bool = False,
     tuning: SequenceSettings = DEFAULT,
 ) -> Generator[FrameResult, None, None]:
     """Render the frames of a sequence into a folder, one picture a frame.
@@ -59,6 +60,8 @@ def render_frames(
         Views of a grid instead of one picture: raw video of each view, `v000-1920x1080.yuv` and so on, if `suffix` is
         `".yuv"` or a pixel format such as `".yuv444p12"`, else a folder for each frame, `FRAME/image_001.png` and so
         on. Raw video appears once the last result has been taken; a frame that fails shows the one before it.
+    eight_bits : bool
+        Write pictures with 8 bits a channel, 0 to white in proportion; JPEG and WebP have no more anyway.
     tuning : SequenceSettings
 
     Yields
@@ -84,7 +87,7 @@ def render_frames(
     ...     [done.outcome for done in lfrender.render_frames(frames, f"{folder}/out", camera, preset="fast")]
     ['rendered', 'rendered']
     """
-    job = Job.open(Path(folder), calibration, preset, scale, suffix, overwrite, views)
+    job = Job.open(Path(folder), calibration, preset, scale, suffix, overwrite, views, eight_bits)
     names: list[str] = []
     waiting: deque[FrameResult | Future[FrameResult]] = deque()
     with ThreadPoolExecutor(

@@ -35,6 +35,7 @@ def render_frames_on(
     suffix: str = ".tif",
     overwrite: bool = False,
     views: ViewGrid | None = None,
+    eight_bits: bool = False,
     threads: int | None = None,
     tuning: SequenceSettings = DEFAULT,
 ) -> Generator[FrameResult, None, None]:
@@ -46,7 +47,7 @@ def render_frames_on(
     Parameters
     ----------
     client : distributed.Client
-    frames, folder, calibration, preset, scale, suffix, overwrite, views, tuning
+    frames, folder, calibration, preset, scale, suffix, overwrite, views, eight_bits, tuning
         As in `render_frames`.
     threads : int or None
         Threads of the kernels in each worker; None leaves it to the machine.
@@ -70,8 +71,8 @@ def render_frames_on(
     >>> for done in render_frames_on(client, frames, "/data/pictures"):  # doctest: +SKIP
     ...     print(done.name, done.outcome)
     """
-    job = Job.open(Path(folder).absolute(), calibration, preset, scale, suffix, overwrite, views)
-    run = _Run(client, job, (str(job.folder), preset, suffix, threads, views), tuning)
+    job = Job.open(Path(folder).absolute(), calibration, preset, scale, suffix, overwrite, views, eight_bits)
+    run = _Run(client, job, (str(job.folder), preset, suffix, threads, views, eight_bits), tuning)
     names: list[str] = []
     most = max(tuning.least_ahead, tuning.groups_ahead * sum(client.nthreads().values()))
     waiting: deque[tuple[list[FrameResult | None], Future | None]] = deque()
@@ -237,11 +238,12 @@ class _Worker:
 
     @classmethod
     def open_job(cls, settings: tuple[Any, ...]) -> Job:
-        folder, preset, suffix, threads, views = settings
+        folder, preset, suffix, threads, views, eight_bits = settings
         if threads is not None:
             limit_threads(threads)
         if cls.settings != settings or cls.job is None:
-            cls.job, cls.key = Job.open(Path(folder), None, preset, None, suffix, False, views), None
+            cls.job = Job.open(Path(folder), None, preset, None, suffix, False, views, eight_bits)
+            cls.key = None
             cls.settings = settings
         return cls.job
 

@@ -27,7 +27,7 @@ from ..depth.analyze import analyze
 from ..depth.incremental import load_reference_match, save_reference_match
 from ..flat.demosaicing import demosaic
 from ..output.metadata import EmbeddedMetadata, read_metadata
-from ..output.picture import check_picture, write_picture
+from ..output.picture import check_picture, eight_bits, write_picture
 from ..rendering.render import render
 from .frames import Frame
 from .view_grid import ViewGrid, ViewOutput
@@ -108,6 +108,7 @@ class Job:
     scale: float | None
     suffix: str
     views: ViewGrid | None = None
+    eight_bits: bool = False
     still: float | None = None  # patch size [px] of the places that all views have in common
     _output: ViewOutput | None = None
     _pictures: dict[int, Rendering] = field(default_factory=dict)
@@ -123,6 +124,7 @@ class Job:
         suffix: str,
         overwrite: bool,
         views: ViewGrid | None = None,
+        eight_bits: bool = False,
     ) -> Job:
         """Start a run in a folder, or continue the one that is there."""
         hidden = folder / _HIDDEN
@@ -130,7 +132,7 @@ class Job:
             hidden.mkdir(parents=folder.parent.is_dir(), exist_ok=True)
         except OSError as error:
             raise OutputError(f"{folder}: cannot be made ({error.strerror or error})") from error
-        job = cls(folder, calibration, preset, scale, suffix, views)
+        job = cls(folder, calibration, preset, scale, suffix, views, eight_bits)
         if views is None:
             check_picture(folder / f"picture{suffix}")
         else:
@@ -152,7 +154,7 @@ class Job:
             settings = json.loads((hidden / "settings.json").read_text(encoding="utf-8"))
             views = None if self.views is None else {**self.views.to_dict(), "format": self.suffix}
             same = settings["preset"] == self.preset and self.scale in (None, settings["scale"])
-            same &= settings.get("views") == views
+            same &= settings.get("views") == views and settings.get("eight_bits", False) == self.eight_bits
             self.scale = float(settings["scale"])
             self.still = None if views is None else float(settings["still"])
         except (OSError, KeyError, TypeError, ValueError) as error:
@@ -220,6 +222,7 @@ class Job:
             if self._output is not None:
                 assert self.views is not None and self.still is not None
                 pictures = self.views.draw(flat, self.camera(flat), depth, self.scale, self.still)
+                pictures = map(eight_bits, pictures) if self.eight_bits else pictures
                 self._output.write(number, frame.name, pictures)
             else:
                 own = first.number == number
@@ -235,7 +238,8 @@ class Job:
         check_picture(path, np.asarray(picture.image).dtype)
         settings = {"rendering": "all in focus", "preset": self.preset}
         embedded = EmbeddedMetadata() if frame.source is None else read_metadata(frame.source)
-        write_picture(path, picture, settings=settings, embedded=embedded)
+        shown = eight_bits(picture) if self.eight_bits else picture
+        write_picture(path, shown, settings=settings, embedded=embedded)
 
     def analyze_key(self, key: KeyFrame, earlier: KeyFrame | None) -> KeyFrame:
         """The key frame of a segment with flat and depth, analysed against that of an earlier segment, if any."""
@@ -284,7 +288,7 @@ class Job:
             return
         camera.save(hidden / "camera.json")
         with atomic_write(hidden / "settings.json") as temporary:
-            settings: dict[str, Any] = {"preset": self.preset, "scale": self.scale}
+            settings: dict[str, Any] = {"preset": self.preset, "scale": self.scale, "eight_bits": self.eight_bits}
             if self.views is not None:
                 settings |= {"views": {**self.views.to_dict(), "format": self.suffix}, "still": self.still}
             temporary.write_text(json.dumps(settings), encoding="utf-8")

@@ -196,14 +196,15 @@ def _warnings(calibration: Calibration, depth: DepthMap, size: float) -> str:
 
 
 def _most_detail(pictures: ReportPictures) -> NDArray[np.float64]:
-    """The place of the flat [px] about which lenses differ most."""
+    """The place of the flat [px] about which lenses differ most, and none is dark."""
     import cv2
 
     image = pictures.traditional.image.astype(np.float32)
     image = image if image.ndim == 2 else np.ascontiguousarray(image[..., :3].mean(2))
     spread = cv2.blur(image**2, (7, 7)) - cv2.blur(image, (7, 7)) ** 2
-    spread[[0, -1]] = spread[:, [0, -1]] = 0
-    v, u = np.unravel_index(int(spread.argmax()), spread.shape)
+    score = np.sqrt(np.maximum(spread, 0)) * cv2.erode(image, np.ones((7, 7)))
+    inner = tuple(slice(3, -3) if n > 6 else slice(None) for n in score.shape)
+    v, u = np.array(np.unravel_index(int(score[inner].argmax()), score[inner].shape)) + [s.start or 0 for s in inner]
     place: NDArray[np.float64] = pictures.traditional.affine @ [u, v, 1]
     return place
 

@@ -142,6 +142,21 @@ def test_other_settings_are_refused_unless_everything_is_rendered_again(sequence
     assert tifffile.imread(whole[0] / "f8.tif").shape[1] == pytest.approx(3.0 * 520 / 20.3, abs=1)
 
 
+def test_frames_of_16_bits_are_written_with_8_where_that_is_asked_for(house, tmp_path):
+    camera = house.truth.calibration
+    lfrender.write_picture(tmp_path / "f.png", house.flat.astype(np.uint16) * 257)
+    frames = lfrender.open_frames([tmp_path / "f.png"])
+    pictures = {}
+    for bits in (8, 16):
+        options = {"preset": "fast", "scale": 4.0, "eight_bits": bits == 8}
+        (done,) = lfrender.render_frames(frames, tmp_path / f"of{bits}", camera, **options)
+        pictures[bits] = read_flat(done.path)
+    assert (pictures[8].dtype, pictures[16].dtype) == (np.uint8, np.uint16)
+    assert np.abs(pictures[8] - pictures[16] / 257).max() <= 0.5
+    with pytest.raises(lfcal.OutputError, match="made with another"):
+        list(lfrender.render_frames(frames, tmp_path / "of16", camera, preset="fast", eight_bits=True))
+
+
 def test_depths_of_another_version_are_refused_unless_everything_is_rendered_again(sequence, tmp_path):
     frames, camera = sequence
     one = lfrender.open_frames([frames / "f8.png"])
