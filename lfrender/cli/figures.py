@@ -19,10 +19,13 @@ __all__ = [
 
 
 def rendering_settings(
-    depth: DepthMap | None, patch_size: float | None, sharpen: float | Literal["auto"] | None = None
+    depth: DepthMap | None,
+    patch_size: float | None,
+    sharpen: float | Literal["auto"] | None = None,
+    detail: str | None = None,
 ) -> dict[str, Any]:
     """How a picture was rendered, as stored in its file."""
-    sharpened = {} if sharpen is None else {"sharpen": sharpen}
+    sharpened = {key: value for key, value in (("sharpen", sharpen), ("detail", detail)) if value is not None}
     if depth is not None:
         return {"rendering": "all in focus", "preset": depth.preset, **sharpened}
     if patch_size is not None:

@@ -64,7 +64,8 @@ def render_in_tiles(
         with report.stage("render"), report.counted_progress("tiles") as progress, option_errors(0):
             made = render_large(
                 source, output, calibration, depth, patch_size=patch_size, alpha=alpha,
-                settings=rendering_settings(depth, patch_size), progress=progress, **options, **cluster,
+                settings=rendering_settings(depth, patch_size, detail=options.get("detail")), progress=progress,
+                **options, **cluster,
             )  # fmt: skip
     kept = f", {made.kept} of them kept from an earlier run" if made.kept else ""
     width, height = made.size

@@ -35,6 +35,8 @@ from .options import (
 if TYPE_CHECKING:
     from typing import Literal
 
+    from ..rendering.render import Detail
+
 __all__ = ["render"]
 
 
@@ -56,6 +58,11 @@ __all__ = ["render"]
     scale_option,
     edges_option,
     roi_option("Draw only this part, between two opposite corners [px of the flat]."),
+    click.option(
+        "--detail",
+        type=click.Choice(["natural", "off"]),
+        help="Undo the blur of the microlenses, place by place, as noise allows. [default: off]",
+    ),
     click.option(
         "--sharpen",
         metavar="auto|PX",
@@ -82,6 +89,7 @@ def render(
     blend: bool,
     traditional: bool,
     scale: float | None,
+    detail: Detail | None,
     sharpen: str | None,
     eight_bits: bool,
     alpha: bool,
@@ -101,6 +109,7 @@ def render(
     on_cluster = workers or scheduler
     at_most_one("--depth", capture.depth_file, "--patch-size", patch_size, *mean)
     at_most_one("--scale", scale, *mean)
+    at_most_one("--detail", detail, "--sharpen", sharpen, "--patch-size", patch_size, *mean)
     at_most_one("--roi", roi, "--sharpen", sharpen, *mean, "--tile", tile)
     at_most_one("--workers", workers, "--scheduler", scheduler)
     at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--sharpen", sharpen, *mean)
@@ -109,7 +118,7 @@ def render(
     if blend and patch_size is None:
         raise click.UsageError("--blend needs --patch-size")
     width = _sharpen_width(sharpen)
-    options: dict[str, Any] = {"patch_size": patch_size, "scale": scale, "blend": blend or None}
+    options: dict[str, Any] = {"patch_size": patch_size, "scale": scale, "blend": blend or None, "detail": detail}
     # Sharpening estimates blur and noise on the whole picture.
     if not (traditional or roi or sharpen):
         in_tiles = on_cluster or tile is not None or output.suffix.lower() == ".zarr"
@@ -162,7 +171,7 @@ def render(
         stated = [eight_bits_sentence(picture.white, picture.image.dtype)]
         picture = to_eight_bits(picture)
     with capture.report.stage("write"):
-        settings = rendering_settings(None if traditional else depth, patch_size, width)
+        settings = rendering_settings(None if traditional else depth, patch_size, width, detail)
         embedded = read_metadata(capture.flat)
         write_picture(output, picture, alpha=alpha, settings=settings, embedded=embedded, compress=compress)
     what = _describe_drawing(traditional, patch_size, blend)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from ..detail.defocus import Defocus
 
 __all__ = ["Rendering", "check_patch_size", "check_scale"]
 
@@ -40,6 +43,8 @@ class Rendering:
         Output pixels per microlens pitch, `P`.
     white : float, optional
         White level of an integer image, if it is less than the largest value of the type.
+    defocus : Defocus, optional
+        The blur of the microlenses as measured on the flat, if the detail of the picture was restored.
 
     Examples
     --------
@@ -59,6 +64,7 @@ class Rendering:
     valid: NDArray[np.bool_]
     scale: float
     white: float | None = None
+    defocus: Defocus | None = None
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the picture over scene coordinates.

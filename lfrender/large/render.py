@@ -25,7 +25,7 @@ from ..output.picture import check_picture, describe, with_alpha, write_picture
 from ..output.resume import Checkpoint, file_identity, fingerprint
 from ..output.tiled_picture import TileWriter, move_into_place, new_writer
 from ..rendering.plan import Part, RenderPlan
-from ..rendering.render import make_plan
+from ..rendering.render import Detail, make_plan
 from .settings import DEFAULT, LargeSettings
 from .tiles import TileReader
 from .workers import Workers, choose_workers
@@ -88,6 +88,7 @@ def render_large(
     patch_size: float | None = None,
     scale: float | None = None,
     blend: bool | None = None,
+    detail: Detail | None = None,
     tile: int | None = None,
     alpha: bool = False,
     compress: bool = False,
@@ -108,7 +109,7 @@ def render_large(
         From `lfcal.open_flat`.
     path : path-like
         `.tif`, `.zarr` (needs the package `zarr`), or any suffix of `write_picture`.
-    calibration, depth, patch_size, scale, blend
+    calibration, depth, patch_size, scale, blend, detail
         As in `render`, except that the depth is not analysed here: `analyze_large` makes it.
     tile : int or None [px]
         Side of the tiles of the picture; None chooses it by the size of the flat.
@@ -146,7 +147,7 @@ def render_large(
         raise ValueError("give depth (analyze_large makes it) or patch_size")
     check_large_picture(output, source.dtype, alpha)
     exposed = match_exposure(reader.sample_exposure(), calibration)
-    drawing = make_plan(reader.read, exposed, depth, patch_size, scale, blend)
+    drawing = make_plan(reader.read, exposed, depth, patch_size, scale, blend, detail)
     workers = choose_workers(reader, client, threads, tuning)
     side = _tile_size(drawing, reader, tile, 1 if client is None else tuning.tiles_per_thread * workers.count, tuning)
     text = describe(Rendering(np.empty(0), drawing.affine, np.empty(0, bool), drawing.scale), settings)
@@ -155,7 +156,8 @@ def render_large(
     depth_key = [patch_size] if depth is None else [fingerprint(depth.patch_size, depth.surface.patch_size)]
     # Tiles of an earlier run are used if all that the picture depends on is the same.
     key = fingerprint(
-        file_identity(source.path), calibration.to_dict(), depth_key, drawing.scale, drawing.blend, drawing.blur, side,
+        file_identity(source.path), calibration.to_dict(), depth_key, drawing.scale, drawing.blend, drawing.blur,
+        repr(drawing.defocus), side,
         text, [alpha, compress, output.suffix.lower(), str(source.dtype)],
     )  # fmt: skip
     checkpoint = Checkpoint(output)

@@ -19,6 +19,8 @@ from ..data.rendering import Rendering
 from ..data.surface import DepthGrid, Surface, edge_step, sample_surface_at
 from ..data.viewpoint import Viewpoint
 from ..depth.surface.occlusion import project_surface
+from ..detail.defocus import Defocus
+from ..detail.settings import HALO
 from ..flat.distorted_lookup import lens_displacements
 from ..flat.gray_flat import correction_cell, correction_tables, has_uneven_lenses, white_level
 from ..flat.lens_type_weights import focus_weights
@@ -82,6 +84,8 @@ class RenderPlan:
     aperture : float
         Part of the radius of microimages that is read.
     viewpoint : Viewpoint
+    defocus : Defocus, optional
+        Of the microlenses: the detail of the picture is restored.
     """
 
     calibration: Calibration
@@ -94,6 +98,7 @@ class RenderPlan:
     aperture: float = 1.0
     viewpoint: Viewpoint = field(default_factory=Viewpoint)
     lit: LitFlat | None = None  # of the whole flat, if several pictures are drawn from it
+    defocus: Defocus | None = None
 
     @property
     def spacing(self) -> float:
@@ -117,7 +122,8 @@ class RenderPlan:
         """How far from scene points the flat is read [px]."""
         lattice = self.calibration.lattice
         aside = float(np.hypot(*self.viewpoint.offset)) + float(np.abs(self._moved).max())
-        return int(np.ceil(self.reach * lattice.pitch + lattice.radius + 2 * aside + self.spacing)) + DEFAULT.margin
+        beside = self.spacing * (1 if self.defocus is None else 1 + HALO)
+        return int(np.ceil(self.reach * lattice.pitch + lattice.radius + 2 * aside + beside)) + DEFAULT.margin
 
     def required_part(self, part: Part) -> Part:
         """The part of the flat that a part of the picture is drawn from."""
@@ -169,9 +175,14 @@ class RenderPlan:
             Pixels that some lens shows.
         """
         part = part or (0, 0, *self.size)
+        if self.defocus is not None:
+            from ..detail.draw import draw_detail
+
+            image, valid = draw_detail(self, pixels, corner, part)
+            return convert_to_dtype(image, pixels.dtype) if stored else image, valid
         shape = (part[3] - part[1], part[2] - part[0], pixels.shape[2])
         if not self._shows_patches:
-            return self._blend(pixels, corner, part, np.empty(shape, pixels.dtype if stored else np.float32))
+            return self.blend_part(pixels, corner, part, np.empty(shape, pixels.dtype if stored else np.float32))
         size, first = float(np.copysign(self.scale, self.surface.patch_size[0, 0])), 0.5 * self.spacing - 0.5
         lattice = self.calibration.lattice
         return render_patches(
@@ -194,11 +205,16 @@ class RenderPlan:
         The others are taken from an earlier picture, `image` (rows, columns, C) and `valid`.
         """
         image, valid = image.copy(), valid.copy()
-        if wanted.any():
-            self._blend(pixels, (0, 0), (0, 0, *self.size), image, valid, wanted)
+        if wanted.any() and self.defocus is not None:
+            from ..detail.draw import draw_changed_detail
+
+            restored, changed = draw_changed_detail(self, pixels, wanted, valid)
+            np.copyto(image, convert_to_dtype(restored, image.dtype), where=changed[..., None])
+        elif wanted.any():
+            self.blend_part(pixels, (0, 0), (0, 0, *self.size), image, valid, wanted)
         return image, valid
 
-    def _blend(
+    def blend_part(
         self,
         pixels: NDArray[Any],
         corner: tuple[int, int],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -15,13 +16,17 @@ from ..data.depth_map import DepthMap, default_scale
 from ..data.region import check_region
 from ..data.rendering import Rendering, check_patch_size, check_scale
 from ..depth.analyze import analyze
+from ..detail.defocus import measure_defocus
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat, exposure_rows, match_exposure
 from .plan import Part, RenderPlan, constant_surface, finish_picture
 from .settings import DEFAULT, RenderSettings
 from .traditional import TOO_LITTLE, resolves_too_little, traditional
 
-__all__ = ["expand_roi", "make_plan", "render"]
+#: How the detail of a picture is restored.
+Detail = Literal["natural", "off"]
+
+__all__ = ["Detail", "expand_roi", "make_plan", "render"]
 
 
 def render(
@@ -32,6 +37,7 @@ def render(
     patch_size: float | None = None,
     scale: float | None = None,
     blend: bool | None = None,
+    detail: Detail | None = None,
     sharpen: float | Literal["auto"] | None = None,
     roi: tuple[float, float, float, float] | None = None,
     previous: tuple[NDArray, DepthMap, Rendering] | None = None,
@@ -55,9 +61,12 @@ def render(
     blend : bool, optional
         True averages all lenses that agree on a point, False reads each point from the lens
         whose centre is nearest. By default True for a depth map and False for one patch size.
+    detail : "natural" or "off", optional
+        Undo the blur of the microlenses, place by place, as noise, seams and depth edges allow; it is measured on the
+        flat, by the lenses that `depth` resolves. By default "off"; with `previous` as in that picture.
     sharpen : float or "auto", optional
-        Undo the blur of the microlenses as far as noise allows: "auto" measures it on the flat, a number is the side
-        of the square that it averages over [output px].
+        Instead of `detail`, one filter for the whole picture that undoes the blur of the microlenses as far as noise
+        allows: "auto" measures it on the flat, a number is the side of the square that it averages over [output px].
     roi : (float, float, float, float), optional [px]
         Draw only the pixels whose scene points lie between two opposite corners, with the bits of the whole picture.
         Without `depth`, only the lenses in there are analysed.
@@ -77,8 +86,8 @@ def render(
     FlatError, CalibrationError
         As `analyze`; also if `depth` belongs to another flat size or lattice.
     ValueError
-        If both `depth` and `patch_size` are given, a number makes no picture, or `roi` and `sharpen` are given, which
-        needs the whole picture; or `previous` without `depth`, with either of these, or of another scale or kind.
+        If both `depth` and `patch_size` or both `detail` and `sharpen` are given, a number makes no picture, or `roi`
+        and `sharpen` are given, which needs the whole picture; or `previous` without `depth`, with either of these, or of another scale or kind.
 
     Examples
     --------
@@ -96,6 +105,12 @@ def render(
             raise ValueError("sharpen needs the whole picture; give either roi or sharpen")
     if sharpen is not None and sharpen != "auto" and not (np.isfinite(sharpen) and sharpen >= 0):
         raise ValueError(f"sharpen must be 'auto' or a width of 0 or more output pixels, got {sharpen!r}")
+    if detail == "natural" and sharpen is not None:
+        raise ValueError("give either detail='natural' or sharpen")
+    if detail == "natural" and (patch_size is not None or blend is False):
+        raise ValueError("detail='natural' needs a depth map and the mean over lenses")
+    if detail not in (None, "natural", "off"):
+        raise ValueError(f"detail must be 'natural' or 'off', got {detail!r}")
     if previous is not None:
         if depth is None or roi is not None or sharpen is not None:
             raise ValueError("previous needs depth, and the whole picture without roi and sharpen")
@@ -113,7 +128,12 @@ def render(
         return pixels[part[1] : part[3], part[0] : part[2]]
 
     exposed = match_exposure(pixels[exposure_rows(len(pixels))], calibration)
-    plan = make_plan(look, exposed, depth, patch_size, scale, blend)
+    if sharpen is not None:
+        detail = "off"
+    plan = make_plan(look, exposed, depth, patch_size, scale, blend, detail)
+    if previous is not None:
+        # Pixels that stay were restored against the blur measured then.
+        plan = replace(plan, defocus=previous[2].defocus)
     part = (0, 0, *plan.size) if roi is None else plan.part_of_region(roi)
     if previous is None:
         image, valid = plan.draw(pixels, part=part, stored=sharpen is None)
@@ -130,7 +150,7 @@ def render(
         image = sharpen_picture(image.astype(np.float32), valid, sharpen, plan, pixels, sizes, full)
     affine = plan.affine
     affine[:, 2] += affine[:, :2] @ part[:2]
-    return finish_picture(image, valid, affine, plan.scale, flat, calibration)
+    return replace(finish_picture(image, valid, affine, plan.scale, flat, calibration), defocus=plan.defocus)
 
 
 def expand_roi(
@@ -149,6 +169,7 @@ def make_plan(
     patch_size: float | None,
     scale: float | None,
     blend: bool | None,
+    detail: Detail | None = None,
     settings: RenderSettings = DEFAULT,
 ) -> RenderPlan:
     """What `render` draws; `look` gives the pixels (h, w, C) of a part of the flat."""
@@ -169,4 +190,7 @@ def make_plan(
     blend = patch_size is None if blend is None else blend
     blur = measure_lens_blur(look, calibration, sizes) if scale * settings.coarse_ratio < full else 0.0
     reach = settings.fast_reach if depth is not None and depth.preset == "fast" else settings.reach
-    return RenderPlan(calibration, surface, scale, blend, blur, reach, settings.agreement)
+    defocus = None
+    if blend and depth is not None and detail == "natural":
+        defocus = measure_defocus(look, calibration, depth.patch_size)
+    return RenderPlan(calibration, surface, scale, blend, blur, reach, settings.agreement, defocus=defocus)

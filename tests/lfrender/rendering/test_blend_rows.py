@@ -83,8 +83,9 @@ def test_blended_rows_have_the_same_bits_on_one_thread_and_two_and_in_a_part(mad
 def test_redrawn_pixels_have_the_bits_of_the_whole_picture(made):
     flat, camera, depth = capture()
     flat = made(flat)
-    whole = lfrender.render(flat, camera, depth)
-    drawing = make_plan(lambda part: flat[part[1] : part[3], part[0] : part[2]], camera, depth, None, None, None)
+    whole = lfrender.render(flat, camera, depth, detail="off")
+    look = lambda part: flat[part[1] : part[3], part[0] : part[2]]  # noqa: E731
+    drawing = make_plan(look, camera, depth, None, None, None, "off")
     wanted = np.random.default_rng(4).random(whole.valid.shape) < 0.3
     # Whole rows and long runs are not drawn at all.
     wanted[10:20] = wanted[:, 40:90] = False

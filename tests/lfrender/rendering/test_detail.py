@@ -1,0 +1,107 @@
+"""Detail is restored where it is, with the same bits in any part; noise and blank places stay."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import lfrender
+from data_synth import SCENES, Camera, simulate
+from data_synth.metrics import compare_pictures, resample
+from lfrender.cli.main import main
+from lfrender.rendering.render import make_plan
+
+
+@functools.cache
+def capture(scene="plane", noise=(4000, 5)):
+    camera = Camera.design(size=(380, 320), pitch=27.0, rotation=1.3)
+    shot = simulate(SCENES[scene](camera, seed=3), camera, samples=24, seed=5, noise=noise)
+    return shot, lfrender.analyze(shot.flat, shot.truth.calibration)
+
+
+def picture(detail, scene="plane", **options):
+    shot, depth = capture(scene)
+    return lfrender.render(shot.flat, shot.truth.calibration, depth, detail=detail, **options)
+
+
+def psnr(detail, scene="plane", **options):
+    truth, made = capture(scene)[0].truth, picture(detail, scene, **options)
+    wanted, inside = resample(truth.reference, truth.reference_affine, made.image.shape[:2], made.affine)
+    return compare_pictures(made.image / 255.0, wanted, inside & made.valid).psnr
+
+
+@pytest.mark.parametrize(("scene", "gain"), [("plane", 0.8), ("slope", 0.5), ("clutter", -0.05), ("house", -0.05)])
+def test_pictures_gain_and_none_loses(scene, gain):
+    assert psnr("natural", scene) > psnr("off", scene) + gain
+    assert psnr("natural", scene, scale=4.0) > psnr("off", scene, scale=4.0) - 0.1
+
+
+def test_a_smooth_ramp_is_left_as_it_is():
+    off, natural = (picture(detail, "ramp").image.astype(int) for detail in ("off", "natural"))
+    assert np.abs(off - natural).max() <= 1
+
+
+@pytest.mark.parametrize("scene", ["slope", "clutter"])
+def test_parts_have_the_bits_of_the_whole(scene):
+    whole, part = picture("natural", scene), picture("natural", scene, roi=(120, 90, 251, 207))
+    left, top = np.rint((part.affine[:, 2] - whole.affine[:, 2]) / whole.affine[0, 0]).astype(int)
+    rows, columns = part.valid.shape
+    np.testing.assert_array_equal(part.image, whole.image[top : top + rows, left : left + columns])
+
+
+def test_tiles_have_the_bits_of_the_whole():
+    shot, depth = capture("clutter")
+    flat = shot.flat
+    whole = picture("natural", "clutter")
+    plan = make_plan(
+        lambda p: flat[p[1] : p[3], p[0] : p[2]], shot.truth.calibration, depth, None, None, None, "natural"
+    )
+    for tile in plan.tiles((50, 37)):
+        left, top, right, bottom = needed = plan.required_part(tile)
+        image, _ = plan.draw(flat[top:bottom, left:right], needed[:2], tile, stored=True)
+        np.testing.assert_array_equal(image, whole.image[tile[1] : tile[3], tile[0] : tile[2]])
+
+
+def test_a_still_next_frame_keeps_its_picture_and_a_change_is_drawn_as_anew():
+    shot, depth = capture("slope")
+    camera, first = shot.truth.calibration, picture("natural", "slope")
+    moved = shot.flat.copy()
+    moved[150:190, 180:230] = 255 - moved[150:190, 180:230]
+    same = lfrender.render(shot.flat, camera, depth, previous=(shot.flat, depth, first))
+    np.testing.assert_array_equal(same.image, first.image)
+    plan = make_plan(lambda p: moved[p[1] : p[3], p[0] : p[2]], camera, depth, None, None, None, "natural")
+    plan = replace(plan, defocus=first.defocus)
+    wanted = np.zeros(first.valid.shape, bool)
+    reached = 2.0 * camera.lattice.pitch / plan.spacing
+    left, top = (np.array([180, 150]) / plan.spacing - reached).astype(int)
+    right, bottom = (np.array([230, 190]) / plan.spacing + reached).astype(int)
+    wanted[max(top, 0) : bottom, max(left, 0) : right] = True
+    image, _ = plan.render_changed(moved, wanted, first.image, first.valid)
+    np.testing.assert_array_equal(image, plan.draw(moved, stored=True)[0])
+
+
+def test_detail_needs_a_depth_map_and_no_other_sharpening():
+    shot, depth = capture()
+    with pytest.raises(ValueError, match="needs a depth map"):
+        lfrender.render(shot.flat, shot.truth.calibration, patch_size=-6.0, detail="natural")
+    with pytest.raises(ValueError, match="detail"):
+        lfrender.render(shot.flat, shot.truth.calibration, depth, detail="much")
+    with pytest.raises(ValueError, match="either"):
+        lfrender.render(shot.flat, shot.truth.calibration, depth, detail="natural", sharpen="auto")
+
+
+def test_the_command_restores_detail(tmp_path):
+    shot, depth = capture()
+    cv2.imwrite(str(tmp_path / "flat.png"), shot.flat[..., ::-1])
+    shot.truth.calibration.save(tmp_path / "camera.json")
+    depth.save(tmp_path / "depth.npz")
+    out = tmp_path / "picture.png"
+    given = ["render", str(tmp_path / "flat.png"), "-c", str(tmp_path / "camera.json"), "-o", str(out), "--quiet"]
+    result = CliRunner().invoke(main, [*given, "--depth", str(tmp_path / "depth.npz"), "--detail", "natural"])
+    assert result.exit_code == 0, result.output
+    np.testing.assert_array_equal(cv2.imread(str(out))[..., ::-1], picture("natural").image)
