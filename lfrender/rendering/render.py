@@ -87,7 +87,8 @@ def render(
         As `analyze`; also if `depth` belongs to another flat size or lattice.
     ValueError
         If both `depth` and `patch_size` or both `detail` and `sharpen` are given, a number makes no picture, or `roi`
-        and `sharpen` are given, which needs the whole picture; or `previous` without `depth`, with either of these, or of another scale or kind.
+        and `sharpen` are given, which needs the whole picture; or `previous` without `depth`, with either of these, or
+        of another scale or kind.
 
     Examples
     --------
