@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import importlib.util
+import pkgutil
 import re
 import shlex
 import shutil
+from dataclasses import replace
+from fractions import Fraction
+from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -99,7 +105,74 @@ def folder(house_files, tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/start.md", "docs/refocus.md"])
+@pytest.fixture(scope="session")
+def prepared(house, tmp_path_factory):
+    """A folder with files of all names that the pages use, all of one small capture."""
+    import tifffile
+
+    import lfcal
+    import lfrender
+    from lfcal.camera_files.read_write import convert
+    from lfrender.sequence.film import FilmFile
+
+    folder = tmp_path_factory.mktemp("prepared")
+    flat, white = house.flat, house.white
+    camera = replace(house.truth.calibration, optics=lfcal.Optics(50, 58, 0.7, 0.0055))
+    for name in ("flat.png", "other.png", "frames/f0.png", "frames/f1.png", "sample.tif", "scan.tif", "BIG.tif"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        lfrender.write_picture(folder / name, flat)
+    for name in ("white.png", "white.tif", "array/white.png", "shoot/white.png"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        lfrender.write_picture(folder / name, white)
+    camera.save(folder / "camera.json")
+    camera.save(folder / "array/camera.json")
+    camera.optics.save(folder / "optics.json")
+    convert(camera, folder / "calibration.xml")
+    lfrender.analyze(flat, camera).save(folder / "depth.npz")
+    tifffile.imwrite(folder / "stack.tif", np.stack([flat, flat]), photometric="rgb")
+    if importlib.util.find_spec("av"):
+        with FilmFile(folder / "film.mkv", Fraction(25), "") as film:
+            film.add(flat)
+            film.add(flat)
+    if importlib.util.find_spec("zarr"):
+        import zarr
+
+        zarr.save(str(folder / "BIG.zarr"), flat)
+    return folder
+
+
+WHOLE_PAGES = ["README.md", "docs/start.md", "docs/refocus.md"]
+
+
+def _single_commands():
+    """The other commands, each once; without those that start workers or take long, which have tests of their own."""
+    known = [call for page in WHOLE_PAGES for call in commands(ROOT / page)]
+    for page in PAGES:
+        for program, words in commands(page):
+            long = (program, words[0]) in {("lfrender", "warm"), ("lfrender", "demo"), ("lfcal", "metric")}
+            if long or {"--workers", "--scheduler"} & set(words) or program == "lfsynth" or (program, words) in known:
+                continue
+            known.append((program, words))
+            yield pytest.param(program, words, id=f"{page.stem}: {program} {' '.join(words)}"[:90])
+
+
+@pytest.mark.parametrize(("program", "words"), _single_commands())
+def test_a_command_of_the_documentation_runs(program, words, prepared, tmp_path, monkeypatch):
+    folder = tmp_path / "work"
+    shutil.copytree(prepared, folder)
+    monkeypatch.chdir(folder)
+    # Those of the small capture, in place of what suits that of the page.
+    words = [{"33": "6", "12.5": "6", "15.4": "20.3", "7x7": "2x2"}.get(word, word) for word in words]
+    if words[0] == "view" and "--export" not in words:
+        words += ["--export", "page.html"]
+    for word, package in ((".zarr", "zarr"), ("film", "av"), (".mp4", "av")):
+        if any(word in one for one in words):
+            pytest.importorskip(package)
+    result = CliRunner().invoke(PROGRAMS[program], words, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+
+
+@pytest.mark.parametrize("page", WHOLE_PAGES)
 def test_commands_and_code_of_a_page_run(page, folder):
     for program, words in commands(ROOT / page):
         if (program, words[0]) in _NOT_RUN and "--export" not in words:
@@ -116,3 +189,15 @@ def test_commands_and_code_of_a_page_run(page, folder):
         assert not output or mask(printed) == mask(output)
     for code in blocks(ROOT / page, "python"):
         exec(compile(code, page, "exec"), {})
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda page: page.stem)
+def test_python_of_a_page_names_what_there_is(page):
+    for code in blocks(page, "python"):
+        compile(code, page.name, "exec")
+        for package, name in re.findall(r"\b(lfcal|lfrender)\.((?:data\.)?\w+)", code):
+            assert pkgutil.resolve_name(f"{package}.{name}")
+        for module, names in re.findall(
+            r"^from ((?:lfcal|lfrender|data_synth)[\w.]*) import ([\w, ]+)", code, re.MULTILINE
+        ):
+            assert all(hasattr(import_module(module), name) for name in names.split(", "))
