@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +18,17 @@ import numpy as np
 import lfcal
 from lfcal import Board, MetricCalibration, calibrate_metric, locate_board
 from lfcal.boards.settings import CORNER
-from lfcal.metric.bundle_adjustment import adjust
+from lfcal.metric.bundle_adjustment import Poses, adjust
 from lfcal.metric.calibrate import DEFAULT_PIXEL
+from lfcal.metric.calibrate import _pose as pose_of
+from lfcal.metric.camera_model import to_internal
 from lfcal.metric.model_order import BASE, select_order
 from lfcal.metric.observations import Observations, triangulate
 from lfcal.metric.settings import START
 from lfcal.metric.start import first_camera
 from lfcal.metric.uncertainty import describe_degeneracies, optics_of, pose_factor
 
-__all__ = ["main", "ray_traced", "real_r12"]
+__all__ = ["cramer_rao", "joint_misfit", "main", "ray_traced", "real_r12"]
 
 _SQUARE, _ROWS, _COLUMNS = 10.0, 5, 9  # of the R12's board, mm
 
@@ -42,7 +45,10 @@ def ray_traced(folder: Path) -> None:
     print(f"{len(flats)} flats: {time.process_time() - start:.0f} s processor, {time.perf_counter() - wall:.0f} s")
     true = [known["F_mm"], known["mainlens_to_mla_mm"], known["mla_to_sensor_mm"], *known["principal_point_px"]]
     off = found.optics.parameters[:6] - [*true, known["k1"]]
-    print("F, L, b, principal point, k1 off / stated:", np.round(off / found.optics.standard_errors[:6], 2))
+    print(
+        f"F, L, b, principal point, k1 off / stated: {np.round(off / found.optics.standard_errors[:6], 2)}; jointly "
+        f"{joint_misfit(found, np.array([*true, known['k1'], *[0.0] * 8])):.2f} squares per parameter"
+    )
     _print_poses(found, poses)
     left_out = []
     for half in (slice(0, None, 2), slice(1, None, 2)):
@@ -59,16 +65,39 @@ def ray_traced(folder: Path) -> None:
     )
 
 
+def cramer_rao(found: MetricCalibration) -> np.ndarray:
+    """(m, 6) least standard errors of the poses, in the order of theirs, that the noise of the corners allows."""
+    optics, board = found.optics, found.board
+    camera = np.concatenate([to_internal(optics.parameters[:3], optics.pixel)[0], optics.parameters[3:]])
+    turns = np.array([pose.rotation for pose in found.poses])
+    shifts = np.array([pose.translation + pose.rotation @ board.middle for pose in found.poses])
+    points, seen = board.points - board.middle, found.observations
+    one = adjust(camera, optics.pixel, Poses(turns, shifts), points, seen, found.fitted, shape=found.board_shape)
+    one = replace(one, covariance=one.covariance / one.cluster)
+    return np.array([pose_of(one, m, board, seen, pose.name).standard_errors for m, pose in enumerate(found.poses)])
+
+
+def joint_misfit(found: MetricCalibration, true: np.ndarray) -> float:
+    """Squared errors of all fitted parameters, by the inverse of their stated covariance, over their number."""
+    optics = found.optics
+    assert optics.covariance is not None
+    chosen = np.flatnonzero(optics.standard_errors > 0)
+    off = (optics.parameters - true)[chosen]
+    scale = optics.standard_errors[chosen]
+    unit = optics.covariance[np.ix_(chosen, chosen)] / np.outer(scale, scale)
+    return float((off / scale) @ np.linalg.solve(unit, off / scale)) / len(chosen)
+
+
 def _print_poses(found: MetricCalibration, poses: list[dict]) -> None:
     sideways, depth, turn, within, bound = [], [], [], [], []
-    for pose, true in zip(found.poses, poses, strict=True):
+    for pose, true, least in zip(found.poses, poses, cramer_rao(found), strict=True):
         off = pose.translation - true["t_mm"]
         sideways.append(np.abs(off[:2]).max())
         depth.append(abs(off[2]) / true["t_mm"][2] * 100)
         cosine = (np.trace(pose.rotation @ np.transpose(true["R"])) - 1) / 2
         turn.append(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))))
         within.append(np.abs(off) / pose.standard_errors[3:])
-        bound.append(np.abs(off) / (pose.standard_errors[3:] / np.sqrt(found.widening)))
+        bound.append(np.abs(off) / least[3:])
     print(
         f"poses: sideways {max(sideways):.4f} mm, depth {max(depth):.4f} % of the distance, turn {max(turn):.4f} deg "
         f"at most; {100 * np.mean(np.array(within) < 2):.0f} % of the positions within 2 stated sigma; RMS "
@@ -98,7 +127,7 @@ def real_r12(folder: Path) -> None:
     chosen = select_order(fitted, DEFAULT_PIXEL, points, seen)
     for one in (fitted, chosen):
         factor = pose_factor(one, DEFAULT_PIXEL, seen)
-        optics = optics_of(one, DEFAULT_PIXEL, factor)
+        optics = optics_of(replace(one, covariance=one.covariance * factor), DEFAULT_PIXEL)
         errors = optics.standard_errors
         print(
             f"R12: {len(one.free)} parameters ({' '.join(one.free[6:])}), "

@@ -16,6 +16,8 @@ import lfcal
 from data_synth import BoardShoot, Camera, shoot_board
 from lfcal import Board, LightFieldError, MetricCalibration, calibrate_metric
 
+from .metric_boards import cramer_rao, joint_misfit
+
 _SIZE = (1000, 800)
 _POSES = 8
 _TELESCOPIC, _BINOCULAR = (0.36, 0.17), (-0.5, -0.18)
@@ -78,7 +80,7 @@ def report(seed: int, camera: Camera, shoot: BoardShoot, found: MetricCalibratio
     stated = np.array([p.standard_errors[3:] for p in found.poses])
     turns = [np.trace(p.rotation @ shoot.rotations[n].T) for p, n in zip(found.poses, chosen, strict=True)]
     angle = np.rad2deg(np.arccos(np.clip((np.array(turns) - 1) / 2, -1, 1))).max()
-    bound = stated[:, :2].max() / np.sqrt(found.widening)
+    bound = cramer_rao(found)[:, 3:5].max()
     depth = off[:, 2] / shoot.translations[chosen, 2]
     print(
         f"{seed:3d} {'telescopic' if seed % 2 else 'binocular':10s} {len(camera.microlens_focal_lengths)} types, "
@@ -86,7 +88,8 @@ def report(seed: int, camera: Camera, shoot: BoardShoot, found: MetricCalibratio
         f"sideways {np.abs(off[:, :2]).max():.4f} mm (bound {bound:.4f}), "
         f"depth {100 * np.abs(depth).max():.4f} %, turn {angle:.4f} deg, "
         f"poses/stated {np.sqrt((off**2 / stated**2).mean()):.2f}; F {optics.focal_length - true[0]:+.3f} +- "
-        f"{optics.standard_errors[0]:.3f} mm; parameters off / stated {np.round(within, 1).tolist()}; "
+        f"{optics.standard_errors[0]:.3f} mm; parameters off / stated {np.round(within, 1).tolist()}, jointly "
+        f"{joint_misfit(found, true):.2f} squares each; "
         f"fitted {' '.join(found.fitted[6:])}",
         flush=True,
     )

@@ -24,7 +24,7 @@ from .observe import BoardFlat, as_triangulated, measure, prepare
 from .result import BoardPose, MetricCalibration
 from .settings import OBSERVATION, START, ObservationSettings
 from .start import first_camera, planar_poses
-from .uncertainty import describe_degeneracies, optics_of, pose_factor
+from .uncertainty import describe_degeneracies, optics_of, pose_factor, rim_covariance
 
 __all__ = ["DEFAULT_PIXEL", "calibrate_metric", "locate_board"]
 
@@ -167,6 +167,8 @@ def locate_board(flat: ArrayLike, calibration: Calibration, board: Board, *, nam
             pose = found.poses
         tried.append((found.noise * np.sqrt(found.cluster), found, observations))
     _, found, observations = min(tried, key=lambda one: one[0])
+    shared = rim_covariance(found, optics.pixel, observations, calibration.lattice.radius, OBSERVATION.rim_bias)
+    found = replace(found, covariance=found.covariance + shared)
     return _pose(found, 0, board, observations, name, _camera_share(found, optics, observations))
 
 
@@ -304,9 +306,10 @@ def _result(
     warnings: tuple[str, ...],
 ) -> MetricCalibration:
     factor = pose_factor(fitted, pixel, observations)
-    optics = optics_of(fitted, pixel, factor)
+    shared = rim_covariance(fitted, pixel, observations, calibration.lattice.radius, OBSERVATION.rim_bias)
+    widened = replace(fitted, covariance=fitted.covariance * factor + shared)
+    optics = optics_of(widened, pixel)
     optics = replace(optics, microlens_focal_lengths=_microlenses(optics, calibration))
-    widened = replace(fitted, covariance=fitted.covariance * factor)
     return MetricCalibration(
         calibration=replace(calibration, optics=optics),
         board=board,

@@ -55,6 +55,9 @@ class ObservationSettings:
 
     edge_blurs: float = 2.0  # blurs that a corner must lie inside the lit part of a microimage
     edge: float = 2.0  # [px] that it must lie inside besides: nearer to the rim its four squares are not all seen
+    # [px] by which corners at the rim of microimages lie too far out or in, all of a flat alike: ray-traced boards of
+    # others show 0.002 to 0.005.
+    rim_bias: float = 0.003
     model_error: float = 0.005  # [px] of the shape of edges, besides the noise of the pixels
     scene_error: float = 0.5  # [px] of corners detected in an all-in-focus picture
     ratio_error: float = 0.02  # of `s / D` there

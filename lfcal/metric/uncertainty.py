@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from .camera_model import INTERNAL, from_internal, to_internal
 from .observations import Observations
 from .settings import UNCERTAINTY, UncertaintySettings
 
-__all__ = ["describe_degeneracies", "optics_of", "pose_factor"]
+__all__ = ["describe_degeneracies", "optics_of", "pose_factor", "rim_covariance"]
 
 Array = NDArray[Any]
 
@@ -63,13 +64,35 @@ def pose_factor(found: Adjusted, pixel: float, observations: Observations) -> fl
     return max(1.0, measured / max(expected, 1e-300) / (found.noise**2 * found.cluster))
 
 
-def optics_of(found: Adjusted, pixel: float, factor: float) -> Optics:
-    """The fitted camera as optics, with its covariance times `factor`."""
+def rim_covariance(found: Adjusted, pixel: float, observations: Observations, radius: float, bias: float) -> Array:
+    """Covariance of all unknowns by errors that no scatter shows, those of corners near the rim of microimages.
+
+    What is seen at the `radius` [px] lies too far out, or in, by a `bias` [px] that all poses share, and by one of the
+    same size that the corners of each pose share, as blur and light differ; nearer to the centre in proportion.
+    """
+    count = len(found.poses.rotation)
+
+    def gradient(position: Array) -> Array:
+        moved = replace(observations, position=position)
+        return normal_equations(found.camera, pixel, found.poses, found.board, moved, found.weight).gradient
+
+    start = gradient(observations.position)
+    outward = (observations.position - observations.centre) * (bias / radius)
+    moved = [observations.position + outward * (observations.pose == m)[:, None] for m in range(count)]
+    # The unknowns follow the gradient by the inverse of the normal matrix, which the covariance holds.
+    inverse = found.covariance / (found.noise**2 * found.cluster)
+    steps = inverse @ np.stack([gradient(position) - start for position in moved], axis=1)
+    total = steps.sum(1, keepdims=True)
+    return steps @ steps.T + total @ total.T
+
+
+def optics_of(found: Adjusted, pixel: float) -> Optics:
+    """The fitted camera as optics, with its covariance."""
     lengths = from_internal(found.camera[:3], pixel)
     change = np.eye(len(INTERNAL))
     change[:3, :3] = np.linalg.inv(to_internal(lengths, pixel)[1])
     own = len(INTERNAL)
-    covariance = change @ found.covariance[:own, :own] @ change.T * factor
+    covariance = change @ found.covariance[:own, :own] @ change.T
     blank = Optics(1.0, 1.0, 1.0, pixel, principal_point=(0.0, 0.0), covariance=(covariance + covariance.T) / 2)
     return blank.with_parameters(np.concatenate([lengths, found.camera[3:]]))
 

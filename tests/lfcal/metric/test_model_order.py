@@ -8,7 +8,7 @@ from lfcal.metric.board_shape import SHAPE, deform
 from lfcal.metric.bundle_adjustment import adjust
 from lfcal.metric.model_order import BASE, select_order
 from lfcal.metric.observations import Observations
-from lfcal.metric.uncertainty import describe_degeneracies, optics_of, pose_factor
+from lfcal.metric.uncertainty import describe_degeneracies, optics_of, pose_factor, rim_covariance
 
 from ._cameras import BOARD, PIXEL, camera, observe, poses
 
@@ -58,7 +58,24 @@ def test_bend_of_the_board_is_fitted_and_does_not_pass_for_another_focal_length(
     assert abs(flat.camera[0] - values[0]) > 3 * abs(found.camera[0] - values[0])
 
 
+def test_errors_that_no_scatter_shows_widen_what_is_best_known():
+    straight, seen = _fitted(camera(k1=-0.5), 4)
+    # Corners at the rim of the microimages, 11.5 px from their centres, lie 0.004 px too far out.
+    outward = seen.position + (seen.position - seen.centre) * (0.004 / 11.5)
+    moved = Observations(seen.pose, seen.corner, seen.centre, outward, seen.error)
+    found = adjust(straight.camera, PIXEL, straight.poses, BOARD, moved, BASE)
+    own = slice(0, len(BASE))
+    off = (found.camera - straight.camera)[own]
+    stated = found.covariance[own, own]
+    widened = stated + rim_covariance(found, PIXEL, moved, 11.5, 0.003)[own, own]
+    scale = np.sqrt(np.diag(stated))
+    misfit = [off / scale @ np.linalg.solve(c / np.outer(scale, scale), off / scale) for c in (stated, widened)]
+    assert misfit[0] > 3 * misfit[1]
+    # One error of 0.004 px, where 0.003 px of a standard error are allowed for.
+    assert misfit[1] < 2.7
+
+
 def test_lengths_that_hardly_separate_are_named():
     found, _ = _fitted(camera(k1=-0.5), 3)
-    notes = describe_degeneracies(optics_of(found, PIXEL, 1.0))
+    notes = describe_degeneracies(optics_of(found, PIXEL))
     assert any("F, L and b hardly separate" in note and "D / s = A + B / Z" in note for note in notes)

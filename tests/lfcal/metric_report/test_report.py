@@ -39,7 +39,7 @@ def found():
         BoardPose(f"{m}.png", r, t - r @ board.middle, np.diag(errors[m] ** 2), 0.03, 100)
         for m, (r, t) in enumerate(zip(fitted.poses.rotation, fitted.poses.translation, strict=True))
     )
-    optics = optics_of(fitted, cameras.PIXEL, 1.0)
+    optics = optics_of(fitted, cameras.PIXEL)
     return MetricCalibration(
         replace(Calibration(lattice), optics=optics),
         board,
