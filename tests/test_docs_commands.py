@@ -198,6 +198,6 @@ def test_python_of_a_page_names_what_there_is(page):
         for package, name in re.findall(r"\b(lfcal|lfrender)\.((?:data\.)?\w+)", code):
             assert pkgutil.resolve_name(f"{package}.{name}")
         for module, names in re.findall(
-            r"^from ((?:lfcal|lfrender|data_synth)[\w.]*) import ([\w, ]+)", code, re.MULTILINE
+            r"^from ((?:lfcal|lfrender|data_synth)[\w.]*) import ([\w, ]*\w)", code, re.MULTILINE
         ):
             assert all(hasattr(import_module(module), name) for name in names.split(", "))
