@@ -22,6 +22,7 @@ _SIZE = (1080, 900)
 _SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 _MODES: dict[str, dict[str, Any]] = {
     "at one depth": {"mode": "focus"},
+    "from one depth to another": {"mode": "range"},
     "everywhere": {"mode": "sharp"},
     "everywhere, from aside": {"mode": "sharp", "aside": 0.5},
     "tiles": {"mode": "tiles"},
@@ -43,7 +44,7 @@ const [change, size, spacing] = arguments, v = lightField, { aside, ...rest } = 
 const settings = { ...v.settings, ...rest, q: [(aside ?? 0) * v.scene.radius, 0], background: [0, 0, 0] };
 const first = v.scene.size.map((n, k) => (n - 1) / 2 - ((size[k] - 1) / 2) * spacing);
 v.renderer.main = counting;
-const counts = v.renderer.pixels(settings, ...size, first, spacing);
+const counts = v.pixels(...size, first, spacing, settings);
 v.renderer.main = drawing;
 let reads = 0;
 for (let n = 0; n < counts.length; n += 4) reads += counts[n] + 256 * counts[n + 1];
@@ -104,11 +105,11 @@ def _print_rows(browser: Any, name: str) -> None:
         *_SIZE,
     )
     print(f"{name}, {_SIZE[0]} x {_SIZE[1]} px, {renderer}")
-    print(f"{'':24}{'zoom':>10}{'reads/pixel':>14}{'ms':>10}")
+    print(f"{'':26}{'zoom':>10}{'reads/pixel':>14}{'ms':>10}")
     for words, change in _MODES.items():
         for zoom, spacing in (("fit", whole), ("100 %", full)):
             reads, times = browser.execute_script(_FRAMES, change, _SIZE, spacing)
-            print(f"{words:24}{zoom:>10}{reads:14.1f}{median(times):10.1f}")
+            print(f"{words:26}{zoom:>10}{reads:14.1f}{median(times):10.1f}")
 
 
 if __name__ == "__main__":
