@@ -121,7 +121,11 @@ def render(
     options: dict[str, Any] = {"patch_size": patch_size, "scale": scale, "blend": blend or None, "detail": detail}
     # Sharpening estimates blur and noise on the whole picture.
     if not (traditional or roi or sharpen):
-        in_tiles = on_cluster or tile is not None or output.suffix.lower() == ".zarr"
+        from ..output.ome import is_ome_name
+
+        # A plain Zarr array is written tile by tile, OME-Zarr as a whole.
+        plain_zarr = output.suffix.lower() == ".zarr" and not is_ome_name(output)
+        in_tiles = on_cluster or tile is not None or plain_zarr
         if edges and (in_tiles or is_large(capture.flat)):
             raise click.UsageError("--edges is for flats that are analysed as a whole: leave it out here")
         if capture.dark is not None and in_tiles:

@@ -21,7 +21,7 @@ from lfcal import LightFieldError
 from lfcal.runtime.output_file import check_output
 
 from .metadata import EmbeddedMetadata, embed_in_jpeg, embed_in_png
-from .ome import is_ome_tiff, ome_tags, write_ome_zarr
+from .ome import is_ome_name, ome_tags, write_ome_zarr
 
 __all__ = [
     "FORMATS",
@@ -132,7 +132,7 @@ def _write_tiff(path: Path, pages: list[Page], embedded: EmbeddedMetadata, compr
 
     # Plain TIFF counts bytes with 32 bits; 32 MB are left for what stands beside the pixels.
     big = sum(pixels.nbytes for pixels, _ in pages) > 2**32 - 2**25
-    ome = is_ome_tiff(path)
+    ome = is_ome_name(path)
     with tifffile.TiffWriter(path, bigtiff=big, ome=ome) as tiff:
         for pixels, text in pages:
             options = tiff_tags(pixels.shape, text, embedded.icc) | (tiff_tiles(pixels.dtype) if compress else {})

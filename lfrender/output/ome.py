@@ -19,14 +19,14 @@ from lfcal import OutputError
 
 from .metadata import EmbeddedMetadata
 
-__all__ = ["is_ome_tiff", "ome_tags", "write_ome_zarr"]
+__all__ = ["is_ome_name", "ome_tags", "write_ome_zarr"]
 
 _CHUNK = 512
 Page = tuple[NDArray[Any], str]
 
 
-def is_ome_tiff(path: Path) -> bool:
-    """Whether the name asks for OME metadata: `.ome.tif`."""
+def is_ome_name(path: Path) -> bool:
+    """Whether the name asks for OME metadata: `.ome.tif`, `.ome.zarr`."""
     return Path(path.stem).suffix.lower() == ".ome" or ".ome." in path.name.lower()
 
 

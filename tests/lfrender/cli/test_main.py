@@ -66,6 +66,15 @@ def test_render_without_a_depth_file_gives_the_same_picture(house_files, tmp_pat
     np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "one.png"), lfcal.read_flat(tmp_path / "two.png"))
 
 
+def test_render_writes_ome_zarr_where_the_name_says_so(house_files, tmp_path):
+    zarr = pytest.importorskip("zarr", minversion="3.0", reason="Zarr needs lfrender[zarr]")
+    ask = ("render", house_files / "flat.png", "-c", house_files / "camera.json", "--patch-size", -5)
+    figures_of(*ask, "-o", tmp_path / "a.ome.zarr")
+    assert "multiscales" in dict(zarr.open_group(str(tmp_path / "a.ome.zarr"), mode="r").attrs)["ome"]
+    figures_of(*ask, "-o", tmp_path / "a.zarr")
+    assert zarr.open_array(str(tmp_path / "a.zarr"), mode="r").ndim == 3
+
+
 def test_render_calibrates_from_the_flat_or_a_white_image(house, house_files, tmp_path):
     flat = house_files / "flat.png"
     for options, source in [((), "scene"), (("--white", house_files / "white.png"), "white")]:
