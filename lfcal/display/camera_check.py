@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..camera.calibration import Calibration
+from ..camera.lens_types import LensTypes
 from ..lattice.lattice import Lattice
 from ..lattice.orientation import describe_orientation
 from ..runtime.errors import FlatError
 from .settings import CAMERA_CHECK, CameraCheckSettings
 
 if TYPE_CHECKING:
+    from ..gain.gain_map import GainMap
     from .lattice_misfit import LatticeMisfit
 
 __all__ = ["CameraCheck", "check_camera"]
@@ -114,7 +116,7 @@ def check_camera(
     if misfit is None:
         return CameraCheck(False, _describe_other(small, found, factor))
     if misfit.is_small(settings) or is_other_centre(picture, found, misfit, settings):
-        return CameraCheck(problem=_check_types(calibration, flat))
+        return CameraCheck(problem=_check_types(calibration, flat, settings))
     shift = factor * misfit.shift
     if misfit.linear_size < settings.linear:
         moved = replace(calibration.lattice, origin=calibration.lattice.origin + shift)
@@ -122,15 +124,39 @@ def check_camera(
     return CameraCheck(problem=_describe_linear(misfit))
 
 
-def _check_types(calibration: Calibration, flat: NDArray[Any]) -> str | None:
+def _check_types(calibration: Calibration, flat: NDArray[Any], settings: CameraCheckSettings) -> str | None:
     types = calibration.lens_types
     if types is None or not types.ordered:
         return None
     from ..images.preprocessing import sqrt_luminance
-    from ..lens_types.type_check import find_type_conflict
+    from ..lens_types.type_check import find_rim_conflict, find_type_conflict
 
-    conflict = find_type_conflict(sqrt_luminance(flat), calibration.lattice, types)
+    picture, gain, lattice = sqrt_luminance(flat), calibration.gain_map, calibration.lattice
+    conflict, rims_known = None, False
+    if gain is not None and gain.type_light.size:
+        conflict = find_rim_conflict(types, gain, lattice.radius)
+        rims_known = float(np.ptp(gain.type_rims(lattice.radius), axis=0).max()) > settings.known_rims
+        if conflict is None and rims_known and _rims_differ(picture, lattice, gain, settings):
+            conflict = "the rims of microimages of each lens type are not those of the camera"
+    conflict = conflict or find_type_conflict(picture, lattice, types, rims_known)
     return conflict and f"{conflict}; was the flat mirrored, turned or cropped? {_REMEDY}"
+
+
+def _rims_differ(picture: NDArray[np.float32], lattice: Lattice, gain: GainMap, settings: CameraCheckSettings) -> bool:
+    """Whether a scene clearly shows other light at the rims of each lens type than the gain map."""
+    from ..illumination.type_profiles import fit_type_profiles
+
+    types = LensTypes(gain.type_cell)
+    plain = replace(gain, type_light=np.zeros((0, 0)), type_cell=np.zeros((0, 0), np.int8))
+    found = fit_type_profiles(picture, lattice, plain, types, True)
+    if not found.type_light.size:
+        return False
+    own, other = gain.type_rims(lattice.radius), found.type_rims(lattice.radius)
+    at = np.ptp(own, axis=0).argmax()
+    one, two = own[:, at] - own[:, at].mean(), other[:, at] - other[:, at].mean()
+    size = float(np.linalg.norm(one) * np.linalg.norm(two))
+    clear = float(np.linalg.norm(two)) > settings.clear_rims * float(np.linalg.norm(one))
+    return clear and float(one @ two) < settings.same_rims * size
 
 
 def _describe_shift(given: Lattice, found: Lattice, shift: NDArray[np.float64]) -> str:

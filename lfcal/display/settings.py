@@ -46,6 +46,9 @@ class CameraCheckSettings:
     pixels: float = 4e6  # of large flats, after averaging
     tiles: int = 4  # along the longer side of the flat, and
     bins: int = 36  # along each side, of the average microimage whose roundness is compared
+    known_rims: float = 0.03  # difference of light between types at the rims in a gain map that tells their order
+    clear_rims: float = 0.5  # of it, which a scene must show to contradict,
+    same_rims: float = 0.75  # and cosine between both: 1/2 if two of three types are exchanged
     nearly_as_round: float = 0.9  # [roundness about the centres found] where both may be the centres
 
 

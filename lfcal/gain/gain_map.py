@@ -161,6 +161,11 @@ class GainMap(Frozen):
         profiles.flags.writeable = False
         return profiles
 
+    def type_rims(self, radius: float, settings: GainSettings = DEFAULT) -> NDArray[np.float64]:
+        """(t, k) `type_light` at those rings within `radius` [px] that lie before the middle of the rim."""
+        inside = (np.arange(len(self.profile)) * self.step < radius) & (self.profile > settings.before_rim)
+        return self.type_light[:, inside]
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and strings; `profile` and `lens_gain` as encoded arrays."""
         return {

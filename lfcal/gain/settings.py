@@ -14,6 +14,7 @@ class GainSettings:
 
     halo: int = 4  # [lenses] tabulated around the flat, in which rows may begin or end; set by hand
     largest_tilt: float = 0.2  # [pitch] by which a distortion may turn a lattice step backwards; set by hand
+    before_rim: float = 0.75  # [light] down to which a profile is before the middle of its rim, where light is lost
     band: int = 512  # [rows] flattened at a time, so that memory does not grow with the flat
 
 

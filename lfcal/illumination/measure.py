@@ -21,7 +21,7 @@ from .defect_search import find_defects
 from .estimate import estimate_gain
 from .lens_light import find_unlit_in_scene, measure_lens_lights
 from .settings import DEFAULT, DEFECTS
-from .type_profiles import fit_type_profiles
+from .type_profiles import fit_type_profiles, order_by_rims
 
 __all__ = ["Illumination", "measure_illumination"]
 
@@ -42,7 +42,7 @@ class Illumination:
     outlier_share : float
         Share of the pixels of a white image that differ from the gain map; 0 if not measured.
     lens_types : LensTypes or None
-        What `find_types` found.
+        What `find_types` found; on white images in the order of their rims.
     """
 
     gain_map: GainMap
@@ -83,6 +83,8 @@ def measure_illumination(
     vignetting, radius = _average(fit.gain, lattice)
     types = find_types(lattice.with_radius(radius)) if find_types else None
     gain = fit_type_profiles(picture, lattice.with_radius(radius), fit.gain, types, not white)
+    if white:
+        types, gain = order_by_rims(types, gain, radius)
     fit = replace(fit, gain=gain)
     warnings: tuple[str, ...] = ()
     share = 0.0

@@ -91,6 +91,7 @@ class TypeProfileSettings:
     smooth: float = 1.25  # [px] over which the light of types is averaged; rims are softer
     shrinkage: float = 2.0  # [standard errors] differences below it become 0
     largest: float = 2.0  # factor between the light of a type and the mean of all that rims may reach
+    distinct: float = 0.005  # difference of the light before the rims of types on white images, to order them
     relevance: float = 0.005  # largest difference from which on types count: half a level of a mid-grey byte
 
 

@@ -22,7 +22,7 @@ from .sample import draw_sample
 from .scene_profile import sum_light
 from .settings import DEFAULT, TYPE_PROFILES, TypeProfileSettings
 
-__all__ = ["fit_type_profiles"]
+__all__ = ["fit_type_profiles", "order_by_rims"]
 
 
 def fit_type_profiles(
@@ -77,6 +77,26 @@ def fit_type_profiles(
     if np.abs(factor[:, radii < lattice.radius] - 1).max() < settings.relevance:
         return gain
     return replace(gain, type_light=factor, type_cell=types.cell)
+
+
+def order_by_rims(
+    types: LensTypes | None, gain: GainMap, radius: float, settings: TypeProfileSettings = TYPE_PROFILES
+) -> tuple[LensTypes | None, GainMap]:
+    """The types of a white image and their gain map, numbered from the softest rims to the hardest where these differ.
+
+    Rims are images of the main aperture, at `s = 0`: the farther from that a type is focused, the softer is its rim,
+    and the less light is left before it (`radius` [px]: usable).
+    """
+    if types is None or not gain.type_light.size:
+        return types, gain
+    rims = gain.type_rims(radius)
+    rims = rims[:, np.ptp(rims, axis=0).argmax()]
+    order = np.argsort(rims)
+    if np.diff(rims[order]).min() < settings.distinct:
+        return types, gain
+    cell = np.argsort(order)[types.cell].astype(np.int8)
+    ordered = LensTypes(cell, True, types.focus[order] if types.focus is not None else None, types.confidence)
+    return ordered, replace(gain, type_light=gain.type_light[order], type_cell=cell)
 
 
 def _smooth(sums: NDArray[np.float64], rings: int) -> NDArray[np.float64]:

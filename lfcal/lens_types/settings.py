@@ -91,6 +91,7 @@ class TypeCheckSettings:
 
     certain_pattern: float = 0.9  # confidence of a pattern that refutes another
     rim_ratio: float = 20.0  # twice the logarithm of the likelihood ratio of another order of the rims: at most 13
+    rim_light: float = 0.015  # light before the rims by which a harder type may have less
     sharpness_significance: float = 5.0  # [standard errors] of a middle type that is the least sharp
 
 

@@ -2,7 +2,8 @@
 
 Where the flat shows the order of the types by itself, that decides. Elsewhere the order of the camera is tested: rims
 get harder from type to type, and as sharpness falls with the square of the defocus, a middle type is never the
-least sharp.
+least sharp. So is the light before the rims that the gain map of the camera itself has for each type: it grows from the
+softest rims to the hardest.
 """
 
 from __future__ import annotations
@@ -11,17 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.lens_types import LensTypes
+from ..gain.gain_map import GainMap
 from ..lattice.lattice import Lattice
 from .classify import find_lens_types, is_in_step
 from .focus_order import TypeMeans
 from .lens_sample import measure_lens_features, sample_lenses
 from .settings import DEFAULT, LensTypeSettings
 
-__all__ = ["find_type_conflict"]
+__all__ = ["find_rim_conflict", "find_type_conflict"]
 
 
 def find_type_conflict(
-    picture: NDArray[np.float32], lattice: Lattice, types: LensTypes, settings: LensTypeSettings = DEFAULT
+    picture: NDArray[np.float32],
+    lattice: Lattice,
+    types: LensTypes,
+    rims_known: bool = False,
+    settings: LensTypeSettings = DEFAULT,
 ) -> str | None:
     """What contradicts the lens types of a camera, None where nothing does.
 
@@ -32,17 +38,38 @@ def find_type_conflict(
     lattice : Lattice [px]
         Of the camera.
     types : LensTypes
+    rims_known : bool
+        The gain map of the camera has the light at the rims of each type: those of a scene tell less.
     """
     found = find_lens_types(picture, lattice, False, settings)
     if found is not None and found.count == types.count:
-        if found.ordered and types.ordered:
+        seen = found.focus is not None and bool(np.isfinite(found.focus).all())
+        if found.ordered and types.ordered and (seen or not rims_known):
             same = np.array_equal(_numbers(found, types), _numbers(types, found))
             return None if same else "the lens types of the camera are in another order than on the flat"
         if found.confidence > settings.check.certain_pattern and not _is_same_partition(found, types):
             return "the lens types of the camera lie at other lenses than on the flat"
-    if types.ordered and types.count == 3 and _is_refuted(picture, lattice, types, settings):
+    if types.ordered and types.count == 3 and _is_refuted(picture, lattice, types, rims_known, settings):
         return "the lens types of the camera are in another order than on the flat"
     return None
+
+
+def find_rim_conflict(
+    types: LensTypes, gain: GainMap, radius: float, settings: LensTypeSettings = DEFAULT
+) -> str | None:
+    """What in the gain map (`radius` [px]: usable) contradicts the lens types of a camera, None where nothing does."""
+    if not (types.ordered and gain.type_light.size):
+        return None
+    cells = LensTypes(gain.type_cell)
+    own, other = _numbers(types, cells).ravel(), _numbers(cells, types).ravel()
+    light = gain.type_rims(radius)
+    light = light[other, np.ptp(light, axis=0).argmax()]
+    rims = np.array([light[own == kind].mean() for kind in range(types.count)])
+    mixed = max(float(np.ptp(light[own == kind])) for kind in range(types.count))
+    falls = float((np.maximum.accumulate(rims) - rims).max())
+    if max(falls, mixed) <= settings.check.rim_light:
+        return None
+    return "the lens types of the camera are in another order than the light at the rims of its microimages"
 
 
 def _numbers(types: LensTypes, other: LensTypes) -> NDArray[np.int8]:
@@ -66,14 +93,16 @@ def _order_ratio(softness: NDArray[np.float64], error: float) -> float:
     return (float(np.ptp(softness)) ** 2 - given**2) / max(error, 1e-12) ** 2
 
 
-def _is_refuted(picture: NDArray[np.float32], lattice: Lattice, types: LensTypes, settings: LensTypeSettings) -> bool:
+def _is_refuted(
+    picture: NDArray[np.float32], lattice: Lattice, types: LensTypes, rims_known: bool, settings: LensTypeSettings
+) -> bool:
     if lattice.radius < settings.pattern.min_radius:
         return False
     sample = sample_lenses(lattice, settings=settings.sample)
     features = measure_lens_features(picture, sample, settings.sample)
     means = TypeMeans.from_sample(sample, types.cell.astype(np.int64), settings.focus)
     rim = features.inner_loss if is_in_step(types.cell, lattice, settings.pattern) else features.outer_light
-    if features.rim_ratio < settings.focus.flattened:
+    if features.rim_ratio < settings.focus.flattened and not rims_known:
         softness = means.fit_means(sample.subtract_neighbours(rim))
         if softness is not None and _order_ratio(*softness) > settings.check.rim_ratio:
             return True

@@ -5,7 +5,7 @@ import pytest
 
 from lfcal import Lattice, LensTypes
 from lfcal.gain.gain_map import GainMap
-from lfcal.illumination.type_profiles import fit_type_profiles
+from lfcal.illumination.type_profiles import fit_type_profiles, order_by_rims
 
 _TYPES = LensTypes([[0, 1, 2], [2, 0, 1], [1, 2, 0]])
 _LATTICE = Lattice([10, 10], [[20, 0], [10, 17.3]], (600, 400), 9)
@@ -37,3 +37,14 @@ def test_light_of_three_types_is_told_apart_to_one_and_a_half_per_cent_on_scenes
 def test_types_that_are_lit_alike_have_one_profile():
     found = fit_type_profiles(_flat(_typed(0), 0.1), _LATTICE, GainMap.round(np.ones(60), _STEP, 9), _TYPES, True)
     assert found.type_light.size == 0
+
+
+def test_types_of_white_images_are_numbered_from_soft_rims_to_hard_ones():
+    gain = _typed(0.1)
+    shuffled = np.array([2, 0, 1], np.int8)[_TYPES.cell]
+    types, found = order_by_rims(
+        LensTypes(shuffled), replace(gain, type_cell=shuffled, type_light=gain.type_light[[1, 2, 0]]), 9
+    )
+    assert (
+        types.ordered and np.array_equal(types.cell, _TYPES.cell) and np.array_equal(found.type_light, gain.type_light)
+    )
