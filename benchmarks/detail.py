@@ -1,0 +1,145 @@
+"""Detail of pictures against their references: `python -m benchmarks.detail [../shared/truth]`.
+
+Prints, at 0.15 D, 0.3 D and the default scale, PSNR of the picture with `detail="off"`, and what is gained [dB] by
+`detail="natural"`: over all, beside depth edges, on blank places and in the border (a pitch wide); then by
+`sharpen="auto"`, and by three methods of scikit-image applied to the picture: Wiener, Richardson-Lucy and total
+variation. These are given the disc of defocus that is measured for the median patch size. Without a folder, the
+scenes of `benchmarks.pictures` are simulated.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+import lfcal
+import lfrender
+from data_synth import SCENES, Camera, simulate
+from data_synth.metrics import resample
+from lfrender.data.depth_map import default_scale
+
+from .pictures import _SCENES, _SIZE
+from .truth_flats import _REFERENCE, SCALES
+
+_RESOLVABLE = 0.75
+_LEAST_PIXELS = 500  # of a class, below which its figure is left out
+
+
+class _Case(NamedTuple):
+    name: str
+    flat: NDArray[Any]
+    camera: lfcal.Calibration
+    reference: NDArray[Any]
+    affine: NDArray[np.float64]
+    size: NDArray[np.float32]  # true patch size on the grid of the reference
+
+
+def _truth_cases(folder: Path) -> Iterator[_Case]:
+    for path in sorted(folder.iterdir()):
+        if path.is_dir():
+            flat, reference = lfcal.read_flat(path / "flat.png"), lfcal.read_flat(path / "reference.png")
+            size = np.load(path / "reference_depth.npz")["disparity_px"].astype(np.float32)
+            yield _Case(path.name, flat, lfcal.calibrate(flat), reference, _REFERENCE, size)
+
+
+def _simulated_cases() -> Iterator[_Case]:
+    for name, how in _SCENES.items():
+        camera = Camera.design(size=_SIZE, **how.camera)
+        shot = simulate(SCENES[how.scene](camera, **how.arguments), camera, samples=64, seed=7, **how.stored)
+        truth = shot.truth
+        found = lfcal.calibrate(shot.white, kind="white")
+        yield _Case(
+            name, shot.flat, found, truth.reference, truth.reference_affine, truth.reference_patch_size.astype("f4")
+        )
+
+
+def _classes(case: _Case, wanted: NDArray[Any], inside: NDArray[np.bool_], picture: lfrender.Rendering) -> list[Any]:
+    """Masks: all, beside depth edges, blank, and the border, which the others leave out."""
+    shape, pitch = picture.image.shape[:2], case.camera.lattice.pitch
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    places = np.stack([u, v, np.ones(shape)], -1) @ picture.affine.T
+    grid = np.rint((places - case.affine[:, 2]) / case.affine[0, 0]).astype(int)
+    known = np.clip(grid[..., ::-1], 0, np.array(case.size.shape) - 1)
+    missing = distance_transform_edt(~np.isfinite(case.size), return_distances=False, return_indices=True)
+    s = case.size[tuple(missing)][known[..., 0], known[..., 1]]
+    seen = inside & picture.valid & (np.abs(s) < _RESOLVABLE * pitch)
+    border = int(np.ceil(picture.scale))
+    inner = np.zeros(shape, bool)
+    inner[border:-border, border:-border] = True
+    jump = cv2.dilate(s, np.ones((3, 3))) - cv2.erode(s, np.ones((3, 3))) > 0.03 * pitch
+    side = 2 * max(1, round(0.1 * picture.scale)) + 1
+    edge = cv2.dilate(jump.view(np.uint8), np.ones((side, side), np.uint8)) > 0
+    grey = wanted.reshape(*shape, -1).mean(-1).astype(np.float32)
+    variance = cv2.blur(grey * grey, (9, 9)) - cv2.blur(grey, (9, 9)) ** 2
+    return [seen & inner, seen & inner & edge, seen & inner & ~edge & (variance < 0.012**2), seen & ~inner]
+
+
+def _psnr(image: NDArray[Any], wanted: NDArray[Any], where: NDArray[np.bool_]) -> float:
+    if where.sum() < _LEAST_PIXELS:
+        return float("nan")
+    p, t = image[where], wanted[where]
+    gain = (p * t).sum(0) / (p * p).sum(0)
+    return float(-10 * np.log10(np.mean((p * gain - t) ** 2)))
+
+
+def _disc(diameter: float) -> NDArray[np.float64]:
+    half = int(np.ceil(diameter / 2))
+    fine = (np.arange((2 * half + 1) * 9) - ((2 * half + 1) * 9 - 1) / 2) / 9
+    disc = (np.hypot(fine[:, None], fine) <= diameter / 2).reshape(2 * half + 1, 9, 2 * half + 1, 9).mean((1, 3))
+    return disc / disc.sum()
+
+
+def _baselines(image: NDArray[Any], diameter: float) -> list[NDArray[Any]]:
+    from skimage import restoration
+
+    psf = _disc(max(diameter, 1.0))
+    planes = np.moveaxis(image, -1, 0)
+    found = [
+        [restoration.wiener(plane, psf, 0.05, clip=False) for plane in planes],
+        [restoration.richardson_lucy(np.maximum(plane, 1e-3), psf, 10) for plane in planes],
+    ]
+    return [np.stack(one, -1) for one in found] + [restoration.denoise_tv_chambolle(image, 0.01, channel_axis=-1)]
+
+
+def _rows(case: _Case) -> Iterator[str]:
+    depth = lfrender.analyze(case.flat, case.camera)
+    pitch = case.camera.lattice.pitch
+    for scale in (*(share * pitch for share in SCALES), default_scale(depth)):
+        drawn = [
+            lfrender.render(case.flat, case.camera, depth, scale=scale, **how)
+            for how in ({}, {"detail": "natural"}, {"sharpen": "auto"})
+        ]
+        white = np.float64(np.iinfo(drawn[0].image.dtype).max)
+        images = [one.image.reshape(*one.valid.shape, -1) / white for one in drawn]
+        wanted, inside = resample(case.reference, case.affine, drawn[0].valid.shape, drawn[0].affine)
+        wanted = wanted.reshape(images[0].shape)
+        masks = _classes(case, wanted, inside, drawn[0])
+        plain = [_psnr(images[0], wanted, mask) for mask in masks]
+        gained = [_psnr(images[1], wanted, mask) - before for mask, before in zip(masks, plain, strict=True)]
+        ratio = float(np.nanmedian(depth.patch_size)) / pitch
+        found = drawn[1].defocus
+        diameter = 0.0 if found is None else float(found.diameters(ratio).mean()) * scale / (abs(ratio) * pitch)
+        others = [images[2], *_baselines(images[0], diameter)]
+        gained += [_psnr(other, wanted, masks[0]) - plain[0] for other in others]
+        cells = ["" if np.isnan(gain) else f"{gain:+.2f}" for gain in gained]
+        yield f"| {case.name} | {scale:.1f} | {plain[0]:.2f} | {' | '.join(cells)} |"
+
+
+def _main() -> None:
+    cases = _truth_cases(Path(sys.argv[1])) if sys.argv[1:] else _simulated_cases()
+    print("| scene | pixels per pitch | off [dB] | natural | edges | blank | border | sharpen | Wiener | R.-L. | TV |")
+    print("|" + "---|" * 11)
+    for case in cases:
+        for row in _rows(case):
+            print(row, flush=True)
+
+
+if __name__ == "__main__":
+    _main()
