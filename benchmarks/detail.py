@@ -113,8 +113,9 @@ def _rows(case: _Case) -> Iterator[str]:
     pitch = case.camera.lattice.pitch
     for scale in (*(share * pitch for share in SCALES), default_scale(depth)):
         drawn = [
-            lfrender.render(case.flat, case.camera, depth, scale=scale, **how)
-            for how in ({}, {"detail": "natural"}, {"sharpen": "auto"})
+            lfrender.render(case.flat, case.camera, depth, scale=scale),
+            lfrender.render(case.flat, case.camera, depth, scale=scale, detail="natural"),
+            lfrender.render(case.flat, case.camera, depth, scale=scale, sharpen="auto"),
         ]
         white = np.float64(np.iinfo(drawn[0].image.dtype).max)
         images = [one.image.reshape(*one.valid.shape, -1) / white for one in drawn]
