@@ -67,7 +67,7 @@ def _differ(old, new, top, bottom, left, right):
     return False
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda old, new, some: len(some))
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda old, new, some: len(some))
 def _mark_blocks(begin, end, old, new, some):
     """Set `some` of the blocks that differ between two surfaces, and unset the rest."""
     rows, columns = new.shape
@@ -77,7 +77,7 @@ def _mark_blocks(begin, end, old, new, some):
             some[j, i] = _differ(old, new, v, min(v + _BLOCK, rows), u, min(u + _BLOCK, columns))
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda *given: len(given[6]))
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda *given: len(given[6]))
 def _mark_changes(begin, end, old, new, some, first_x, first_y, spacing, centres, reach, changed):
     """Set `changed` of lenses with a value within `reach` that differs between two surfaces, in `some` blocks."""
     rows, columns = new.shape
@@ -97,7 +97,7 @@ def _mark_changes(begin, end, old, new, some, first_x, first_y, spacing, centres
                     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, share=lambda *given: len(given[5]))
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: len(given[5]))
 def _sample(begin, end, surface, grid, first_x, first_y, spacing, out):
     for v in range(begin, end):
         y = np.float32(first_y + v * spacing)

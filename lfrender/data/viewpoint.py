@@ -116,7 +116,7 @@ def virtual_depth(patch_size: NDArray[np.float32], pitch: float) -> NDArray[np.f
     return depth
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda surface, *_: len(surface))
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda surface, *_: len(surface))
 def _warp(begin, end, surface, grid, view, still, nearest, farthest, bounds, least, pitch, out):
     """Follow the ray of every grid value of `out` (h, w) from near to far until it meets the surface.
 

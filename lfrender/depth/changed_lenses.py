@@ -103,7 +103,7 @@ def _compare_blocks(begin, end, first, second, channels, side, like, out):
             _over_blocks(rough, side, out[3, v])
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda blocks, centres, *_: len(centres))
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda blocks, centres, *_: len(centres))
 def _pool(begin, end, blocks, centres, side, radius, per_pixel, out):
     """Per lens: mean, variance of blocks, roughness^2, difference^2 of a pixel and of a block, and number of blocks."""
     _, rows, columns = blocks.shape

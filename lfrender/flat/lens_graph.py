@@ -191,7 +191,7 @@ def _is_complete(neighbours, lens):
     return least == 0
 
 
-@njit(cache=True, nogil=True, share=lambda neighbours, out: len(out))
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda neighbours, out: len(out))
 def _find_two_rings(begin, end, neighbours, out):
     """As `_find_rings_of`, for each lens. The paths of one lens with complete rings serve all that have all neighbours;
     lenses of the second ring to which such a path is broken are left out."""

@@ -41,7 +41,7 @@ def prefilter_flat(pixels: NDArray) -> NDArray:
 
 
 # Without fastmath: a part of a flat gets the same bits as the whole, whatever pixels a vector loop handles together.
-@njit(cache=True, nogil=True, share=lambda flat, *_: len(flat))
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda flat, *_: len(flat))
 def _filter_floats(begin, end, flat, channels, out):
     height, width = flat.shape
     middle, side = np.float32(1 + 4 * (1 / 12)), np.float32(1 / 12)

@@ -21,7 +21,9 @@ __all__ = ["find_changed_pixels", "redraw"]
 _STRIP = 16
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda places, side, out: -(-len(out) // _STRIP))
+@njit(
+    cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda places, side, out: -(-len(out) // _STRIP)
+)
 def _mark_pixels(begin, end, places, side, out):
     """Set the pixels of `out` within `side` of some of `places` (m, 2), and unset the rest."""
     rows, columns = out.shape

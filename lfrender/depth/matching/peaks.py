@@ -22,7 +22,7 @@ _OUTLIER_ROUNDS = 3
 _NEGLIGIBLE = np.float32(24.0)
 
 
-@njit(cache=True, nogil=True, share=lambda total, best, *_: len(best))
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda total, best, *_: len(best))
 def _confidence(begin, end, total, best, scale, tolerance, out):
     for lens in range(begin, end):
         own = total[lens]
@@ -39,7 +39,7 @@ def _confidence(begin, end, total, best, scale, tolerance, out):
         out[lens] = here / everywhere
 
 
-@njit(cache=True, nogil=True, share=lambda cost, among, best, value: len(best))
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda cost, among, best, value: len(best))
 def _find_minimum(begin, end, cost, among, best, value):
     for lens in range(begin, end):
         at, least = 0, np.float32(np.inf)
@@ -69,7 +69,7 @@ def confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, 
     return out
 
 
-@njit(cache=True, nogil=True, share=lambda total, best, out: len(best))
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda total, best, out: len(best))
 def _fit_parabola(begin, end, total, best, out):
     half = np.float32(0.5)
     for lens in range(begin, end):
@@ -90,7 +90,7 @@ def fit_parabola(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArray
     return out
 
 
-@njit(cache=True, nogil=True, share=lambda values, unknown, *_: len(unknown))
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda values, unknown, *_: len(unknown))
 def _smooth(begin, end, values, unknown, neighbours, gap, out):
     """Mean of the neighbours of each unknown lens that differ from it by `gap` at most, or its own value."""
     for u in range(begin, end):
@@ -130,7 +130,7 @@ def fill_unresolved(
     return result
 
 
-@njit(cache=True, nogil=True, share=lambda cost, *_: len(cost))
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda cost, *_: len(cost))
 def _find_second_minimum(begin, end, cost, best, distance, index, value):
     for lens in range(begin, end):
         at, least = 0, np.float32(np.inf)

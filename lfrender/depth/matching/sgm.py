@@ -16,7 +16,7 @@ __all__ = ["aggregate_costs", "average_pair_costs"]
 _LANES = 16
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda *given: len(given[4]))
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda *given: len(given[4]))
 def _lens_costs(begin, end, pair, forward, backward, lenses, out):
     """Mean pair cost of each of the `lenses` over all neighbours that it has."""
     half = forward.shape[1]
@@ -96,7 +96,7 @@ def _walk(cost, chain, slope, jump, total):
             covered, shift = covered + shift, min(2 * shift, _LANES)
 
 
-@njit(cache=True, nogil=True, share=lambda cost, chains, starts, *_: len(starts) - 1)
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda cost, chains, starts, *_: len(starts) - 1)
 def _walk_all(begin, end, cost, chains, starts, slope, jump, wanted, total):
     for c in range(begin, end):
         some = False

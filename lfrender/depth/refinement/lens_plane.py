@@ -9,6 +9,7 @@ from collections import namedtuple
 from dataclasses import dataclass
 
 import numpy as np
+from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
@@ -155,15 +156,17 @@ def _fit_lens(lens, centres, pitch, neighbours, pairs, pair_variance, start, pri
     spreads[lens, 3] = max(weights - 1 - 2 * own, np.float32(0.0))
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda centres, *_: len(centres))
+# In a parallel loop arrays are taken out of tuples without counting references, which would take as long as the fits.
+# Numba drops writes to arrays of a NamedTuple in such a function: all of them are in the function that it calls.
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
 def _fit_planes(
-    begin, end, centres, pitch, neighbours, pairs: PairFits, pair_variance, start, prior, robust: _Robust, out: _Planes
+    centres, pitch, neighbours, pairs: PairFits, pair_variance, start, prior, robust: _Robust, out: _Planes
 ):
-    for lens in range(begin, end):
+    for lens in prange(len(centres)):
         _fit_lens(lens, centres, pitch, neighbours, pairs, pair_variance, start, prior, robust, out)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda neighbours, *_: len(neighbours))
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
 def _predict_slants(begin, end, neighbours, gap, least_curvature2, planes: _Planes, prior):
     """Fill `prior` with the mean slant of each lens and its neighbours on one surface, and its inverse variance."""
     sizes, slants, spreads = planes.sizes, planes.slants, planes.spreads
@@ -196,7 +199,7 @@ def _predict_slants(begin, end, neighbours, gap, least_curvature2, planes: _Plan
         prior[lens, 2] = np.float32(1.0) / (curvature + 1 / total + least_curvature2)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda neighbours, *_: len(neighbours))
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
 def _standard_errors(begin, end, neighbours, pitch, gap, common, growth, opposite, planes: _Planes, out, slant_errors):
     """Errors of lenses, scaled by the scatter of their pairs and of their neighbours' on one surface; for `common`,
     `growth` and `opposite` see the settings."""

@@ -89,7 +89,7 @@ def _choose(
     _take_cheapest(depths, single, total, out)
 
 
-@njit(cache=True, nogil=True, share=lambda depths, *_: depths.shape[1])
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda depths, *_: depths.shape[1])
 def _follow_rows(begin, end, depths, costs, gap, jump, slant, part, single, total):
     most, _, columns = depths.shape
     for v in range(begin, end):
@@ -106,7 +106,7 @@ def _follow_rows(begin, end, depths, costs, gap, jump, slant, part, single, tota
             )
 
 
-@njit(cache=True, nogil=True, share=lambda depths, *_: depths.shape[2])
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda depths, *_: depths.shape[2])
 def _follow_columns(begin, end, depths, costs, gap, jump, slant, part, turned, total):
     for u in range(begin, end):
         some = False
@@ -119,7 +119,7 @@ def _follow_columns(begin, end, depths, costs, gap, jump, slant, part, turned, t
             )
 
 
-@njit(cache=True, nogil=True, share=lambda depths, *_: depths.shape[1])
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda depths, *_: depths.shape[1])
 def _take_cheapest(begin, end, depths, single, total, out):
     most, _, columns = depths.shape
     for v in range(begin, end):
@@ -134,7 +134,7 @@ def _take_cheapest(begin, end, depths, single, total, out):
             out[v, u] = depths[best, v, u]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda chosen, *_: len(chosen))
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda chosen, *_: len(chosen))
 def _remove_specks(begin, end, chosen, depths, gap, reach, out):
     """Replace points with several hypotheses that differ from most points about them by the median of those."""
     rows, columns = chosen.shape

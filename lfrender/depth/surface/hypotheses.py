@@ -77,7 +77,7 @@ def _add_occlusion(depths, costs, matches, c):
         costs[k] += c.occluded_cost * nearer
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda values, *_: len(values))
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda values, *_: len(values))
 def find_agreeing_lenses(begin, end, values, seconds, trust, indices, grid: SceneGrid, ring, gap, trusted, agreeing):
     """Set `agreeing` (n,) int8: 1 for lenses that agree to one `gap` with all trusted lenses of `ring`, which have no
     second depths; 2 where none of them is trusted, nor the lens itself; 0 elsewhere.

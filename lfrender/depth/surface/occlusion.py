@@ -41,7 +41,7 @@ def depth_order(s, pitch):
     return s if s > 0 else s + 2 * pitch
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda surface, lows, highs: len(lows))
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda surface, lows, highs: len(lows))
 def _compute_ranges(begin, end, surface, lows, highs):
     """Fill `lows` and `highs` with the least and largest value of each square of the surface."""
     for v in range(begin, end):
@@ -132,7 +132,7 @@ def _erase(centres, lenses, radius, corner, edged, out):
                     out[y - top, x - left] = np.nan
 
 
-@njit(cache=True, nogil=True, share=lambda *given: len(given[5]))
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: len(given[5]))
 def _project_bands(
     begin, end, surface, ranges, place, centres, order, ends, radius, pitch, reach, edge, corner, fresh, edged, out
 ):  # fmt: skip

@@ -112,7 +112,7 @@ def _mark_unexplained(image, centres, radius, pitch, rows, lens, s, least, row_s
     return unexplained / max(total, 1)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda image, centres, *_: len(centres))
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda image, centres, *_: len(centres))
 def _mark_all_unexplained(
     begin, end, image, centres, radius, pitch, rows, sizes, wanted, contrast, floor, share_of_lens, row_step, mask,
     shares,
@@ -184,7 +184,7 @@ def _moments(flat, own, number, bx, by, radius, tx, ty, mean):
     return count, sa, sb, saa, sbb, sab
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, share=lambda image, mask, centres, *_: len(centres))
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda image, mask, centres, *_: len(centres))
 def _match_masked(
     begin, end, image, mask, centres, radius, pitch, rows, means, wanted, shifts, floor, half, offset_weight, row_step,
     out,

@@ -163,7 +163,7 @@ def initial_reasons(
     return np.select([~textured, unshared, unsure], [1, 3, 2], 0).astype(np.int8)
 
 
-@njit(cache=True, nogil=True, share=lambda values, *_: len(values))
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda values, *_: len(values))
 def _have_similar(begin, end, values, ordered, gap, least, out):
     for k in range(begin, end):
         # On all threads, which NumPy's search is not. Comparisons with NaN are false.
