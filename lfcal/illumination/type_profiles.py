@@ -82,12 +82,12 @@ def fit_type_profiles(
 def order_by_rims(
     types: LensTypes | None, gain: GainMap, radius: float, settings: TypeProfileSettings = TYPE_PROFILES
 ) -> tuple[LensTypes | None, GainMap]:
-    """The types of a white image and their gain map, numbered from the softest rims to the hardest where these differ.
+    """The `ordered` types of a white image and their gain map, from the softest rims to the hardest where these differ.
 
     Rims are images of the main aperture, at `s = 0`: the farther from that a type is focused, the softer is its rim,
     and the less light is left before it (`radius` [px]: usable).
     """
-    if types is None or not gain.type_light.size:
+    if types is None or not types.ordered or not gain.type_light.size:
         return types, gain
     rims = gain.type_rims(radius)
     rims = rims[:, np.ptp(rims, axis=0).argmax()]

@@ -43,7 +43,7 @@ def test_types_of_white_images_are_numbered_from_soft_rims_to_hard_ones():
     gain = _typed(0.1)
     shuffled = np.array([2, 0, 1], np.int8)[_TYPES.cell]
     types, found = order_by_rims(
-        LensTypes(shuffled), replace(gain, type_cell=shuffled, type_light=gain.type_light[[1, 2, 0]]), 9
+        LensTypes(shuffled, True), replace(gain, type_cell=shuffled, type_light=gain.type_light[[1, 2, 0]]), 9
     )
     assert (
         types.ordered and np.array_equal(types.cell, _TYPES.cell) and np.array_equal(found.type_light, gain.type_light)
