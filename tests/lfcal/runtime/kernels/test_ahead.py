@@ -8,7 +8,8 @@ from lfcal.runtime.kernels import ahead
 from lfcal.runtime.kernels.ahead import compile_ahead, remaining_stages, signatures_of
 from lfcal.runtime.kernels.signatures import Signature, read_signatures
 
-FIRST = Signature("lfrender.runtime.scheduling", "plan_chunks", json.dumps(["int64"]))
+TYPES = json.dumps([["array", "float64", 1, "C", True], "float64"])
+FIRST = Signature("lfrender.runtime.order_statistics", "count_below", TYPES)
 
 
 def test_kernels_are_left_in_the_cache_and_those_that_do_not_fit_are_counted(tmp_path, monkeypatch):
@@ -17,7 +18,7 @@ def test_kernels_are_left_in_the_cache_and_those_that_do_not_fit_are_counted(tmp
     absent = FIRST._replace(name="absent")
     assert compile_ahead([FIRST, absent], progress=lambda done, count: seen.append((done, count))) == 1
     assert seen == [(1, 2), (2, 2)]
-    assert len(list(tmp_path.rglob("scheduling.plan_chunks*.nbc"))) == 1
+    assert len(list(tmp_path.rglob("order_statistics.count_below*.nbc"))) == 1
 
 
 def test_the_dearest_kernels_of_all_stages_come_first(monkeypatch):
