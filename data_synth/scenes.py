@@ -13,7 +13,7 @@ from .scenery.foliage import branches, leaf_mass
 from .scenery.textures import bricks, dead_leaves, fractal_noise, text_page
 from .surfaces import Patch, Scene, Sphere, box
 
-__all__ = ["SCENES", "blank", "clutter", "house", "periodic", "plane", "ramp", "slope"]
+__all__ = ["SCENES", "blank", "clutter", "edge", "house", "periodic", "plane", "ramp", "slope", "star"]
 
 # Texels are as wide as the pixels of the reference picture; on the flat everything is two to eight times coarser.
 # Beyond the largest side they widen, to bound memory.
@@ -136,6 +136,37 @@ def periodic(camera: Camera, *, ratio: float = -0.3, period: float = 0.5, seed: 
     return Scene("periodic", (_sheet(camera, ratio, np.repeat(pattern[..., None], 3, 2)),))
 
 
+def edge(camera: Camera, *, ratio: float = -0.3, angle: float = 5.0, seed: int = 0) -> Scene:
+    """Slanted edges, `angle` degrees off the columns, every four pitches: what resolution is measured on.
+
+    `seed` is accepted and not needed.
+    """
+    rows, columns, pitch = _grid(camera, ratio)
+    turn = np.radians(angle)
+    across = (columns * np.cos(turn) + rows * np.sin(turn)) / (4 * pitch)
+    # One texel of each edge is grey, in proportion: the edge lies between texels.
+    soft = np.clip(0.5 + (np.abs(across % 2 - 1) - 0.5) * 4 * pitch, 0, 1)
+    return _grey_sheet(camera, ratio, 0.15 + 0.6 * soft)
+
+
+def star(camera: Camera, *, ratio: float = -0.3, spokes: int = 36, seed: int = 0) -> Scene:
+    """A Siemens star of so many pairs of spokes about the middle of the flat. `seed` is accepted and not needed."""
+    rows, columns, _ = _grid(camera, ratio)
+    turn = np.arctan2(rows - rows.mean(), columns - columns.mean())
+    return _grey_sheet(camera, ratio, 0.45 + 0.3 * np.sin(spokes * turn))
+
+
+def _grid(camera: Camera, ratio: float) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Rows and columns of the texels of a sheet, and the pitch [texel]."""
+    height, width = _texels(camera, ratio)
+    rows, columns = np.mgrid[:height, :width].astype(float)
+    return rows, columns, camera.pitch * width / (camera.width + 2 * _margin(camera, ratio))
+
+
+def _grey_sheet(camera: Camera, ratio: float, grey: NDArray[np.float64]) -> Scene:
+    return Scene("chart", (_sheet(camera, ratio, np.repeat(grey.astype(np.float32)[..., None], 3, 2)),))
+
+
 SCENES: dict[str, Callable[..., Scene]] = {
     "house": house,
     "plane": plane,
@@ -144,6 +175,8 @@ SCENES: dict[str, Callable[..., Scene]] = {
     "ramp": ramp,
     "blank": blank,
     "periodic": periodic,
+    "edge": edge,
+    "star": star,
 }
 
 
