@@ -35,7 +35,6 @@ from .plane_depth import confirm_on_plane, find_plane_of_few, fit_regular_plane,
 from .planes.detection import find_plane
 from .planes.settings import DETECTION
 from .presets import PRESETS, Preset
-from .same_surface import same_surface
 from .settings import ESTIMATE, PIPELINE
 from .surface.densify import densify
 from .surface.second_layer import find_second_layer
@@ -247,7 +246,7 @@ def _complete_depth(
     settled = None if kept is None else ~dilate_mask(~kept, neighbour_rows(lattice, lattice.steps))
     flat, noise = chosen.texture.flat, chosen.texture.noise
     surface = densify(flat, lattice, filled, seconds, weight, noise, options.surface_cells, settled, old)
-    depth = _assign_depths(chosen, estimates, filled, seconds, surface, preset, saved)
+    depth = _assign_depths(chosen, estimates, filled, surface, preset, saved)
     return depth, UnsmoothedEstimates(single.patch_size, single.standard_error, single.systematic_error)
 
 
@@ -255,24 +254,17 @@ def _assign_depths(
     chosen: _Selection,
     estimates: LensEstimates,
     filled: NDArray[np.float32],
-    seconds: NDArray[np.float32],
     surface: Surface,
     preset: str,
     saved: dict[str, float],
 ) -> DepthMap:
-    """The depth map; a lens that sees two depths gets the one that the surface has at its centre."""
-    lattice, gap, resolved = chosen.lattice, chosen.gap, estimates.resolved
-    centres, sure, error = lattice.centres(), estimates.confidence, estimates.standard_error
-    middle = surface.at(centres)
-    swapped = resolved & ~same_surface(middle, filled, gap) & same_surface(middle[:, None], seconds, gap).any(1)
-    swapped[swapped] = _is_level(surface, centres[swapped], middle[swapped], gap)
-    if chosen.kept is not None:
-        swapped &= ~chosen.kept
+    """The depth map of the lenses, with the `surface`."""
+    lattice, resolved, sure = chosen.lattice, estimates.resolved, estimates.confidence
     return DepthMap(
-        patch_size=np.where(swapped, middle, np.where(resolved, estimates.patch_size, np.nan)),
-        standard_error=np.where(swapped, np.maximum(error, estimates.match.step), np.where(resolved, error, np.inf)),
-        confidence=np.where(swapped | ~resolved, CLASSIFY.sure * sure, sure),
-        filled_patch_size=np.where(swapped, middle, filled),
+        patch_size=np.where(resolved, estimates.patch_size, np.nan),
+        standard_error=np.where(resolved, estimates.standard_error, np.inf),
+        confidence=np.where(resolved, sure, CLASSIFY.sure * sure),
+        filled_patch_size=filled,
         surface=surface,
         pitch=lattice.pitch,
         image_size=lattice.image_size,
@@ -342,16 +334,6 @@ def _embed_all(
         all_filled[:] = ESTIMATE.default_ratio * lattice.pitch
     all_filled[rows], all_seconds[rows] = filled, seconds
     return whole, all_filled, all_seconds
-
-
-def _is_level(
-    surface: Surface, centres: NDArray[np.float64], middle: NDArray[np.float32], gap: float
-) -> NDArray[np.bool_]:
-    """Lenses around whose centre the surface stays at its value there, to all sides."""
-    level = np.ones(len(middle), bool)
-    for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
-        level &= same_surface(surface.at(centres + np.array([x, y]) * surface.spacing), middle, gap)
-    return level
 
 
 def _saved_work(shortcuts: Shortcuts, chosen: _Selection, estimates: LensEstimates) -> dict[str, float]:
