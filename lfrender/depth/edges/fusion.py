@@ -16,7 +16,7 @@ _VIEWS = 5
 _DEPTHS = 8
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _central_lenses(lenses, x, y, near, distance2):
     """Rows of the lenses nearest to scene point (x, y), the nearest first; returns how many there are."""
     inverse, origin, rows, low = lenses.inverse, lenses.origin, lenses.rows, lenses.low
@@ -41,7 +41,7 @@ def _central_lenses(lenses, x, y, near, distance2):
     return found
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _vote(pixels, lenses, near, distance2, found, x, y, s, width):
     """Share of the lenses that show scene point (x, y) at depth `s`, and the mean patch size that they show."""
     slope, share, total, size = s / lenses.pitch, 0.0, 0.0, 0.0
@@ -60,7 +60,7 @@ def _vote(pixels, lenses, near, distance2, found, x, y, s, width):
     return share / (total + 0.1), size / share if share > 0 else s
 
 
-@njit(cache=True, nogil=True, share=lambda pixels, lenses, surface, *_: len(surface))
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda pixels, lenses, surface, *_: len(surface))
 def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: PointGrid, several, reach, width, least,
                       out):  # fmt: skip
     """Fill `out` with the nearest depth that most of the central lenses show at each scene point.

@@ -68,7 +68,7 @@ class _Microimage(NamedTuple):
     jumps: Any  # (4, size, size) price of a depth edge to the neighbour in each of four directions
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _make_work_space(size):
     return _Microimage(
         np.zeros((size, size), np.bool_), np.zeros((size, size, _DEPTHS), np.float32),
@@ -80,7 +80,7 @@ def _make_work_space(size):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _list_depths(surface, grid, x, y, lenses, reach, depths):
     """Patch sizes of the surface that the lens at (x, y) may show, in `depths`; returns how many there are."""
     rows, columns = surface.shape
@@ -108,7 +108,7 @@ def _list_depths(surface, grid, x, y, lenses, reach, depths):
     return found
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _is_settled(before, px, py, gap):
     """Whether the first round found one surface on all pixels around this one."""
     if before.size == 1:
@@ -121,7 +121,7 @@ def _is_settled(before, px, py, gap):
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _list_candidates(x, y, left, top, size, surface, grid, levels, lenses, depths, number, before, c, work, shape):
     """Fill `work` with the depths that each pixel may show; returns whether there is a choice anywhere."""
     first, spacing, pitch, radius = grid.first, grid.spacing, lenses.pitch, lenses.radius
@@ -159,7 +159,7 @@ def _list_candidates(x, y, left, top, size, surface, grid, levels, lenses, depth
     return choice
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _describe_patches(image, left, top, size, c, work):
     """Weights of the 3 x 3 pixels around each open pixel, which are few across edges, and the mismatch allowed."""
     for row in range(size):
@@ -241,7 +241,7 @@ def _compare_lens(image, other_x, other_y, to_x, to_y, mark, left, top, size, k,
             work.count[row, column] += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _mean_of_best(views, count, share):
     """Mean of the `share` of the first `count` values that are the least; they are sorted."""
     if count == 0:
@@ -256,7 +256,7 @@ def _mean_of_best(views, count, share):
     return views[:number].sum() / number + _FEW_COST * max(0, _FEW - count)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _compare_depth(image, lens, k, depth, share, mark, left, top, size, lenses, before, work):
     """Add the mismatch with the other lenses to the costs of depth k; returns the last mark in `work.stamp`."""
     rows, low, ring, centres = lenses.rows, lenses.low, lenses.ring, lenses.centres
@@ -285,7 +285,7 @@ def _compare_depth(image, lens, k, depth, share, mark, left, top, size, lenses, 
     return mark
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _price_jumps(image, left, top, size, c, work):
     """Prices of depth edges between neighbouring pixels: lower where their colours differ."""
     for direction in range(4):
@@ -303,7 +303,7 @@ def _price_jumps(image, left, top, size, c, work):
                     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _aggregate_line(work, size, number, gap, slant, v, u, down, across):
     """Add one path of semi-global matching, from pixel (u, v) on, to the total."""
     previous, current = np.zeros(number, np.float32), np.zeros(number, np.float32)
@@ -338,7 +338,7 @@ def _aggregate_line(work, size, number, gap, slant, v, u, down, across):
         v, u = v + down, u + across
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _aggregate(size, number, lenses, c, work):
     """Semi-global matching along eight directions inside a microimage."""
     work.total[:size, :size] = 0
@@ -355,7 +355,7 @@ def _aggregate(size, number, lenses, c, work):
                     _aggregate_line(work, size, number, lenses.gap, c.slant, start, u, down, across)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _measure_lens(lens, image, lenses, surface, grid, levels, before, c, work, mark, out):
     """Fill `out` with the patch sizes of the pixels of one lens; returns the last mark in `work.stamp`."""
     pitch, radius = lenses.pitch, lenses.radius
@@ -391,7 +391,7 @@ def _measure_lens(lens, image, lenses, surface, grid, levels, before, c, work, m
     return mark
 
 
-@njit(cache=True, nogil=True, share=lambda image, lenses, *_: len(lenses.centres))
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda image, lenses, *_: len(lenses.centres))
 def measure_pixel_depths(begin, end, image, lenses: LensArray, surface, grid: PointGrid, levels, before,
                          c: PixelCosts, out):  # fmt: skip
     """Fill `out` (H, W) with the patch size [px] that each pixel of the microimages shows.
