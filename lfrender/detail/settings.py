@@ -43,7 +43,7 @@ class DefocusSettings:
 
 @dataclass(frozen=True)
 class RestoreSettings:
-    """Tuned values of `restore`; chosen on s2_sq, s3_r5 and six simulated scenes."""
+    """Tuned values of `restore`; chosen watching s2_sq, s3_r5, s4b_tspc, s5b_tspc and six simulated scenes."""
 
     slope: float = 3.0  # of the power spectrum of the detail that is expected
     mismatch: float = 0.005  # share of the power in which lenses differ at any frequency
