@@ -15,8 +15,8 @@ from ..flat.texture import Texture
 from .matching.matcher import Matcher, MatchResult, match_lenses
 from .presets import Preset
 from .refinement.lens_plane import LensFits
+from .refinement.neighbour_prior import refine_patch_sizes
 from .refinement.quadratic_fit import fit_quadratic
-from .refinement.restarts import refine_patch_sizes
 from .refinement.smoothing import smooth_fits, smooth_fits_far
 from .settings import ESTIMATE, EstimateSettings
 from .validity.classify import (
@@ -250,7 +250,7 @@ def _refine(
     occurring: NDArray[np.float32],
     settings: EstimateSettings,
 ) -> tuple[LensFits, NDArray, NDArray, MatchResult]:
-    """Refine the lenses `wanted` (n,) on their pixels: fits, patch sizes and their errors, and the match.
+    """Refine the lenses `wanted` (n,) on their pixels: each alone, and patch sizes and errors with their neighbours.
 
     The second-best match is tried as well where it is one of those `occurring` (m,) [px]; where it is better the match
     is swapped. Other lenses keep the match, with an infinite error.
@@ -262,14 +262,15 @@ def _refine(
     occurs = wanted & occurs_among(match.second, occurring, settings.second_gap * lenses.pitch)
     as_good = match.second_normalised >= settings.second_share * match.normalised_correlation
     second = np.where(occurs & as_good, match.second, np.nan)
-    own = refine_patch_sizes(
+    fits = refine_patch_sizes(
         downsample(texture.flat, factor), lenses.forward, lenses.backward, first, (second / factor).astype(np.float32),
         lenses.usual_contrast, texture.noise / factor, preset.iterations, preset.last_step,
-    ).larger(factor)  # fmt: skip
-    measured = np.isfinite(own.patch_size)
-    refined = np.where(measured, own.patch_size, match.patch_size)
+    )  # fmt: skip
+    own, joint = (fit.larger(factor) for fit in fits)
+    measured = np.isfinite(joint.patch_size)
+    refined = np.where(measured, joint.patch_size, match.patch_size)
     swapped = np.abs(own.patch_size - second) < np.abs(own.patch_size - match.patch_size)
-    return own, refined, np.where(measured, own.standard_error, np.inf), match.swap_second(swapped)
+    return own, refined, np.where(measured, joint.standard_error, np.inf), match.swap_second(swapped)
 
 
 def _classify(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ..same_surface import TOLERANCE
 
 __all__ = [
-    "DefocusSettings", "LensPlaneSettings", "PairFitSettings", "QuadraticFitSettings", "RestartSettings",
+    "DefocusSettings", "LensPlaneSettings", "NeighbourPriorSettings", "PairFitSettings", "QuadraticFitSettings",
     "SmoothingSettings",
 ]  # fmt: skip
 
@@ -61,8 +61,8 @@ class LensPlaneSettings:
 
 
 @dataclass(frozen=True)
-class RestartSettings:
-    """Tuned values of `restarts`."""
+class NeighbourPriorSettings:
+    """Tuned values of `neighbour_prior`."""
 
     usable_error: float = 0.3  # [px] lenses with larger standard errors predict nothing for others
     doubtful_error: float = 0.15  # [px] lenses above it are fitted again from other starts
@@ -72,6 +72,8 @@ class RestartSettings:
     far_patch_size: float = 0.45  # [pitch] beyond it neighbours share few pixels, and weak texture biases matches
     bias: float = 0.06  # [pitch] by about so much those matches fall short
     clearly_better: float = 0.7  # share of the error at which a fit from another match replaces the first
+    correlation: float = 0.5  # of the errors of a lens and of its prediction: neighbouring lenses share pairs
+    least_spread: float = 0.01  # [px] standard deviation of a prediction, at least
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,9 @@ def classify_lenses(
     faint = (reason > 1) & (found.correlation < settings.shared) & (signal < settings.faint_signal)
     reason[faint] = 1
     for _ in range(2):
-        reason[_alone_and_weak(reason == 0, found, refined, signal, neighbours, pitch, settings)] = 1
+        blank = _alone_and_weak(reason == 0, found, refined, signal, neighbours, pitch, settings)
+        reason[blank] = 1
+        faint |= blank
     error = inflate_errors(error, correlation, settings.uncertainty)
     sure = np.where(textured & ~faint, np.minimum(found.confidence, found.uniqueness), 0)
     sure = combine_confidence(sure, refined, error, correlation, neighbours, pitch, settings.uncertainty)

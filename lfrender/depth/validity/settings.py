@@ -53,7 +53,7 @@ class ClassifySettings:
     faint_signal: float = 1 - 1 / 5**2  # signal share of a contrast of five times the noise: less may be file coding
     by_chance: float = 0.4  # correlation that unrelated content reaches at some shift
     alone: int = 1  # neighbours at the depth of a lens, at most, of one that must prove it
-    weak_contrast: float = 0.8  # [contrast of the median lens] and has less; right ones, alone, have 0.8 and more
+    weak_contrast: float = 0.6  # [contrast of the median lens] and has less; right ones, alone, have 0.8 and more
     hardly_shared: float = 0.6  # [pitch] beyond this patch size,
     agreeing_error: float = 0.02  # [pitch] pairs must agree to this: unrelated content scatters
     uncertainty: UncertaintySettings = UncertaintySettings()

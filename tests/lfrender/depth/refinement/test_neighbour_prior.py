@@ -1,8 +1,8 @@
-"""Doubtful lenses are fitted again from other start values."""
+"""Patch sizes of lenses refined with what their neighbours predict."""
 
 import numpy as np
 
-from lfrender.depth.refinement.restarts import refine_patch_sizes
+from lfrender.depth.refinement.neighbour_prior import refine_patch_sizes
 from lfrender.flat.lens_graph import neighbour_rows
 
 
@@ -11,7 +11,9 @@ def measured(gray, lattice, start, second=np.nan):
     half = rows.shape[1] // 2
     scale = np.full(len(start), 0.1, np.float32)
     second = np.broadcast_to(np.float32(second), len(start))
-    return refine_patch_sizes(gray, rows[:, :half], rows[:, half:], start.astype(np.float32), second, scale, 0.005, 6)
+    return refine_patch_sizes(gray, rows[:, :half], rows[:, half:], start.astype(np.float32), second, scale, 0.005, 6)[
+        1
+    ]
 
 
 def test_a_lens_that_starts_far_off_is_brought_back_by_its_neighbours(drawn_flat):

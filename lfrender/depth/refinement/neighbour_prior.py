@@ -1,11 +1,14 @@
-"""Sub-pixel patch size of each lens from its pairs; doubtful lenses are fitted again from other start values."""
+"""Sub-pixel patch size of each lens from its pairs, combined with the patch size that its neighbours predict.
+
+The prediction is used twice: as another start value for doubtful lenses, and as a prior for all.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal.runtime.fastmath import FAST
+from lfcal.runtime.fastmath import FAST, square
 from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
@@ -13,11 +16,11 @@ from ...flat.lens_graph import join_opposite
 from ..same_surface import same_surface
 from .lens_plane import LensFits, fit_lens_planes
 from .pair_fit import fit_pairs
-from .settings import RestartSettings
+from .settings import NeighbourPriorSettings
 
 __all__ = ["refine_patch_sizes"]
 
-_DEFAULT = RestartSettings()
+_DEFAULT = NeighbourPriorSettings()
 
 
 @njit(cache=True, nogil=True)
@@ -34,12 +37,14 @@ def _median(values, count, ordered):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda centres, *_: len(centres))
-def _predict(begin, end, centres, pitch, neighbours, sizes, errors, slants, usable_error, outlier, about, reach, means):
-    """Fill `means` with the mean of what neighbours predict within `reach` of `about`; NaN where no neighbour has an
-    error below `usable_error`."""
+def _predict(
+    begin, end, centres, pitch, neighbours, sizes, errors, slants, usable_error, outlier, about, reach, means, spreads
+):
+    """Fill `means` and `spreads` with the mean and standard deviation of what neighbours predict within `reach` of
+    `about`; NaN where no neighbour has an error below `usable_error`, the deviation also where fewer than three do."""
     most = neighbours.shape[1]
     for lens in range(begin, end):
-        means[lens] = np.nan
+        means[lens] = spreads[lens] = np.nan
         values, apart = np.empty(most, np.float32), np.empty(most, np.float32)
         ordered = np.empty(most, np.float32)
         count = 0
@@ -59,13 +64,16 @@ def _predict(begin, end, centres, pitch, neighbours, sizes, errors, slants, usab
         for k in range(count):
             apart[k] = abs(values[k] - median)
         limit = max(outlier, np.float32(3 * 1.48) * _median(apart, count, ordered))
-        total = np.float32(0.0)
+        total = squares = np.float32(0.0)
         kept = 0
         for k in range(count):
             if same_surface(values[k], median, limit):
                 total += values[k] - median
+                squares += square(values[k] - median)
                 kept += 1
         means[lens] = median + total / kept
+        if kept > 2:
+            spreads[lens] = np.sqrt(max((squares - total * total / kept) / (kept - 1), np.float32(0.0)))
 
 
 def _predicted(
@@ -73,16 +81,16 @@ def _predicted(
     neighbours: NDArray[np.int32],
     fits: LensFits,
     about: NDArray[np.float32],
-    settings: RestartSettings,
-) -> NDArray[np.float32]:
-    """(n,) [px] patch size that neighbours, extended as planes, predict within `settings.nearby_start` of `about`."""
-    means = np.empty(len(about), np.float32)
-    reach = np.float32(settings.nearby_start * gray.pitch)
+    reach: float,
+    settings: NeighbourPriorSettings,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Patch size (n,) [px] that neighbours, extended as planes, predict within `reach` of `about`, and its error."""
+    means, spreads = np.empty(len(about), np.float32), np.empty(len(about), np.float32)
     _predict(
         gray.centres, np.float32(gray.pitch), neighbours, fits.patch_size, fits.standard_error, fits.slant,
-        np.float32(settings.usable_error), np.float32(settings.outlier), about, reach, means,
+        np.float32(settings.usable_error), np.float32(settings.outlier), about, np.float32(reach), means, spreads,
     )  # fmt: skip
-    return means
+    return means, np.hypot(spreads, np.float32(settings.least_spread))
 
 
 def refine_patch_sizes(
@@ -95,9 +103,9 @@ def refine_patch_sizes(
     noise: float,
     iterations: int,
     last_step: float | None = None,
-    settings: RestartSettings = _DEFAULT,
-) -> LensFits:
-    """Sub-pixel patch size of each lens from its own pairs.
+    settings: NeighbourPriorSettings = _DEFAULT,
+) -> tuple[LensFits, LensFits]:
+    """Sub-pixel patch size of each lens from its own pairs, and the same with the prior of its neighbours.
 
     Doubtful lenses are fitted again from what their neighbours predict, from a larger patch size where matches are
     biased, and from the second-best match; the fit with the smaller error is kept. The best match is the mean over all
@@ -120,7 +128,7 @@ def refine_patch_sizes(
         Of each fit of a pair, at most.
     last_step : float [px of `gray`], optional
         As `fit_pairs`.
-    settings : RestartSettings
+    settings : NeighbourPriorSettings
     """
     neighbours = join_opposite(forward, backward)
 
@@ -129,7 +137,7 @@ def refine_patch_sizes(
         return fit_lens_planes(gray, forward, backward, pairs, start)
 
     first = fit(start)
-    predicted = _predicted(gray, neighbours, first, start, settings)
+    predicted, _ = _predicted(gray, neighbours, first, start, settings.nearby_start * gray.pitch, settings)
     near = np.abs(predicted - first.patch_size) < np.maximum(settings.tolerated, first.standard_error)
     settled = (first.standard_error < settings.doubtful_error) | near
     own = first if settled.all() else _better_of(first, fit(np.where(settled, np.nan, predicted).astype(np.float32)))
@@ -140,7 +148,8 @@ def refine_patch_sizes(
         if doubtful.any():
             again = fit(np.where(doubtful, other, np.nan).astype(np.float32))
             own = _better_of(own, again, settings.clearly_better)
-    return own
+    prior = _predicted(gray, neighbours, own, own.patch_size, np.inf, settings)
+    return own, _combine(own, *prior, settings.correlation)
 
 
 def _better_of(one: LensFits, other: LensFits, share: float = 1.0) -> LensFits:
@@ -152,3 +161,22 @@ def _better_of(one: LensFits, other: LensFits, share: float = 1.0) -> LensFits:
         np.where(better[:, None], other.slant, one.slant),
         np.where(better, other.slant_error, one.slant_error),
     )
+
+
+def _combine(
+    own: LensFits, predicted: NDArray[np.float32], spread: NDArray[np.float32], correlation: float
+) -> LensFits:
+    """Weighted mean of own and predicted patch sizes if they differ by less than three standard deviations."""
+    error = own.standard_error
+    with np.errstate(invalid="ignore"):
+        agree = np.abs(predicted - own.patch_size) < 3 * np.hypot(spread, error)
+        weight = np.where(agree & np.isfinite(error), error**2 / (error**2 + spread**2), 0)
+        joint = (1 - weight) ** 2 * error**2 + weight**2 * spread**2
+        joint += 2 * np.float32(correlation) * weight * (1 - weight) * error * spread
+        patch_size = np.where(weight > 0, own.patch_size + weight * (predicted - own.patch_size), own.patch_size)
+        return LensFits(
+            patch_size.astype(np.float32),
+            np.where(weight > 0, np.sqrt(joint), error).astype(np.float32),
+            own.slant,
+            own.slant_error,
+        )
