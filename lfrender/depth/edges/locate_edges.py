@@ -61,6 +61,8 @@ def _measure(
         settings.foreign_cost, settings.absent_cost, 3 * settings.noise**2, settings.contrast_share,
         settings.same_colour**2, share, settings.occluded_share, settings.jump, settings.edge_share,
         settings.edge_colour**2, settings.slant, reach,
+        settings.least_patch_size * lenses.pitch, settings.unseen_cost, settings.few_views, settings.few_views_cost,
+        settings.settled,
     )  # fmt: skip
     pixels = np.full(image.shape[:2], np.nan, np.float32)
     levels = mark_levels(surface, lenses.pitch, reach / grid.spacing)

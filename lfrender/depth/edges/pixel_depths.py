@@ -23,14 +23,6 @@ __all__ = ["PixelCosts", "measure_pixel_depths"]
 _DEPTHS = 16
 _VIEWS = 10
 _BINS = 512
-# [pitch] smallest patch size: beyond, a microimage spans more lenses than are looked at.
-_LEAST = 0.02
-# Mismatch of a pixel that no other lens shows; price of each lens that is missing to a few. Set by hand.
-_UNSEEN = 0.6
-_FEW_COST = 0.05
-_FEW = 3
-# Pixels each way around one that show one surface in the first round: it is not looked at again.
-_AROUND = 2
 
 
 class PixelCosts(NamedTuple):
@@ -48,6 +40,11 @@ class PixelCosts(NamedTuple):
     edge2: Any
     slant: Any
     reach: Any  # [px]
+    least: Any  # [px]
+    unseen: Any
+    few: Any
+    few_cost: Any
+    around: Any
 
 
 class _Microimage(NamedTuple):
@@ -109,13 +106,13 @@ def _list_depths(surface, grid, x, y, lenses, reach, depths):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _is_settled(before, px, py, gap):
+def _is_settled(before, px, py, around, gap):
     """Whether the first round found one surface on all pixels around this one."""
     if before.size == 1:
         return False
     s, height, width = before[py, px], before.shape[0], before.shape[1]
-    for v in range(max(0, py - _AROUND), min(height, py + _AROUND + 1)):
-        for u in range(max(0, px - _AROUND), min(width, px + _AROUND + 1)):
+    for v in range(max(0, py - around), min(height, py + around + 1)):
+        for u in range(max(0, px - around), min(width, px + around + 1)):
             if abs(before[v, u] - s) > gap:
                 return False
     return True
@@ -135,11 +132,11 @@ def _list_candidates(x, y, left, top, size, surface, grid, levels, lenses, depth
                 dx * dx + dy * dy <= radius * radius and 1 <= px < shape[1] - 1 and 1 <= py < shape[0] - 1
             )
             among = 0
-            settled = work.inside[row, column] and _is_settled(before, px, py, lenses.gap)
+            settled = work.inside[row, column] and _is_settled(before, px, py, c.around, lenses.gap)
             for k in range(number):
                 s = depths[k]
-                if abs(s) < _LEAST * pitch:
-                    s = _LEAST * pitch if s > 0 else -_LEAST * pitch
+                if abs(s) < c.least:
+                    s = c.least if s > 0 else -c.least
                 at_x, at_y = x - dx * pitch / s, y - dy * pitch / s
                 here = value_at(surface, first, spacing, at_x, at_y)
                 own = abs(here - s) < lenses.gap
@@ -242,10 +239,10 @@ def _compare_lens(image, other_x, other_y, to_x, to_y, mark, left, top, size, k,
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mean_of_best(views, count, share):
+def _mean_of_best(views, count, share, c):
     """Mean of the `share` of the first `count` values that are the least; they are sorted."""
     if count == 0:
-        return _UNSEEN
+        return c.unseen
     for n in range(1, count):
         value, place = views[n], n
         while place > 0 and views[place - 1] > value:
@@ -253,11 +250,11 @@ def _mean_of_best(views, count, share):
             place -= 1
         views[place] = value
     number = max(1, int(share * count + 0.5))
-    return views[:number].sum() / number + _FEW_COST * max(0, _FEW - count)
+    return views[:number].sum() / number + c.few_cost * max(0, c.few - count)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _compare_depth(image, lens, k, depth, share, mark, left, top, size, lenses, before, work):
+def _compare_depth(image, lens, k, depth, share, mark, left, top, size, lenses, before, c, work):
     """Add the mismatch with the other lenses to the costs of depth k; returns the last mark in `work.stamp`."""
     rows, low, ring, centres = lenses.rows, lenses.low, lenses.ring, lenses.centres
     at_i, at_j = lenses.indices[lens, 0] - low[0], lenses.indices[lens, 1] - low[1]
@@ -281,7 +278,7 @@ def _compare_depth(image, lens, k, depth, share, mark, left, top, size, lenses, 
     for row in range(size):
         for column in range(size):
             if work.open[row, column] and work.present[row, column, k]:
-                work.cost[row, column, k] += _mean_of_best(work.views[row, column], work.count[row, column], share)
+                work.cost[row, column, k] += _mean_of_best(work.views[row, column], work.count[row, column], share, c)
     return mark
 
 
@@ -376,7 +373,7 @@ def _measure_lens(lens, image, lenses, surface, grid, levels, before, c, work, m
                 nearest = k
         for k in range(number):
             share = c.open_share if k == nearest or before.size > 1 else c.occluded_share
-            mark = _compare_depth(image, lens, k, depths[k], share, mark, left, top, size, lenses, before, work)
+            mark = _compare_depth(image, lens, k, depths[k], share, mark, left, top, size, lenses, before, c, work)
         _price_jumps(image, left, top, size, c, work)
         _aggregate(size, number, lenses, c, work)
     for row in range(size):

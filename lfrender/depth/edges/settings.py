@@ -17,6 +17,11 @@ class EdgeSettings:
     noise: float = 0.02  # [white] difference of two pixels that is no mismatch, at least
     contrast_share: float = 2.0  # of the variance of a patch by which patches may differ: blur and resampling
     same_colour: float = 0.3  # [white] pixels of a patch that differ by more from its centre hardly count
+    least_patch_size: float = 0.02  # [pitch] a smaller one counts as this: its microimage spans too many lenses
+    unseen_cost: float = 0.6  # mismatch of a pixel that no other lens shows; set by hand
+    few_views: int = 3  # lenses that should show a pixel, and what the mismatch grows by for each that is
+    few_views_cost: float = 0.05  # missing; set by hand
+    settled: int = 2  # [px] a pixel with one surface so far around it in the first round is not looked at again
     open_share: float = 0.8  # first round: share of the views that must show the nearest depth: nothing occludes it
     occluded_share: float = 0.6  # first round: the same for depths behind it
     visible_share: float = 0.9  # second round: share of the views that nothing known occludes
