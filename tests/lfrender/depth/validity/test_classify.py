@@ -57,7 +57,8 @@ def test_weak_lens_alone_at_its_depth_has_too_little_texture_but_a_clear_one_is_
     signal[weak] = 0.91
     none = np.zeros(49, np.float32)
     found = MatchResult(sizes, match, match, match, np.ones(49), match, none, sizes * np.nan, match, match, 1.0, 0.0)
-    reason = classify_lenses(
-        np.ones(49, bool), found, sizes, np.full(49, 0.05), signal, centres, neighbours, 20.0
-    )[0]  # fmt: skip
+    errors = np.full(49, 0.05)
+    reason, _, sure = classify_lenses(np.ones(49, bool), found, sizes, errors, signal, centres, neighbours, 20.0)
     assert reason[weak] == 1 and reason[clear] == 0 and (reason == 0).sum() == 48
+    # As all lenses without texture.
+    assert sure[weak] == 0 and (np.delete(sure, weak) > 0).all()
