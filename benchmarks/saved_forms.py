@@ -1,7 +1,8 @@
 """Captures saved in other ways: `python -m benchmarks.saved_forms FLAT...`.
 
 Each colour flat of 8 bits is calibrated and analysed as it is, and with other gammas, darker, noisy, gray, smaller,
-turned, mirrored, compressed, and in 16 bits with a sixteenth and a sixtieth of the light. Printed are how far the
+turned, mirrored, compressed, and in 16 bits with a sixteenth and a sixtieth of the light; other flats as they are,
+turned, mirrored, and with less light. Printed are how far the
 centres of each form lie from those of the flat as it is, the share of the textured lenses in the mode that most lenses
 of the flat as it is have, and the resolved lenses over those of the flat as it is, or why a form was refused.
 """
@@ -48,7 +49,7 @@ def _compressed(quality: int) -> _Form:
 
 
 def _dim(divisor: int) -> _Form:
-    return lambda flat: np.rint(flat * (257.0 / divisor)).astype(np.uint16)
+    return lambda flat: np.rint(flat * (65535 / np.iinfo(flat.dtype).max / divisor)).astype(np.uint16)
 
 
 _FORMS: dict[str, tuple[_Form, _Places]] = {
@@ -72,6 +73,9 @@ _FORMS: dict[str, tuple[_Form, _Places]] = {
 }
 
 
+_OF_ANY_TYPE = ("as it is", "16 bits", "turned", "mirrored")
+
+
 def _off(lattice: lfcal.Lattice, centres: NDArray[np.float64]) -> float:
     """RMS distance of centres from the nearest of a lattice, in pitches."""
     away = lattice.to_index(centres)
@@ -84,7 +88,10 @@ def main(paths: list[str]) -> None:
         flat = lfcal.read_flat(path)
         height, width = flat.shape[:2]
         centres, usual, resolved = np.empty((0, 2)), 0, 1.0
+        any_form = flat.dtype == np.uint8 and flat.ndim == 3
         for name, (form, places) in _FORMS.items():
+            if not any_form and not name.startswith(_OF_ANY_TYPE):
+                continue
             saved, head = form(flat), f"{path.split('/')[-1]:26} {name:22}"
             try:
                 camera = lfcal.calibrate(saved)

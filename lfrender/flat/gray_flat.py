@@ -38,6 +38,8 @@ class GrayFlat:
     pitch : float [px of `image`]
     lens_type : (n,) int8, optional
         Types of the lenses, if they are focused at different depths.
+    rounding : float [white]
+        Standard deviation that rounding to the integers of the flat leaves at least, 0 for floats.
     """
 
     image: NDArray[np.float32]
@@ -45,6 +47,7 @@ class GrayFlat:
     radius: float
     pitch: float
     lens_type: NDArray[np.int8] | None = None
+    rounding: float = 0.0
 
 
 def correction_tables(calibration: Calibration) -> tuple[NDArray[np.float32], float]:
@@ -263,7 +266,8 @@ def make_gray_flat(
         _fill_unlit(centres, np.float32(min(radius + GRAY.margin, apart)), light, image)
     types = calibration.lens_types
     lens_type = None if types is None else types.of(calibration.lattice.indices())
-    return GrayFlat(image, centres, radius, lattice.pitch, lens_type)
+    rounding = GRAY.rounding / (factor * white_level(flat, calibration)) if flat.dtype.kind in "ui" else 0.0
+    return GrayFlat(image, centres, radius, lattice.pitch, lens_type, rounding)
 
 
 def downsample_lattice(lattice: Lattice, factor: int) -> Lattice:
@@ -376,7 +380,8 @@ def downsample(gray: GrayFlat, factor: int, wanted: NDArray[np.bool_] | None = N
 
     def describe(image: NDArray[np.float32]) -> GrayFlat:
         centres = ((gray.centres + 0.5) / factor - 0.5).astype(np.float32)
-        return GrayFlat(image, centres, gray.radius / factor - GRAY.mixed, gray.pitch / factor, gray.lens_type)
+        radius, pitch = gray.radius / factor - GRAY.mixed, gray.pitch / factor
+        return GrayFlat(image, centres, radius, pitch, gray.lens_type, gray.rounding / factor)
 
     def make() -> GrayFlat:
         image = np.empty(shape, np.float32)

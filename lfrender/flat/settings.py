@@ -42,7 +42,7 @@ class GrayFlatSettings:
     bright: float = 0.99  # [quantile] of the pixels, which that brightness is
     octave: int = 4  # steps of the white level within a factor of two
     dim: float = 1.0  # powers of two by which the white level can be lowered, from which on a flat is dim
-    least_steps: int = 255  # of an integer type up to white: fewer are lost in rounding
+    rounding: float = 12**-0.5  # [levels] standard deviation of rounding to integers
     table_size: int = 512  # samples of the vignetting table, over the squared distance
 
 
@@ -67,7 +67,7 @@ class TextureSettings:
     least_contrast: float = 0.01  # [brightness] of the middle; less is lost in the rounding of 8 bits
     borderline: float = 1.5  # factor that shading hardly changes the contrast by
     smoothest: float = 0.02  # [share of the lenses] that are no rougher than noise
-    grey_level: float = 1 / 255  # [white] least noise: rounding and compression
+    grey_level: float = 1 / 255  # [white] least noise: compression, and rounding of 8 bits
     least_radius: float = 6.0  # [px] of microimages whose statistics can be sampled by rows
     sampled_pixels: int = 260  # of a lens, enough to tell whether it has texture
     widest_step: int = 4  # [rows] between sampled rows

@@ -39,7 +39,7 @@ class LensStatistics:
     central_contrast : (n,) float32
         Standard deviation in the middle, within 0.36 pitches of the centre.
     roughness : (n,) float32
-        RMS of what neither a plane nor a straight edge explains: noise, and the finest detail.
+        RMS of what neither a plane nor a straight edge explains: noise, rounding, and the finest detail.
     """
 
     mean: NDArray[np.float32]
@@ -185,6 +185,7 @@ def measure_statistics(
     wanted = np.ones(len(gray.centres), bool) if wanted is None else wanted
     middle = np.float32(min(gray.radius, settings.middle * gray.pitch))
     _measure(gray.image, gray.centres, wanted, np.float32(gray.radius), middle, row_step, out)
+    np.maximum(out[3], np.float32(gray.rounding), out=out[3])
     return LensStatistics(*out)
 
 

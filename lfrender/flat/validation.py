@@ -90,8 +90,6 @@ def match_exposure(rows: NDArray, calibration: Calibration, settings: GrayFlatSe
     white = min(highest, calibration.white_level or highest)
     gray = rows if rows.ndim == 2 else rows.mean(-1)
     top = max(float(np.quantile(gray, settings.bright)), 1e-6 * white)
-    if rows.dtype.kind != "f":
-        top = max(top, settings.least_steps / settings.headroom)
     power = np.floor(settings.octave * np.log2(max(white / (settings.headroom * top), 1.0))) / settings.octave
     if power < settings.dim:
         return calibration
