@@ -17,7 +17,8 @@ from ...flat.gray_flat import white_level
 from ..surface.settings import DensifySettings
 from .fusion import fuse_pixel_depths
 from .geometry import LensArray, PointGrid, lens_array, mark_levels
-from .pixel_depths import PixelCosts, measure_pixel_depths
+from .microimage import PixelCosts
+from .pixel_depths import measure_pixel_depths
 from .settings import DEFAULT, EdgeSettings
 
 __all__ = ["locate_edges"]

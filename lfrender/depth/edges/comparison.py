@@ -1,0 +1,165 @@
+"""How well the pixels of a microimage match those of other lenses, at one depth each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lfcal.runtime.kernels.jit import njit
+
+from ..surface.occlusion import depth_order
+from .microimage import LEFT_OUT
+
+__all__ = ["compare_depth", "describe_patches"]
+
+# Other lenses that a pixel is compared with, at most.
+_VIEWS = 10
+# Steps to the pixels of a patch: above, on the left, none, on the right, below.
+_DOWN = (-1, 0, 0, 0, 1)
+_ACROSS = (0, -1, 0, 1, 0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def describe_patches(image, left, top, size, c, work):
+    """Weights of an open pixel and the four beside it, which are less across edges, and the mismatch allowed."""
+    for row in range(size):
+        for column in range(size):
+            if not work.open[row, column]:
+                continue
+            px, py, total = left + column, top + row, np.float32(0.0)
+            weight = work.weight[:, row * size + column]
+            for e in range(5):
+                apart = np.float32(0.0)
+                for channel in range(3):
+                    step = image[py + _DOWN[e], px + _ACROSS[e], channel] - image[py, px, channel]
+                    apart += step * step
+                weight[e] = 1 / (1 + apart / (2 * c.colour2))
+                total += weight[e]
+            contrast = np.float32(0.0)
+            for e in range(5):
+                weight[e] /= total
+            for channel in range(3):
+                mean, squares = np.float32(0.0), np.float32(0.0)
+                for e in range(5):
+                    value = image[py + _DOWN[e], px + _ACROSS[e], channel]
+                    mean += weight[e] * value
+                    squares += weight[e] * value * value
+                contrast += squares - mean * mean
+            work.allowed[row * size + column] = c.contrast * contrast + c.noise2
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, _nrt=False)
+def _look_at_row(image, left, top, row, size, k, other_x, other_y, to_x, to_y, lenses, before, work):
+    """Fill a row of `apart` and `seen` for another lens, (to_x, to_y) from this one."""
+    height, width, pitch = image.shape[0], image.shape[1], lenses.pitch
+    radius2, wider2 = np.float32(lenses.radius**2), np.float32((lenses.radius + 2) ** 2)
+    # Pixel (column, row) is at the same place under the other lens if the slope is 0.
+    start_x, start_y = np.float32(left + to_x - other_x), np.float32(top + row + to_y - other_y)
+    centre_x, centre_y, to_x, to_y = np.float32(other_x), np.float32(other_y), np.float32(to_x), np.float32(to_y)
+    seen, apart, count = work.seen[row * size :], work.apart[row * size :], work.count[row * size :]
+    slopes = work.slope[k, row]
+    seen[:size] = 0
+    for column in range(work.columns[row, 0], work.columns[row, 1]):
+        dx, dy = start_x + np.float32(column) + to_x * slopes[column], start_y + to_y * slopes[column]
+        away, x, y = dx * dx + dy * dy, centre_x + dx, centre_y + dy
+        if away > wider2 or x < 2 or y < 2 or x >= width - 3 or y >= height - 3:
+            apart[column] = 0
+            continue
+        i, j = np.int32(x), np.int32(y)
+        fx, fy = x - np.float32(i), y - np.float32(j)
+        w11 = fx * fy
+        w01, w10 = fx - w11, fy - w11
+        w00 = np.float32(1.0) - fx - w10
+        squares = np.float32(0.0)
+        for channel in range(4):
+            step = w00 * image[j, i, channel] + w01 * image[j, i + 1, channel] + w10 * image[j + 1, i, channel]
+            step += w11 * image[j + 1, i + 1, channel] - image[top + row, left + column, channel]
+            squares += step * step
+        apart[column] = squares
+        if away <= radius2 and work.open[row, column] and count[column] < _VIEWS:
+            if before.size > 1:
+                there = before[np.int32(y + np.float32(0.5)), np.int32(x + np.float32(0.5))]
+                if depth_order(there, pitch) > depth_order(work.value[k, row, column], pitch) + lenses.gap:
+                    continue
+            seen[column] = 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def _add_lens(first, end, size, work):
+    """Add the mismatch of pixels `first` to `end` with another lens to what is known of them."""
+    seen, allowed, mismatch = work.seen[first:end], work.allowed[first:end], work.mismatch[first:end]
+    total, count = work.sum[first:end], work.count[first:end]
+    for p in range(end - first):
+        mismatch[p] = 0
+    for e in range(5):
+        weight, apart = work.weight[e, first:end], work.apart[first + _DOWN[e] * size + _ACROSS[e] :]
+        for p in range(end - first):
+            mismatch[p] += weight[p] * apart[p]
+    for p in range(end - first):
+        mismatch[p] *= seen[p] / (mismatch[p] + allowed[p])
+        total[p] += mismatch[p]
+        count[p] += seen[p]
+    for n in range(LEFT_OUT):
+        worst = work.worst[n, first:end]
+        for p in range(end - first):
+            worst[p], mismatch[p] = max(worst[p], mismatch[p]), min(worst[p], mismatch[p])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def _start_depth(k, size, work):
+    """Clear what is known of the comparison at depth k; returns whether any pixel may show it."""
+    some = False
+    for row in range(size):
+        first, end = size, 0
+        for beside in range(max(0, row - 1), min(size, row + 2)):
+            for column in range(size):
+                if work.open[beside, column] and work.present[k, beside, column]:
+                    first, end = min(first, column - 1), max(end, column + 2)
+        work.columns[row, 0], work.columns[row, 1] = max(0, first), min(size, end)
+        some = some or first < end
+    work.count[:], work.sum[:], work.worst[:] = 0, 0, 0
+    return some
+
+
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def _mean_of_best(p, share, c, work):
+    """Mean of the `share` of the mismatches of a pixel that are the least."""
+    count = int(work.count[p])
+    if count == 0:
+        return c.unseen
+    number, total = max(1, int(share * count + 0.5)), work.sum[p]
+    for n in range(count - number):
+        total -= work.worst[n, p]
+    return max(total, 0) / number + c.few_cost * max(0, c.few - count)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def compare_depth(image, lens, k, share, left, top, size, lenses, before, c, work):
+    """Add the mismatch with other lenses to the costs of depth k, for the pixels that may show it.
+
+    The least `share` of the mismatches counts. If `before` is known, lenses that it finds occluded are left out.
+    """
+    rows, low, ring, centres = lenses.rows, lenses.low, lenses.ring, lenses.centres
+    at_i, at_j = lenses.indices[lens, 0] - low[0], lenses.indices[lens, 1] - low[1]
+    if not _start_depth(k, size, work):
+        return
+    slope = work.depths[k] / lenses.pitch
+    for r in range(1, len(ring)):
+        ci, cj = at_i + ring[r, 0], at_j + ring[r, 1]
+        if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1] or rows[cj, ci] < 0:
+            continue
+        other_x, other_y = centres[rows[cj, ci], 0], centres[rows[cj, ci], 1]
+        to_x, to_y = other_x - centres[lens, 0], other_y - centres[lens, 1]
+        # The rows that both microimages show, a little more for pixels that show another depth.
+        more = lenses.radius + lenses.gap * (abs(to_x) + abs(to_y)) / lenses.pitch + 1
+        if np.hypot(to_x, to_y) * abs(slope) > lenses.radius + more:
+            continue
+        middle = centres[lens, 1] - to_y * slope - top
+        first, end = max(1, int(middle - more)), min(size - 1, int(middle + more) + 2)
+        for row in range(first, end):
+            _look_at_row(image, left, top, row, size, k, other_x, other_y, to_x, to_y, lenses, before, work)
+        if first < end:
+            _add_lens(first * size, end * size, size, work)
+    for row in range(size):
+        for column in range(size):
+            if work.open[row, column] and work.present[k, row, column]:
+                work.cost[k, row, column] += _mean_of_best(row * size + column, share, c, work)
