@@ -20,6 +20,7 @@ from .regularisation import aggregate, price_jumps
 
 __all__ = ["measure_pixel_depths"]
 
+
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _list_depths(surface, grid, x, y, lenses, reach, work):
     """Patch sizes of the surface that the lens at (x, y) may show, in `work.depths`; returns how many there are."""
