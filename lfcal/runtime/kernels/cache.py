@@ -32,7 +32,7 @@ _caches: WeakSet[_KernelCache] = WeakSet()
 def enable_cache(kernel: Kernel, dispatcher: Any) -> None:
     """Give a dispatcher the cache of its kernel; none where no folder can be written to."""
     with suppress(RuntimeError):
-        dispatcher._cache = _KernelCache(kernel)
+        dispatcher._cache = _KernelCache(kernel, dispatcher.only_linked)
 
 
 def release_locks() -> None:
@@ -43,11 +43,11 @@ def release_locks() -> None:
 
 
 class _KernelCache(FunctionCache):
-    def __init__(self, kernel: Kernel) -> None:
+    def __init__(self, kernel: Kernel, linked: bool) -> None:
         super().__init__(kernel.py_func)
         self._kernel = kernel
         module = kernel.__module__.rpartition(".")[2]
-        name = f"{module}.{kernel.__qualname__}".replace("<", "").replace(">", "")
+        name = f"{module}.{kernel.__qualname__}".replace("<", "").replace(">", "") + (".linked" if linked else "")
         version = f"py{sys.version_info[0]}{sys.version_info[1]}{getattr(sys, 'abiflags', '')}"
         # Without the number of the line, so that a kernel that has only moved is found again.
         self._cache_file = IndexDataCacheFile(self._cache_path, f"{name}.{version}", digest_kernel(kernel))

@@ -11,30 +11,31 @@ from numba.core import event
 
 from . import observers
 
-__all__ = ["announce_miss", "watch_compilation"]
+__all__ = ["announce_miss", "compiled_dispatcher", "watch_compilation"]
 
 
 class _Listener(event.Listener):
-    """Numba lets one thread compile at a time, so that one counter of nested calls is enough."""
+    """Numba lets one thread compile at a time, so that one list of nested calls is enough."""
 
-    depth = 0
+    def __init__(self) -> None:
+        self.nested: list[Any] = []
 
     def on_start(self, event: Any) -> None:
-        self.depth += 1
-        if self.depth == 1:
+        self.nested.append(event.data["dispatcher"])
+        if len(self.nested) == 1:
             # Compiling makes millions of objects that live to its end: looking for garbage takes a fifth of the time.
             self.collecting = gc.isenabled()
             gc.disable()
             self.start = thread_time()
 
     def on_end(self, event: Any) -> None:
-        self.depth -= 1
+        self.nested.pop()
         data = event.data
         if event.is_failed:
             unlock = getattr(data["dispatcher"]._cache, "unlock", None)
             if unlock:
                 unlock(data["args"])
-        if self.depth == 0:
+        if not self.nested:
             if self.collecting:
                 gc.enable()
             observers.compiled(data["dispatcher"], data["args"], thread_time() - self.start)
@@ -51,4 +52,9 @@ def watch_compilation() -> None:
 
 def announce_miss(kernel: Any, types: Any) -> bool:
     """Call the observers of misses, unless it is within another kernel; whether the cache may have the kernel now."""
-    return _listener.depth == 0 and observers.missed(kernel, types)
+    return not _listener.nested and observers.missed(kernel, types)
+
+
+def compiled_dispatcher() -> Any:
+    """The innermost dispatcher that compiles now, or None."""
+    return _listener.nested[-1] if _listener.nested else None

@@ -30,13 +30,13 @@ class Kernel:
         return None
 
     def __getattr__(self, name: str) -> Any:
-        # Reached only for what is not set yet: the dispatcher, and all that it has.
-        if name == "dispatcher":
-            return self._prepare()
+        # Reached only for what is not set yet: the dispatchers, and all that the first has.
+        if name in ("dispatcher", "linked"):
+            return self._prepare(name)
         if name == "_numba_type_":
             from numba import types
 
-            return types.Dispatcher(self.dispatcher)
+            return types.Dispatcher(self.linked)
         if name.startswith("__"):
             raise AttributeError(name)
         return getattr(self.dispatcher, name)
@@ -44,25 +44,28 @@ class Kernel:
     def __repr__(self) -> str:
         return f"<kernel {self.__module__}.{self.__qualname__}>"
 
-    def _prepare(self) -> Any:
+    def _prepare(self, name: str) -> Any:
+        """Make the `dispatcher` that Python calls, or the one that is `linked` with other kernels: it makes no machine
+        code and no wrapper for Python."""
         with _lock:
-            made = self.__dict__.get("dispatcher")
+            made = self.__dict__.get(name)
             if made is None:
                 import numba
 
                 from .cache import enable_cache
                 from .compilation import watch_compilation
-                from .library import link_on_demand
+                from .library import generate_on_demand
 
                 watch_compilation()
-                link_on_demand()
+                generate_on_demand()
                 # Nobody calls kernels from C.
                 options = {**self.options, "cache": False, "no_cfunc_wrapper": True}
                 compiler: Any = numba.njit
                 made = compiler(**options)(self.py_func)
+                made.only_linked = name == "linked"
                 if self.options.get("cache"):
                     enable_cache(self, made)
-                self.dispatcher = made
+                setattr(self, name, made)
         return made
 
 

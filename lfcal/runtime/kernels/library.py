@@ -1,18 +1,28 @@
-"""Machine code of kernels from the cache, without the intermediate code that comes with it until someone needs that.
+"""Libraries of machine code, which is made of a kernel only when Python calls it.
 
-Numba parses the intermediate code of all that it loads, so that other kernels may be linked with it, and lists its
-symbols: as much work as to load the machine code. Kernels that Python calls are hardly ever linked again.
+Numba makes machine code of every kernel, with a wrapper for Python, though most are only called by other kernels, which
+hold a copy of their intermediate code. And it parses the intermediate code of all that it loads from the cache, though
+kernels that Python calls are hardly ever linked again. Either is as much work as all that is needed.
 """
 
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 from llvmlite import binding
+from numba.core import lowering
 from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import lookup_environment
 
-__all__ = ["link_on_demand"]
+from .compilation import compiled_dispatcher
+
+__all__ = ["generate_on_demand"]
+
+_ENVIRONMENT = "_ZN08NumbaEnv"
+# Stands for the generator of a library without machine code, which has no place for the address of an environment.
+_NO_CODE = SimpleNamespace(set_env=lambda name, environment: None)
 
 
 class _Library(JITCodeLibrary):
@@ -20,16 +30,68 @@ class _Library(JITCodeLibrary):
 
     _bitcode: bytes | None = None
     _object_code = b""
+    _waits = False
+
+    @property
+    def codegen(self) -> Any:
+        return _NO_CODE if self._waits else self._codegen
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        self._finalized = self._waits = True
+
+    def _generate(self) -> None:
+        """Make the machine code, or load that of the cache."""
+        if not self._waits:
+            return
+        self._waits = False
+        self._dynamic_globals.clear()
+        super()._finalize_final_module()
+        # Numba has set the environments of the kernels within when it made their own machine code.
+        names = [found.name for found in self._final_module.global_variables if found.name.startswith(_ENVIRONMENT)]
+        for name in names:
+            environment = lookup_environment(name)
+            if environment is not None:
+                self._codegen.set_env(name, environment)
+
+    def get_pointer_to_function(self, name: str) -> int:
+        self._ensure_finalized()
+        if self._object_code:
+            if f"{name}\0".encode() not in self._object_code:
+                return 0
+            self._generate()
+            self._codegen._engine._defined_symbols.add(name)
+        elif self._waits:
+            if not self._defines(name):
+                return 0
+            self._generate()
+        return int(super().get_pointer_to_function(name))
+
+    def _defines(self, name: str) -> bool:
+        try:
+            return not self._final_module.get_function(name).is_declaration
+        except NameError:
+            return False
+
+    def serialize_using_object_code(self) -> tuple[str, str, Any]:
+        if self._waits:
+            return self.name, "linked", self._get_module_for_linking().as_bitcode()
+        found: tuple[str, str, Any] = super().serialize_using_object_code()
+        return found
 
     @classmethod
     def _unserialize(cls, codegen: Any, state: tuple[str, str, Any]) -> Any:
         name, kind, data = state
-        if kind != "object":
-            return super()._unserialize(codegen, state)
         library = codegen.create_library(name)
-        library._object_code, library._bitcode = data
-        library.enable_object_caching()
-        library._set_compiled_object(library._object_code)
+        if kind == "linked":
+            library._final_module = library._shared_module = binding.parse_bitcode(data)
+        elif kind == "object":
+            library._object_code, library._bitcode = data
+            library.enable_object_caching()
+            library._set_compiled_object(library._object_code)
+        else:
+            return super()._unserialize(codegen, state)
         library._finalize_final_module()
         return library
 
@@ -38,17 +100,29 @@ class _Library(JITCodeLibrary):
             self._shared_module, self._bitcode = binding.parse_bitcode(self._bitcode), None
         return super()._get_module_for_linking()
 
-    def get_pointer_to_function(self, name: str) -> int:
-        if self._object_code and f"{name}\0".encode() in self._object_code:
-            self._codegen._engine._defined_symbols.add(name)
-        return int(super().get_pointer_to_function(name))
+
+def _unless_linked(create: Any, also_of_numba: bool) -> Any:
+    """Make a wrapper of a kernel, unless it only gets linked with others."""
+
+    def create_wrapper(self: Any, *arguments: Any, **options: Any) -> None:
+        dispatcher = compiled_dispatcher()
+        linked = getattr(dispatcher, "only_linked", False)
+        if not linked and also_of_numba and dispatcher is not None:
+            linked = dispatcher.py_func.__module__.startswith("numba.")
+        if not linked:
+            create(self, *arguments, **options)
+
+    return create_wrapper
 
 
 @cache
-def link_on_demand() -> None:
-    """Load kernels in this way from now on; once per process."""
+def generate_on_demand() -> None:
+    """Compile kernels in this way from now on; once per process."""
     from numba.core.registry import cpu_target
 
     codegen = cpu_target.target_context.codegen()
     if codegen._library_class is JITCodeLibrary:
         codegen._library_class = _Library
+        lower: Any = lowering.BaseLower
+        lower.create_cpython_wrapper = _unless_linked(lower.create_cpython_wrapper, also_of_numba=False)
+        lower.create_cfunc_wrapper = _unless_linked(lower.create_cfunc_wrapper, also_of_numba=True)
