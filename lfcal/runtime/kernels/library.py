@@ -49,11 +49,12 @@ class _Library(JITCodeLibrary):
         self._dynamic_globals.clear()
         super()._finalize_final_module()
         # Numba has set the environments of the kernels within when it made their own machine code.
+        codegen: Any = self._codegen
         names = [found.name for found in self._final_module.global_variables if found.name.startswith(_ENVIRONMENT)]
         for name in names:
             environment = lookup_environment(name)
             if environment is not None:
-                self._codegen.set_env(name, environment)
+                codegen.set_env(name, environment)
 
     def get_pointer_to_function(self, name: str) -> int:
         self._ensure_finalized()
