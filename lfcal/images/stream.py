@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..runtime.errors import FlatError
 from ..runtime.image_formats import TIFF_SUFFIXES
+from .dark_frame import subtract_dark
 from .read import MAX_PIXELS, checked_pixels, file_errors, read_flat
 from .tiff import convert_tiff_pixels, open_tiff, select_tiff_page
 from .zarr_flat import is_zarr, open_zarr
@@ -43,6 +45,10 @@ class FlatSource:
         uint8, uint16 or float32.
     in_parts : bool
         Whether parts are read from the file; else the flat is in memory.
+    page : int or None
+        As given to `open_flat`.
+    dark : Path or None
+        Dark frame that is subtracted.
 
     Examples
     --------
@@ -57,6 +63,8 @@ class FlatSource:
 
     def __init__(self, path: Path, read: _Read, shape: tuple[int, ...], file: Any = None, in_parts: bool = True):
         self.path, self._read, self._file, self.in_parts = path, read, file, in_parts
+        self.page: int | None = None
+        self.dark: Path | None = None
         self._size = shape[0], shape[1]
         with file_errors(path):
             corner = checked_pixels(read(slice(0, 1), slice(0, 1)))
@@ -96,7 +104,9 @@ class FlatSource:
         self.close()
 
 
-def open_flat(path: str | os.PathLike[str], page: int | None = None) -> FlatSource:
+def open_flat(
+    path: str | os.PathLike[str], page: int | None = None, dark: str | os.PathLike[str] | None = None
+) -> FlatSource:
     """Open a raw plenoptic picture to read it part by part.
 
     Parameters
@@ -105,6 +115,8 @@ def open_flat(path: str | os.PathLike[str], page: int | None = None) -> FlatSour
         The image file, or the folder of a Zarr array (needs the package `zarr`: `pip install 'lfrender[zarr]'`).
     page : int or None
         As in `read_flat`.
+    dark : path-like or None
+        File of a dark frame, which is subtracted from every part (`subtract_dark`).
 
     Returns
     -------
@@ -125,7 +137,33 @@ def open_flat(path: str | os.PathLike[str], page: int | None = None) -> FlatSour
     ...         source.shape, source.read(5, 5, 15, 10).shape
     ((20, 30), (5, 10))
     """
-    source = Path(path)
+    source = _open(Path(path), page)
+    source.page = page
+    return source if dark is None else _subtract(source, Path(dark))
+
+
+def _subtract(source: FlatSource, path: Path) -> FlatSource:
+    """A flat less the dark frame in a file."""
+    with ExitStack() as opened:
+        opened.callback(source.close)
+        dark = opened.enter_context(_open(path, None))
+        if dark.shape[:2] != source.shape[:2]:
+            sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (dark.shape, source.shape))
+            raise FlatError(f"{path}: dark frame and flat must be of one size, they have {sizes} px")
+
+        def read(rows: slice, columns: slice) -> NDArray[Any]:
+            part = columns.start, rows.start, columns.stop, rows.stop
+            pixels, black = source.read(*part), dark.read(*part)
+            with file_errors(path):
+                return subtract_dark(pixels, black)
+
+        read(slice(0, 1), slice(0, 1))
+        less = FlatSource(source.path, read, source.shape, opened.pop_all(), source.in_parts)
+    less.page, less.dark = source.page, path
+    return less
+
+
+def _open(source: Path, page: int | None) -> FlatSource:
     if source.is_dir() and is_zarr(source):
         with file_errors(source):
             array = open_zarr(source, MAX_PIXELS)

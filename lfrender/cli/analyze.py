@@ -109,7 +109,6 @@ def analyze(
     ply = output if suffix in _POINTS else ply
     at_most_one("--workers", workers, "--scheduler", scheduler)
     on_cluster = workers or scheduler
-    at_most_one("--dark", capture.dark, "--workers or --scheduler", on_cluster or None)
     at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--ply", ply)
     at_most_one("--edges", edges or None, "--roi", roi, "--workers or --scheduler", on_cluster or None)
     optics = None
@@ -118,7 +117,7 @@ def analyze(
 
         optics = Optics.load(optics_file)
     pixels = None
-    if roi is None and ply is None and (on_cluster or (capture.dark is None and not edges and is_large(capture.flat))):
+    if roi is None and ply is None and (on_cluster or (not edges and is_large(capture.flat))):
         from .large import analyze_in_tiles
 
         with connect_cluster(workers, scheduler, report) as cluster:

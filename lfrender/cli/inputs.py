@@ -21,7 +21,7 @@ from .camera_input import read_camera
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from lfcal import Calibration
+    from lfcal import Calibration, FlatSource
 
     from ..data.depth_map import DepthMap
 
@@ -66,10 +66,20 @@ class CaptureInput:
         if modules:
             import_in_background(*modules)
         with self.report.stage("read"):
-            from lfcal import read_flat
+            return self.read_pixels()
 
-            layout = raw_layout([self.flat], self.size, self.pixel_format, self.camera)
-            return self._subtract_dark(read_flat(self.flat, self.page, **layout))
+    def read_pixels(self) -> NDArray[Any]:
+        """The pixels of the flat, less the dark frame."""
+        from lfcal import read_flat
+
+        layout = raw_layout([self.flat], self.size, self.pixel_format, self.camera)
+        return self._subtract_dark(read_flat(self.flat, self.page, **layout))
+
+    def open(self) -> FlatSource:
+        """The flat, less the dark frame, to be read in parts."""
+        from lfcal import open_flat
+
+        return open_flat(self.flat, self.page, self.dark)
 
     def _subtract_dark(self, pixels: NDArray[Any]) -> NDArray[Any]:
         if self.dark is None:

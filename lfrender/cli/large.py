@@ -21,10 +21,8 @@ __all__ = ["analyze_in_tiles", "render_in_tiles"]
 
 def analyze_in_tiles(capture: CaptureInput, skip: bool, cluster: dict[str, Any]) -> tuple[DepthMap, Calibration]:
     """Calibrate, and analyse in tiles."""
-    from lfcal import open_flat
-
     with capture.report.stage("read"):
-        source = open_flat(capture.flat)
+        source = capture.open()
     with source:
         calibration = _find_camera(capture, source)
         with capture.report.stage("analyze"):
@@ -35,16 +33,14 @@ def render_in_tiles(
     capture: CaptureInput, output: Path, patch_size: float | None, alpha: bool, cluster: dict[str, Any], **options: Any
 ) -> None:
     """Calibrate, analyse and render in tiles; what is finished is kept until the picture is there."""
-    from lfcal import open_flat
-
     from .. import render_large
     from ..data.depth_map import DepthMap
     from ..large.render import check_large_picture
-    from ..output.resume import Checkpoint, file_identity, fingerprint
+    from ..output.resume import Checkpoint, fingerprint
 
     report = capture.report
     with report.stage("read"):
-        source = open_flat(capture.flat)
+        source = capture.open()
         check_large_picture(output, source.dtype, alpha, capture.files)
     checkpoint = Checkpoint(output)
     with source:
@@ -57,7 +53,7 @@ def render_in_tiles(
                     if not _is_of(depth, source, calibration):
                         capture.warn_of_other_flat()
                 else:
-                    key = fingerprint(file_identity(capture.flat), calibration.to_dict(), capture.preset)
+                    key = fingerprint(_identity(capture), calibration.to_dict(), capture.preset)
                     depth = checkpoint.reuse(
                         "depth.npz", key, DepthMap.load, lambda: _analyze(capture, source, calibration, cluster)
                     )
@@ -91,7 +87,7 @@ def _is_of(depth: DepthMap, source: FlatSource, calibration: Calibration) -> boo
 
 def _find_camera(capture: CaptureInput, source: FlatSource, checkpoint: Checkpoint | None = None) -> Calibration:
     """The camera of the file, or calibrated on all pixels, unless that is in the checkpoint."""
-    from lfcal import load, read_flat
+    from lfcal import load
 
     from ..output.resume import file_identity, fingerprint
 
@@ -99,10 +95,16 @@ def _find_camera(capture: CaptureInput, source: FlatSource, checkpoint: Checkpoi
         if capture.camera is not None and not is_published(capture.camera):
             return capture.find_camera(source)
         if checkpoint is None:
-            return capture.find_camera(read_flat(capture.flat))
-        files = (capture.flat, capture.white, capture.camera)
-        key = fingerprint(*map(file_identity, files), capture.mosaic)
-        return checkpoint.reuse("camera.json", key, load, lambda: capture.find_camera(read_flat(capture.flat)))
+            return capture.find_camera(capture.read_pixels())
+        key = fingerprint(_identity(capture), *map(file_identity, (capture.white, capture.camera)), capture.mosaic)
+        return checkpoint.reuse("camera.json", key, load, lambda: capture.find_camera(capture.read_pixels()))
+
+
+def _identity(capture: CaptureInput) -> list[Any]:
+    """What changes if the pixels of the flat do."""
+    from ..output.resume import file_identity
+
+    return [*file_identity(capture.flat), capture.page, *file_identity(capture.dark)]
 
 
 def _analyze(

@@ -128,11 +128,9 @@ def render(
         in_tiles = on_cluster or tile is not None or plain_zarr
         if edges and (in_tiles or is_large(capture.flat)):
             raise click.UsageError("--edges is for flats that are analysed as a whole: leave it out here")
-        if capture.dark is not None and in_tiles:
-            raise click.UsageError("--dark is for flats that are drawn as a whole: leave out --tile and clusters")
         if eight_bits and (in_tiles or is_large(capture.flat)):
             raise click.UsageError("--8bit is for flats that are drawn as a whole: write the pixels as they are")
-        if in_tiles or (capture.dark is None and is_large(capture.flat)):
+        if in_tiles or is_large(capture.flat):
             from .large import render_in_tiles
 
             with connect_cluster(workers, scheduler, capture.report) as cluster:

@@ -49,6 +49,7 @@ __all__ = ["batch"]
     output_option("FOLDER|FILM", "Folder for the pictures, or a film: .mp4, or .mkv without any loss."),
     click.option("-c", "--camera", type=INPUT, help=f"{CAMERA} Without it, the first frame is calibrated."),
     white_option,
+    click.option("--dark", type=INPUT, help="Dark frame that is subtracted from all frames and the white image."),
     click.option("--overwrite", is_flag=True, help="Render all frames again; else pictures already there are kept."),
 )
 @console.grouped(
@@ -86,6 +87,7 @@ def batch(
     pixel_format: str | None,
     camera: Path | None,
     white: Path | None,
+    dark: Path | None,
     scale: float | None,
     suffix: str | None,
     eight_bits: bool,
@@ -122,7 +124,7 @@ def batch(
             raise click.UsageError(f"{output} is a film: leave out --format and --8bit")
         from ..sequence.film import check_film
 
-        check_film(output, inputs)
+        check_film(output, [*inputs, camera, white, dark])
         options |= {"path": output, "rate": fps}
     else:
         if fps is not None:
@@ -136,11 +138,11 @@ def batch(
             options["views"] = ViewGrid(*grid_size("--views", views), aperture or 0.7, resize)
         elif (suffix or "").lstrip(".").startswith("yuv"):
             raise click.UsageError("raw video is a film or views: give -o FILM.yuv, or --views")
-    frames = open_frames(inputs, **raw_layout(inputs, size, pixel_format, camera))
+    frames = open_frames(inputs, **raw_layout(inputs, size, pixel_format, camera), dark=dark)
     calibration = None
     if camera or white:
         with report.stage("calibrate"):
-            calibration = _find_camera(frames, camera, white)
+            calibration = _find_camera(frames, camera, white, dark)
     results, start = [], perf_counter()
     with (
         report.stage("frames"),
@@ -181,13 +183,17 @@ def _count(results: list[FrameResult], seconds: float) -> dict[str, Any]:
     }
 
 
-def _find_camera(frames: Frames, camera: Path | None, white: Path | None) -> Calibration:
+def _find_camera(frames: Frames, camera: Path | None, white: Path | None, dark: Path | None) -> Calibration:
     """The camera of a white image, or of a file, which is checked against the first frame that can be read."""
-    from lfcal import FlatError, calibrate, read_flat
+    from lfcal import FlatError, calibrate, read_flat, subtract_dark
 
     if white is not None:
+        pixels = read_flat(white)
+        if dark is not None:
+            with console.name_file_in_errors(dark):
+                pixels = subtract_dark(pixels, read_flat(dark))
         with console.name_file_in_errors(white):
-            return calibrate(read_flat(white), kind="white")
+            return calibrate(pixels, kind="white")
     assert camera is not None
     for frame in frames:
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from copy import deepcopy
+from dataclasses import dataclass
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
@@ -56,10 +57,11 @@ class ClusterWorkers:
     def __init__(
         self, client: Client, source: FlatSource, threads: int | None = None, settings: LargeSettings = DEFAULT
     ) -> None:
-        self._client, self._threads, self._settings = client, threads, settings
-        self._path = str(source.path.absolute())
+        self._client, self._settings = client, settings
         # The size alone: copies on the disks of several machines differ in their times.
-        self._size = file_identity(source.path)[1]
+        size = file_identity(source.path)[1]
+        dark = None if source.dark is None else str(source.dark.absolute())
+        self._flat = _FlatFile(str(source.path.absolute()), size, source.page, dark, threads)
 
     @property
     def count(self) -> int:
@@ -69,14 +71,13 @@ class ClusterWorkers:
     def map(self, task: _Task, shared: Any, items: Iterable[Any], rectangles: Iterable[Rectangle]) -> Iterator[Any]:
         from ..sequence.cluster import task_result
 
-        flat = self._path, self._size, self._threads
         submit = {"pure": False, "retries": self._settings.retries}
         # As the result of a task the scheduler makes it again if all workers that hold it are lost.
         shared_task = self._client.submit(_identity, shared, **submit)
         waiting: deque[Any] = deque()
         try:
             for item, rectangle in zip(items, rectangles, strict=True):
-                waiting.append(self._client.submit(_work, flat, task, shared_task, item, rectangle, **submit))
+                waiting.append(self._client.submit(_work, self._flat, task, shared_task, item, rectangle, **submit))
                 while len(waiting) > self._settings.tiles_ahead * self.count:
                     yield _raise_errors(task_result(waiting.popleft()))
             while waiting:
@@ -94,11 +95,22 @@ def _raise_errors(result: Any) -> Any:
 Workers = LocalWorkers | ClusterWorkers
 
 
+@dataclass(frozen=True)
+class _FlatFile:
+    """Where workers find a flat, its size [bytes], and with how many threads they work on it."""
+
+    path: str
+    size: int
+    page: int | None
+    dark: str | None
+    threads: int | None
+
+
 class _Worker:
     """What a worker process keeps from task to task. Kernels run one at a time: each uses several threads itself."""
 
     lock = Lock()
-    flat: Any = None
+    flat: _FlatFile | None = None
     reader: TileReader | None = None
     received: Any = None
     shared: Any = None
@@ -111,18 +123,17 @@ class _Worker:
         return cls.shared
 
     @classmethod
-    def open(cls, flat: tuple[str, int, int | None], calibration: Calibration) -> TileReader:
-        path, size, threads = flat
-        if threads is not None:
+    def open(cls, flat: _FlatFile, calibration: Calibration) -> TileReader:
+        if flat.threads is not None:
             from ..sequence.cluster import limit_threads
 
-            limit_threads(threads)
+            limit_threads(flat.threads)
         if cls.reader is None or cls.flat != flat:
             cls.flat = cls.reader = None
-            source = open_flat(path)
-            if file_identity(source.path)[1] != size:
+            source = open_flat(flat.path, flat.page, flat.dark)
+            if file_identity(source.path)[1] != flat.size:
                 source.close()
-                raise FlatError(f"{path}: is another file where the workers are, or has been changed")
+                raise FlatError(f"{flat.path}: is another file where the workers are, or has been changed")
             cls.reader, cls.flat = TileReader(source, calibration), flat
         elif cls.reader.calibration is not calibration:
             cls.reader = TileReader(cls.reader.source, calibration)
@@ -133,7 +144,7 @@ def _identity(shared: Any) -> Any:
     return shared
 
 
-def _work(flat: tuple[str, int, int | None], task: _Task, shared: Any, item: Any, rectangle: Rectangle) -> Any:
+def _work(flat: _FlatFile, task: _Task, shared: Any, item: Any, rectangle: Rectangle) -> Any:
     """The result of one part. An error of this toolkit is returned, not raised: Dask would only try it again."""
     with _Worker.lock:
         try:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from lfcal import Calibration, LightFieldError, OutputError
 
-from .frames import Frame
+from .frames import Frame, dark_of
 from .job import FrameResult, Job, KeyFrame
 from .settings import DEFAULT, SequenceSettings
 from .view_grid import ViewGrid
@@ -71,8 +71,9 @@ def render_frames_on(
     >>> for done in render_frames_on(client, frames, "/data/pictures"):  # doctest: +SKIP
     ...     print(done.name, done.outcome)
     """
-    job = Job.open(Path(folder).absolute(), calibration, preset, scale, suffix, overwrite, views, eight_bits)
-    run = _Run(client, job, (str(job.folder), preset, suffix, threads, views, eight_bits), tuning)
+    dark = dark_of(frames)
+    job = Job.open(Path(folder).absolute(), calibration, preset, scale, suffix, overwrite, views, eight_bits, dark)
+    run = _Run(client, job, (str(job.folder), preset, suffix, threads, views, eight_bits, dark), tuning)
     names: list[str] = []
     most = max(tuning.least_ahead, tuning.groups_ahead * sum(client.nthreads().values()))
     waiting: deque[tuple[list[FrameResult | None], Future | None]] = deque()
@@ -238,11 +239,11 @@ class _Worker:
 
     @classmethod
     def open_job(cls, settings: tuple[Any, ...]) -> Job:
-        folder, preset, suffix, threads, views, eight_bits = settings
+        folder, preset, suffix, threads, views, eight_bits, dark = settings
         if threads is not None:
             limit_threads(threads)
         if cls.settings != settings or cls.job is None:
-            cls.job = Job.open(Path(folder), None, preset, None, suffix, False, views, eight_bits)
+            cls.job = Job.open(Path(folder), None, preset, None, suffix, False, views, eight_bits, dark)
             cls.key = None
             cls.settings = settings
         return cls.job

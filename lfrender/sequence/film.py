@@ -108,7 +108,7 @@ def render_film(
         raise OutputError(f"{path}: is there already; give another output, or render it again (--overwrite)")
     checkpoint = Checkpoint(output)
     camera = None if calibration is None else calibration.to_dict()
-    key = fingerprint([file_identity(file) for file in frames.files], camera, preset, scale)
+    key = fingerprint([file_identity(file) for file in (*frames.files, frames.dark)], camera, preset, scale)
     if overwrite or checkpoint.find("film", key) is None:
         checkpoint.remove()
         checkpoint.keep("film", key)

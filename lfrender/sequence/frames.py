@@ -5,21 +5,21 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import FlatError, count_pages, read_flat
+from lfcal import FlatError, count_pages, read_flat, subtract_dark
 from lfcal.runtime.image_formats import IMAGE_SUFFIXES, TIFF_SUFFIXES, VIDEO_FORMATS
 from lfcal.runtime.video.frame_pixels import import_av, rgb_pixels
 from lfcal.runtime.video.raw_format import RAW_SUFFIX
 
-__all__ = ["Frame", "Frames", "is_video", "open_frames"]
+__all__ = ["Frame", "Frames", "dark_of", "is_video", "open_frames"]
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,15 @@ class _Part:
     names: tuple[str, ...] | None
     layout: tuple[tuple[str, Any], ...] = ()  # `size` and `pixel_format` of `read_flat`
 
-    def frame(self, page: int, name: str) -> Frame:
-        """Frame number `page` of a file of images or raw video."""
-        number = page if len(self.names or ()) > 1 else None
-        read = partial(read_flat, self.path, number, **dict(self.layout))
-        return Frame(name, read, None if self.path.suffix.lower() == RAW_SUFFIX else self.path)
+    def frames(self) -> Iterator[Frame]:
+        """The frames, one after the other."""
+        if self.names is None:
+            yield from _video_frames(self.path)
+            return
+        source = None if self.path.suffix.lower() == RAW_SUFFIX else self.path
+        for page, name in enumerate(self.names):
+            number = page if len(self.names) > 1 else None
+            yield Frame(name, partial(read_flat, self.path, number, **dict(self.layout)), source)
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,7 @@ class Frames:
     """
 
     parts: tuple[_Part, ...]
+    dark: Path | None = None  # dark frame that is subtracted from each
 
     @property
     def count(self) -> int | None:
@@ -84,11 +89,9 @@ class Frames:
 
     def __iter__(self) -> Iterator[Frame]:
         for part in self.parts:
-            if part.names is None:
-                yield from _video_frames(part.path)
-                continue
-            for page, name in enumerate(part.names):
-                yield part.frame(page, name)
+            for frame in part.frames():
+                less = frame.read if self.dark is None else partial(_read_less_dark, frame.read, self.dark)
+                yield replace(frame, read=less)
 
 
 def open_frames(
@@ -96,6 +99,7 @@ def open_frames(
     *,
     size: tuple[int, int] | None = None,
     pixel_format: str | None = None,
+    dark: str | os.PathLike[str] | None = None,
 ) -> Frames:
     """Find the frames in files and folders without decoding them.
 
@@ -107,6 +111,8 @@ def open_frames(
         names.
     size, pixel_format
         Of raw video (`.yuv`), as for `lfcal.read_flat`.
+    dark : path-like or None
+        File of a dark frame, which is subtracted from every frame (`lfcal.subtract_dark`).
 
     Raises
     ------
@@ -130,7 +136,32 @@ def open_frames(
     twice = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
     if twice:
         raise FlatError(f"{len(twice)} frames would have the same name, such as '{twice[0]}'; give them one by one")
-    return Frames(tuple(parts))
+    if dark is None:
+        return Frames(tuple(parts))
+    path = Path(dark).absolute()
+    # Errors of this file are raised at once, not for every frame.
+    _read_dark(path)
+    return Frames(tuple(parts), path)
+
+
+@lru_cache(1)
+def _read_dark(path: Path) -> NDArray[Any]:
+    return read_flat(path)
+
+
+def _read_less_dark(read: Callable[[], NDArray[Any]], dark: Path) -> NDArray[Any]:
+    """The pixels of a frame less the dark frame in a file."""
+    pixels = read()
+    try:
+        return subtract_dark(pixels, _read_dark(dark))
+    except FlatError as error:
+        raise FlatError(f"{dark}: {error}") from error
+
+
+def dark_of(frames: Iterable[Frame]) -> str | None:
+    """File of the dark frame that is subtracted from the frames of a sequence, if any is."""
+    dark = frames.dark if isinstance(frames, Frames) else None
+    return None if dark is None else str(dark)
 
 
 def is_video(path: Path) -> bool:

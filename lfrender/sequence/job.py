@@ -109,6 +109,7 @@ class Job:
     suffix: str
     views: ViewGrid | None = None
     eight_bits: bool = False
+    dark: str | None = None  # file of the dark frame
     still: float | None = None  # patch size [px] of the places that all views have in common
     _output: ViewOutput | None = None
     _pictures: dict[int, Rendering] = field(default_factory=dict)
@@ -125,6 +126,7 @@ class Job:
         overwrite: bool,
         views: ViewGrid | None = None,
         eight_bits: bool = False,
+        dark: str | None = None,
     ) -> Job:
         """Start a run in a folder, or continue the one that is there."""
         hidden = folder / _HIDDEN
@@ -132,7 +134,7 @@ class Job:
             hidden.mkdir(parents=folder.parent.is_dir(), exist_ok=True)
         except OSError as error:
             raise OutputError(f"{folder}: cannot be made ({error.strerror or error})") from error
-        job = cls(folder, calibration, preset, scale, suffix, views, eight_bits)
+        job = cls(folder, calibration, preset, scale, suffix, views, eight_bits, dark)
         if views is None:
             check_picture(folder / f"picture{suffix}")
         else:
@@ -155,13 +157,14 @@ class Job:
             views = None if self.views is None else {**self.views.to_dict(), "format": self.suffix}
             same = settings["preset"] == self.preset and self.scale in (None, settings["scale"])
             same &= settings.get("views") == views and settings.get("eight_bits", False) == self.eight_bits
+            same &= settings.get("dark") == self.dark
             self.scale = float(settings["scale"])
             self.still = None if views is None else float(settings["still"])
         except (OSError, KeyError, TypeError, ValueError) as error:
             raise OutputError(f"{hidden}: damaged ({error}); render everything again (--overwrite)") from error
         if not same or (self.calibration is not None and self.calibration.to_dict() != camera.to_dict()):
             raise OutputError(
-                f"{self.folder}: holds pictures made with another camera, preset or scale; "
+                f"{self.folder}: holds pictures made with another camera, dark frame, preset or scale; "
                 "give another folder, or render everything again (--overwrite)"
             )
         self.calibration = camera
@@ -289,6 +292,7 @@ class Job:
         camera.save(hidden / "camera.json")
         with atomic_write(hidden / "settings.json") as temporary:
             settings: dict[str, Any] = {"preset": self.preset, "scale": self.scale, "eight_bits": self.eight_bits}
+            settings["dark"] = self.dark
             if self.views is not None:
                 settings |= {"views": {**self.views.to_dict(), "format": self.suffix}, "still": self.still}
             temporary.write_text(json.dumps(settings), encoding="utf-8")

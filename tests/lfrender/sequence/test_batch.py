@@ -157,6 +157,30 @@ def test_frames_of_16_bits_are_written_with_8_where_that_is_asked_for(house, tmp
         list(lfrender.render_frames(frames, tmp_path / "of16", camera, preset="fast", eight_bits=True))
 
 
+def test_dark_frame_is_subtracted_from_every_frame_and_another_one_is_refused(house, tmp_path):
+    dark = np.random.default_rng(4).integers(0, 60, house.flat.shape[:2], np.uint8)
+    (tmp_path / "frames").mkdir()
+    for name in ("a", "b"):
+        light = np.minimum(house.flat, 190) + dark[:, :, None]
+        cv2.imwrite(str(tmp_path / "frames" / f"{name}.png"), light[..., ::-1])
+    cv2.imwrite(str(tmp_path / "dark.png"), dark)
+    frames = lfrender.open_frames([tmp_path / "frames"], dark=tmp_path / "dark.png")
+    for frame in frames:
+        np.testing.assert_array_equal(frame.read(), np.minimum(house.flat, 190))
+    house.truth.calibration.save(tmp_path / "camera.json")
+    command = ["batch", str(tmp_path / "frames"), "-c", str(tmp_path / "camera.json"), "--preset", "fast"]
+    command += ["-o", str(tmp_path / "out")]
+    done = CliRunner().invoke(main, [*command, "--dark", str(tmp_path / "dark.png")], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    expected = lfrender.render(
+        np.minimum(house.flat, 190), house.truth.calibration,
+        lfrender.analyze(np.minimum(house.flat, 190), house.truth.calibration, "fast"),
+    )  # fmt: skip
+    np.testing.assert_array_equal(read_flat(tmp_path / "out" / "a.tif"), expected.image)
+    refused = CliRunner().invoke(main, command)
+    assert refused.exit_code == 2 and "another camera, dark frame" in refused.output
+
+
 def test_depths_of_another_version_are_refused_unless_everything_is_rendered_again(sequence, tmp_path):
     frames, camera = sequence
     one = lfrender.open_frames([frames / "f8.png"])

@@ -107,8 +107,11 @@ def test_tiles_are_those_of_one_machine_although_a_worker_is_killed(flat, client
     assert (tmp_path / "here.tif").read_bytes() == (tmp_path / "there.tif").read_bytes()
 
 
-def test_commands_on_large_flats_take_workers(flat, client, tmp_path, monkeypatch):
+def test_commands_on_large_flats_take_workers_and_a_dark_frame(flat, client, tmp_path, monkeypatch):
     path, camera = flat
+    black = np.random.default_rng(5).integers(0, 20, camera.image_size[::-1], np.uint8)
+    dark = tmp_path / "dark.tif"
+    tifffile.imwrite(dark, black)
 
     @contextmanager
     def connected(workers, scheduler):
@@ -117,14 +120,15 @@ def test_commands_on_large_flats_take_workers(flat, client, tmp_path, monkeypatc
 
     monkeypatch.setattr("lfrender.sequence.cluster.connect", connected)
     given = ["-c", str(tmp_path / "camera.json"), "--workers", "2", "--preset", "fast", "--json"]
+    given += ["--dark", str(dark)]
     analyzed = ["analyze", str(path), "-o", str(tmp_path / "depth.npz"), *given]
     rendered = ["render", str(path), "-o", str(tmp_path / "there.tif"), *given, "--tile", "90"]
     figures = [json.loads(CliRunner().invoke(main, c, catch_exceptions=False).stdout) for c in (analyzed, rendered)]
     assert figures[1]["tiles"] == 4
-    with lfcal.open_flat(path) as source:
+    with lfcal.open_flat(path, dark=dark) as source:
         depth = lfrender.analyze_large(source, camera, "fast")
     np.testing.assert_array_equal(lfrender.DepthMap.load(tmp_path / "depth.npz").patch_size, depth.patch_size)
-    whole = lfrender.render(lfcal.read_flat(path), camera, depth)
+    whole = lfrender.render(lfcal.subtract_dark(lfcal.read_flat(path), black), camera, depth)
     np.testing.assert_array_equal(lfcal.read_flat(tmp_path / "there.tif"), whole.image)
     refused = CliRunner().invoke(main, [*rendered, "--roi", "0", "0", "9", "9"])
     assert refused.exit_code == 2 and "--roi" in refused.stderr
