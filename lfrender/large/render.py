@@ -156,7 +156,8 @@ def render_large(
     depth_key = [patch_size] if depth is None else [fingerprint(depth.patch_size, depth.surface.patch_size)]
     # Tiles of an earlier run are used if all that the picture depends on is the same.
     key = fingerprint(
-        file_identity(source.path), [source.page], file_identity(source.dark), calibration.to_dict(), depth_key, drawing.scale, drawing.blend, drawing.blur,
+        file_identity(source.path), [source.page], file_identity(source.dark), calibration.to_dict(), depth_key,
+        drawing.scale, drawing.blend, drawing.blur,
         repr(drawing.defocus), side,
         text, [alpha, compress, output.suffix.lower(), str(source.dtype)],
     )  # fmt: skip
