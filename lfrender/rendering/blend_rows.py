@@ -115,6 +115,17 @@ def _normalise(sums, count):
         sums[FOURTH + k] *= inverse
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _put(out, u, channel, value):
+    """Truncate a value to one byte or two, the lower first, or keep it in a picture of floats."""
+    if out.shape[2] > 1:
+        number = np.uint32(value)
+        out[u, channel, 0] = number & np.uint32(0xFF)
+        out[u, channel, 1] = number >> np.uint32(8)
+    else:
+        out[u, channel, 0] = value
+
+
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _store(totals, sizes, wanted, row, columns, count, end, largest, output, v, left, section):
     """Round and store row `v` of the picture, `row` of the band; columns from `end` on do not exist."""
@@ -129,11 +140,11 @@ def _store(totals, sizes, wanted, row, columns, count, end, largest, output, v, 
         if left[u]:
             continue
         valid[u] = totals[at] > 0
-        out[u, 0] = min(totals[SECOND + at] + half, top)
+        _put(out, u, 0, min(totals[SECOND + at] + half, top))
         if out.shape[1] > 1:
-            out[u, 1] = min(totals[THIRD + at] + half, top)
+            _put(out, u, 1, min(totals[THIRD + at] + half, top))
         if out.shape[1] > 2:
-            out[u, 2] = min(totals[FOURTH + at] + half, top)
+            _put(out, u, 2, min(totals[FOURTH + at] + half, top))
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -193,12 +204,12 @@ def _allocate_band(types):
 
 
 @njit(cache=True, nogil=True)
-def _allocate_buffers(line, runs, lenses):
+def _allocate_buffers(runs, lenses):
     """Memory for so many runs of pixels, and lenses beside a band."""
-    corners, light = np.empty(QUEUE * 4 * LANES, line.dtype), np.empty(QUEUE * 2 * LANES, np.float32)
+    pairs, light = np.empty(QUEUE * 4 * LANES, np.uint64), np.empty(QUEUE * 2 * LANES, np.float32)
     return Buffers(
-        np.empty(QUEUE * 3 * LANES, np.float32), np.empty(QUEUE * 3 * LANES, np.int32), corners,
-        corners.view(np.uint64), light, light.view(np.uint64), np.empty(runs * 4 * LANES, np.float32),
+        np.empty(QUEUE * 3 * LANES, np.float32), np.empty(QUEUE * 3 * LANES, np.int32), pairs.view(np.uint32),
+        pairs, light, light.view(np.uint64), np.empty(runs * 4 * LANES, np.float32),
         np.empty((runs, 3), np.int64), np.empty((2, lenses), np.int32), np.empty(4 * LINE, np.float32),
     )  # fmt: skip
 
@@ -208,7 +219,7 @@ def _blend_section(
     source, surface, depth, grid, tolerance, output, left, upper, section, memory, band, buffers, totals
 ):  # fmt: skip
     """Blend at most `SECTION` columns from column `section` on, of the band whose first row is `upper`."""
-    rows, columns, _ = output.image.shape
+    rows, columns = output.valid.shape
     lenses, spacing, first = source.lenses, grid.spacing, grid.first
     lower, row = min(upper + ROWS, rows), grid.start[1] + upper
     count, column = min(SECTION, columns - section), grid.start[0] + section
@@ -261,24 +272,25 @@ def _most_runs(centres, grid, bands, reach):
 def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting, output, left):
     """Draw the pixels of a `Grid` into an `Output`.
 
-    As `blend_pixels`, with packed pixels (h, w) uint32 or uint64 in `flat` (`prefilter_packed`) and `SortedLenses`.
-    Pixels that need more than one sample are marked in `left` (h, w) instead.
+    As `blend_pixels`, with packed pixels (h, w, words) uint32 in `flat` (`prefilter_packed`), a picture whose values
+    have one byte, two, or are floats (rows, columns, C, bytes), and `SortedLenses`: one kernel for all of them. Pixels that need more than one sample are marked in `left` (h, w) instead.
     """
-    rows, columns, _ = output.image.shape
+    rows, columns = output.valid.shape
     gains, transmission = light.gains.reshape(-1), light.lights.reshape(-1)
     lights = np.empty(2 * len(gains), np.float32)
     for k in range(len(gains)):
         lights[2 * k], lights[2 * k + 1] = gains[k], transmission[k] * transmission[k]
     light_pairs = lights.view(np.uint64)
     line, depth_line, stride = flat.pixels.reshape(-1), flat.depth.reshape(-1), np.uint64(flat.pixels.shape[1])
+    words = np.uint64(flat.pixels.shape[2])
     bands = (rows + ROWS - 1) // ROWS
     tall, most = _most_runs(lenses.centres, grid, bands, weighting.reach)
     source = Source(
-        line, depth_line, stride, flat.corner, flat.size, light_pairs, light.gains.shape[1], light.step, lenses,
+        line, depth_line, stride, words, flat.corner, flat.size, light_pairs, light.gains.shape[1], light.step, lenses,
         depth.edge, weighting.reach,
     )  # fmt: skip
     memory = _allocate_row(columns, depth.spacing, grid.spacing)
-    band, buffers = _allocate_band(len(lenses.shares)), _allocate_buffers(line, most, tall)
+    band, buffers = _allocate_band(len(lenses.shares)), _allocate_buffers(most, tall)
     totals = np.empty(4 * LINE, np.float32)
     for n in range(begin, end):
         for section in range(0, columns, SECTION):

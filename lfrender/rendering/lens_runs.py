@@ -41,6 +41,7 @@ QUEUE = 3
 _AHEAD = np.uint64(16)
 # Where the second, third and fourth value of all pixels of a run begin.
 _ONE = np.uint64(1)
+_TWO = np.uint64(2)
 _F = np.uint64(LANES)
 _W = np.uint64(2 * LANES)
 _THREE = np.uint64(3 * LANES)
@@ -65,9 +66,10 @@ class SortedLenses(NamedTuple):
 class Source(NamedTuple):
     """What lenses are read from."""
 
-    line: Any  # (h w,) uint32 or uint64: packed pixels of the flat
+    line: Any  # (h w words,) uint32: packed pixels of the flat
     depth: Any  # (h w,) float32 [px]: patch size that each pixel shows
     stride: Any  # uint64: pixels from a row to the next
+    words: Any  # uint64: 1, or 2 for pixels of 16 bits a channel
     corner: Any  # (2,) int [px]: flat coordinates of the first pixel
     size: Any  # (2,) int [px]: of the whole flat
     lights: Any  # (t k,) uint64: gain and weight, two float32, over the squared distance from the lens centre
@@ -94,8 +96,8 @@ class Buffers(NamedTuple):
 
     work: Any  # float32: position between pixels fx, fy and weight of each reading
     place: Any  # int32: pixel of the flat and entry of the light table of each reading
-    corners: Any  # the four packed pixels about each reading
-    corner_pairs: Any  # the same memory, two of 32 bits at a time
+    corners: Any  # uint32: the four packed pixels about each reading
+    corner_pairs: Any  # uint64: the same memory, two pixels of one word or one of two at a time
     light: Any  # float32: gain and weight of each reading
     light_pairs: Any  # the same memory, two at a time
     values: Any  # float32: weight and three channels of each reading
@@ -112,6 +114,7 @@ class _Flat(NamedTuple):
     corner_x: Any  # int32 [px]
     corner_y: Any
     stride: Any  # uint64: pixels from a row to the next
+    words: Any  # uint64: 1, or 2 for pixels of 16 bits a channel
     edge: Any  # patch sizes that differ by less belong to one surface [px]
     last_entry: Any  # float32: of a light table
 
@@ -182,31 +185,33 @@ def _place(columns, rows, slope, limits, share, lens, flat, spacing, per_light_s
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _prefetch_run(line, down, whole, at, lanes):
+def _prefetch_run(line, words, down, whole, at, lanes):
     """Prefetch the memory that a run reads: the processor cannot predict the steps from lens to lens."""
     for first in range(np.uint64(0), lanes, _AHEAD):
         for k in range(first, first + np.uint64(ROWS)):
-            prefetch(line, np.uint64(np.uint32(whole[at + k])))
-        prefetch(line, np.uint64(np.uint32(whole[at + first + np.uint64(ROWS - 1)])) + down)
+            prefetch(line, words * np.uint64(np.uint32(whole[at + k])))
+        prefetch(line, words * (np.uint64(np.uint32(whole[at + first + np.uint64(ROWS - 1)])) + down))
     for k in range(lanes - np.uint64(ROWS), lanes):
-        prefetch(line, np.uint64(np.uint32(whole[at + k])))
+        prefetch(line, words * np.uint64(np.uint32(whole[at + k])))
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
-def _fetch(line, down, lights, whole, corners, pairs, light_pairs, q, lanes):
-    """The four pixels about each place, two by two where they have 32 bits, and the gain and weight of its light."""
+def _fetch(line, words, down, lights, whole, pairs, light_pairs, q, lanes):
+    """The four pixels about each place, two by two where they have one word, and the gain and weight of its light."""
     at, corners_at, pair_at, light_at = q * _WORK, q * PER_RUN, q * _BOTH, q * _F
     for k in range(lanes):
         pixel = np.uint64(np.uint32(whole[at + k]))
         entry = np.uint64(np.uint32(whole[at + _F + k]))
-        if len(pairs) < len(corners):
+        if words == _ONE:
             pairs[pair_at + k] = two_at(line, pixel)
             pairs[pair_at + _F + k] = two_at(line, pixel + down)
         else:
-            corners[corners_at + k + k], corners[corners_at + _ONE + k + k] = line[pixel], line[pixel + _ONE]
-            pixel += down
-            corners[corners_at + _BOTH + k + k] = line[pixel]
-            corners[corners_at + _BOTH + _ONE + k + k] = line[pixel + _ONE]
+            pixel += pixel
+            pairs[corners_at + k + k] = two_at(line, pixel)
+            pairs[corners_at + _ONE + k + k] = two_at(line, pixel + _TWO)
+            pixel += down + down
+            pairs[corners_at + _BOTH + k + k] = two_at(line, pixel)
+            pairs[corners_at + _BOTH + _ONE + k + k] = two_at(line, pixel + _TWO)
         light_pairs[light_at + k] = lights[entry]
 
 
@@ -285,7 +290,7 @@ def _read_queue(
     """
     for n in range(begin, end):
         _fetch(
-            line, flat.stride, lights, whole, corners, pairs, light_pairs, np.uint64(n % QUEUE),
+            line, flat.words, flat.stride, lights, whole, pairs, light_pairs, np.uint64(n % QUEUE),
             count_pixels(runs[n, 2]),
         )  # fmt: skip
     for n in range(begin, end):
@@ -295,8 +300,11 @@ def _read_queue(
                 np.uint64(n % QUEUE) * _WORK, count_pixels(runs[n, 2]), work,
             )  # fmt: skip
     for n in range(begin, end):
-        q, lanes = np.uint64(n % QUEUE), count_pixels(runs[n, 2])
-        _add(corners, light, work, values, sums, q, np.uint64(n) * PER_RUN, np.uint64(runs[n, 0]), lanes)
+        q, u, lanes = np.uint64(n % QUEUE), np.uint64(runs[n, 0]), count_pixels(runs[n, 2])
+        if flat.words == _ONE:
+            _add(corners, light, work, values, sums, q, np.uint64(n) * PER_RUN, u, lanes)
+        else:
+            _add(pairs, light, work, values, sums, q, np.uint64(n) * PER_RUN, u, lanes)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -340,13 +348,20 @@ def read_lenses(source, band, lowest, highest, first, row, column, spacing, coun
     """
     line, depth, lights, stride = source.line, source.depth, source.lights, source.stride
     centres, edged = source.lenses.centres, source.lenses.edged
-    columns, rows, slope, limits, share = band.column, band.row, band.slope, band.limit2, band.share
+    columns, rows, slope, limits, share, words = (
+        band.column,
+        band.row,
+        band.slope,
+        band.limit2,
+        band.share,
+        source.words,
+    )
     work, whole, corners, pairs = buffers.work, buffers.place, buffers.corners, buffers.corner_pairs
     light, light_pairs, values, sums = buffers.light, buffers.light_pairs, buffers.values, buffers.sums
     sizes, runs, ranges = band.size, buffers.runs, buffers.ranges
     flat = _Flat(
         np.int32(source.size[0]), np.int32(source.size[1]), np.int32(source.corner[0]), np.int32(source.corner[1]),
-        stride, source.edge, np.float32(source.rings - 1),
+        stride, words, source.edge, np.float32(source.rings - 1),
     )  # fmt: skip
     step, per_light_step = np.float32(spacing), np.float32(1 / source.light_step)
     # Integers that are not known to be 0, which would be other types.
@@ -375,9 +390,12 @@ def read_lenses(source, band, lowest, highest, first, row, column, spacing, coun
                 columns, rows, slope, limits, share, lens, flat, step, per_light_step, np.uint64(u), lanes, work, whole,
                 at,
             )  # fmt: skip
-            _prefetch_run(line, stride, whole, at, lanes)
+            if words == _ONE:
+                _prefetch_run(line, _ONE, stride, whole, at, lanes)
+            else:
+                _prefetch_run(line, _TWO, stride, whole, at, lanes)
             if edged[number]:
-                _prefetch_run(depth, stride, whole, at, lanes)
+                _prefetch_run(depth, _ONE, stride, whole, at, lanes)
             found += 1
     _read_queue(
         line, depth, lights, flat, sizes, runs, done, found, work, whole, corners, pairs, light, light_pairs, values,

@@ -243,14 +243,16 @@ class RenderPlan:
             ready = prefilter_flat(pixels) if self.blend else pixels
         else:
             packed, left = lit.packed, np.empty(valid.shape, bool)
-            inputs = read._replace(pixels=packed), light, self._sorted_lenses(edged), *self._depth, grid
+            words, out = packed.view(np.uint32).reshape(*packed.shape, -1), image[..., None]
+            by_bytes = output._replace(image=out.view(np.uint8) if out.dtype.kind == "u" else out)
+            inputs = read._replace(pixels=words), light, self._sorted_lenses(edged), *self._depth, grid
             if any(self.viewpoint.offset):
                 weighting = weighting._replace(
                     reach=min(weighting.reach, DEFAULT.view_reach * self.calibration.lattice.pitch)
                 )
-                blend_view_rows(self._view, *inputs, weighting, output, left)
+                blend_view_rows(self._view, *inputs, weighting, by_bytes, left)
             else:
-                blend_rows(*inputs, weighting, output, left)
+                blend_rows(*inputs, weighting, by_bytes, left)
             ready, grid = packed.view(pixels.dtype).reshape(*packed.shape, 4), grid._replace(wanted=left)
         lenses, general = self._lenses, read._replace(pixels=ready)
         if not grid.wanted.size or grid.wanted.any():

@@ -115,7 +115,7 @@ def read_lenses_about(view, source, band, lowest, highest, first, row, column, s
     sizes, runs, ranges = band.size, buffers.runs, buffers.ranges
     flat = _Flat(
         np.int32(source.size[0]), np.int32(source.size[1]), np.int32(source.corner[0]), np.int32(source.corner[1]),
-        stride, source.edge, np.float32(source.rings - 1),
+        stride, source.words, source.edge, np.float32(source.rings - 1),
     )  # fmt: skip
     step, per_light_step = np.float32(spacing), np.float32(1 / source.light_step)
     found = done = 0
@@ -145,9 +145,9 @@ def read_lenses_about(view, source, band, lowest, highest, first, row, column, s
                 columns, rows, slope, limits, share, lens, flat, (step, per_light_step), np.uint64(u), lanes, work,
                 whole, at, view, values, np.uint64(found) * PER_RUN,
             )  # fmt: skip
-            _prefetch_run(line, stride, whole, at, lanes)
+            _prefetch_run(line, flat.words, stride, whole, at, lanes)
             if edged[number]:
-                _prefetch_run(depth, stride, whole, at, lanes)
+                _prefetch_run(depth, np.uint64(1), stride, whole, at, lanes)
             found += 1
     _reduce_occluded(depth, sizes, stride, flat.edge, per_pitch2, runs, done, found, work, whole, values)
     _read_queue(

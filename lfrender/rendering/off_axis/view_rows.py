@@ -31,7 +31,7 @@ def _blend_section(
     view, source, surface, depth, grid, tolerance, output, left, upper, section, memory, band, buffers, totals
 ):  # fmt: skip
     """Blend at most `SECTION` columns from column `section` on, of the band whose first row is `upper`."""
-    rows, columns, _ = output.image.shape
+    rows, columns = output.valid.shape
     lenses, spacing, first = source.lenses, grid.spacing, grid.first
     lower, row = min(upper + ROWS, rows), grid.start[1] + upper
     count, column = min(SECTION, columns - section), grid.start[0] + section
@@ -78,21 +78,22 @@ def blend_view_rows(begin, end, view, flat, light, lenses, surface, depth, grid,
     `view` are x, y of the viewpoint and the squared radius up to which microimages are read [px]; the radius of the
     `SortedLenses` is larger by the distance of the viewpoint.
     """
-    rows, columns, _ = output.image.shape
+    rows, columns = output.valid.shape
     gains, transmission = light.gains.reshape(-1), light.lights.reshape(-1)
     lights = np.empty(2 * len(gains), np.float32)
     for k in range(len(gains)):
         lights[2 * k], lights[2 * k + 1] = gains[k], transmission[k] * transmission[k]
     light_pairs = lights.view(np.uint64)
     line, depth_line, stride = flat.pixels.reshape(-1), flat.depth.reshape(-1), np.uint64(flat.pixels.shape[1])
+    words = np.uint64(flat.pixels.shape[2])
     bands = (rows + ROWS - 1) // ROWS
     tall, most = _most_runs(lenses.centres, grid, bands, weighting.reach)
     source = Source(
-        line, depth_line, stride, flat.corner, flat.size, light_pairs, light.gains.shape[1], light.step, lenses,
+        line, depth_line, stride, words, flat.corner, flat.size, light_pairs, light.gains.shape[1], light.step, lenses,
         depth.edge, weighting.reach,
     )  # fmt: skip
     memory = _allocate_row(columns, depth.spacing, grid.spacing)
-    band, buffers = _allocate_band(len(lenses.shares)), _allocate_buffers(line, most, tall)
+    band, buffers = _allocate_band(len(lenses.shares)), _allocate_buffers(most, tall)
     totals = np.empty(4 * LINE, np.float32)
     for n in range(begin, end):
         for section in range(0, columns, SECTION):

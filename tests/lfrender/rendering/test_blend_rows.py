@@ -8,6 +8,7 @@ import pytest
 
 import lfrender
 from data_synth import SCENES, Camera, simulate
+from lfrender.rendering.blend_rows import blend_rows
 from lfrender.rendering.plan import RenderPlan
 from lfrender.rendering.render import make_plan
 
@@ -59,6 +60,14 @@ def test_the_usual_picture_is_blended_lens_by_lens(made, monkeypatch):
     lfrender.render(made(flat), camera, depth)
     # Only output pixels larger than one of the flat are blended pixel by pixel.
     assert sum(drawn_by_pixel) < 0.1
+
+
+def test_flats_of_bytes_and_shorts_are_drawn_by_the_same_compiled_kernel():
+    flat, camera, depth = capture()
+    lfrender.render(flat, camera, depth)
+    before = len(blend_rows.overloads)
+    lfrender.render(shorts(flat), camera, depth)
+    assert len(blend_rows.overloads) == before
 
 
 @pytest.mark.parametrize("made", [np.asarray, shorts])
