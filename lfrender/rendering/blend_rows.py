@@ -273,7 +273,8 @@ def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting,
     """Draw the pixels of a `Grid` into an `Output`.
 
     As `blend_pixels`, with packed pixels (h, w, words) uint32 in `flat` (`prefilter_packed`), a picture whose values
-    have one byte, two, or are floats (rows, columns, C, bytes), and `SortedLenses`: one kernel for all of them. Pixels that need more than one sample are marked in `left` (h, w) instead.
+    have one byte, two, or are floats (rows, columns, C, bytes), and `SortedLenses`: one kernel for all of them. Pixels
+    that need more than one sample are marked in `left` (h, w) instead.
     """
     rows, columns = output.valid.shape
     gains, transmission = light.gains.reshape(-1), light.lights.reshape(-1)
