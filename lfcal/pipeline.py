@@ -137,11 +137,11 @@ def _calibrate(
         camera = _calibrate([average_blocks(flat, block) for flat in flats], kind, None, small)
         return replace(upscale_calibration(camera, block, size), mosaic=mosaic)
     candidates = _find_candidates(found, flats, kind, filtered, hint)
-    camera, found = _measure_first(candidates)
-    if kind == "auto" and found.white and one and _may_be_scene(camera):
+    camera, found, unexplained = _measure_first(candidates)
+    if kind == "auto" and found.white and one and (unexplained or _may_be_scene(camera)):
         with suppress(CalibrationError):
-            scene, other = _measure_first(_find_candidates(None, flats, "scene", filtered, None))
-            if scene.confidence > camera.confidence:
+            scene, other, _ = _measure_first(_find_candidates(None, flats, "scene", filtered, None))
+            if scene.confidence > camera.confidence or (unexplained and scene.confidence == camera.confidence):
                 camera, found = scene, other
     warnings = (*camera.warnings, *_warnings(camera, found.fit.half_difference, filtered and mosaic is None))
     return replace(camera, mosaic=mosaic, warnings=warnings)
@@ -199,15 +199,17 @@ def _shows_scene(found: LatticeCandidate) -> bool:
     return isinstance(found.picture, np.ndarray) and shows_scene(found.picture, found.fit.lattice)
 
 
-def _measure_first(candidates: Iterator[LatticeCandidate]) -> tuple[Calibration, LatticeCandidate]:
+def _measure_first(candidates: Iterator[LatticeCandidate]) -> tuple[Calibration, LatticeCandidate, bool]:
     """The first candidate that makes a calibration; CalibrationError if none does.
 
-    Wrong ones are the period of scene detail that all lenses show, or several types of lenses taken as one.
+    Also whether it is more likely a scene, if it was taken for a white image. Wrong ones are the period of scene detail
+    that all lenses show, or several types of lenses taken as one.
     """
     error: CalibrationError | None = None
     for one in islice(candidates, 1 + CALIBRATION.more_candidates):
         try:
-            return _measure(one), one
+            camera, unexplained = _measure(one)
+            return camera, one, unexplained
         except CalibrationError as failure:
             error = error or one.start.doubt or failure
             if one.white:
@@ -216,9 +218,13 @@ def _measure_first(candidates: Iterator[LatticeCandidate]) -> tuple[Calibration,
     raise error
 
 
-def _measure(found: LatticeCandidate) -> Calibration:
-    """The calibration with illumination, defects and lens types."""
+def _measure(found: LatticeCandidate) -> tuple[Calibration, bool]:
+    """The calibration with illumination, defects and lens types; whether it is more likely that of a scene.
+
+    So it is where more pixels differ from the gain map than defects explain, and the average microimage is doubtful.
+    """
     from .illumination.measure import measure_illumination
+    from .illumination.settings import DEFECTS
     from .lens_types.classify import find_lens_types
 
     fit, picture, white = found.fit, found.picture, found.white
@@ -242,7 +248,7 @@ def _measure(found: LatticeCandidate) -> Calibration:
         1 - 2 * light.outlier_share,
         CALIBRATION.unproven_confidence if doubt else 1,
     )
-    return Calibration(
+    camera = Calibration(
         lattice=lattice,
         vignetting=light.vignetting,
         source="white" if white else "scene",
@@ -257,6 +263,7 @@ def _measure(found: LatticeCandidate) -> Calibration:
         residuals=fit.residuals,
         circle_agreement=agreement,
     )
+    return camera, doubt is not None and light.outlier_share > DEFECTS.largest_share
 
 
 def _compare_circles(found: LatticeCandidate, lattice: Lattice) -> tuple[float, str | None]:

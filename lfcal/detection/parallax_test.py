@@ -35,6 +35,9 @@ class NeighbourComparison:
     matched: float = float("nan")
     unshifted: float = float("nan")  # mean difference of neighbours without a shift
     distant: float = float("nan")  # mean difference of places inside a microimage as far apart as two microimages
+    # difference of neighbours without a shift in the median lens, and that of places across the same microimage
+    typical_unshifted: float = float("nan")
+    typical_across: float = float("nan")
 
 
 def check_parallax(
@@ -118,10 +121,12 @@ def _matches(found: NeighbourComparison, gain: float) -> bool:
 def _is_alike_unmoved(found: NeighbourComparison, gain: float) -> bool:
     """Whether neighbours show nearly the same at the same place, as in unfocused cameras, whose `s` is near zero.
 
-    Places inside a lens then differ by more. What all lenses have in common, as tiles, is left out before.
+    Places across a lens then differ by more, though nearer to each other than neighbours are: a picture behind a mesh
+    differs by less. What all lenses have in common, as tiles, is left out before; a few lenses at an outline, where
+    neighbours do differ, are not typical.
     """
-    unmoved = max(found.unshifted**2 - found.noise**2, 0)
-    return found.distant**2 - found.noise**2 >= gain**2 * unmoved
+    unmoved = max(found.typical_unshifted**2 - found.noise**2, 0)
+    return found.typical_across**2 - found.noise**2 >= gain**2 * unmoved
 
 
 def compare_neighbours(
@@ -189,13 +194,13 @@ def _compare_shifted(
     steps: list[NDArray[np.float64]],
     radius: float,
     settings: ParallaxSettings,
-) -> tuple[float, float, float, float, float]:
-    """The last five figures of `NeighbourComparison`, on lines along each of the `steps` to neighbours."""
+) -> tuple[float, ...]:
+    """The last seven figures of `NeighbourComparison`, on lines along each of the `steps` to neighbours."""
     samples = settings.samples
     along = np.linspace(-radius, radius, samples)
     spacing = float(along[1] - along[0])
     ratios = np.linspace(-settings.max_ratio, settings.max_ratio, settings.ratios)
-    by_step, distant, noise = [], [], []
+    by_step, distant, across, noise = [], [], [], []
     for step in steps:
         length = float(np.hypot(*step))
         ahead = step / length
@@ -208,6 +213,8 @@ def _compare_shifted(
         apart = min(max(1, round((length - 2 * radius) / spacing)), samples // 2)
         pixel = min(max(1, round(1 / spacing)), samples // 2)
         distant.append(np.abs(own[:, apart:] - own[:, :-apart]).mean())
+        wide = round(settings.across * (samples - 1))
+        across.append(np.abs(own[:, wide:] - own[:, :-wide]).mean((1, 2)))
         noise.append(np.abs(own[:, pixel:] - own[:, :-pixel]).mean((1, 2)))
         by_step.append(np.array([_difference(own, other, round(ratio * length / spacing)) for ratio in ratios]))
     table = np.array(by_step)
@@ -216,9 +223,23 @@ def _compare_shifted(
         # The best disparity of the other neighbours: nothing matches by chance.
         best = np.delete(table, k, axis=0).sum(0).argmin(0)
         matched.append(table[k, best, np.arange(len(centres))].mean())
-    unshifted = table[:, len(ratios) // 2].mean()
+    unshifted = table[:, len(ratios) // 2].mean(0)
     plain, typical = np.quantile(np.mean(noise, axis=0), (settings.plain_share, settings.typical_share))
-    return float(plain), float(typical), float(np.mean(matched)), float(unshifted), float(np.mean(distant))
+    typical_across = np.median(np.mean(across, axis=0))
+    return tuple(
+        map(
+            float,
+            (
+                plain,
+                typical,
+                np.mean(matched),
+                unshifted.mean(),
+                np.mean(distant),
+                np.median(unshifted),
+                typical_across,
+            ),
+        )
+    )
 
 
 def _difference(own: NDArray[np.float64], other: NDArray[np.float64], shift: int) -> NDArray[np.float64]:

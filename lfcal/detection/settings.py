@@ -142,8 +142,11 @@ class ParallaxSettings:
     typical_share: float = 0.5  # the same where a white image must be shown to be none
     gain: float = 1.3  # least factor by which the right disparity reduces differences: scenes 1.7, patterns 1.2
     sure_gain: float = 1.6  # the same whatever the noise
-    unmoved_gain: float = 1.2  # least of places inside a lens over neighbours that are alike unmoved: 1.22 to 1.7 in
-    # captures of light-field microscopes
+    across: float = 0.75  # [width that is compared] distance of places across a microimage
+    unmoved_gain: float = (
+        1.4  # least factor by which they differ more than neighbours that are alike unmoved: 1.5 to 12
+    )
+    # in captures of light-field microscopes and quarters of them, up to 1.3 in pictures behind meshes and sets of tiles
 
 
 @dataclass(frozen=True)

@@ -104,6 +104,28 @@ def test_scene_that_is_nearly_even_within_its_microimages_is_no_white_image(pitc
     assert lfcal.calibrate(shot.white).source == "white"
 
 
+@pytest.mark.parametrize("outlines", [0.0, 0.15])
+def test_lenses_that_show_the_same_unmoved_are_those_of_an_unfocused_camera(outlines):
+    size, pitch = (640, 520), 21.7
+    rng = np.random.default_rng(8)
+    lattice = lfcal.Lattice([310.2, 250.7], [[pitch, 0.3], [-0.3, pitch]], size, 9.5)
+    y, x = np.mgrid[: size[1], : size[0]]
+    place = np.stack([x, y], -1).astype(float)
+    index = np.rint(lattice.to_index(place.reshape(-1, 2)))
+    delta = (place.reshape(-1, 2) - lattice.points(index)) / pitch
+    # Light from the directions of a lens, which changes slowly from lens to lens; sharp where objects end.
+    own = rng.standard_normal((64, 64, 2)) if outlines else np.zeros((64, 64, 2))
+    own[rng.random((64, 64)) > outlines] = 0
+    i, j = index.astype(int).T % 64
+    slope = np.stack([np.cos(index[:, 0] / 9), np.sin(index[:, 1] / 8)], -1) + 2 * own[i, j]
+    light = 1 + 0.12 * (slope * np.sin(4 * delta)).sum(1) + 0.005 * rng.standard_normal(len(delta))
+    picture = light.reshape(size[::-1]).astype(np.float32)
+    found = compare_neighbours(picture, lattice)
+    assert found.typical_across > 1.8 * found.typical_unshifted
+    assert not check_parallax(picture, lattice, white=False)
+    assert shows_scene(picture, lattice)
+
+
 @pytest.mark.parametrize("moves", [True, False])
 def test_texture_as_fine_as_noise_is_a_scene_only_where_neighbours_match(moves):
     size, pitch, ratio = (620, 500), 24.3, -0.3

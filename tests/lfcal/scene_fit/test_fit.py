@@ -167,3 +167,15 @@ def test_microscope_capture_gives_the_lattice_of_its_white_image(shared):
     away = right.to_index(found.centres())
     away = (away - np.rint(away)) @ right.basis
     assert np.sqrt((away**2).sum(1).mean()) < 0.5  # [px]
+
+
+def test_turned_microscope_capture_is_calibrated_as_well(shared):
+    """The part of a lens that is alike in its neighbours does not depend on the direction of the pixel rows."""
+    scene = lfcal.read_flat(shared("captures", "Beads.tif"))
+    found = lfcal.calibrate(np.rot90(scene).copy())
+    assert found.confidence > 0.9 and abs(found.lattice.pitch - 19.218) < 0.002
+
+
+def test_part_of_a_microscope_capture_is_a_scene_whose_pixels_no_gain_map_explains(shared):
+    scene = lfcal.read_flat(shared("captures", "GUV.tif"))[145:290, 145:290]
+    assert lfcal.calibrate(scene).source == "scene"
