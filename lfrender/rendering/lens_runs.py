@@ -346,16 +346,9 @@ def read_lenses(source, band, lowest, highest, first, row, column, spacing, coun
     `row` and `column` are those of its first pixel in the picture, whose pixel (0, 0) lies at `first`; `before` counts
     the groups of columns that are drawn before each of its `count` columns.
     """
-    line, depth, lights, stride = source.line, source.depth, source.lights, source.stride
+    line, depth, lights, stride, words = source.line, source.depth, source.lights, source.stride, source.words
     centres, edged = source.lenses.centres, source.lenses.edged
-    columns, rows, slope, limits, share, words = (
-        band.column,
-        band.row,
-        band.slope,
-        band.limit2,
-        band.share,
-        source.words,
-    )
+    columns, rows, slope, limits, share = band.column, band.row, band.slope, band.limit2, band.share
     work, whole, corners, pairs = buffers.work, buffers.place, buffers.corners, buffers.corner_pairs
     light, light_pairs, values, sums = buffers.light, buffers.light_pairs, buffers.values, buffers.sums
     sizes, runs, ranges = band.size, buffers.runs, buffers.ranges

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import sys
 from contextlib import suppress
 from importlib import import_module
 from threading import Thread
@@ -19,16 +18,9 @@ def import_in_background(*modules: str) -> None:
 
 
 def _import(*modules: str) -> None:
-    # Numba looks for the linear algebra of SciPy, which takes longer to import than Numba itself; no kernel uses it.
-    blas = "scipy.linalg.cython_blas"
-    absent = blas not in sys.modules
-    if absent:
-        sys.modules[blas] = None  # type: ignore[assignment]
     try:
-        import_module("numba.np.arraymath")
+        import_module("numba")
     finally:
-        if absent:
-            sys.modules.pop(blas, None)
         gc.freeze()
         gc.enable()
     # A command that fails at once may end meanwhile; the modules are not needed then.

@@ -117,6 +117,8 @@ def _serve() -> None:
     """The loop of a process that compiles: a kernel per line of stdin, a word per kernel on stdout."""
     # Nearly all that compiling makes lives as long as this process.
     gc.disable()
+    # Numba looks for the linear algebra of SciPy, which takes long to import; no kernel uses it.
+    sys.modules["scipy.linalg.cython_blas"] = None  # type: ignore[assignment]
     for line in sys.stdin:
         try:
             Signature(*json.loads(line)).compile()

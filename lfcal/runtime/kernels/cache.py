@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
 
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.runtime import rtsys
 
 from .compilation import announce_miss
 from .digest import digest_kernel
@@ -82,8 +83,11 @@ class _KernelCache(FunctionCache):
             return False
 
     def _load(self, sig: Any, target_context: Any) -> Any:
+        # Not as Numba does: what is needed to type and compile kernels takes longer to load than many kernels.
+        rtsys.initialize(target_context)
         try:
-            return super().load_overload(sig, target_context)
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(sig, target_context)
         except OSError:
             return None
         except _DAMAGED:
