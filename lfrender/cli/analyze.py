@@ -87,7 +87,7 @@ def analyze(
     ply: Path | None,
     optics_file: Path | None,
     metres: bool,
-    edges: bool,
+    edges: bool | None,
     roi: tuple[float, float, float, float] | None,
     exhaustive: bool,
     workers: int | None,

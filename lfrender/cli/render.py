@@ -95,7 +95,7 @@ def render(
     alpha: bool,
     compress: bool,
     tile: int | None,
-    edges: bool,
+    edges: bool | None,
     roi: tuple[float, float, float, float] | None,
     workers: int | None,
     scheduler: str | None,

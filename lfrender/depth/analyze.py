@@ -30,7 +30,7 @@ def analyze(
     skip: bool | Iterable[str] = True,
     roi: tuple[float, float, float, float] | None = None,
     previous: tuple[NDArray, DepthMap] | None = None,
-    edges: bool = False,
+    edges: bool | None = None,
 ) -> DepthMap:
     """Estimate the signed patch size, mode and magnification of every microlens.
 
@@ -57,9 +57,10 @@ def analyze(
         those of their neighbours, have not changed keep it; so do lenses that still match at that depth. Over many
         frames with slow changes give the frame that was analysed, not the last one, or changes smaller than the noise
         add up.
-    edges : bool
+    edges : bool, optional
         Locate depth edges of the surface on every pixel of the microimages: 0.3 to 3 dB in pictures of scenes with
-        occlusion, for some ten times the time of `"balanced"`. Of whole flats: not with `roi` or `previous`.
+        occlusion, for some six times the time of `"balanced"`. Of whole flats: not with `roi` or `previous`. By default
+        `"accurate"` does so where it can.
 
     Returns
     -------
@@ -92,6 +93,7 @@ def analyze(
         raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
     if edges and (roi is not None or previous is not None):
         raise ValueError("edges are located on a whole flat by itself; give neither roi nor previous with it")
+    edges = PRESETS[preset].edges and roi is None and previous is None if edges is None else edges
     shortcuts = Shortcuts.of(skip)
     flat = check_flat(flat, calibration)
     calibration = match_exposure(flat[exposure_rows(len(flat))], calibration)
