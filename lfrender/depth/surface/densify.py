@@ -34,11 +34,10 @@ _NOTHING = np.empty((0, 0), np.float32)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
-def _aggregate(depths, costs, single, gap, jump, slant, part, total):
+def _aggregate(depths, costs, single, gap, jump, total):
     """Add one path of semi-global matching along a line of scene points to `total`.
 
-    Where there is a `single` hypothesis it is chosen in any case, and passes on no more than its depth. A step costs
-    `part` of the prices.
+    Where there is a `single` hypothesis it is chosen in any case, and passes on no more than its depth.
     """
     most = len(depths)
     message = np.zeros(most, np.float32)
@@ -56,13 +55,12 @@ def _aggregate(depths, costs, single, gap, jump, slant, part, total):
                 break
             best = np.float32(0.0)
             if p > 0:
-                best = part * jump
+                best = jump
                 for q in range(1 if single[p - 1] else most):
                     t = depths[q, p - 1]
                     if np.isnan(t):
                         break
-                    apart = abs(s - t) / gap
-                    best = min(best, previous[q] - low + part * min(jump, slant * apart if apart < 1 else jump))
+                    best = min(best, previous[q] - low + (np.float32(0.0) if same_surface(s, t, gap) else jump))
             message[k] = costs[k, p] + best
             total[k, p] += message[k]
             lowest = min(lowest, message[k])
@@ -76,21 +74,19 @@ def _choose(
     costs: NDArray[np.float32],
     gap: np.float32,
     jump: np.float32,
-    slant: np.float32,
-    part: np.float32,
     total: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
     """Choose one hypothesis per scene point by paths along its row and column, both ways."""
     single = np.isnan(depths[1])
     turned = np.ascontiguousarray(single.T)
-    _follow_rows(depths, costs, gap, jump, slant, part, single, total)
-    _follow_columns(depths, costs, gap, jump, slant, part, turned, total)
+    _follow_rows(depths, costs, gap, jump, single, total)
+    _follow_columns(depths, costs, gap, jump, turned, total)
     _take_cheapest(depths, single, total, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda depths, *_: depths.shape[1])
-def _follow_rows(begin, end, depths, costs, gap, jump, slant, part, single, total):
+def _follow_rows(begin, end, depths, costs, gap, jump, single, total):
     most, _, columns = depths.shape
     for v in range(begin, end):
         some = False
@@ -100,23 +96,19 @@ def _follow_rows(begin, end, depths, costs, gap, jump, slant, part, single, tota
                 for k in range(most):
                     total[k, v, u] = 0.0
         if some:
-            _aggregate(depths[:, v], costs[:, v], single[v], gap, jump, slant, part, total[:, v])
-            _aggregate(
-                depths[:, v, ::-1], costs[:, v, ::-1], single[v, ::-1], gap, jump, slant, part, total[:, v, ::-1]
-            )
+            _aggregate(depths[:, v], costs[:, v], single[v], gap, jump, total[:, v])
+            _aggregate(depths[:, v, ::-1], costs[:, v, ::-1], single[v, ::-1], gap, jump, total[:, v, ::-1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda depths, *_: depths.shape[2])
-def _follow_columns(begin, end, depths, costs, gap, jump, slant, part, turned, total):
+def _follow_columns(begin, end, depths, costs, gap, jump, turned, total):
     for u in range(begin, end):
         some = False
         for v in range(turned.shape[1]):
             some = some or not turned[u, v]
         if some:
-            _aggregate(depths[:, :, u], costs[:, :, u], turned[u], gap, jump, slant, part, total[:, :, u])
-            _aggregate(
-                depths[:, ::-1, u], costs[:, ::-1, u], turned[u, ::-1], gap, jump, slant, part, total[:, ::-1, u]
-            )
+            _aggregate(depths[:, :, u], costs[:, :, u], turned[u], gap, jump, total[:, :, u])
+            _aggregate(depths[:, ::-1, u], costs[:, ::-1, u], turned[u, ::-1], gap, jump, total[:, ::-1, u])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda depths, *_: depths.shape[1])
@@ -206,12 +198,12 @@ def densify(
     ring = cached(lattice, "looking", lambda: _steps_nearby(lattice, settings.viewing_reach))
     gap = np.float32(max(settings.least_same_surface, settings.same_surface * pitch))
     grid = scene_grid(lattice, start[0], spacing)
-    step, floor = max(1.0, pitch / settings.patch_pitch), settings.noise * noise * noise
+    # Two pixels that differ by noise alone match.
     constants = hypothesis_constants(
-        gap, pitch, settings.voting_reach * pitch, view_constants(gray.radius, step, floor)
+        gap, pitch, settings.voting_reach * pitch, view_constants(gray.radius, 2 * noise * noise)
     )
-    agreeing = np.empty(len(values), np.int8)
-    find_agreeing_lenses(values, seconds, trust, lattice.indices(), grid, ring, gap, constants.trusted, agreeing)
+    agreeing = np.empty(len(values), np.bool_)
+    find_agreeing_lenses(values, seconds, lattice.indices(), grid, ring, gap, agreeing)
     known = before is not None and before.patch_size.shape == shape and before.first == start
     old = before.patch_size if before is not None and known and unchanged is not None else _NOTHING
     table = np.empty((len(values), 6), np.float32)
@@ -232,8 +224,7 @@ def densify(
         )
         chosen = allocate_scratch(purpose, shape, np.float32)
         # A step of a coarser grid stands for several steps, and so does its mismatch: both are scaled alike.
-        jump, slant = np.float32(settings.jump), np.float32(settings.slant)
-        _choose(depths, costs, gap, jump, slant, np.float32(part), totals, chosen)
+        _choose(depths, costs, gap, np.float32(part * settings.jump), totals, chosen)
         return depths, chosen
 
     # Points between values of twice the spacing that agree are interpolated: only depth edges are computed in full.

@@ -22,7 +22,6 @@ from .photoconsistency import (
 from .scene_grid import SceneGrid, lens_at
 from .settings import HypothesisSettings
 from .votes import (
-    SIZE,
     cluster_votes,
     find_central,
     find_voters,
@@ -38,15 +37,12 @@ __all__ = ["MAX_HYPOTHESES", "find_agreeing_lenses", "hypothesis_constants", "pr
 _DEFAULT = HypothesisSettings()
 #: Hypotheses of one scene point, at most.
 MAX_HYPOTHESES = 5
-# Marks lenses without a trusted one about them: they take their own depth.
-_ALONE = np.int8(2)
 
 # Float32 values of `HypothesisSettings`, the tolerance of one surface, the pitch [px], the squared distance within
-# which lenses vote [px^2], and from the last but six on those of `ViewConstants`.
+# which lenses vote [px^2], and from the last but three on those of `ViewConstants`.
 HypothesisConstants = namedtuple(
     "HypothesisConstants",
-    "occluded_cost matched widest unvoted_cost rough nudge nudge_cost good second_weight trusted gap pitch vote2 "
-    "visible_share occluded_share unknown occluded_views radius step floor",
+    "occluded_cost widest second_weight gap pitch vote2 best_share unknown radius floor",
 )  # fmt: skip
 
 
@@ -58,7 +54,7 @@ def hypothesis_constants(
     settings: HypothesisSettings = _DEFAULT,
 ) -> HypothesisConstants:
     """Values for `propose_hypotheses`: tolerance of one surface, pitch, and distance within which lenses vote [px]."""
-    named = [np.float32(getattr(settings, name)) for name in HypothesisConstants._fields[:10]]
+    named = [np.float32(getattr(settings, name)) for name in HypothesisConstants._fields[:3]]
     return HypothesisConstants._make((*named, gap, np.float32(pitch), np.float32(voting_reach**2), *views))
 
 
@@ -68,7 +64,7 @@ def _add_occlusion(depths, costs, matches, c):
     behind it matches as well."""
     count = len(depths)
     for k in range(count):
-        matches[k] = max(c.matched - costs[k], np.float32(0.0))
+        matches[k] = max(c.unknown - costs[k], np.float32(0.0))
     for k in range(count):
         nearer = np.float32(0.0)
         for q in range(count):
@@ -78,24 +74,21 @@ def _add_occlusion(depths, costs, matches, c):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda values, *_: len(values))
-def find_agreeing_lenses(begin, end, values, seconds, trust, indices, grid: SceneGrid, ring, gap, trusted, agreeing):
-    """Set `agreeing` (n,) int8: 1 for lenses that agree to one `gap` with all trusted lenses of `ring`, which have no
-    second depths; 2 where none of them is trusted, nor the lens itself; 0 elsewhere.
-    """
+def find_agreeing_lenses(begin, end, values, seconds, indices, grid: SceneGrid, ring, gap, agreeing):
+    """Set `agreeing` (n,) where all lenses of `ring` agree to one `gap` and have no second depths."""
     lookup, low = grid.rows, grid.low
     for lens in range(begin, end):
         lowest = highest = values[lens]
-        single, alone = True, trust[lens] < trusted
+        single = True
         for r in range(len(ring)):
             other = lens_at(lookup, low, indices[lens, 0] + ring[r, 0], indices[lens, 1] + ring[r, 1])
-            if other < 0 or trust[other] < trusted:
+            if other < 0:
                 continue
-            alone = False
             lowest = min(lowest, values[other])
             highest = max(highest, values[other])
             for m in range(seconds.shape[1]):
                 single = single and not np.isfinite(seconds[other, m])
-        agreeing[lens] = _ALONE if alone else single and highest - lowest <= gap
+        agreeing[lens] = single and highest - lowest <= gap
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -136,43 +129,19 @@ def _keep_coarse(coarse, v, u, gap, depths, weights, count):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _measure_mismatch(image, pixels, near_x, near_y, work, c, central, x, y, everyone, depths, costs, seen):
-    """Turn the weights of hypotheses in `costs` into their mismatch plus the price of few votes, and move `depths` to
-    values beside them that match better; `everyone` is the sum of all weights."""
-    zero, part = np.float32(0.0), np.uint64(WORK)
-    nearest = 0
+def _measure_mismatch(image, near_x, near_y, work, c, central, x, y, depths, costs, seen):
+    """Fill `costs` with the mismatch of hypotheses."""
     # All pixels are fetched before the first comparison: what was just written in single values is slow to read as a
     # vector.
+    nearest = 0
     for k in range(len(depths)):
-        base = np.uint64(k) * part
-        seen[k] = sample_views(image, pixels, near_x, near_y, work, c, central, x, y, depths[k] / c.pitch, base)
+        base = np.uint64(k) * np.uint64(WORK)
+        seen[k] = sample_views(image, near_x, near_y, work, c.radius, central, x, y, depths[k] / c.pitch, base)
         if depth_order(depths[k], c.pitch) > depth_order(depths[nearest], c.pitch):
             nearest = k
     for k in range(len(depths)):
-        share, slope, base = costs[k] / everyone, depths[k] / c.pitch, np.uint64(k) * part
-        least = view_mismatch(image, near_x, near_y, work, c, x, y, slope, k == nearest, seen[k], base)
-        if share < c.rough and least >= c.good and least != c.unknown:
-            depths[k], least = _try_beside(
-                image, pixels, near_x, near_y, work, c, central, x, y, depths[k], least, k == nearest,
-                np.uint64(len(depths)) * part,
-            )  # fmt: skip
-        costs[k] = least + c.unvoted_cost * max(zero, 1 - share)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _try_beside(image, pixels, near_x, near_y, work, c, central, x, y, s, least, nearest, base):
-    """The patch size among `s`, of mismatch `least`, and those a little beside it that matches best; its mismatch."""
-    nudge = c.nudge * c.gap
-    low, high, other = (s - nudge) / c.pitch, (s + nudge) / c.pitch, base + np.uint64(WORK)
-    seen_low = sample_views(image, pixels, near_x, near_y, work, c, central, x, y, low, base)
-    seen_high = sample_views(image, pixels, near_x, near_y, work, c, central, x, y, high, other)
-    below = c.nudge_cost + view_mismatch(image, near_x, near_y, work, c, x, y, low, nearest, seen_low, base)
-    above = c.nudge_cost + view_mismatch(image, near_x, near_y, work, c, x, y, high, nearest, seen_high, other)
-    if above < min(least, below):
-        return s + nudge, above
-    if below < least:
-        return s - nudge, below
-    return s, least
+        base = np.uint64(k) * np.uint64(WORK)
+        costs[k] = view_mismatch(work, c, k == nearest, seen[k], base)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: given[10].shape[1])
@@ -192,7 +161,7 @@ def propose_hypotheses(
         Centre of each lens, its weight, and its patch size, second-best one and that of the second layer.
     around : (n, k) int32
         Rows of the lenses of `ring` (k, 2) about each.
-    agreeing : (n,) int8
+    agreeing : (n,) bool
         As `find_agreeing_lenses`.
     grid : SceneGrid
     constants : HypothesisConstants
@@ -203,7 +172,7 @@ def propose_hypotheses(
         only those that one of them has; (0, 0) if there is none.
     """
     most, _, columns = depths.shape
-    pixels, c, gap = image.reshape(-1), constants, constants.gap
+    c, gap = constants, constants.gap
     votes = np.float32(1.0), c.second_weight, np.float32(1.0)
     most_near, known = len(ring), table.shape[1]
     # Arrays are taken out of the tuple once: each access counts references.
@@ -214,7 +183,7 @@ def propose_hypotheses(
         voters, shares = np.empty(most_near, np.int64), np.empty(most_near, np.float32)
         sizes, weights = np.empty(known * most_near, np.float32), np.empty(known * most_near, np.float32)
         near_x, near_y = np.empty(MAX_VIEWS, np.float32), np.empty(MAX_VIEWS, np.float32)
-        central, work = np.empty(MAX_VIEWS, np.int64), np.zeros((most + 2) * WORK, np.float32)
+        central, work = np.empty(MAX_VIEWS, np.int64), np.zeros(most * WORK, np.float32)
         own, prices, matches = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
         seen = np.empty(most, np.int64)
         values, differ = np.empty(columns + 2, np.float32), np.ones(columns + 2, np.bool_)
@@ -233,9 +202,6 @@ def propose_hypotheses(
             at_i, at_j = nearest_index(x, y, origin, inverse, bend, bend_low)
             i, j = int(at_i), int(at_j)
             lens = lens_at(lookup, low, i, j)
-            if lens >= 0 and agreeing[lens] == _ALONE:
-                depths[0, v, u] = table[lens, SIZE]
-                continue
             # Consecutive points mostly lie in the cell of one lens.
             if i != around_i or j != around_j:
                 count = gather_table(table, around, lookup, low, ring, i, j, lens, nearby)
@@ -245,20 +211,17 @@ def propose_hypotheses(
                 depths[0, v, u] = mean_around(nearby, count, px, py, c.vote2)
                 continue
             nearest = measure_distances(nearby, count, px, py, distance)
-            found, lowest, highest = find_voters(nearby, count, nearest, distance, c.vote2, c.trusted, voters, shares)
+            found, lowest, highest = find_voters(nearby, count, nearest, distance, c.vote2, voters, shares)
             if found == 0 or highest - lowest <= gap:
                 depths[0, v, u] = mean_vote(nearby, found, voters, shares, votes) if found else np.float32(np.nan)
                 continue
-            everyone = shares[:found].sum()
             number = sort_votes(nearby, found, voters, shares, votes, sizes, weights)
             found = cluster_votes(number, sizes, weights, gap, c.widest * gap, own, prices)
             if coarse.size > 0:
                 found = _keep_coarse(coarse, v, u, gap, own, prices, found)
             if found > 1:
                 views = find_central(nearby, count, distance, central, near_x, near_y)
-                _measure_mismatch(
-                    image, pixels, near_x, near_y, work, c, views, px, py, everyone, own[:found], prices[:found], seen
-                )
+                _measure_mismatch(image, near_x, near_y, work, c, views, px, py, own[:found], prices[:found], seen)
                 _add_occlusion(own[:found], prices[:found], matches, c)
                 for k in range(1, found):
                     depths[k, v, u], costs[k, v, u] = own[k], prices[k]

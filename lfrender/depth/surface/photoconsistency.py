@@ -31,29 +31,14 @@ _MEAN, _VARIANCE, _COST = np.uint64(216), np.uint64(224), np.uint64(232)
 #: Float32 values of work memory for one depth, finite: from place `base` of `work` on.
 WORK = 240
 
-# Float32 values of `PhotoconsistencySettings`, the radius of a microimage [px], the distance between samples [px], and
-# the mismatch `floor` that noise explains.
-ViewConstants = namedtuple("ViewConstants", "visible_share occluded_share unknown occluded_views radius step floor")
+# Float32 values of `PhotoconsistencySettings`, the radius of a microimage [px], and the mismatch `floor` that noise
+# explains.
+ViewConstants = namedtuple("ViewConstants", "best_share unknown radius floor")
 
 
-def view_constants(
-    radius: float, step: float, floor: float, settings: PhotoconsistencySettings = _DEFAULT
-) -> ViewConstants:
-    named = (getattr(settings, name) for name in ViewConstants._fields[:4])
-    return ViewConstants(*map(np.float32, (*named, radius, step, floor)))
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _sample(image, x, y):
-    """Bilinear interpolation, clamped to the image."""
-    height, width = image.shape
-    x = min(max(x, np.float32(0.0)), np.float32(width - 1.001))
-    y = min(max(y, np.float32(0.0)), np.float32(height - 1.001))
-    i, j = int(x), int(y)
-    fx, fy = np.float32(x - i), np.float32(y - j)
-    return (1 - fy) * ((1 - fx) * image[j, i] + fx * image[j, i + 1]) + fy * (
-        (1 - fx) * image[j + 1, i] + fx * image[j + 1, i + 1]
-    )
+def view_constants(radius: float, floor: float, settings: PhotoconsistencySettings = _DEFAULT) -> ViewConstants:
+    named = (getattr(settings, name) for name in ViewConstants._fields[:2])
+    return ViewConstants(*map(np.float32, (*named, radius, floor)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -160,57 +145,43 @@ def _mean_of_best(work, base, views, r, number):
     return total / np.float32(number)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _within(px, py, step, width, height):
-    """Whether all samples about a place are interpolated from the 4 x 4 pixels about it."""
-    return step == 1 and px >= 1 and py >= 1 and px < width - 2 and py < height - 2
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
-def sample_views(image, pixels, near_x, near_y, work, constants, count, x, y, slope, base):
+def sample_views(image, near_x, near_y, work, radius, count, x, y, slope, base):
     """Put the pixels of the first `count` lenses at scene point (x, y), at depth `slope` = s / D, into `work`.
 
-    The lenses have their centres at `near_x`, `near_y`, the nearest first; `pixels` are those of the image in one line.
-    Returns how many lenses show the point; the first counts in any case.
+    The lenses have their centres at `near_x`, `near_y`, the nearest first. Returns how many lenses, of this `radius`,
+    show the point; the first counts in any case.
     """
     height, width = image.shape
-    radius, seen = constants.radius, 0
+    pixels, one = image.reshape(-1), np.float32(1.0)
+    right, bottom = np.float32(width) - np.float32(2.001), np.float32(height) - np.float32(2.001)
+    seen = 0
     for m in range(count):
         dx, dy = -(x - near_x[m]) * slope, -(y - near_y[m]) * slope
         # Those after it are farther.
         if m > 0 and dx * dx + dy * dy > radius * radius:
             break
-        px, py = near_x[m] + dx, near_y[m] + dy
-        if _within(px, py, constants.step, width, height):
-            _fetch(pixels, np.uint64(width), px, py, work, base + np.uint64(m))
+        px, py = min(max(near_x[m] + dx, one), right), min(max(near_y[m] + dy, one), bottom)
+        _fetch(pixels, np.uint64(width), px, py, work, base + np.uint64(m))
         seen += 1
     return seen
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def view_mismatch(image, near_x, near_y, work, constants, x, y, slope, nearest, seen, base):
+def view_mismatch(work, constants, nearest, seen, base):
     """Mean mismatch of the better part of the `seen` views found by `sample_views` with one of the most central.
 
-    0 for equal views, about 1 for unrelated ones. More views must agree on the `nearest` depth: nothing occludes it.
+    0 for equal views, about 1 for unrelated ones. Behind another depth, where the views may be occluded, a mismatch
+    tells nothing: only the `nearest` one can be refuted.
     """
-    height, width = image.shape
-    step, unknown = constants.step, constants.unknown
+    unknown = constants.unknown
     if seen < 2:
         return unknown
     _interpolate(work, base)
-    for m in range(seen):
-        px, py = near_x[m] - (x - near_x[m]) * slope, near_y[m] - (y - near_y[m]) * slope
-        if not _within(px, py, step, width, height):
-            for k in range(9):
-                value = _sample(image, px + (k % 3 - 1) * step, py + (k // 3 - 1) * step)
-                work[base + _P0 + np.uint64(8 * k + m)] = value
     _compute_moments(work, base)
-    share = constants.visible_share if nearest else constants.occluded_share
-    number = max(1, int(share * (seen - 1) + np.float32(0.5)))
-    least = np.float32(np.inf)
+    number = max(1, int(constants.best_share * (seen - 1) + np.float32(0.5)))
+    least = np.float32(np.inf) if nearest else unknown
     for r in range(np.uint64(_REFERENCES)):
         _compare(work, base, r, unknown, constants.floor)
         least = min(least, _mean_of_best(work, base, seen, r, number))
-    if not nearest and least > unknown:
-        least = unknown + (least - unknown) * np.float32(seen) / (np.float32(seen) + constants.occluded_views)
     return least

@@ -20,9 +20,6 @@ class DensifySettings:
     same_surface: float = TOLERANCE  # [pitch] depths of nearby lenses on one surface are one hypothesis
     least_same_surface: float = 0.75  # [px] the same for small microimages
     jump: float = 0.35  # price of a depth edge between neighbouring grid values, in units of the mismatch
-    slant: float = 0.1  # price of a slant by one `same_surface` between neighbouring grid values
-    patch_pitch: float = 48.0  # [px] up to this pitch the 3 x 3 samples of a patch are pixels; then wider apart
-    noise: float = 4.0  # variances of a pixel that count as mismatch of nothing
     speck: int = 1  # [grid values] to each side of the window whose median replaces single values
 
 
@@ -30,26 +27,17 @@ class DensifySettings:
 class HypothesisSettings:
     """Tuned values of `hypotheses`."""
 
-    occluded_cost: float = 2.0  # a hypothesis pays this times what a nearer one stays below `matched`
-    matched: float = 0.5  # mismatch below which a nearer hypothesis makes the others pay
+    occluded_cost: float = 2.0  # a hypothesis pays this times what the mismatch of a nearer one stays below `unknown`
     widest: float = 2.0  # [tolerances] votes of one hypothesis extend over no more
-    unvoted_cost: float = 0.07  # price of a depth that no lens around votes for, in units of the mismatch
-    rough: float = 0.4  # share of the votes below which the values beside a hypothesis are tried too
-    nudge: float = 0.3  # [tolerances] how far beside
-    nudge_cost: float = 0.07  # price of such a value, in units of the mismatch
-    good: float = 0.2  # a smaller mismatch is not improved
     second_weight: float = 0.1  # vote of a second-best match, which is false in every fourth lens; others have 1
-    trusted: float = 0.1  # lenses of less weight vote only where no others do
 
 
 @dataclass(frozen=True)
 class PhotoconsistencySettings:
     """Tuned values of `photoconsistency`."""
 
-    visible_share: float = 0.7  # share of the views that must agree on the nearest hypothesis
-    occluded_share: float = 0.5  # the same behind another one, which may occlude half of the views
+    best_share: float = 0.5  # of the views, that must agree: an occluder may hide the others
     unknown: float = 0.5  # mismatch of places that too few lenses show, or of noise alone
-    occluded_views: float = 2.0  # an occluded hypothesis that mismatches in so many views counts half of the excess
 
 
 @dataclass(frozen=True)

@@ -80,12 +80,12 @@ def find_central(table, count, distance, near, near_x, near_y):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def find_voters(table, count, nearest, distance, vote2, trusted, voters, shares):
+def find_voters(table, count, nearest, distance, vote2, voters, shares):
     """Lenses that vote for the depth of a scene point, and their weights; how many, and the range of their depths."""
     found = 0
     low, high = np.float32(np.inf), np.float32(-np.inf)
     for m in range(count):
-        if m != nearest and (distance[m] > vote2 or table[_TRUST, m] < trusted):
+        if m != nearest and distance[m] > vote2:
             continue
         share = max(1 - distance[m] / vote2, np.float32(1e-3))
         voters[found], shares[found] = m, table[_TRUST, m] * share * share
