@@ -189,11 +189,14 @@ def _record() -> None:
             capture = _simulate(**settings)
         with stage(f"calibrate{end}"):
             camera = lfcal.calibrate(capture.flat)
+        with stage(f"white image{end}"):
             lfcal.calibrate(capture.white, kind="white")
         with stage(f"analyze{end}"):
             for preset in ("fast", "balanced"):
                 depth = lfrender.analyze(capture.flat, camera, preset)
         with stage(f"render{end}"):
+            lfrender.render(capture.flat, camera, depth)
+        with stage(f"pictures{end}"):
             draw_pictures(capture.flat, camera, depth)
         if not kind and _CAPTURES.exists():
             # A real capture has noise and three types of lenses.
@@ -204,7 +207,10 @@ def _record() -> None:
                 depth = lfrender.analyze(flat, camera)
             with stage("render"):
                 lfrender.render(flat, camera, depth)
-        ranked = {name: sorted(found, key=lambda item: -item[0]) for name, found in stages.items() if found}
+        # A command compiles the stages that follow its own: those of the demo alone come first.
+        demo = ("simulate", "white image", "pictures")
+        ordered = sorted(stages.items(), key=lambda item: item[0].partition(", ")[0] not in demo)
+        ranked = {name: sorted(found, key=lambda item: -item[0]) for name, found in ordered if found}
         write_signatures({name: [entry for _, entry in found] for name, found in ranked.items()})
 
 

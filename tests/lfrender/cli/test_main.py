@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -209,6 +210,24 @@ def test_camera_of_another_image_size_is_refused(house, house_files, tmp_path):
         run("render", tmp_path / "part.png", "--white", house_files / "white.png", "-o", tmp_path / "p.png"), "one size"
     )
     assert os.listdir(tmp_path) == ["part.png"]
+
+
+@pytest.mark.parametrize("command", ["render", "analyze"])
+def test_a_camera_is_checked_against_the_flat_while_that_is_analysed(command, house, house_files, tmp_path):
+    camera, flat = house.truth.calibration, house_files / "flat.png"
+    lattice = camera.lattice
+    replace(camera, lattice=replace(lattice, origin=lattice.origin + [4, 3])).save(tmp_path / "moved.json")
+    replace(camera, lattice=replace(lattice, basis=1.3 * lattice.basis)).save(tmp_path / "other.json")
+    output = tmp_path / ("depth.npz" if command == "analyze" else "picture.png")
+    moved = run(command, flat, "-c", tmp_path / "moved.json", "-o", output, "--preset", "fast")
+    assert moved.exit_code == 0
+    assert "warning: the microimages lie 5.0 px beside those of the camera" in moved.stderr
+    output.unlink()
+    assert_refused(
+        run(command, flat, "-c", tmp_path / "other.json", "-o", output, "--preset", "fast"),
+        "other.json", "not made with this camera",
+    )  # fmt: skip
+    assert not output.exists()
 
 
 def test_depth_of_another_camera_or_no_depth_at_all_is_refused(house, house_files, tmp_path):
