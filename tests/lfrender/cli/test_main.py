@@ -216,7 +216,7 @@ def test_camera_of_another_image_size_is_refused(house, house_files, tmp_path):
 def test_a_camera_is_checked_against_the_flat_while_that_is_analysed(command, house, house_files, tmp_path):
     camera, flat = house.truth.calibration, house_files / "flat.png"
     lattice = camera.lattice
-    replace(camera, lattice=replace(lattice, origin=lattice.origin + [4, 3])).save(tmp_path / "moved.json")
+    replace(camera, lattice=replace(lattice, origin=lattice.origin + np.array([4, 3]))).save(tmp_path / "moved.json")
     replace(camera, lattice=replace(lattice, basis=1.3 * lattice.basis)).save(tmp_path / "other.json")
     output = tmp_path / ("depth.npz" if command == "analyze" else "picture.png")
     moved = run(command, flat, "-c", tmp_path / "moved.json", "-o", output, "--preset", "fast")
