@@ -3,8 +3,8 @@
 Each seed simulates a scene and a white image of a random camera; the camera is calibrated on the white image, and
 checked against the scene, as it is and in worse forms. Wrong cameras are turned by 90 degrees, mirrored, shifted by a
 third of a pitch in a random direction, 0.5 % too long or short, or have their lens types in another order. Captures
-with their cameras may be added. Cameras that a turn or a mirror takes to themselves, within 0.06 pitches, are counted
-apart: their lattice is right for the flat.
+with their cameras may be added. Counted apart are forms on which no microimages can be seen, where that is said, and
+cameras that a turn or a mirror takes to themselves, within 0.06 pitches: their lattice is right for the flat.
 """
 
 from __future__ import annotations
@@ -79,8 +79,10 @@ def main(arguments: list[str]) -> None:
 
     for name, flat, camera in captures():
         for form, pixels in _forms(flat, rng):
-            problem = lfcal.check_camera(camera, pixels).problem
+            check = lfcal.check_camera(camera, pixels)
+            problem = check.problem
             count["right"] += 1
+            count["right: said that no microimages can be seen"] += not check.checked
             if problem is not None:
                 count["false alarms"] += 1
                 print(f"{name}, {form}: false alarm: {problem}", flush=True)
@@ -89,7 +91,10 @@ def main(arguments: list[str]) -> None:
                     count["the same lattice"] += 1
                     continue
                 count[f"wrong: {kind}"] += 1
-                if lfcal.check_camera(wrong, pixels).problem is None:
+                check = lfcal.check_camera(wrong, pixels)
+                if not check.checked:
+                    count["wrong: said that no microimages can be seen"] += 1
+                elif check.problem is None:
                     count[f"missed: {kind}"] += 1
                     print(f"{name}, {form}: {kind} is not noticed", flush=True)
     print(dict(count))

@@ -47,6 +47,8 @@ class CameraCheck:
         What is wrong and what to do, None where nothing is.
     adjusted : Calibration or None
         The camera moved onto the microimages, where a shift is all that is wrong with its lattice: crops of a sensor.
+    checked : bool
+        False where no microimages can be seen on the flat, so that it says nothing about the camera.
 
     Examples
     --------
@@ -58,6 +60,7 @@ class CameraCheck:
     fits: bool = True
     problem: str | None = None
     adjusted: Calibration | None = None
+    checked: bool = True
 
 
 def check_camera(
@@ -67,7 +70,7 @@ def check_camera(
 
     Noticed are flats or cameras that are turned or mirrored, shifts of more than a tenth of the pitch, pitches that are
     wrong by more than a quarter of a percent, another array, and lens types in another order. A flat that shows no
-    lattice, such as a dark one, says nothing.
+    lattice, such as a dark one, says nothing (`CameraCheck.checked`).
 
     Parameters
     ----------
@@ -112,7 +115,7 @@ def check_camera(
         factor, picture, small = 1, sqrt_luminance(flat), given
         found, misfit = compare_lattices(picture, small, settings)
     if found is None:
-        return CameraCheck()
+        return CameraCheck(checked=False)
     if misfit is None:
         return CameraCheck(False, _describe_other(small, found, factor))
     if misfit.is_small(settings) or is_other_centre(picture, found, misfit, settings):

@@ -27,7 +27,7 @@ def is_published(path: Path) -> bool:
 
 
 def read_camera(path: Path, pixels: NDArray[Any] | FlatSource) -> Calibration:
-    """A camera file for flats of this size, with a warning if the pixels contradict it.
+    """A camera file for flats of this size, with a warning if the pixels contradict it or show nothing of it.
 
     A published one is moved onto the microimages where the flat is a crop of the sensor. Raises CameraFileError where
     the flat shows another lattice.
@@ -73,6 +73,10 @@ def _check_file(path: Path, calibration: Calibration, pixels: NDArray[Any] | Fla
     if not check.fits:
         raise CameraFileError(f"{path}: {check.problem}")
     warning = check.problem
+    if not check.checked:
+        warning = (
+            "no microimages can be seen on this flat, so that the camera could not be checked; give a brighter one"
+        )
     if is_published(path) and isinstance(pixels, np.ndarray):
         if check.adjusted is not None:
             warning = (

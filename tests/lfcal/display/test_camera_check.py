@@ -60,10 +60,12 @@ def test_mirrored_flat_is_noticed(capture):
     assert check.problem is not None
 
 
-def test_dark_flat_says_nothing(capture):
-    _, camera = capture
+def test_dark_flat_says_nothing_and_that_is_known(capture):
+    image, camera = capture
     noise = np.random.default_rng(3).integers(0, 5, _SIZE).astype(np.uint8)
-    assert lfcal.check_camera(camera, noise).problem is None
+    check = lfcal.check_camera(camera, noise)
+    assert check.problem is None and not check.checked
+    assert lfcal.check_camera(camera, image).checked
 
 
 def test_image_of_another_size_is_refused(capture):
