@@ -21,6 +21,7 @@ from ..lattice.standard_errors import LatticeErrors
 from ..runtime.errors import CalibrationError, CameraFileError, FlatError
 from ..runtime.image_formats import MOSAICS
 from ..runtime.output_file import atomic_write
+from .lens_blur import LensBlur
 from .lens_types import LensTypes
 from .optics import Optics
 
@@ -73,6 +74,8 @@ class Calibration:
         where it is not, for floats, or unknown.
     optics : Optics or None
         Main lens, distances and their covariance, which turn patch sizes into metres; None where not calibrated.
+    lens_blur : LensBlur or None
+        Aperture and focus of the microlenses, as pictures with `detail` need them; None where not measured.
     circle_agreement : float
         Up to 1: share of the circles found by Hough vote that lie on the lattice, beyond chance; NaN where not
         measured.
@@ -103,6 +106,7 @@ class Calibration:
     white_level: float | None = None
     optics: Optics | None = None
     circle_agreement: float = float("nan")
+    lens_blur: LensBlur | None = None
 
     def __post_init__(self) -> None:
         if self.mosaic not in (None, *MOSAICS):
@@ -147,6 +151,7 @@ class Calibration:
             "residuals": self.residuals and self.residuals.to_dict(),
             "white_level": self.white_level,
             "optics": self.optics and self.optics.to_dict(),
+            "lens_blur": self.lens_blur and self.lens_blur.to_dict(),
         }
 
     @classmethod
@@ -191,6 +196,7 @@ class Calibration:
             white_level=None if white_level is None else float(white_level),
             optics=_unpack(data, "optics", Optics.from_dict),
             circle_agreement=float("nan") if circles is None else float(circles),
+            lens_blur=_unpack(data, "lens_blur", LensBlur.from_dict),
         )
 
     def gain(self) -> NDArray[np.float32]:

@@ -103,12 +103,19 @@ def make_filters(
         limit = min(lattice.radius / abs(ratio), reach * lattice.pitch)
         averaged = max(0.75 * np.pi * limit**2 / cell, 1.0)
         grain = defocus.noise**2 * channels * grown**2 / averaged * read**2
+        low, high = settings.few_views
+        trusted = np.clip((averaged - low) / (high - low), 0, 1)
         contradiction = settings.mismatch + (2 * np.pi * frequency * settings.jitter * grown) ** 2
         seen = left * left * scene
         power.append((seen * bands[1:] ** 2).mean(1))
         noise.append((grain * bands[1:] ** 2).mean(1))
+        kept = (np.sinc(fx * min(grown, 1.0)) * np.sinc(fy * min(grown, 1.0))) ** settings.kept
         # Never blurrier than it is, where a coarse picture was averaged over less than its pixels.
-        gains.append(_fit(bands, seen, np.maximum(pixel, left) * left * scene, contradiction, grain, powers, settings))
+        wanted = powers[:, None] * (np.maximum(pixel * kept, left) * left * scene)
+        weight = powers[:, None] * seen * (1 + contradiction) + grain
+        if grown < settings.coarse:
+            wanted = np.maximum(wanted, weight)
+        gains.append(trusted * _fit(bands, wanted, weight, settings))
     table = _finer(_finer(np.stack(gains, 1), 0, settings.fine_powers, 1), 1, settings.fine_levels, 2)
     return DetailFilters(
         table.astype(np.float32),
@@ -142,19 +149,12 @@ def _bands(fx: NDArray[np.float64], fy: NDArray[np.float64]) -> NDArray[np.float
 
 
 def _fit(
-    bands: NDArray[np.float64],
-    seen: NDArray[np.float64],
-    wanted: NDArray[np.float64],
-    contradiction: NDArray[np.float64],
-    grain: NDArray[np.float64],
-    powers: NDArray[np.float64],
-    settings: RestoreSettings,
+    bands: NDArray[np.float64], wanted: NDArray[np.float64], weight: NDArray[np.float64], settings: RestoreSettings
 ) -> NDArray[np.float64]:
-    """(powers, bands): gains beyond the band's own of least mean square error."""
-    weight = powers[:, None] * seen * (1 + contradiction) + grain
+    """(powers, bands): gains beyond the band's own of least mean square error, of `wanted / weight` (powers, f)."""
     pairs = (bands[:, None] * bands).reshape(-1, bands.shape[1])
-    normal = (weight @ pairs.T).reshape(len(powers), len(bands), len(bands))
-    right = (powers[:, None] * wanted - weight) @ bands.T
+    normal = (weight @ pairs.T).reshape(len(weight), len(bands), len(bands))
+    right = (wanted - weight) @ bands.T
     size = np.trace(normal, axis1=1, axis2=2)
     normal += np.eye(len(bands)) * (settings.ridge * size)[:, None, None]
     gains = np.linalg.solve(normal, right[..., None])[..., 0]

@@ -1,0 +1,188 @@
+"""Cross spectra of pairs of microimages that show the same place: the scene's power alone, without the noise of either.
+
+What two lenses of one type see of a place differs in noise, and in how their pixels alias; the mean product of their
+spectra has neither, so that the blur is seen far below the noise, and beyond the frequencies that a pixel resolves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfcal import Calibration
+
+from ..flat.gray_flat import trusted_radius, white_level
+from .settings import SPECTRA, SpectraSettings
+
+__all__ = ["Look", "PairSpectrum", "analysis", "pair_spectra"]
+
+#: Pixels (h, w, C) of the part `left, top, right, bottom` of a flat.
+Look = Callable[[tuple[int, int, int, int]], NDArray]
+
+
+class PairSpectrum(NamedTuple):
+    """Mean cross spectrum of many pairs of lenses of one type and range of depth."""
+
+    kind: int
+    ratio: float  # median s / D
+    side: int  # [px] of the windows; ring k holds frequencies about k / side
+    power: NDArray[np.float64]  # (side + 1,) [white^2]
+    error: NDArray[np.float64]  # its standard error
+    alone: float  # power of single microimages at their highest frequencies: noise, or more
+
+
+class _Pairs(NamedTuple):
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    kind: NDArray[np.int64]
+    size: NDArray[np.float64]  # mean patch size of the two [px]
+
+
+def pair_spectra(
+    look: Look, calibration: Calibration, patch_size: NDArray[np.float32], settings: SpectraSettings = SPECTRA
+) -> list[PairSpectrum]:
+    """Cross spectra by type and range of depth; none where too few neighbours have a depth.
+
+    Parameters
+    ----------
+    look : function
+        Gives a part of the flat.
+    calibration : Calibration
+    patch_size : (n,) float32 [px]
+        Of all lenses, NaN where unresolved.
+    """
+    pairs = _find_pairs(calibration, patch_size, settings)
+    if len(pairs.first) < settings.least_pairs:
+        return []
+    pitch, radius = calibration.lattice.pitch, trusted_radius(calibration)
+    white = white_level(look((0, 0, 1, 1)), calibration)
+    return [
+        found
+        for kind, some in _groups(pairs, pitch, settings)
+        if (found := _spectrum(look, calibration, pairs, some, kind, radius, white, settings)) is not None
+    ]
+
+
+def _find_pairs(calibration: Calibration, patch_size: NDArray[np.float32], settings: SpectraSettings) -> _Pairs:
+    """Neighbours of one type whose patch sizes agree."""
+    lattice, types = calibration.lattice, calibration.lens_types
+    ij = lattice.indices()
+    kinds = np.zeros(len(ij), np.int64) if types is None else types.of(ij).astype(np.int64)
+    place = ij - ij.min(0) + 2
+    table = np.full(place.max(0) + 3, -1)
+    table[tuple(place.T)] = np.arange(len(ij))
+    span = np.arange(-2, 3)
+    steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
+    apart = np.linalg.norm(steps @ lattice.basis, axis=1) / lattice.pitch
+    limit = settings.neighbours if types is None else settings.neighbours_of_type
+    forward = (steps[:, 0] > 0) | ((steps[:, 0] == 0) & (steps[:, 1] > 0))
+    sizes = patch_size.astype(float)
+    seen = np.abs(np.nan_to_num(sizes)) > 1
+    first, second = [], []
+    for step in steps[forward & (apart < limit)]:
+        other = table[tuple((place + step).T)]
+        alike = np.abs(sizes - sizes[other]) < settings.alike * lattice.pitch
+        good = np.flatnonzero((other >= 0) & seen & seen[other] & alike & (kinds == kinds[other]))
+        first.append(good)
+        second.append(other[good])
+    a, b = (np.concatenate(part) if part else np.empty(0, np.int64) for part in (first, second))
+    return _Pairs(a, b, kinds[a], (sizes[a] + sizes[b]) / 2)
+
+
+def _groups(pairs: _Pairs, pitch: float, settings: SpectraSettings) -> Iterator[tuple[int, NDArray[np.int64]]]:
+    """Types, and some pairs of each in ranges of depth."""
+    ends = np.quantile(pairs.size, np.linspace(0, 1, settings.depth_ranges + 1))
+    if ends[-1] - ends[0] < settings.one_depth * pitch:
+        ends = ends[[0, -1]]
+    for kind in np.unique(pairs.kind):
+        for low, high in pairwise(ends):
+            some = np.flatnonzero((pairs.kind == kind) & (pairs.size >= low) & (pairs.size <= high))
+            yield int(kind), some[:: max(1, len(some) // settings.pairs)]
+
+
+def _spectrum(
+    look: Look,
+    calibration: Calibration,
+    pairs: _Pairs,
+    some: NDArray[np.int64],
+    kind: int,
+    radius: float,
+    white: float,
+    settings: SpectraSettings,
+) -> PairSpectrum | None:
+    """Of some pairs, in windows about the place midway between the two microimages; None if these are too small."""
+    if len(some) < settings.least_pairs:
+        return None
+    lattice = calibration.lattice
+    centres, sizes = lattice.centres(), pairs.size[some]
+    shift = (centres[pairs.second[some]] - centres[pairs.first[some]]) * (sizes / lattice.pitch)[:, None]
+    room = 2 * (radius - float(np.median(np.linalg.norm(shift, axis=1))) / 2) / settings.corner
+    side = int(min(room, settings.largest_window)) // 2 * 2
+    if side < settings.least_window:
+        return None
+    places = centres[pairs.first[some]] - shift / 2, centres[pairs.second[some]] + shift / 2
+    inside = np.ones(len(some), bool)
+    for place in places:
+        inside &= (place > side / 2 + 2).all(1) & (place < np.array(lattice.image_size) - side / 2 - 3).all(1)
+    if inside.sum() < settings.least_pairs:
+        return None
+    window, rings, _ = analysis(side)
+    spectra, alone = [], np.inf
+    for place in places:
+        boxes, seen = _read(look, place[inside], side)
+        alone = min(alone, _highest(boxes[:, 1 : 1 + side, 1 : 1 + side], settings))
+        seen -= ((seen * window).sum((1, 2)) / window.sum())[:, None, None]
+        spectra.append(np.fft.rfft2(seen * window))
+    product = (spectra[0] * spectra[1].conj()).real.reshape(len(boxes), -1) @ rings / ((window**2).sum() * white**2)
+    error = product.std(0) / np.sqrt(len(product))
+    ratio = float(np.median(sizes[inside])) / lattice.pitch
+    return PairSpectrum(kind, ratio, side, product.mean(0), error, alone / white**2)
+
+
+def _read(look: Look, places: NDArray[np.float64], side: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Boxes of pixels about places, and these interpolated at half pixels, (m, 2 side, 2 side)."""
+    low = np.floor(places - side / 2).astype(int) - 1
+    boxes = np.stack([look((x, y, x + side + 3, y + side + 3)) for x, y in low.tolist()])
+    grey = boxes.mean(3, dtype=np.float32)
+    offset = (np.arange(2 * side) - side + 0.5) / 2
+    at = (places - low)[:, :, None] + offset
+    whole = at.astype(int)
+    share = (at - whole).astype(np.float32)
+    for axis in (1, 2):
+        k = np.expand_dims(whole[:, 2 - axis], 3 - axis)
+        f = np.expand_dims(share[:, 2 - axis], 3 - axis)
+        grey_low, grey_high = (np.take_along_axis(grey if axis == 1 else rows, k + n, axis) for n in (0, 1))
+        rows = grey_low + f * (grey_high - grey_low)
+    return grey, rows
+
+
+def _highest(boxes: NDArray[np.float32], settings: SpectraSettings) -> float:
+    """Mean power of windows at the highest frequencies of the pixels."""
+    side = boxes.shape[1]
+    window = np.hanning(side + 2)[1:-1]
+    window = window[:, None] * window
+    frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
+    high = (frequency > settings.high[0]) & (frequency <= settings.high[1])
+    middle = boxes - boxes.mean((1, 2), keepdims=True)
+    return float((np.abs(np.fft.rfft2(middle * window)) ** 2)[:, high].mean() / (window**2).sum())
+
+
+@lru_cache(8)
+def analysis(side: int) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
+    """Window (2 side, 2 side), weights (pixels of a half spectrum, side + 1) of a mean over rings, and whole rings."""
+    wide = 2 * side
+    window = np.hanning(wide + 2)[1:-1]
+    ring = np.rint(np.hypot(np.fft.fftfreq(wide)[:, None], np.fft.fftfreq(wide)) * wide).astype(int)
+    half = ring[:, : side + 1]
+    twice = np.full(half.shape, 2.0)
+    twice[:, [0, -1]] = 1
+    weights = np.zeros((half.size, side + 1))
+    inside = half.ravel() <= side
+    weights[np.flatnonzero(inside), half.ravel()[inside]] = twice.ravel()[inside]
+    weights /= weights.sum(0)
+    return (window[:, None] * window).astype(np.float32), weights.astype(np.float32), ring
