@@ -17,7 +17,7 @@ from lfcal import Calibration
 from lfcal.camera.lens_blur import LensBlur
 
 from .settings import DEFOCUS, DefocusSettings
-from .spectra import Look, PairSpectrum, analysis, pair_spectra
+from .spectra import Look, PairSpectrum, analysis, pair_spectra, shows_blocks
 from .transfer import disc_transfer
 
 __all__ = ["Defocus", "measure_defocus"]
@@ -89,8 +89,9 @@ def measure_defocus(
     types, pitch = calibration.lens_types, calibration.lattice.pitch
     grid = _Grid.make(settings)
     cost = np.zeros((1 if types is None else types.count, *grid.shape))
+    highest = settings.compressed if shows_blocks(look, calibration.image_size) else settings.frequencies[1]
     for one in found:
-        cost[one.kind] += _misfit(one, pitch, grid, settings)
+        cost[one.kind] += _misfit(one, pitch, grid, highest, settings)
     shared = _add_priors(cost, calibration, grid, settings)
     noise = float(np.sqrt(settings.noise_share * min(one.alone for one in found)))
     return _summarise(cost, shared, grid, pitch, noise, settings)
@@ -144,11 +145,10 @@ def _blurred_scenes(side: int, slopes: tuple[float, ...]) -> NDArray[np.float32]
     return np.maximum(seen, 0).astype(np.float32)
 
 
-def _misfit(one: PairSpectrum, pitch: float, grid: _Grid, settings: DefocusSettings) -> NDArray[np.float64]:
+def _misfit(one: PairSpectrum, pitch: float, grid: _Grid, highest: float, settings: DefocusSettings) -> NDArray[np.float64]:
     """(slopes, softness, apertures, foci) half the squared misfit of a spectrum, with its best contrast."""
     frequency = np.arange(one.side + 1) / one.side
-    low, high = settings.frequencies
-    rings = np.flatnonzero((frequency > low / one.side) & (frequency < high))
+    rings = np.flatnonzero((frequency > settings.frequencies[0] / one.side) & (frequency < highest))
     power, error = np.maximum(one.power[rings], 0), 2 * one.error[rings] ** 2 + 1e-14
     model = _blurred_scenes(one.side, tuple(grid.slopes.tolist()))[..., rings].astype(float)
     weight = 1 / ((settings.model_error * power) ** 2 + error)

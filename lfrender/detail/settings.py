@@ -24,13 +24,16 @@ class SpectraSettings:
     neighbours: float = 1.25  # [pitch] how far apart the lenses of a pair are at most
     neighbours_of_type: float = 1.8  # [pitch] likewise, where neighbours are of several types
     alike: float = 0.03  # [pitch] patch sizes of a pair that differ by more may show different places
-    pairs: int = 100  # whose spectra are averaged, of each type and range of depth
+    pairs: int = 80  # whose spectra are averaged, of each type and range of depth
     least_pairs: int = 16  # fewer are left out
     depth_ranges: int = 5  # into which pairs are parted
     one_depth: float = 0.06  # [pitch] spread of patch sizes below which there is one range
     corner: float = 1.1  # windows reach beyond the microimage in their corners, where they weigh little
     least_window: int = 6  # [px] smaller ones hold too few frequencies
     largest_window: int = 28  # [px] larger ones resolve no more of the blur
+    looked_at: tuple[int, int] = (1024, 512)  # [px] part of the flat where blocks of compression are looked for
+    least_blocks: int = 20  # on a side, to tell
+    blocks: float = 1.08  # [step between other pixels] larger steps between blocks show compression
     high: tuple[float, float] = (0.42, 0.5)  # [cycles / px] frequencies that hold little but noise
 
 
@@ -58,7 +61,8 @@ class DefocusSettings:
     noise_share: float = 0.95  # of the power of single microimages at their highest frequencies
     model_error: float = 0.12  # [share of the power] scenes differ by this from a power law
     frequencies: tuple[float, float] = (1.6, 0.6)  # [1 / window, cycles / px] from and to which spectra are compared
-    lower: float = 0.3  # quantile of the disc that is undone: one too small gains less, one too large rings
+    compressed: float = 0.3  # [cycles / px] up to which they are where blocks of compression show
+    lower: float = 0.25  # quantile of the disc that is undone: one too small gains less, one too large rings
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ class RestoreSettings:
     """Tuned values of `filters` and `restore`; chosen watching 24 simulated and ray-traced flats."""
 
     slope: float = 3.0  # of the power spectrum of the detail that is expected
-    kept: float = 0.5  # share of the blur by pixels of the flat that is left, as a power: what aliases stays soft
+    kept: float = 0.6  # share of the blur by pixels of the flat that is left, as a power: what aliases stays soft
     mismatch: float = 0.005  # share of the power in which lenses differ at any frequency
     jitter: float = 0.1  # [px of the flat] by which lenses are out of register: finer detail is not there
     few_views: tuple[float, float] = (2.0, 4.0)  # lenses averaged, below which nothing and above which all is restored
@@ -79,10 +83,10 @@ class RestoreSettings:
     fine_levels: int = 8  # steps between two patch sizes in the table that pixels are looked up in
     fine_powers: int = 3  # and between two powers
     ridge: float = 1e-4  # [trace] keeps the fit of the filters well-conditioned
-    largest_gain: float = 4.0  # factor of a band beyond its own
+    largest_gain: float = 5.0  # factor of a band beyond its own
     contrast: float = 0.012  # [white] of detail below which nothing is sharpened: seams, rounding, compression
     noise_guard: float = 3.0  # [power of the noise] likewise
-    extra: float = 0.4  # [power predicted] by which a fine band may exceed the coarser ones
+    extra: float = 0.45  # [power predicted] by which a fine band may exceed the coarser ones
     edge: float = 0.04  # [pitch] depths that differ by this are an edge
     beside_edge: int = 2  # [px] no detail is restored so near an edge
     border: float = 0.5  # [pitch] from the border of the picture, where few lenses are averaged; fades in over as much

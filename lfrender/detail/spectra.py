@@ -13,13 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft2
 
 from lfcal import Calibration
 
 from ..flat.gray_flat import trusted_radius, white_level
 from .settings import SPECTRA, SpectraSettings
 
-__all__ = ["Look", "PairSpectrum", "analysis", "pair_spectra"]
+__all__ = ["Look", "PairSpectrum", "analysis", "pair_spectra", "shows_blocks"]
 
 #: Pixels (h, w, C) of the part `left, top, right, bottom` of a flat.
 Look = Callable[[tuple[int, int, int, int]], NDArray]
@@ -128,7 +129,7 @@ def _spectrum(
     places = centres[pairs.first[some]] - shift / 2, centres[pairs.second[some]] + shift / 2
     inside = np.ones(len(some), bool)
     for place in places:
-        inside &= (place > side / 2 + 2).all(1) & (place < np.array(lattice.image_size) - side / 2 - 3).all(1)
+        inside &= (place > side / 2 + 1).all(1) & (place < np.array(lattice.image_size) - side / 2 - 3).all(1)
     if inside.sum() < settings.least_pairs:
         return None
     window, rings, _ = analysis(side)
@@ -137,7 +138,7 @@ def _spectrum(
         boxes, seen = _read(look, place[inside], side)
         alone = min(alone, _highest(boxes[:, 1 : 1 + side, 1 : 1 + side], settings))
         seen -= ((seen * window).sum((1, 2)) / window.sum())[:, None, None]
-        spectra.append(np.fft.rfft2(seen * window))
+        spectra.append(rfft2(seen * window))
     product = (spectra[0] * spectra[1].conj()).real.reshape(len(boxes), -1) @ rings / ((window**2).sum() * white**2)
     error = product.std(0) / np.sqrt(len(product))
     ratio = float(np.median(sizes[inside])) / lattice.pitch
@@ -146,30 +147,53 @@ def _spectrum(
 
 def _read(look: Look, places: NDArray[np.float64], side: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Boxes of pixels about places, and these interpolated at half pixels, (m, 2 side, 2 side)."""
-    low = np.floor(places - side / 2).astype(int) - 1
-    boxes = np.stack([look((x, y, x + side + 3, y + side + 3)) for x, y in low.tolist()])
-    grey = boxes.mean(3, dtype=np.float32)
-    offset = (np.arange(2 * side) - side + 0.5) / 2
-    at = (places - low)[:, :, None] + offset
-    whole = at.astype(int)
-    share = (at - whole).astype(np.float32)
-    for axis in (1, 2):
-        k = np.expand_dims(whole[:, 2 - axis], 3 - axis)
-        f = np.expand_dims(share[:, 2 - axis], 3 - axis)
-        grey_low, grey_high = (np.take_along_axis(grey if axis == 1 else rows, k + n, axis) for n in (0, 1))
-        rows = grey_low + f * (grey_high - grey_low)
-    return grey, rows
+    start = places - (side - 0.5) / 2
+    low = np.floor(start).astype(int)
+    boxes = np.stack([look((x, y, x + side + 2, y + side + 2)) for x, y in low.tolist()])
+    grey = boxes @ np.full(boxes.shape[3], 1 / boxes.shape[3], np.float32)
+    share = (start - low).astype(np.float32)
+    rows = _halve(grey, share[:, 1], side)
+    return grey, _halve(rows.swapaxes(1, 2), share[:, 0], side).swapaxes(1, 2)
+
+
+def _halve(boxes: NDArray[np.float32], share: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    """Interpolate along the second axis, at steps of a half from `share` (m,) of the way from the first row."""
+    out = np.empty((len(boxes), 2 * side, boxes.shape[2]), np.float32)
+    for n, at in enumerate((share, share + np.float32(0.5))):
+        weights = np.maximum(1 - np.abs(at - np.arange(3, dtype=np.float32)[:, None]), 0)[..., None, None]
+        out[:, n::2] = weights[0] * boxes[:, :side] + weights[1] * boxes[:, 1 : side + 1]
+        out[:, n::2] += weights[2] * boxes[:, 2 : side + 2]
+    return out
 
 
 def _highest(boxes: NDArray[np.float32], settings: SpectraSettings) -> float:
     """Mean power of windows at the highest frequencies of the pixels."""
     side = boxes.shape[1]
-    window = np.hanning(side + 2)[1:-1]
+    window = np.hanning(side + 2)[1:-1].astype(np.float32)
     window = window[:, None] * window
     frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
     high = (frequency > settings.high[0]) & (frequency <= settings.high[1])
     middle = boxes - boxes.mean((1, 2), keepdims=True)
-    return float((np.abs(np.fft.rfft2(middle * window)) ** 2)[:, high].mean() / (window**2).sum())
+    return float((np.abs(rfft2(middle * window)) ** 2)[:, high].mean() / (window**2).sum())
+
+
+def shows_blocks(look: Look, image_size: tuple[int, int], settings: SpectraSettings = SPECTRA) -> bool:
+    """Whether a flat was compressed in blocks of 8 pixels, as JPEG does, so that its fine detail was rounded away.
+
+    Steps between neighbours are then larger at every eighth, along both axes (Wang, Sheikh and Bovik 2002).
+    """
+    low = [max(0, (n - most) // 2) for n, most in zip(image_size, settings.looked_at, strict=True)]
+    high = [min(n, k + most) for n, k, most in zip(image_size, low, settings.looked_at, strict=True)]
+    part = look((low[0], low[1], high[0], high[1]))
+    grey = part @ np.full(part.shape[2], 1 / part.shape[2], np.float32)
+    found = []
+    for axis in (0, 1):
+        steps = np.abs(np.diff(grey, axis=axis)).mean(1 - axis)
+        if len(steps) < settings.least_blocks * 8:
+            return False
+        each = steps[: len(steps) // 8 * 8].reshape(-1, 8).mean(0)
+        found.append(float(each.max() / max(np.median(each), 1e-9)))
+    return min(found) > settings.blocks
 
 
 @lru_cache(8)
