@@ -1,4 +1,4 @@
-"""The blur of the microlenses of a camera: their aperture, and where each type is in focus."""
+"""The blur of the microlenses of a camera: the disc over which each type blurs, by depth."""
 
 from __future__ import annotations
 
@@ -15,54 +15,62 @@ __all__ = ["LensBlur"]
 
 @dataclass(frozen=True)
 class LensBlur(Frozen):
-    """Aperture and focus of the microlenses, which blur a place of patch size `s` over a disc of `A |s / D - f|`.
+    """Discs of defocus of the microlenses at some depths, and the aperture and focus that explain them.
+
+    A microlens blurs a place of patch size `s` over a disc of `A |s / D - f|`. On a flat of one depth the disc is known
+    much better than aperture and focus.
 
     Parameters
     ----------
-    aperture : float [px]
-        Diameter `A` of a microlens.
-    focus : (types,) float64 [s / D]
+    aperture, aperture_error : float [px]
+        Diameter `A` of a microlens and its standard error.
+    focus, focus_error : (types,) float64 [s / D]
         Where each type is in focus, `f`.
-    covariance : (1 + types, 1 + types) float64
-        Of the logarithm of the aperture and the foci.
+    ratios : (depths,) float64
+        `s / D` at which discs were measured.
+    discs, disc_errors : (types, depths) float64 [px]
+        Diameters of the discs and their standard errors.
 
     Examples
     --------
-    >>> blur = LensBlur(6.0, [0.1], [[0.04, 0], [0, 0.01]])
-    >>> round(blur.aperture_error, 3), blur.focus_error
-    (1.2, (0.1,))
+    >>> blur = LensBlur(6.0, 1.2, [0.1], [0.1], [-0.3], [[2.4]], [[0.2]])
+    >>> blur.discs.shape
+    (1, 1)
     """
 
     aperture: float
+    aperture_error: float
     focus: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    focus_error: NDArray[np.float64]
+    ratios: NDArray[np.float64]
+    discs: NDArray[np.float64]
+    disc_errors: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        focus, covariance = np.array(self.focus, float), np.array(self.covariance, float)
-        if not 0 < self.aperture < np.inf:
+        if not 0 < self.aperture < np.inf or not 0 <= self.aperture_error < np.inf:
             raise ValueError(f"aperture of the microlenses must be positive, got {self.aperture!r}")
-        if focus.ndim != 1 or not len(focus) or not np.isfinite(focus).all():
-            raise ValueError(f"focus must be one number for each type, got {self.focus!r}")
-        size = len(focus) + 1
-        if covariance.shape != (size, size) or not np.isfinite(covariance).all() or (covariance.diagonal() < 0).any():
-            raise ValueError(f"covariance of {size} values must be ({size}, {size}), got {self.covariance!r}")
-        self._set(aperture=float(self.aperture), focus=focus, covariance=covariance)
-
-    @property
-    def aperture_error(self) -> float:
-        """Standard error of the aperture [px]."""
-        return float(self.aperture * np.sqrt(self.covariance[0, 0]))
-
-    @property
-    def focus_error(self) -> tuple[float, ...]:
-        """Standard errors of the foci [s / D]."""
-        return tuple(float(f) for f in np.sqrt(self.covariance.diagonal()[1:]))
+        arrays = {}
+        types, depths = np.shape(self.focus), np.shape(self.ratios)
+        wanted = {"focus": types, "focus_error": types, "ratios": depths}
+        for name, shape in (wanted | dict.fromkeys(("discs", "disc_errors"), (*types, *depths))).items():
+            values = np.array(getattr(self, name), np.float64)
+            if values.shape != shape or len(types) != 1 or len(depths) != 1 or not np.isfinite(values).all():
+                raise ValueError(f"{name} of the blur must be {shape} finite numbers, got {getattr(self, name)!r}")
+            arrays[name] = values
+        if (arrays["disc_errors"] <= 0).any():
+            raise ValueError("disc_errors of the blur must be positive")
+        self._set(aperture=float(self.aperture), aperture_error=float(self.aperture_error), **arrays)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, as in a camera file."""
-        return {"aperture": self.aperture, "focus": self.focus.tolist(), "covariance": self.covariance.tolist()}
+        names = "focus", "focus_error", "ratios", "discs", "disc_errors"
+        lists = {name: getattr(self, name).tolist() for name in names}
+        return {"aperture": self.aperture, "aperture_error": self.aperture_error, **lists}
 
     @classmethod
     def from_dict(cls, data: Any) -> LensBlur:
         """Rebuild from `to_dict`; KeyError, TypeError or ValueError where that is wrong."""
-        return cls(float(data["aperture"]), np.array(data["focus"], float), np.array(data["covariance"], float))
+        return cls(
+            float(data["aperture"]), float(data["aperture_error"]), data["focus"], data["focus_error"],
+            data["ratios"], data["discs"], data["disc_errors"],
+        )  # fmt: skip

@@ -17,7 +17,7 @@ from lfcal import Calibration
 from lfcal.camera.lens_blur import LensBlur
 
 from .settings import DEFOCUS, DefocusSettings
-from .spectra import Look, PairSpectrum, analysis, pair_spectra, shows_blocks
+from .spectra import Look, PairSpectrum, analysis, highest_power, pair_spectra, shows_blocks
 from .transfer import disc_transfer
 
 __all__ = ["Defocus", "measure_defocus"]
@@ -53,7 +53,7 @@ class Defocus:
 
         Examples
         --------
-        >>> blur = LensBlur(10.0, [0.0], [[0, 0], [0, 0]])
+        >>> blur = LensBlur(10.0, 1.0, [0.0], [0.1], [-0.3], [[3.0]], [[0.2]])
         >>> Defocus(blur, (tuple(10 * abs(r) for r in np.linspace(-0.8, 0.8, 33)),), 0.01).diameters(-0.3).round(3)
         array([3.])
         """
@@ -68,7 +68,7 @@ def measure_defocus(
     patch_size: NDArray[np.float32],
     settings: DefocusSettings = DEFOCUS,
 ) -> Defocus | None:
-    """The defocus of the microlenses, by type; `calibration.lens_blur` is taken for likely.
+    """The defocus of the microlenses, by type; where `calibration.lens_blur` tells it, that is taken.
 
     Parameters
     ----------
@@ -83,18 +83,30 @@ def measure_defocus(
     Defocus or None
         None if there are too few neighbours with a depth.
     """
-    found = pair_spectra(look, calibration, patch_size)
-    if not found:
+    sizes = patch_size[np.abs(np.nan_to_num(patch_size)) > 1]
+    if not len(sizes):
         return None
     types, pitch = calibration.lens_types, calibration.lattice.pitch
     grid = _Grid.make(settings)
     cost = np.zeros((1 if types is None else types.count, *grid.shape))
+    shared = _add_priors(cost, calibration, grid, settings)
+    ratios = np.quantile(sizes / pitch, settings.kept_depths)
+    if np.ptp(ratios) < settings.one_depth:
+        ratios = ratios[[len(ratios) // 2]]
+    known = calibration.lens_blur
+    if known is not None and len(known.focus) == len(cost):
+        _add_known(cost, known, pitch, grid)
+        if (np.abs(ratios[:, None] - known.ratios).min(1) < settings.same_depth).all():
+            noise = settings.noise_share * highest_power(look, calibration)
+            return _summarise(cost, shared, grid, pitch, noise, known, settings)
+    found = pair_spectra(look, calibration, patch_size)
+    if not found:
+        return None
     highest = settings.compressed if shows_blocks(look, calibration.image_size) else settings.frequencies[1]
     for one in found:
         cost[one.kind] += _misfit(one, pitch, grid, highest, settings)
-    shared = _add_priors(cost, calibration, grid, settings)
-    noise = float(np.sqrt(settings.noise_share * min(one.alone for one in found)))
-    return _summarise(cost, shared, grid, pitch, noise, settings)
+    noise = settings.noise_share * min(one.alone for one in found)
+    return _summarise(cost, shared, grid, pitch, noise, ratios, settings)
 
 
 @dataclass(frozen=True)
@@ -145,12 +157,15 @@ def _blurred_scenes(side: int, slopes: tuple[float, ...]) -> NDArray[np.float32]
     return np.maximum(seen, 0).astype(np.float32)
 
 
-def _misfit(one: PairSpectrum, pitch: float, grid: _Grid, highest: float, settings: DefocusSettings) -> NDArray[np.float64]:
+def _misfit(
+    one: PairSpectrum, pitch: float, grid: _Grid, highest: float, settings: DefocusSettings
+) -> NDArray[np.float64]:
     """(slopes, softness, apertures, foci) half the squared misfit of a spectrum, with its best contrast."""
     frequency = np.arange(one.side + 1) / one.side
     rings = np.flatnonzero((frequency > settings.frequencies[0] / one.side) & (frequency < highest))
     power, error = np.maximum(one.power[rings], 0), 2 * one.error[rings] ** 2 + 1e-14
-    model = _blurred_scenes(one.side, tuple(grid.slopes.tolist()))[..., rings].astype(float)
+    soft = np.abs(np.array(_SOFT) - (grid.softness * abs(one.ratio) / settings.soft_at)[:, None]).argmin(1)
+    model = _blurred_scenes(one.side, tuple(grid.slopes.tolist()))[:, soft][..., rings].astype(float)
     weight = 1 / ((settings.model_error * power) ** 2 + error)
     level = (model @ (one.power[rings] * weight)) / ((model * model) @ weight)
     model *= level[..., None]
@@ -158,32 +173,31 @@ def _misfit(one: PairSpectrum, pitch: float, grid: _Grid, highest: float, settin
     each = (np.sqrt(1 + (one.power[rings] - model) ** 2 / spread) - 1).sum(-1)
     wanted = np.minimum(grid.apertures[:, None] * pitch * np.abs(one.ratio - grid.foci), _DISCS[-1])
     at = np.rint(wanted / _DISCS[1]).astype(int)
-    grown = grid.softness * abs(one.ratio) / settings.soft_at
-    soft = np.abs(np.array(_SOFT) - grown[:, None]).argmin(1)
-    return np.asarray(each[:, soft][:, :, at])
+    return np.asarray(each[:, :, at])
 
 
 def _add_priors(
     cost: NDArray[np.float64], calibration: Calibration, grid: _Grid, settings: DefocusSettings
 ) -> NDArray[np.float64]:
     """Add what is likely of the focus of each type to its cost; what is of the rest, (slopes, softness, apertures)."""
-    known, types = calibration.lens_blur, calibration.lens_types
-    logs = np.log(grid.apertures)
-    likely, spread = np.log(settings.likely_aperture), settings.aperture_spread
-    if known is not None and len(known.focus) == len(cost):
-        likely, spread = np.log(known.aperture / calibration.lattice.pitch), np.sqrt(known.covariance[0, 0]) + 1e-3
+    types = calibration.lens_types
     for kind, one in enumerate(cost):
-        focus, width, turn = settings.likely_focus, settings.focus_spread, 0.0
-        if known is not None and len(known.focus) == len(cost):
-            both = known.covariance[0, kind + 1]
-            turn = both / spread**2
-            focus, width = known.focus[kind], np.sqrt(max(known.covariance[kind + 1, kind + 1] - turn * both, 0)) + 0.01
-        elif types is not None and types.focus is not None and np.isfinite(types.focus).all():
+        focus, width = settings.likely_focus, settings.focus_spread
+        if types is not None and types.focus is not None and np.isfinite(types.focus).all():
             focus, width = float(types.focus[kind]), settings.known_spread
-        one += (((grid.foci - focus - turn * (logs[:, None] - likely)) / width) ** 2 / 2)[None, None]
+        one += ((grid.foci - focus) / width) ** 2 / 2
     slopes = ((grid.slopes - settings.likely_slope) / settings.slope_spread) ** 2 / 2
     soft = grid.softness / settings.likely_softness
-    return np.asarray(slopes[:, None, None] + soft[:, None] + ((logs - likely) / spread) ** 2 / 2)
+    wide = (np.log(grid.apertures / settings.likely_aperture) / settings.aperture_spread) ** 2 / 2
+    return np.asarray(slopes[:, None, None] + soft[:, None] + wide)
+
+
+def _add_known(cost: NDArray[np.float64], known: LensBlur, pitch: float, grid: _Grid) -> None:
+    """Add to the cost how far discs are from those that the camera is known for."""
+    for ratio, discs, errors in zip(known.ratios, known.discs.T, known.disc_errors.T, strict=True):
+        wide = grid.apertures[:, None] * pitch * np.abs(ratio - grid.foci)
+        for one, disc, error in zip(cost, discs, errors, strict=True):
+            one += ((wide - disc) / error) ** 2 / 2
 
 
 def _summarise(
@@ -192,30 +206,40 @@ def _summarise(
     grid: _Grid,
     pitch: float,
     noise: float,
+    kept: LensBlur | NDArray[np.float64],
     settings: DefocusSettings,
 ) -> Defocus:
-    """Means, covariance, and the lower quantile of the disc at each depth, of the probability that costs tell."""
+    """The blur and the lower quantile of its discs, of the probability that costs tell.
+
+    `noise` is a power; `kept` is the blur, or the `s / D` at which its discs are told.
+    """
     each = np.exp(cost.min((1, 2, 3, 4), keepdims=True) - cost)
     any_focus = each.sum(-1)
     common = np.exp(shared.min() - shared) * any_focus.prod(0)
     common /= common.sum()
     # (types, apertures, foci): of a type, whatever the others are.
     chance = np.einsum("sua,tsuaf->taf", common, each / np.maximum(any_focus, 1e-300)[..., None])
-    logs, aperture = np.log(grid.apertures), common.sum((0, 1))
-    mean = float(aperture @ logs)
-    focus = chance.sum(1) @ grid.foci
-    given = (chance @ grid.foci) / np.maximum(aperture, 1e-300) - focus[:, None]
-    size = len(cost) + 1
-    covariance = np.empty((size, size))
-    covariance[0, 0] = aperture @ (logs - mean) ** 2
-    covariance[0, 1:] = covariance[1:, 0] = given @ (aperture * (logs - mean))
-    covariance[1:, 1:] = given * aperture @ given.T
-    covariance[np.arange(1, size), np.arange(1, size)] = chance.sum(1) @ grid.foci**2 - focus**2
-    blur = LensBlur(float(np.exp(mean)) * pitch, focus, covariance)
+
+    def disc(ratio: float) -> NDArray[np.float64]:
+        return np.asarray(grid.apertures[:, None] * pitch * np.abs(ratio - grid.foci))
+
+    def spread(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        mean = (chance * values).sum((1, 2))
+        return mean, np.sqrt((chance * (values - mean[:, None, None]) ** 2).sum((1, 2)))
+
+    if not isinstance(kept, LensBlur):
+        aperture, aperture_error = spread(np.broadcast_to(grid.apertures[:, None] * pitch, chance.shape[1:]))
+        told = [spread(disc(ratio)) for ratio in kept]
+        means, errors = (np.stack([one[n] for one in told], 1) for n in (0, 1))
+        # Discs of one flat err together: each counts as a part of one measurement.
+        errors = np.maximum(errors, settings.least_error) * np.sqrt(len(kept))
+        focus = spread(np.broadcast_to(grid.foci, chance.shape[1:]))
+        kept = LensBlur(float(aperture[0]), float(aperture_error[0]), *focus, kept, means, errors)
     discs = np.zeros((len(cost), len(_RATIOS)))
     for n, ratio in enumerate(_RATIOS):
-        wide = (grid.apertures[:, None] * pitch * np.abs(ratio - grid.foci)).ravel()
+        wide = disc(ratio).ravel()
         order = np.argsort(wide)
         reached = np.cumsum(chance.reshape(len(cost), -1)[:, order], 1)
         discs[:, n] = wide[order][np.minimum((reached < settings.lower).sum(1), len(order) - 1)]
-    return Defocus(blur, tuple(tuple(float(d) for d in one) for one in discs), noise)
+    table = tuple(tuple(float(d) for d in one) for one in discs)
+    return Defocus(kept, table, float(np.sqrt(noise)))

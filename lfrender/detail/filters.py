@@ -28,22 +28,21 @@ class DetailFilters:
     Parameters
     ----------
     gains : (p, n, 4) float32
-        By power of the detail, and patch size: first the negative ones from the smallest, then the positive ones.
+        By power of the detail, and patch size: first the negative ones from zero, then the positive ones.
     power, noise : (n, 3) float32 [white^2]
         Predicted power of each band but the finest: of detail of unit power, and of noise.
-    first, per_level : float
-        Logarithm of the least `|s / D|`, and entries for each unit of it.
-    weakest, per_power : float
-        Logarithm of the least power, and entries for each unit of it.
+    per_ratio : float
+        Entries for each unit of `|s / D|`.
+    weakest, per_octave : float
+        A power has the row `bits / 2^23 * per_octave - weakest`, where its bits as float32 are read as an integer.
     """
 
     gains: NDArray[np.float32]
     power: NDArray[np.float32]
     noise: NDArray[np.float32]
-    first: float
-    per_level: float
+    per_ratio: float
     weakest: float
-    per_power: float
+    per_octave: float
 
 
 def make_filters(
@@ -116,27 +115,29 @@ def make_filters(
         if grown < settings.coarse:
             wanted = np.maximum(wanted, weight)
         gains.append(trusted * _fit(bands, wanted, weight, settings))
-    table = _finer(_finer(np.stack(gains, 1), 0, settings.fine_powers, 1), 1, settings.fine_levels, 2)
+    fine = np.arange(round(settings.largest_ratio * settings.per_ratio) + 1) / settings.per_ratio
+    at = np.log(np.maximum(fine, settings.least_ratio) / settings.least_ratio) / np.log(step)
+    near = np.concatenate([at, at + settings.levels])
+    first, last = (int(np.float32(p).view(np.int32)) / 2**23 for p in powers[[0, -1]])
+    logs = np.arange(int((last - first) * settings.per_octave) + 1) / settings.per_octave + first
+    strengths = (logs * 2**23).astype(np.int32).view(np.float32)
+    rows = np.log10(np.maximum(strengths, powers[0]) / powers[0]) / settings.powers[2]
     return DetailFilters(
-        table.astype(np.float32),
-        _finer(np.array(power), 0, settings.fine_levels, 2).astype(np.float32),
-        _finer(np.array(noise), 0, settings.fine_levels, 2).astype(np.float32),
-        float(np.log(settings.least_ratio)),
-        settings.fine_levels / float(np.log(step)),
-        float(settings.powers[0] * np.log(10)),
-        settings.fine_powers / float(settings.powers[2] * np.log(10)),
+        _between(_between(np.stack(gains, 1), rows, 0), near, 1).astype(np.float32),
+        _between(np.array(power), near, 0).astype(np.float32),
+        _between(np.array(noise), near, 0).astype(np.float32),
+        settings.per_ratio,
+        first * settings.per_octave,
+        settings.per_octave,
     )
 
 
-def _finer(table: NDArray[np.float64], axis: int, steps: int, parts: int) -> NDArray[np.float64]:
-    """Interpolate between the entries along an axis, in each of so many `parts` of it."""
-    out = []
-    for part in np.split(np.moveaxis(table, axis, 0), parts):
-        at = np.arange((len(part) - 1) * steps + 1) / steps
-        low = np.minimum(at.astype(int), len(part) - 2)
-        share = (at - low).reshape(-1, *[1] * (part.ndim - 1))
-        out.append((1 - share) * part[low] + share * part[low + 1])
-    return np.moveaxis(np.concatenate(out), 0, axis)
+def _between(table: NDArray[np.float64], at: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Interpolate between the entries along an axis, at indices with fractions."""
+    table = np.moveaxis(table, axis, 0)
+    low = np.minimum(at.astype(int), len(table) - 2)
+    share = (at - low).reshape(-1, *[1] * (table.ndim - 1))
+    return np.moveaxis((1 - share) * table[low] + share * table[low + 1], 0, axis)
 
 
 def _bands(fx: NDArray[np.float64], fy: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -62,13 +62,14 @@ def restore_detail(
     allowed = _off_edges(valid, patch_size, pitch, settings) * inner
     numbers = np.array(
         [
-            1 / pitch, filters.first, filters.per_level, filters.weakest, filters.per_power, settings.contrast**2,
-            settings.noise_guard, settings.extra,
+            filters.per_ratio / pitch, filters.weakest, filters.per_octave, settings.contrast**2, settings.noise_guard,
         ],
         np.float32,
     )  # fmt: skip
     out = np.empty_like(layers[0])
-    _add_bands(layers, power, patch_size, allowed, filters.gains, filters.power, filters.noise, numbers, out)
+    per_power = 1 / np.maximum(np.column_stack([filters.power[:, :2] / settings.extra, filters.power.sum(1)]), 1e-20)
+    expected = np.column_stack([filters.noise[:, :2], filters.noise.sum(1), per_power]).astype(np.float32)
+    _add_bands(layers, power, patch_size, allowed, filters.gains, expected, numbers, out)
     return out.reshape(image.shape)
 
 
@@ -115,53 +116,53 @@ def _band_power(begin, end, layers, channels, unit, out):
     """Mean square over the channels of each band but the finest, times `unit`."""
     bands = len(layers) - 2
     width = out.shape[1] // bands
-    line = np.empty(width * channels, np.float32)
     for y in range(begin, end):
         into = out[y]
         for k in range(bands):
             upper, lower = layers[k + 1, y], layers[k + 2, y]
-            for x in range(width * channels):
-                difference = upper[x] - lower[x]
-                line[x] = difference * difference
             for x in range(width):
-                total = line[x * channels]
-                for c in range(1, channels):
-                    total += line[x * channels + c]
+                total = np.float32(0)
+                for c in range(x * channels, (x + 1) * channels):
+                    difference = upper[c] - lower[c]
+                    total += difference * difference
                 into[x * bands + k] = total * unit
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda layers, power, *_: len(power))
-def _add_bands(begin, end, layers, power, patch_size, allowed, gains, predicted, noise, numbers, out):
+def _add_bands(begin, end, layers, power, patch_size, allowed, gains, expected, numbers, out):
     """Add to each pixel the bands with the gains of its patch size and power."""
     width = patch_size.shape[1]
     channels = layers.shape[2] // width
     steps, levels = gains.shape[0], gains.shape[1] // 2
-    per_pitch, lowest, per_level, weakest, per_power, floor, guard, extra = numbers
+    per_level, weakest, per_power, floor, guard = numbers
     zero, one, tiny, half = np.float32(0), np.float32(1), np.float32(1e-20), np.float32(0.5)
+    factors, strengths, kinds = np.zeros(width, np.float32), np.empty(width, np.float32), np.empty(width, np.int64)
+    # The bits of a number above zero grow with its logarithm.
+    logarithms, per_bit = strengths.view(np.int32), per_power / np.float32(1 << 23)
     for y in range(begin, end):
         sizes, off_edge, measured, into = patch_size[y], allowed[y], power[y], out[y]
         g0, g1, g2, g3, g4 = layers[0, y], layers[1, y], layers[2, y], layers[3, y], layers[4, y]
-        before, n = zero, 0
         for x in range(width):
+            factors[x] = zero
+            v1, v2 = measured[3 * x], measured[3 * x + 1]
+            seen = v1 + v2 + measured[3 * x + 2]
+            if seen <= floor:
+                continue
             s = sizes[x]
-            if s != before or x == 0:
-                at = (np.log(max(abs(s) * per_pitch, tiny)) - lowest) * per_level
-                n = int(min(max(at, zero), np.float32(levels - 1)) + half) + (levels if s > 0 else 0)
-                before = s
-            factor, strength = zero, zero
-            if off_edge[x] > 0:
-                v1, v2, v3 = measured[3 * x], measured[3 * x + 1], measured[3 * x + 2]
-                n1, n2, n3 = noise[n, 0], noise[n, 1], noise[n, 2]
-                p1, p2, p3 = predicted[n, 0], predicted[n, 1], predicted[n, 2]
-                seen, grain = v1 + v2 + v3, n1 + n2 + n3
-                # A fine band that is weaker than the coarse ones predict: there is no such detail.
-                least = extra * min(max(v1, n1) / max(p1, tiny), max(v2, n2) / max(p2, tiny))
-                strength = min((seen - grain - floor) / max(p1 + p2 + p3, tiny), least)
-                sure = one - (guard * grain + floor) / max(seen, tiny)
-                factor = off_edge[x] * min(max(sure, zero), one) if strength > 0 else zero
+            n = int(min(abs(s) * per_level, np.float32(levels - 1)) + half) + (levels if s > 0 else 0)
+            grain = expected[n, 2]
+            sure = one - (guard * grain + floor) / seen
+            # A fine band that is weaker than the coarse ones predict: there is no such detail.
+            least = min(max(v1, expected[n, 0]) * expected[n, 3], max(v2, expected[n, 1]) * expected[n, 4])
+            strength = min((seen - grain - floor) * expected[n, 5], least)
+            if sure > 0 and strength > 0:
+                factors[x] = off_edge[x] * sure
+            strengths[x], kinds[x] = max(strength, tiny), n
+        for x in range(width):
+            factor = factors[x]
             if factor > 0:
-                row = (np.log(max(strength, tiny)) - weakest) * per_power
-                gain = gains[int(min(max(row, zero), np.float32(steps - 1)) + half), n]
+                row = np.float32(logarithms[x]) * per_bit - weakest
+                gain = gains[int(min(max(row, zero), np.float32(steps - 1)) + half), kinds[x]]
                 a, b, c, d = factor * gain[0], factor * gain[1], factor * gain[2], factor * gain[3]
                 for k in range(x * channels, (x + 1) * channels):
                     u0, u1, u2, u3, u4 = g0[k], g1[k], g2[k], g3[k], g4[k]

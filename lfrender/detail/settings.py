@@ -24,13 +24,13 @@ class SpectraSettings:
     neighbours: float = 1.25  # [pitch] how far apart the lenses of a pair are at most
     neighbours_of_type: float = 1.8  # [pitch] likewise, where neighbours are of several types
     alike: float = 0.03  # [pitch] patch sizes of a pair that differ by more may show different places
-    pairs: int = 80  # whose spectra are averaged, of each type and range of depth
+    pairs: int = 50  # whose spectra are averaged, of each type and range of depth
     least_pairs: int = 16  # fewer are left out
     depth_ranges: int = 5  # into which pairs are parted
     one_depth: float = 0.06  # [pitch] spread of patch sizes below which there is one range
     corner: float = 1.1  # windows reach beyond the microimage in their corners, where they weigh little
     least_window: int = 6  # [px] smaller ones hold too few frequencies
-    largest_window: int = 28  # [px] larger ones resolve no more of the blur
+    largest_window: int = 20  # [px] larger ones resolve no more of the blur
     looked_at: tuple[int, int] = (1024, 512)  # [px] part of the flat where blocks of compression are looked for
     least_blocks: int = 20  # on a side, to tell
     blocks: float = 1.08  # [step between other pixels] larger steps between blocks show compression
@@ -44,10 +44,10 @@ class DefocusSettings:
     Of these the median of the posterior is off by 0.0 px in the mean and 0.44 px RMS.
     """
 
-    apertures: tuple[float, float, int] = (0.05, 0.6, 32)  # [pitch] first, last and number of the apertures tried
+    apertures: tuple[float, float, int] = (0.05, 0.6, 24)  # [pitch] first, last and number of the apertures tried
     farthest_focus: float = 0.7  # [s / D] largest focus that is tried, of either mode
-    focus_steps: int = 71  # number of the foci that are tried
-    slopes: tuple[float, float, int] = (1.8, 3.8, 11)  # of the power spectra of scenes that are tried
+    focus_steps: int = 57  # number of the foci that are tried
+    slopes: tuple[float, float, int] = (1.8, 3.8, 7)  # of the power spectra of scenes that are tried
     softness: tuple[float, ...] = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3)  # [px at |s / D| = 0.3] blur of scenes, tried
     soft_at: float = 0.3  # [s / D] where `softness` holds; it grows with the patch size
     likely_aperture: float = 0.22  # [pitch] cameras with open microlenses have 0.15 to 0.3
@@ -62,6 +62,10 @@ class DefocusSettings:
     model_error: float = 0.12  # [share of the power] scenes differ by this from a power law
     frequencies: tuple[float, float] = (1.6, 0.6)  # [1 / window, cycles / px] from and to which spectra are compared
     compressed: float = 0.3  # [cycles / px] up to which they are where blocks of compression show
+    kept_depths: tuple[float, ...] = (0.1, 0.5, 0.9)  # quantiles of the depths at which a camera's blur is told
+    one_depth: float = 0.05  # [s / D] range of these below which one is
+    same_depth: float = 0.06  # [s / D] from depths at which a camera's blur is told, it is not measured again
+    least_error: float = 0.05  # [px] of a disc: of the steps of what is tried
     lower: float = 0.25  # quantile of the disc that is undone: one too small gains less, one too large rings
 
 
@@ -80,8 +84,8 @@ class RestoreSettings:
     largest_ratio: float = 0.8  # and of the last
     powers: tuple[float, float, float] = (-8.0, -2.0, 0.3)  # first, last and step of log10 of the detail's power
     frequencies: int = 14  # along each side of the quarter of the spectrum on which filters are fitted
-    fine_levels: int = 8  # steps between two patch sizes in the table that pixels are looked up in
-    fine_powers: int = 3  # and between two powers
+    per_ratio: float = 240.0  # entries of the table that pixels are looked up in, for each unit of |s / D|
+    per_octave: float = 4.0  # and for each octave of power
     ridge: float = 1e-4  # [trace] keeps the fit of the filters well-conditioned
     largest_gain: float = 5.0  # factor of a band beyond its own
     contrast: float = 0.012  # [white] of detail below which nothing is sharpened: seams, rounding, compression

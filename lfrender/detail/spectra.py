@@ -20,7 +20,7 @@ from lfcal import Calibration
 from ..flat.gray_flat import trusted_radius, white_level
 from .settings import SPECTRA, SpectraSettings
 
-__all__ = ["Look", "PairSpectrum", "analysis", "pair_spectra", "shows_blocks"]
+__all__ = ["Look", "PairSpectrum", "analysis", "highest_power", "pair_spectra", "shows_blocks"]
 
 #: Pixels (h, w, C) of the part `left, top, right, bottom` of a flat.
 Look = Callable[[tuple[int, int, int, int]], NDArray]
@@ -164,6 +164,19 @@ def _halve(boxes: NDArray[np.float32], share: NDArray[np.float32], side: int) ->
         out[:, n::2] = weights[0] * boxes[:, :side] + weights[1] * boxes[:, 1 : side + 1]
         out[:, n::2] += weights[2] * boxes[:, 2 : side + 2]
     return out
+
+
+def highest_power(look: Look, calibration: Calibration, settings: SpectraSettings = SPECTRA) -> float:
+    """Power [white^2] of microimages at their highest frequencies: noise, or more."""
+    lattice, side = calibration.lattice, int(trusted_radius(calibration) * 2**0.5) // 2 * 2
+    low = np.rint(lattice.centres() - side / 2).astype(int)
+    inside = np.flatnonzero((low >= 0).all(1) & (low + side <= np.array(lattice.image_size)).all(1))
+    some = low[inside[:: max(1, len(inside) // settings.pairs)]].tolist()
+    if side < settings.least_window or not some:
+        return 0.0
+    boxes = np.stack([look((x, y, x + side, y + side)) for x, y in some])
+    grey = boxes @ np.full(boxes.shape[3], 1 / boxes.shape[3], np.float32)
+    return _highest(grey, settings) / white_level(boxes[0], calibration) ** 2
 
 
 def _highest(boxes: NDArray[np.float32], settings: SpectraSettings) -> float:

@@ -35,10 +35,10 @@ def psnr(detail, scene="plane", **options):
     return compare_pictures(made.image / 255.0, wanted, inside & made.valid).psnr
 
 
-@pytest.mark.parametrize(("scene", "gain"), [("plane", 0.8), ("slope", 0.5), ("clutter", -0.05), ("house", -0.05)])
+@pytest.mark.parametrize(("scene", "gain"), [("plane", 0.4), ("slope", 0.7), ("clutter", 0.0), ("house", 0.0)])
 def test_pictures_gain_and_none_loses(scene, gain):
     assert psnr("natural", scene) > psnr("off", scene) + gain
-    assert psnr("natural", scene, scale=4.0) > psnr("off", scene, scale=4.0) - 0.1
+    assert psnr("natural", scene, scale=4.0) > psnr("off", scene, scale=4.0) - 0.02
 
 
 def test_a_smooth_ramp_is_left_as_it_is():
