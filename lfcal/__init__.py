@@ -7,6 +7,7 @@ from .runtime import openmp_spin as openmp_spin
 if TYPE_CHECKING:
     from .boards.board import Board
     from .camera.calibration import Calibration
+    from .camera.lens_blur import LensBlur
     from .camera.lens_types import LensTypes
     from .camera.optics import Optics
     from .camera_files.read_write import load
@@ -36,6 +37,7 @@ __all__ = [
     "FlatError",
     "FlatSource",
     "Lattice",
+    "LensBlur",
     "LensTypes",
     "LightFieldError",
     "MetricCalibration",
@@ -69,6 +71,7 @@ _HOMES = {
     "FlatError": "runtime.errors",
     "FlatSource": "images.stream",
     "Lattice": "lattice.lattice",
+    "LensBlur": "camera.lens_blur",
     "LensTypes": "camera.lens_types",
     "LightFieldError": "runtime.errors",
     "MetricCalibration": "metric.result",

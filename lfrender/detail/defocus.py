@@ -13,8 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration
-from lfcal.camera.lens_blur import LensBlur
+from lfcal import Calibration, LensBlur
 
 from .settings import DEFOCUS, DefocusSettings
 from .spectra import Look, PairSpectrum, analysis, highest_power, pair_spectra, shows_blocks

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import lfcal
-from lfcal import Calibration, CameraFileError, Lattice
-from lfcal.camera.lens_blur import LensBlur
+from lfcal import Calibration, CameraFileError, Lattice, LensBlur
 
 CAMERA = Calibration(Lattice([10, 10], [[20, 0], [0, 20]], (200, 100), 9))
 BLUR = LensBlur(5.0, 0.5, [0.1, -0.1], [0.02, 0.03], [-0.3, -0.2, -0.1], np.ones((2, 3)), np.full((2, 3), 0.1))

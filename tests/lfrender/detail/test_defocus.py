@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from data_synth import SCENES, Camera, simulate
-from lfcal import Calibration, Lattice
-from lfcal.camera.lens_blur import LensBlur
+from lfcal import Calibration, Lattice, LensBlur
 from lfrender.detail.defocus import Defocus, measure_defocus
 from lfrender.detail.spectra import shows_blocks
 
