@@ -60,6 +60,22 @@ def _vote(pixels, lenses, near, distance2, found, x, y, s, width):
     return share / (total + 0.1), size / share if share > 0 else s
 
 
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def _list_depths(surface, v, u, reach, gap, depths):
+    """Depths that the surface has within `reach` [grid values] of point (u, v); returns how many there are."""
+    rows, columns = surface.shape
+    depths[0], number = surface[v, u], 1
+    for row in range(max(0, v - reach), min(rows, v + reach + 1)):
+        for column in range(max(0, u - reach), min(columns, u + reach + 1)):
+            s, known = surface[row, column], False
+            for k in range(number):
+                known = known or abs(depths[k] - s) < gap
+            if not known and number < _DEPTHS:
+                depths[number] = s
+                number += 1
+    return number
+
+
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda pixels, lenses, surface, *_: len(surface))
 def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: PointGrid, several, reach, width, least,
                       out):  # fmt: skip
@@ -70,7 +86,7 @@ def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: Poin
     pixels : (H, W) float32 [px]
         Patch size that each pixel of the microimages shows, NaN between them.
     lenses : LensArray
-    surface, out : (rows, columns) float32 [px]
+    surface : (rows, columns) float32 [px]
         Depths of a point are those of the `surface` within `reach` [grid values].
     grid : PointGrid
     several : (rows, columns) bool
@@ -79,30 +95,27 @@ def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: Poin
         Squared distance of a lens at which its vote has fallen to 1 / e.
     least : float
         Share of the votes; if no depth has it, the one with the most votes counts.
+    out : (rows * f, columns * f) float32 [px]
+        The same on a grid that is finer by a whole factor; each value of `surface` is the middle of f x f points.
     """
-    rows, columns = surface.shape
+    fine = out.shape[0] // surface.shape[0]
     near, distance2, depths = np.empty(_VIEWS, np.int64), np.empty(_VIEWS), np.empty(_DEPTHS)
     for v in range(begin, end):
-        for u in range(columns):
+        for u in range(surface.shape[1]):
             if not several[v, u]:
                 continue
-            depths[0], number = surface[v, u], 1
-            for row in range(max(0, v - reach), min(rows, v + reach + 1)):
-                for column in range(max(0, u - reach), min(columns, u + reach + 1)):
-                    s, known = surface[row, column], False
-                    for k in range(number):
-                        known = known or abs(depths[k] - s) < lenses.gap
-                    if not known and number < _DEPTHS:
-                        depths[number] = s
-                        number += 1
-            x, y = grid.first + u * grid.spacing, grid.first + v * grid.spacing
-            found = _central_lenses(lenses, x, y, near, distance2)
-            best, nearness = 0.0, -np.inf
-            for k in range(number):
-                share, size = _vote(pixels, lenses, near, distance2, found, x, y, depths[k], width)
-                order = depth_order(size, lenses.pitch)
-                if share >= least:
-                    if best < least or order > nearness:
-                        out[v, u], best, nearness = size, share, order
-                elif share > best:
-                    out[v, u], best = size, share
+            number = _list_depths(surface, v, u, reach, lenses.gap, depths)
+            for part in range(fine * fine):
+                row, column = v * fine + part // fine, u * fine + part % fine
+                x = grid.first + ((column + 0.5) / fine - 0.5) * grid.spacing
+                y = grid.first + ((row + 0.5) / fine - 0.5) * grid.spacing
+                found = _central_lenses(lenses, x, y, near, distance2)
+                best, nearness = 0.0, -np.inf
+                for k in range(number):
+                    share, size = _vote(pixels, lenses, near, distance2, found, x, y, depths[k], width)
+                    order = depth_order(size, lenses.pitch)
+                    if share >= least:
+                        if best < least or order > nearness:
+                            out[row, column], best, nearness = size, share, order
+                    elif share > best:
+                        out[row, column], best = size, share

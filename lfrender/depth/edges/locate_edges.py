@@ -46,10 +46,12 @@ def locate_edges(
     image = _colours(flat, calibration)
     lenses, grid = lens_array(lattice, gap), PointGrid(float(surface.first[0]), float(surface.spacing))
     first = _measure(image, lenses, values, grid, np.zeros((1, 1), np.float32), settings.open_share, settings)
-    values = _fuse(first, lenses, values, grid, settings)
+    values = _fuse(first, lenses, values, grid, settings, 1)
     second = _measure(image, lenses, values, grid, first, settings.visible_share, settings)
-    values = _fuse(second, lenses, values, grid, settings)
-    return replace(depth, surface=Surface(values, surface.first, surface.spacing))
+    finer = settings.finer
+    values = _fuse(second, lenses, values, grid, settings, finer)
+    corner = grid.first - 0.5 * (1 - 1 / finer) * grid.spacing
+    return replace(depth, surface=Surface(values, (corner, corner), grid.spacing / finer))
 
 
 def _measure(
@@ -73,13 +75,14 @@ def _measure(
 
 def _fuse(
     pixels: NDArray[np.float32], lenses: LensArray, surface: NDArray[np.float32], grid: PointGrid,
-    settings: EdgeSettings,
+    settings: EdgeSettings, finer: int,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """(rows, columns) [px] the surface that the pixels show."""
+    """(rows * finer, columns * finer) [px] the surface that the pixels show."""
     reach = int(settings.reach * lenses.pitch / grid.spacing)
     around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     several = cv2.dilate(surface, around) - cv2.erode(surface, around) > lenses.gap
-    fused = surface.copy()
+    fused: NDArray[np.float32] = np.empty((finer * len(surface), finer * surface.shape[1]), np.float32)
+    cv2.resize(surface, fused.shape[::-1], fused, interpolation=cv2.INTER_LINEAR)
     fuse_pixel_depths(pixels, lenses, surface, grid, several, reach, settings.vote_width * lenses.pitch**2,
                       settings.vote_share, fused)  # fmt: skip
     return fused

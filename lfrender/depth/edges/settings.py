@@ -29,6 +29,7 @@ class EdgeSettings:
     edge_share: float = 0.3  # of that price between pixels of different colours
     edge_colour: float = 0.1  # [white] difference of colour at which the price has fallen by 63 %
     slant: float = 0.05  # price of a slant by one `gap` between neighbouring pixels
+    finer: int = 2  # the grid of the surface becomes so many times as fine: outlines to half of 1/7 pitch
     vote_share: float = 0.5  # share of the views that must show a depth at a scene point
     vote_width: float = 0.5  # [pitch^2] squared distance of a lens at which its vote has fallen to 1 / e
 

@@ -12,11 +12,12 @@ import lfrender
 from data_synth import SCENES, Camera, simulate
 from lfrender.depth.edges.geometry import mark_levels
 from lfrender.depth.edges.locate_edges import locate_edges
+from lfrender.depth.edges.settings import DEFAULT
 
 
 @pytest.fixture(scope="module")
 def house_in_front():
-    """Branches before a house: flat, camera, depth without the edges, and true patch sizes on the grid of that."""
+    """Branches before a house: flat, camera, depth without the edges, and the true surface."""
     camera = Camera.design(size=(420, 340), pitch=20.0)
     shot = simulate(SCENES["house"](camera), camera, samples=16, seed=9)
     calibration = shot.truth.calibration
@@ -27,10 +28,7 @@ def house_in_front():
     true = lfrender.data.surface.Surface(
         np.ascontiguousarray(size[tuple(nearest)], np.float32), (affine[0, 2], affine[1, 2]), affine[0, 0]
     )
-    rows, columns = depth.surface.patch_size.shape
-    v, u = np.mgrid[:rows, :columns]
-    points = np.stack([u, v], -1).reshape(-1, 2) * depth.surface.spacing + depth.surface.first
-    return shot.flat, calibration, depth, true.at(points).reshape(rows, columns)
+    return shot.flat, calibration, depth, true
 
 
 def test_fewer_places_beside_branches_have_the_depth_of_the_other_surface(house_in_front):
@@ -38,10 +36,23 @@ def test_fewer_places_beside_branches_have_the_depth_of_the_other_surface(house_
     after = locate_edges(flat, calibration, depth)
 
     def wrong(found):
-        return float((np.abs(found.surface.patch_size - true) > 0.05 * depth.pitch).mean())
+        surface = found.surface
+        rows, columns = surface.patch_size.shape
+        v, u = np.mgrid[:rows, :columns]
+        points = np.stack([u, v], -1).reshape(-1, 2) * surface.spacing + surface.first
+        apart = surface.patch_size - true.at(points).reshape(rows, columns)
+        return float((np.abs(apart) > 0.05 * depth.pitch).mean())
 
-    assert wrong(after) < 0.75 * wrong(depth)
-    assert after.surface.first == depth.surface.first and after.surface.spacing == depth.surface.spacing
+    assert wrong(after) < 0.6 * wrong(depth)
+
+
+def test_its_grid_is_finer_about_the_same_places(house_in_front):
+    flat, calibration, depth, _ = house_in_front
+    after, before = locate_edges(flat, calibration, depth).surface, depth.surface
+    finer = len(after.patch_size) // len(before.patch_size)
+    assert finer == round(before.spacing / after.spacing) == DEFAULT.finer
+    middle = after.first[0] + 0.5 * (finer - 1) * after.spacing
+    assert middle == pytest.approx(before.first[0])
 
 
 def test_analyze_ends_with_it_where_asked_for(house_in_front):
