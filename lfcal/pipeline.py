@@ -130,8 +130,8 @@ def _calibrate(
     filtered = mosaic is not None or all(flat.ndim == 2 and has_mosaic(flat) for flat in flats)
     size = flats[0].shape[1], flats[0].shape[0]
     block = choose_block_size(flats[0])
-    one = len(flats) == 1 and kind != "scene" and hint is None
-    found = _find_large(flats[0], kind, filtered, block) if one else None
+    one = len(flats) == 1 and kind != "scene"
+    found = _find_large(flats[0], kind, filtered, block) if one and hint is None else None
     if found is None and block > 1:
         small = hint and hint.scaled(block)
         camera = _calibrate([average_blocks(flat, block) for flat in flats], kind, None, small)
@@ -140,7 +140,7 @@ def _calibrate(
     camera, found, unexplained = _measure_first(candidates)
     if kind == "auto" and found.white and one and (unexplained or _may_be_scene(camera)):
         with suppress(CalibrationError):
-            scene, other, _ = _measure_first(_find_candidates(None, flats, "scene", filtered, None))
+            scene, other, _ = _measure_first(_find_candidates(None, flats, "scene", filtered, hint))
             if scene.confidence > camera.confidence or (unexplained and scene.confidence == camera.confidence):
                 camera, found = scene, other
     warnings = (*camera.warnings, *_warnings(camera, found.fit.half_difference, filtered and mosaic is None))
@@ -239,7 +239,15 @@ def _measure(found: LatticeCandidate) -> tuple[Calibration, bool]:
         lambda lattice: find_lens_types(picture, lattice, white),
     )  # fmt: skip
     lattice = fit.lattice.with_radius(light.radius)
-    doubt = None if found.stated else _find_doubt(found, lattice)
+    try:
+        doubt = _find_doubt(found, lattice)
+    except CalibrationError as failure:
+        # What is stated needs no proof.
+        if not found.stated:
+            raise
+        doubt = str(failure)
+    unexplained = doubt is not None and light.outlier_share > DEFECTS.largest_share
+    doubt = None if found.stated else doubt
     agreement, beside = _compare_circles(found, lattice)
     # With half of the pixels unlike the model there is no trust in its centres.
     confidence = min(
@@ -263,7 +271,7 @@ def _measure(found: LatticeCandidate) -> tuple[Calibration, bool]:
         residuals=fit.residuals,
         circle_agreement=agreement,
     )
-    return camera, doubt is not None and light.outlier_share > DEFECTS.largest_share
+    return camera, unexplained
 
 
 def _compare_circles(found: LatticeCandidate, lattice: Lattice) -> tuple[float, str | None]:

@@ -166,7 +166,7 @@ class Calibration:
                 f"(this toolkit reads {_ROW_ORDER_VERSION} and {_VERSION}); calibrate again"
             )
         # Whoever never reads a camera file need not load the library that checks it.
-        from .schema import check_fields, check_plausible
+        from .schema import check_fields, check_together
 
         check_fields(data)
         known, fit = data["lattice"], data["fit"]
@@ -175,7 +175,7 @@ class Calibration:
             lattice = Lattice(known["origin"], known["basis"], tuple(data["image_size"]), known["radius"], bend)
         except ValueError as error:
             raise CameraFileError(f"field lattice: {error}; calibrate again") from error
-        check_plausible(lattice)
+        check_together(data, lattice)
         gain = _unpack(data, "gain_map", GainMap.from_dict)
         residual, white_level, circles = fit["residual_rms"], data.get("white_level"), fit.get("circle_agreement")
         return cls(

@@ -15,7 +15,7 @@ from msgspec import Meta, Struct
 from ..lattice.lattice import Lattice
 from ..runtime.errors import CameraFileError
 
-__all__ = ["check_fields", "check_plausible"]
+__all__ = ["check_fields", "check_plausible", "check_together"]
 
 _Length = Annotated[float, Meta(gt=0, le=1e5)]  # [px]
 _Coordinate = Annotated[float, Meta(ge=-1e7, le=1e7)]  # [px]
@@ -25,6 +25,10 @@ _Side = Annotated[int, Meta(ge=1, le=1_000_000)]  # [px]
 _Values = list[float]
 # A microimage reaches at most to the corner of its cell, at 0.71 of the longer step of a square array.
 _LARGEST_RADIUS = 1.0  # [longest step]
+# [px] from one microimage to the next: nearer ones would show nothing, and a flat have millions of them
+_SHORTEST_STEP = 1.0
+# The pitch is written for people, with fewer digits at times.
+_SAME_PITCH = 0.01
 
 
 class _Distortion(Struct):
@@ -40,6 +44,7 @@ class _Lattice(Struct):
     origin: _Point
     basis: tuple[_Point, _Point]
     radius: _Length
+    pitch: _Length | None = None
     distortion: _Distortion | None = None
 
 
@@ -140,9 +145,31 @@ def _find_not_finite(value: Any, name: str) -> str:
     return ""
 
 
+def check_together(data: dict[str, Any], lattice: Lattice) -> None:
+    """Raise CameraFileError with the name of a field whose size does not fit the `lattice`."""
+    check_plausible(lattice)
+    pitch = data["lattice"].get("pitch")
+    if pitch is not None and abs(pitch / lattice.pitch - 1) > _SAME_PITCH:
+        raise CameraFileError(
+            f"field lattice.pitch: {pitch:.6g} px are not the {lattice.pitch:.6g} px of lattice.basis; calibrate again"
+        )
+    longest = float(np.hypot(*(lattice.steps @ lattice.basis).T).max())
+    for part, key in (("gain_map", "radius"), ("gain_map", "step"), ("vignetting", "step")):
+        value = (data.get(part) or {}).get(key, 0)
+        if value > _LARGEST_RADIUS * longest:
+            raise CameraFileError(
+                f"field {part}.{key}: {value:.6g} px are more than the {longest:.6g} px from one microimage to the "
+                "next; calibrate again"
+            )
+
+
 def check_plausible(lattice: Lattice) -> None:
     """Raise CameraFileError with the name of a field of the lattice that does not fit the others."""
     steps = np.hypot(*(lattice.steps @ lattice.basis).T)
+    if steps.min() < _SHORTEST_STEP:
+        raise CameraFileError(
+            f"field lattice.basis: microimages {steps.min():.3g} px apart are too near each other; calibrate again"
+        )
     longest, side = float(steps.max()), max(lattice.image_size)
     if longest > side:
         raise CameraFileError(
