@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +14,7 @@ from ..flat.texture import Texture
 from .matching.matcher import Matcher, MatchResult, match_lenses
 from .presets import Preset
 from .refinement.lens_plane import LensFits
-from .refinement.neighbour_prior import refine_patch_sizes
-from .refinement.quadratic_fit import fit_quadratic
+from .refinement.restarts import refine_patch_sizes
 from .refinement.smoothing import smooth_fits, smooth_fits_far
 from .settings import ESTIMATE, EstimateSettings
 from .validity.classify import (
@@ -132,31 +130,13 @@ class LensEstimates:
         """(n,) float32 [px]: patch sizes of resolved lenses, and guesses of the others."""
         return np.where(self.resolved, self.patch_size, self.guess).astype(np.float32)
 
-    def smooth(
-        self,
-        lenses: LensSet,
-        kept: NDArray[np.bool_] | None,
-        quadratic: bool,
-        settings: EstimateSettings = ESTIMATE,
-    ) -> LensEstimates:
-        """Smooth over the lenses on the same surface; those that are `kept` (n,) stay.
-
-        With `quadratic`, lenses on curved surfaces are measured at their centres first.
-        """
+    def smooth(self, lenses: LensSet, kept: NDArray[np.bool_] | None) -> LensEstimates:
+        """Smooth over the lenses on the same surface; those that are `kept` (n,) stay."""
         wanted = self.resolved if kept is None else self.resolved & ~kept
         flat, neighbours = lenses.texture.flat, lenses.neighbours
-        smooth = partial(smooth_fits, flat, neighbours)
         # Kept lenses have been corrected for curvature before.
-        corrected = (~wanted).astype(np.float32)
-        joint = smooth(self.own_fits, wanted, corrected)
-        # Lenses of different focus differ by more than their patch sizes.
-        if quadratic and flat.lens_type is None:
-            eligible = wanted & (np.abs(self.own_fits.patch_size) < settings.curved_max_ratio * lenses.pitch)
-            significance = np.clip(joint.curvature_significance / settings.curved_from - 1, 0, 1)
-            weight = np.where(eligible, significance, 0).astype(np.float32)
-            own, centred = fit_quadratic(flat, neighbours, self.own_fits, weight, lenses.usual_contrast)
-            joint = smooth(own, wanted, np.maximum(corrected, centred)) if centred.any() else joint
-        fits = smooth_fits_far(flat, neighbours, joint, wanted)
+        near = smooth_fits(flat, neighbours, self.own_fits, wanted, (~wanted).astype(np.float32))
+        fits = smooth_fits_far(flat, neighbours, *near, wanted)
         known = wanted & np.isfinite(fits.standard_error)
         return replace(
             self,
@@ -232,8 +212,11 @@ def estimate_lenses(
     wanted = textured | perhaps
     reliable = (wanted | ~updated) & (np.minimum(match.confidence, match.uniqueness) >= CLASSIFY.sure)
     occurring = match.patch_size[reliable] if sizes is None else sizes
-    own, refined, error, match = _refine(lenses, preset, match, wanted, occurring, settings)
-    textured |= perhaps & shift_exceeds_shading(refined, error, pitch)
+    own, match = _refine(lenses, preset, match, wanted, occurring, settings)
+    measured = np.isfinite(own.patch_size)
+    refined = np.where(measured, own.patch_size, match.patch_size)
+    error = np.where(measured, own.standard_error, np.inf)
+    textured |= perhaps & shift_exceeds_shading(refined, error, lenses.neighbours, pitch)
     textured &= ~(like_shading & shift_may_be_zero(refined, error))
     estimates = _classify(lenses, match, textured, own, refined, error, previous)
     if previous is not None and known is not None:
@@ -249,11 +232,11 @@ def _refine(
     wanted: NDArray[np.bool_],
     occurring: NDArray[np.float32],
     settings: EstimateSettings,
-) -> tuple[LensFits, NDArray, NDArray, MatchResult]:
-    """Refine the lenses `wanted` (n,) on their pixels: each alone, and patch sizes and errors with their neighbours.
+) -> tuple[LensFits, MatchResult]:
+    """Refine the lenses `wanted` (n,) on their pixels.
 
     The second-best match is tried as well where it is one of those `occurring` (m,) [px]; where it is better the match
-    is swapped. Other lenses keep the match, with an infinite error.
+    is swapped.
     """
     texture = lenses.texture
     # Detail finer than this would show the difference of focus of two lenses instead of the depth.
@@ -262,15 +245,12 @@ def _refine(
     occurs = wanted & occurs_among(match.second, occurring, settings.second_gap * lenses.pitch)
     as_good = match.second_normalised >= settings.second_share * match.normalised_correlation
     second = np.where(occurs & as_good, match.second, np.nan)
-    fits = refine_patch_sizes(
+    own = refine_patch_sizes(
         downsample(texture.flat, factor), lenses.forward, lenses.backward, first, (second / factor).astype(np.float32),
         lenses.usual_contrast, texture.noise / factor, preset.iterations, preset.last_step,
-    )  # fmt: skip
-    own, joint = (fit.larger(factor) for fit in fits)
-    measured = np.isfinite(joint.patch_size)
-    refined = np.where(measured, joint.patch_size, match.patch_size)
+    ).larger(factor)  # fmt: skip
     swapped = np.abs(own.patch_size - second) < np.abs(own.patch_size - match.patch_size)
-    return own, refined, np.where(measured, joint.standard_error, np.inf), match.swap_second(swapped)
+    return own, match.swap_second(swapped)
 
 
 def _classify(

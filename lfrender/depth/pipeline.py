@@ -233,7 +233,7 @@ def _complete_depth(
     lattice, lenses, rows, previous = chosen.lattice, chosen.lenses, chosen.rows, chosen.previous
     kept, gap, options = chosen.kept, chosen.gap, PRESETS[preset]
     single = estimates
-    estimates = estimates.smooth(lenses, kept if kept is None or rows is None else kept[rows], options.quadratic_fit)
+    estimates = estimates.smooth(lenses, kept if kept is None or rows is None else kept[rows])
     overview = chosen.overview
     occurring = _occurring_sizes(estimates, rows, previous) if overview is None else overview.sizes
     filled = fill_unresolved(estimates.filled_patch_size, estimates.resolved, lenses.neighbours, gap)

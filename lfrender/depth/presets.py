@@ -28,7 +28,6 @@ class Preset:
     least_pitch: float = np.inf
     surface_cells: int = 7  # grid values of the surface per pitch
     second_layer: bool = True  # what the first depth of a lens leaves unexplained is matched again
-    quadratic_fit: bool = True  # lenses on curved surfaces are measured at their centres by a quadratic model
     edges: bool = False  # depth edges of the surface are located on the pixels
 
     def factor(self, pitch: float) -> int:
@@ -47,7 +46,6 @@ PRESETS = {
         least_pitch=11,
         surface_cells=5,
         second_layer=False,
-        quadratic_fit=False,
     ),
     "balanced": Preset(search_pitch=24, step=0.75, full_step=1.0, row_step=2, iterations=5),
     "accurate": Preset(search_pitch=40, step=0.5, full_step=0.5, row_step=1, iterations=8, edges=True),

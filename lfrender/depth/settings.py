@@ -15,8 +15,6 @@ class EstimateSettings:
     """Tuned values of `estimate`."""
 
     defocus_pitch: float = 25.0  # [px] of the reduced flat on which lenses of different focus are compared
-    curved_from: float = 3.0  # squared curvature over its variance, from which it is measured; weight 1 at the double
-    curved_max_ratio: float = 0.45  # |s| / D up to which curvature is measured: beyond, only rims overlap
     second_gap: float = 0.03  # [pitch] from depths of other lenses within which the second-best one is tried
     second_share: float = 0.8  # of the best correlation for that; it is then right in 26 of 27 cases, else in 1 of 5
     default_ratio: float = 0.25  # s / D of a scene without any texture; the sign makes no difference

@@ -6,7 +6,7 @@ import numpy as np
 
 from lfcal.runtime.kernels.jit import njit
 
-__all__ = ["solve_cholesky", "substitute_factor"]
+__all__ = ["solve_cholesky"]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -18,20 +18,14 @@ def solve_cholesky(left, right, out):
             for k in range(j):
                 total -= left[i, k] * left[j, k]
             left[i, j] = np.sqrt(total) if i == j else total / left[j, j]
-    substitute_factor(left, right, out)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def substitute_factor(factor, right, out):
-    """Solve by the Cholesky factor that `solve_cholesky` has left."""
     count = len(right)
     for i in range(count):
         total = right[i]
         for k in range(i):
-            total -= factor[i, k] * out[k]
-        out[i] = total / factor[i, i]
+            total -= left[i, k] * out[k]
+        out[i] = total / left[i, i]
     for i in range(count - 1, -1, -1):
         total = out[i]
         for k in range(i + 1, count):
-            total -= factor[k, i] * out[k]
-        out[i] = total / factor[i, i]
+            total -= left[k, i] * out[k]
+        out[i] = total / left[i, i]

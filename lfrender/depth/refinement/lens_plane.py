@@ -53,9 +53,9 @@ class LensFits:
         return LensFits(size, error, self.slant, self.slant_error)
 
 
-# Squared scales of the robust loss: of a pair [standard deviations], and added at first [px^2]; iterations, and how
-# many of them are the first ones.
-_Robust = namedtuple("_Robust", "outlier2 first_outlier2 rounds early")
+# Squared scale of the robust loss of a pair [standard deviations]; iterations, and how many of them do not know the
+# slant.
+_Robust = namedtuple("_Robust", "outlier2 rounds early")
 
 # Results of `_fit_planes`: heights (n,), slants (n, 2), and in `spreads` (n, 4) the variances of both, chi square and
 # its degrees of freedom.
@@ -102,7 +102,7 @@ def _fit_plane(count, s, v, x, y, z, gx, gy, known, robust):
             residual = s[k] - z - gx * x[k] - gy * y[k]
             limit = robust.outlier2 * v[k]
             if turn < robust.early:
-                limit += robust.first_outlier2 + (x[k] * x[k] + y[k] * y[k]) / known
+                limit += (x[k] * x[k] + y[k] * y[k]) / known
             w = limit / (limit + residual * residual)
             w *= w
             chi2 += w * residual * residual / v[k]
@@ -167,7 +167,7 @@ def _fit_planes(
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
-def _predict_slants(begin, end, neighbours, gap, least_curvature2, planes: _Planes, prior):
+def _predict_slants(begin, end, neighbours, gap, planes: _Planes, prior):
     """Fill `prior` with the mean slant of each lens and its neighbours on one surface, and its inverse variance."""
     sizes, slants, spreads = planes.sizes, planes.slants, planes.spreads
     for lens in range(begin, end):
@@ -196,7 +196,7 @@ def _predict_slants(begin, end, neighbours, gap, least_curvature2, planes: _Plan
         scatter = np.float32(0.5) * (squares / total - x * x - y * y) * count / (count - 1)
         curvature = max(scatter - count / total, np.float32(0.0))
         prior[lens, 0], prior[lens, 1] = x, y
-        prior[lens, 2] = np.float32(1.0) / (curvature + 1 / total + least_curvature2)
+        prior[lens, 2] = np.float32(1.0) / (curvature + 1 / total)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
@@ -253,12 +253,12 @@ def fit_lens_planes(
     prior = np.zeros((n, 3), float32)
     prior[:, 2] = 1 / float32(settings.likely_slant) ** 2
     gap, half = float32(settings.same_surface * gray.pitch), settings.rounds // 2
-    outlier2, first2 = np.square(float32(settings.outlier)), np.square(float32(settings.first_outlier))
+    outlier2 = np.square(float32(settings.outlier))
     measured = gray.centres, pitch, neighbours, pairs, np.square(float32(settings.pair_error))
-    robust = _Robust(outlier2, first2, settings.rounds, half)
+    robust = _Robust(outlier2, settings.rounds, half)
     _fit_planes(*measured, start.astype(float32), prior, robust, planes)
-    _predict_slants(neighbours, gap, np.square(float32(settings.least_curvature)), planes, prior)
-    _fit_planes(*measured, planes.sizes.copy(), prior, _Robust(outlier2, first2, half, 0), planes)
+    _predict_slants(neighbours, gap, planes, prior)
+    _fit_planes(*measured, planes.sizes.copy(), prior, _Robust(outlier2, half, 0), planes)
     errors, slant_errors = np.empty(n, float32), np.empty(n, float32)
     _standard_errors(
         neighbours, pitch, gap, float32(settings.common_error), float32(settings.common_error_growth),

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from ..same_surface import TOLERANCE
 
 __all__ = [
-    "DefocusSettings", "LensPlaneSettings", "NeighbourPriorSettings", "PairFitSettings", "QuadraticFitSettings",
-    "SmoothingSettings",
+    "DefocusSettings", "LensPlaneSettings", "PairFitSettings", "RestartSettings", "SmoothingSettings",
 ]  # fmt: skip
 
 
@@ -52,28 +51,18 @@ class LensPlaneSettings:
     pair_error: float = 0.006  # [px] systematic error of a pair: interpolation, sampling, lattice
     likely_slant: float = 0.05  # [px per px] slants are rarely steeper
     outlier: float = 3.0  # [standard deviations] scale of the robust loss
-    first_outlier: float = 0.5  # [px] added to that scale while the slant is unknown
     common_error: float = 0.9  # factor of errors at s = 0 for what all pairs of a lens share; on ray-traced scenes
     common_error_growth: float = 1.3  # its growth per |s| / D; on ray-traced scenes
     opposite_pairs: float = 2.0  # pairs in opposite directions share their texture error and count as one
     same_surface: float = TOLERANCE  # [pitch] neighbours on one surface share slant and scatter
-    least_curvature: float = 1e-4  # [px per px] slants of neighbours differ by this at least: no surface is even
 
 
 @dataclass(frozen=True)
-class NeighbourPriorSettings:
-    """Tuned values of `neighbour_prior`."""
+class RestartSettings:
+    """Tuned values of `restarts`."""
 
-    usable_error: float = 0.3  # [px] lenses with larger standard errors predict nothing for others
-    doubtful_error: float = 0.15  # [px] lenses above it are fitted again from other starts
-    tolerated: float = 0.2  # [px] a doubtful lens this near to the prediction is not
-    outlier: float = 0.15  # [px] from their median, predictions are of other surfaces; or three times their scatter
-    nearby_start: float = 0.15  # [pitch] a prediction farther from the start is another match, not an offset
-    far_patch_size: float = 0.45  # [pitch] beyond it neighbours share few pixels, and weak texture biases matches
+    far_patch_size: float = 0.4  # [pitch] beyond it neighbours share few pixels, and weak texture biases matches
     bias: float = 0.06  # [pitch] by about so much those matches fall short
-    clearly_better: float = 0.7  # share of the error at which a fit from another match replaces the first
-    correlation: float = 0.5  # of the errors of a lens and of its prediction: neighbouring lenses share pairs
-    least_spread: float = 0.01  # [px] standard deviation of a prediction, at least
 
 
 @dataclass(frozen=True)
@@ -83,29 +72,12 @@ class SmoothingSettings:
     outlier: float = 3.0  # [standard deviations] scale of the robust weight of a neighbour
     other_surface: float = 6.0  # [standard deviations] beyond it a neighbour has no weight at all
     least_slant: float = 0.002  # [px per px] no surface is even, and no slant better known
-    likely_curvature: float = 0.007  # [pitches of s per squared pitch of the scene] prior of the curvature
-    significance: float = 5.0  # least square of a curvature over its variance: flat surfaces have none
+    significance: float = 2.5  # least square of a curvature over its variance: flat surfaces have none
     farthest: float = 1.0  # [pitches^2] half the mean square reach of a lens on the scene, at most
     rounds: int = 3  # in which the excess scatter of the neighbours is estimated
-    least_weight: float = 0.5  # neighbours that count for less than this half lens are ignored
     correlation: float = 0.03  # of the errors of neighbours, which share pixels and pairs; on ray-traced scenes
     common_error: float = 0.0019  # [px] shared by all lenses of a surface; on ray-traced scenes
     common_error_growth: float = 0.0005  # [pitches] its growth with (|s| / D)^3: neighbours then share rims only
     far_rounds: int = 2  # the second carries values from twice as far
     inlier_share: float = 0.83  # of the neighbours on a plane, with errors alone
     steepness: int = 8  # power of the inlier share over this one by which lenses count farther off
-
-
-@dataclass(frozen=True)
-class QuadraticFitSettings:
-    """Tuned values of `quadratic_fit`."""
-
-    iterations: int = 4  # of Gauss-Newton
-    last_step: float = 0.01  # [px] a step that moves no coefficient by more ends them
-    likely_slant: float = 0.08  # [px per px] prior of slants toward the rim
-    likely_curvature: float = 0.02  # [pitch] prior of the quadratic terms at the rim
-    largest_drift: float = 0.06  # [pitch] fits that leave their start farther are dropped
-    fewest_pixels: float = 60.0  # [pixels over all pairs] fits that rest on fewer are dropped
-    correlated: float = 4.0  # pixels per independent one, after the B-spline; derived
-    common_error: float = 1.6  # factor of standard errors for what all pixels of a lens share; on ray-traced clutter
-    least_move: float = 0.5  # [standard errors] a lens that moves by less keeps its first fit

@@ -9,7 +9,6 @@ centre, by an amount that the curvature fitted to the neighbours predicts.
 from __future__ import annotations
 
 from collections import namedtuple
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +20,14 @@ from ...flat.lens_graph import distant_rings, two_rings
 from .lens_plane import LensFits
 from .settings import SmoothingSettings
 
-__all__ = ["SmoothedFits", "smooth_fits", "smooth_fits_far"]
+__all__ = ["smooth_fits", "smooth_fits_far"]
 
 _DEFAULT = SmoothingSettings()
 
 # Fields of `SmoothingSettings` for kernels.
 _Constants = namedtuple(
     "_Constants",
-    "outlier other_surface least_slant likely_curvature significance farthest rounds least_weight correlation "
-    "common_error common_error_growth",
+    "outlier other_surface least_slant significance farthest rounds correlation common_error common_error_growth",
 )  # fmt: skip
 
 # Neighbours of one lens are gathered in the rows of an array (9, m): sizes, variances, steps to them [pitches] x and y,
@@ -142,7 +140,7 @@ def _curvature_sums(count, near, own):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _curvature(count, near, own, own_variance, own_curved, slant_known, curvature_known):
+def _curvature(count, near, own, own_variance, own_curved, slant_known):
     """Curvature [px / pitch^2] of the surface about a lens, and its variance, by a weighted paraboloid.
 
     It is round, since one curvature and a slant in each direction are all that so few lenses determine; slants count as
@@ -161,7 +159,8 @@ def _curvature(count, near, own, own_variance, own_curved, slant_known, curvatur
     x_slant, by_x = (i01 * p + i11 * q + i12 * r) * over, (i01 * g + i11 * h + i12 * i) * over
     y_slant, by_y = (i02 * p + i12 * q + i22 * r) * over, (i02 * g + i12 * h + i22 * i) * over
     left = s - by_height * p - by_x * q - by_y * r
-    spread = 1 / (j - by_height * g - by_x * h - by_y * i + curvature_known)
+    # Lenses in one place do not determine it.
+    spread = 1 / max(j - by_height * g - by_x * h - by_y * i, 1e-12)
     scatter = squares - height * p - x_slant * q - y_slant * r - spread * left * left
     freedom = 3 * number - 1 - (1 - i11 * over * slant_known) - (1 - i22 * over * slant_known)
     return spread * left, spread * max((scatter + 1) / (max(freedom, 0.0) + 1), 1.0)
@@ -235,8 +234,8 @@ def _smooth(
     begin, end, centres, pitch, radius, rows, sizes, errors, slants, slant_errors, wanted, centred, trust,
     constants: _Constants, out,
 ):  # fmt: skip
-    """Combine the `wanted` lenses in `out` (n, 7), which holds the fits of all: sizes, errors, slants x and y, their
-    errors, significance of curvatures, and shares of inliers."""
+    """Combine the `wanted` lenses in `out` (n, 6), which holds the fits of all: sizes, errors, slants x and y, their
+    errors, and shares of inliers."""
     c = constants
     gathered, near = np.empty((_GATHERED, rows.shape[1])), np.empty((_NEAR, rows.shape[1]))
     for lens in range(begin, end):
@@ -247,15 +246,12 @@ def _smooth(
             lens, centres, pitch, radius, rows, sizes, errors, slants, slant_errors, centred, trust, c, gathered,
             near,
         )  # fmt: skip
-        out[lens, 6] = weight / max(count, 1)
-        if weight < c.least_weight:
+        out[lens, 5] = weight / max(count, 1)
+        if weight <= 0:
             continue
         slant_known = 1 / (np.float64(slant_errors[lens]) ** 2 + c.least_slant * c.least_slant)
         averaged = (1 - centred[lens]) * _mean_reach(own, radius, c.farthest)
-        curvature, variance = _curvature(
-            count, near, own, own_variance, averaged, slant_known, 1 / (c.likely_curvature * pitch) ** 2
-        )
-        out[lens, 5] = curvature * curvature / variance
+        curvature, variance = _curvature(count, near, own, own_variance, averaged, slant_known)
         curvature *= max(1 - c.significance * variance / (curvature * curvature), 0.0)
         # What the curvature adds to all sizes, also to that of the lens itself, is taken from them.
         uncertain_part = averaged * averaged * variance if curvature != 0 else 0.0
@@ -274,24 +270,6 @@ def _smooth(
         out[lens, 1] = np.sqrt(joint + c.correlation * min(shared, own_variance) + c.common_error**2 + common**2)
 
 
-@dataclass(frozen=True)
-class SmoothedFits:
-    """Fits of lenses, each combined with its neighbours.
-
-    Parameters
-    ----------
-    fits : LensFits
-    curvature_significance : (n,) float32
-        Square of the curvature of the surface about each lens, over its variance; 0 where it is unknown.
-    inlier_share : (n,) float32
-        Mean weight of the neighbours of each lens, 0 to 1.
-    """
-
-    fits: LensFits
-    curvature_significance: NDArray[np.float32]
-    inlier_share: NDArray[np.float32]
-
-
 def smooth_fits(
     gray: GrayFlat,
     neighbours: NDArray[np.int32],
@@ -299,8 +277,10 @@ def smooth_fits(
     wanted: NDArray[np.bool_],
     centred: NDArray[np.float32],
     settings: SmoothingSettings = _DEFAULT,
-) -> SmoothedFits:
+) -> tuple[LensFits, NDArray[np.float32]]:
     """Patch sizes, slants and their errors of lenses combined with the lenses in two rings around each.
+
+    Also returns the mean weight (n,) of the neighbours of each lens, 0 to 1.
 
     Neighbours are weighted robustly: those that differ from the lens by several standard errors belong to another
     surface and do not count.
@@ -325,7 +305,8 @@ def smooth_fits(
 def smooth_fits_far(
     gray: GrayFlat,
     neighbours: NDArray[np.int32],
-    near: SmoothedFits,
+    fits: LensFits,
+    inlier_share: NDArray[np.float32],
     wanted: NDArray[np.bool_],
     settings: SmoothingSettings = _DEFAULT,
 ) -> LensFits:
@@ -335,10 +316,9 @@ def smooth_fits_far(
     and all err towards the other one.
     """
     centred = np.ones(len(wanted), np.float32)
-    trust = np.minimum(near.inlier_share / np.float32(settings.inlier_share), 1) ** settings.steepness
-    fits = near.fits
+    trust = np.minimum(inlier_share / np.float32(settings.inlier_share), 1) ** settings.steepness
     for _ in range(settings.far_rounds):
-        fits = _smoothed(gray, distant_rings(neighbours), fits, wanted, centred, trust, settings).fits
+        fits = _smoothed(gray, distant_rings(neighbours), fits, wanted, centred, trust, settings)[0]
     return fits
 
 
@@ -350,18 +330,18 @@ def _smoothed(
     centred: NDArray[np.float32],
     trust: NDArray[np.float32],
     settings: SmoothingSettings,
-) -> SmoothedFits:
+) -> tuple[LensFits, NDArray[np.float32]]:
     """As `smooth_fits`, with the lenses `rows` (n, m) of each, weighted by their `trust` and its own (n,)."""
     sizes, errors, slants, slant_errors = (
         np.asarray(values, np.float32)
         for values in (fits.patch_size, fits.standard_error, fits.slant, fits.slant_error)
     )
-    out = np.zeros((len(sizes), 7), np.float32)
-    out[:, 0], out[:, 1], out[:, 2:4], out[:, 4], out[:, 6] = sizes, errors, slants, slant_errors, 1
+    out = np.zeros((len(sizes), 6), np.float32)
+    out[:, 0], out[:, 1], out[:, 2:4], out[:, 4], out[:, 5] = sizes, errors, slants, slant_errors, 1
     constants = _Constants(*(getattr(settings, name) for name in _Constants._fields))
     _smooth(
         gray.centres, gray.pitch, gray.radius, rows, sizes, errors, slants, slant_errors, wanted, centred, trust,
         constants, out,
     )  # fmt: skip
-    size, error, slant_error, curvature, inliers = (out[:, k].copy() for k in (0, 1, 4, 5, 6))
-    return SmoothedFits(LensFits(size, error, out[:, 2:4].copy(), slant_error), curvature, inliers)
+    size, error, slant_error, inliers = (out[:, k].copy() for k in (0, 1, 4, 5))
+    return LensFits(size, error, out[:, 2:4].copy(), slant_error), inliers

@@ -11,6 +11,7 @@ from ...flat.lens_graph import count_similar
 from ...flat.settings import SHADING
 from ...runtime.order_statistics import count_below
 from ..matching.matcher import MatchResult
+from ..same_surface import same_surface
 from .settings import CLASSIFY, ClassifySettings
 from .uncertainty import (
     combine_confidence,
@@ -189,11 +190,24 @@ def _occurs(values: NDArray, known: NDArray, pitch: float, settings: ClassifySet
 
 
 def shift_exceeds_shading(
-    refined: NDArray, error: NDArray, pitch: float, settings: ClassifySettings = CLASSIFY
+    refined: NDArray,
+    error: NDArray,
+    neighbours: NDArray[np.int32],
+    pitch: float,
+    settings: ClassifySettings = CLASSIFY,
 ) -> NDArray[np.bool_]:
-    """Lenses whose pairs agree on a shift; shading stays with its lens and cannot have one."""
-    agree = (error <= settings.still_error * pitch) & ~shift_may_be_zero(refined, error, settings)
-    return np.asarray(agree & (np.abs(refined) >= settings.still * pitch))
+    """Lenses whose pairs agree on a shift, together with their neighbours; shading, which stays with its lens, has
+    none."""
+    rows = np.column_stack([np.arange(len(refined)), neighbours])
+    sizes, variance = refined[rows], np.where(rows >= 0, np.square(error[rows]), np.inf)
+    like = same_surface(sizes, refined[:, None], 3 * error[:, None]) & np.isfinite(variance)
+    weight = np.where(like, 1 / np.maximum(variance, 1e-12), 0)
+    total = np.maximum(weight.sum(1), 1e-12)
+    mean = (weight * sizes).sum(1) / total
+    # Neighbours share pairs: half of their variance is common to all.
+    spread = np.sqrt(0.5 * (1 + like.sum(1)) / total)
+    agree = (spread <= settings.still_error * pitch) & ~shift_may_be_zero(mean, spread, settings)
+    return np.asarray(agree & (np.abs(mean) >= settings.still * pitch))
 
 
 def shift_may_be_zero(refined: NDArray, error: NDArray, settings: ClassifySettings = CLASSIFY) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ import pytest
 
 from data_synth import SCENES, Camera, simulate
 from lfrender.depth.refinement.defocus_difference import NO_DIFFERENCE, estimate_defocus_difference, sample_start_values
-from lfrender.depth.refinement.neighbour_prior import refine_patch_sizes
+from lfrender.depth.refinement.restarts import refine_patch_sizes
 from lfrender.flat.gray_flat import GrayFlat, make_gray_flat
 from lfrender.flat.lens_graph import opposite_neighbours
 from lfrender.runtime.cache import cached
@@ -31,7 +31,7 @@ def measured(kinds: bool, gamma: bool = True) -> tuple[np.ndarray, GrayFlat, np.
     gray = replace(gray, lens_type=shot.truth.lens_type.astype(np.int8) if kinds else None)
     start = (shot.truth.patch_size + 0.2).astype(np.float32)
     halves = opposite_neighbours(shot.truth.calibration.lattice)
-    alone, _ = refine_patch_sizes(gray, *halves, start, np.full(len(start), np.nan), np.full(len(start), 0.1), 0.004, 5)
+    alone = refine_patch_sizes(gray, *halves, start, np.full(len(start), np.nan), np.full(len(start), 0.1), 0.004, 5)
     inner = (np.abs(gray.centres - np.array([209.5, 179.5])) < np.array([150, 120])).all(1)
     return (alone.patch_size - shot.truth.patch_size)[inner], gray, shot.truth.lens_type
 

@@ -1,8 +1,8 @@
-"""Patch sizes of lenses refined with what their neighbours predict."""
+"""Patch sizes of lenses refined from several starts."""
 
 import numpy as np
 
-from lfrender.depth.refinement.neighbour_prior import refine_patch_sizes
+from lfrender.depth.refinement.restarts import refine_patch_sizes
 from lfrender.flat.lens_graph import neighbour_rows
 
 
@@ -11,20 +11,7 @@ def measured(gray, lattice, start, second=np.nan):
     half = rows.shape[1] // 2
     scale = np.full(len(start), 0.1, np.float32)
     second = np.broadcast_to(np.float32(second), len(start))
-    return refine_patch_sizes(gray, rows[:, :half], rows[:, half:], start.astype(np.float32), second, scale, 0.005, 6)[
-        1
-    ]
-
-
-def test_a_lens_that_starts_far_off_is_brought_back_by_its_neighbours(drawn_flat):
-    gray, lattice, truth, inner = drawn_flat(-8.0, detail=1.0)
-    start = truth.copy()
-    far = inner & (np.arange(len(truth)) % 7 == 0)
-    start[far] += 3.2
-    assert far.sum() > 15
-    lenses = measured(gray, lattice, start)
-    assert (np.abs(lenses.patch_size + 8.0)[far] < 0.1).mean() > 0.9
-    assert np.median(np.abs(lenses.patch_size + 8.0)[inner]) < 0.01
+    return refine_patch_sizes(gray, rows[:, :half], rows[:, half:], start.astype(np.float32), second, scale, 0.005, 6)
 
 
 def test_a_lens_takes_the_second_best_match_if_its_pairs_agree_on_it(drawn_flat):
