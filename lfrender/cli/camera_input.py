@@ -57,11 +57,18 @@ def check_beside(
         return checked, lambda: checked
     from concurrent.futures import ThreadPoolExecutor
 
-    thread = ThreadPoolExecutor(1, "check")
+    thread = ThreadPoolExecutor(1, "check", _use_one_thread)
     try:
         return calibration, thread.submit(_check_file, path, calibration, pixels).result
     finally:
         thread.shutdown(wait=False)
+
+
+def _use_one_thread() -> None:
+    """Leave the other cores to what is done meanwhile."""
+    import numba
+
+    numba.set_num_threads(1)
 
 
 def _check_file(path: Path, calibration: Calibration, pixels: NDArray[Any] | FlatSource) -> Calibration:

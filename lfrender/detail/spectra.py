@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import rfft2
 
 from lfcal import Calibration
 
@@ -138,7 +137,7 @@ def _spectrum(
         boxes, seen = _read(look, place[inside], side)
         alone = min(alone, _highest(boxes[:, 1 : 1 + side, 1 : 1 + side], settings))
         seen -= ((seen * window).sum((1, 2)) / window.sum())[:, None, None]
-        spectra.append(rfft2(seen * window))
+        spectra.append(np.fft.rfft2(seen * window))
     product = (spectra[0] * spectra[1].conj()).real.reshape(len(boxes), -1) @ rings / ((window**2).sum() * white**2)
     error = product.std(0) / np.sqrt(len(product))
     ratio = float(np.median(sizes[inside])) / lattice.pitch
@@ -187,7 +186,7 @@ def _highest(boxes: NDArray[np.float32], settings: SpectraSettings) -> float:
     frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
     high = (frequency > settings.high[0]) & (frequency <= settings.high[1])
     middle = boxes - boxes.mean((1, 2), keepdims=True)
-    return float((np.abs(rfft2(middle * window)) ** 2)[:, high].mean() / (window**2).sum())
+    return float((np.abs(np.fft.rfft2(middle * window)) ** 2)[:, high].mean() / (window**2).sum())
 
 
 def shows_blocks(look: Look, image_size: tuple[int, int], settings: SpectraSettings = SPECTRA) -> bool:

@@ -7,14 +7,14 @@ kernels that Python calls are hardly ever linked again. Either is as much work a
 
 from __future__ import annotations
 
+import sys
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
 from llvmlite import binding
-from numba.core import lowering
+from numba.core import environment, lowering
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import lookup_environment
 
 from .compilation import compiled_dispatcher
 
@@ -22,7 +22,7 @@ __all__ = ["generate_on_demand"]
 
 _ENVIRONMENT = "_ZN08NumbaEnv"
 # Stands for the generator of a library without machine code, which has no place for the address of an environment.
-_NO_CODE = SimpleNamespace(set_env=lambda name, environment: None)
+_NO_CODE = SimpleNamespace(set_env=lambda *_: None)
 
 
 class _Library(JITCodeLibrary):
@@ -52,9 +52,9 @@ class _Library(JITCodeLibrary):
         codegen: Any = self._codegen
         names = [found.name for found in self._final_module.global_variables if found.name.startswith(_ENVIRONMENT)]
         for name in names:
-            environment = lookup_environment(name)
-            if environment is not None:
-                codegen.set_env(name, environment)
+            known = environment.lookup_environment(name)
+            if known is not None:
+                codegen.set_env(name, known)
 
     def get_pointer_to_function(self, name: str) -> int:
         self._ensure_finalized()
@@ -116,6 +116,19 @@ def _unless_linked(create: Any, also_of_numba: bool) -> Any:
     return create_wrapper
 
 
+def _rebuild_environment(module: str, constants: list[Any], name: str) -> Any:
+    """As Numba's own, but without importing the module: the globals of an environment serve its object mode alone."""
+    known = environment.lookup_environment(name)
+    if known is not None:
+        return known
+    found = sys.modules.get(module)
+    made = environment.Environment(vars(found) if found is not None else {"__name__": module})
+    made.consts[:] = constants
+    made.env_name = name
+    environment.Environment._memo[name] = made
+    return made
+
+
 @cache
 def generate_on_demand() -> None:
     """Compile kernels in this way from now on; once per process."""
@@ -125,5 +138,10 @@ def generate_on_demand() -> None:
     if codegen._library_class is JITCodeLibrary:
         codegen._library_class = _Library
         lower: Any = lowering.BaseLower
+        # Pickled under its name.
+        rebuild: Any = _rebuild_environment
+        own: Any = environment._rebuild_env
+        rebuild.__module__, rebuild.__name__, rebuild.__qualname__ = own.__module__, own.__name__, own.__qualname__
+        environment._rebuild_env = rebuild
         lower.create_cpython_wrapper = _unless_linked(lower.create_cpython_wrapper, also_of_numba=False)
         lower.create_cfunc_wrapper = _unless_linked(lower.create_cfunc_wrapper, also_of_numba=True)

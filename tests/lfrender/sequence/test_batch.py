@@ -97,10 +97,10 @@ def test_an_interrupted_run_is_continued_with_the_same_pictures(sequence, whole,
 def test_frames_are_compared_with_the_depth_maps_in_the_folder_as_in_a_later_run(sequence, tmp_path, monkeypatch):
     flats, against = [], []
 
-    def analyze(flat, *arguments, previous=None):
+    def analyze(flat, *arguments, previous=None, **options):
         flats.append(flat)
         against.append(previous)
-        made.append(lfrender.analyze(flat, *arguments, previous=previous))
+        made.append(lfrender.analyze(flat, *arguments, previous=previous, **options))
         return made[-1]
 
     made = []
