@@ -4,7 +4,8 @@ Prints, at 0.15 D, 0.3 D and the default scale, PSNR of the picture with `detail
 `detail="natural"`: over all, beside depth edges, on blank places and in the border (a pitch wide); then by
 `sharpen="auto"`, and by three methods of scikit-image applied to the picture: Wiener, Richardson-Lucy and total
 variation. These are given the disc of defocus that is measured for the median patch size. Without a folder, the
-scenes of `benchmarks.pictures` are simulated.
+scenes of `benchmarks.pictures` are simulated; `python -m benchmarks.detail 200 221` simulates random cameras before
+random scenes, one for each number, some of them gray, of 16 bits, or JPEG of quality 50 or 75.
 """
 
 from __future__ import annotations
@@ -60,6 +61,36 @@ def _simulated_cases() -> Iterator[_Case]:
         )
 
 
+def _random_case(seed: int) -> _Case:
+    rng = np.random.default_rng(seed)
+    kind = ("plane", "slope", "house", "clutter", "plane", "slope", "clutter")[seed % 7]
+    several = seed % 7 >= 4 and seed % 2 == 0
+    pitch = np.exp(rng.uniform(np.log(18), np.log(60)))
+    lattice = "hex" if several else str(rng.choice(["hex", "hex-vertical", "square"]))
+    turn, fill, sign = rng.uniform(-15, 15), rng.uniform(0.14, 0.3), rng.choice([-1.0, 1.0])
+    focus: Any = sign * rng.uniform(-0.1, 0.25)
+    if several:
+        focus = tuple(sign * (rng.uniform(0.15, 0.25) + np.arange(3) * rng.uniform(0.11, 0.17)))
+    camera = Camera.design(size=_SIZE, pitch=pitch, lattice=lattice, rotation=turn, fill=fill, focus=focus)
+    near, far = rng.uniform(0.12, 0.25), rng.uniform(0.1, 0.3)
+    where = {"plane": {"ratio": sign * (near + far)}, "slope": {"left": sign * near, "right": sign * (near + far)}}
+    scene = SCENES[kind](camera, seed=seed, **where.get(kind, {}))
+    well = np.exp(rng.uniform(np.log(600), np.log(30000)))
+    form: dict[str, Any] = {"bits": 16, "gamma": False} if seed % 5 == 3 else {}
+    shot = simulate(scene, camera, samples=96, seed=seed, noise=(well, 5), **form)
+    flat, reference, name = shot.flat, shot.truth.reference, f"{seed}: {kind}, D = {pitch:.0f} px"
+    if seed % 4 == 1 and not form:
+        quality = (50, 75)[seed // 4 % 2]
+        coded = cv2.imencode(".jpg", flat[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        flat = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR))[..., ::-1]
+        name += f", JPEG {quality}"
+    if seed % 6 == 2:
+        flat, reference = (np.rint(np.mean(one, 2)).astype(one.dtype) for one in (flat, reference))
+        name += ", gray"
+    found, size = lfcal.calibrate(shot.white, kind="white"), shot.truth.reference_patch_size.astype("f4")
+    return _Case(name + ", three types" * several, flat, found, reference, shot.truth.reference_affine, size)
+
+
 def _classes(case: _Case, wanted: NDArray[Any], inside: NDArray[np.bool_], picture: lfrender.Rendering) -> list[Any]:
     """Masks: all, beside depth edges, blank, and the border, which the others leave out."""
     shape, pitch = picture.image.shape[:2], case.camera.lattice.pitch
@@ -113,7 +144,7 @@ def _rows(case: _Case) -> Iterator[str]:
     pitch = case.camera.lattice.pitch
     for scale in (*(share * pitch for share in SCALES), default_scale(depth)):
         drawn = [
-            lfrender.render(case.flat, case.camera, depth, scale=scale),
+            lfrender.render(case.flat, case.camera, depth, scale=scale, detail="off"),
             lfrender.render(case.flat, case.camera, depth, scale=scale, detail="natural"),
             lfrender.render(case.flat, case.camera, depth, scale=scale, sharpen="auto"),
         ]
@@ -135,6 +166,8 @@ def _rows(case: _Case) -> Iterator[str]:
 
 def _main() -> None:
     cases = _truth_cases(Path(sys.argv[1])) if sys.argv[1:] else _simulated_cases()
+    if len(sys.argv) > 2:
+        cases = (_random_case(seed) for seed in range(int(sys.argv[1]), int(sys.argv[2])))
     print("| scene | pixels per pitch | off [dB] | natural | edges | blank | border | sharpen | Wiener | R.-L. | TV |")
     print("|" + "---|" * 11)
     for case in cases:

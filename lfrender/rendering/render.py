@@ -63,7 +63,8 @@ def render(
         whose centre is nearest. By default True for a depth map and False for one patch size.
     detail : "natural" or "off", optional
         Undo the blur of the microlenses, place by place, as noise, seams and depth edges allow; it is measured on the
-        flat, by the lenses that `depth` resolves. By default "off"; with `previous` as in that picture.
+        flat, by the lenses that `depth` resolves. By default "natural" for the mean over lenses of a depth map, unless
+        `sharpen` is given; with `previous` as in that picture.
     sharpen : float or "auto", optional
         Instead of `detail`, one filter for the whole picture that undoes the blur of the microlenses as far as noise
         allows: "auto" measures it on the flat, a number is the side of the square that it averages over [output px].
@@ -192,6 +193,6 @@ def make_plan(
     blur = measure_lens_blur(look, calibration, sizes) if scale * settings.coarse_ratio < full else 0.0
     reach = settings.fast_reach if depth is not None and depth.preset == "fast" else settings.reach
     defocus = None
-    if blend and depth is not None and detail == "natural":
+    if blend and depth is not None and detail != "off":
         defocus = measure_defocus(look, calibration, depth.patch_size)
     return RenderPlan(calibration, surface, scale, blend, blur, reach, settings.agreement, defocus=defocus)

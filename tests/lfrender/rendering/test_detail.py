@@ -41,6 +41,14 @@ def test_pictures_gain_and_none_loses(scene, gain):
     assert psnr("natural", scene, scale=4.0) > psnr("off", scene, scale=4.0) - 0.02
 
 
+def test_detail_is_restored_by_default_and_not_beside_another_sharpening():
+    shot, depth = capture()
+    plain = lfrender.render(shot.flat, shot.truth.calibration, depth)
+    np.testing.assert_array_equal(plain.image, picture("natural").image)
+    assert lfrender.render(shot.flat, shot.truth.calibration, depth, sharpen=1.5).defocus is None
+    assert lfrender.render(shot.flat, shot.truth.calibration, patch_size=-6.0).defocus is None
+
+
 def test_a_smooth_ramp_is_left_as_it_is():
     off, natural = (picture(detail, "ramp").image.astype(int) for detail in ("off", "natural"))
     assert np.abs(off - natural).max() <= 1
