@@ -61,7 +61,7 @@ __all__ = ["render"]
     click.option(
         "--detail",
         type=click.Choice(["natural", "off"]),
-        help="Undo the blur of the microlenses, place by place, as noise allows. [default: natural, where lenses are averaged]",
+        help="Undo the blur of the microlenses, place by place, as noise allows. [default: natural, for means of lenses]",
     ),
     click.option(
         "--sharpen",
