@@ -61,7 +61,7 @@ __all__ = ["render"]
     click.option(
         "--detail",
         type=click.Choice(["natural", "off"]),
-        help="Undo the blur of the microlenses, place by place, as noise allows. [default: natural, for means of lenses]",
+        help="Undo the blur of the microlenses, place by place, as noise allows. [default: natural, for depth maps]",
     ),
     click.option(
         "--sharpen",
