@@ -117,13 +117,17 @@ def _normalise(sums, count):
 
 @njit(cache=True, nogil=True, inline="always")
 def _put(out, u, channel, value):
-    """Truncate a value to one byte or two, the lower first, or keep it in a picture of floats."""
-    if out.shape[2] > 1:
-        number = np.uint32(value)
-        out[u, channel, 0] = number & np.uint32(0xFF)
-        out[u, channel, 1] = number >> np.uint32(8)
-    else:
+    """Store a value in its bytes, the lowest first: truncated to one or two, or as a float of four."""
+    low = np.uint32(0xFF)
+    if out.shape[2] == 1:
         out[u, channel, 0] = value
+    elif out.shape[2] == 2:
+        number = np.uint32(value)
+        out[u, channel, 0], out[u, channel, 1] = number & low, number >> np.uint32(8)
+    else:
+        bits = np.float32(value).view(np.uint32)
+        for k in range(np.uint32(4)):
+            out[u, channel, k] = (bits >> np.uint32(8 * k)) & low
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -272,9 +276,9 @@ def _most_runs(centres, grid, bands, reach):
 def blend_rows(begin, end, flat, light, lenses, surface, depth, grid, weighting, output, left):
     """Draw the pixels of a `Grid` into an `Output`.
 
-    As `blend_pixels`, with packed pixels (h, w, words) uint32 in `flat` (`prefilter_packed`), a picture whose values
-    have one byte, two, or are floats (rows, columns, C, bytes), and `SortedLenses`: one kernel for all of them. Pixels
-    that need more than one sample are marked in `left` (h, w) instead.
+    As `blend_pixels`, with packed pixels (h, w, words) uint32 in `flat` (`prefilter_packed`), a picture (rows,
+    columns, C, bytes) uint8 whose values have one byte, two, or are floats of four, and `SortedLenses`: one kernel for
+    all of them. Pixels that need more than one sample are marked in `left` (h, w) instead.
     """
     rows, columns = output.valid.shape
     gains, transmission = light.gains.reshape(-1), light.lights.reshape(-1)

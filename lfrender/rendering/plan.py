@@ -243,8 +243,8 @@ class RenderPlan:
             ready = prefilter_flat(pixels) if self.blend else pixels
         else:
             packed, left = lit.packed, np.empty(valid.shape, bool)
-            words, out = packed.view(np.uint32).reshape(*packed.shape, -1), image[..., None]
-            by_bytes = output._replace(image=out.view(np.uint8) if out.dtype.kind == "u" else out)
+            words = packed.view(np.uint32).reshape(*packed.shape, -1)
+            by_bytes = output._replace(image=image[..., None].view(np.uint8))
             inputs = read._replace(pixels=words), light, self._sorted_lenses(edged), *self._depth, grid
             if any(self.viewpoint.offset):
                 weighting = weighting._replace(

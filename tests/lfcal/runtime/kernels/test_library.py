@@ -13,6 +13,7 @@ from lfcal.runtime.kernels.jit import njit
 
 @njit(cache=True, nogil=True)
 def twice(value):
+    value = max(value, -100)
     if value < 0:
         raise ValueError("below", value)
     return 2 * value
@@ -32,6 +33,8 @@ if sys.argv[1] == "fail":
         plus_one(-1)
     except ValueError as error:
         parsed = error.args
+if hits and sys.argv[1] == "call":
+    assert "numba.np.linalg" not in sys.modules
 print(hits, parsed, [overload.library._waits for overload in twice.linked.overloads.values()])
 """
 
