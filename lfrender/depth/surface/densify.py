@@ -198,9 +198,9 @@ def densify(
     ring = cached(lattice, "looking", lambda: _steps_nearby(lattice, settings.viewing_reach))
     gap = np.float32(max(settings.least_same_surface, settings.same_surface * pitch))
     grid = scene_grid(lattice, start[0], spacing)
-    # Two pixels that differ by noise alone match.
+    # Pixels that differ by no more than twice their noise match.
     constants = hypothesis_constants(
-        gap, pitch, settings.voting_reach * pitch, view_constants(gray.radius, 2 * noise * noise)
+        gap, pitch, settings.voting_reach * pitch, view_constants(gray.radius, 4 * noise * noise)
     )
     agreeing = np.empty(len(values), np.bool_)
     find_agreeing_lenses(values, seconds, lattice.indices(), grid, ring, gap, agreeing)

@@ -42,7 +42,7 @@ MAX_HYPOTHESES = 5
 # which lenses vote [px^2], and from the last but three on those of `ViewConstants`.
 HypothesisConstants = namedtuple(
     "HypothesisConstants",
-    "occluded_cost widest second_weight gap pitch vote2 best_share unknown radius floor",
+    "occluded_cost widest second_weight unvoted_cost gap pitch vote2 best_share unknown occluded_views radius floor",
 )  # fmt: skip
 
 
@@ -54,7 +54,7 @@ def hypothesis_constants(
     settings: HypothesisSettings = _DEFAULT,
 ) -> HypothesisConstants:
     """Values for `propose_hypotheses`: tolerance of one surface, pitch, and distance within which lenses vote [px]."""
-    named = [np.float32(getattr(settings, name)) for name in HypothesisConstants._fields[:3]]
+    named = [np.float32(getattr(settings, name)) for name in HypothesisConstants._fields[:4]]
     return HypothesisConstants._make((*named, gap, np.float32(pitch), np.float32(voting_reach**2), *views))
 
 
@@ -129,8 +129,8 @@ def _keep_coarse(coarse, v, u, gap, depths, weights, count):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _measure_mismatch(image, near_x, near_y, work, c, central, x, y, depths, costs, seen):
-    """Fill `costs` with the mismatch of hypotheses."""
+def _measure_mismatch(image, near_x, near_y, work, c, central, x, y, everyone, depths, costs, seen):
+    """Turn the weights of hypotheses in `costs`, out of `everyone`, into their mismatch plus the price of few votes."""
     # All pixels are fetched before the first comparison: what was just written in single values is slow to read as a
     # vector.
     nearest = 0
@@ -141,7 +141,8 @@ def _measure_mismatch(image, near_x, near_y, work, c, central, x, y, depths, cos
             nearest = k
     for k in range(len(depths)):
         base = np.uint64(k) * np.uint64(WORK)
-        costs[k] = view_mismatch(work, c, k == nearest, seen[k], base)
+        unvoted = max(np.float32(0.0), 1 - costs[k] / everyone)
+        costs[k] = view_mismatch(work, c, k == nearest, seen[k], base) + c.unvoted_cost * unvoted
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: given[10].shape[1])
@@ -215,13 +216,16 @@ def propose_hypotheses(
             if found == 0 or highest - lowest <= gap:
                 depths[0, v, u] = mean_vote(nearby, found, voters, shares, votes) if found else np.float32(np.nan)
                 continue
+            everyone = shares[:found].sum()
             number = sort_votes(nearby, found, voters, shares, votes, sizes, weights)
             found = cluster_votes(number, sizes, weights, gap, c.widest * gap, own, prices)
             if coarse.size > 0:
                 found = _keep_coarse(coarse, v, u, gap, own, prices, found)
             if found > 1:
                 views = find_central(nearby, count, distance, central, near_x, near_y)
-                _measure_mismatch(image, near_x, near_y, work, c, views, px, py, own[:found], prices[:found], seen)
+                _measure_mismatch(
+                    image, near_x, near_y, work, c, views, px, py, everyone, own[:found], prices[:found], seen
+                )
                 _add_occlusion(own[:found], prices[:found], matches, c)
                 for k in range(1, found):
                     depths[k, v, u], costs[k, v, u] = own[k], prices[k]

@@ -33,11 +33,11 @@ WORK = 240
 
 # Float32 values of `PhotoconsistencySettings`, the radius of a microimage [px], and the mismatch `floor` that noise
 # explains.
-ViewConstants = namedtuple("ViewConstants", "best_share unknown radius floor")
+ViewConstants = namedtuple("ViewConstants", "best_share unknown occluded_views radius floor")
 
 
 def view_constants(radius: float, floor: float, settings: PhotoconsistencySettings = _DEFAULT) -> ViewConstants:
-    named = (getattr(settings, name) for name in ViewConstants._fields[:2])
+    named = (getattr(settings, name) for name in ViewConstants._fields[:3])
     return ViewConstants(*map(np.float32, (*named, radius, floor)))
 
 
@@ -171,8 +171,8 @@ def sample_views(image, near_x, near_y, work, radius, count, x, y, slope, base):
 def view_mismatch(work, constants, nearest, seen, base):
     """Mean mismatch of the better part of the `seen` views found by `sample_views` with one of the most central.
 
-    0 for equal views, about 1 for unrelated ones. Behind another depth, where the views may be occluded, a mismatch
-    tells nothing: only the `nearest` one can be refuted.
+    0 for equal views, about 1 for unrelated ones. Behind another depth, where views may be occluded, a mismatch tells
+    less than at the `nearest` one.
     """
     unknown = constants.unknown
     if seen < 2:
@@ -180,8 +180,10 @@ def view_mismatch(work, constants, nearest, seen, base):
     _interpolate(work, base)
     _compute_moments(work, base)
     number = max(1, int(constants.best_share * (seen - 1) + np.float32(0.5)))
-    least = np.float32(np.inf) if nearest else unknown
+    least = np.float32(np.inf)
     for r in range(np.uint64(_REFERENCES)):
         _compare(work, base, r, unknown, constants.floor)
         least = min(least, _mean_of_best(work, base, seen, r, number))
+    if not nearest and least > unknown:
+        least = unknown + (least - unknown) * np.float32(seen) / (np.float32(seen) + constants.occluded_views)
     return least

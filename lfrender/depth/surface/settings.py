@@ -29,6 +29,7 @@ class HypothesisSettings:
 
     occluded_cost: float = 2.0  # a hypothesis pays this times what the mismatch of a nearer one stays below `unknown`
     widest: float = 2.0  # [tolerances] votes of one hypothesis extend over no more
+    unvoted_cost: float = 0.07  # price of a depth that no lens around votes for, in units of the mismatch
     second_weight: float = 0.1  # vote of a second-best match, which is false in every fourth lens; others have 1
 
 
@@ -38,6 +39,7 @@ class PhotoconsistencySettings:
 
     best_share: float = 0.5  # of the views, that must agree: an occluder may hide the others
     unknown: float = 0.5  # mismatch of places that too few lenses show, or of noise alone
+    occluded_views: float = 2.0  # an occluded hypothesis that mismatches in so many views counts half of the excess
 
 
 @dataclass(frozen=True)

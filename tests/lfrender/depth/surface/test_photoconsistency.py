@@ -37,7 +37,7 @@ def _written_out(x_of, y_of, x, y, slope, nearest):
                 costs.append((((view - views[r]) ** 2).mean() + 0.5 * FLOOR) / (apart + FLOOR))
         best.append(np.mean(sorted(costs)[:number]))
     least = min(best)
-    return least if nearest else min(least, 0.5)
+    return least if nearest or least < 0.5 else 0.5 + (least - 0.5) * len(views) / (len(views) + 2)
 
 
 def _tried(x_of, y_of, x, y, slope, radius, nearest, base=0):
