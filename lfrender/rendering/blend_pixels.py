@@ -17,7 +17,7 @@ from ..data.surface import patch_size_at
 from ..flat.distorted_lookup import displacement_at, nearest_index
 from .settings import WEIGHTS
 
-__all__ = ["Flat", "Grid", "Lenses", "Light", "Output", "Weighting", "blend_pixels"]
+__all__ = ["Flat", "Grid", "Lenses", "Light", "Output", "Weighting", "blend_pixels", "put_value"]
 
 # Most lenses that may share one scene point; the nearest come first.
 _MAX_LENSES = 37
@@ -79,7 +79,7 @@ class Weighting(NamedTuple):
 class Output(NamedTuple):
     """The picture."""
 
-    image: Any  # (h, w, C) array
+    image: Any  # (h, w, C, bytes) uint8: values of one byte or two, the lower first, or floats of four
     valid: Any  # (h, w) bool: some lens shows the pixel
     half: Any  # float32: added to values before they are truncated
     top: Any  # float32: the largest value
@@ -106,6 +106,21 @@ def _interpolate(line, at, across, down, w00, w01, w10, w11):
     return (w00 * np.float32(line[at]) + w01 * np.float32(line[at + across])) + (
         w10 * np.float32(line[at + down]) + w11 * np.float32(line[at + down + across])
     )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def put_value(out, u, channel, value):
+    """Store a value in its bytes, the lowest first: truncated to one or two, or as a float of four."""
+    low = np.uint32(0xFF)
+    if out.shape[2] == 1:
+        out[u, channel, 0] = value
+    elif out.shape[2] == 2:
+        number = np.uint32(value)
+        out[u, channel, 0], out[u, channel, 1] = number & low, number >> np.uint32(8)
+    else:
+        bits = np.float32(value).view(np.uint32)
+        for k in range(np.uint32(4)):
+            out[u, channel, k] = (bits >> np.uint32(8 * k)) & low
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -303,13 +318,14 @@ def _blend_row(
             total_weight += 1
         valid[v, u] = total_weight > 0
         per_sample = 1 / total_weight if total_weight > 0 else zero
-        out[v, u, 0] = min(total0 * per_sample + half, top)
+        row = out[v]
+        put_value(row, u, 0, min(total0 * per_sample + half, top))
         if len(channels) > 1 and out.shape[2] > 1:
-            out[v, u, 1] = min(total1 * per_sample + half, top)
+            put_value(row, u, 1, min(total1 * per_sample + half, top))
         if len(channels) > 2 and out.shape[2] > 2:
-            out[v, u, 2] = min(total2 * per_sample + half, top)
+            put_value(row, u, 2, min(total2 * per_sample + half, top))
         if len(channels) > 3 and out.shape[2] > 3:
-            out[v, u, 3] = min(total3 * per_sample + half, top)
+            put_value(row, u, 3, min(total3 * per_sample + half, top))
 
 
 @njit(cache=True, nogil=True)

@@ -14,6 +14,7 @@ from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
 
 from ..runtime.order_statistics import count_below
+from .blend_pixels import put_value
 from .lens_runs import (
     COLUMNS,
     FOURTH,
@@ -115,21 +116,6 @@ def _normalise(sums, count):
         sums[FOURTH + k] *= inverse
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _put(out, u, channel, value):
-    """Store a value in its bytes, the lowest first: truncated to one or two, or as a float of four."""
-    low = np.uint32(0xFF)
-    if out.shape[2] == 1:
-        out[u, channel, 0] = value
-    elif out.shape[2] == 2:
-        number = np.uint32(value)
-        out[u, channel, 0], out[u, channel, 1] = number & low, number >> np.uint32(8)
-    else:
-        bits = np.float32(value).view(np.uint32)
-        for k in range(np.uint32(4)):
-            out[u, channel, k] = (bits >> np.uint32(8 * k)) & low
-
-
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _store(totals, sizes, wanted, row, columns, count, end, largest, output, v, left, section):
     """Round and store row `v` of the picture, `row` of the band; columns from `end` on do not exist."""
@@ -144,11 +130,11 @@ def _store(totals, sizes, wanted, row, columns, count, end, largest, output, v, 
         if left[u]:
             continue
         valid[u] = totals[at] > 0
-        _put(out, u, 0, min(totals[SECOND + at] + half, top))
+        put_value(out, u, 0, min(totals[SECOND + at] + half, top))
         if out.shape[1] > 1:
-            _put(out, u, 1, min(totals[THIRD + at] + half, top))
+            put_value(out, u, 1, min(totals[THIRD + at] + half, top))
         if out.shape[1] > 2:
-            _put(out, u, 2, min(totals[FOURTH + at] + half, top))
+            put_value(out, u, 2, min(totals[FOURTH + at] + half, top))
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")

@@ -237,22 +237,22 @@ class RenderPlan:
         blurred, view = np.float32((self.blur * self.scale) ** 2), np.array(self.viewpoint.offset, np.float32)
         weighting = Weighting(self.reach * self.calibration.lattice.pitch, tolerance, blurred, view)
         half, top = (0.5, np.iinfo(image.dtype).max) if image.dtype.kind in "ui" else (0.0, np.inf)
-        output = Output(image, valid, np.float32(half), np.float32(top))
+        # One kernel for all types of pictures.
+        output = Output(image[..., None].view(np.uint8), valid, np.float32(half), np.float32(top))
         # Only a mean over many lenses is as sharp as the flat if the blur of the interpolation is compensated.
         if not self._suits_rows(pixels):
             ready = prefilter_flat(pixels) if self.blend else pixels
         else:
             packed, left = lit.packed, np.empty(valid.shape, bool)
             words = packed.view(np.uint32).reshape(*packed.shape, -1)
-            by_bytes = output._replace(image=image[..., None].view(np.uint8))
             inputs = read._replace(pixels=words), light, self._sorted_lenses(edged), *self._depth, grid
             if any(self.viewpoint.offset):
                 weighting = weighting._replace(
                     reach=min(weighting.reach, DEFAULT.view_reach * self.calibration.lattice.pitch)
                 )
-                blend_view_rows(self._view, *inputs, weighting, by_bytes, left)
+                blend_view_rows(self._view, *inputs, weighting, output, left)
             else:
-                blend_rows(*inputs, weighting, by_bytes, left)
+                blend_rows(*inputs, weighting, output, left)
             ready, grid = packed.view(pixels.dtype).reshape(*packed.shape, 4), grid._replace(wanted=left)
         lenses, general = self._lenses, read._replace(pixels=ready)
         if not grid.wanted.size or grid.wanted.any():
