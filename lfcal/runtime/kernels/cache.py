@@ -1,4 +1,4 @@
-"""Numba's cache on disk, with three differences: an entry is valid as long as the digest of its kernel is the same,
+"""Numba's cache on disk, with three differences: an entry is valid as long as kernel and named tuples are the same,
 a kernel is compiled by one process while others wait for it, and a damaged entry is compiled anew."""
 
 from __future__ import annotations
@@ -43,6 +43,11 @@ def release_locks() -> None:
             cache.unlock(sig)
 
 
+def _fields(types: Any) -> tuple[Any, ...]:
+    """Names of the fields of named tuples among types."""
+    return tuple((t.fields, _fields(t.types)) for t in types if hasattr(t, "fields") and hasattr(t, "types"))
+
+
 class _KernelCache(FunctionCache):
     def __init__(self, kernel: Kernel, linked: bool) -> None:
         super().__init__(kernel.py_func)
@@ -55,6 +60,10 @@ class _KernelCache(FunctionCache):
         self._lock_path = os.path.join(self._cache_path, f"{name}.{version}.lock")
         self._locks: dict[Any, int] = {}
         _caches.add(self)
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        # For Numba named tuples are the same if their names are; places of fields are compiled in.
+        return (*super()._index_key(sig, codegen), _fields(sig))
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         found = self._load(sig, target_context)

@@ -85,3 +85,27 @@ for kind in (types.none, types.float32):
                           text=True, check=True, timeout=60)  # fmt: skip
     assert done.stdout.split() == ["failed", "compiled"]
     assert not list(call.cache.rglob("*.lock"))
+
+
+def test_a_kernel_is_made_anew_when_fields_of_its_named_tuple_change_places(call):
+    helper = (
+        HELPER.partition("@njit")[0]
+        + """
+from typing import Any, NamedTuple
+
+class Pair(NamedTuple):
+    first: Any
+    second: Any
+
+@njit(cache=True)
+def take(pair):
+    return pair.first
+
+@njit(cache=True)
+def scaled(value):
+    return take(Pair(first=value, second=-value))
+"""
+    )
+    assert call(helper)[0] == 3
+    swapped = helper.replace("    first: Any\n    second: Any", "    second: Any\n    first: Any")
+    assert call(swapped)[0] == 3
