@@ -4,8 +4,8 @@ __all__ = ["RAW_FLAT_ADVICE", "BoardError", "CalibrationError", "CameraFileError
 
 #: Ending of messages about images that show no microimages.
 RAW_FLAT_ADVICE = (
-    "give a raw flat from the sensor, of a camera with a microlens array (if it is one: its white image, or its pitch as "
-    "a hint)"
+    "give a raw flat from the sensor, of a camera with a microlens array (if it is one: its white image, or its pitch "
+    "as a hint)"
 )
 
 

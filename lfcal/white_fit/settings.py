@@ -37,7 +37,7 @@ class FitSettings:
     cut_least_pixels: float = 1e5  # fewest pixels for cut microimages
     cut_most_pixels: float = 2e5  # most pixels for cut microimages
     cut_lenses: int = 250  # fewest lenses for cut microimages
-    cut_promise: float = 0.025  # [px] standard error of the centres of cut microimages beyond which there is a warning
+    cut_promise: float = 0.03  # [px] standard error of the centres of cut microimages beyond which there is a warning
     least_shift: float = 0.01  # [px, RMS] a further parameter must move centres by this
     promising: float = 0.5  # share of `least_shift` that the first step must predict to try a parameter
     significance: float = 8.0  # standard errors by which a parameter must differ from zero
