@@ -18,13 +18,15 @@ from lfcal.runtime.kernels.jit import njit
 from ...flat.lens_graph import join_opposite
 from ...flat.texture import Texture
 from ..matching.matcher import Matcher
-from ..matching.peaks import confidence, fit_parabola
+from ..matching.peaks import fit_parabola
+from ..matching.settings import COST, SEARCH
 from ..matching.sgm import aggregate_costs
 from ..presets import Preset
 from ..refinement.pair_pixels import flat_pixels
-from ..same_surface import same_surface
+from ..same_surface import TOLERANCE, same_surface
 from .settings import SecondLayerSettings
 from .window_differences import (
+    BORDER,
     add_where_within,
     copy_windows,
     inner_columns,
@@ -271,37 +273,35 @@ def find_second_layer(
         return second
     pitch = max(setting.search_pitch, settings.least_pitch)
     matcher = Matcher(texture, forward, backward, replace(setting, search_pitch=pitch))
-    shifts = _shifts_to_try(matcher, occurring, settings)
-    if len(shifts) < settings.least_shifts:
+    shifts = _shifts_to_try(matcher, occurring)
+    if len(shifts) < 3:
+        # A minimum has a shift on either side.
         return second
     rows = join_opposite(forward, backward)
     small = (first / matcher.factor).astype(np.float32)
     cost = _match_unexplained(texture, matcher, shifts, rows, small, wanted, setting.row_step, settings)
-    total = aggregate_costs(cost, forward, backward, settings.slope_cost * matcher.step, settings.jump_cost)
+    total = aggregate_costs(cost, forward, backward, SEARCH.slope_price * matcher.step, settings.jump_cost)
     best = total.argmin(1)
     lens = np.arange(len(best))
     at_first = np.abs(shifts - first[:, None] / matcher.factor).argmin(1)
     least = cost[lens, best]
     matched = (least < settings.largest_cost) & (least < cost[lens, at_first] - settings.least_gain)
-    sure = confidence(total, best, rows.shape[1], matcher.tolerance) > settings.least_confidence
     found = ((shifts[best] + fit_parabola(total, best) * matcher.step) * matcher.factor).astype(np.float32)
-    gap = settings.same_surface * texture.flat.pitch
-    told = wanted & matched & sure & ~same_surface(found, first, gap)
-    beside = np.where((rows >= 0) & told[rows], found[rows], np.nan)
-    like = same_surface(beside, found[:, None], gap)
-    like |= (rows >= 0) & same_surface(first[rows], found[:, None], gap)
-    return np.where(told & (like.sum(1) >= settings.supporting), found, second).astype(np.float32)
+    gap = TOLERANCE * texture.flat.pitch
+    new = wanted & matched & ~same_surface(found, first, gap)
+    # A neighbour must have the same depth, in either layer.
+    beside = same_surface(np.where(new[rows], found[rows], np.nan), found[:, None], gap)
+    beside |= same_surface(first[rows], found[:, None], gap)
+    return np.where(new & (beside & (rows >= 0)).any(1), found, second).astype(np.float32)
 
 
-def _shifts_to_try(
-    matcher: Matcher, occurring: NDArray[np.float32] | None, settings: SecondLayerSettings
-) -> NDArray[np.float32]:
+def _shifts_to_try(matcher: Matcher, occurring: NDArray[np.float32] | None) -> NDArray[np.float32]:
     """Shifts [px of the search] in the range of the patch sizes that occur, and a little beyond."""
     shifts = matcher.shifts
     if occurring is None or not len(occurring):
         return shifts
-    low, high = np.quantile(occurring, [settings.outliers, 1 - settings.outliers]) / matcher.factor
-    margin = settings.margin * matcher.gray.pitch
+    low, high = occurring.min() / matcher.factor, occurring.max() / matcher.factor
+    margin = TOLERANCE * matcher.gray.pitch
     return shifts[(shifts >= low - margin) & (shifts <= high + margin)]
 
 
@@ -321,15 +321,15 @@ def _match_unexplained(
     mask, shares = np.zeros(gray.image.shape, np.float32), np.empty(len(first), np.float32)
     radius, pitch = np.float32(gray.radius), np.float32(gray.pitch)
     _mark_all_unexplained(
-        gray.image, gray.centres, radius - np.float32(settings.border), pitch, rows, first, wanted,
+        gray.image, gray.centres, radius - BORDER, pitch, rows, first, wanted,
         matcher.statistics.contrast, np.float32(settings.noise * noise * noise), np.float32(settings.share_of_lens),
         row_step, mask, shares,
     )  # fmt: skip
     wanted &= shares > settings.least_share
-    cost = np.full((len(first), len(shifts)), settings.neutral_cost, np.float32)
+    cost = np.full((len(first), len(shifts)), settings.largest_cost, np.float32)
     _match_masked(
         gray.image, mask, gray.centres, radius, pitch, rows, matcher.statistics.mean, wanted, shifts,
         np.float32(2 * noise * noise), np.float32(settings.half_trust * np.pi * radius * radius),
-        np.float32(settings.offset_weight), row_step, cost,
+        COST.offset_weight, row_step, cost,
     )  # fmt: skip
     return cost

@@ -50,21 +50,11 @@ class SecondLayerSettings:
     matched_whole: float = 0.8  # correlation above which a lens is explained by its first depth
     share_of_lens: float = 0.2  # a pixel is unexplained if it differs by the variance of its window, this share of the
     noise: float = 6.0  # variance of its lens, and this times the variance of the noise
-    border: float = 1.0  # [px] 3 x 3 windows reach a pixel farther
     least_share: float = 0.012  # of a microimage that is unexplained: less is a blurred edge
     half_trust: float = 0.012  # share of a microimage shown by a neighbour at which its match counts half
-    offset_weight: float = 0.5  # part of a difference in mean brightness that counts as mismatch, as in the first match
-    slope_cost: float = 0.07  # semi-global matching: price per pixel of shift; low, since thin things end
     jump_cost: float = 0.3  # semi-global matching: largest price
-    neutral_cost: float = 0.8  # mismatch at all shifts of a lens with nothing unexplained
-    largest_cost: float = 0.65  # mismatch of a match, at most
-    least_confidence: float = 0.5  # of a match
+    largest_cost: float = 0.65  # mismatch of a match, at most; and at all shifts of a lens with nothing unexplained
     least_gain: float = 0.1  # in mismatch over the first depth
-    same_surface: float = TOLERANCE  # [pitch] a second layer differs from the first, and agrees with a neighbour
-    supporting: int = 1  # neighbours with the same depth, at least
-    outliers: float = 0.005  # share of the depths that occur to leave out at each end of their range
-    margin: float = 0.12  # [pitch] searched beyond the range, as in the first match
-    least_shifts: int = 3  # a minimum has a shift on either side
 
 
 @dataclass(frozen=True)
@@ -81,6 +71,5 @@ class ThinStructureSettings:
     fewest_pixels: int = 3  # that are confirmed
     over_chance: float = 2.0  # times as many pixels as at depths beside it: periodic texture is confirmed there too
     beside: float = 0.13  # [pitch] how far those depths are
-    border: float = 1.0  # [px] 3 x 3 windows reach a pixel farther
     longest: int = 60  # [lenses] a structure is followed for so many lenses
     same_hypothesis: float = 0.5  # [tolerances] closer patch sizes are tried once

@@ -22,6 +22,7 @@ from ..refinement.pair_pixels import flat_pixels
 from ..same_surface import same_surface
 from .settings import ThinStructureSettings
 from .window_differences import (
+    BORDER,
     add_where_within,
     copy_windows,
     inner_columns,
@@ -197,7 +198,7 @@ def find_thin_structures(
     def confirmed(lenses: NDArray[np.int64], sizes: NDArray[np.float32]) -> NDArray[np.float32]:
         out = np.empty(len(lenses), np.float32)
         _measure_shares(
-            gray.image, gray.centres, np.float32(gray.radius - settings.border), np.float32(gray.pitch), rows, lenses,
+            gray.image, gray.centres, np.float32(gray.radius - BORDER), np.float32(gray.pitch), rows, lenses,
             sizes / np.float32(factor), (first[lenses] / factor).astype(np.float32), constants, out,
         )  # fmt: skip
         return out

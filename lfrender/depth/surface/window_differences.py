@@ -12,8 +12,12 @@ from lfcal.runtime.kernels.jit import njit
 from ...flat.microimages import copy_box
 
 __all__ = [
-    "add_where_within", "copy_windows", "inner_columns", "new_windows", "window_differences", "window_variance",
+    "BORDER", "add_where_within", "copy_windows", "inner_columns", "new_windows", "window_differences",
+    "window_variance",
 ]  # fmt: skip
+
+#: [px] that windows reach beyond their middle.
+BORDER = np.float32(1.0)
 
 # A microimage with what lies about it, `stride` rows and columns, and memory for its comparison with others. `corner`
 # (2,) is its first pixel x, y; `light` (stride^2,) its brightness; the others are work memory.
