@@ -11,7 +11,7 @@ from ..runtime.buffers import allocate_scratch
 from .filters import DetailFilters
 from .settings import AVERAGING, RESTORE, SMOOTHING, RestoreSettings
 
-__all__ = ["restore_detail"]
+__all__ = ["off_edges", "restore_detail"]
 
 _SOFT_EDGE = (1, 0.25)
 # Bands whose power is measured; the finest is mostly noise.
@@ -59,7 +59,7 @@ def restore_detail(
     for step, side in AVERAGING:
         _smooth(power, _MEASURED, step, np.float32(side), spare)
         power, spare = spare, power
-    allowed = _off_edges(valid, patch_size, pitch, settings) * inner
+    allowed = off_edges(valid, patch_size, pitch, settings) * inner
     numbers = np.array(
         [
             filters.per_ratio / pitch, filters.weakest, filters.per_octave, settings.contrast**2, settings.noise_guard,
@@ -73,7 +73,7 @@ def restore_detail(
     return out.reshape(image.shape)
 
 
-def _off_edges(
+def off_edges(
     valid: NDArray[np.bool_], patch_size: NDArray[np.float32], pitch: float, settings: RestoreSettings
 ) -> NDArray[np.float32]:
     """(h, w) 1 on one surface, 0 beside depth edges and places that were not seen."""

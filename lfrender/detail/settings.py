@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 __all__ = [
-    "AVERAGING", "DEFOCUS", "HALO", "RESTORE", "SMOOTHING", "SPECTRA", "DefocusSettings", "RestoreSettings",
-    "SpectraSettings",
+    "AVERAGING", "DEFOCUS", "HALO", "RESTORE", "SMOOTHING", "SOLVE", "SPECTRA", "DefocusSettings",
+    "RestoreSettings", "SolveSettings", "SpectraSettings",
 ]  # fmt: skip
 
 #: Three-tap smoothings, one upon the other, that part a picture into bands: distance of the outer taps [px], weight.
@@ -96,6 +96,20 @@ class RestoreSettings:
     border: float = 0.5  # [pitch] from the border of the picture, where few lenses are averaged; fades in over as much
 
 
+@dataclass(frozen=True)
+class SolveSettings:
+    """Tuned values of `solve`; chosen watching s2_sq, s4b_tspc and two simulated slopes."""
+
+    rounds: int = 3  # more raise noise and the misfit of the model
+    fine: tuple[float, float] = (0.7, 0.9)  # [px of the picture per px of the flat] below which none, all is taken
+    beside_edge: int = 6  # [px] the solution is not taken so near a depth edge
+    pixel: float = 0.1  # weight of the neighbours along each axis: a pixel of the picture, and some of the flat's
+    levels: int = 6  # depths at which a picture is blurred; between them it is interpolated
+    depths: tuple[float, float] = (0.01, 0.99)  # quantiles of the depths that these span
+    one_depth: float = 0.02  # [s / D] range below which two are enough
+
+
 SPECTRA = SpectraSettings()
 DEFOCUS = DefocusSettings()
 RESTORE = RestoreSettings()
+SOLVE = SolveSettings()

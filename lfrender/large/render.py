@@ -147,6 +147,8 @@ def render_large(
         raise ValueError("give depth (analyze_large makes it) or patch_size")
     check_large_picture(output, source.dtype, alpha)
     exposed = match_exposure(reader.sample_exposure(), calibration)
+    if detail == "restored":
+        raise ValueError("detail='restored' needs the whole flat; draw it with render, or detail='natural' in tiles")
     drawing = make_plan(reader.read, exposed, depth, patch_size, scale, blend, detail)
     workers = choose_workers(reader, client, threads, tuning)
     side = _tile_size(drawing, reader, tile, 1 if client is None else tuning.tiles_per_thread * workers.count, tuning)

@@ -86,6 +86,8 @@ class RenderPlan:
     viewpoint : Viewpoint
     defocus : Defocus, optional
         Of the microlenses: the detail of the picture is restored.
+    solved : bool
+        By `solve_detail`, of the whole picture.
     """
 
     calibration: Calibration
@@ -99,6 +101,7 @@ class RenderPlan:
     viewpoint: Viewpoint = field(default_factory=Viewpoint)
     lit: LitFlat | None = None  # of the whole flat, if several pictures are drawn from it
     defocus: Defocus | None = None
+    solved: bool = False
 
     @property
     def spacing(self) -> float:
@@ -177,8 +180,9 @@ class RenderPlan:
         part = part or (0, 0, *self.size)
         if self.defocus is not None:
             from ..detail.draw import draw_detail
+            from ..detail.solve import solve_detail
 
-            image, valid = draw_detail(self, pixels, corner, part)
+            image, valid = solve_detail(self, pixels) if self.solved else draw_detail(self, pixels, corner, part)
             return convert_to_dtype(image, pixels.dtype) if stored else image, valid
         shape = (part[3] - part[1], part[2] - part[0], pixels.shape[2])
         if not self._shows_patches:

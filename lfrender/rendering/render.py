@@ -24,7 +24,7 @@ from .settings import DEFAULT, RenderSettings
 from .traditional import TOO_LITTLE, resolves_too_little, traditional
 
 #: How the detail of a picture is restored.
-Detail = Literal["natural", "off"]
+Detail = Literal["natural", "restored", "off"]
 
 __all__ = ["Detail", "expand_roi", "make_plan", "render"]
 
@@ -61,10 +61,11 @@ def render(
     blend : bool, optional
         True averages all lenses that agree on a point, False reads each point from the lens
         whose centre is nearest. By default True for a depth map and False for one patch size.
-    detail : "natural" or "off", optional
+    detail : "natural", "restored" or "off", optional
         Undo the blur of the microlenses, place by place, as noise, seams and depth edges allow; it is measured on the
         flat, by the lenses that `depth` resolves. By default "natural" for the mean over lenses of a depth map, unless
-        `sharpen` is given; with `previous` as in that picture.
+        `sharpen` is given; with `previous` as in that picture. "restored" solves for the whole picture whose
+        microimages are those of the flat: slower, more detail, and too much where a soft scene looks blurred.
     sharpen : float or "auto", optional
         Instead of `detail`, one filter for the whole picture that undoes the blur of the microlenses as far as noise
         allows: "auto" measures it on the flat, a number is the side of the square that it averages over [output px].
@@ -107,12 +108,14 @@ def render(
             raise ValueError("sharpen needs the whole picture; give either roi or sharpen")
     if sharpen is not None and sharpen != "auto" and not (np.isfinite(sharpen) and sharpen >= 0):
         raise ValueError(f"sharpen must be 'auto' or a width of 0 or more output pixels, got {sharpen!r}")
-    if detail == "natural" and sharpen is not None:
-        raise ValueError("give either detail='natural' or sharpen")
-    if detail == "natural" and (patch_size is not None or blend is False):
-        raise ValueError("detail='natural' needs a depth map and the mean over lenses")
-    if detail not in (None, "natural", "off"):
-        raise ValueError(f"detail must be 'natural' or 'off', got {detail!r}")
+    if detail not in (None, "natural", "restored", "off"):
+        raise ValueError(f"detail must be 'natural', 'restored' or 'off', got {detail!r}")
+    if detail not in (None, "off") and sharpen is not None:
+        raise ValueError(f"give either detail={detail!r} or sharpen")
+    if detail not in (None, "off") and (patch_size is not None or blend is False):
+        raise ValueError(f"detail={detail!r} needs a depth map and the mean over lenses")
+    if detail == "restored" and (roi is not None or previous is not None):
+        raise ValueError("detail='restored' needs the whole picture; leave out roi and previous")
     if previous is not None:
         if depth is None or roi is not None or sharpen is not None:
             raise ValueError("previous needs depth, and the whole picture without roi and sharpen")
@@ -195,4 +198,7 @@ def make_plan(
     defocus = None
     if blend and depth is not None and detail != "off":
         defocus = measure_defocus(look, calibration, depth.patch_size)
-    return RenderPlan(calibration, surface, scale, blend, blur, reach, settings.agreement, defocus=defocus)
+    solved = defocus is not None and detail == "restored"
+    return RenderPlan(
+        calibration, surface, scale, blend, blur, reach, settings.agreement, defocus=defocus, solved=solved
+    )

@@ -1,0 +1,59 @@
+"""The solution is sharper than the linear filter, and leaves what is not to be trusted."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+
+import lfrender
+from data_synth import SCENES, Camera, simulate
+from data_synth.metrics import compare_pictures, resample
+from lfrender.detail.solve import _point_spread
+
+
+@functools.cache
+def captured(scene):
+    camera = Camera.design(size=(380, 320), pitch=27.0, rotation=1.3)
+    shot = simulate(SCENES[scene](camera, seed=3), camera, samples=32, seed=5, noise=(8000, 5))
+    return shot, lfrender.analyze(shot.flat, shot.truth.calibration)
+
+
+def picture(scene, detail, **options):
+    shot, depth = captured(scene)
+    return lfrender.render(shot.flat, shot.truth.calibration, depth, detail=detail, **options)
+
+
+def psnr(scene, detail):
+    truth, made = captured(scene)[0].truth, picture(scene, detail)
+    wanted, inside = resample(truth.reference, truth.reference_affine, made.image.shape[:2], made.affine)
+    return compare_pictures(made.image / 255.0, wanted, inside & made.valid).psnr
+
+
+@pytest.mark.parametrize(("scene", "gain"), [("slope", 0.3), ("clutter", -0.05)])
+def test_it_gains_over_the_linear_filter(scene, gain):
+    assert psnr(scene, "restored") > psnr(scene, "natural") + gain
+
+
+def test_coarse_pictures_are_those_of_the_linear_filter():
+    coarse = [picture("slope", detail, scale=2.0).image for detail in ("restored", "natural")]
+    np.testing.assert_array_equal(*coarse)
+
+
+def test_a_smooth_ramp_is_left_as_it_is():
+    off, restored = (picture("ramp", detail).image.astype(int) for detail in ("off", "restored"))
+    assert np.abs(off - restored).max() <= 1
+
+
+def test_it_needs_the_whole_picture():
+    with pytest.raises(ValueError, match="whole picture"):
+        picture("slope", "restored", roi=(50, 50, 200, 200))
+
+
+def test_point_spread_of_a_pixel_alone_and_of_a_disc():
+    assert _point_spread(0.0, 1.0)[1, 1] == pytest.approx(1.0, abs=0.01)
+    wide = _point_spread(4.0, 1.0)
+    at = np.arange(len(wide)) - len(wide) // 2
+    # A disc has a variance of d^2 / 16 along an axis, a pixel of 1 / 12.
+    assert (wide.sum(0) * at**2).sum() == pytest.approx(4.0**2 / 16 + 1 / 12 + 1 / 12, abs=0.1)
