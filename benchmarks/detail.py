@@ -1,11 +1,11 @@
 """Detail of pictures against their references: `python -m benchmarks.detail [../shared/truth]`.
 
 Prints, at 0.15 D, 0.3 D and the default scale, PSNR of the picture with `detail="off"`, and what is gained [dB] by
-`detail="natural"`: over all, beside depth edges, on blank places and in the border (a pitch wide); then by
-`sharpen="auto"`, and by three methods of scikit-image applied to the picture: Wiener, Richardson-Lucy and total
-variation. These are given the disc of defocus that is measured for the median patch size. Without a folder, the
-scenes of `benchmarks.pictures` are simulated; `python -m benchmarks.detail 200 221` simulates random cameras before
-random scenes, one for each number, some of them gray, of 16 bits, or JPEG of quality 50 or 75.
+`detail="natural"`: over all, beside depth edges, on blank places and in the border (a pitch wide); then over all by
+`detail="restored"`, by `sharpen="auto"`, and by three methods of scikit-image applied to the picture: Wiener,
+Richardson-Lucy and total variation. These are given the disc of defocus that is measured for the median patch size.
+Without a folder, the scenes of `benchmarks.pictures` are simulated; `python -m benchmarks.detail 200 221` simulates
+random cameras before random scenes, one for each number, some of them gray, of 16 bits, or JPEG of quality 50 or 75.
 """
 
 from __future__ import annotations
@@ -147,6 +147,7 @@ def _rows(case: _Case) -> Iterator[str]:
             lfrender.render(case.flat, case.camera, depth, scale=scale, detail="off"),
             lfrender.render(case.flat, case.camera, depth, scale=scale, detail="natural"),
             lfrender.render(case.flat, case.camera, depth, scale=scale, sharpen="auto"),
+            lfrender.render(case.flat, case.camera, depth, scale=scale, detail="restored"),
         ]
         white = np.float64(np.iinfo(drawn[0].image.dtype).max)
         images = [one.image.reshape(*one.valid.shape, -1) / white for one in drawn]
@@ -158,7 +159,7 @@ def _rows(case: _Case) -> Iterator[str]:
         ratio = float(np.nanmedian(depth.patch_size)) / pitch
         found = drawn[1].defocus
         diameter = 0.0 if found is None else float(found.diameters(ratio).mean()) * scale / (abs(ratio) * pitch)
-        others = [images[2], *_baselines(images[0], diameter)]
+        others = [images[3], images[2], *_baselines(images[0], diameter)]
         gained += [_psnr(other, wanted, masks[0]) - plain[0] for other in others]
         cells = ["" if np.isnan(gain) else f"{gain:+.2f}" for gain in gained]
         yield f"| {case.name} | {scale:.1f} | {plain[0]:.2f} | {' | '.join(cells)} |"
@@ -168,8 +169,8 @@ def _main() -> None:
     cases = _truth_cases(Path(sys.argv[1])) if sys.argv[1:] else _simulated_cases()
     if len(sys.argv) > 2:
         cases = (_random_case(seed) for seed in range(int(sys.argv[1]), int(sys.argv[2])))
-    print("| scene | pixels per pitch | off [dB] | natural | edges | blank | border | sharpen | Wiener | R.-L. | TV |")
-    print("|" + "---|" * 11)
+    columns = "scene", "pixels per pitch", "off [dB]", "natural", "edges", "blank", "border", "restored", "sharpen"
+    print(f"| {' | '.join((*columns, 'Wiener', 'R.-L.', 'TV'))} |\n|{'---|' * 12}")
     for case in cases:
         for row in _rows(case):
             print(row, flush=True)
