@@ -21,7 +21,7 @@ from ..runtime.buffers import allocate_pooled
 from ..runtime.cache import cached
 from .gray_flat import GrayFlat
 
-__all__ = ["VECTOR_LENGTH", "OverlapMasks", "Strips", "copy_box", "extract_strips", "make_shift_masks"]
+__all__ = ["VECTOR_LENGTH", "OverlapMasks", "Strips", "copy_box", "extract_strips", "make_shift_masks", "overlap_range"]
 
 #: Vector loops handle so many values at a time, the unwanted ones masked. Interpolation reads one beyond.
 VECTOR_LENGTH = 64
@@ -63,6 +63,19 @@ class Strips:
     @property
     def size(self) -> int:
         return self.rows * self.step * self.width
+
+    @property
+    def offsets(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Offset x, y from the middle [px] of each value of the first part of a strip; infinite after its end."""
+        return _offsets(self.half_width, self.width, self.rows, self.step)
+
+
+@lru_cache(maxsize=8)
+def _offsets(half: int, width: int, rows: int, step: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    at = np.arange(rows * width)
+    off = np.full(_SPARE, np.inf)
+    columns, lines = (np.append(place - half, off).astype(np.float32) for place in (at % width, at // width * step))
+    return columns, lines
 
 
 class OverlapMasks(NamedTuple):
@@ -167,6 +180,15 @@ def _allocate_strips(gray: GrayFlat, step: int) -> Strips:
     values = allocate_pooled((len(middle) * rows * step * width + _SPARE,), np.float32)
     values[-_SPARE:] = 0.0
     return Strips(values, middle, inside[:, 0] & inside[:, 1], np.zeros(len(middle), bool), half, width, rows, step)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def overlap_range(dx, dy, half, width, step, bunch):
+    """First position in a strip that another microimage, shifted by `dx, dy` pixels, may hold too, and the number of
+    positions, as a multiple of `bunch`; not above 0 if there is none."""
+    first = -(min(0, dy) // step) * width + max(0, -dx)
+    number = ((2 * half - 1 - max(0, dy)) // step + 1) * width - first
+    return first, (number + bunch - 1) // bunch * bunch
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
-from ...flat.microimages import OverlapMasks, Strips, extract_strips, make_shift_masks
+from ...flat.microimages import VECTOR_LENGTH, OverlapMasks, Strips, extract_strips, make_shift_masks, overlap_range
 from ...runtime.buffers import allocate_pooled
 from ...runtime.cache import cached
-from .pair_moments import pair_moments, strip_moments
+from .pair_moments import Overlap, pair_moments, rim_moments, strip_moments
 from .settings import COST
 
 __all__ = [
@@ -57,7 +57,12 @@ class StripTable(NamedTuple):
     values: NDArray[np.float32]
     middle: NDArray[np.int32]
     whole: NDArray[np.bool_]
+    half: int
+    width: int
     size: int
+    columns: NDArray[np.float32]
+    lines: NDArray[np.float32]
+    bunch: int
     slots: NDArray[np.int32]
     masks: NDArray[np.float32]
     ends: NDArray[np.int32]
@@ -110,9 +115,9 @@ def moments_cost(count, sa, sb, saa, sbb, sab, mean_difference, row_step, floor,
 def _pair_costs(begin, end, lenses, rows, active, done, shifts, which, terms, table, fresh, out):
     image, centres, radius, pitch, means, contrast = lenses
     noise, shading, half_weight, row_step = terms
-    strips, middle, whole, size, slots, masks, ends, counts = table
+    strips, middle, whole, half, width, size, columns, lines, bunch, slots, masks, ends, counts = table
     reach, length = len(slots) // 2, masks.shape[1]
-    one = np.float32(1.0)
+    enough, one = COST.min_overlap * radius * radius, np.float32(1.0)
     pixels, line = strips.reshape(-1), masks.reshape(-1)
     near_zero = np.empty(len(shifts), np.float32)
     for k in range(len(shifts)):
@@ -143,12 +148,23 @@ def _pair_costs(begin, end, lenses, rows, active, done, shifts, which, terms, ta
                     slot = slots[dy + reach, dx + reach]
                 # Strips are relative to the mean of their lens, the flat is not.
                 difference = means[lens] - means[other]
-                if slot >= 0:
+                if slot >= 0 and counts[slot] * row_step > enough:
                     count = np.float32(counts[slot])
                     start = ends[slot, 0]
                     sa, sb, saa, sbb, sab = strip_moments(
                         pixels, lens * size + start, other * size + start, ends[slot, 2], ends[slot, 3], line,
                         slot * length + start, ends[slot, 1], weights,
+                    )  # fmt: skip
+                elif slot >= 0:
+                    first, number = overlap_range(dx, dy, half, width, row_step, bunch)
+                    if number <= 0:
+                        continue
+                    mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
+                    low_x, low_y = np.float32(-half - dx), np.float32(-half - dy)
+                    both = Overlap(ax - mx, ay - my, bx - tx - mx, by - ty - my, low_x, low_y, radius * radius)
+                    count, sa, sb, saa, sbb, sab = rim_moments(
+                        pixels, columns, lines, lens * size + first, other * size + first, ends[slot, 2],
+                        ends[slot, 3], first, number, both, weights,
                     )  # fmt: skip
                 else:
                     count, sa, sb, saa, sbb, sab = pair_moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step)
@@ -178,7 +194,12 @@ def overlap_masks(
 
 def strip_table(strips: Strips, masks: OverlapMasks) -> StripTable:
     """Strips and masks as kernels take them."""
-    return StripTable(strips.values, strips.centre_pixels, strips.complete, strips.size, *masks)
+    columns, lines = strips.offsets
+    slots, pixels, ends, counts = masks
+    return StripTable(
+        strips.values, strips.centre_pixels, strips.complete, strips.half_width, strips.width, strips.size, columns,
+        lines, VECTOR_LENGTH, slots, pixels, ends, counts,
+    )  # fmt: skip
 
 
 def mean_steps(gray: GrayFlat, rows: NDArray[np.int32]) -> NDArray[np.float32]:

@@ -12,7 +12,7 @@ from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
-from ...flat.microimages import Strips
+from ...flat.microimages import Strips, overlap_range
 from ...flat.settings import TEXTURE
 from ...flat.texture import LensStatistics
 from .cost_volume import (
@@ -26,7 +26,7 @@ from .cost_volume import (
     shading_doubt,
     strip_table,
 )
-from .pair_moments import pair_moments
+from .pair_moments import Overlap, in_both, pair_moments
 from .settings import COST
 from .sgm import average_pair_costs
 
@@ -59,17 +59,28 @@ def _sums(strips, own, other, upper, lower, masks, mask, count, weights, slopes)
     return sa, sb, squares, srr, sp, spp, spr
 
 
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _mask(columns, lines, start, count, both, out):
+    """Mask the pixels of a strip from `start` on that lie in both microimages; how many do."""
+    first, number = np.uint64(start), np.float32(0.0)
+    for k in range(np.uint64(count)):
+        out[k] = np.float32(1.0) if in_both(columns[first + k], lines[first + k], both) else np.float32(0.0)
+        number += out[k]
+    return number
+
+
 # No fast math here, as in `cost_volume._pair_costs`.
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda lenses, rows, *_: len(rows))
 def _local_costs(begin, end, lenses, rows, active, expected, terms, table, out):
     """Fill `out` (n, d, 3) with the cost of each pair, and its first and second derivative."""
     image, centres, radius, pitch, means, contrast = lenses
     noise, shading, half_weight, row_step = terms
-    strips, middle, whole, size, slots, masks, ends, counts = table
+    strips, middle, whole, half, width, size, columns, lines, bunch, slots, masks, ends, counts = table
     reach, length = len(slots) // 2, masks.shape[1]
     one, half_way = np.float32(1.0), np.float32(0.5)
     pixels, line = strips.reshape(-1), masks.reshape(-1)
     for lens in range(begin, end):
+        shared = np.empty(length, np.float32)
         ax, ay = centres[lens, 0], centres[lens, 1]
         for d in range(rows.shape[1]):
             found = out[lens, d]
@@ -98,15 +109,28 @@ def _local_costs(begin, end, lenses, rows, active, expected, terms, table, out):
                         count, sa, sb, saa, sbb, sab, np.float32(0.0), row_step, floor, half_weight, doubt
                     )
                 continue
-            count, start = np.float32(counts[slot]), ends[slot, 0]
-            if count < 4:
-                continue
+            if counts[slot] * row_step > COST.min_overlap * radius * radius:
+                count, start, number = np.float32(counts[slot]), ends[slot, 0], ends[slot, 1]
+                mask_of, mask_at = line, slot * length + start
+            else:
+                start, number = overlap_range(dx, dy, half, width, row_step, bunch)
+                if number <= 0:
+                    continue
+                mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
+                both = Overlap(
+                    ax - mx, ay - my, bx - tx - mx, by - ty - my, np.float32(-half - dx), np.float32(-half - dy),
+                    radius * radius,
+                )  # fmt: skip
+                count = _mask(columns, lines, start, number, both, shared)
+                if count < 4:
+                    continue
+                mask_of, mask_at = shared, 0
             gx, gy = one - fx, one - fy
             weights = gx * gy, fx * gy, gx * fy, fx * fy
             slopes = -ux * gy - uy * gx, ux * gy - uy * fx, uy * gx - ux * fy, ux * fy + uy * fx
             sa, sb, squares, srr, sp, spp, spr = _sums(
-                pixels, lens * size + start, other * size + start, ends[slot, 2], ends[slot, 3], line,
-                slot * length + start, ends[slot, 1], weights, slopes,
+                pixels, lens * size + start, other * size + start, ends[slot, 2], ends[slot, 3], mask_of, mask_at,
+                number, weights, slopes,
             )  # fmt: skip
             inverse = one / count
             ma, mb = sa * inverse, sb * inverse

@@ -1,16 +1,30 @@
 """Sums over the pixels that two microimages share at a shift, from which their correlation follows.
 
-Two ways to the same sums: from the flat itself at its border, and from strips with a mask.
+Three ways to the same sums: from the flat itself, from strips with a mask, and from strips pixel by pixel at the rim.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
 
-__all__ = ["pair_moments", "strip_moments"]
+__all__ = ["Overlap", "in_both", "pair_moments", "rim_moments", "strip_moments"]
+
+
+class Overlap(NamedTuple):
+    """Two discs, at `ax, ay` and `bx, by` from the middle of a strip, and the least `x, y` inside the second strip."""
+
+    ax: np.float32
+    ay: np.float32
+    bx: np.float32
+    by: np.float32
+    low_x: np.float32
+    low_y: np.float32
+    radius2: np.float32
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
@@ -88,3 +102,33 @@ def strip_moments(strips, own, other, upper, lower, masks, mask, count, weights)
         sbb += b * b
         sab += c * b
     return sa, sb, saa, sbb, sab
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def in_both(x, y, both):
+    """Whether a pixel, counted from the middle of a strip, lies in both discs of an `Overlap`."""
+    a2 = (x - both.ax) * (x - both.ax) + (y - both.ay) * (y - both.ay)
+    b2 = (x - both.bx) * (x - both.bx) + (y - both.by) * (y - both.by)
+    return (max(a2, b2) <= both.radius2) & (x >= both.low_x) & (y >= both.low_y)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def rim_moments(strips, columns, lines, own, other, upper, lower, start, count, both, weights):
+    """As `strip_moments`, with the number of pixels, over those of a small overlap, each tested by itself."""
+    one, zero, unit = np.uint64(1), np.float32(0.0), np.float32(1.0)
+    above, below = np.uint64(other + upper), np.uint64(other + lower)
+    a, first = np.uint64(own), np.uint64(start)
+    w00, w01, w10, w11 = weights
+    number = sa = sb = saa = sbb = sab = zero
+    for k in range(np.uint64(count)):
+        inside = in_both(columns[first + k], lines[first + k], both)
+        b = w00 * strips[above + k] + w01 * strips[above + one + k]
+        b += w10 * strips[below + k] + w11 * strips[below + one + k]
+        b, c = b if inside else zero, strips[a + k] if inside else zero
+        number += unit if inside else zero
+        sa += c
+        sb += b
+        saa += c * c
+        sbb += b * b
+        sab += c * b
+    return number, sa, sb, saa, sbb, sab

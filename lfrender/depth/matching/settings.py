@@ -23,6 +23,8 @@ class CostSettings(NamedTuple):
     shading_reach: np.float32 = _f(0.08)
     # Contrast [white = 1] at which such a match loses half of its weight.
     shading_contrast: np.float32 = _f(0.03)
+    # Overlap [radius^2] below which (a third of a microimage) the pixels at the rim are tested one by one.
+    min_overlap: np.float32 = _f(1.0)
     # A Gauss-Newton step of `local_match` is cut off at this length [px]: beyond, only its sign is reliable.
     max_offset: float = 0.75
 

@@ -38,7 +38,9 @@ def test_costs_from_strips_agree_with_costs_from_the_flat(house, row_step):
     # Pixels at the rim differ: discs are centred at the lens in the flat, at its middle pixel in strips.
     assert np.corrcoef(quick.ravel(), slow.ravel())[0, 1] > 0.9
     assert np.median(np.abs(quick - slow)) < 0.02
+    # For small overlaps both use the centre of the lens, but the rows that are read may differ.
     far = np.abs(shifts) > 12
     tried = few[:, None] & (rows >= 0)
     assert (quick[tried][:, far] < 1).mean() > 0.3
-    assert np.median(np.abs(quick - slow)[tried][:, far]) < 0.03
+    if row_step == 1:
+        assert (np.abs(quick - slow)[tried][:, far] < 1e-3).mean() > 0.999
