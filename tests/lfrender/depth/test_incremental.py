@@ -60,10 +60,13 @@ def test_a_still_scene_keeps_its_picture_bit_for_bit_in_spite_of_noise(house, fi
 
 
 def test_changed_parts_are_rendered_as_in_a_new_picture_and_the_rest_stays(house, first, second):
-    depth, picture = update(house, first, second)
-    new = lfrender.render(second, house.truth.calibration, depth, scale=picture.scale)
-    assert picture.scale == first[2].scale and picture.image.shape == first[2].image.shape
-    as_new, as_old = ((picture.image == other.image).all(2) for other in (new, first[2]))
+    calibration = house.truth.calibration
+    old = lfrender.render(first[0], calibration, first[1], detail="off")
+    depth = lfrender.analyze(second, calibration, "fast", previous=first[:2])
+    picture = lfrender.render(second, calibration, depth, previous=(*first[:2], old), detail="off")
+    new = lfrender.render(second, calibration, depth, scale=picture.scale, detail="off")
+    assert picture.scale == old.scale and picture.image.shape == old.image.shape
+    as_new, as_old = ((picture.image == other.image).all(2) for other in (new, old))
     assert (as_new | as_old).all()
     v, u = np.mgrid[: new.image.shape[0], : new.image.shape[1]]
     x, y = (new.affine[k, 0] * u + new.affine[k, 1] * v + new.affine[k, 2] for k in (0, 1))
@@ -72,6 +75,15 @@ def test_changed_parts_are_rendered_as_in_a_new_picture_and_the_rest_stays(house
     far = 8 * depth.pitch
     away = (x > x1 + far) | (y > y1 + far)
     assert away.sum() > 0.05 * away.size and as_old[away].all()
+
+
+def test_detail_of_changed_parts_is_restored_with_the_blur_of_the_earlier_picture(house, first, second, monkeypatch):
+    depth, picture = update(house, first, second)
+    assert picture.defocus is first[2].defocus is not None
+    monkeypatch.setattr("lfrender.rendering.render.measure_defocus", lambda *_: first[2].defocus)
+    new = lfrender.render(second, house.truth.calibration, depth, scale=picture.scale)
+    as_new, as_old = ((picture.image == other.image).all(2) for other in (new, first[2]))
+    assert (as_new | as_old).all() and not as_old.all()
 
 
 def test_a_picture_is_updated_the_same_if_the_changed_lenses_must_be_found_again(house, first, second):

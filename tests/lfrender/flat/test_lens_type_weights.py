@@ -24,7 +24,7 @@ def three_types():
 
 
 def psnr(shot, calibration, depth):
-    picture = lfrender.render(shot.flat, calibration, depth, scale=5.0)
+    picture = lfrender.render(shot.flat, calibration, depth, scale=5.0, detail="off")
     shape = picture.image.shape[:2]
     wanted, inside = resample(shot.truth.reference, shot.truth.reference_affine, shape, picture.affine)
     inner = np.zeros(shape, bool)
