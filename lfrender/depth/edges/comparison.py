@@ -9,7 +9,7 @@ from lfcal.runtime.kernels.jit import njit
 from ..surface.occlusion import depth_order
 from .microimage import LEFT_OUT
 
-__all__ = ["compare_depth", "describe_patches"]
+__all__ = ["allow_mismatch", "compare_depth"]
 
 # Other lenses that a pixel is compared with, at most.
 _VIEWS = 10
@@ -19,31 +19,20 @@ _ACROSS = (0, -1, 0, 1, 0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def describe_patches(image, left, top, size, c, work):
-    """Weights of an open pixel and the four beside it, which are less across edges, and the mismatch allowed."""
+def allow_mismatch(image, left, top, size, c, work):
+    """The mismatch that noise, blur and resampling explain, for an open pixel with the four beside it."""
     for row in range(size):
         for column in range(size):
             if not work.open[row, column]:
                 continue
-            px, py, total = left + column, top + row, np.float32(0.0)
-            weight = work.weight[:, row * size + column]
-            for e in range(5):
-                apart = np.float32(0.0)
-                for channel in range(3):
-                    step = image[py + _DOWN[e], px + _ACROSS[e], channel] - image[py, px, channel]
-                    apart += step * step
-                weight[e] = 1 / (1 + apart / (2 * c.colour2))
-                total += weight[e]
             contrast = np.float32(0.0)
-            for e in range(5):
-                weight[e] /= total
             for channel in range(3):
-                mean, squares = np.float32(0.0), np.float32(0.0)
+                total, squares = np.float32(0.0), np.float32(0.0)
                 for e in range(5):
-                    value = image[py + _DOWN[e], px + _ACROSS[e], channel]
-                    mean += weight[e] * value
-                    squares += weight[e] * value * value
-                contrast += squares - mean * mean
+                    value = image[top + row + _DOWN[e], left + column + _ACROSS[e], channel]
+                    total += value
+                    squares += value * value
+                contrast += squares / 5 - (total / 5) ** 2
             work.allowed[row * size + column] = c.contrast * contrast + c.noise2
 
 
@@ -91,9 +80,9 @@ def _add_lens(first, end, size, work):
     for p in range(end - first):
         mismatch[p] = 0
     for e in range(5):
-        weight, apart = work.weight[e, first:end], work.apart[first + _DOWN[e] * size + _ACROSS[e] :]
+        apart = work.apart[first + _DOWN[e] * size + _ACROSS[e] :]
         for p in range(end - first):
-            mismatch[p] += weight[p] * apart[p]
+            mismatch[p] += np.float32(0.2) * apart[p]
     for p in range(end - first):
         mismatch[p] *= seen[p] / (mismatch[p] + allowed[p])
         total[p] += mismatch[p]
@@ -126,10 +115,10 @@ def _mean_of_best(p, share, c, work):
     count = int(work.count[p])
     if count == 0:
         return c.unseen
-    number, total = max(1, int(share * count + 0.5)), work.sum[p]
+    number, total = max(1, int(share * count + 0.5), count - LEFT_OUT), work.sum[p]
     for n in range(count - number):
         total -= work.worst[n, p]
-    return max(total, 0) / number + c.few_cost * max(0, c.few - count)
+    return max(total, 0) / number
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)

@@ -61,11 +61,10 @@ def _measure(
     """(H, W) [px] the patch size of each pixel, NaN between the microimages."""
     reach = settings.reach * lenses.pitch
     costs = PixelCosts(
-        settings.foreign_cost, settings.absent_cost, 3 * settings.noise**2, settings.contrast_share,
-        settings.same_colour**2, share, settings.occluded_share, settings.jump, settings.edge_share,
-        settings.edge_colour**2, settings.slant, reach,
-        settings.least_patch_size * lenses.pitch, settings.unseen_cost, settings.few_views, settings.few_views_cost,
-        settings.settled,
+        absent=settings.absent_cost, noise2=3 * settings.noise**2, contrast=settings.contrast_share, open_share=share,
+        occluded_share=settings.occluded_share, jump=settings.jump, edge_share=settings.edge_share,
+        edge2=settings.edge_colour**2, reach=reach, least=settings.least_patch_size * lenses.pitch,
+        unseen=settings.unseen_cost, around=settings.settled,
     )  # fmt: skip
     pixels = np.full(image.shape[:2], np.nan, np.float32)
     levels = mark_levels(surface, lenses.pitch, reach / grid.spacing)

@@ -21,22 +21,17 @@ BINS = 512
 class PixelCosts(NamedTuple):
     """Values of `EdgeSettings` for the kernels, in squared units where they are compared with squares."""
 
-    foreign: Any
     absent: Any
     noise2: Any
     contrast: Any
-    colour2: Any
     open_share: Any
     occluded_share: Any
     jump: Any
     edge_share: Any
     edge2: Any
-    slant: Any
     reach: Any  # [px]
     least: Any  # [px]
     unseen: Any
-    few: Any
-    few_cost: Any
     around: Any
 
 
@@ -50,7 +45,6 @@ class Microimage(NamedTuple):
     open: Any  # (size, size) bool: pixels that several depths are possible for
     present: Any  # (k, size, size) bool: the surface has this depth nearby
     columns: Any  # (size, 2) first column and end of the pixels that are compared, and of those beside them
-    weight: Any  # (5, p) of the pixel above, on the left, itself, on the right and below; their sum is 1
     allowed: Any  # (p,) mismatch that noise and blur explain
     apart: Any  # (p,) squared difference to another lens
     mismatch: Any  # (p,) with it, of the patch
@@ -72,9 +66,8 @@ def make_microimage(size):
     return Microimage(
         np.zeros(flat, np.bool_), np.zeros(deep, np.float32), np.zeros(deep, np.float32), np.zeros(deep, np.float32),
         np.zeros(flat, np.bool_), np.zeros(deep, np.bool_), np.zeros((size, 2), np.int64),
-        np.zeros((5, line), np.float32), np.ones(line, np.float32), np.zeros(line, np.float32),
-        np.zeros(line, np.float32), np.zeros(line, np.float32), np.zeros(line, np.float32),
-        np.zeros(line, np.float32), np.zeros((LEFT_OUT, line), np.float32), np.zeros(deep, np.float32),
-        np.zeros((2, size, size), np.float32), np.zeros((2, DEPTHS), np.float32), np.zeros(DEPTHS),
-        np.zeros((2, BINS)),
+        np.ones(line, np.float32), np.zeros(line, np.float32), np.zeros(line, np.float32), np.zeros(line, np.float32),
+        np.zeros(line, np.float32), np.zeros(line, np.float32), np.zeros((LEFT_OUT, line), np.float32),
+        np.zeros(deep, np.float32), np.zeros((2, size, size), np.float32), np.zeros((2, DEPTHS), np.float32),
+        np.zeros(DEPTHS), np.zeros((2, BINS)),
     )  # fmt: skip

@@ -13,7 +13,7 @@ import numpy as np
 from lfcal.runtime.kernels.jit import njit
 
 from ..surface.occlusion import depth_order
-from .comparison import compare_depth, describe_patches
+from .comparison import allow_mismatch, compare_depth
 from .geometry import LensArray, PointGrid, level_of, value_at
 from .microimage import BINS, DEPTHS, PixelCosts, make_microimage
 from .regularisation import aggregate, price_jumps
@@ -95,7 +95,7 @@ def _list_candidates(x, y, left, top, size, surface, grid, levels, lenses, depth
                     present = abs(s - before[py, px]) < lenses.gap
                 work.value[k, row, column], work.slope[k, row, column] = s, s / pitch
                 work.present[k, row, column] = present
-                work.cost[k, row, column] = c.absent if not present else 0.0 if own else c.foreign
+                work.cost[k, row, column] = 0.0 if present else c.absent
                 among += present
             work.open[row, column] = work.inside[row, column] and among > 1
             choice = choice or work.open[row, column]
@@ -116,7 +116,7 @@ def _measure_lens(lens, image, lenses, surface, grid, levels, before, c, work, o
     choice = _list_candidates(x, y, left, top, size, surface, grid, levels, lenses, depths, number, before, c, work,
                               image.shape)  # fmt: skip
     if choice:
-        describe_patches(image, left, top, size, c, work)
+        allow_mismatch(image, left, top, size, c, work)
         nearest = 0
         for k in range(1, number):
             if depth_order(depths[k], pitch) > depth_order(depths[nearest], pitch):
@@ -125,7 +125,7 @@ def _measure_lens(lens, image, lenses, surface, grid, levels, before, c, work, o
             share = c.open_share if k == nearest or before.size > 1 else c.occluded_share
             compare_depth(image, lens, k, share, left, top, size, lenses, before, c, work)
         price_jumps(image, left, top, size, c, work)
-        aggregate(size, number, lenses, c, work)
+        aggregate(size, number, lenses.gap, work)
     for row in range(size):
         for column in range(size):
             if work.inside[row, column]:

@@ -28,10 +28,10 @@ def price_jumps(image, left, top, size, c, work):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _aggregate_line(work, size, number, gap, slant, v, u, down, across):
+def _aggregate_line(work, size, number, gap, v, u, down, across):
     """Add one path of semi-global matching, from pixel (u, v) on, to the total."""
     previous, current, jumps = work.path[0], work.path[1], work.jumps[abs(down)]
-    lowest, linked, price = np.float32(0.0), False, slant / gap
+    lowest, linked = np.float32(0.0), False
     for _ in range(size):
         if work.inside[v, u]:
             if linked:
@@ -41,9 +41,8 @@ def _aggregate_line(work, size, number, gap, slant, v, u, down, across):
                     best = jump
                     for q in range(max(0, k - 1), min(number, k + 2)):
                         # Depths ascend: others than those beside it are a jump away.
-                        step = abs(work.value[k, v, u] - work.value[q, v - down, u - across])
-                        if step < 1.5 * gap:
-                            best = min(best, previous[q] - lowest + price * step)
+                        if abs(work.value[k, v, u] - work.value[q, v - down, u - across]) < gap:
+                            best = min(best, previous[q] - lowest)
                     current[k] = work.cost[k, v, u] + best
             else:
                 for k in range(number):
@@ -60,12 +59,12 @@ def _aggregate_line(work, size, number, gap, slant, v, u, down, across):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def aggregate(size, number, lenses, c, work):
+def aggregate(size, number, gap, work):
     """Semi-global matching along four directions inside a microimage."""
     work.total[:number] = 0
     last = size - 1
     for line in range(size):
-        _aggregate_line(work, size, number, lenses.gap, c.slant, line, 0, 0, 1)
-        _aggregate_line(work, size, number, lenses.gap, c.slant, line, last, 0, -1)
-        _aggregate_line(work, size, number, lenses.gap, c.slant, 0, line, 1, 0)
-        _aggregate_line(work, size, number, lenses.gap, c.slant, last, line, -1, 0)
+        _aggregate_line(work, size, number, gap, line, 0, 0, 1)
+        _aggregate_line(work, size, number, gap, line, last, 0, -1)
+        _aggregate_line(work, size, number, gap, 0, line, 1, 0)
+        _aggregate_line(work, size, number, gap, last, line, -1, 0)

@@ -12,15 +12,11 @@ class EdgeSettings:
     """Tuned values of `locate_edges`."""
 
     reach: float = 1.15  # [pitch] a pixel may show a depth that the surface has so near to the place it would be at
-    foreign_cost: float = 0.05  # mismatch that another depth than that of the surface pays
     absent_cost: float = 1.0  # mismatch of a depth that the surface has nowhere within `reach`
     noise: float = 0.02  # [white] difference of two pixels that is no mismatch, at least
     contrast_share: float = 2.0  # of the variance of a patch by which patches may differ: blur and resampling
-    same_colour: float = 0.3  # [white] pixels of a patch that differ by more from its centre hardly count
     least_patch_size: float = 0.02  # [pitch] a smaller one counts as this: its microimage spans too many lenses
     unseen_cost: float = 0.6  # mismatch of a pixel that no other lens shows; set by hand
-    few_views: int = 3  # lenses that should show a pixel, and what the mismatch grows by for each that is
-    few_views_cost: float = 0.05  # missing; set by hand
     settled: int = 2  # [px] a pixel with one surface so far around it in the first round is not looked at again
     open_share: float = 0.8  # first round: share of the views that must show the nearest depth: nothing occludes it
     occluded_share: float = 0.6  # first round: the same for depths behind it
@@ -28,7 +24,6 @@ class EdgeSettings:
     jump: float = 0.3  # price of a depth edge between pixels of one colour, in units of the mismatch
     edge_share: float = 0.3  # of that price between pixels of different colours
     edge_colour: float = 0.1  # [white] difference of colour at which the price has fallen by 63 %
-    slant: float = 0.05  # price of a slant by one `gap` between neighbouring pixels
     finer: int = 2  # the grid of the surface becomes so many times as fine: outlines to half of 1/7 pitch
     vote_share: float = 0.5  # share of the views that must show a depth at a scene point
     vote_width: float = 0.5  # [pitch^2] squared distance of a lens at which its vote has fallen to 1 / e
