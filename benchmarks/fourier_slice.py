@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration
-from lfrender.data.rendering import Rendering
+from lfrender.data.rendering import Rendering, convert_to_dtype
 from lfrender.flat.gray_flat import correction_tables, trusted_radius
 from lfrender.flat.lens_graph import lens_grid
 from lfrender.flat.validation import check_flat
-from lfrender.rendering.plan import convert_to_dtype
 
 __all__ = ["refocus_fourier"]
 

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from lfcal import Calibration
+
     from ..detail.defocus import Defocus
 
-__all__ = ["Rendering", "check_patch_size", "check_scale"]
+__all__ = ["Rendering", "check_patch_size", "check_scale", "convert_to_dtype", "finish_picture"]
 
 
 def check_scale(scale: float, pitch: float) -> float:
@@ -94,3 +96,26 @@ class Rendering:
         from .plots import rendering_html
 
         return rendering_html(self)
+
+
+def finish_picture(
+    image: NDArray,
+    valid: NDArray[np.bool_],
+    affine: NDArray[np.float64],
+    scale: float,
+    flat: NDArray,
+    calibration: Calibration,
+) -> Rendering:
+    """A picture (h, w, C) as a `Rendering` with the dtype and the number of dimensions of the flat."""
+    if np.ndim(flat) == 2 and image.shape[2] == 1:
+        image = image[:, :, 0]
+    return Rendering(convert_to_dtype(image, np.asarray(flat).dtype), affine, valid, scale, calibration.white_level)
+
+
+def convert_to_dtype(image: NDArray, dtype: np.dtype) -> NDArray:
+    """Round and clip to the range of `dtype`, in place."""
+    if dtype.kind == "f" or image.dtype == dtype:
+        return image.astype(dtype, copy=False)
+    # As the kernels round: add a half and truncate.
+    image += image.dtype.type(0.5)
+    return np.clip(image, 0, np.iinfo(dtype).max, out=image).astype(dtype)

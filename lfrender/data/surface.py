@@ -14,7 +14,8 @@ from lfcal.runtime.kernels.jit import njit
 from .settings import DEFAULT, DataSettings
 
 __all__ = [
-    "DepthGrid", "Surface", "edge_step", "mark_changed_places", "patch_size_at", "sample_surface", "sample_surface_at",
+    "DepthGrid", "Surface", "constant_surface", "edge_step", "mark_changed_places", "patch_size_at", "sample_surface",
+    "sample_surface_at",
 ]  # fmt: skip
 
 # Side of the blocks of grid values that are compared first, so that lenses amid equal blocks are skipped.
@@ -178,3 +179,8 @@ def mark_changed_places(
     some = np.empty((-(-new.shape[0] // _BLOCK), -(-new.shape[1] // _BLOCK)), bool)
     _mark_blocks(old, new, some)
     _mark_changes(old, new, some, *after.first, after.spacing, places, reach, changed)
+
+
+def constant_surface(patch_size: float) -> Surface:
+    """The surface of one patch size [px] for all scene points."""
+    return Surface(np.full((1, 1), patch_size, np.float32), (0.0, 0.0), 1.0)

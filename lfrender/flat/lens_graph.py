@@ -16,8 +16,8 @@ from .settings import GRAPH, LensGraphSettings
 
 __all__ = [
     "count_connected", "count_neighbours", "count_similar", "dilate_mask", "distant_rings", "join_opposite",
-    "lens_grid", "nearest_chosen", "nearest_lens", "neighbour_rows", "opposite_neighbours", "restrict_neighbours",
-    "two_rings",
+    "lens_grid", "lens_offsets", "nearest_chosen", "nearest_lens", "neighbour_rows", "opposite_neighbours",
+    "restrict_neighbours", "two_rings",
 ]  # fmt: skip
 
 _Value = TypeVar("_Value")
@@ -254,3 +254,33 @@ def distant_rings(neighbours: NDArray[np.int32], settings: LensGraphSettings = G
         return two_rings(far)
 
     return cached(neighbours, ("distant rings", settings.distant_steps), make)
+
+
+def lens_offsets(lattice: Lattice, reach: float, sampled: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """All lenses about one within `reach` and a pitch, the nearest first; of distorted lattices, `sampled` ones tell.
+
+    Returns
+    -------
+    offsets : (k, 3) float32 [px]
+        Offset `x, y` on the straight lattice, and the least distance that such two lenses have on the flat.
+    steps : (k, 2) int32
+        The same in lattice indices.
+    """
+    limit = reach + lattice.pitch
+    span = np.arange(-1, 2) if limit <= 0 else np.arange(-_span(lattice, limit), _span(lattice, limit) + 1)
+    steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
+    offsets = steps @ lattice.basis
+    distance = np.linalg.norm(offsets, axis=1)
+    if lattice.distortion is not None:
+        ij = lattice.indices()
+        some = ij[:: max(1, len(ij) // sampled)]
+        here = lattice.points(some)
+        distance = np.array([np.linalg.norm(lattice.points(some + step) - here, axis=1).min() for step in steps])
+    order = np.argsort(distance, kind="stable")
+    order = order[distance[order] <= limit]
+    return np.column_stack([offsets, distance])[order].astype(np.float32), steps[order].astype(np.int32)
+
+
+def _span(lattice: Lattice, limit: float) -> int:
+    """Largest lattice index of a point within `limit` of the origin."""
+    return int(np.ceil(limit * np.linalg.norm(np.linalg.inv(lattice.basis), axis=0).max()))

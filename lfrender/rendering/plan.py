@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal import Calibration, Lattice
+from lfcal import Calibration
 
-from ..data.rendering import Rendering
+from ..data.rendering import convert_to_dtype
 from ..data.surface import DepthGrid, Surface, edge_step, sample_surface_at
 from ..data.viewpoint import Viewpoint
 from ..depth.surface.occlusion import project_surface
@@ -23,6 +23,7 @@ from ..detail.defocus import Defocus
 from ..detail.settings import HALO
 from ..flat.distorted_lookup import lens_displacements
 from ..flat.gray_flat import correction_cell, correction_tables, has_uneven_lenses, white_level
+from ..flat.lens_graph import lens_offsets
 from ..flat.lens_type_weights import focus_weights
 from ..flat.prefilter import prefilter_flat, prefilter_packed
 from ..runtime.cache import cached
@@ -33,16 +34,7 @@ from .lens_runs import SortedLenses
 from .off_axis.view_rows import blend_view_rows
 from .settings import DEFAULT
 
-__all__ = [
-    "LitFlat",
-    "Part",
-    "RenderPlan",
-    "constant_surface",
-    "convert_to_dtype",
-    "dilate_mask",
-    "finish_picture",
-    "lens_offsets",
-]
+__all__ = ["LitFlat", "Part", "RenderPlan", "dilate_mask"]
 
 #: Columns and rows `left, top, right, bottom` of a picture or a flat [px], the last two not included.
 Part = tuple[int, int, int, int]
@@ -403,7 +395,9 @@ class RenderPlan:
     @property
     def _offsets(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         lattice, reach = self.calibration.lattice, self.reach
-        return cached(lattice, ("offsets", reach), lambda: lens_offsets(lattice, reach * lattice.pitch))
+        return cached(
+            lattice, ("offsets", reach), lambda: lens_offsets(lattice, reach * lattice.pitch, DEFAULT.spacing_lenses)
+        )
 
     @cached_property
     def _seen_from(self) -> tuple[Surface, NDArray[np.float64]]:
@@ -440,66 +434,8 @@ def _sort_lenses(
     return order, np.ascontiguousarray(centres[order]), kinds, look_up(correction_cell(calibration))
 
 
-def constant_surface(patch_size: float) -> Surface:
-    """The surface of one patch size [px] for all scene points."""
-    return Surface(np.full((1, 1), patch_size, np.float32), (0.0, 0.0), 1.0)
-
-
-def finish_picture(
-    image: NDArray,
-    valid: NDArray[np.bool_],
-    affine: NDArray[np.float64],
-    scale: float,
-    flat: NDArray,
-    calibration: Calibration,
-) -> Rendering:
-    """A picture (h, w, C) as a `Rendering` with the dtype and the number of dimensions of the flat."""
-    if np.ndim(flat) == 2 and image.shape[2] == 1:
-        image = image[:, :, 0]
-    return Rendering(convert_to_dtype(image, np.asarray(flat).dtype), affine, valid, scale, calibration.white_level)
-
-
-def convert_to_dtype(image: NDArray, dtype: np.dtype) -> NDArray:
-    """Round and clip to the range of `dtype`, in place."""
-    if dtype.kind == "f" or image.dtype == dtype:
-        return image.astype(dtype, copy=False)
-    # As the kernels round: add a half and truncate.
-    image += image.dtype.type(0.5)
-    return np.clip(image, 0, np.iinfo(dtype).max, out=image).astype(dtype)
-
-
 def dilate_mask(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """These pixels and their neighbours, whose interpolation needs them."""
     import cv2
 
     return cv2.dilate(pixels.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool)
-
-
-def lens_offsets(lattice: Lattice, reach: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """All lenses about one within `reach` and a pitch, the nearest first.
-
-    Returns
-    -------
-    offsets : (k, 3) float32 [px]
-        Offset `x, y` on the straight lattice, and the least distance that such two lenses have on the flat.
-    steps : (k, 2) int32
-        The same in lattice indices.
-    """
-    limit = reach + lattice.pitch
-    span = np.arange(-1, 2) if limit <= 0 else np.arange(-_span(lattice, limit), _span(lattice, limit) + 1)
-    steps = np.stack(np.meshgrid(span, span), -1).reshape(-1, 2)
-    offsets = steps @ lattice.basis
-    distance = np.linalg.norm(offsets, axis=1)
-    if lattice.distortion is not None:
-        ij = lattice.indices()
-        some = ij[:: max(1, len(ij) // DEFAULT.spacing_lenses)]
-        here = lattice.points(some)
-        distance = np.array([np.linalg.norm(lattice.points(some + step) - here, axis=1).min() for step in steps])
-    order = np.argsort(distance, kind="stable")
-    order = order[distance[order] <= limit]
-    return np.column_stack([offsets, distance])[order].astype(np.float32), steps[order].astype(np.int32)
-
-
-def _span(lattice: Lattice, limit: float) -> int:
-    """Largest lattice index of a point within `limit` of the origin."""
-    return int(np.ceil(limit * np.linalg.norm(np.linalg.inv(lattice.basis), axis=0).max()))

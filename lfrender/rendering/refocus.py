@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from lfcal import Calibration
 
 from ..data.depth_map import DepthMap
-from ..data.rendering import Rendering, check_patch_size, check_scale
+from ..data.rendering import Rendering, check_patch_size, check_scale, finish_picture
+from ..data.surface import constant_surface
 from ..data.viewpoint import virtual_depth
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
-from .plan import RenderPlan, constant_surface, finish_picture
+from .plan import RenderPlan
 from .settings import DEFAULT, RenderSettings
 
 __all__ = ["focal_stack", "refocus", "stack_depths"]

@@ -14,12 +14,13 @@ from lfcal import Calibration, CalibrationError
 
 from ..data.depth_map import DepthMap, default_scale
 from ..data.region import check_region
-from ..data.rendering import Rendering, check_patch_size, check_scale
+from ..data.rendering import Rendering, check_patch_size, check_scale, finish_picture
+from ..data.surface import constant_surface
 from ..depth.analyze import analyze
 from ..detail.defocus import measure_defocus
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat, exposure_rows, match_exposure
-from .plan import Part, RenderPlan, constant_surface, finish_picture
+from .plan import Part, RenderPlan
 from .settings import DEFAULT, RenderSettings
 from .traditional import TOO_LITTLE, resolves_too_little, traditional
 

@@ -10,11 +10,10 @@ from lfcal.runtime.fastmath import FAST, square
 from lfcal.runtime.kernels.jit import njit
 
 from ..data.depth_map import REASONS, DepthMap
-from ..data.rendering import Rendering
+from ..data.rendering import Rendering, finish_picture
 from ..flat.gray_flat import correction_tables, has_uneven_lenses
 from ..flat.lens_graph import lens_grid
 from ..flat.validation import check_flat
-from .plan import finish_picture
 from .settings import DEFAULT, RenderSettings
 
 __all__ = ["TOO_LITTLE", "resolves_too_little", "traditional"]

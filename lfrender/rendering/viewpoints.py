@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from lfcal import Calibration, CalibrationError
 
 from ..data.depth_map import DepthMap, default_scale
-from ..data.rendering import Rendering, check_scale
+from ..data.rendering import Rendering, check_scale, finish_picture
 from ..data.viewpoint import Viewpoint, virtual_depth
 from ..depth.analyze import analyze
 from ..flat.lens_blur import measure_lens_blur
 from ..flat.validation import check_flat
-from .plan import LitFlat, RenderPlan, finish_picture
+from .plan import LitFlat, RenderPlan
 from .settings import DEFAULT
 
 __all__ = ["circle_offsets", "grid_offsets", "still_depth", "views", "views_with_depth"]

@@ -19,11 +19,11 @@ from ..depth.surface.occlusion import project_surface
 from ..flat.distorted_lookup import lens_displacements
 from ..flat.gray_flat import correction_tables, has_uneven_lenses, white_level
 from ..flat.lens_blur import measure_lens_blur
-from ..flat.lens_graph import nearest_lens
+from ..flat.lens_graph import lens_offsets, nearest_lens
 from ..flat.lens_type_weights import focus_weights
 from ..flat.validation import check_flat
 from ..output.depth_picture import colour_scale, magnification_limits
-from ..rendering.plan import dilate_mask, lens_offsets
+from ..rendering.plan import dilate_mask
 from ..rendering.settings import DEFAULT as RENDERING
 
 __all__ = ["viewer_scene"]
@@ -168,7 +168,7 @@ def _positions(
 def _tables(calibration: Calibration, depth: DepthMap, edge: float, pixels: NDArray) -> dict[str, Any]:
     """The tables in the JSON object."""
     lattice, surface = calibration.lattice, depth.surface
-    offsets, _ = lens_offsets(lattice, RENDERING.refocus_reach * lattice.pitch)
+    offsets, _ = lens_offsets(lattice, RENDERING.refocus_reach * lattice.pitch, RENDERING.spacing_lenses)
     displacements, low = lens_displacements(lattice)
     cell, shares = focus_weights(calibration.lens_types)
     virtual = virtual_depth(surface.patch_size, lattice.pitch)
