@@ -40,7 +40,8 @@ def allow_mismatch(image, left, top, size, c, work):
 def _look_at_row(image, left, top, row, size, k, other_x, other_y, to_x, to_y, lenses, before, work):
     """Fill a row of `apart` and `seen` for another lens, (to_x, to_y) from this one."""
     height, width, pitch = image.shape[0], image.shape[1], lenses.pitch
-    radius2, wider2 = np.float32(lenses.radius**2), np.float32((lenses.radius + 2) ** 2)
+    wider = lenses.radius + 2
+    radius2, wider2 = np.float32(lenses.radius * lenses.radius), np.float32(wider * wider)
     # Pixel (column, row) is at the same place under the other lens if the slope is 0.
     start_x, start_y = np.float32(left + to_x - other_x), np.float32(top + row + to_y - other_y)
     centre_x, centre_y, to_x, to_y = np.float32(other_x), np.float32(other_y), np.float32(to_x), np.float32(to_y)
