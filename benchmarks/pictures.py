@@ -1,9 +1,9 @@
-"""Pictures of ray-traced flats against their references: `python -m benchmarks.pictures [../shared/truth] [edges]`.
+"""Pictures of ray-traced flats against their references: `python -m benchmarks.pictures [../shared/truth]`.
 
-Prints PSNR and SSIM of all-in-focus pictures at 0.15 D, 0.3 D and the default scale, drawn with the depth found on the
-flat, and with the true one, which tells what is lost by drawing alone. Without a folder, scenes are simulated that
-differ in pitch, lattice, mode, clutter and noise, and each place is also read from the nearest lens with its true
-patch size; at the default scale, sharpened pictures are compared too.
+Prints PSNR and SSIM of all-in-focus pictures at 0.15 D, 0.3 D and the default scale, drawn without restored detail with
+the depth that two presets find on the flat, and with the true one, which tells what is lost by drawing alone. Without a
+folder, scenes are simulated that differ in pitch, lattice, mode, clutter and noise, and each place is also read from
+the nearest lens with its true patch size; sharpened pictures are compared too.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from .truth_flats import SCALES, merit
 
 # The largest |s / D| that a depth is asked for.
 _RESOLVABLE = 0.75
+_PRESETS = ("balanced", "accurate")
 
 
 def _true_depth(folder: Path, depth: lfrender.DepthMap) -> lfrender.DepthMap:
@@ -37,18 +38,18 @@ def _true_depth(folder: Path, depth: lfrender.DepthMap) -> lfrender.DepthMap:
     return replace(depth, surface=Surface(np.ascontiguousarray(size[tuple(nearest)]), (0.5, 0.5), 2.0))
 
 
-def _rows(folder: Path, edges: bool) -> str:
+def _rows(folder: Path) -> str:
     flat = lfcal.read_flat(folder / "flat.png")
     calibration = lfcal.calibrate(flat)
-    depth = lfrender.analyze(flat, calibration, edges=edges)
+    found = [lfrender.analyze(flat, calibration, preset) for preset in _PRESETS]
     pitch = calibration.lattice.pitch
     lines = []
-    for scale in (*(share * pitch for share in SCALES), default_scale(depth)):
-        found = [
-            merit(lfrender.render(flat, calibration, which, scale=scale), folder, pitch)
-            for which in (depth, _true_depth(folder, depth))
+    for scale in (*(share * pitch for share in SCALES), default_scale(found[0])):
+        merits = [
+            merit(lfrender.render(flat, calibration, depth, scale=scale, detail="off"), folder, pitch)
+            for depth in (*found, _true_depth(folder, found[0]))
         ]
-        figures = " | ".join(f"{one.psnr:.1f} dB / {one.ssim:.3f}" for one in found)
+        figures = " | ".join(f"{one.psnr:.1f} dB / {one.ssim:.3f}" for one in merits)
         lines.append(f"| {folder.name} | {scale:.1f} | {figures} |")
     return "\n".join(lines)
 
@@ -82,12 +83,12 @@ _SCENES = {
 _SIZE = (720, 560)
 
 
-def _simulated_rows(name: str, how: _Simulated, edges: bool) -> str:
+def _simulated_rows(name: str, how: _Simulated) -> str:
     camera = Camera.design(size=_SIZE, **how.camera)
     shot = simulate(SCENES[how.scene](camera, **how.arguments), camera, samples=64, seed=7, **how.stored)
     truth = shot.truth
     calibration = lfcal.calibrate(shot.white, kind="white")
-    depth = lfrender.analyze(shot.flat, calibration, edges=edges)
+    depth, accurate = (lfrender.analyze(shot.flat, calibration, preset) for preset in _PRESETS)
     first = (float(truth.reference_affine[0, 2]), float(truth.reference_affine[1, 2]))
     spacing = float(truth.reference_affine[0, 0])
     size = truth.reference_patch_size
@@ -113,7 +114,10 @@ def _simulated_rows(name: str, how: _Simulated, edges: bool) -> str:
 
     lines = []
     for scale in (*(share * camera.pitch for share in SCALES), default_scale(depth)):
-        pictures = [lfrender.render(shot.flat, calibration, which, scale=scale) for which in (depth, true)]
+        pictures = [
+            lfrender.render(shot.flat, calibration, which, scale=scale, detail="off")
+            for which in (depth, accurate, true)
+        ]
         pictures.append(lfrender.render(shot.flat, calibration, tiled, scale=scale, blend=False))
         pictures.append(lfrender.render(shot.flat, calibration, depth, scale=scale, sharpen="auto"))
         lines.append(f"| {name} | {scale:.1f} | {' | '.join(score(picture) for picture in pictures)} |")
@@ -122,18 +126,16 @@ def _simulated_rows(name: str, how: _Simulated, edges: bool) -> str:
 
 def _main() -> None:
     arguments = sys.argv[1:]
-    edges = arguments[-1:] == ["edges"]
-    arguments = arguments[: len(arguments) - edges]
     if not arguments:
-        print("| scene | pixels per pitch | lfrender | lfrender, true depth | nearest lens, true depth | sharpened |")
-        print("|---|---|---|---|---|---|")
+        print("| scene | pixels per pitch | balanced | accurate | true depth | nearest lens, true depth | sharpened |")
+        print("|---|---|---|---|---|---|---|")
         for name, how in _SCENES.items():
-            print(_simulated_rows(name, how, edges), flush=True)
+            print(_simulated_rows(name, how), flush=True)
         return
-    print("| scene | pixels per pitch | lfrender | lfrender, true depth |\n|---|---|---|---|")
+    print("| scene | pixels per pitch | balanced | accurate | true depth |\n|---|---|---|---|---|")
     for path in sorted(Path(arguments[0]).iterdir()):
         if path.is_dir():
-            print(_rows(path, edges), flush=True)
+            print(_rows(path), flush=True)
 
 
 if __name__ == "__main__":
