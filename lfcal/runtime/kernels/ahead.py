@@ -93,7 +93,7 @@ def _run_process(jobs: SimpleQueue[Signature], done: SimpleQueue[bool | None]) -
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     try:
         with suppress(OSError), subprocess.Popen(
-            [sys.executable, "-c", f"from {__name__} import _serve; _serve()"],
+            [sys.executable, "-P", "-c", f"from {__name__} import _serve; _serve()"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment,
         ) as process:  # fmt: skip
             assert process.stdin is not None and process.stdout is not None

@@ -21,6 +21,14 @@ def test_kernels_are_left_in_the_cache_and_those_that_do_not_fit_are_counted(tmp
     assert len(list(tmp_path.rglob("order_statistics.count_below*.nbc"))) == 1
 
 
+def test_kernels_are_those_of_the_packages_of_this_process_not_of_the_folder_it_works_in(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    (tmp_path / "lfcal").mkdir()
+    (tmp_path / "lfcal" / "__init__.py").write_text("raise ImportError('another one')")
+    monkeypatch.chdir(tmp_path)
+    assert compile_ahead([FIRST]) == 0
+
+
 def test_the_dearest_kernels_of_all_stages_come_first(monkeypatch):
     dear, cheap = FIRST._replace(name="dear"), FIRST._replace(name="cheap")
     stages = {"calibrate": (dear, cheap), "render": (FIRST, cheap)}
