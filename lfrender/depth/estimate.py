@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.depth_map import DepthMap
-from ..flat.gray_flat import downsample
 from ..flat.lens_graph import join_opposite, restrict_neighbours
 from ..flat.texture import Texture
 from .matching.matcher import Matcher, MatchResult, match_lenses
@@ -239,16 +238,14 @@ def _refine(
     is swapped.
     """
     texture = lenses.texture
-    # Detail finer than this would show the difference of focus of two lenses instead of the depth.
-    factor = max(1, round(lenses.pitch / settings.defocus_pitch)) if texture.flat.lens_type is not None else 1
-    first = np.where(wanted, match.patch_size / factor, np.nan).astype(np.float32)
+    first = np.where(wanted, match.patch_size, np.nan).astype(np.float32)
     occurs = wanted & occurs_among(match.second, occurring, settings.second_gap * lenses.pitch)
     as_good = match.second_normalised >= settings.second_share * match.normalised_correlation
-    second = np.where(occurs & as_good, match.second, np.nan)
+    second = np.where(occurs & as_good, match.second, np.float32(np.nan))
     own = refine_patch_sizes(
-        downsample(texture.flat, factor), lenses.forward, lenses.backward, first, (second / factor).astype(np.float32),
-        lenses.usual_contrast, texture.noise / factor, preset.iterations, preset.last_step,
-    ).larger(factor)  # fmt: skip
+        texture.flat, lenses.forward, lenses.backward, first, second, lenses.usual_contrast, texture.noise,
+        preset.iterations, preset.last_step,
+    )  # fmt: skip
     swapped = np.abs(own.patch_size - second) < np.abs(own.patch_size - match.patch_size)
     return own, match.swap_second(swapped)
 

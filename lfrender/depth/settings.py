@@ -14,7 +14,6 @@ __all__ = [
 class EstimateSettings:
     """Tuned values of `estimate`."""
 
-    defocus_pitch: float = 25.0  # [px] of the reduced flat on which lenses of different focus are compared
     second_gap: float = 0.03  # [pitch] from depths of other lenses within which the second-best one is tried
     second_share: float = 0.8  # of the best correlation for that; it is then right in 26 of 27 cases, else in 1 of 5
     default_ratio: float = 0.25  # s / D of a scene without any texture; the sign makes no difference

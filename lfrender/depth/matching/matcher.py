@@ -21,7 +21,7 @@ from ..presets import Preset
 from .ambiguity import measure_ambiguity, overlap_weights
 from .cost_volume import compute_pair_costs, half_weight_area, overlap_masks
 from .local_match import match_locally
-from .peaks import confidence, find_minimum, find_second_minimum, fit_parabola
+from .peaks import confidence, find_second_minimum, fit_parabola
 from .settings import SEARCH, SearchSettings
 from .sgm import aggregate_costs, average_pair_costs
 
@@ -205,7 +205,7 @@ def match_lenses(
         cost[settled] = np.minimum(away / np.float32(matcher.tolerance * step), 1)
     prices = settings.slope_price * step, settings.jump_price
     total = aggregate_costs(cost, matcher.forward, matcher.backward, *prices, wanted)
-    best, _ = find_minimum(total)
+    best = total.argmin(1)
     own = cost[np.arange(len(best)), best]
     other, other_cost = find_second_minimum(cost, best, max(2, round(2 / step)))
     has_second = (own > settings.second_if_above) & (other_cost < own + settings.second_cost)
@@ -255,7 +255,8 @@ def _match_pairs(
     if tried.all():
         return matcher.pair_costs(active, done=sample, out=pair), 0.0
     matcher.pair_costs(active, which=np.flatnonzero(tried), done=sample, out=pair)
-    best, lowest = find_minimum(matcher.lens_costs(pair), tried)
+    cost = np.where(tried, matcher.lens_costs(pair), np.float32(np.inf))
+    best, lowest = cost.argmin(1), cost.min(1)
     # A minimum at the end of a range may continue beyond it.
     end = tried & ~(np.roll(tried, 1) & np.roll(tried, -1))
     end[[0, -1]] = False

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal.runtime.kernels.jit import njit
-
 from ...flat.lens_graph import count_similar
 from ..same_surface import same_surface
 
-__all__ = ["confidence", "fill_unresolved", "find_minimum", "find_second_minimum", "fit_parabola"]
+__all__ = ["confidence", "fill_unresolved", "find_second_minimum", "fit_parabola"]
 
 # Cost difference, per path, that makes one shift e times as likely as another; measured on simulated scenes.
 _TEMPERATURE = 0.05
@@ -18,45 +16,6 @@ _TEMPERATURE = 0.05
 _FILL_ROUNDS = 24
 # Rounds in which guesses that stand alone are replaced before: pairs of them lose one at a time.
 _OUTLIER_ROUNDS = 3
-# exp of minus this does not show in single precision.
-_NEGLIGIBLE = np.float32(24.0)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda total, best, *_: len(best))
-def _confidence(begin, end, total, best, scale, tolerance, out):
-    for lens in range(begin, end):
-        own = total[lens]
-        least, at = own[best[lens]], best[lens]
-        here = everywhere = np.float32(0.0)
-        for k in range(len(own)):
-            energy = (own[k] - least) / scale
-            if energy > _NEGLIGIBLE:
-                continue
-            mass = np.exp(-energy)
-            everywhere += mass
-            if abs(k - at) <= tolerance:
-                here += mass
-        out[lens] = here / everywhere
-
-
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda cost, among, best, value: len(best))
-def _find_minimum(begin, end, cost, among, best, value):
-    for lens in range(begin, end):
-        at, least = 0, np.float32(np.inf)
-        own = cost[lens]
-        for k in range(len(own)):
-            if own[k] < least and (among.size == 0 or among[k]):
-                at, least = k, own[k]
-        best[lens], value[lens] = at, least
-
-
-def find_minimum(
-    cost: NDArray[np.float32], among: NDArray[np.bool_] | None = None
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Shift (n,) of the least cost (n, k) of each lens, the first of equals, and that cost; of those `among` (k,)."""
-    best, value = np.empty(len(cost), np.int64), np.empty(len(cost), np.float32)
-    _find_minimum(cost, np.empty(0, bool) if among is None else among, best, value)
-    return best, value
 
 
 def confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, tolerance: int) -> NDArray[np.float32]:
@@ -64,45 +23,18 @@ def confidence(total: NDArray[np.float32], best: NDArray[np.int64], paths: int, 
 
     `total` (n, k) is the aggregated cost, a sum over so many `paths`, of which `best` is the minimum.
     """
-    out = np.empty(len(total), np.float32)
-    _confidence(total, best, np.float32(paths * _TEMPERATURE), tolerance, out)
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda total, best, out: len(best))
-def _fit_parabola(begin, end, total, best, out):
-    half = np.float32(0.5)
-    for lens in range(begin, end):
-        at, own = best[lens], total[lens]
-        out[lens] = 0.0
-        if at < 1 or at > len(own) - 2:
-            continue
-        left, middle, right = own[at - 1], own[at], own[at + 1]
-        bend = left - (middle + middle) + right
-        if bend > 1e-9:
-            out[lens] = min(max(half * (left - right) / bend, -half), half)
+    mass = np.exp((total.min(1, keepdims=True) - total) / np.float32(paths * _TEMPERATURE))
+    inside = np.abs(np.arange(total.shape[1]) - best[:, None]) <= tolerance
+    return np.asarray((mass * inside).sum(1) / mass.sum(1))
 
 
 def fit_parabola(total: NDArray[np.float32], best: NDArray[np.int64]) -> NDArray[np.float32]:
     """(n,) float32: offset of the minimum from `best`, in steps, of the parabola through three costs."""
-    out = np.empty(len(total), np.float32)
-    _fit_parabola(total, best, out)
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda values, unknown, *_: len(unknown))
-def _smooth(begin, end, values, unknown, neighbours, gap, out):
-    """Mean of the neighbours of each unknown lens that differ from it by `gap` at most, or its own value."""
-    for u in range(begin, end):
-        lens = unknown[u]
-        total = np.float32(0.0)
-        count = 0
-        for k in range(neighbours.shape[1]):
-            other = neighbours[lens, k]
-            if other >= 0 and same_surface(values[other], values[lens], gap):
-                total += values[other]
-                count += 1
-        out[lens] = total / count if count else values[lens]
+    lens, last = np.arange(len(best)), total.shape[1] - 1
+    left, middle, right = (total[lens, np.clip(best + k, 0, last)] for k in (-1, 0, 1))
+    bend = left - (middle + middle) + right
+    fitted = (best > 0) & (best < last) & (bend > 1e-9)
+    return np.where(fitted, np.clip((left - right) / (2 * np.where(fitted, bend, 1)), -0.5, 0.5), 0).astype(np.float32)
 
 
 def fill_unresolved(
@@ -114,32 +46,20 @@ def fill_unresolved(
     replaced by the median of theirs.
     """
     result = values.copy()
-    unknown = np.flatnonzero(~known)
-    if unknown.size == 0:
-        return result
     for _ in range(_OUTLIER_ROUNDS):
         similar = count_similar(np.ones(len(result), bool), result, neighbours, gap)
         alone = np.flatnonzero(~known & (similar <= 1) & (neighbours >= 0).any(1))
         around = np.where(neighbours[alone] >= 0, result[neighbours[alone]], np.nan)
         # The lower median is a value that one of them has, not the mean of two surfaces.
         result[alone] = np.nanquantile(around, 0.5, axis=1, method="lower") if len(alone) else 0
-    other = result.copy()
+    unknown = np.flatnonzero(~known)
+    rows = neighbours[unknown]
     for _ in range(_FILL_ROUNDS):
-        _smooth(result, unknown, neighbours, np.float32(gap), other)
-        result, other = other, result
+        around, own = result[rows], result[unknown]
+        alike = (rows >= 0) & same_surface(around, own[:, None], np.float32(gap))
+        count = alike.sum(1)
+        result[unknown] = np.where(count > 0, np.where(alike, around, 0).sum(1) / np.maximum(count, 1), own)
     return result
-
-
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda cost, *_: len(cost))
-def _find_second_minimum(begin, end, cost, best, distance, index, value):
-    for lens in range(begin, end):
-        at, least = 0, np.float32(np.inf)
-        own = cost[lens]
-        for k in range(1, len(own) - 1):
-            lowest = own[k] <= own[k - 1] and own[k] < own[k + 1]
-            if lowest and own[k] < least and abs(k - best[lens]) >= distance:
-                at, least = k, own[k]
-        index[lens], value[lens] = at, least
 
 
 def find_second_minimum(
@@ -150,6 +70,10 @@ def find_second_minimum(
     At least `distance` steps from the `best` (n,); inf where there is none. A lens across a depth edge matches at both
     depths; aggregation would hide the second.
     """
-    index, value = np.empty(len(cost), np.int64), np.empty(len(cost), np.float32)
-    _find_second_minimum(cost, best, distance, index, value)
-    return index, value
+    lowest = np.full(cost.shape, np.float32(np.inf))
+    inner = cost[:, 1:-1]
+    other = np.abs(np.arange(1, cost.shape[1] - 1) - best[:, None]) >= distance
+    here = other & (inner <= cost[:, :-2]) & (inner < cost[:, 2:])
+    lowest[:, 1:-1][here] = inner[here]
+    index = lowest.argmin(1)
+    return index, lowest[np.arange(len(cost)), index]

@@ -47,11 +47,6 @@ class LensFits:
     slant: NDArray[np.float32]
     slant_error: NDArray[np.float32]
 
-    def larger(self, factor: int) -> LensFits:
-        """The same fits in the pixels of a flat that is `factor` times as large."""
-        size, error = (factor * values for values in (self.patch_size, self.standard_error))
-        return LensFits(size, error, self.slant, self.slant_error)
-
 
 # Squared scale of the robust loss of a pair [standard deviations]; iterations, and how many of them do not know the
 # slant.

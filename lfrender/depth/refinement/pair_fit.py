@@ -1,14 +1,14 @@
 """Sub-pixel patch size of every pair of neighbours: robust least squares on the pixels that both show.
 
 Gauss-Newton steps on the shift along the line between both lenses (Lucas and Kanade, An iterative image registration
-technique, 1981), weighted after Geman and McClure, with a constant and a ramp of brightness between both microimages as
-nuisance parameters.
+technique, 1981), weighted after Geman and McClure. Nuisance parameters between both microimages are a constant and a
+ramp of brightness. Lenses of two types differ in blur: by half the difference of its variances times the Laplacian, and
+where light is stored by a tone curve by the squared slope over the brightness too; both are nuisance parameters.
 """
 
 from __future__ import annotations
 
 from collections import namedtuple
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,16 +17,8 @@ from numpy.typing import NDArray
 from lfcal.runtime.fastmath import FAST, square
 from lfcal.runtime.kernels.jit import njit
 
-from ...flat.gray_flat import GrayFlat
-from ...runtime.cache import cached
+from ...flat.gray_flat import GrayFlat, downsample
 from ..same_surface import same_surface
-from .defocus_difference import (
-    NO_DIFFERENCE,
-    DefocusDifference,
-    add_tone_curve,
-    estimate_defocus_difference,
-    sample_start_values,
-)
 from .pair_pixels import (
     SPLINE_MARGIN,
     cut_smoothed,
@@ -68,23 +60,31 @@ class PairFits(NamedTuple):
 
 # Float32 values of `PairFitSettings` and of one call of `fit_pairs`.
 _Constants = namedtuple(
-    "_Constants",
-    "slope_noise difference_noise correlated_signal correlated_noise least_texture shading_change largest_step "
-    "last_step largest_drift same_surface noise2 iterations",
-)  # fmt: skip
+    "_Constants", "shading_change likely_blur largest_step largest_drift same_surface last_step noise2 iterations"
+)
+
+# Energy of smoothed white noise in slopes of one direction and in the difference of two microimages, and pixels per
+# independent one after the B-spline: at low frequencies, and at those where the slopes are noise. All follow from the
+# filter, the last by an integral over all frequencies.
+_SLOPE_NOISE, _DIFFERENCE_NOISE = np.float32(17 / 144), np.float32(0.5)
+_CORRELATED_SIGNAL, _CORRELATED_NOISE = np.float32(4.0), np.float32(1.62)
+# Brightness (white = 1) below which tone curves are linear, as that of sRGB.
+_LINEAR = np.float32(0.04)
 
 
 # Python's error model checks every division for zero, which prevents vector loops.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _sums(light, slope_x, slope_y, other, columns, rows, overlap, offset, scale2):
+def _sums(light, slope_x, slope_y, laplacian, other, columns, rows, overlap, offset, scale2):
     """Sums over the pixels of a microimage that the other shows too, weighted after Geman and McClure.
 
     Those of weights, residuals, slopes, their products, the moments of place, and the sums and products of brightness
-    that grows along the step from lens to lens.
+    that grows along the step from lens to lens; those of the Laplacian and of the squared slope over the brightness,
+    unless the Laplacian is None.
     """
     start, count, ux, uy, ax, ay, qx, qy, mx, my, r2, low_x, high_x, low_y, high_y = overlap
     zero = np.float32(0.0)
-    sw = sr = srr = sp = spp = spr = sx = sy = sq = sqq = spq = sqr = zero
+    sw = sr = srr = sp = spp = spr = sx = sy = sq = sqq = spq = sqr = sl = sll = spl = sql = slr = zero
+    st = stt = spt = sqt = slt = srt = zero
     first = np.uint64(start)
     for k in range(np.uint64(count)):
         at = first + k
@@ -111,64 +111,94 @@ def _sums(light, slope_x, slope_y, other, columns, rows, overlap, offset, scale2
         sqq += wq * q
         spq += wq * p
         sqr += wq * r
-    return sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr
+        if laplacian is not None:
+            wl = w * laplacian[at]
+            sl += wl
+            sll += wl * laplacian[at]
+            spl += wl * p
+            sql += wl * q
+            slr += wl * r
+            t = (slope_x[at] * slope_x[at] + slope_y[at] * slope_y[at]) / max(light[at], _LINEAR)
+            wt = w * t
+            st += wt
+            stt += wt * t
+            spt += wt * p
+            sqt += wt * q
+            slt += wt * laplacian[at]
+            srt += wt * r
+    return sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr, (sl, sll, spl, sql, slr), (st, stt, spt, sqt, slt, srt)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+def _blur_shares(constant, ramp, of_l, of_t, prior):
+    """What the Laplacian and the squared slope take off the normal equations of a shift: squares, product, residual.
+
+    Given are the sums of slopes, residuals and the ramp and the inverse of that of weights, the products of the first
+    two with the ramp and its square without the constant, the last two results of `_sums`, and the inverse
+    variance of the coefficients times that of the noise.
+    """
+    (sp, sr, sq, inverse), (qp, qr, qq) = constant, ramp
+    (sl, sll, spl, sql, slr), (st, stt, spt, sqt, slt, srt) = of_l, of_t
+    tiny = np.float32(1e-12)
+    ql, qt = sql - sq * sl * inverse, sqt - sq * st * inverse
+    ll = max(sll - sl * sl * inverse - ql * ql / qq + prior, tiny)
+    lp = spl - sl * sp * inverse - ql * qp / qq
+    lr = slr - sl * sr * inverse - ql * qr / qq
+    lt = slt - sl * st * inverse - ql * qt / qq
+    tt = max(stt - st * st * inverse - qt * qt / qq - lt * lt / ll + prior, tiny)
+    tp = spt - st * sp * inverse - qt * qp / qq - lt * lp / ll
+    tr = srt - st * sr * inverse - qt * qr / qq - lt * lr / ll
+    return lp * lp / ll + tp * tp / tt, lp * lr / ll + tp * tr / tt, lr * lr / ll + tr * tr / tt
 
 
 # Arrays are passed one by one, although there are many: taken out of tuples here, their references would be counted for
 # every pair, which costs a third of the time.
 @njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def _fit_pair(
-    pixels, size, shape, columns, rows, corner, centres, radius, pitch, start, scale2, blur, light, slope_x, slope_y,
+    pixels, size, shape, columns, rows, corner, centres, radius, pitch, start, scale2, light, slope_x, slope_y,
     laplacian, box, lines, shifted, whole, constants,
 ):  # fmt: skip
-    """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be determined.
-
-    The first microimage differs from the second by `blur` (its value at s = 0 and growth per s) times its Laplacian, if
-    it has one.
-    """
+    """Patch size of one pair from `start`, its variance and its place; NaN where it cannot be determined."""
     s, c = start, constants
     ax, ay, bx, by = centres
-    slope_noise = c.slope_noise * (square(bx - ax) + square(by - ay)) / (pitch * pitch)
-    offset = np.float32(0.0)
-    variance = np.float32(np.inf)
-    x = y = np.float32(0.0)
+    slope_noise = _SLOPE_NOISE * (square(bx - ax) + square(by - ay)) / (pitch * pitch)
+    offset = x = y = np.float32(0.0)
+    variance, failed = np.float32(np.inf), np.float32(np.nan)
     two, tiny = np.float32(2.0), np.float32(1e-12)
+    blur_prior = c.noise2 / square(c.likely_blur * pitch * pitch)
     for _ in range(c.iterations):
         overlap = resample_shifted(pixels, size, shape, corner, centres, radius, s, pitch, box, lines, shifted, whole)
-        if len(laplacian) > 0:
-            share, first = blur[0] + blur[1] * s, np.uint64(overlap.start)
-            for k in range(np.uint64(overlap.number)):
-                shifted[first + k] += share * laplacian[first + k]
-        sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr = _sums(
-            light, slope_x, slope_y, shifted, columns, rows, overlap, offset, scale2
+        sw, sr, srr, sp, spp, spr, sx, sy, sq, sqq, spq, sqr, of_l, of_t = _sums(
+            light, slope_x, slope_y, laplacian, shifted, columns, rows, overlap, offset, scale2
         )
         if sw < 4:
-            return np.float32(np.nan), variance, x, y
+            return failed, variance, x, y
         inverse = np.float32(1.0) / sw
         # A change of shading by r^2 is a ramp of this steepness between both lenses; its prior is as wide.
         ramp = two * c.shading_change * s / (radius * radius)
         ridge = max(sqq - sq * sq * inverse + c.noise2 / max(ramp * ramp, tiny), tiny)
         shared, shade = spq - sp * sq * inverse, sqr - sq * sr * inverse
         hessian = spp - sp * sp * inverse - shared * shared / ridge
-        if hessian <= 1e-9:
-            return np.float32(np.nan), variance, x, y
         gradient = spr - sp * sr * inverse - shared * shade / ridge
-        offset += sr * inverse
         rest = srr - sr * sr * inverse - shade * shade / ridge
+        if laplacian is not None:
+            by_blur = _blur_shares((sp, sr, sq, inverse), (shared, shade, ridge), of_l, of_t, blur_prior)
+            hessian, gradient, rest = hessian - by_blur[0], gradient - by_blur[1], rest - by_blur[2]
+        if hessian <= 1e-9:
+            return failed, variance, x, y
+        offset += sr * inverse
         rest = max(rest - gradient * gradient / hessian, np.float32(0.0)) * inverse
         # Slopes of noise steepen the sum of squares, but do not move with the scene.
-        noise_part = slope_noise * min(c.noise2, rest / c.difference_noise) * sw
-        texture = max(hessian - noise_part, c.least_texture * hessian)
+        noise = slope_noise * min(c.noise2, rest / _DIFFERENCE_NOISE) * sw
+        texture = hessian * hessian / (hessian + noise)
         step = gradient / texture
-        variance = (
-            rest * (c.correlated_signal * texture + c.correlated_noise * (hessian - texture)) / (texture * texture)
-        )
+        variance = rest * (_CORRELATED_SIGNAL * texture + _CORRELATED_NOISE * (hessian - texture)) / square(texture)
         x, y = sx / spp, sy / spp
         s += min(max(step, -c.largest_step), c.largest_step)
         if abs(step) < c.last_step:
             break
     if abs(s - start) > c.largest_drift:
-        return np.float32(np.nan), variance, x, y
+        return failed, variance, x, y
     return s, variance, x, y
 
 
@@ -183,15 +213,18 @@ def _start_values(first, second, tolerance):
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda image, centres, *_: len(centres))
 def _fit_pairs(
-    begin, end, image, centres, radius, pitch, rows, start, scale2, constants, defocus, sizes, variances, places
+    begin, end, image, centres, radius, pitch, rows, start, scale2, constants, kinds, sizes, variances, places
 ):
-    """Fit the pairs of each lens with its neighbours in `rows`; the last arguments are the arrays of `PairFits`."""
+    """Fit the pairs of each lens with its neighbours in `rows`; the last arguments are the arrays of `PairFits`.
+
+    All lenses blur alike if `kinds` is None.
+    """
     raster, flat = pixel_raster(radius), flat_pixels(image)
     side, stride, columns, raster_rows = raster.side, raster.stride, raster.columns, raster.rows
     pixels, height, width = flat.pixels, flat.height, flat.width
-    kinds, blurs, growths = defocus.kinds, defocus.blurs, defocus.growths
-    buffers, cutout = new_buffers(raster.size), new_cutout(raster.size, len(kinds) > 0)
-    light, slope_x, slope_y, laplacian = cutout.light, cutout.slope_x, cutout.slope_y, cutout.laplacian
+    buffers, cutout = new_buffers(raster.size), new_cutout(raster.size)
+    light, slope_x, slope_y = cutout.light, cutout.slope_x, cutout.slope_y
+    laplacian = None if kinds is None else cutout.laplacian
     box, lines, shifted, whole = buffers.box, buffers.lines, buffers.shifted, buffers.step
     for lens in range(begin, end):
         ax, ay = centres[lens, 0], centres[lens, 1]
@@ -206,20 +239,15 @@ def _fit_pairs(
             if other < 0 or (np.isnan(start[lens]) and np.isnan(start[other])):
                 continue
             if not ready:
-                cut_smoothed(flat, raster, left, top, buffers, cutout)
-                if len(kinds) > 0:
-                    add_tone_curve(cutout, defocus.curve, defocus.dark)
+                cut_smoothed(flat, raster, left, top, buffers, cutout, kinds is not None)
                 ready = True
-            blur = growth = np.float32(0.0)
-            if len(kinds) > 0:
-                blur, growth = blurs[kinds[lens], kinds[other]], growths[kinds[lens], kinds[other]]
             first, second, together = _start_values(start[lens], start[other], constants.same_surface * pitch)
             for k in range(1 if together else 2):
                 s, variance, x, y = _fit_pair(
                     pixels, (height, width), (side, stride), columns, raster_rows, (left, top),
                     (ax, ay, centres[other, 0], centres[other, 1]), radius, pitch, first if k == 0 else second,
-                    max(scale2[lens], scale2[other]), (blur, growth), light, slope_x, slope_y, laplacian, box,
-                    lines, shifted, whole, constants,
+                    max(scale2[lens], scale2[other]), light, slope_x, slope_y, laplacian, box, lines, shifted, whole,
+                    constants,
                 )  # fmt: skip
                 sizes[lens, d, k], variances[lens, d, k] = s, variance
                 places[lens, d, k, 0], places[lens, d, k, 1] = x, y
@@ -240,7 +268,7 @@ def fit_pairs(
     scale: NDArray[np.float32],
     noise: float,
     iterations: int,
-    last_step: float | None = None,
+    last_step: float = 0.02,
     settings: PairFitSettings = _DEFAULT,
 ) -> PairFits:
     """Patch size of each pair of neighbours by Gauss-Newton steps.
@@ -250,7 +278,7 @@ def fit_pairs(
     gray : GrayFlat
     rows : (n, d) int32
         One neighbour of each lens in `d` directions, -1 where there is none: every pair once.
-    start : (n,) float32 [px of `gray`]
+    start : (n,) float32 [px]
         Start values, NaN for lenses without one; pairs of two such lenses are left out.
     scale : (n,) float32
         Scale of the robust loss: difference of brightness beyond which two pixels hardly show the same point.
@@ -258,34 +286,25 @@ def fit_pairs(
         Standard deviation of a pixel, at most: where residuals are smaller, these count.
     iterations : int
         At most.
-    last_step : float [px of `gray`], optional
-        A shorter step ends the iterations; that of the settings by default.
+    last_step : float [px]
+        A shorter step ends the iterations.
     settings : PairFitSettings
     """
+    # Detail finer than this would show the difference of focus of two lenses instead of the depth.
+    factor = max(1, round(gray.pitch / settings.defocus_pitch)) if gray.lens_type is not None else 1
+    gray, start, noise = downsample(gray, factor), (start / factor).astype(np.float32), noise / factor
     radius = usable_radius(gray, settings)
     image = gray.image
     # Microimages are cut out with the pixels beside them.
     missing = [max(0, int(2 * radius) + 2 * SPLINE_MARGIN - n) for n in image.shape]
     if any(missing):
         image = np.pad(image, [(0, n) for n in missing], "edge")
-    image, start = np.ascontiguousarray(image), start.astype(np.float32)
+    named = {name: np.float32(getattr(settings, name)) for name in _Constants._fields[:-3]}
+    constants = _Constants(**named, last_step=np.float32(last_step), noise2=np.float32(noise**2), iterations=iterations)
     shape = (*rows.shape, 2)
-    if last_step is not None:
-        settings = replace(settings, last_step=last_step)
-    named = {name: np.float32(getattr(settings, name)) for name in _Constants._fields if hasattr(settings, name)}
-    constants = _Constants(**named, noise2=np.float32(noise * noise), iterations=iterations)
-
-    def fit(start: NDArray[np.float32], blur: DefocusDifference) -> PairFits:
-        fits = PairFits(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32))
-        _fit_pairs(
-            image, gray.centres, np.float32(radius), np.float32(gray.pitch), rows, start,
-            (scale * scale).astype(np.float32), constants, blur, *fits,
-        )  # fmt: skip
-        return fits
-
-    def defocus(kinds: NDArray[np.int8]) -> DefocusDifference:
-        sizes = fit(sample_start_values(start), NO_DIFFERENCE).patch_size[:, :, 0]
-        return estimate_defocus_difference(image, gray.centres, radius, gray.pitch, rows, sizes, scale, noise, kinds)
-
-    kinds = gray.lens_type
-    return fit(start, NO_DIFFERENCE if kinds is None else cached(gray, "blur", lambda: defocus(kinds)))
+    fits = PairFits(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty((*shape, 2), np.float32))
+    _fit_pairs(
+        np.ascontiguousarray(image), gray.centres, np.float32(radius), np.float32(gray.pitch), rows, start,
+        (scale * scale).astype(np.float32), constants, gray.lens_type, *fits,
+    )  # fmt: skip
+    return PairFits(fits.patch_size * factor, fits.variance * factor**2, fits.place * factor) if factor > 1 else fits

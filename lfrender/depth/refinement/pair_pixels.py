@@ -36,7 +36,7 @@ Flat = namedtuple("Flat", "pixels height width")
 # arrays that vector loops may overrun; `columns` and `rows` (size,) are float32.
 Raster = namedtuple("Raster", "side stride size columns rows")
 
-# A smoothed microimage with its slopes, (size,) float32 each, and its Laplacian, which may be empty.
+# A smoothed microimage with its slopes and its Laplacian, (size,) float32 each.
 Cutout = namedtuple("Cutout", "light slope_x slope_y laplacian")
 
 # Work memory of one thread: the second microimage, its rows interpolated, then its columns too, and the whole step (2,)
@@ -91,11 +91,10 @@ def pixel_raster(radius):
 
 # Vector loops read values that have not been set: these must be numbers.
 @njit(cache=True, nogil=True)
-def new_cutout(size, laplacian):
+def new_cutout(size):
     return Cutout(
-        np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32),
-        np.zeros(size if laplacian else 0, np.float32),
-    )  # fmt: skip
+        np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -114,10 +113,10 @@ def first_pixel(centre, radius, side, size):
 # Without fast math: sums whose order it is free to choose would have other bits where the kernel is compiled than where
 # it is loaded.
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def cut_smoothed(flat, raster, left, top, buffers, out):
+def cut_smoothed(flat, raster, left, top, buffers, out, bent):
     """Fill the cutout `out` from pixel (left, top) on: smoothed by (1, 4, 1) / 6 in both directions, with slopes.
 
-    The Laplacian is computed if `out.laplacian` is not empty. Afterwards `buffers` hold no second microimage.
+    The Laplacian is computed if that is wanted, `bent`. Afterwards `buffers` hold no second microimage.
     """
     across, half, one, two = raster.side + 2 * _BEYOND, np.float32(0.5), np.uint64(1), np.uint64(2)
     pixels, box, smooth = flat.pixels, buffers.box, buffers.lines
@@ -144,7 +143,7 @@ def cut_smoothed(flat, raster, left, top, buffers, out):
             light[into + k] = box[middle + k]
             slope_x[into + k] = half * (box[middle + one + k] - box[middle - one + k])
             slope_y[into + k] = half * (box[middle + line + k] - box[middle - line + k])
-        if len(laplacian) > 0:
+        if bent:
             for k in range(np.uint64(raster.side)):
                 beside = (box[middle + one + k] + box[middle - one + k]) + (
                     box[middle + line + k] + box[middle - line + k]

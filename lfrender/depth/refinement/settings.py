@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ..same_surface import TOLERANCE
 
 __all__ = [
-    "DefocusSettings", "LensPlaneSettings", "PairFitSettings", "RestartSettings", "SmoothingSettings",
+    "LensPlaneSettings", "PairFitSettings", "RestartSettings", "SmoothingSettings",
 ]  # fmt: skip
 
 
@@ -15,32 +15,15 @@ __all__ = [
 class PairFitSettings:
     """Tuned values of `pair_fit`."""
 
-    slope_noise: float = 17 / 144  # energy of smoothed white noise in slopes of one direction; derived from the filter
-    difference_noise: float = 0.5  # energy of smoothed white noise in the difference of two microimages; derived
-    correlated_signal: float = 4.0  # pixels per independent one at low frequencies, after the B-spline; derived
-    correlated_noise: float = 1.62  # the same at frequencies where the slopes are noise; integral over all of them
-    least_texture: float = 0.25  # share of the slope energy that counts as texture at least: noise is not known better
     shading_change: float = 0.02  # [share of the light] shading left at the rim by a calibration from one scene
+    defocus_pitch: float = 25.0  # [px] of the reduced flat on which lenses of different focus are compared
+    likely_blur: float = 2e-3  # [pitch^2] usual half difference of blur variances; weak prior
     largest_step: float = 1.0  # [px] per iteration: the start is the best value of a finer grid
-    last_step: float = 0.02  # [px] a shorter step ends the iterations: the next one hardly shows
     largest_drift: float = 2.5  # [px] farther from its start a fit has gone over to another optimum
     same_surface: float = TOLERANCE  # [pitch] neighbours on one surface start from their mean
     rim: float = 1.0  # [px] left out at the rim: smoothing and slopes each read a pixel beyond
     rim_share: float = 0.03  # [pitch] left out instead in small microimages
     least_rim: float = 0.3  # [px] left out in any case
-
-
-@dataclass(frozen=True)
-class DefocusSettings:
-    """Tuned values of `defocus_difference`."""
-
-    sample: int = 120  # lenses whose pairs are used
-    fewest_pairs: int = 12  # of two lens types, to estimate their difference
-    dark: float = 0.05  # brightness (white = 1) below which the tone curve counts as at this one
-    likely_difference: float = 1e-3  # [pitch^2] usual size of half the difference of blur variances; weak prior
-    likely_growth: float = 4e-3  # [pitch] usual size of its growth per s / D; weak prior
-    steepest_curve: float = 4.0  # largest tone curve; 1 if light is the square of the stored number
-    rounds: int = 4  # blur and tone curve are estimated alternately
 
 
 @dataclass(frozen=True)

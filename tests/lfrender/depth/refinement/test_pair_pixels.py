@@ -14,7 +14,7 @@ def test_microimages_are_cut_out_smoothed_with_their_slopes(left, top):
     raster = pixel_raster(np.float32(4.2))
     assert (raster.side, raster.stride) == (side, stride)
     cutout = Cutout(*np.full((4, raster.size), np.nan, np.float32))
-    cut_smoothed(Flat(image.ravel(), height, width), raster, left, top, new_buffers(raster.size), cutout)
+    cut_smoothed(Flat(image.ravel(), height, width), raster, left, top, new_buffers(raster.size), cutout, True)
     kernel = np.array([1, 4, 1]) / 6
     expected = correlate1d(correlate1d(image.astype(float), kernel, 0, mode="nearest"), kernel, 1, mode="nearest")
     slopes = [correlate1d(expected, [-0.5, 0, 0.5], axis, mode="nearest") for axis in (1, 0)]
