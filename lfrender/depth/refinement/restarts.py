@@ -26,7 +26,7 @@ def refine_patch_sizes(
     scale: NDArray[np.float32],
     noise: float,
     iterations: int,
-    last_step: float | None = None,
+    last_step: float = 0.02,
     settings: RestartSettings = _DEFAULT,
 ) -> LensFits:
     """Sub-pixel patch size of each lens from its own pairs.
@@ -50,7 +50,7 @@ def refine_patch_sizes(
         Standard deviation of a pixel.
     iterations : int
         Of each fit of a pair, at most.
-    last_step : float [px of `gray`], optional
+    last_step : float [px]
         As `fit_pairs`.
     settings : RestartSettings
     """
