@@ -33,7 +33,7 @@ from .matching.peaks import fill_unresolved
 from .matching.shortcuts import Shortcuts, sample_lenses
 from .plane_depth import confirm_on_plane, find_plane_of_few, fit_regular_plane, plane_depth_map, plane_scene_depth
 from .planes.detection import find_plane
-from .planes.settings import DETECTION
+from .planes.settings import PLANE
 from .presets import PRESETS, Preset
 from .settings import ESTIMATE, PIPELINE
 from .surface.densify import densify
@@ -176,7 +176,7 @@ def _find_plane_among_blank(
 
     Shading is not corrected where it hardly matters.
     """
-    if (~blank).sum() < DETECTION.min_textured:
+    if (~blank).sum() < PLANE.fewest_lenses:
         return None, np.inf
     texture = classify_borderline_texture(gray, lattice, statistics, blank, estimate_noise(statistics.roughness))
     active = texture.clear | texture.faint

@@ -12,14 +12,13 @@ from lfcal import Lattice
 from ..data.depth_map import DepthMap
 from ..data.surface import Surface
 from ..flat.gray_flat import GrayFlat
-from ..flat.lens_graph import count_neighbours, neighbour_rows
+from ..flat.lens_graph import count_neighbours
 from .estimate import LensEstimates, LensSet
 from .planes.detection import PlaneScene, find_plane
 from .planes.plane_fit import Plane, fit_plane, has_outlier_cluster
 from .planes.settings import PLANE
 from .presets import PRESETS
 from .same_surface import same_surface
-from .settings import PLANE_DEPTH, PlaneDepthSettings
 from .surface.scene_grid import grid_shape
 from .validity.periodicity import find_periodic_texture
 from .validity.settings import CLASSIFY
@@ -28,17 +27,10 @@ __all__ = ["confirm_on_plane", "find_plane_of_few", "fit_regular_plane", "plane_
 
 
 def plane_scene_depth(
-    found: PlaneScene,
-    gray: GrayFlat,
-    lattice: Lattice,
-    preset: str,
-    saved: dict[str, float],
-    settings: PlaneDepthSettings = PLANE_DEPTH,
+    found: PlaneScene, gray: GrayFlat, lattice: Lattice, preset: str, saved: dict[str, float]
 ) -> DepthMap:
     """The plane of a scene for all lenses that match on it."""
     shown = found.correlation >= CLASSIFY.least_correlation
-    usual = shown & (found.correlation >= settings.typical_share * np.median(found.correlation[shown]))
-    shown &= usual | (count_neighbours(usual, neighbour_rows(lattice, lattice.steps)) >= settings.confirming)
     sizes = found.plane.at(lattice.centres())
     periodic, perhaps = find_periodic_texture(gray, lattice.indices(), sizes, shown)
     sure = found.confidence * (CLASSIFY.sure if perhaps else 1.0)
@@ -76,7 +68,6 @@ def fit_regular_plane(
     reason: NDArray[np.int8],
     systematic: NDArray,
     neighbours: NDArray[np.int32],
-    settings: PlaneDepthSettings = PLANE_DEPTH,
 ) -> Plane | None:
     """The plane that all lenses with texture lie on within their noise; None if there is none.
 
@@ -90,7 +81,7 @@ def fit_regular_plane(
     own = sizes.astype(np.float64)
     # Lenses with a blank neighbour have few pairs.
     inner = known & (count_neighbours(reason != 1, neighbours) == (neighbours >= 0).sum(1))
-    if inner.sum() < settings.min_resolved:
+    if inner.sum() < PLANE.fewest_lenses:
         return None
     plane = fit_plane(centres[inner], own[inner], pitch, facing=bool(known.sum() < PLANE.min_textured_share * count))
     if plane is None:

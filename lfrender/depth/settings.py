@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 __all__ = [
-    "CHANGE", "ESTIMATE", "INCREMENTAL", "PIPELINE", "PLANE_DEPTH", "ChangeSettings", "EstimateSettings",
-    "IncrementalSettings", "PipelineSettings", "PlaneDepthSettings",
+    "CHANGE", "ESTIMATE", "INCREMENTAL", "PIPELINE", "ChangeSettings", "EstimateSettings", "IncrementalSettings",
+    "PipelineSettings",
 ]  # fmt: skip
 
 
@@ -17,15 +17,6 @@ class EstimateSettings:
     second_gap: float = 0.03  # [pitch] from depths of other lenses within which the second-best one is tried
     second_share: float = 0.8  # of the best correlation for that; it is then right in 26 of 27 cases, else in 1 of 5
     default_ratio: float = 0.25  # s / D of a scene without any texture; the sign makes no difference
-
-
-@dataclass(frozen=True)
-class PlaneDepthSettings:
-    """Tuned values of `plane_depth`."""
-
-    typical_share: float = 0.5  # of the median correlation: a lens that reaches it lies on the plane
-    confirming: int = 2  # such neighbours confirm one that does not
-    min_resolved: int = 24  # lenses: fewer do not prove a plane
 
 
 @dataclass(frozen=True)
@@ -75,7 +66,6 @@ class ChangeSettings:
 
 
 ESTIMATE = EstimateSettings()
-PLANE_DEPTH = PlaneDepthSettings()
 PIPELINE = PipelineSettings()
 INCREMENTAL = IncrementalSettings()
 CHANGE = ChangeSettings()

@@ -19,7 +19,7 @@ from ..refinement.lens_plane import fit_lens_planes
 from ..refinement.pair_fit import PairFits, fit_pairs
 from ..validity.uncertainty import signal_share, systematic_error
 from .plane_fit import Plane, fit_plane, has_outlier_cluster, is_nearly_planar
-from .settings import DETECTION, PLANE, DetectionSettings
+from .settings import PLANE, PlaneSettings
 
 __all__ = [
     "PlaneScene", "add_systematic_error", "correlate_with_plane", "find_plane", "normalised_plane_correlation",
@@ -43,7 +43,7 @@ def find_plane(
     backward: NDArray[np.int32],
     preset: Preset,
     facing: bool = False,
-    settings: DetectionSettings = DETECTION,
+    settings: PlaneSettings = PLANE,
 ) -> PlaneScene | None:
     """The one plane that the flat shows; None where there are several depths or it cannot be decided.
 
@@ -51,84 +51,37 @@ def find_plane(
     `backward` (n, d) their neighbour rows in `d` directions and the opposites. With `facing` only a plane that faces
     the camera is accepted.
     """
-    if texture.clear.sum() < max(PLANE.min_textured_share * len(indices), settings.min_textured):
-        return None
     inner = _inner(texture, join_opposite(forward, backward))
-    count = int(np.clip(texture.clear.sum() * settings.sample_share, settings.min_sample, settings.sample))
-    sample = sample_lenses(indices, inner, count)
-    if sample.sum() < settings.min_measured:
+    sample = sample_lenses(indices, inner, settings.sample)
+    if sample.sum() < settings.fewest_lenses or texture.clear.mean() < settings.min_textured_share:
         return None
     whole = Matcher(texture, forward, backward, preset)
-    found = _fit_sample(whole, texture, sample, preset, facing, settings)
+    few = _Subset.of(whole.downscaled(texture), whole, sample)
+    found = few.search(preset, settings)
     if found is None:
         return None
-    plane, sure = found
+    start, sure = found
+    if not is_nearly_planar(whole.gray.centres[sample], start, whole.gray.pitch):
+        return None
+    points, sizes = few.measure(start, preset)
+    plane = fit_plane((points + 0.5) * whole.factor - 0.5, sizes * whole.factor, texture.flat.pitch, facing)
+    if plane is None:
+        return None
     expected = plane.at(texture.flat.centres.astype(np.float64)).astype(np.float32)
-    correlation = correlate_with_plane(whole, texture, expected, preset, settings)
+    correlation = correlate_with_plane(whole, texture, expected, preset)
     if correlation is None:
         return None
-    refined = _refine_plane(plane, whole, texture, indices, sample, preset, facing, settings)
-    if refined is None:
-        return None
     explained = normalised_plane_correlation(whole, texture, expected, correlation)[texture.clear]
-    return PlaneScene(add_systematic_error(refined, explained), sure, correlation, float(sample.mean()))
-
-
-def _fit_sample(
-    whole: Matcher,
-    texture: Texture,
-    sample: NDArray[np.bool_],
-    preset: Preset,
-    facing: bool,
-    settings: DetectionSettings,
-) -> tuple[Plane, float] | None:
-    """A plane through the lenses of a `sample` (n,), and the confidence of their matches; None if there is none."""
-    pitch = texture.flat.pitch
-    few = _Subset.of(whole.downscaled(texture), whole.forward, whole.backward, sample, settings)
-    matcher = few.matcher(preset)
-    cost = matcher.lens_costs(matcher.pair_costs(few.selected), few.selected)
-    best = cost.argmin(1)
-    if matcher.is_periodic(cost):
-        return None
-    found = (matcher.shifts[best] + fit_parabola(cost, best) * matcher.step) * few.factor
-    searched = found.astype(np.float64) * whole.factor
-    if not is_nearly_planar(texture.flat.centres[sample].astype(np.float64), searched, pitch):
-        return None
-    same = np.abs(searched - np.median(searched)) <= settings.facing_spread * pitch
-    if facing and np.mean(same) < settings.facing_share:
-        return None
-    points, sizes = few.measure(found, preset)
-    points, sizes = (points + 0.5) * whole.factor - 0.5, sizes * whole.factor
-    plane = fit_plane(points, sizes, pitch, facing) if len(sizes) >= settings.min_measured else None
-    paths = 2 * whole.forward.shape[1]
-    sure = median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance))
-    return None if plane is None else (plane, sure)
-
-
-def _refine_plane(
-    plane: Plane,
-    whole: Matcher,
-    texture: Texture,
-    indices: NDArray[np.int64],
-    sample: NDArray[np.bool_],
-    preset: Preset,
-    facing: bool,
-    settings: DetectionSettings,
-) -> Plane | None:
-    """The plane measured anew on the full flat, if the first one was measured on a reduced flat or may be slanted."""
-    slanted = plane.slanted or plane.slant_ratio > settings.doubtful_slant
-    if not slanted and whole.factor == 1:
-        return plane
-    pitch, more = texture.flat.pitch, sample
-    if slanted:
-        count = int(settings.slanted_sample * settings.sample * min(1.0, settings.large_pitch / pitch) ** 2)
-        more = sample_lenses(indices, texture.clear, count)
-    elif facing:
-        more = np.zeros(len(sample), bool)
-        more[np.flatnonzero(sample)[:: max(1, round(pitch / settings.large_pitch))]] = True
-    few = _Subset.of(texture, whole.forward, whole.backward, more, settings)
-    expected = plane.at(few.texture.flat.centres.astype(np.float64))
-    return fit_plane(*few.measure(expected, preset, forward_only=True), pitch, facing)
+    if plane.slanted or whole.factor > 1:
+        # Measured anew on the full flat.
+        more = sample
+        if plane.slanted:
+            more = sample_lenses(indices, texture.clear, int(settings.slanted_sample / texture.flat.pitch**2))
+        few = _Subset.of(texture, whole, more)
+        plane = fit_plane(*few.measure(expected[more], preset, forward_only=True), texture.flat.pitch, facing)
+        if plane is None:
+            return None
+    return PlaneScene(add_systematic_error(plane, explained), sure, correlation, float(sample.mean()))
 
 
 @dataclass(frozen=True)
@@ -139,50 +92,48 @@ class _Subset:
     forward: NDArray[np.int32]  # (m, d) int32: As for `find_plane`
     backward: NDArray[np.int32]
     selected: NDArray[np.bool_]  # (m,) those that are not there only as neighbours
-    factor: int  # pixels of the flat, each way, that become one where they are searched
 
     @classmethod
-    def of(
-        cls,
-        texture: Texture,
-        forward: NDArray[np.int32],
-        backward: NDArray[np.int32],
-        selected: NDArray[np.bool_],
-        settings: DetectionSettings,
-    ) -> _Subset:
+    def of(cls, texture: Texture, whole: Matcher, selected: NDArray[np.bool_]) -> _Subset:
         """The lenses `selected` (n,) of all."""
-        rows = np.flatnonzero(dilate_mask(selected, join_opposite(forward, backward)))
-        factor = max(1, int(texture.flat.pitch / settings.search_pitch))
-        halves = restrict_neighbours(rows, forward), restrict_neighbours(rows, backward)
-        return cls(texture.select(rows), *halves, selected[rows], factor)
+        rows = np.flatnonzero(dilate_mask(selected, whole.neighbours))
+        forward, backward = (restrict_neighbours(rows, half) for half in (whole.forward, whole.backward))
+        return cls(texture.select(rows), forward, backward, selected[rows])
 
-    def matcher(self, preset: Preset) -> Matcher:
-        """A matcher on the flat reduced by `factor`."""
-        texture, factor = self.texture, self.factor
+    def search(self, preset: Preset, settings: PlaneSettings) -> tuple[NDArray[np.float32], float] | None:
+        """Patch size of each selected lens, searched on a reduced flat, and the median confidence; None if periodic."""
+        texture, factor = self.texture, max(1, int(self.texture.flat.pitch / settings.search_pitch))
         if factor > 1:
             flat = downsample(texture.flat, factor)
             texture = replace(texture, flat=flat, statistics=measure_statistics(flat), noise=texture.noise / factor)
             preset = replace(preset, row_step=1)
-        return Matcher(texture, self.forward, self.backward, replace(preset, search_pitch=np.inf))
+        matcher = Matcher(texture, self.forward, self.backward, replace(preset, search_pitch=np.inf))
+        cost = matcher.lens_costs(matcher.pair_costs(self.selected), self.selected)
+        if matcher.is_periodic(cost):
+            return None
+        best, paths = cost.argmin(1), 2 * self.forward.shape[1]
+        sure = median(confidence(cost * np.float32(paths), best, paths, matcher.tolerance))
+        return (matcher.shifts[best] + fit_parabola(cost, best) * matcher.step) * factor, sure
 
     def measure(
-        self, sizes: NDArray, preset: Preset, forward_only: bool = False
+        self, start: NDArray, preset: Preset, forward_only: bool = False
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Scene points and patch sizes, as `_scene_points`, from the pairs of the selected lenses.
+        """Scene points (k, 2) [px] where pairs of lenses with texture measure a patch size, and these (k,) [px].
 
-        `sizes` are first values of the selected lenses or of all. With `forward_only` pairs with the neighbours in
-        `backward`, which show nearly the same, are left out.
+        They begin at those of the selected lenses. With `forward_only` pairs with the neighbours in `backward`, which
+        show nearly the same, are left out.
         """
-        start, forward = np.full(len(self.selected), np.nan, np.float32), self.forward
-        start[self.selected if len(sizes) < len(start) else slice(None)] = sizes
-        if forward_only:
-            forward = np.where(self.selected[:, None], forward, -1)
-        return _scene_points(_fit_pairs(self.texture, forward, start, preset), self.texture, forward)
-
-
-def _inner(texture: Texture, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """(n,) bool: lenses with clear texture and no blank neighbour (n, k), of whose pairs most match."""
-    return texture.clear & (count_neighbours(texture.clear | texture.faint, rows) == (rows >= 0).sum(1))
+        texture, gray, sizes = self.texture, self.texture.flat, np.full(len(self.selected), np.nan, np.float32)
+        sizes[self.selected] = start
+        forward = np.where(self.selected[:, None], self.forward, -1) if forward_only else self.forward
+        pairs = _fit_pairs(texture, forward, sizes, preset)
+        known = np.isfinite(pairs.patch_size[:, :, 0]) & texture.clear[:, None] & texture.clear[forward]
+        lens, d = np.nonzero(known)
+        found = pairs.patch_size[lens, d, 0].astype(np.float64)
+        here, there = gray.centres[lens].astype(np.float64), gray.centres[forward[lens, d]].astype(np.float64)
+        # `X = c - delta * D / s` for the middle between both microimages.
+        stretch = gray.pitch / np.where(found == 0, np.inf, found)
+        return 0.5 * (here + there) - pairs.place[lens, d, 0] * stretch[:, None], found
 
 
 def _fit_pairs(texture: Texture, forward: NDArray[np.int32], start: NDArray[np.float32], preset: Preset) -> PairFits:
@@ -191,17 +142,9 @@ def _fit_pairs(texture: Texture, forward: NDArray[np.int32], start: NDArray[np.f
     return fit_pairs(texture.flat, forward, start, scale, texture.noise, preset.iterations, preset.last_step)
 
 
-def _scene_points(
-    pairs: PairFits, texture: Texture, forward: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Scene points (m, 2) [px] where pairs of lenses with texture have measured a patch size, and these (m,) [px]."""
-    clear, gray = texture.clear, texture.flat
-    lens, d = np.nonzero(np.isfinite(pairs.patch_size[:, :, 0]) & clear[:, None] & clear[forward])
-    sizes = pairs.patch_size[lens, d, 0].astype(np.float64)
-    here, there = gray.centres[lens].astype(np.float64), gray.centres[forward[lens, d]].astype(np.float64)
-    # `X = c - delta * D / s` for the middle between both microimages.
-    stretch = gray.pitch / np.where(sizes == 0, np.inf, sizes)
-    return 0.5 * (here + there) - pairs.place[lens, d, 0] * stretch[:, None], sizes
+def _inner(texture: Texture, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """(n,) bool: lenses with clear texture and no blank neighbour (n, k), of whose pairs most match."""
+    return texture.clear & (count_neighbours(texture.clear | texture.faint, rows) == (rows >= 0).sum(1))
 
 
 def correlate_with_plane(
@@ -209,70 +152,31 @@ def correlate_with_plane(
     texture: Texture,
     expected: NDArray[np.float32],
     preset: Preset,
-    settings: DetectionSettings = DETECTION,
+    settings: PlaneSettings = PLANE,
 ) -> NDArray[np.float32] | None:
-    """(n,) correlation of every lens at the patch size `expected` (n,) [px] on a plane; None where one is not on it."""
-    textured = texture.clear | texture.faint
-    cost, off, _ = matcher.match_locally(textured, (expected / matcher.factor).astype(np.float32))
-    usual = settings.misfit_factor * median(cost[texture.clear])
-    limit = min(max(usual, matcher.settings.misfit_cost), settings.max_misfit_cost)
-    misfits = texture.clear & (cost > limit)
-    rows = matcher.neighbours
-    inner = _inner(texture, rows)
-    if not inner.any() or misfits[inner].mean() > settings.max_doubtful:
+    """(n,) correlation of every lens at the patch size `expected` (n,) [px] on a plane; None where it leaves the plane.
+
+    It does where lenses beside each other do not match there, or match at another depth.
+    """
+    factor, rows = matcher.factor, matcher.neighbours
+    cost, off, _ = matcher.match_locally(texture.clear | texture.faint, (expected / factor).astype(np.float32))
+    explained = normalised_plane_correlation(matcher, texture, expected, 1 - cost)
+    misfits = texture.clear & (explained < settings.least_explained)
+    # Lenses beside each other have a pair in common.
+    if (count_connected(misfits & _inner(texture, rows), rows) >= settings.cluster - 1).any():
         return None
-    if misfits.any():
-        few = _Subset.of(matcher.downscaled(texture), matcher.forward, matcher.backward, misfits, settings)
-        elsewhere, far, misfits = _search_misfits(few, matcher.factor, preset, misfits, expected, limit, settings)
-        together = count_connected(elsewhere, rows)
-        if (far & inner).any() or (elsewhere & inner & (together > 0)).any() or (together >= 2).any():
-            return None
-        if misfits[inner].mean() > settings.max_misfits:
-            return None
     doubtful = np.zeros(len(off), bool)
     for side in (-1, 1):
-        off_plane = texture.clear & ~misfits & (side * off > settings.off_plane)
-        doubtful |= count_connected(off_plane, rows) >= settings.off_plane_neighbours
+        together = count_connected(texture.clear & ~misfits & (side * off > settings.off_plane), rows)
+        doubtful |= together >= settings.cluster - 1
     if doubtful.any():
-        doubtful |= (doubtful[rows] & (rows >= 0)).any(1)
+        doubtful = dilate_mask(doubtful, rows)
         start = np.where(doubtful, expected, np.nan).astype(np.float32)
         pairs = _fit_pairs(texture, matcher.forward, start, preset)
         lenses = fit_lens_planes(texture.flat, matcher.forward, matcher.backward, pairs, start)
-        residual = (lenses.patch_size - expected).astype(float)
-        if has_outlier_cluster(residual, lenses.standard_error.astype(float), rows):
+        if has_outlier_cluster(lenses.patch_size - expected, lenses.standard_error, rows):
             return None
     return 1 - cost
-
-
-def _search_misfits(
-    few: _Subset,
-    factor: int,
-    preset: Preset,
-    misfits: NDArray[np.bool_],
-    expected: NDArray[np.float32],
-    limit: float,
-    settings: DetectionSettings,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Search lenses (n,) that do not match on a plane at all shifts: match better elsewhere, far from it, or nowhere.
-
-    All costs are of this search, because that on the plane was over other pairs. The `few` are on a flat `factor` times
-    as small as that of `expected`.
-    """
-    matcher, factor = few.matcher(preset), factor * few.factor
-    full = matcher.lens_costs(matcher.pair_costs(few.selected), few.selected)
-    away = np.abs(matcher.shifts - expected[misfits, None] / factor)
-    near = away <= matcher.step
-    # Interpolated between the two shifts beside the plane; there are none if the plane lies beyond the search range.
-    share = np.where(near, matcher.step - away, 0)
-    own = (full * share).sum(1) / np.maximum(share.sum(1), np.float32(1e-6))
-    there = np.where(near, np.inf, full)
-    best, least = there.argmin(1), there.min(1)
-    better = (least < own - settings.better_by) & (least < limit)
-    elsewhere, far, unmatched = np.zeros((3, len(misfits)), bool)
-    elsewhere[misfits] = better
-    far[misfits] = better & (away[np.arange(len(best)), best] * factor > settings.far)
-    unmatched[misfits] = np.where(near, full, np.inf).min(1) > limit
-    return elsewhere, far, unmatched
 
 
 def normalised_plane_correlation(
