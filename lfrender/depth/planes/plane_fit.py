@@ -132,7 +132,7 @@ def is_nearly_planar(
 def _fit_inverse(
     terms: NDArray[np.float64], sizes: NDArray[np.float64], settings: PlaneSettings
 ) -> NDArray[np.float64]:
-    """(k,) robust linear fit to 1 / s, the error of s being the same for all (IRLS, weights after Geman and McClure)."""
+    """(k,) robust linear fit to 1 / s, the error of s being the same for all (IRLS after Geman and McClure)."""
     residual = sizes - median(sizes)
     inverse = np.zeros(terms.shape[1])
     for _ in range(_ROUNDS):
