@@ -125,7 +125,7 @@ def is_nearly_planar(
         return False
     terms = np.column_stack([np.ones(len(sizes)), (points - points.mean(0)) / np.ptp(points)])
     with np.errstate(divide="ignore", invalid="ignore"):
-        away = np.abs(sizes - 1 / (terms @ _fit_inverse(terms, sizes, settings)))
+        away = np.abs(sizes - 1 / (terms @ _fit_inverse(terms, sizes.astype(np.float64), settings)))
     return bool((away <= 2 * TOLERANCE * pitch).mean() > settings.min_inliers)
 
 
@@ -157,7 +157,7 @@ def _is_bent(
     places: NDArray[np.float64], residual: NDArray[np.float64], scatter: float, settings: PlaneSettings
 ) -> bool:
     """Whether a smooth surface through the residuals leaves the plane anywhere by more than tolerance and error."""
-    terms = np.polynomial.polynomial.polyvander2d(*places.T, [3, 3])[:, _POWERS.ravel()]
+    terms = np.polynomial.polynomial.polyvander2d(places[:, 0], places[:, 1], [3, 3])[:, _POWERS.ravel()]
     basis, size, _ = np.linalg.svd(terms, full_matrices=False)
     basis = basis[:, size > _DEPENDENT * size[0]]
     error = scatter * np.sqrt((basis**2).sum(1))
