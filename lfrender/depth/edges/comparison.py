@@ -45,8 +45,8 @@ def _look_at_row(image, left, top, row, size, k, other_x, other_y, to_x, to_y, l
     # Pixel (column, row) is at the same place under the other lens if the slope is 0.
     start_x, start_y = np.float32(left + to_x - other_x), np.float32(top + row + to_y - other_y)
     centre_x, centre_y, to_x, to_y = np.float32(other_x), np.float32(other_y), np.float32(to_x), np.float32(to_y)
-    seen, apart, count = work.seen[row * size :], work.apart[row * size :], work.count[row * size :]
-    slopes = work.slope[k, row]
+    seen, apart, wanted = work.seen[row * size :], work.apart[row * size :], work.wanted[row * size :]
+    slopes, one = work.slope[k, row], np.uint32(1)
     seen[:size] = 0
     for column in range(work.columns[row, 0], work.columns[row, 1]):
         dx, dy = start_x + np.float32(column) + to_x * slopes[column], start_y + to_y * slopes[column]
@@ -54,18 +54,18 @@ def _look_at_row(image, left, top, row, size, k, other_x, other_y, to_x, to_y, l
         if away > wider2 or x < 2 or y < 2 or x >= width - 3 or y >= height - 3:
             apart[column] = 0
             continue
-        i, j = np.int32(x), np.int32(y)
+        i, j = np.uint32(x), np.uint32(y)
         fx, fy = x - np.float32(i), y - np.float32(j)
         w11 = fx * fy
         w01, w10 = fx - w11, fy - w11
         w00 = np.float32(1.0) - fx - w10
         squares = np.float32(0.0)
-        for channel in range(4):
-            step = w00 * image[j, i, channel] + w01 * image[j, i + 1, channel] + w10 * image[j + 1, i, channel]
-            step += w11 * image[j + 1, i + 1, channel] - image[top + row, left + column, channel]
+        for channel in range(3):
+            step = w00 * image[j, i, channel] + w01 * image[j, i + one, channel] + w10 * image[j + one, i, channel]
+            step += w11 * image[j + one, i + one, channel] - image[top + row, left + column, channel]
             squares += step * step
         apart[column] = squares
-        if away <= radius2 and work.open[row, column] and count[column] < _VIEWS:
+        if away <= radius2 and wanted[column]:
             if before.size > 1:
                 there = before[np.int32(y + np.float32(0.5)), np.int32(x + np.float32(0.5))]
                 if depth_order(there, pitch) > depth_order(work.value[k, row, column], pitch) + lenses.gap:
@@ -74,10 +74,10 @@ def _look_at_row(image, left, top, row, size, k, other_x, other_y, to_x, to_y, l
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _add_lens(first, end, size, work):
-    """Add the mismatch of pixels `first` to `end` with another lens to what is known of them."""
+def _add_lens(first, end, size, leave_out, work):
+    """Add the mismatch of pixels `first` to `end` with another lens to what is known of them; returns how many want no further one."""
     seen, allowed, mismatch = work.seen[first:end], work.allowed[first:end], work.mismatch[first:end]
-    total, count = work.sum[first:end], work.count[first:end]
+    total, count, wanted = work.sum[first:end], work.count[first:end], work.wanted[first:end]
     for p in range(end - first):
         mismatch[p] = 0
     for e in range(5):
@@ -88,16 +88,22 @@ def _add_lens(first, end, size, work):
         mismatch[p] *= seen[p] / (mismatch[p] + allowed[p])
         total[p] += mismatch[p]
         count[p] += seen[p]
-    for n in range(LEFT_OUT):
+    for n in range(leave_out):
         worst = work.worst[n, first:end]
         for p in range(end - first):
             worst[p], mismatch[p] = max(worst[p], mismatch[p]), min(worst[p], mismatch[p])
+    full = 0
+    for p in range(end - first):
+        done = wanted[p] and count[p] >= _VIEWS
+        full += done
+        wanted[p] = wanted[p] and not done
+    return full
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _start_depth(k, size, work):
-    """Clear what is known of the comparison at depth k; returns whether any pixel may show it."""
-    some = False
+    """Clear what is known of the comparison at depth k; returns how many pixels may show it."""
+    number = 0
     for row in range(size):
         first, end = size, 0
         for beside in range(max(0, row - 1), min(size, row + 2)):
@@ -105,9 +111,12 @@ def _start_depth(k, size, work):
                 if work.open[beside, column] and work.present[k, beside, column]:
                     first, end = min(first, column - 1), max(end, column + 2)
         work.columns[row, 0], work.columns[row, 1] = max(0, first), min(size, end)
-        some = some or first < end
+        for column in range(size):
+            wanted = work.open[row, column] and work.present[k, row, column]
+            work.wanted[row * size + column] = wanted
+            number += wanted
     work.count[:], work.sum[:], work.worst[:] = 0, 0, 0
-    return some
+    return number
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -130,10 +139,11 @@ def compare_depth(image, lens, k, share, left, top, size, lenses, before, c, wor
     """
     rows, low, ring, centres = lenses.rows, lenses.low, lenses.ring, lenses.centres
     at_i, at_j = lenses.indices[lens, 0] - low[0], lenses.indices[lens, 1] - low[1]
-    if not _start_depth(k, size, work):
-        return
+    wanting, leave_out = _start_depth(k, size, work), LEFT_OUT if share < 1 else 0
     slope = work.depths[k] / lenses.pitch
     for r in range(1, len(ring)):
+        if wanting == 0:
+            break
         ci, cj = at_i + ring[r, 0], at_j + ring[r, 1]
         if ci < 0 or cj < 0 or cj >= rows.shape[0] or ci >= rows.shape[1] or rows[cj, ci] < 0:
             continue
@@ -148,7 +158,7 @@ def compare_depth(image, lens, k, share, left, top, size, lenses, before, c, wor
         for row in range(first, end):
             _look_at_row(image, left, top, row, size, k, other_x, other_y, to_x, to_y, lenses, before, work)
         if first < end:
-            _add_lens(first * size, end * size, size, work)
+            wanting -= _add_lens(first * size, end * size, size, leave_out, work)
     for row in range(size):
         for column in range(size):
             if work.open[row, column] and work.present[k, row, column]:

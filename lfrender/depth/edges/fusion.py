@@ -12,11 +12,13 @@ from .geometry import LensArray, PointGrid
 __all__ = ["fuse_pixel_depths"]
 
 # Lenses whose pixels vote, and depths of a scene point, at most.
-_VIEWS = 5
+_VIEWS = 9
 _DEPTHS = 8
+# Points of a row that share a list of depths.
+_TOGETHER = 4
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _central_lenses(lenses, x, y, near, distance2):
     """Rows of the lenses nearest to scene point (x, y), the nearest first; returns how many there are."""
     inverse, origin, rows, low = lenses.inverse, lenses.origin, lenses.rows, lenses.low
@@ -41,10 +43,10 @@ def _central_lenses(lenses, x, y, near, distance2):
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _vote(pixels, lenses, near, distance2, found, x, y, s, width):
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def _vote(pixels, lenses, near, distance2, found, x, y, s):
     """Share of the lenses that show scene point (x, y) at depth `s`, and the mean patch size that they show."""
-    slope, share, total, size = s / lenses.pitch, 0.0, 0.0, 0.0
+    slope, votes, voters, size = s / lenses.pitch, 0.0, 0.0, 0.0
     for n in range(found):
         if distance2[n] * slope * slope > lenses.radius * lenses.radius:
             break
@@ -52,22 +54,27 @@ def _vote(pixels, lenses, near, distance2, found, x, y, s, width):
         u, v = int(cx - (x - cx) * slope + 0.5), int(cy - (y - cy) * slope + 0.5)
         if u < 0 or v < 0 or v >= pixels.shape[0] or u >= pixels.shape[1] or np.isnan(pixels[v, u]):
             continue
-        weight = np.exp(-distance2[n] / width)
-        total += weight
+        weight = 1.5 if n == 0 else 1.0
+        voters += weight
         if abs(pixels[v, u] - s) < lenses.gap:
-            share += weight
+            votes += weight
             size += weight * pixels[v, u]
-    return share / (total + 0.1), size / share if share > 0 else s
+    return (votes / (voters), size / votes) if votes > 0 else (0.0, s)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _list_depths(surface, v, u, reach, gap, depths):
-    """Depths that the surface has within `reach` [grid values] of point (u, v); returns how many there are."""
+def _list_depths(surface, v, first, end, reach, gap, depths):
+    """Depths of the surface within `reach` [grid values] of points `first` to `end` of row v, their own first.
+
+    Returns how many there are.
+    """
     rows, columns = surface.shape
-    depths[0], number = surface[v, u], 1
-    for row in range(max(0, v - reach), min(rows, v + reach + 1)):
-        for column in range(max(0, u - reach), min(columns, u + reach + 1)):
-            s, known = surface[row, column], False
+    depths[0], number = surface[v, first], 1
+    for line in range(max(0, v - reach) - 1, min(rows, v + reach + 1)):
+        own = line < max(0, v - reach)
+        beside = 0 if own else reach
+        for column in range(max(0, first - beside), min(columns, end + beside)):
+            s, known = surface[v if own else line, column], False
             for k in range(number):
                 known = known or abs(depths[k] - s) < gap
             if not known and number < _DEPTHS:
@@ -77,9 +84,10 @@ def _list_depths(surface, v, u, reach, gap, depths):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda pixels, lenses, surface, *_: len(surface))
-def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: PointGrid, several, reach, width, least,
-                      out):  # fmt: skip
+def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: PointGrid, several, reach, out):  # fmt: skip
     """Fill `out` with the nearest depth that most of the central lenses show at each scene point.
+
+    If there is none, it is the one that more of them show than any other.
 
     Parameters
     ----------
@@ -91,20 +99,19 @@ def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: Poin
     grid : PointGrid
     several : (rows, columns) bool
         Points that have several depths within `reach`; only they are filled.
-    width : float [px^2]
-        Squared distance of a lens at which its vote has fallen to 1 / e.
-    least : float
-        Share of the votes; if no depth has it, the one with the most votes counts.
     out : (rows * f, columns * f) float32 [px]
         The same on a grid that is finer by a whole factor; each value of `surface` is the middle of f x f points.
     """
     fine = out.shape[0] // surface.shape[0]
     near, distance2, depths = np.empty(_VIEWS, np.int64), np.empty(_VIEWS), np.empty(_DEPTHS)
     for v in range(begin, end):
+        number, listed = 0, 0
         for u in range(surface.shape[1]):
             if not several[v, u]:
                 continue
-            number = _list_depths(surface, v, u, reach, lenses.gap, depths)
+            if u >= listed:
+                listed = min(u + _TOGETHER, surface.shape[1])
+                number = _list_depths(surface, v, u, listed, reach, lenses.gap, depths)
             for part in range(fine * fine):
                 row, column = v * fine + part // fine, u * fine + part % fine
                 x = grid.first + ((column + 0.5) / fine - 0.5) * grid.spacing
@@ -112,10 +119,10 @@ def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: Poin
                 found = _central_lenses(lenses, x, y, near, distance2)
                 best, nearness = 0.0, -np.inf
                 for k in range(number):
-                    share, size = _vote(pixels, lenses, near, distance2, found, x, y, depths[k], width)
+                    share, size = _vote(pixels, lenses, near, distance2, found, x, y, depths[k])
                     order = depth_order(size, lenses.pitch)
-                    if share >= least:
-                        if best < least or order > nearness:
+                    if share > 0.5:
+                        if best <= 0.5 or order > nearness:
                             out[row, column], best, nearness = size, share, order
                     elif share > best:
                         out[row, column], best = size, share

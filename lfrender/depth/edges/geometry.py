@@ -84,19 +84,21 @@ def level_of(s, pitch):
     return min(max(int((s / pitch + _RANGE) * (0.5 * LEVELS / _RANGE)), 0), LEVELS - 1)
 
 
-def mark_levels(surface: NDArray[np.float32], pitch: float, reach: float) -> NDArray[np.uint64]:
-    """(rows, columns): a bit for each level of patch sizes that the surface has within `reach` [grid values]."""
+def mark_levels(surface: NDArray[np.float32], pitch: float, reach: int) -> NDArray[np.uint64]:
+    """(rows, columns): a bit for each level of patch sizes that the surface has within `reach` [grid values] each way."""
     one = np.uint64(1)
     level = np.clip(((surface / pitch + _RANGE) * (0.5 * LEVELS / _RANGE)).astype(int), 0, LEVELS - 1)
     bits = np.zeros(surface.shape, np.uint64)
     for beside in (-1, 0, 1):
         bits |= one << np.clip(level + beside, 0, LEVELS - 1).astype(np.uint64)
-    out = np.zeros_like(bits)
-    for down in range(-int(reach), int(reach) + 1):
-        line, height = np.zeros_like(bits), len(bits)
-        line[max(0, -down) : height - max(0, down)] = bits[max(0, down) : height - max(0, -down)]
-        out |= line
-        for across in range(1, int(np.sqrt(reach * reach - down * down)) + 1):
-            out[:, across:] |= line[:, :-across]
-            out[:, :-across] |= line[:, across:]
-    return out
+    for axis in (0, 1):
+        bits, wide = np.moveaxis(bits, axis, 0), 1
+        # As wide as the window, doubled, and cut back at the end; then moved to its middle.
+        bits = np.concatenate(
+            [np.zeros((reach, bits.shape[1]), np.uint64), bits, np.zeros((reach, bits.shape[1]), np.uint64)]
+        )
+        while wide < 2 * reach + 1:
+            step = min(wide, 2 * reach + 1 - wide)
+            bits, wide = bits[step:] | bits[:-step], wide + step
+        bits = np.moveaxis(bits, 0, axis)
+    return np.ascontiguousarray(bits)

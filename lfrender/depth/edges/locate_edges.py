@@ -45,29 +45,29 @@ def locate_edges(
         return depth
     image = _colours(flat, calibration)
     lenses, grid = lens_array(lattice, gap), PointGrid(float(surface.first[0]), float(surface.spacing))
-    first = _measure(image, lenses, values, grid, np.zeros((1, 1), np.float32), settings.open_share, settings)
+    first = _measure(image, lenses, values, grid, np.zeros((1, 1), np.float32), settings)
     values = _fuse(first, lenses, values, grid, settings, 1)
-    second = _measure(image, lenses, values, grid, first, settings.visible_share, settings)
+    second = _measure(image, lenses, values, grid, first, settings)
     finer = settings.finer
-    values = _fuse(second, lenses, values, grid, settings, finer)
+    values = cv2.medianBlur(_fuse(second, lenses, values, grid, settings, finer), settings.speck)
     corner = grid.first - 0.5 * (1 - 1 / finer) * grid.spacing
     return replace(depth, surface=Surface(values, (corner, corner), grid.spacing / finer))
 
 
 def _measure(
     image: NDArray[np.float32], lenses: LensArray, surface: NDArray[np.float32], grid: PointGrid,
-    before: NDArray[np.float32], share: float, settings: EdgeSettings,
+    before: NDArray[np.float32], settings: EdgeSettings,
 ) -> NDArray[np.float32]:  # fmt: skip
     """(H, W) [px] the patch size of each pixel, NaN between the microimages."""
     reach = settings.reach * lenses.pitch
     costs = PixelCosts(
-        absent=settings.absent_cost, noise2=3 * settings.noise**2, contrast=settings.contrast_share, open_share=share,
+        absent=settings.absent_cost, noise2=3 * settings.noise**2, contrast=settings.contrast_share, open_share=settings.open_share,
         occluded_share=settings.occluded_share, jump=settings.jump, edge_share=settings.edge_share,
         edge2=settings.edge_colour**2, reach=reach, least=settings.least_patch_size * lenses.pitch,
         unseen=settings.unseen_cost, around=settings.settled,
     )  # fmt: skip
     pixels = np.full(image.shape[:2], np.nan, np.float32)
-    levels = mark_levels(surface, lenses.pitch, reach / grid.spacing)
+    levels = mark_levels(surface, lenses.pitch, int(reach / grid.spacing))
     measure_pixel_depths(image, lenses, surface, grid, levels, before, costs, pixels)
     return pixels
 
@@ -82,14 +82,12 @@ def _fuse(
     several = cv2.dilate(surface, around) - cv2.erode(surface, around) > lenses.gap
     fused: NDArray[np.float32] = np.empty((finer * len(surface), finer * surface.shape[1]), np.float32)
     cv2.resize(surface, fused.shape[::-1], fused, interpolation=cv2.INTER_LINEAR)
-    fuse_pixel_depths(pixels, lenses, surface, grid, several, reach, settings.vote_width * lenses.pitch**2,
-                      settings.vote_share, fused)  # fmt: skip
+    fuse_pixel_depths(pixels, lenses, surface, grid, several, reach, fused)
     return fused
 
 
 def _colours(flat: NDArray[Any], calibration: Calibration) -> NDArray[np.float32]:
-    """(H, W, 4) the flat in three colours, divided by its gain, white = 1; the last channel is 0."""
-    image = calibration.flatten(flat).astype(np.float32) / np.float32(white_level(flat, calibration))
-    out: NDArray[np.float32] = np.zeros((*image.shape[:2], 4), np.float32)
-    out[..., :3] = image[..., :3] if image.shape[2] > 2 else image[..., :1]
-    return out
+    """(H, W, 3) the flat in three colours, divided by its gain, white = 1."""
+    image = calibration.flatten(flat)[..., :3]
+    white = np.float32(white_level(flat, calibration))
+    return np.ascontiguousarray(np.broadcast_to(image / white, (*image.shape[:2], 3)), np.float32)

@@ -45,6 +45,7 @@ class Microimage(NamedTuple):
     open: Any  # (size, size) bool: pixels that several depths are possible for
     present: Any  # (k, size, size) bool: the surface has this depth nearby
     columns: Any  # (size, 2) first column and end of the pixels that are compared, and of those beside them
+    wanted: Any  # (p,) bool: pixels that are compared with further lenses
     allowed: Any  # (p,) mismatch that noise and blur explain
     apart: Any  # (p,) squared difference to another lens
     mismatch: Any  # (p,) with it, of the patch
@@ -66,7 +67,7 @@ def make_microimage(size):
     return Microimage(
         np.zeros(flat, np.bool_), np.zeros(deep, np.float32), np.zeros(deep, np.float32), np.zeros(deep, np.float32),
         np.zeros(flat, np.bool_), np.zeros(deep, np.bool_), np.zeros((size, 2), np.int64),
-        np.ones(line, np.float32), np.zeros(line, np.float32), np.zeros(line, np.float32), np.zeros(line, np.float32),
+        np.zeros(line, np.bool_), np.ones(line, np.float32), np.zeros(line, np.float32), np.zeros(line, np.float32), np.zeros(line, np.float32),
         np.zeros(line, np.float32), np.zeros(line, np.float32), np.zeros((LEFT_OUT, line), np.float32),
         np.zeros(deep, np.float32), np.zeros((2, size, size), np.float32), np.zeros((2, DEPTHS), np.float32),
         np.zeros(DEPTHS), np.zeros((2, BINS)),

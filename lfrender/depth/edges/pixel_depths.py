@@ -122,7 +122,7 @@ def _measure_lens(lens, image, lenses, surface, grid, levels, before, c, work, o
             if depth_order(depths[k], pitch) > depth_order(depths[nearest], pitch):
                 nearest = k
         for k in range(number):
-            share = c.open_share if k == nearest or before.size > 1 else c.occluded_share
+            share = 1.0 if before.size > 1 else c.open_share if k == nearest else c.occluded_share
             compare_depth(image, lens, k, share, left, top, size, lenses, before, c, work)
         price_jumps(image, left, top, size, c, work)
         aggregate(size, number, lenses.gap, work)
@@ -144,8 +144,8 @@ def measure_pixel_depths(begin, end, image, lenses: LensArray, surface, grid: Po
 
     Parameters
     ----------
-    image : (H, W, 4) float32
-        The flat, divided by its gain; white = 1. The last channel is 0.
+    image : (H, W, 3) float32
+        The flat, divided by its gain; white = 1.
     lenses : LensArray
     surface : (rows, columns) float32 [px]
     grid : PointGrid

@@ -11,7 +11,7 @@ __all__ = ["DEFAULT", "EdgeSettings"]
 class EdgeSettings:
     """Tuned values of `locate_edges`."""
 
-    reach: float = 1.15  # [pitch] a pixel may show a depth that the surface has so near to the place it would be at
+    reach: float = 2.0  # [pitch] a pixel may show a depth that the surface has so near to the place it would be at
     absent_cost: float = 1.0  # mismatch of a depth that the surface has nowhere within `reach`
     noise: float = 0.02  # [white] difference of two pixels that is no mismatch, at least
     contrast_share: float = 2.0  # of the variance of a patch by which patches may differ: blur and resampling
@@ -20,13 +20,11 @@ class EdgeSettings:
     settled: int = 2  # [px] a pixel with one surface so far around it in the first round is not looked at again
     open_share: float = 0.8  # first round: share of the views that must show the nearest depth: nothing occludes it
     occluded_share: float = 0.6  # first round: the same for depths behind it
-    visible_share: float = 0.9  # second round: share of the views that nothing known occludes
     jump: float = 0.3  # price of a depth edge between pixels of one colour, in units of the mismatch
     edge_share: float = 0.3  # of that price between pixels of different colours
     edge_colour: float = 0.1  # [white] difference of colour at which the price has fallen by 63 %
     finer: int = 2  # the grid of the surface becomes so many times as fine: outlines to half of 1/7 pitch
-    vote_share: float = 0.5  # share of the views that must show a depth at a scene point
-    vote_width: float = 0.5  # [pitch^2] squared distance of a lens at which its vote has fallen to 1 / e
+    speck: int = 5  # [points of the finer grid] width of the median that removes single wrong points
 
 
 DEFAULT = EdgeSettings()
