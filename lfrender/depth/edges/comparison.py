@@ -75,7 +75,7 @@ def _look_at_row(image, left, top, row, size, k, other_x, other_y, to_x, to_y, l
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _add_lens(first, end, size, leave_out, work):
-    """Add the mismatch of pixels `first` to `end` with another lens to what is known of them; returns how many want no further one."""
+    """Add the mismatch of pixels `first` to `end` with another lens; returns how many of them want no further one."""
     seen, allowed, mismatch = work.seen[first:end], work.allowed[first:end], work.mismatch[first:end]
     total, count, wanted = work.sum[first:end], work.count[first:end], work.wanted[first:end]
     for p in range(end - first):

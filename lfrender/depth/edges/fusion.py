@@ -84,7 +84,8 @@ def _list_depths(surface, v, first, end, reach, gap, depths):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda pixels, lenses, surface, *_: len(surface))
-def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: PointGrid, several, reach, out):  # fmt: skip
+def fuse_pixel_depths(begin, end, pixels, lenses: LensArray, surface, grid: PointGrid, several, reach,
+                      out):  # fmt: skip
     """Fill `out` with the nearest depth that most of the central lenses show at each scene point.
 
     If there is none, it is the one that more of them show than any other.

@@ -85,7 +85,7 @@ def level_of(s, pitch):
 
 
 def mark_levels(surface: NDArray[np.float32], pitch: float, reach: int) -> NDArray[np.uint64]:
-    """(rows, columns): a bit for each level of patch sizes that the surface has within `reach` [grid values] each way."""
+    """(rows, columns): a bit for each level of patch sizes that the surface has within `reach` values each way."""
     one = np.uint64(1)
     level = np.clip(((surface / pitch + _RANGE) * (0.5 * LEVELS / _RANGE)).astype(int), 0, LEVELS - 1)
     bits = np.zeros(surface.shape, np.uint64)
@@ -94,9 +94,7 @@ def mark_levels(surface: NDArray[np.float32], pitch: float, reach: int) -> NDArr
     for axis in (0, 1):
         bits, wide = np.moveaxis(bits, axis, 0), 1
         # As wide as the window, doubled, and cut back at the end; then moved to its middle.
-        bits = np.concatenate(
-            [np.zeros((reach, bits.shape[1]), np.uint64), bits, np.zeros((reach, bits.shape[1]), np.uint64)]
-        )
+        bits = np.pad(bits, ((reach, reach), (0, 0)))
         while wide < 2 * reach + 1:
             step = min(wide, 2 * reach + 1 - wide)
             bits, wide = bits[step:] | bits[:-step], wide + step

@@ -61,8 +61,8 @@ def _measure(
     """(H, W) [px] the patch size of each pixel, NaN between the microimages."""
     reach = settings.reach * lenses.pitch
     costs = PixelCosts(
-        absent=settings.absent_cost, noise2=3 * settings.noise**2, contrast=settings.contrast_share, open_share=settings.open_share,
-        occluded_share=settings.occluded_share, jump=settings.jump, edge_share=settings.edge_share,
+        absent=settings.absent_cost, noise2=3 * settings.noise**2, contrast=settings.contrast_share,
+        open_share=settings.open_share, occluded_share=settings.occluded_share, jump=settings.jump, edge_share=settings.edge_share,
         edge2=settings.edge_colour**2, reach=reach, least=settings.least_patch_size * lenses.pitch,
         unseen=settings.unseen_cost, around=settings.settled,
     )  # fmt: skip

@@ -67,7 +67,8 @@ def make_microimage(size):
     return Microimage(
         np.zeros(flat, np.bool_), np.zeros(deep, np.float32), np.zeros(deep, np.float32), np.zeros(deep, np.float32),
         np.zeros(flat, np.bool_), np.zeros(deep, np.bool_), np.zeros((size, 2), np.int64),
-        np.zeros(line, np.bool_), np.ones(line, np.float32), np.zeros(line, np.float32), np.zeros(line, np.float32), np.zeros(line, np.float32),
+        np.zeros(line, np.bool_),
+        np.ones(line, np.float32), np.zeros(line, np.float32), np.zeros(line, np.float32), np.zeros(line, np.float32),
         np.zeros(line, np.float32), np.zeros(line, np.float32), np.zeros((LEFT_OUT, line), np.float32),
         np.zeros(deep, np.float32), np.zeros((2, size, size), np.float32), np.zeros((2, DEPTHS), np.float32),
         np.zeros(DEPTHS), np.zeros((2, BINS)),

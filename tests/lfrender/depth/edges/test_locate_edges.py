@@ -83,5 +83,5 @@ def test_levels_are_marked_within_reach():
     surface = np.full((9, 9), 5.0, np.float32)
     surface[4, 4] = -5.0
     level = np.uint64((-5.0 / 20 + 0.8) * 40)
-    marked = (mark_levels(surface, 20.0, 2.5) >> level) & np.uint64(1)
-    assert marked[4, 6] and marked[6, 4] and not marked[4, 7] and not marked[6, 6]
+    marked = (mark_levels(surface, 20.0, 2) >> level) & np.uint64(1)
+    assert marked[4, 6] and marked[6, 4] and marked[6, 6] and not marked[4, 7] and not marked[7, 4]
