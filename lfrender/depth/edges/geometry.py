@@ -93,7 +93,7 @@ def mark_levels(surface: NDArray[np.float32], pitch: float, reach: int) -> NDArr
         bits |= one << np.clip(level + beside, 0, LEVELS - 1).astype(np.uint64)
     for axis in (0, 1):
         bits, wide = np.moveaxis(bits, axis, 0), 1
-        # As wide as the window, doubled, and cut back at the end; then moved to its middle.
+        # The window doubles until it is as wide as it has to be.
         bits = np.pad(bits, ((reach, reach), (0, 0)))
         while wide < 2 * reach + 1:
             step = min(wide, 2 * reach + 1 - wide)
