@@ -49,7 +49,8 @@ def locate_edges(
     values = _fuse(first, lenses, values, grid, settings, 1)
     second = _measure(image, lenses, values, grid, first, settings)
     finer = settings.finer
-    values = cv2.medianBlur(_fuse(second, lenses, values, grid, settings, finer), settings.speck)
+    values = _fuse(second, lenses, values, grid, settings, finer)
+    cv2.medianBlur(values, settings.speck, values)
     corner = grid.first - 0.5 * (1 - 1 / finer) * grid.spacing
     return replace(depth, surface=Surface(values, (corner, corner), grid.spacing / finer))
 
