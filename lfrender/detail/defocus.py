@@ -7,7 +7,7 @@ depth, with those of scenes of all scales (power laws) that are soft themselves,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from lfcal import Calibration, LensBlur
 
-from .settings import DEFOCUS, DefocusSettings
-from .spectra import Look, PairSpectrum, analysis, highest_power, pair_spectra, shows_blocks
+from .settings import DEFOCUS, SPECTRA, DefocusSettings
+from .spectra import Look, PairSpectrum, analysis, pair_spectra, shows_blocks
 from .transfer import disc_transfer
 
 __all__ = ["Defocus", "measure_defocus"]
@@ -38,7 +38,8 @@ class Defocus:
     discs : tuple of tuples of floats [px]
         By type, for `s / D` from -0.8 to 0.8: diameter that the disc exceeds more likely than not.
     noise : float [white]
-        Standard deviation of the noise of a pixel's mean over the channels, or more.
+        Standard deviation of the noise of a pixel's mean over the channels in the light of white; its variance is in
+        proportion to light.
     """
 
     blur: LensBlur
@@ -96,7 +97,8 @@ def measure_defocus(
     if known is not None and len(known.focus) == len(cost):
         _add_known(cost, known, pitch, grid)
         if (np.abs(ratios[:, None] - known.ratios).min(1) < settings.same_depth).all():
-            noise = settings.noise_share * highest_power(look, calibration)
+            few = replace(SPECTRA, depth_ranges=1, pairs=settings.noise_pairs)
+            noise = min((one.noise for one in pair_spectra(look, calibration, patch_size, few)), default=0.0)
             return _summarise(cost, shared, grid, pitch, noise, known, settings)
     found = pair_spectra(look, calibration, patch_size)
     if not found:
@@ -104,7 +106,7 @@ def measure_defocus(
     highest = settings.compressed if shows_blocks(look, calibration.image_size) else settings.frequencies[1]
     for one in found:
         cost[one.kind] += _misfit(one, pitch, grid, highest, settings)
-    noise = settings.noise_share * min(one.alone for one in found)
+    noise = min(one.noise for one in found)
     return _summarise(cost, shared, grid, pitch, noise, ratios, settings)
 
 
@@ -210,7 +212,7 @@ def _summarise(
 ) -> Defocus:
     """The blur and the lower quantile of its discs, of the probability that costs tell.
 
-    `noise` is a power; `kept` is the blur, or the `s / D` at which its discs are told.
+    `noise` is a variance; `kept` is the blur, or the `s / D` at which its discs are told.
     """
     each = np.exp(cost.min((1, 2, 3, 4), keepdims=True) - cost)
     any_focus = each.sum(-1)

@@ -13,6 +13,7 @@ from ..runtime.cache import cached
 from .filters import make_filters
 from .restore import restore_detail
 from .settings import HALO, RESTORE
+from .spectra import is_encoded
 
 if TYPE_CHECKING:
     from ..rendering.plan import Part, RenderPlan
@@ -75,4 +76,5 @@ def _restore(
         for low, high, total in ((part[1], part[3], rows), (part[0], part[2], columns))
     ]
     inner = np.clip(np.minimum(beside[0][:, None], beside[1]) - 1, 0, 1).astype(np.float32)
-    return restore_detail(image, valid, shown, filters, white_level(pixels, plan.calibration), pitch, inner)
+    white, encoded = white_level(pixels, plan.calibration), is_encoded(pixels.dtype)
+    return restore_detail(image, valid, shown, filters, white, encoded, pitch, inner)

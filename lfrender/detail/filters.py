@@ -1,24 +1,31 @@
 """Filters that undo the blur of the microlenses, as a table over patch size and power of the detail.
 
-A Wiener filter makes the mean square error least: `T H S / (H^2 S (1 + e) + N)`, with the transfer function `H` of the
-picture, that of its pixels `T`, the power of detail `S` and noise `N` (N. Wiener 1949), and the power `e` by which
-lenses contradict each other. It is fitted as a sum of four bands, the differences of blurs of growing width.
+A Wiener filter makes the mean square error least: `T H S / (H^2 S (1 + e) + A + N)`, with the transfer function `H` of
+the picture, that of its pixels `T`, the power of detail `S`, what aliases `A`, and noise `N` (N. Wiener 1949), and the
+power `e` by which lenses contradict each other. It is fitted as a sum of four bands, the differences of blurs of
+growing width.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfcal import Calibration
 
+from ..flat.lens_type_weights import focus_weights
 from .defocus import Defocus
 from .settings import RESTORE, SMOOTHING, RestoreSettings
 from .transfer import disc_transfer, interpolation_transfer
 
 __all__ = ["DetailFilters", "make_filters"]
+
+_Table = NDArray[np.float64]
+# What folds back onto a frequency: the spectrum of the scene about these multiples of the picture's sampling.
+_FOLDS = ((0, 0), (-1, 0), (0, -1), (-1, -1))
 
 
 @dataclass(frozen=True)
@@ -28,9 +35,9 @@ class DetailFilters:
     Parameters
     ----------
     gains : (p, n, 4) float32
-        By power of the detail, and patch size: first the negative ones from zero, then the positive ones.
-    power, noise : (n, 3) float32 [white^2]
-        Predicted power of each band but the finest: of detail of unit power, and of noise.
+        By power of the detail over light, and patch size: first the negative ones from zero, then the positive ones.
+    power, noise : (n, 3) float32
+        Predicted power of each band but the finest: of detail of unit power, and of noise in the light of white.
     per_ratio : float
         Entries for each unit of `|s / D|`.
     weakest, per_octave : float
@@ -73,48 +80,30 @@ def make_filters(
     """
     across = (np.arange(settings.frequencies) + 0.5) / (2 * settings.frequencies)
     fx, fy = (axis.ravel() for axis in np.meshgrid(across, across))
-    frequency = np.hypot(fx, fy)
     bands = _bands(fx, fy)
-    scene = np.maximum(frequency, 0.01) ** -settings.slope
-    pixel = np.sinc(fx) * np.sinc(fy)
     powers = 10 ** np.arange(*settings.powers)
     ratios = np.geomspace(settings.least_ratio, settings.largest_ratio, settings.levels)
-    lattice = calibration.lattice
-    cell = abs(float(np.linalg.det(lattice.basis)))
-    gains, power, noise = [], [], []
+    gains = np.zeros((len(powers), 2 * len(ratios), len(bands)))
+    power, noise = np.ones((2, 2 * len(ratios), len(bands) - 1))
     step = ratios[1] / ratios[0]
-    for ratio in (*-ratios, *ratios):
-        ends = sorted((ratio * step, ratio / step))
-        if ends[0] > depths[1] / lattice.pitch or ends[1] < depths[0] / lattice.pitch:
-            nearest = min(abs(ratio), ratios[-1]) in (ratios[0], ratios[-1])
-            if not nearest:
-                power.append(np.ones(len(bands) - 1))
-                noise.append(np.ones(len(bands) - 1))
-                gains.append(np.zeros((len(powers), len(bands))))
-                continue
-        grown = scale / (abs(ratio) * lattice.pitch)  # side of a pixel of the flat [px of the picture]
-        apart = np.sqrt(max(1 - (blur * scale) ** 2 - grown**2, 0.0)) if grown < 0.95 else 0.0
-        read = interpolation_transfer(fx * grown) * interpolation_transfer(fy * grown)
-        read = read * np.sinc(fx * apart) * np.sinc(fy * apart)
-        discs = disc_transfer(frequency, defocus.diameters(float(ratio))[:, None] * grown).mean(0)
-        left = discs * np.sinc(fx * grown) * np.sinc(fy * grown) * read
-        # Lenses count less toward the rim: as three quarters of all.
-        limit = min(lattice.radius / abs(ratio), reach * lattice.pitch)
-        averaged = max(0.75 * np.pi * limit**2 / cell, 1.0)
-        grain = defocus.noise**2 * channels * grown**2 / averaged * read**2
-        low, high = settings.few_views
-        trusted = np.clip((averaged - low) / (high - low), 0, 1)
-        contradiction = settings.mismatch + (2 * np.pi * frequency * settings.jitter * grown) ** 2
-        seen = left * left * scene
-        power.append((seen * bands[1:] ** 2).mean(1))
-        noise.append((grain * bands[1:] ** 2).mean(1))
-        kept = (np.sinc(fx * min(grown, 1.0)) * np.sinc(fy * min(grown, 1.0))) ** settings.kept
-        # Never blurrier than it is, where a coarse picture was averaged over less than its pixels.
-        wanted = powers[:, None] * (np.maximum(pixel * kept, left) * left * scene)
-        weight = powers[:, None] * seen * (1 + contradiction) + grain
-        if grown < settings.coarse:
-            wanted = np.maximum(wanted, weight)
-        gains.append(trusted * _fit(bands, wanted, weight, settings))
+    for n, ratio in enumerate((*-ratios, *ratios)):
+        ends = np.sort((ratio * step, ratio / step)) * calibration.lattice.pitch
+        first_or_last = abs(ratio) in (ratios[0], ratios[-1])
+        if not first_or_last and (ends[0] > depths[1] or ends[1] < depths[0]):
+            continue
+        level = _Level.of(float(ratio), defocus, calibration, scale, reach, blur, settings)
+        left, scene = zip(*(level.left(fx + x, fy + y) for x, y in _FOLDS), strict=True)
+        seen = left[0] ** 2 * scene[0]
+        alias = sum((one**2 * there for one, there in zip(left[1:], scene[1:], strict=True)), np.zeros_like(seen))
+        grain = channels * level.grain(fx, fy)
+        power[n] = ((seen + alias) * bands[1:] ** 2).mean(1)
+        noise[n] = (grain * bands[1:] ** 2).mean(1)
+        pixel = np.sinc(fx) * np.sinc(fy) * level.pixel(fx, fy) ** settings.kept
+        known = seen * (1 + level.contradiction(fx, fy)) + alias
+        # Never blurrier than it is but by noise.
+        wanted = np.maximum(np.maximum(pixel, left[0]) * left[0] * scene[0], known)
+        fitted = _fit(bands, powers[:, None] * wanted, powers[:, None] * known + grain, settings)
+        gains[:, n] = level.trusted * fitted
     fine = np.arange(round(settings.largest_ratio * settings.per_ratio) + 1) / settings.per_ratio
     at = np.log(np.maximum(fine, settings.least_ratio) / settings.least_ratio) / np.log(step)
     near = np.concatenate([at, at + settings.levels])
@@ -123,16 +112,85 @@ def make_filters(
     strengths = (logs * 2**23).astype(np.int32).view(np.float32)
     rows = np.log10(np.maximum(strengths, powers[0]) / powers[0]) / settings.powers[2]
     return DetailFilters(
-        _between(_between(np.stack(gains, 1), rows, 0), near, 1).astype(np.float32),
-        _between(np.array(power), near, 0).astype(np.float32),
-        _between(np.array(noise), near, 0).astype(np.float32),
+        _between(_between(gains, rows, 0), near, 1).astype(np.float32),
+        _between(power, near, 0).astype(np.float32),
+        _between(noise, near, 0).astype(np.float32),
         settings.per_ratio,
         first * settings.per_octave,
         settings.per_octave,
     )
 
 
-def _between(table: NDArray[np.float64], at: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+@dataclass(frozen=True)
+class _Level:
+    """How a picture shows a scene at one `s / D`. Frequencies are in cycles per pixel of the picture."""
+
+    grown: float  # side of a pixel of the flat [px of the picture]
+    discs: _Table  # (types,) diameters [px of the picture]
+    shares: _Table  # (types,) weights of the types, whose sum is 1
+    apart: float  # side of the square over which a coarse picture is averaged [px of the picture]
+    trusted: float  # 0 where too few lenses are averaged, 1 where enough
+    variance: float  # of the noise of a picture's pixel with the light of white, were it one of the flat
+    settings: RestoreSettings
+
+    @classmethod
+    def of(
+        cls, ratio: float, defocus: Defocus, calibration: Calibration, scale: float, reach: float, blur: float,
+        settings: RestoreSettings,
+    ) -> _Level:  # fmt: skip
+        lattice = calibration.lattice
+        grown = scale / (abs(ratio) * lattice.pitch)
+        discs = defocus.diameters(ratio) * grown
+        weights = focus_weights(calibration.lens_types)[1]
+        shares = weights[:, round((min(max(ratio, -1.0), 1.0) + 1) / 2 * (weights.shape[1] - 1))].astype(float)
+        shares = shares if len(shares) == len(discs) else np.ones(len(discs))
+        shares = shares / shares.sum()
+        limit = min(lattice.radius / abs(ratio), reach * lattice.pitch)
+        # Lenses count less toward the rim: as three quarters of all.
+        averaged = max(0.75 * np.pi * limit**2 / abs(float(np.linalg.det(lattice.basis))), 1.0)
+        low, high = settings.few_views
+        # Pictures that are little coarser than the flat are read once per pixel.
+        apart = np.sqrt(max(1 - (blur * scale) ** 2 - grown**2, 0.0)) if blur > 0 else 0.0
+        even = max(averaged / (len(shares) * float((shares**2).sum())), 1.0)
+        trusted = float(np.clip((averaged - low) / (high - low), 0, 1))
+        return cls(grown, discs, shares, apart, trusted, defocus.noise**2 / even, settings)
+
+    def pixel(self, fx: _Table, fy: _Table) -> _Table:
+        """Transfer function of a pixel of the flat."""
+        return np.asarray(np.sinc(fx * min(self.grown, 1.0)) * np.sinc(fy * min(self.grown, 1.0)))
+
+    def _read(self, fx: _Table, fy: _Table) -> _Table:
+        read = interpolation_transfer(fx * self.grown) * interpolation_transfer(fy * self.grown)
+        return np.asarray(read * np.sinc(fx * self.apart) * np.sinc(fy * self.apart))
+
+    def left(self, fx: _Table, fy: _Table) -> tuple[_Table, _Table]:
+        """What is left of each frequency of a scene, and the power that is expected of it."""
+        frequency = np.hypot(fx, fy)
+        disc = self.shares @ _disc(frequency, self.discs)
+        shown = disc * np.sinc(fx * self.grown) * np.sinc(fy * self.grown) * self._read(fx, fy)
+        return shown, np.maximum(frequency, 0.01) ** -self.settings.slope
+
+    def grain(self, fx: _Table, fy: _Table) -> _Table:
+        """Power of the noise of one channel of a picture with the light of white, of one for each channel."""
+        return np.asarray(self.variance * self.grown**2 * self._read(fx, fy) ** 2)
+
+    def contradiction(self, fx: _Table, fy: _Table) -> _Table:
+        """Share of the power in which lenses differ."""
+        return np.asarray((self.settings.contradiction * self.grown * np.hypot(fx, fy)) ** 4)
+
+
+@lru_cache(1)
+def _tabulated_disc() -> tuple[_Table, _Table]:
+    periods = np.linspace(0, 20, 2001)
+    return periods, disc_transfer(periods, 1.0)
+
+
+def _disc(frequency: _Table, diameters: _Table) -> _Table:
+    """(diameters, f): transfer functions of discs, from a table."""
+    return np.interp(diameters[:, None] * frequency, *_tabulated_disc())
+
+
+def _between(table: _Table, at: _Table, axis: int) -> _Table:
     """Interpolate between the entries along an axis, at indices with fractions."""
     table = np.moveaxis(table, axis, 0)
     low = np.minimum(at.astype(int), len(table) - 2)
@@ -140,7 +198,7 @@ def _between(table: NDArray[np.float64], at: NDArray[np.float64], axis: int) -> 
     return np.moveaxis((1 - share) * table[low] + share * table[low + 1], 0, axis)
 
 
-def _bands(fx: NDArray[np.float64], fy: NDArray[np.float64]) -> NDArray[np.float64]:
+def _bands(fx: _Table, fy: _Table) -> _Table:
     """(bands, f): transfer functions of the differences of one smoothing and the next."""
     smooth = [np.ones_like(fx)]
     for step, side in SMOOTHING:
@@ -149,9 +207,7 @@ def _bands(fx: NDArray[np.float64], fy: NDArray[np.float64]) -> NDArray[np.float
     return -np.diff(np.stack(smooth), axis=0)
 
 
-def _fit(
-    bands: NDArray[np.float64], wanted: NDArray[np.float64], weight: NDArray[np.float64], settings: RestoreSettings
-) -> NDArray[np.float64]:
+def _fit(bands: _Table, wanted: _Table, weight: _Table, settings: RestoreSettings) -> _Table:
     """(powers, bands): gains beyond the band's own of least mean square error, of `wanted / weight` (powers, f)."""
     pairs = (bands[:, None] * bands).reshape(-1, bands.shape[1])
     normal = (weight @ pairs.T).reshape(len(weight), len(bands), len(bands))

@@ -1,4 +1,7 @@
-"""Restore the detail of a picture: each place by the filter of its patch size and its power above the noise."""
+"""Restore the detail of a picture: each place by the filter of its patch size and its power above the noise.
+
+Lenses blur light. What is encoded for display, as all pixels of 8 bits are, is squared before it is filtered.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +27,12 @@ def restore_detail(
     patch_size: NDArray[np.float32],
     filters: DetailFilters,
     white: float,
+    encoded: bool,
     pitch: float,
     inner: NDArray[np.float32],
     settings: RestoreSettings = RESTORE,
 ) -> NDArray[np.float32]:
-    """A picture as sharp as noise, seams and depth edges allow. A part with `HALO` around it gets the whole's bits.
+    """A picture as sharp as noise and depth edges allow, and less noisy. A part with `HALO` gets the whole's bits.
 
     Parameters
     ----------
@@ -40,6 +44,8 @@ def restore_detail(
     filters : DetailFilters
     white : float
         Value of white.
+    encoded : bool
+        Values are about the square root of light.
     pitch : float [px]
     inner : (h, w) float32
         1 where detail is restored, 0 where it is left as it is.
@@ -49,12 +55,13 @@ def restore_detail(
     (h, w, C) float32
     """
     height, width, channels = image.shape
+    values = image.reshape(height, -1)
     layers = allocate_scratch("bands", (len(SMOOTHING) + 1, height, width * channels), np.float32)
-    layers[0] = image.reshape(height, -1)
+    _to_light(values, np.float32(1 / white), encoded, layers[0])
     for k, (step, side) in enumerate(SMOOTHING):
         _smooth(layers[k], channels, step, np.float32(side), layers[k + 1])
     power = allocate_scratch("band power", (height, width * _MEASURED), np.float32)
-    _band_power(layers, channels, np.float32(1 / (white * white * channels)), power)
+    _band_power(layers, channels, np.float32(1 / channels), power)
     spare = allocate_scratch("smoothed power", power.shape, np.float32)
     for step, side in AVERAGING:
         _smooth(power, _MEASURED, step, np.float32(side), spare)
@@ -62,14 +69,15 @@ def restore_detail(
     allowed = off_edges(valid, patch_size, pitch, settings) * inner
     numbers = np.array(
         [
-            filters.per_ratio / pitch, filters.weakest, filters.per_octave, settings.contrast**2, settings.noise_guard,
+            filters.per_ratio / pitch, filters.weakest, filters.per_octave, settings.overshoot,
+            settings.darkest, white, encoded,
         ],
         np.float32,
     )  # fmt: skip
-    out = np.empty_like(layers[0])
-    per_power = 1 / np.maximum(np.column_stack([filters.power[:, :2] / settings.extra, filters.power.sum(1)]), 1e-20)
-    expected = np.column_stack([filters.noise[:, :2], filters.noise.sum(1), per_power]).astype(np.float32)
-    _add_bands(layers, power, patch_size, allowed, filters.gains, expected, numbers, out)
+    coarse = filters.power[:, 1:].sum(1)
+    expected = np.column_stack([filters.noise, 1 / filters.power[:, 0], 1 / coarse]).astype(np.float32)
+    out = np.empty_like(values)
+    _add_bands(values, layers, power, patch_size, allowed, filters.gains, expected, numbers, out)
     return out.reshape(image.shape)
 
 
@@ -111,6 +119,16 @@ def _smooth(begin, end, image, channels, step, side, out):
             into[k] = middle * line[k] + side * (line[left] + line[right])
 
 
+@njit(cache=True, nogil=True, share=lambda image, *_: len(image))
+def _to_light(begin, end, image, unit, encoded, out):
+    """`image` times `unit`, squared where it is `encoded`."""
+    for y in range(begin, end):
+        here, into = image[y], out[y]
+        for k in range(len(here)):
+            value = here[k] * unit
+            into[k] = value * value if encoded else value
+
+
 @njit(cache=True, nogil=True, share=lambda layers, channels, unit, out: len(out))
 def _band_power(begin, end, layers, channels, unit, out):
     """Mean square over the channels of each band but the finest, times `unit`."""
@@ -128,45 +146,66 @@ def _band_power(begin, end, layers, channels, unit, out):
                 into[x * bands + k] = total * unit
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda layers, power, *_: len(power))
-def _add_bands(begin, end, layers, power, patch_size, allowed, gains, expected, numbers, out):
-    """Add to each pixel the bands with the gains of its patch size and power."""
-    width = patch_size.shape[1]
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda image, layers, power, *_: len(power))
+def _add_bands(begin, end, image, layers, power, patch_size, allowed, gains, expected, numbers, out):
+    """Add to each pixel the bands with the gains of its patch size and power, or what noise leaves of them.
+
+    Values stay in the range of their neighbours in `image`, but for the overshoot.
+    """
+    height, width = patch_size.shape
     channels = layers.shape[2] // width
     steps, levels = gains.shape[0], gains.shape[1] // 2
-    per_level, weakest, per_power, floor, guard = numbers
+    per_level, weakest, per_power, overshoot, darkest, white = numbers[:6]
     zero, one, tiny, half = np.float32(0), np.float32(1), np.float32(1e-20), np.float32(0.5)
-    factors, strengths, kinds = np.zeros(width, np.float32), np.empty(width, np.float32), np.empty(width, np.int64)
+    per_channel, last, encoded = one / np.float32(channels), channels * (width - 1), numbers[6] > 0
+    added, strengths = np.zeros((width, 4), np.float32), np.empty(width, np.float32)
+    levels_at, shares = np.empty(width, np.int64), np.empty(width, np.float32)
+    least, most = np.empty(width * channels, np.float32), np.empty(width * channels, np.float32)
     # The bits of a number above zero grow with its logarithm.
     logarithms, per_bit = strengths.view(np.int32), per_power / np.float32(1 << 23)
     for y in range(begin, end):
-        sizes, off_edge, measured, into = patch_size[y], allowed[y], power[y], out[y]
+        sizes, share, measured, into = patch_size[y], allowed[y], power[y], out[y]
         g0, g1, g2, g3, g4 = layers[0, y], layers[1, y], layers[2, y], layers[3, y], layers[4, y]
+        above, here, below = image[max(y - 1, 0)], image[y], image[min(y + 1, height - 1)]
+        for k in range(width * channels):
+            least[k] = min(here[k], min(above[k], below[k]))
+            most[k] = max(here[k], max(above[k], below[k]))
         for x in range(width):
-            factors[x] = zero
-            v1, v2 = measured[3 * x], measured[3 * x + 1]
-            seen = v1 + v2 + measured[3 * x + 2]
-            if seen <= floor:
-                continue
+            light = zero
+            for k in range(x * channels, (x + 1) * channels):
+                light += g4[k]
+            light = max(light * per_channel, darkest)
             s = sizes[x]
             n = int(min(abs(s) * per_level, np.float32(levels - 1)) + half) + (levels if s > 0 else 0)
-            grain = expected[n, 2]
-            sure = one - (guard * grain + floor) / seen
-            # A fine band that is weaker than the coarse ones predict: there is no such detail.
-            least = min(max(v1, expected[n, 0]) * expected[n, 3], max(v2, expected[n, 1]) * expected[n, 4])
-            strength = min((seen - grain - floor) * expected[n, 5], least)
-            if sure > 0 and strength > 0:
-                factors[x] = off_edge[x] * sure
-            strengths[x], kinds[x] = max(strength, tiny), n
+            v1, v2, v3 = measured[3 * x], measured[3 * x + 1], measured[3 * x + 2]
+            s1, s2, s3 = v1 - light * expected[n, 0], v2 - light * expected[n, 1], v3 - light * expected[n, 2]
+            s1, s2, s3 = max(s1, zero), max(s2, zero), max(s3, zero)
+            fine = s1 * expected[n, 3]
+            strength = max(fine, (s2 + s3) * expected[n, 4])
+            # Less of it where fine detail is weaker than the coarse predicts; there noise alone is taken away.
+            part = share[x] * fine / max(strength, tiny)
+            rest = share[x] - part
+            added[x, 0] = rest * (s1 / max(v1, tiny) - one)
+            added[x, 1] = added[x, 0]
+            added[x, 2], added[x, 3] = rest * (s2 / max(v2, tiny) - one), rest * (s3 / max(v3, tiny) - one)
+            strengths[x], levels_at[x], shares[x] = max(strength / light, tiny), n, part
         for x in range(width):
-            factor = factors[x]
-            if factor > 0:
+            first = x * channels
+            if share[x] > 0:
                 row = np.float32(logarithms[x]) * per_bit - weakest
-                gain = gains[int(min(max(row, zero), np.float32(steps - 1)) + half), kinds[x]]
-                a, b, c, d = factor * gain[0], factor * gain[1], factor * gain[2], factor * gain[3]
-                for k in range(x * channels, (x + 1) * channels):
+                gain = gains[int(min(max(row, zero), np.float32(steps - 1)) + half), levels_at[x]]
+                part, more = shares[x], added[x]
+                a, b = part * gain[0] + more[0], part * gain[1] + more[1]
+                c, d = part * gain[2] + more[2], part * gain[3] + more[3]
+                for k in range(first, first + channels):
                     u0, u1, u2, u3, u4 = g0[k], g1[k], g2[k], g3[k], g4[k]
-                    into[k] = u0 + a * (u0 - u1) + b * (u1 - u2) + c * (u2 - u3) + d * (u3 - u4)
+                    value = max(u0 + a * (u0 - u1) + b * (u1 - u2) + c * (u2 - u3) + d * (u3 - u4), zero)
+                    value = (np.sqrt(value) if encoded else value) * white
+                    left, right = max(k - channels, k - first), min(k + channels, last + k - first)
+                    low = min(least[k], min(least[left], least[right]))
+                    high = max(most[k], max(most[left], most[right]))
+                    beyond = overshoot * (high - low)
+                    into[k] = min(max(value, low - beyond), high + beyond)
             else:
-                for k in range(x * channels, (x + 1) * channels):
-                    into[k] = g0[k]
+                for k in range(first, first + channels):
+                    into[k] = here[k]

@@ -12,7 +12,7 @@ __all__ = [
 #: Three-tap smoothings, one upon the other, that part a picture into bands: distance of the outer taps [px], weight.
 SMOOTHING = ((1, 0.15), (1, 0.255), (2, 0.18), (3, 0.25))
 #: The same over which the power of a band is averaged.
-AVERAGING = ((1, 0.25),)
+AVERAGING = ((1, 0.25), (1, 0.25))
 #: [px] around a place that its detail depends on.
 HALO = sum(step for step, _ in (*SMOOTHING, *AVERAGING))
 
@@ -34,7 +34,9 @@ class SpectraSettings:
     looked_at: tuple[int, int] = (1024, 512)  # [px] part of the flat where blocks of compression are looked for
     least_blocks: int = 20  # on a side, to tell
     blocks: float = 1.08  # [step between other pixels] larger steps between blocks show compression
-    high: tuple[float, float] = (0.42, 0.5)  # [cycles / px] frequencies that hold little but noise
+    noise_rings: tuple[float, ...] = (0.2, 0.3, 0.4, 0.5)  # [cycles / px] ends of rings, of which one tells noise
+    quiet: float = 0.25  # quantile of the pairs, by how much the two differ, that differ by noise alone
+    darkest: float = 0.01  # [white] less light has as much noise
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class DefocusSettings:
     likely_slope: float = 2.7  # of scenes: edges alone 3, fine texture 2
     slope_spread: float = 0.3  # standard deviation among scenes
     likely_softness: float = 0.4  # [px at |s / D| = 0.3] mean of an exponential distribution
-    noise_share: float = 0.95  # of the power of single microimages at their highest frequencies
+    noise_pairs: int = 30  # of a camera whose blur is known, to tell the noise
     model_error: float = 0.12  # [share of the power] scenes differ by this from a power law
     frequencies: tuple[float, float] = (1.6, 0.6)  # [1 / window, cycles / px] from and to which spectra are compared
     compressed: float = 0.3  # [cycles / px] up to which they are where blocks of compression show
@@ -66,7 +68,7 @@ class DefocusSettings:
     one_depth: float = 0.05  # [s / D] range of these below which one is
     same_depth: float = 0.06  # [s / D] from depths at which a camera's blur is told, it is not measured again
     least_error: float = 0.05  # [px] of a disc: of the steps of what is tried
-    lower: float = 0.25  # quantile of the disc that is undone: one too small gains less, one too large rings
+    lower: float = 0.2  # quantile of the disc that is undone: one too small gains less, one too large rings
 
 
 @dataclass(frozen=True)
@@ -74,23 +76,20 @@ class RestoreSettings:
     """Tuned values of `filters` and `restore`; chosen watching 24 simulated and ray-traced flats."""
 
     slope: float = 3.0  # of the power spectrum of the detail that is expected
-    kept: float = 0.6  # share of the blur by pixels of the flat that is left, as a power: what aliases stays soft
-    mismatch: float = 0.005  # share of the power in which lenses differ at any frequency
-    jitter: float = 0.1  # [px of the flat] by which lenses are out of register: finer detail is not there
+    kept: float = 0.15  # share of the blur by pixels of the flat that is left, as a power: what aliases stays soft
+    contradiction: float = 1.5  # [px of the flat] width of detail in which lenses differ by half its power
     few_views: tuple[float, float] = (2.0, 4.0)  # lenses averaged, below which nothing and above which all is restored
-    coarse: float = 1.25  # [px of the picture per px of the flat] below which pictures are never smoothed
     levels: int = 12  # patch sizes of either sign for which filters are computed
     least_ratio: float = 0.06  # |s / D| of the first
     largest_ratio: float = 0.8  # and of the last
-    powers: tuple[float, float, float] = (-8.0, -2.0, 0.3)  # first, last and step of log10 of the detail's power
-    frequencies: int = 14  # along each side of the quarter of the spectrum on which filters are fitted
+    powers: tuple[float, float, float] = (-8.0, -1.9, 0.3)  # first, last and step of log10 of the detail's power
+    frequencies: int = 12  # along each side of the quarter of the spectrum on which filters are fitted
     per_ratio: float = 240.0  # entries of the table that pixels are looked up in, for each unit of |s / D|
     per_octave: float = 4.0  # and for each octave of power
-    ridge: float = 1e-4  # [trace] keeps the fit of the filters well-conditioned
+    ridge: float = 1.5e-3  # [trace] keeps the fit of the filters well-conditioned
     largest_gain: float = 5.0  # factor of a band beyond its own
-    contrast: float = 0.012  # [white] of detail below which nothing is sharpened: seams, rounding, compression
-    noise_guard: float = 3.0  # [power of the noise] likewise
-    extra: float = 0.45  # [power predicted] by which a fine band may exceed the coarser ones
+    darkest: float = 0.001  # [white] less light has as much noise
+    overshoot: float = 0.25  # [range of the values about] by which a pixel may leave it: no halos
     edge: float = 0.04  # [pitch] depths that differ by this are an edge
     beside_edge: int = 2  # [px] no detail is restored so near an edge
     border: float = 0.5  # [pitch] from the border of the picture, where few lenses are averaged; fades in over as much
@@ -100,10 +99,12 @@ class RestoreSettings:
 class SolveSettings:
     """Tuned values of `solve`; chosen watching s2_sq, s4b_tspc and two simulated slopes."""
 
-    rounds: int = 3  # more raise noise and the misfit of the model
+    overshoot: float = 0.4  # [range of the values about] by which a pixel may leave it
+    contrast: float = 0.012  # [white] of detail below which the solution is not taken
+    rounds: int = 2  # more raise noise and the misfit of the model
     fine: tuple[float, float] = (0.7, 0.9)  # [px of the picture per px of the flat] below which none, all is taken
     beside_edge: int = 6  # [px] the solution is not taken so near a depth edge
-    pixel: float = 0.1  # weight of the neighbours along each axis: a pixel of the picture, and some of the flat's
+    pixel: float = 0.09  # weight of the neighbours along each axis: a pixel of the picture, and some of the flat's
     levels: int = 6  # depths at which a picture is blurred; between them it is interpolated
     depths: tuple[float, float] = (0.01, 0.99)  # quantiles of the depths that these span
     one_depth: float = 0.02  # [s / D] range below which two are enough

@@ -21,6 +21,7 @@ from ..flat.gray_flat import white_level
 from .defocus import Defocus
 from .restore import off_edges
 from .settings import RESTORE, SOLVE, SolveSettings
+from .spectra import is_encoded
 
 if TYPE_CHECKING:
     from ..rendering.plan import RenderPlan
@@ -42,8 +43,8 @@ def solve_detail(
     found, valid = replace(plan, solved=False).draw(pixels)
     step = edge_step(plan.calibration.lattice.pitch)
     sizes = sample_surface_at(plan.surface, step, valid.shape, plan.affine[:, 2], plan.spacing)
-    low, high = settings.fine
-    fine = np.clip((plan.scale / np.maximum(np.abs(sizes), 1) - low) / (high - low), 0, 1)
+    least, full = settings.fine
+    fine = np.clip((plan.scale / np.maximum(np.abs(sizes), 1) - least) / (full - least), 0, 1)
     if not fine.any():
         return found, valid
     natural = found.copy()
@@ -51,11 +52,14 @@ def solve_detail(
     # What is predicted has even light.
     even = replace(plain, calibration=replace(plan.calibration, vignetting=None, gain_map=None))
     places, kinds = _seen_places(plan, sizes)
+    encoded = is_encoded(pixels.dtype)
     for _ in range(settings.rounds):
         seen = np.zeros(pixels.shape, np.float32)
+        light = np.maximum(found, 0) ** 2 if encoded else found
         for kind in range(len(plan.defocus.discs)):
-            blurred = _blur(found, sizes, plan, plan.defocus, kind, settings)
-            shown = cv2.remap(blurred, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            blurred = _blur(light, sizes, plan, plan.defocus, kind, settings)
+            shown = cv2.remap(blurred, *places, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
+            shown = np.sqrt(np.maximum(shown, 0)) if encoded else shown
             np.copyto(seen, shown.reshape(seen.shape), where=(kinds == kind)[..., None])
         if pixels.dtype.kind in "ui":
             seen = np.clip(np.rint(seen), 0, np.iinfo(pixels.dtype).max)
@@ -63,6 +67,10 @@ def solve_detail(
     # A pixel of the picture is a mean over its square.
     side = np.array([settings.pixel, 1 - 2 * settings.pixel, settings.pixel], np.float32)
     found = cv2.sepFilter2D(found, -1, side, side, borderType=cv2.BORDER_REFLECT_101).reshape(image.shape)
+    around = np.ones((3, 3), np.uint8)
+    low, high = (cut(image, around).reshape(image.shape) for cut in (cv2.erode, cv2.dilate))
+    beyond = settings.overshoot * (high - low)
+    found = np.clip(found, low - beyond, high + beyond)
     share = fine * _trusted(image / white_level(pixels, plan.calibration), valid, sizes, plan, settings)
     return (natural + share[..., None] * (found - natural)).astype(np.float32), valid
 
@@ -172,4 +180,4 @@ def _trusted(
     share *= np.clip((views - low) / (high - low), 0, 1)
     fine = (image - cv2.GaussianBlur(image, (0, 0), 1.5).reshape(image.shape)) ** 2
     power = cv2.blur(fine.mean(2), (5, 5))
-    return np.asarray(share * np.clip(1 - RESTORE.contrast**2 / np.maximum(power, 1e-12), 0, 1), np.float32)
+    return np.asarray(share * np.clip(1 - settings.contrast**2 / np.maximum(power, 1e-12), 0, 1), np.float32)

@@ -12,17 +12,22 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from lfcal import Calibration
 
 from ..flat.gray_flat import trusted_radius, white_level
 from .settings import SPECTRA, SpectraSettings
 
-__all__ = ["Look", "PairSpectrum", "analysis", "highest_power", "pair_spectra", "shows_blocks"]
+__all__ = ["Look", "PairSpectrum", "analysis", "is_encoded", "pair_spectra", "shows_blocks"]
 
 #: Pixels (h, w, C) of the part `left, top, right, bottom` of a flat.
 Look = Callable[[tuple[int, int, int, int]], NDArray]
+
+
+def is_encoded(dtype: DTypeLike) -> bool:
+    """Whether values are about the square root of light, as in all formats of 8 bits; others are linear."""
+    return np.dtype(dtype) == np.uint8
 
 
 class PairSpectrum(NamedTuple):
@@ -33,7 +38,7 @@ class PairSpectrum(NamedTuple):
     side: int  # [px] of the windows; ring k holds frequencies about k / side
     power: NDArray[np.float64]  # (side + 1,) [white^2]
     error: NDArray[np.float64]  # its standard error
-    alone: float  # power of single microimages at their highest frequencies: noise, or more
+    noise: float  # variance of a pixel's mean over the channels, for each unit of light: where the pairs differ least
 
 
 class _Pairs(NamedTuple):
@@ -132,27 +137,32 @@ def _spectrum(
     if inside.sum() < settings.least_pairs:
         return None
     window, rings, _ = analysis(side)
-    spectra, alone = [], np.inf
+    spectra, light = [], np.zeros(int(inside.sum()))
     for place in places:
-        boxes, seen = _read(look, place[inside], side)
-        alone = min(alone, _highest(boxes[:, 1 : 1 + side, 1 : 1 + side], settings))
-        seen -= ((seen * window).sum((1, 2)) / window.sum())[:, None, None]
-        spectra.append(np.fft.rfft2(seen * window))
-    product = (spectra[0] * spectra[1].conj()).real.reshape(len(boxes), -1) @ rings / ((window**2).sum() * white**2)
+        seen = _read(look, place[inside], side) / np.float32(white)
+        mean = (seen * window).sum((1, 2)) / window.sum()
+        light += mean / 2
+        spectra.append(np.fft.rfft2((seen - mean[:, None, None]) * window).reshape(len(seen), -1))
+    product = (spectra[0] * spectra[1].conj()).real @ rings / (window**2).sum()
     error = product.std(0) / np.sqrt(len(product))
+    # Pixels of one half of the flat's count as four here.
+    apart = np.abs(spectra[0] - spectra[1]) ** 2 @ quiet_rings(side) / (8 * (window**2).sum())
+    noise = np.quantile(apart / np.maximum(light, settings.darkest)[:, None], settings.quiet, axis=0).min()
     ratio = float(np.median(sizes[inside])) / lattice.pitch
-    return PairSpectrum(kind, ratio, side, product.mean(0), error, alone / white**2)
+    return PairSpectrum(kind, ratio, side, product.mean(0), error, float(noise))
 
 
-def _read(look: Look, places: NDArray[np.float64], side: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Boxes of pixels about places, and these interpolated at half pixels, (m, 2 side, 2 side)."""
+def _read(look: Look, places: NDArray[np.float64], side: int) -> NDArray[np.float32]:
+    """(m, 2 side, 2 side) light about places, interpolated at half pixels."""
     start = places - (side - 0.5) / 2
     low = np.floor(start).astype(int)
     boxes = np.stack([look((x, y, x + side + 2, y + side + 2)) for x, y in low.tolist()])
+    if is_encoded(boxes.dtype):
+        boxes = boxes.astype(np.float32) ** 2 / np.float32(np.iinfo(np.uint8).max)
     grey = boxes @ np.full(boxes.shape[3], 1 / boxes.shape[3], np.float32)
     share = (start - low).astype(np.float32)
     rows = _halve(grey, share[:, 1], side)
-    return grey, _halve(rows.swapaxes(1, 2), share[:, 0], side).swapaxes(1, 2)
+    return _halve(rows.swapaxes(1, 2), share[:, 0], side).swapaxes(1, 2)
 
 
 def _halve(boxes: NDArray[np.float32], share: NDArray[np.float32], side: int) -> NDArray[np.float32]:
@@ -163,30 +173,6 @@ def _halve(boxes: NDArray[np.float32], share: NDArray[np.float32], side: int) ->
         out[:, n::2] = weights[0] * boxes[:, :side] + weights[1] * boxes[:, 1 : side + 1]
         out[:, n::2] += weights[2] * boxes[:, 2 : side + 2]
     return out
-
-
-def highest_power(look: Look, calibration: Calibration, settings: SpectraSettings = SPECTRA) -> float:
-    """Power [white^2] of microimages at their highest frequencies: noise, or more."""
-    lattice, side = calibration.lattice, int(trusted_radius(calibration) * 2**0.5) // 2 * 2
-    low = np.rint(lattice.centres() - side / 2).astype(int)
-    inside = np.flatnonzero((low >= 0).all(1) & (low + side <= np.array(lattice.image_size)).all(1))
-    some = low[inside[:: max(1, len(inside) // settings.pairs)]].tolist()
-    if side < settings.least_window or not some:
-        return 0.0
-    boxes = np.stack([look((x, y, x + side, y + side)) for x, y in some])
-    grey = boxes @ np.full(boxes.shape[3], 1 / boxes.shape[3], np.float32)
-    return _highest(grey, settings) / white_level(boxes[0], calibration) ** 2
-
-
-def _highest(boxes: NDArray[np.float32], settings: SpectraSettings) -> float:
-    """Mean power of windows at the highest frequencies of the pixels."""
-    side = boxes.shape[1]
-    window = np.hanning(side + 2)[1:-1].astype(np.float32)
-    window = window[:, None] * window
-    frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
-    high = (frequency > settings.high[0]) & (frequency <= settings.high[1])
-    middle = boxes - boxes.mean((1, 2), keepdims=True)
-    return float((np.abs(np.fft.rfft2(middle * window)) ** 2)[:, high].mean() / (window**2).sum())
 
 
 def shows_blocks(look: Look, image_size: tuple[int, int], settings: SpectraSettings = SPECTRA) -> bool:
@@ -222,3 +208,17 @@ def analysis(side: int) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArr
     weights[np.flatnonzero(inside), half.ravel()[inside]] = twice.ravel()[inside]
     weights /= weights.sum(0)
     return (window[:, None] * window).astype(np.float32), weights.astype(np.float32), ring
+
+
+@lru_cache(8)
+def quiet_rings(side: int, settings: SpectraSettings = SPECTRA) -> NDArray[np.float32]:
+    """(pixels of a half spectrum, n) weights of means over rings that noise is seen in, as it was in the pixels."""
+    wide = 2 * side
+    fy, fx = 2 * np.fft.fftfreq(wide)[:, None], 2 * np.fft.rfftfreq(wide)
+    frequency = np.hypot(fy, fx)
+    # What bilinear interpolation leaves of the power of noise, in the mean over places.
+    left = (2 + np.cos(2 * np.pi * fx)) * (2 + np.cos(2 * np.pi * fy)) / 9
+    ends = np.array(settings.noise_rings)
+    inside = (frequency[..., None] > ends[:-1]) & (frequency[..., None] <= ends[1:])
+    weights = inside / left[..., None] / np.maximum(inside.sum((0, 1)), 1)
+    return weights.reshape(-1, len(ends) - 1).astype(np.float32)
