@@ -126,15 +126,12 @@ def _load_lens(a, b, tables, level, shape, keys, powers, lenses, lens):
     return lenses[slot, -1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda out, *_: len(out))
-def fill_gain(begin, end, out, top, left, tables, level, shape, profiles):
-    """Write the gain of the rows from `top` and the columns from `left` on into `out`; NaN where a lens has too little
-    light; `profiles` (t, k) are those of the types of lenses."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_rows(begin, end, out, top, left, tables, level, shape, profiles, keys, powers, lens, lenses):
+    """As `fill_gain`, with its work space."""
     right = left + out.shape[1]
     centres, starts, ahead, types = tables.centres, tables.starts, tables.ahead, tables.types
-    step, cut, size = shape.step, shape.cut, RIM_START + shape.rim.shape[0]
-    keys, powers, lens = np.full(KERNEL.slots, -1), np.empty(64), np.empty(size)
-    lenses = np.empty((KERNEL.slots, size + 1))
+    step, cut = shape.step, shape.cut
     for row in range(begin, end):
         y = top + row
         a, b = _find_first_lens(y, starts[y, 0], starts[y, 1], centres)
@@ -149,3 +146,13 @@ def fill_gain(begin, end, out, top, left, tables, level, shape, profiles):
                     value = relative_light(at - cx, y - cy, lens, profile, step, cut)[0] if bright > 0 else 0.0
                     out[row, at - left] = value * bright if value >= KERNEL.least_light else np.nan
             x, a, b = max(x, stop), p, q
+
+
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda out, *_: len(out))
+def fill_gain(begin, end, out, top, left, tables, level, shape, profiles):
+    """Write the gain of the rows from `top` and the columns from `left` on into `out`; NaN where a lens has too little
+    light; `profiles` (t, k) are those of the types of lenses."""
+    size = RIM_START + shape.rim.shape[0]
+    keys, powers, lens = np.full(KERNEL.slots, -1), np.empty(64), np.empty(size)
+    lenses = np.empty((KERNEL.slots, size + 1))
+    _fill_rows(begin, end, out, top, left, tables, level, shape, profiles, keys, powers, lens, lenses)

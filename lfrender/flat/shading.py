@@ -106,7 +106,9 @@ def _subtract_row(row, shade, share, out):
         out[k] = row[k] - share * shade[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: len(given[0] if given[4] else given[1]))
+@njit(
+    cache=True, nogil=True, error_model="numpy", _nrt=True, share=lambda *given: len(given[0] if given[4] else given[1])
+)
 def _copy_image(begin, end, image, centres, wanted, radius, everywhere, out):
     """Copy the image, or the boxes about the `wanted` lenses."""
     height, across = image.shape

@@ -341,7 +341,7 @@ def _look_up_about(cell, steps):
     return about
 
 
-@njit(cache=True, nogil=True, share=lambda *given: len(given[8].image))
+@njit(cache=True, nogil=True, _nrt=True, share=lambda *given: len(given[8].image))
 def blend_pixels(begin, end, channels, flat, light, lenses, surface, depth, grid, weighting, output):
     """Draw the pixels of a `Grid` into an `Output`, with the patch sizes `surface` (h, w) on a `DepthGrid`.
 
