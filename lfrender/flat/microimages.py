@@ -40,7 +40,7 @@ class Strips:
     Parameters
     ----------
     values : (n * size + spare,) float32
-        Brightness minus the mean of the lens, one strip after the other; 0 outside the flat, and after the last.
+        Brightness minus the mean of the lens, one strip after the other; any outside the flat, 0 after the last.
     centre_pixels : (n, 2) int32 [px]
         Pixel `x, y` in the middle of each microimage.
     complete : (n,) bool
@@ -120,7 +120,7 @@ def copy_box(pixels, stride, left, top, rows, wide, out, begin=0, step=1):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda image, middle, *_: len(middle))
-def _extract(begin, end, image, middle, complete, means, half, width, rows, step, wanted, done, values):
+def _extract(begin, end, image, middle, means, half, width, rows, step, wanted, done, values):
     pixels, across = image.reshape(-1), image.shape[1]
     size = rows * step * width
     for lens in range(begin, end):
@@ -128,9 +128,6 @@ def _extract(begin, end, image, middle, complete, means, half, width, rows, step
             continue
         done[lens] = True
         strip = values[lens * size : (lens + 1) * size]
-        if not complete[lens]:
-            strip[:] = 0.0
-            continue
         left, top = middle[lens, 0] - half, middle[lens, 1] - half
         for part in range(step):
             copy_box(pixels, across, left, top + part, rows, width, strip, part * rows * width, step)
@@ -162,7 +159,7 @@ def extract_strips(
         kept[step] = means, _allocate_strips(gray, step)
     strips = kept[step][1]
     _extract(
-        gray.image, strips.centre_pixels, strips.complete, means, strips.half_width, strips.width, strips.rows,
+        gray.image, strips.centre_pixels, means, strips.half_width, strips.width, strips.rows,
         strips.step, np.empty(0, bool) if wanted is None else wanted, strips.extracted, strips.values,
     )  # fmt: skip
     if wanted is not None:

@@ -12,21 +12,11 @@ from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
-from ...flat.microimages import Strips, overlap_range
+from ...flat.microimages import Strips
 from ...flat.settings import TEXTURE
 from ...flat.texture import LensStatistics
-from .cost_volume import (
-    CostTerms,
-    half_weight_area,
-    lens_images,
-    match_cost,
-    moments_cost,
-    overlap_masks,
-    shading_decay,
-    shading_doubt,
-    strip_table,
-)
-from .pair_moments import Overlap, in_both, pair_moments
+from .cost_volume import overlap_masks, pair_terms, shading_decay
+from .pair_moments import PairTerms, StripTable, match_cost, shared_pixels, strip_table
 from .settings import COST
 from .sgm import average_pair_costs
 
@@ -59,29 +49,19 @@ def _sums(strips, own, other, upper, lower, masks, mask, count, weights, slopes)
     return sa, sb, squares, srr, sp, spp, spr
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _mask(columns, lines, start, count, both, out):
-    """Mask the pixels of a strip from `start` on that lie in both microimages; how many do."""
-    first, number = np.uint64(start), np.float32(0.0)
-    for k in range(np.uint64(count)):
-        out[k] = np.float32(1.0) if in_both(columns[first + k], lines[first + k], both) else np.float32(0.0)
-        number += out[k]
-    return number
-
-
 # No fast math here, as in `cost_volume._pair_costs`.
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda lenses, rows, *_: len(rows))
-def _local_costs(begin, end, lenses, rows, active, expected, terms, table, out):
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda terms, rows, *_: len(rows))
+def _local_costs(begin, end, terms: PairTerms, rows, active, expected, table: StripTable, out):
     """Fill `out` (n, d, 3) with the cost of each pair, and its first and second derivative."""
-    image, centres, radius, pitch, means, contrast = lenses
-    noise, shading, half_weight, row_step = terms
-    strips, middle, whole, half, width, size, columns, lines, bunch, slots, masks, ends, counts = table
-    reach, length = len(slots) // 2, masks.shape[1]
+    centres, radius, pitch, means, doubts, noise2, shading, half_weight = terms
+    values, middle, whole, columns, lines, slots, masks, ends, counts, layout, height, across = table
+    _, width, tall, step, _ = layout
+    size, length = tall * step * width, masks.shape[1]
+    own_mask = np.empty(length, np.float32)
     one, half_way = np.float32(1.0), np.float32(0.5)
-    pixels, line = strips.reshape(-1), masks.reshape(-1)
     for lens in range(begin, end):
-        shared = np.empty(length, np.float32)
         ax, ay = centres[lens, 0], centres[lens, 1]
+        mx, my = middle[lens, 0], middle[lens, 1]
         for d in range(rows.shape[1]):
             found = out[lens, d]
             found[0], found[1], found[2] = one, np.float32(0.0), np.float32(0.0)
@@ -89,56 +69,32 @@ def _local_costs(begin, end, lenses, rows, active, expected, terms, table, out):
             if other < 0 or not (active[lens] or active[other]):
                 continue
             bx, by = centres[other, 0], centres[other, 1]
+            nx, ny = middle[other, 0], middle[other, 1]
             mean = half_way * (means[lens] + means[other])
-            floor = np.float32(2.0) * (noise * noise + shading * shading * mean * mean)
+            floor = np.float32(2.0) * (noise2 + shading * shading * mean * mean)
+            doubt, difference = max(doubts[lens], doubts[other]), means[lens] - means[other]
             shift = half_way * (expected[lens] + expected[other])
-            doubt = shading_doubt(min(contrast[lens], contrast[other])) * shading_decay(shift, pitch)
             ux, uy = (bx - ax) / pitch, (by - ay) / pitch
             tx, ty = bx - ax + shift * ux, by - ay + shift * uy
             floor_x, floor_y = np.floor(tx), np.floor(ty)
-            fx, fy = tx - floor_x, ty - floor_y
-            dx = int(floor_x) - middle[other, 0] + middle[lens, 0]
-            dy = int(floor_y) - middle[other, 1] + middle[lens, 1]
-            slot = -1
-            if whole[lens] and whole[other] and abs(dx) <= reach and abs(dy) <= reach:
-                slot = slots[dy + reach, dx + reach]
-            if slot < 0:
-                count, sa, sb, saa, sbb, sab = pair_moments(image, ax, ay, bx, by, radius, tx, ty, mean, row_step)
-                if count >= 4:
-                    found[0] = moments_cost(
-                        count, sa, sb, saa, sbb, sab, np.float32(0.0), row_step, floor, half_weight, doubt
-                    )
+            fx, fy, dx, dy = tx - floor_x, ty - floor_y, int(floor_x) - nx + mx, int(floor_y) - ny + my
+            count, slot, first, number, upper, lower = shared_pixels(
+                dx, dy, whole[lens] and whole[other], (mx, my), (nx, ny),
+                (ax - mx, ay - my, bx - tx - mx, by - ty - my), radius * radius, slots, ends, counts, columns, lines,
+                layout, (height, across), own_mask,
+            )  # fmt: skip
+            if count < 4:
                 continue
-            if counts[slot] * row_step > COST.min_overlap * radius * radius:
-                count, start, number = np.float32(counts[slot]), ends[slot, 0], ends[slot, 1]
-                mask_of, mask_at = line, slot * length + start
-            else:
-                start, number = overlap_range(dx, dy, half, width, row_step, bunch)
-                if number <= 0:
-                    continue
-                mx, my = np.float32(middle[lens, 0]), np.float32(middle[lens, 1])
-                both = Overlap(
-                    ax - mx, ay - my, bx - tx - mx, by - ty - my, np.float32(-half - dx), np.float32(-half - dy),
-                    radius * radius,
-                )  # fmt: skip
-                count = _mask(columns, lines, start, number, both, shared)
-                if count < 4:
-                    continue
-                mask_of, mask_at = shared, 0
             gx, gy = one - fx, one - fy
             weights = gx * gy, fx * gy, gx * fy, fx * fy
             slopes = -ux * gy - uy * gx, ux * gy - uy * fx, uy * gx - ux * fy, ux * fy + uy * fx
+            own, there = lens * size + first, other * size + first
+            line, mask = (masks.reshape(-1), slot * length + first) if slot >= 0 else (own_mask, np.int64(0))
             sa, sb, squares, srr, sp, spp, spr = _sums(
-                pixels, lens * size + start, other * size + start, ends[slot, 2], ends[slot, 3], mask_of, mask_at,
-                number, weights, slopes,
-            )  # fmt: skip
-            inverse = one / count
-            ma, mb = sa * inverse, sb * inverse
-            variance = squares * inverse - ma * ma - mb * mb
-            residual = srr * inverse - (ma - mb) * (ma - mb)
-            offset = ma - mb + means[lens] - means[other]
-            found[0] = match_cost(count * row_step, variance, residual, offset, floor, half_weight, doubt)
-            found[1], found[2] = spr - sp * (sa - sb) * inverse, spp - sp * sp * inverse
+                values, own, there, upper, lower, line, mask, number, weights, slopes
+            )
+            found[0] = match_cost(count, sa, sb, squares, srr, difference, count * step, floor, half_weight, doubt)
+            found[1], found[2] = spr - sp * (sa - sb) / count, spp - sp * sp / count
 
 
 def match_locally(
@@ -163,11 +119,9 @@ def match_locally(
     expected = expected.astype(np.float32)
     masks = overlap_masks(strips, gray, forward, np.zeros(1, np.float32), expected)
     pairs = np.empty((*forward.shape, 3), np.float32)
-    terms = CostTerms(
-        np.float32(noise), np.float32(TEXTURE.fixed_pattern), np.float32(half_weight_area(gray)), strips.step
-    )
-    lenses = lens_images(gray, statistics.mean, statistics.contrast)
-    _local_costs(lenses, forward, active, expected, terms, strip_table(strips, masks), pairs)
+    terms = pair_terms(gray, statistics.mean, statistics.contrast, noise, TEXTURE.fixed_pattern)
+    doubts = terms.doubts * shading_decay(expected / terms.pitch)
+    _local_costs(terms._replace(doubts=doubts), forward, active, expected, strip_table(strips, masks, gray), pairs)
     cost, gradient, curvature = average_pair_costs(pairs, forward, backward).T
     curvature = np.maximum(curvature, np.float32(1e-12))
     # Both microimages of a pair have noise.

@@ -22,7 +22,7 @@ from .ambiguity import measure_ambiguity, overlap_weights
 from .cost_volume import compute_pair_costs, half_weight_area, overlap_masks
 from .local_match import match_locally
 from .peaks import confidence, find_second_minimum, fit_parabola
-from .settings import SEARCH, SearchSettings
+from .settings import AMBIGUITY, SEARCH, SearchSettings
 from .sgm import aggregate_costs, average_pair_costs
 
 __all__ = ["MatchResult", "Matcher", "match_lenses"]
@@ -91,9 +91,8 @@ class Matcher:
         if self.factor > 1:
             self.statistics = measure_statistics(self.gray, wanted=wanted)
         radius = self.gray.radius
-        self._row_step = 1 if radius < settings.all_rows_radius else preset.row_step
+        self._row_step = 1 if radius < settings.small_radius else preset.row_step
         self.step = preset.step if self.factor > 1 else max(preset.step, preset.full_step)
-        self.step = min(self.step, settings.half_step) if radius < settings.half_step_radius else self.step
         side = int(np.ceil(settings.max_ratio * self.gray.pitch / self.step))
         self.shifts = (np.arange(-side, side + 1) * self.step).astype(np.float32)
         self.forward, self.backward = forward, backward
@@ -117,10 +116,8 @@ class Matcher:
 
     def _strips(self, active: NDArray[np.bool_]) -> Strips:
         """The microimages of the `active` lenses and of their neighbours."""
-        few = active.sum() < self.settings.few_lenses * len(active)
-        return extract_strips(
-            self.gray, self.statistics.mean, self._row_step, dilate_mask(active, self.neighbours) if few else None
-        )
+        wanted = dilate_mask(active, self.neighbours)
+        return extract_strips(self.gray, self.statistics.mean, self._row_step, wanted)
 
     @cached_property
     def _masks(self) -> OverlapMasks:
@@ -159,19 +156,16 @@ class Matcher:
         return self.shifts_near(np.clip(best, 0, len(self.shifts) - 1))
 
     def shifts_near(self, best: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """(k,) bool: shifts near some (m,) that are supported by enough others."""
-        count = np.bincount(best, minlength=len(self.shifts))
-        near, settings = self.tolerance, self.settings
-        margin = max(near, int(np.ceil(settings.range_margin * self.gray.pitch / self.step)))
-        votes = np.convolve(count, np.ones(2 * near + 1, int), "same")
-        at = (count > 0) & (votes >= settings.range_support)
-        return np.convolve(at, np.ones(2 * margin + 1, int), "same") > 0
+        """(k,) bool: shifts near some (m,)."""
+        margin = max(self.tolerance, int(np.ceil(self.settings.range_margin * self.gray.pitch / self.step)))
+        found = np.bincount(best, minlength=len(self.shifts)) > 0
+        return np.convolve(found, np.ones(2 * margin + 1, int), "same") > 0
 
     def is_periodic(self, cost: NDArray[np.float32]) -> bool:
         """Whether many lenses, of these costs (m, k), match as well at another shift."""
         best, alone = cost.argmin(1), np.empty((len(cost), 0), np.int32)
         unique, *_ = measure_ambiguity(cost, self.overlap_weight, alone, best, np.ones(len(cost), bool), self.tolerance)
-        return bool(len(cost) and (unique < self.settings.ambiguous).mean() > self.settings.periodic_share)
+        return bool(len(cost) and (unique < 0.5).mean() > self.settings.periodic_share)
 
 
 def _local_directions(rows: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -208,9 +202,9 @@ def match_lenses(
     best = total.argmin(1)
     own = cost[np.arange(len(best)), best]
     other, other_cost = find_second_minimum(cost, best, max(2, round(2 / step)))
-    has_second = (own > settings.second_if_above) & (other_cost < own + settings.second_cost)
+    has_second = other_cost < own + settings.second_cost
     second = (matcher.shifts[other] + fit_parabola(cost, other) * step) * factor
-    weight = np.maximum(matcher.overlap_weight, settings.least_weight)
+    weight = np.maximum(matcher.overlap_weight, AMBIGUITY.least_weight)
     unique, primary, secondary = measure_ambiguity(
         cost, matcher.overlap_weight, matcher.neighbours, best, active, matcher.tolerance
     )
@@ -251,7 +245,7 @@ def _match_pairs(
         cost = matcher.lens_costs(pair, sample)
         if matcher.is_periodic(cost):
             return matcher.pair_costs(active, done=sample, out=pair), 0.0
-        tried = matcher.shifts_near(cost.argmin(1)[cost.min(1) < settings.range_cost])
+        tried = matcher.shifts_near(cost.argmin(1)[cost.min(1) < settings.misfit_cost])
     if tried.all():
         return matcher.pair_costs(active, done=sample, out=pair), 0.0
     matcher.pair_costs(active, which=np.flatnonzero(tried), done=sample, out=pair)

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..same_surface import TOLERANCE
+
 __all__ = ["AMBIGUITY", "COST", "SEARCH", "AmbiguitySettings", "CostSettings", "SearchSettings"]
 
 _f = np.float32
@@ -37,20 +39,12 @@ class SearchSettings:
     # Prices of semi-global matching, set on ray-traced and real flats: at twice the price depth edges suffer.
     slope_price: float = 0.07  # [cost per px of shift] between neighbours
     jump_price: float = 0.8  # [cost] between neighbours, at most
-    all_rows_radius: float = 7.0  # [px] smaller microimages are matched in every row
-    half_step_radius: float = 4.0  # [px] smaller microimages are matched at every `half_step`
-    half_step: float = 0.5  # [px] because overlaps of few pixels bias the minimum
+    small_radius: float = 7.0  # [px] smaller microimages are matched in every row
     second_cost: float = 0.3  # by which the cost of a second minimum may exceed that of the first
-    second_if_above: float = 0.2  # cost of the first minimum above which a second one is looked for
-    misfit_cost: float = 0.35  # above this cost a lens may match better at a shift that was not tried
-    few_lenses: float = 0.2  # share of the lenses below which only their own microimages are cut out
+    misfit_cost: float = 0.4  # above this cost a lens may match better at a shift that was not tried
     swapped_confidence: float = 0.6  # share of swapped lenses that are right; measured on simulated scenes
-    least_weight: float = 0.02  # overlap weight below which correlations are not normalised any further
-    ambiguous: float = 0.5  # uniqueness below which a lens is ambiguous
-    periodic_share: float = 0.2  # share of ambiguous lenses above which the texture counts as periodic
-    range_cost: float = 0.5  # cost below which a sampled lens adds its depth to the ranges that are searched
-    range_margin: float = 0.12  # [pitch] that ranges reach beyond sampled depths: depths between two samples
-    range_support: int = 2  # sampled lenses per range: a single one is more likely a false match
+    periodic_share: float = 0.2  # share of lenses that match as well at another shift, above which texture is periodic
+    range_margin: float = 2 * TOLERANCE  # [pitch] that ranges reach beyond sampled depths: depths between two samples
 
 
 class AmbiguitySettings(NamedTuple):

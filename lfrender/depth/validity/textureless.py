@@ -40,7 +40,10 @@ def find_textureless(
     if asked is not None and not (blank & asked).any():
         return blank
     texture = classify_texture(gray, plain, noise)
-    sample = sample_lenses(lattice.indices(), texture.faint & blank, settings.sample)
+    # Lenses cut by the border of the flat match by chance more often.
+    last = np.array(gray.image.shape[::-1]) - 1 - gray.radius
+    inner = ((gray.centres >= gray.radius) & (gray.centres <= last)).all(1)
+    sample = sample_lenses(lattice.indices(), texture.faint & blank & inner, settings.sample)
     if sample.any():
         matcher = Matcher(texture, *opposite_neighbours(lattice), setting, sample)
         correlation = 1 - matcher.lens_costs(matcher.pair_costs(sample), sample)
