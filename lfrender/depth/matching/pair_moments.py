@@ -58,10 +58,12 @@ class StripTable(NamedTuple):
 
 def strip_table(strips: Strips, masks: OverlapMasks, gray: GrayFlat) -> StripTable:
     """Strips and masks as kernels take them."""
+    slots, pixels, ends, counts = masks
     layout = strips.half_width, strips.width, strips.rows, strips.step, VECTOR_LENGTH
     return StripTable(
-        strips.values, strips.centre_pixels, strips.complete, *strips.offsets, *masks, layout, *gray.image.shape
-    )
+        strips.values, strips.centre_pixels, strips.complete, *strips.offsets, slots, pixels, ends, counts, layout,
+        *gray.image.shape,
+    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
