@@ -76,22 +76,14 @@ class PeriodicitySettings:
     resolution: float = 18.0  # [px] of the drawn scene per pitch, at most: periods of a quarter keep their shape
     reach: float = 2.0  # half the side of a part of the scene
     longest_lag: float = 1.2  # depths are a period apart, and beyond this none is left
-    inner: float = 0.9  # share of the radius of microimages without uncorrected rims
     spacing: float = 0.5  # of the lenses that are drawn, so that about three overlap
     same_surface: float = 3.0  # factor of patch sizes of one surface, maybe a slanted one
-    least_overlap: float = 0.2  # share of what is seen that must overlap itself at a lag,
-    least_overlap_area: float = 0.25  # and its area
-    least_weight: float = 0.25  # of a pixel at which a place counts as seen
-    least_variance: float = 0.1  # share of the variance of all, in the overlap: flat places match anything
-    decayed: float = 0.3  # correlation below which the central peak has ended
-    # Least area, and the correlations at which a texture repeats in one direction and in another: the more is seen, the
-    # less repeats by chance. Where neighbours see a wave at wrong depths, its peaks are lower: then it may repeat.
-    certain: tuple[tuple[float, float, float], ...] = ((20.0, 0.5, 0.45), (8.0, 0.65, 0.6), (3.0, 0.75, 0.7))
-    possible: tuple[tuple[float, float, float], ...] = ((20.0, 0.5, 0.4), (8.0, 0.5, 0.45), (3.0, 0.6, 0.3))
+    least_overlap: float = 0.2  # share of what is seen that must overlap itself at a lag
+    decayed: float = 0.3  # correlation of what does not repeat, and below which the central peak has ended
+    chance: float = 0.8  # mean of two peaks above that, times the root of the area, that proves a period; half: maybe
     same_direction: float = 0.87  # cosine between two lags
+    least_area: float = 3.0  # of which less cannot show whether it repeats
     little_area: float = 8.0  # lenses that together see less all see nearly the same
-    parts: int = 2  # along each side of the scene, at most
-    fewest_lenses: int = 8  # of a part
 
 
 #: Defaults, for stages that use the classes.
