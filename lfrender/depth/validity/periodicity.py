@@ -175,7 +175,7 @@ def _is_part_periodic(
 
 def _draw(
     gray: GrayFlat, sizes: NDArray, lenses: NDArray[np.int64], middle: int, zoom: float, settings: PeriodicitySettings
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
     """What `lenses` (m,) see of the scene about the `middle` one, and where they see it (n, n)."""
     stride, own, radius = max(1, round(0.7 / zoom)), float(sizes[middle]), int(gray.radius)
     side = 2 * int(np.ceil(settings.reach * gray.pitch * zoom)) + 1
