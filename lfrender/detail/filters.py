@@ -92,7 +92,7 @@ def make_filters(
         if not first_or_last and (ends[0] > depths[1] or ends[1] < depths[0]):
             continue
         level = _Level.of(float(ratio), defocus, calibration, scale, reach, blur, settings)
-        left, scene = zip(*(level.left(fx + x, fy + y) for x, y in _FOLDS), strict=True)
+        left, scene = zip(*(level.left(fx + x, fy + y) for x, y in _FOLDS[: level.folds]), strict=True)
         seen = left[0] ** 2 * scene[0]
         alias = sum((one**2 * there for one, there in zip(left[1:], scene[1:], strict=True)), np.zeros_like(seen))
         grain = channels * level.grain(fx, fy)
@@ -154,6 +154,11 @@ class _Level:
         even = max(averaged / (len(shares) * float((shares**2).sum())), 1.0)
         trusted = float(np.clip((averaged - low) / (high - low), 0, 1))
         return cls(grown, discs, shares, apart, trusted, defocus.noise**2 / even, settings)
+
+    @property
+    def folds(self) -> int:
+        """How many of `_FOLDS` reach the picture: more than one where it is not finer than the flat."""
+        return len(_FOLDS) if self.grown < self.settings.oversampled else 1
 
     def pixel(self, fx: _Table, fy: _Table) -> _Table:
         """Transfer function of a pixel of the flat."""

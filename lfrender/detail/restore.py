@@ -60,11 +60,12 @@ def restore_detail(
     _to_light(values, np.float32(1 / white), encoded, layers[0])
     for k, (step, side) in enumerate(SMOOTHING):
         _smooth(layers[k], channels, step, np.float32(side), layers[k + 1])
-    power = allocate_scratch("band power", (height, width * _MEASURED), np.float32)
+    power = allocate_scratch("band power", (_MEASURED, height, width), np.float32)
     _band_power(layers, channels, np.float32(1 / channels), power)
     spare = allocate_scratch("smoothed power", power.shape, np.float32)
     for step, side in AVERAGING:
-        _smooth(power, _MEASURED, step, np.float32(side), spare)
+        for one, smoothed in zip(power, spare, strict=True):
+            _smooth(one, 1, step, np.float32(side), smoothed)
         power, spare = spare, power
     allowed = off_edges(valid, patch_size, pitch, settings) * inner
     numbers = np.array(
@@ -129,24 +130,47 @@ def _to_light(begin, end, image, unit, encoded, out):
             into[k] = value * value if encoded else value
 
 
-@njit(cache=True, nogil=True, share=lambda layers, channels, unit, out: len(out))
+@njit(cache=True, nogil=True, share=lambda layers, channels, unit, out: out.shape[1])
 def _band_power(begin, end, layers, channels, unit, out):
-    """Mean square over the channels of each band but the finest, times `unit`."""
-    bands = len(layers) - 2
-    width = out.shape[1] // bands
+    """(bands, h, w) mean square over the channels of each band but the finest, times `unit`."""
+    square = np.empty(layers.shape[2], np.float32)
     for y in range(begin, end):
-        into = out[y]
-        for k in range(bands):
-            upper, lower = layers[k + 1, y], layers[k + 2, y]
-            for x in range(width):
-                total = np.float32(0)
-                for c in range(x * channels, (x + 1) * channels):
-                    difference = upper[c] - lower[c]
-                    total += difference * difference
-                into[x * bands + k] = total * unit
+        for band in range(len(out)):
+            upper, lower, into = layers[band + 1, y], layers[band + 2, y], out[band, y]
+            for k in range(len(square)):
+                difference = upper[k] - lower[k]
+                square[k] = difference * difference
+            _sum_channels(square, channels, unit, into)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda image, layers, power, *_: len(power))
+@njit(cache=True, nogil=True)
+def _sum_channels(line, channels, unit, out):
+    """`out` (w,) the sum over the channels of `line` (w * channels), times `unit`."""
+    if channels == 3:
+        for x in range(len(out)):
+            out[x] = (line[3 * x] + line[3 * x + 1] + line[3 * x + 2]) * unit
+    else:
+        for x in range(len(out)):
+            total = np.float32(0)
+            for k in range(x * channels, (x + 1) * channels):
+                total += line[k]
+            out[x] = total * unit
+
+
+@njit(cache=True, nogil=True)
+def _repeat(values, channels, out):
+    """`out` (w * channels) each of `values` (w,) for all channels."""
+    if channels == 3:
+        for x in range(len(values)):
+            value = values[x]
+            out[3 * x], out[3 * x + 1], out[3 * x + 2] = value, value, value
+    else:
+        for x in range(len(values)):
+            for k in range(x * channels, (x + 1) * channels):
+                out[k] = values[x]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda image, layers, power, *_: len(image))
 def _add_bands(begin, end, image, layers, power, patch_size, allowed, gains, expected, numbers, out):
     """Add to each pixel the bands with the gains of its patch size and power, or what noise leaves of them.
 
@@ -154,58 +178,79 @@ def _add_bands(begin, end, image, layers, power, patch_size, allowed, gains, exp
     """
     height, width = patch_size.shape
     channels = layers.shape[2] // width
+    wide = channels * width
     steps, levels = gains.shape[0], gains.shape[1] // 2
     per_level, weakest, per_power, overshoot, darkest, white = numbers[:6]
     zero, one, tiny, half = np.float32(0), np.float32(1), np.float32(1e-20), np.float32(0.5)
-    per_channel, last, encoded = one / np.float32(channels), channels * (width - 1), numbers[6] > 0
-    added, strengths = np.zeros((width, 4), np.float32), np.empty(width, np.float32)
+    per_channel, encoded = one / np.float32(channels), numbers[6] > 0
+    added, strengths = np.zeros((3, width), np.float32), np.empty(width, np.float32)
     levels_at, shares = np.empty(width, np.int64), np.empty(width, np.float32)
-    least, most = np.empty(width * channels, np.float32), np.empty(width * channels, np.float32)
+    lights, line = np.empty(width, np.float32), np.empty(wide, np.float32)
+    factors, repeated = np.zeros((4, width), np.float32), np.zeros((4, wide), np.float32)
+    least, most = np.empty(wide, np.float32), np.empty(wide, np.float32)
     # The bits of a number above zero grow with its logarithm.
     logarithms, per_bit = strengths.view(np.int32), per_power / np.float32(1 << 23)
     for y in range(begin, end):
-        sizes, share, measured, into = patch_size[y], allowed[y], power[y], out[y]
+        sizes, share, into = patch_size[y], allowed[y], out[y]
+        p1, p2, p3 = power[0, y], power[1, y], power[2, y]
         g0, g1, g2, g3, g4 = layers[0, y], layers[1, y], layers[2, y], layers[3, y], layers[4, y]
-        above, here, below = image[max(y - 1, 0)], image[y], image[min(y + 1, height - 1)]
-        for k in range(width * channels):
-            least[k] = min(here[k], min(above[k], below[k]))
-            most[k] = max(here[k], max(above[k], below[k]))
+        _sum_channels(g4, channels, per_channel, lights)
         for x in range(width):
-            light = zero
-            for k in range(x * channels, (x + 1) * channels):
-                light += g4[k]
-            light = max(light * per_channel, darkest)
+            light = max(lights[x], darkest)
             s = sizes[x]
             n = int(min(abs(s) * per_level, np.float32(levels - 1)) + half) + (levels if s > 0 else 0)
-            v1, v2, v3 = measured[3 * x], measured[3 * x + 1], measured[3 * x + 2]
-            s1, s2, s3 = v1 - light * expected[n, 0], v2 - light * expected[n, 1], v3 - light * expected[n, 2]
+            told = expected[n]
+            v1, v2, v3 = p1[x], p2[x], p3[x]
+            s1, s2, s3 = v1 - light * told[0], v2 - light * told[1], v3 - light * told[2]
             s1, s2, s3 = max(s1, zero), max(s2, zero), max(s3, zero)
-            fine = s1 * expected[n, 3]
-            strength = max(fine, (s2 + s3) * expected[n, 4])
+            fine = s1 * told[3]
+            strength = max(fine, (s2 + s3) * told[4])
             # Less of it where fine detail is weaker than the coarse predicts; there noise alone is taken away.
             part = share[x] * fine / max(strength, tiny)
             rest = share[x] - part
-            added[x, 0] = rest * (s1 / max(v1, tiny) - one)
-            added[x, 1] = added[x, 0]
-            added[x, 2], added[x, 3] = rest * (s2 / max(v2, tiny) - one), rest * (s3 / max(v3, tiny) - one)
+            added[0, x], added[1, x] = rest * (s1 / max(v1, tiny) - one), rest * (s2 / max(v2, tiny) - one)
+            added[2, x] = rest * (s3 / max(v3, tiny) - one)
             strengths[x], levels_at[x], shares[x] = max(strength / light, tiny), n, part
         for x in range(width):
-            first = x * channels
-            if share[x] > 0:
-                row = np.float32(logarithms[x]) * per_bit - weakest
-                gain = gains[int(min(max(row, zero), np.float32(steps - 1)) + half), levels_at[x]]
-                part, more = shares[x], added[x]
-                a, b = part * gain[0] + more[0], part * gain[1] + more[1]
-                c, d = part * gain[2] + more[2], part * gain[3] + more[3]
-                for k in range(first, first + channels):
-                    u0, u1, u2, u3, u4 = g0[k], g1[k], g2[k], g3[k], g4[k]
-                    value = max(u0 + a * (u0 - u1) + b * (u1 - u2) + c * (u2 - u3) + d * (u3 - u4), zero)
-                    value = (np.sqrt(value) if encoded else value) * white
-                    left, right = max(k - channels, k - first), min(k + channels, last + k - first)
-                    low = min(least[k], min(least[left], least[right]))
-                    high = max(most[k], max(most[left], most[right]))
-                    beyond = overshoot * (high - low)
-                    into[k] = min(max(value, low - beyond), high + beyond)
-            else:
-                for k in range(first, first + channels):
-                    into[k] = here[k]
+            row = np.float32(logarithms[x]) * per_bit - weakest
+            gain = gains[int(min(max(row, zero), np.float32(steps - 1)) + half), levels_at[x]]
+            part = shares[x]
+            factors[0, x], factors[1, x] = part * gain[0] + added[0, x], part * gain[1] + added[0, x]
+            factors[2, x], factors[3, x] = part * gain[2] + added[1, x], part * gain[3] + added[2, x]
+        for band in range(4):
+            _repeat(factors[band], channels, repeated[band])
+        fa, fb, fc, fd = repeated[0], repeated[1], repeated[2], repeated[3]
+        for k in range(wide):
+            u0, u1, u2, u3, u4 = g0[k], g1[k], g2[k], g3[k], g4[k]
+            line[k] = max(u0 + fa[k] * (u0 - u1) + fb[k] * (u1 - u2) + fc[k] * (u2 - u3) + fd[k] * (u3 - u4), zero)
+        if encoded:
+            for k in range(wide):
+                line[k] = np.sqrt(line[k])
+        _find_range(image[max(y - 1, 0)], image[y], image[min(y + 1, height - 1)], channels, least, most)
+        for k in range(wide):
+            beyond = overshoot * (most[k] - least[k])
+            into[k] = min(max(line[k] * white, least[k] - beyond), most[k] + beyond)
+        for x in range(width):
+            if share[x] == 0:
+                for k in range(x * channels, (x + 1) * channels):
+                    into[k] = image[y, k]
+
+
+@njit(cache=True, nogil=True)
+def _find_range(above, here, below, channels, least, most):
+    """Least and most value of each channel among 3 x 3 pixels, of three rows."""
+    wide = len(here)
+    low, high = np.empty(wide, np.float32), np.empty(wide, np.float32)
+    for k in range(wide):
+        low[k] = min(here[k], min(above[k], below[k]))
+        high[k] = max(here[k], max(above[k], below[k]))
+    inside = max(wide - 2 * channels, 0)
+    into_low, into_high = least[channels:], most[channels:]
+    low1, low2, high1, high2 = low[channels:], low[2 * channels :], high[channels:], high[2 * channels :]
+    for k in range(inside):
+        into_low[k] = min(low[k], min(low1[k], low2[k]))
+        into_high[k] = max(high[k], max(high1[k], high2[k]))
+    for c in range(channels):
+        last = wide - channels + c
+        for k, other in ((c, min(c + channels, last)), (last, max(last - channels, c))):
+            least[k], most[k] = min(low[k], low[other]), max(high[k], high[other])

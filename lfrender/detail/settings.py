@@ -24,7 +24,7 @@ class SpectraSettings:
     neighbours: float = 1.25  # [pitch] how far apart the lenses of a pair are at most
     neighbours_of_type: float = 1.8  # [pitch] likewise, where neighbours are of several types
     alike: float = 0.03  # [pitch] patch sizes of a pair that differ by more may show different places
-    pairs: int = 50  # whose spectra are averaged, of each type and range of depth
+    pairs: int = 36  # whose spectra are averaged, of each type and range of depth
     least_pairs: int = 16  # fewer are left out
     depth_ranges: int = 5  # into which pairs are parted
     one_depth: float = 0.06  # [pitch] spread of patch sizes below which there is one range
@@ -48,8 +48,8 @@ class DefocusSettings:
 
     apertures: tuple[float, float, int] = (0.05, 0.6, 24)  # [pitch] first, last and number of the apertures tried
     farthest_focus: float = 0.7  # [s / D] largest focus that is tried, of either mode
-    focus_steps: int = 57  # number of the foci that are tried
-    slopes: tuple[float, float, int] = (1.8, 3.8, 7)  # of the power spectra of scenes that are tried
+    focus_steps: int = 41  # number of the foci that are tried
+    slopes: tuple[float, float, int] = (2.0, 3.6, 5)  # of the power spectra of scenes that are tried
     softness: tuple[float, ...] = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3)  # [px at |s / D| = 0.3] blur of scenes, tried
     soft_at: float = 0.3  # [s / D] where `softness` holds; it grows with the patch size
     likely_aperture: float = 0.22  # [pitch] cameras with open microlenses have 0.15 to 0.3
@@ -79,11 +79,12 @@ class RestoreSettings:
     kept: float = 0.15  # share of the blur by pixels of the flat that is left, as a power: what aliases stays soft
     contradiction: float = 1.5  # [px of the flat] width of detail in which lenses differ by half its power
     few_views: tuple[float, float] = (2.0, 4.0)  # lenses averaged, below which nothing and above which all is restored
+    oversampled: float = 1.5  # [px of the picture per px of the flat] from which nothing aliases
     levels: int = 12  # patch sizes of either sign for which filters are computed
     least_ratio: float = 0.06  # |s / D| of the first
     largest_ratio: float = 0.8  # and of the last
     powers: tuple[float, float, float] = (-8.0, -1.9, 0.3)  # first, last and step of log10 of the detail's power
-    frequencies: int = 12  # along each side of the quarter of the spectrum on which filters are fitted
+    frequencies: int = 10  # along each side of the quarter of the spectrum on which filters are fitted
     per_ratio: float = 240.0  # entries of the table that pixels are looked up in, for each unit of |s / D|
     per_octave: float = 4.0  # and for each octave of power
     ridge: float = 1.5e-3  # [trace] keeps the fit of the filters well-conditioned

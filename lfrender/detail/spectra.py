@@ -68,8 +68,8 @@ def pair_spectra(
     white = white_level(look((0, 0, 1, 1)), calibration)
     return [
         found
-        for kind, some in _groups(pairs, pitch, settings)
-        if (found := _spectrum(look, calibration, pairs, some, kind, radius, white, settings)) is not None
+        for some in _groups(pairs, pitch, settings)
+        for found in _spectra(look, calibration, pairs, some, radius, white, settings)
     ]
 
 
@@ -99,43 +99,40 @@ def _find_pairs(calibration: Calibration, patch_size: NDArray[np.float32], setti
     return _Pairs(a, b, kinds[a], (sizes[a] + sizes[b]) / 2)
 
 
-def _groups(pairs: _Pairs, pitch: float, settings: SpectraSettings) -> Iterator[tuple[int, NDArray[np.int64]]]:
-    """Types, and some pairs of each in ranges of depth."""
+def _groups(pairs: _Pairs, pitch: float, settings: SpectraSettings) -> Iterator[NDArray[np.int64]]:
+    """Some pairs of each type in ranges of depth."""
     ends = np.quantile(pairs.size, np.linspace(0, 1, settings.depth_ranges + 1))
     if ends[-1] - ends[0] < settings.one_depth * pitch:
         ends = ends[[0, -1]]
-    for kind in np.unique(pairs.kind):
-        for low, high in pairwise(ends):
-            some = np.flatnonzero((pairs.kind == kind) & (pairs.size >= low) & (pairs.size <= high))
-            yield int(kind), some[:: max(1, len(some) // settings.pairs)]
+    for low, high in pairwise(ends):
+        inside = (pairs.size >= low) & (pairs.size <= high)
+        each = [np.flatnonzero(inside & (pairs.kind == kind)) for kind in range(pairs.kind.max() + 1)]
+        yield np.concatenate([one[:: max(1, len(one) // settings.pairs)] for one in each])
 
 
-def _spectrum(
+def _spectra(
     look: Look,
     calibration: Calibration,
     pairs: _Pairs,
     some: NDArray[np.int64],
-    kind: int,
     radius: float,
     white: float,
     settings: SpectraSettings,
-) -> PairSpectrum | None:
-    """Of some pairs, in windows about the place midway between the two microimages; None if these are too small."""
-    if len(some) < settings.least_pairs:
-        return None
+) -> Iterator[PairSpectrum]:
+    """Of some pairs, by type, in windows midway between the two microimages; none if these are too small or few."""
+    if not len(some):
+        return
     lattice = calibration.lattice
     centres, sizes = lattice.centres(), pairs.size[some]
     shift = (centres[pairs.second[some]] - centres[pairs.first[some]]) * (sizes / lattice.pitch)[:, None]
     room = 2 * (radius - float(np.median(np.linalg.norm(shift, axis=1))) / 2) / settings.corner
     side = int(min(room, settings.largest_window)) // 2 * 2
     if side < settings.least_window:
-        return None
+        return
     places = centres[pairs.first[some]] - shift / 2, centres[pairs.second[some]] + shift / 2
     inside = np.ones(len(some), bool)
     for place in places:
         inside &= (place > side / 2 + 1).all(1) & (place < np.array(lattice.image_size) - side / 2 - 3).all(1)
-    if inside.sum() < settings.least_pairs:
-        return None
     window, rings, _ = analysis(side)
     spectra, light = [], np.zeros(int(inside.sum()))
     for place in places:
@@ -144,12 +141,16 @@ def _spectrum(
         light += mean / 2
         spectra.append(np.fft.rfft2((seen - mean[:, None, None]) * window).reshape(len(seen), -1))
     product = (spectra[0] * spectra[1].conj()).real @ rings / (window**2).sum()
-    error = product.std(0) / np.sqrt(len(product))
     # Pixels of one half of the flat's count as four here.
     apart = np.abs(spectra[0] - spectra[1]) ** 2 @ quiet_rings(side) / (8 * (window**2).sum())
-    noise = np.quantile(apart / np.maximum(light, settings.darkest)[:, None], settings.quiet, axis=0).min()
-    ratio = float(np.median(sizes[inside])) / lattice.pitch
-    return PairSpectrum(kind, ratio, side, product.mean(0), error, float(noise))
+    apart /= np.maximum(light, settings.darkest)[:, None]
+    kinds, ratios = pairs.kind[some][inside], sizes[inside] / lattice.pitch
+    for kind in range(kinds.max(initial=-1) + 1):
+        own = kinds == kind
+        if own.sum() >= settings.least_pairs:
+            power, noise = product[own], np.quantile(apart[own], settings.quiet, axis=0).min()
+            error = power.std(0) / np.sqrt(len(power))
+            yield PairSpectrum(kind, float(np.median(ratios[own])), side, power.mean(0), error, float(noise))
 
 
 def _read(look: Look, places: NDArray[np.float64], side: int) -> NDArray[np.float32]:
