@@ -134,7 +134,7 @@ class LensEstimates:
         wanted = self.resolved if kept is None else self.resolved & ~kept
         flat, neighbours = lenses.texture.flat, lenses.neighbours
         # Kept lenses have been corrected for curvature before.
-        near = smooth_fits(flat, neighbours, self.own_fits, wanted, (~wanted).astype(np.float32))
+        near = smooth_fits(flat, neighbours, self.own_fits, wanted, ~wanted)
         fits = smooth_fits_far(flat, neighbours, *near, wanted)
         known = wanted & np.isfinite(fits.standard_error)
         return replace(

@@ -17,13 +17,11 @@ from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import join_opposite
-from ..same_surface import same_surface
+from ..same_surface import TOLERANCE, same_surface
 from .pair_fit import PairFits
-from .settings import LensPlaneSettings
+from .settings import REFINEMENT, RefinementSettings
 
 __all__ = ["LensFits", "fit_lens_planes"]
-
-_DEFAULT = LensPlaneSettings()
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ _Planes = namedtuple("_Planes", "sizes slants spreads")
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
-def _gather(lens, centres, pitch, neighbours, pairs, pair_variance, s, v, x, y):
+def _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y):
     """Fill `s, v, x, y` with the patch sizes, variances and places of the pairs of a lens; returns their number."""
     half = neighbours.shape[1] // 2
     count = 0
@@ -74,7 +72,7 @@ def _gather(lens, centres, pitch, neighbours, pairs, pair_variance, s, v, x, y):
         # From the middle between both microimages to this one: half a patch, away from the neighbour.
         step = np.float32(0.5) * size / pitch
         s[count] = size
-        v[count] = pairs.variance[row, d, side] + pair_variance
+        v[count] = pairs.variance[row, d, side]
         x[count] = pairs.place[row, d, side, 0] - step * (centres[other, 0] - centres[lens, 0])
         y[count] = pairs.place[row, d, side, 1] - step * (centres[other, 1] - centres[lens, 1])
         count += 1
@@ -126,14 +124,14 @@ def _fit_plane(count, s, v, x, y, z, gx, gy, known, robust):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
-def _fit_lens(lens, centres, pitch, neighbours, pairs, pair_variance, start, prior, robust, out):
+def _fit_lens(lens, centres, pitch, neighbours, pairs, start, prior, robust, out):
     most = neighbours.shape[1]
     sizes, slants, spreads = out.sizes, out.slants, out.spreads
     s, v = np.empty(most, np.float32), np.empty(most, np.float32)
     x, y = np.empty(most, np.float32), np.empty(most, np.float32)
     count = 0
     if np.isfinite(start[lens]):
-        count = _gather(lens, centres, pitch, neighbours, pairs, pair_variance, s, v, x, y)
+        count = _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y)
     if count == 0:
         sizes[lens] = np.nan
         slants[lens, 0] = slants[lens, 1] = 0.0
@@ -154,11 +152,9 @@ def _fit_lens(lens, centres, pitch, neighbours, pairs, pair_variance, start, pri
 # In a parallel loop arrays are taken out of tuples without counting references, which would take as long as the fits.
 # Numba drops writes to arrays of a NamedTuple in such a function: all of them are in the function that it calls.
 @njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
-def _fit_planes(
-    centres, pitch, neighbours, pairs: PairFits, pair_variance, start, prior, robust: _Robust, out: _Planes
-):
+def _fit_planes(centres, pitch, neighbours, pairs: PairFits, start, prior, robust: _Robust, out: _Planes):
     for lens in prange(len(centres)):
-        _fit_lens(lens, centres, pitch, neighbours, pairs, pair_variance, start, prior, robust, out)
+        _fit_lens(lens, centres, pitch, neighbours, pairs, start, prior, robust, out)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
@@ -195,9 +191,9 @@ def _predict_slants(begin, end, neighbours, gap, planes: _Planes, prior):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
-def _standard_errors(begin, end, neighbours, pitch, gap, common, growth, opposite, planes: _Planes, out, slant_errors):
-    """Errors of lenses, scaled by the scatter of their pairs and of their neighbours' on one surface; for `common`,
-    `growth` and `opposite` see the settings."""
+def _standard_errors(begin, end, neighbours, pitch, gap, planes: _Planes, out, slant_errors):
+    """Errors of lenses, scaled by the scatter of their pairs and of their neighbours' on one surface, and for what all
+    pairs of a lens share by one and |s| over the pitch."""
     sizes, spreads = planes.sizes, planes.spreads
     for lens in range(begin, end):
         out[lens] = slant_errors[lens] = np.inf
@@ -209,12 +205,8 @@ def _standard_errors(begin, end, neighbours, pitch, gap, common, growth, opposit
             if other >= 0 and same_surface(sizes[other], sizes[lens], gap):
                 chi2 += np.float32(0.5) * spreads[other, 2]
                 freedom += np.float32(0.5) * spreads[other, 3]
-        factor = common + growth * abs(sizes[lens]) / pitch
-        scatter = (chi2 + 1) / (freedom + 1)
-        if scatter > 1:
-            scatter += (opposite - 1) * (scatter - 1)
-        out[lens] = factor * np.sqrt(spreads[lens, 0] * scatter)
-        slant_errors[lens] = factor * np.sqrt(spreads[lens, 1] * scatter)
+        factor = (1 + abs(sizes[lens]) / pitch) * np.sqrt((chi2 + 1) / (freedom + 1))
+        out[lens], slant_errors[lens] = factor * np.sqrt(spreads[lens, 0]), factor * np.sqrt(spreads[lens, 1])
 
 
 def fit_lens_planes(
@@ -223,7 +215,7 @@ def fit_lens_planes(
     backward: NDArray[np.int32],
     pairs: PairFits,
     start: NDArray[np.float32],
-    settings: LensPlaneSettings = _DEFAULT,
+    settings: RefinementSettings = REFINEMENT,
 ) -> LensFits:
     """Patch size at the centre of each lens by a robust fit of a plane to what its pairs have measured.
 
@@ -240,23 +232,20 @@ def fit_lens_planes(
         Of the neighbours in `forward`.
     start : (n,) float32 [px]
         Start values; NaN for lenses to leave out.
-    settings : LensPlaneSettings
+    settings : RefinementSettings
     """
     n, pitch, float32 = len(start), np.float32(gray.pitch), np.float32
     neighbours = join_opposite(forward, backward)
     planes = _Planes(np.empty(n, float32), np.empty((n, 2), float32), np.empty((n, 4), float32))
     prior = np.zeros((n, 3), float32)
     prior[:, 2] = 1 / float32(settings.likely_slant) ** 2
-    gap, half = float32(settings.same_surface * gray.pitch), settings.rounds // 2
+    gap, half = float32(TOLERANCE * gray.pitch), settings.rounds // 2
     outlier2 = np.square(float32(settings.outlier))
-    measured = gray.centres, pitch, neighbours, pairs, np.square(float32(settings.pair_error))
+    measured = gray.centres, pitch, neighbours, pairs
     robust = _Robust(outlier2, settings.rounds, half)
     _fit_planes(*measured, start.astype(float32), prior, robust, planes)
     _predict_slants(neighbours, gap, planes, prior)
     _fit_planes(*measured, planes.sizes.copy(), prior, _Robust(outlier2, half, 0), planes)
     errors, slant_errors = np.empty(n, float32), np.empty(n, float32)
-    _standard_errors(
-        neighbours, pitch, gap, float32(settings.common_error), float32(settings.common_error_growth),
-        float32(settings.opposite_pairs), planes, errors, slant_errors,
-    )  # fmt: skip
+    _standard_errors(neighbours, pitch, gap, planes, errors, slant_errors)
     return LensFits(planes.sizes, errors, planes.slants, slant_errors)

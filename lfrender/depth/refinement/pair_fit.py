@@ -18,7 +18,7 @@ from lfcal.runtime.fastmath import FAST, square
 from lfcal.runtime.kernels.jit import njit
 
 from ...flat.gray_flat import GrayFlat, downsample
-from ..same_surface import same_surface
+from ..same_surface import TOLERANCE, same_surface
 from .pair_pixels import (
     SPLINE_MARGIN,
     cut_smoothed,
@@ -29,11 +29,9 @@ from .pair_pixels import (
     pixel_raster,
     resample_shifted,
 )
-from .settings import PairFitSettings
+from .settings import REFINEMENT, RefinementSettings
 
 __all__ = ["PairFits", "fit_pairs", "usable_radius"]
-
-_DEFAULT = PairFitSettings()
 
 
 class PairFits(NamedTuple):
@@ -58,10 +56,8 @@ class PairFits(NamedTuple):
     place: NDArray[np.float32]
 
 
-# Float32 values of `PairFitSettings` and of one call of `fit_pairs`.
-_Constants = namedtuple(
-    "_Constants", "shading_change likely_blur largest_step largest_drift same_surface last_step noise2 iterations"
-)
+# Float32 values of `RefinementSettings` and of one call of `fit_pairs`.
+_Constants = namedtuple("_Constants", "shading_change likely_blur largest_drift last_step noise2 iterations")
 
 # Energy of smoothed white noise in slopes of one direction and in the difference of two microimages, and pixels per
 # independent one after the B-spline: at low frequencies, and at those where the slopes are noise. All follow from the
@@ -194,7 +190,7 @@ def _fit_pair(
         step = gradient / texture
         variance = rest * (_CORRELATED_SIGNAL * texture + _CORRELATED_NOISE * (hessian - texture)) / square(texture)
         x, y = sx / spp, sy / spp
-        s += min(max(step, -c.largest_step), c.largest_step)
+        s += min(max(step, -c.largest_drift), c.largest_drift)
         if abs(step) < c.last_step:
             break
     if abs(s - start) > c.largest_drift:
@@ -241,7 +237,7 @@ def _fit_pairs(
             if not ready:
                 cut_smoothed(flat, raster, left, top, buffers, cutout, kinds is not None)
                 ready = True
-            first, second, together = _start_values(start[lens], start[other], constants.same_surface * pitch)
+            first, second, together = _start_values(start[lens], start[other], np.float32(TOLERANCE) * pitch)
             for k in range(1 if together else 2):
                 s, variance, x, y = _fit_pair(
                     pixels, (height, width), (side, stride), columns, raster_rows, (left, top),
@@ -256,9 +252,9 @@ def _fit_pairs(
                 places[lens, d, 1, 0], places[lens, d, 1, 1] = places[lens, d, 0, 0], places[lens, d, 0, 1]
 
 
-def usable_radius(gray: GrayFlat, settings: PairFitSettings = _DEFAULT) -> float:
+def usable_radius(gray: GrayFlat, settings: RefinementSettings = REFINEMENT) -> float:
     """Radius [px] within which the pixels of a microimage, smoothed and with their slopes, are its own."""
-    return gray.radius - min(settings.rim, max(settings.rim_share * gray.pitch, settings.least_rim))
+    return gray.radius - settings.rim * gray.pitch
 
 
 def fit_pairs(
@@ -269,7 +265,7 @@ def fit_pairs(
     noise: float,
     iterations: int,
     last_step: float = 0.02,
-    settings: PairFitSettings = _DEFAULT,
+    settings: RefinementSettings = REFINEMENT,
 ) -> PairFits:
     """Patch size of each pair of neighbours by Gauss-Newton steps.
 
@@ -288,7 +284,7 @@ def fit_pairs(
         At most.
     last_step : float [px]
         A shorter step ends the iterations.
-    settings : PairFitSettings
+    settings : RefinementSettings
     """
     # Detail finer than this would show the difference of focus of two lenses instead of the depth.
     factor = max(1, round(gray.pitch / settings.defocus_pitch)) if gray.lens_type is not None else 1

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from ...flat.gray_flat import GrayFlat
 from .lens_plane import LensFits, fit_lens_planes
 from .pair_fit import fit_pairs
-from .settings import RestartSettings
+from .settings import REFINEMENT, RefinementSettings
 
 __all__ = ["refine_patch_sizes"]
-
-_DEFAULT = RestartSettings()
 
 
 def refine_patch_sizes(
@@ -27,7 +25,7 @@ def refine_patch_sizes(
     noise: float,
     iterations: int,
     last_step: float = 0.02,
-    settings: RestartSettings = _DEFAULT,
+    settings: RefinementSettings = REFINEMENT,
 ) -> LensFits:
     """Sub-pixel patch size of each lens from its own pairs.
 
@@ -52,7 +50,7 @@ def refine_patch_sizes(
         Of each fit of a pair, at most.
     last_step : float [px]
         As `fit_pairs`.
-    settings : RestartSettings
+    settings : RefinementSettings
     """
 
     def fit(start: NDArray[np.float32]) -> LensFits:

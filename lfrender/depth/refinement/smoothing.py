@@ -18,24 +18,22 @@ from lfcal.runtime.kernels.jit import njit
 from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import distant_rings, two_rings
 from .lens_plane import LensFits
-from .settings import SmoothingSettings
+from .settings import REFINEMENT, RefinementSettings
 
 __all__ = ["smooth_fits", "smooth_fits_far"]
 
-_DEFAULT = SmoothingSettings()
-
-# Fields of `SmoothingSettings` for kernels.
-_Constants = namedtuple(
-    "_Constants",
-    "outlier other_surface least_slant significance farthest rounds correlation common_error common_error_growth",
-)  # fmt: skip
+# Fields of `RefinementSettings` for kernels.
+_Constants = namedtuple("_Constants", "outlier least_slant significance rounds correlation common_error")
 
 # Neighbours of one lens are gathered in the rows of an array (9, m): sizes, variances, steps to them [pitches] x and y,
-# slants x and y, their variances, how far the sizes are means over microimages, and weights. Compared with the plane of
+# slants x and y, their variances, whether the sizes are means over microimages, and weights. Compared with the plane of
 # the lens they are in the rows of another one, `near` (13, m): differences of size, their variances and weights; how
 # much the differences grow with a slant in x and y, and with a curvature; steps x and y, by which slants fall with a
 # curvature; differences of slant x and y, times s, and their variance. Its last two rows are work memory.
 _GATHERED, _NEAR = 9, 13
+
+# Mean robust weight of the neighbours on a plane that has errors alone.
+_INLIER_SHARE = np.float32(0.83)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -47,49 +45,29 @@ def _inverted(a, b, c, d, e, f):
 
 # Exact sums, here and below: with fast math they would have other bits where Numba compiles than where it loads them.
 # Divisions are in loops without sums: these become vector loops, except with Python's error model, which checks them.
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _plane_sums(count, away, variance, share, along_x, along_y, uneven, weights):
-    """Weighted sums of squared weights, of 1, x, y, their products, and of all that with differences."""
-    for k in range(np.uint64(count)):
-        weights[k] = share[k] / (variance[k] + uneven)
-    squares = a = b = c = d = e = f = p = q = r = 0.0
-    for k in range(np.uint64(count)):
-        w, x, y, rest = weights[k], along_x[k], along_y[k], away[k]
-        wx, wy, wr = w * x, w * y, w * rest
-        squares += w * w
-        a += w
-        b += wx
-        c += wy
-        d += wx * x
-        e += wx * y
-        f += wy * y
-        p += wr
-        q += wr * x
-        r += wr * y
-    return squares, a, b, c, d, e, f, p, q, r
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _scatter(count, difference, share, along_x, along_y, weights, height, x_slant, y_slant):
-    """Weighted sum of squared residuals from a plane, and sum of the shares."""
-    scatter = number = 0.0
-    for k in range(np.uint64(count)):
-        rest = difference[k] - height - x_slant * along_x[k] - y_slant * along_y[k]
-        scatter += weights[k] * rest * rest
-        number += share[k]
-    return scatter, number
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def _predict(count, near, slant_known, rounds):
-    """What `count` neighbours predict of a lens by a weighted plane: difference from its own size, variance, and mean
+    """What `count` neighbours predict of a lens by a weighted plane: difference from its own size, its variance, and mean
     variance; difference of slant, and the variance of that."""
-    difference, variance, share, along_x, along_y, weights = near[0], near[1], near[2], near[3], near[4], near[11]
+    away, variance, share, along_x, along_y, weights = near[0], near[1], near[2], near[3], near[4], near[11]
     uneven = height = inverse = total = x_slant = y_slant = slanted = 0.0
     for turn in range(rounds):
-        squares, a, b, c, d, e, f, p, q, r = _plane_sums(
-            count, difference, variance, share, along_x, along_y, uneven, weights
-        )
+        for k in range(np.uint64(count)):
+            weights[k] = share[k] / (variance[k] + uneven)
+        squares = a = b = c = d = e = f = p = q = r = 0.0
+        for k in range(np.uint64(count)):
+            w, x, y, rest = weights[k], along_x[k], along_y[k], away[k]
+            wx, wy, wr = w * x, w * y, w * rest
+            squares += w * w
+            a += w
+            b += wx
+            c += wy
+            d += wx * x
+            e += wx * y
+            f += wy * y
+            p += wr
+            q += wr * x
+            r += wr * y
         total = a
         d += slant_known
         f += slant_known
@@ -99,22 +77,31 @@ def _predict(count, near, slant_known, rounds):
         slanted = 0.5 * (i11 + i22) * over
         if turn == rounds - 1:
             break
-        scatter, freedom = _scatter(count, difference, share, along_x, along_y, weights, height, x_slant, y_slant)
-        freedom -= 1 + (1 - i11 * over * slant_known) + (1 - i22 * over * slant_known)
+        scatter = number = 0.0
+        for k in range(np.uint64(count)):
+            rest = away[k] - height - x_slant * along_x[k] - y_slant * along_y[k]
+            scatter += weights[k] * rest * rest
+            number += share[k]
+        freedom = number - 1 - (1 - i11 * over * slant_known) - (1 - i22 * over * slant_known)
         uneven += max(scatter - freedom + 1, 0.0) / max(a - squares / a, 1e-9)
     return height, inverse + uneven, count / total, -x_slant, -y_slant, slanted
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _curvature_sums(count, near, own):
-    """Weighted sums over `count` lenses of 1, x, y, the curvature, their products, and of all that with differences; of
-    the squares of these, and of the shares."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def _curvature(count, near, own, own_variance, own_curved, slant_known):
+    """Curvature [px / pitch^2] of the surface about a lens, and its variance, by a weighted paraboloid.
+
+    It is round, since one curvature and a slant in each direction are all that so few lenses determine; slants count as
+    well as sizes. Scatter about it increases the variance.
+    """
     away, variance, share, along_x, along_y, curved = near[0], near[1], near[2], near[3], near[4], near[5]
     ahead_x, ahead_y, turned_x, turned_y, turn_variance = near[6], near[7], near[8], near[9], near[10]
     weights, turn_weights = near[11], near[12]
     for k in range(np.uint64(count)):
         weights[k], turn_weights[k] = share[k] / variance[k], share[k] / turn_variance[k]
-    a = b = c = d = e = f = g = h = i = j = p = q = r = s = squares = number = 0.0
+    # The lens itself, whose difference is 0, and the prior of its slant.
+    a, g, j, d = 1 / own_variance, own_curved / own_variance, own_curved * own_curved / own_variance, slant_known
+    f, b, c, e, h, i, p, q, r, s, squares, number = d, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(np.uint64(count)):
         w, x, y, z, rest = weights[k], along_x[k], along_y[k], curved[k], away[k]
         wx, wy, wz, wr = w * x, w * y, w * z, w * rest
@@ -136,23 +123,6 @@ def _curvature_sums(count, near, own):
         s += wr * z - v * (u * turn_x + n * turn_y)
         squares += wr * rest + v * (turn_x * turn_x + turn_y * turn_y)
         number += share[k]
-    return a, b, c, d, e, f, g, h, i, j, p, q, r, s, squares, number
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _curvature(count, near, own, own_variance, own_curved, slant_known):
-    """Curvature [px / pitch^2] of the surface about a lens, and its variance, by a weighted paraboloid.
-
-    It is round, since one curvature and a slant in each direction are all that so few lenses determine; slants count as
-    well as sizes. Scatter about it increases the variance.
-    """
-    a, b, c, d, e, f, g, h, i, j, p, q, r, s, squares, number = _curvature_sums(count, near, own)
-    # The lens itself, whose difference is 0.
-    a += 1 / own_variance
-    g += own_curved / own_variance
-    j += own_curved * own_curved / own_variance
-    d += slant_known
-    f += slant_known
     i00, i01, i02, i11, i12, i22, over = _inverted(a, b, c, d, e, f)
     # A plane, and by how much it changes with the curvature.
     height, by_height = (i00 * p + i01 * q + i02 * r) * over, (i00 * g + i01 * h + i02 * i) * over
@@ -167,30 +137,32 @@ def _curvature(count, near, own, own_variance, own_curved, slant_known):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _mean_reach(size, radius, farthest):
-    """Half the mean square distance [pitches^2], on the scene, between what a lens shows and what its centre does."""
-    return min(radius * radius / (4 * size * size), farthest)
+def _mean_reach(size, radius):
+    """Half the mean square distance [pitches^2], on the scene, between what a lens shows and what its centre does; at
+    most a pitch."""
+    return min(radius * radius / (4 * size * size), 1.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _compare(count, own, own_variance, slant_x, slant_y, slant_variance, radius, gathered, constants, near):
-    """Fill `near` from `count` gathered neighbours; returns the sum of their weights."""
+    """Fill `near` from `count` gathered neighbours; returns the sum of their robust weights."""
     sizes, variances, ahead_x, ahead_y = gathered[0], gathered[1], gathered[2], gathered[3]
     slants_x, slants_y, slant_variances = gathered[4], gathered[5], gathered[6]
     averaged, trust = gathered[7], gathered[8]
     away, variance, share, along_x, along_y, curved = near[0], near[1], near[2], near[3], near[4], near[5]
     out_x, out_y, turned_x, turned_y, turn_variance = near[6], near[7], near[8], near[9], near[10]
-    outlier, other_surface, farthest = constants.outlier, constants.other_surface, constants.farthest
+    outlier2 = constants.outlier * constants.outlier
     for k in range(np.uint64(count)):
         size, noise, ex, ey = sizes[k], variances[k], ahead_x[k], ahead_y[k]
         # Over a plane 1 / s is linear in X, with the slant -D * grad(s) / s.
         rest = size * (1 + slant_x * ex + slant_y * ey) - own
         away2, size2 = ex * ex + ey * ey, size * size
         apart = rest * rest / (own_variance + noise + slant_variance * size2 * away2)
-        doubt = 1 / (1 + apart / (outlier * outlier))
-        counts = doubt * doubt * max(1 - apart / (other_surface * other_surface), 0.0) * trust[k]
+        doubt = 1 / (1 + apart / outlier2)
+        # Lenses twice as far off belong to another surface.
+        counts = doubt * doubt * max(1 - apart / (4 * outlier2), 0.0) * trust[k]
         away[k], variance[k], share[k], along_x[k], along_y[k] = rest, noise, counts, size * ex, size * ey
-        curved[k] = 0.5 * away2 + averaged[k] * _mean_reach(size, radius, farthest)
+        curved[k] = 0.5 * away2 + averaged[k] * _mean_reach(size, radius)
         out_x[k], out_y[k] = ex, ey
         turned_x[k], turned_y[k] = own * (slants_x[k] - slant_x), own * (slants_y[k] - slant_y)
         turn_variance[k] = own * own * slant_variances[k]
@@ -243,14 +215,13 @@ def _smooth(
         if not (wanted[lens] and np.isfinite(own_variance)):
             continue
         count, weight = _gather(
-            lens, centres, pitch, radius, rows, sizes, errors, slants, slant_errors, centred, trust, c, gathered,
-            near,
-        )  # fmt: skip
+            lens, centres, pitch, radius, rows, sizes, errors, slants, slant_errors, centred, trust, c, gathered, near
+        )
         out[lens, 5] = weight / max(count, 1)
         if weight <= 0:
             continue
         slant_known = 1 / (np.float64(slant_errors[lens]) ** 2 + c.least_slant * c.least_slant)
-        averaged = (1 - centred[lens]) * _mean_reach(own, radius, c.farthest)
+        averaged = (1 - centred[lens]) * _mean_reach(own, radius)
         curvature, variance = _curvature(count, near, own, own_variance, averaged, slant_known)
         curvature *= max(1 - c.significance * variance / (curvature * curvature), 0.0)
         # What the curvature adds to all sizes, also to that of the lens itself, is taken from them.
@@ -266,8 +237,7 @@ def _smooth(
         out[lens, 3] += y_slant
         out[lens, 4] = np.sqrt(slanted)
         joint = own_variance * spread / (own_variance + spread) + uncertain_part
-        common = c.common_error_growth * pitch * abs(own / pitch) ** 3
-        out[lens, 1] = np.sqrt(joint + c.correlation * min(shared, own_variance) + c.common_error**2 + common**2)
+        out[lens, 1] = np.sqrt(joint + c.correlation * min(shared, own_variance) + c.common_error * c.common_error)
 
 
 def smooth_fits(
@@ -275,8 +245,8 @@ def smooth_fits(
     neighbours: NDArray[np.int32],
     fits: LensFits,
     wanted: NDArray[np.bool_],
-    centred: NDArray[np.float32],
-    settings: SmoothingSettings = _DEFAULT,
+    centred: NDArray[np.bool_],
+    settings: RefinementSettings = REFINEMENT,
 ) -> tuple[LensFits, NDArray[np.float32]]:
     """Patch sizes, slants and their errors of lenses combined with the lenses in two rings around each.
 
@@ -294,9 +264,9 @@ def smooth_fits(
         What each lens measures alone; those of infinite error are left out.
     wanted : (n,) bool
         The other lenses keep their fits.
-    centred : (n,) float32
-        0 if the fit of a lens is a mean over its microimage, 1 if it is the value at its centre.
-    settings : SmoothingSettings
+    centred : (n,) bool
+        Whether the fit of a lens is the value at its centre, instead of a mean over its microimage.
+    settings : RefinementSettings
     """
     trust = np.ones(len(centred), np.float32)
     return _smoothed(gray, two_rings(neighbours), fits, wanted, centred, trust, settings)
@@ -308,15 +278,15 @@ def smooth_fits_far(
     fits: LensFits,
     inlier_share: NDArray[np.float32],
     wanted: NDArray[np.bool_],
-    settings: SmoothingSettings = _DEFAULT,
+    settings: RefinementSettings = REFINEMENT,
 ) -> LensFits:
     """The result of `smooth_fits` combined with lenses farther off, so that large planes become planes.
 
     Lenses count less if few of their own neighbours are inliers: beside depth edges they see a little of both sides,
     and all err towards the other one.
     """
-    centred = np.ones(len(wanted), np.float32)
-    trust = np.minimum(inlier_share / np.float32(settings.inlier_share), 1) ** settings.steepness
+    centred = np.ones(len(wanted), np.bool_)
+    trust = np.minimum(inlier_share / _INLIER_SHARE, 1) ** settings.steepness
     for _ in range(settings.far_rounds):
         fits = _smoothed(gray, distant_rings(neighbours), fits, wanted, centred, trust, settings)[0]
     return fits
@@ -327,17 +297,16 @@ def _smoothed(
     rows: NDArray[np.int32],
     fits: LensFits,
     wanted: NDArray[np.bool_],
-    centred: NDArray[np.float32],
+    centred: NDArray[np.bool_],
     trust: NDArray[np.float32],
-    settings: SmoothingSettings,
+    settings: RefinementSettings,
 ) -> tuple[LensFits, NDArray[np.float32]]:
     """As `smooth_fits`, with the lenses `rows` (n, m) of each, weighted by their `trust` and its own (n,)."""
     sizes, errors, slants, slant_errors = (
         np.asarray(values, np.float32)
         for values in (fits.patch_size, fits.standard_error, fits.slant, fits.slant_error)
     )
-    out = np.zeros((len(sizes), 6), np.float32)
-    out[:, 0], out[:, 1], out[:, 2:4], out[:, 4], out[:, 5] = sizes, errors, slants, slant_errors, 1
+    out = np.column_stack([sizes, errors, slants, slant_errors, np.ones_like(sizes)])
     constants = _Constants(*(getattr(settings, name) for name in _Constants._fields))
     _smooth(
         gray.centres, gray.pitch, gray.radius, rows, sizes, errors, slants, slant_errors, wanted, centred, trust,

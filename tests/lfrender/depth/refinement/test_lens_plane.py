@@ -7,7 +7,7 @@ from lfrender.depth.refinement.pair_fit import PairFits
 from lfrender.flat.lens_graph import neighbour_rows
 
 
-def test_excess_scatter_of_pairs_raises_the_error_by_more_than_itself(drawn_flat):
+def test_scatter_of_pairs_raises_the_error_in_proportion(drawn_flat):
     gray, lattice, _truth, inner = drawn_flat(6.0)
     rows = neighbour_rows(lattice, lattice.steps)
     half = rows.shape[1] // 2
@@ -20,5 +20,5 @@ def test_excess_scatter_of_pairs_raises_the_error_by_more_than_itself(drawn_flat
         pairs = PairFits(sizes, np.full(sizes.shape, 0.02**2, np.float32), np.zeros((*sizes.shape, 2), np.float32))
         lenses = fit_lens_planes(gray, rows[:, :half], rows[:, half:], pairs, start)
         median.append(np.median(lenses.standard_error[inner]))
-    # Three times the scatter, less outliers of the robust fit (2.7 times), and up to 1.4 times that.
-    assert median[1] / median[0] > 3
+    # Three times the scatter, less outliers of the robust fit.
+    assert 2.5 < median[1] / median[0] < 3

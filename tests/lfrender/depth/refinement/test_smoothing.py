@@ -36,7 +36,7 @@ def fits(sizes, noise=NOISE, seed=0):
 def smoothed(centres, neighbours, own, wanted=None):
     """Smoothed sizes and errors; lenses that are not wanted count as measured at their centres."""
     wanted = np.ones(len(centres), bool) if wanted is None else wanted
-    joint, _ = smooth_fits(flat(centres), neighbours, own, wanted, (~wanted).astype(np.float32))
+    joint, _ = smooth_fits(flat(centres), neighbours, own, wanted, ~wanted)
     return joint.patch_size, joint.standard_error
 
 
@@ -79,7 +79,7 @@ def test_an_uncertain_lens_between_two_depths_keeps_its_large_error():
 def smoothed_far(centres, neighbours, own):
     """As `smoothed`, with distant lenses."""
     wanted = np.ones(len(centres), bool)
-    near = smooth_fits(flat(centres), neighbours, own, wanted, (~wanted).astype(np.float32))
+    near = smooth_fits(flat(centres), neighbours, own, wanted, ~wanted)
     fits = smooth_fits_far(flat(centres), neighbours, *near, wanted)
     return fits.patch_size, fits.standard_error
 
