@@ -47,7 +47,7 @@ def _inverted(a, b, c, d, e, f):
 # Divisions are in loops without sums: these become vector loops, except with Python's error model, which checks them.
 @njit(cache=True, nogil=True, error_model="numpy")
 def _predict(count, near, slant_known, rounds):
-    """What `count` neighbours predict of a lens by a weighted plane: difference from its own size, its variance, and mean
+    """What `count` neighbours predict of a lens by a weighted plane: difference from its size, its variance, and mean
     variance; difference of slant, and the variance of that."""
     away, variance, share, along_x, along_y, weights = near[0], near[1], near[2], near[3], near[4], near[11]
     uneven = height = inverse = total = x_slant = y_slant = slanted = 0.0
