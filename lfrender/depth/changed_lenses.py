@@ -18,6 +18,8 @@ from .settings import CHANGE, ChangeSettings
 
 __all__ = ["find_changed_lenses"]
 
+# [levels^2] variance of the difference of two rounded values.
+_ROUNDING = 1 / 6
 # Groups of lenses of like brightness, because noise grows with it, and the groups beside each.
 _LEVELS = 8
 _BELOW, _ABOVE = np.maximum(np.arange(_LEVELS) - 1, 0), np.minimum(np.arange(_LEVELS) + 1, _LEVELS - 1)
@@ -139,26 +141,6 @@ def _pool(begin, end, blocks, centres, side, radius, per_pixel, out):
         out[5, lens] = max(count, 1)
 
 
-@njit(cache=True, nogil=True)
-def _group(edges, mean, rough, pixel, level, ends, groups):
-    """Group lenses by the `level` of their mean between the `edges`; fill `groups` (2, n) with `rough` and `pixel` of
-    one group after the other, `ends` with the end of each."""
-    ends[:] = 0
-    for lens in range(len(mean)):
-        level[lens] = 0
-        for k in range(len(edges)):
-            level[lens] += edges[k] < mean[lens]
-        ends[level[lens]] += 1
-    for k in range(1, len(ends)):
-        ends[k] += ends[k - 1]
-    for lens in range(len(mean) - 1, -1, -1):
-        ends[level[lens]] -= 1
-        groups[0, ends[level[lens]]], groups[1, ends[level[lens]]] = rough[lens], pixel[lens]
-    for k in range(len(ends) - 1):
-        ends[k] = ends[k + 1]
-    ends[-1] = len(mean)
-
-
 def find_changed_lenses(
     before: NDArray, now: NDArray, calibration: Calibration, settings: ChangeSettings = CHANGE
 ) -> NDArray[np.bool_]:
@@ -170,7 +152,7 @@ def find_changed_lenses(
     """
     height, width, channels = before.shape
     radius = trusted_radius(calibration)
-    side = settings.block if radius >= settings.roomy_radius else settings.small_block
+    side = settings.block if radius >= 1.5 * settings.block else settings.block // 2
     blocks = np.empty((4, max(height // side, 1), max(width // side, 1)), np.float32)
     like = np.empty(0, {"u1": np.int16, "u2": np.int32}.get(before.dtype.str[1:], np.float32))
     first, second = (np.ascontiguousarray(flat).reshape(height, -1) for flat in (before, now))
@@ -181,39 +163,26 @@ def find_changed_lenses(
     _pool(blocks, centres, side, np.float32(within), np.float32(1 / channels), out)
     mean, contrast, rough, pixel, block, count = out
     white = white_level(before, calibration)
-    rounding = settings.rounding if before.dtype.kind in "ui" else (white / 2**16) ** 2
-    noise, level = _measure_noise(mean, rough, pixel, rounding / channels, settings)
+    rounding = _ROUNDING if before.dtype.kind in "ui" else (white / 2**16) ** 2
+    noise, level = _measure_noise(mean, np.minimum(2 * rough, pixel), rounding / channels, settings)
     # Noise may vary much within a group, as where pixels are clipped at black.
     allowed = np.maximum(np.maximum(noise[_BELOW], noise[_ABOVE]), noise)[level]
-    unseen = settings.unseen_share * contrast
-    area = side * side
-    unseen_pixel = np.maximum((settings.unseen_pixel * white) ** 2, unseen)
-    most = np.maximum(allowed * _limit(count * area, settings), unseen_pixel)
     # A sum over a block is as many times the mean, and its energy is stated per pixel.
-    unseen_block = area * np.maximum((settings.unseen_block * white) ** 2, unseen)
-    most_block = np.maximum(allowed * _limit(count, settings), unseen_block)
+    invisible = np.float32((settings.unseen_pixel * white) ** 2)
+    unseen, area = settings.unseen_share * contrast, side * side
+    most = np.maximum(allowed * _limit(count * area, settings), np.maximum(invisible, unseen))
+    most_block = np.maximum(allowed * _limit(count, settings), np.maximum(invisible, area * unseen))
     return np.asarray((pixel > most) | (block > most_block))
 
 
 def _measure_noise(
-    mean: NDArray[np.float32],
-    rough: NDArray[np.float32],
-    pixel: NDArray[np.float32],
-    least: float,
-    settings: ChangeSettings,
+    mean: NDArray[np.float32], noise: NDArray[np.float32], least: float, settings: ChangeSettings
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Variance of a difference by noise in each group of brightness, and the group (n,) of each lens."""
-    level, ends = np.empty(len(mean), np.int64), np.empty(_LEVELS, np.int64)
-    groups = np.empty((2, len(mean)), np.float32)
-    ordered = np.sort(mean[:: max(1, len(mean) // settings.group_sample)])
-    edges = ordered[np.arange(1, _LEVELS) * len(ordered) // _LEVELS]
-    _group(edges, mean, 2 * rough, pixel, level, ends, groups)
-    noise = np.full(_LEVELS, least)
-    for k, (smooth, still) in enumerate(zip(*(np.split(values, ends[:-1]) for values in groups), strict=True)):
-        if len(smooth):
-            own = min(quantile(smooth, settings.smooth_quantile), quantile(still, settings.still_quantile))
-            noise[k] = max(noise[k], own)
-    return noise, level
+    edges = np.quantile(mean, np.arange(1, _LEVELS) / _LEVELS)
+    level = np.searchsorted(edges, mean)
+    groups = [noise[level == k] for k in range(_LEVELS)]
+    return np.array([max(quantile(some, settings.quiet), least) if len(some) else least for some in groups]), level
 
 
 def _limit(count: NDArray[np.float32], settings: ChangeSettings) -> NDArray[np.float32]:

@@ -30,6 +30,7 @@ from .changed_lenses import find_changed_lenses
 from .matching.matcher import Matcher
 from .matching.shortcuts import Shortcuts
 from .pipeline import estimate_depth_map, estimate_lens_by_lens, prepare_flat
+from .planes.settings import PLANE
 from .presets import PRESETS
 from .settings import INCREMENTAL, IncrementalSettings
 from .validity.textureless import find_textureless
@@ -193,10 +194,10 @@ def find_moved(
     moved |= (reason == 0) & reference.textured & ~match.textured
     moved |= (reason != 0) & match.textured & (match.cost < reference.cost - rise)
     moved |= (reason == 1) & match.clear & ~reference.clear
-    limit = np.maximum(settings.shift, np.float32(settings.shift_errors) * np.hypot(reference.error, match.error))
+    limit = np.maximum(settings.shift, np.float32(PLANE.significance) * np.hypot(reference.error, match.error))
     for side in (-1, 1):
         together = count_connected(estimated & (side * shift > limit), neighbours)
-        moved |= together >= settings.shifted_neighbours
+        moved |= together >= PLANE.cluster - 1
     share = settings.doubtful_share
     doubtful = ~estimated | (match.cost > reference.cost + share * rise)
     doubtful |= np.abs(shift) > np.float32(share) * limit

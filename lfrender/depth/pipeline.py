@@ -35,9 +35,11 @@ from .plane_depth import confirm_on_plane, find_plane_of_few, fit_regular_plane,
 from .planes.detection import find_plane
 from .planes.settings import PLANE
 from .presets import PRESETS, Preset
+from .same_surface import TOLERANCE
 from .settings import ESTIMATE, PIPELINE
 from .surface.densify import densify
 from .surface.second_layer import find_second_layer
+from .surface.settings import DensifySettings
 from .surface.thin_structures import find_thin_structures
 from .validity.classify import occurs_among
 from .validity.settings import CLASSIFY
@@ -90,7 +92,7 @@ class _Selection:
     @property
     def gap(self) -> float:
         """Difference of patch sizes [px] between two surfaces."""
-        return max(PIPELINE.min_gap, PIPELINE.gap * self.lattice.pitch)
+        return max(DensifySettings.least_same_surface, TOLERANCE * self.lattice.pitch)
 
     def estimate(self, preset: Preset, ranges: bool) -> LensEstimates:
         """Estimate the lenses; with `ranges` only depths that occur in the larger flat are searched."""
@@ -142,8 +144,7 @@ def estimate_lens_by_lens(
             return depth, _plane_estimates(depth)
     chosen = _select_lenses(gray, lattice, shortcuts, statistics, blank, kept, before, overview)
     lenses, rows = chosen.lenses, chosen.rows
-    less_texture = lenses.active.sum() < PIPELINE.less_texture * tried
-    if rows is not None and chosen.is_whole and shortcuts.plane and less_texture:
+    if rows is not None and chosen.is_whole and shortcuts.plane and lenses.active.sum() < tried:
         depth = find_plane_of_few(lenses, rows, chosen.texture.flat, lattice, preset)
         if depth is not None:
             return depth, _plane_estimates(depth)
@@ -218,12 +219,9 @@ def _select_lenses(
 def _sample_depths(lattice: Lattice, clear: NDArray[np.bool_], active: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
     """(n,) bool: a sample of the `active` lenses that shows which depths occur; None if too few are `clear`."""
     among = clear & active
-    count = among.sum()
-    more = 1 if count >= PIPELINE.mostly_clear * active.sum() else PIPELINE.more_clear
-    if count < more * PIPELINE.min_clear:
-        return None
-    wanted = np.clip(more * count * PIPELINE.sample_share, PIPELINE.min_sample, PIPELINE.sample)
-    return sample_lenses(lattice.indices(), among, int(wanted))
+    # Faint lenses match only at depths that are known to occur.
+    enough = among.sum() * (among.sum() / max(active.sum(), 1)) ** 4 >= 2 * PIPELINE.sample
+    return sample_lenses(lattice.indices(), among, PIPELINE.sample) if enough else None
 
 
 def _complete_depth(

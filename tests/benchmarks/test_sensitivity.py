@@ -11,18 +11,18 @@ from lfrender.depth.settings import PIPELINE, PipelineSettings
 def test_numbers_of_all_rooms_are_found():
     rooms = {kind.__module__.split(".")[2] for kind, _ in tuned_numbers()}
     assert {"matching", "refinement", "surface", "validity", "planes", "edges"} <= rooms
-    assert (PipelineSettings, "gap") in tuned_numbers()
+    assert (PipelineSettings, "few_lenses") in tuned_numbers()
 
 
 def test_a_number_moves_in_the_defaults_and_comes_back():
-    before = PIPELINE.gap
-    with pytest.raises(RuntimeError), moved(PipelineSettings, "gap", 0.7):
-        assert PIPELINE.gap == pytest.approx(0.7 * before)
+    before = PIPELINE.few_lenses
+    with pytest.raises(RuntimeError), moved(PipelineSettings, "few_lenses", 0.7):
+        assert PIPELINE.few_lenses == pytest.approx(0.7 * before)
         raise RuntimeError
-    assert before == PIPELINE.gap
+    assert before == PIPELINE.few_lenses
 
 
 def test_whole_numbers_move_by_one_at_least():
-    before = PIPELINE.min_sample
-    with moved(PipelineSettings, "min_sample", 1.0 + 1e-9):
-        assert before + 1 == PIPELINE.min_sample
+    before = PIPELINE.sample
+    with moved(PipelineSettings, "sample", 1.0 + 1e-9):
+        assert before + 1 == PIPELINE.sample
