@@ -62,10 +62,9 @@ def _measure(
     """(H, W) [px] the patch size of each pixel, NaN between the microimages."""
     reach = settings.reach * lenses.pitch
     costs = PixelCosts(
-        absent=settings.absent_cost, noise2=3 * settings.noise**2, contrast=settings.contrast_share,
-        open_share=settings.open_share, occluded_share=settings.occluded_share, jump=settings.jump,
-        edge_share=settings.edge_share, edge2=settings.edge_colour**2, reach=reach,
-        least=settings.least_patch_size * lenses.pitch, unseen=settings.unseen_cost, around=settings.settled,
+        noise2=3 * settings.noise**2, contrast=settings.contrast_share, visible_share=settings.visible_share,
+        jump=settings.jump, edge2=settings.edge_colour**2, reach=reach, unseen=settings.unseen_cost,
+        around=settings.settled,
     )  # fmt: skip
     pixels = np.full(image.shape[:2], np.nan, np.float32)
     levels = mark_levels(surface, lenses.pitch, int(reach / grid.spacing))

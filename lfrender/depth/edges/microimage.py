@@ -21,16 +21,12 @@ BINS = 512
 class PixelCosts(NamedTuple):
     """Values of `EdgeSettings` for the kernels, in squared units where they are compared with squares."""
 
-    absent: Any
     noise2: Any
     contrast: Any
-    open_share: Any
-    occluded_share: Any
+    visible_share: Any
     jump: Any
-    edge_share: Any
     edge2: Any
     reach: Any  # [px]
-    least: Any  # [px]
     unseen: Any
     around: Any
 

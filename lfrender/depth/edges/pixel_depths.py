@@ -12,13 +12,17 @@ import numpy as np
 
 from lfcal.runtime.kernels.jit import njit
 
-from ..surface.occlusion import depth_order
 from .comparison import allow_mismatch, compare_depth
 from .geometry import LensArray, PointGrid, level_of, value_at
 from .microimage import BINS, DEPTHS, PixelCosts, make_microimage
 from .regularisation import aggregate, price_jumps
 
 __all__ = ["measure_pixel_depths"]
+
+# The largest mismatch: of depths that the surface has nowhere near.
+_NO_MATCH = 1.0
+# [pitch] smaller patch sizes count as this, or a microimage would span all of the scene.
+_LEAST = 0.02
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -68,7 +72,7 @@ def _is_settled(before, px, py, around, gap):
 def _list_candidates(x, y, left, top, size, surface, grid, levels, lenses, depths, number, before, c, work, shape):
     """Fill `work` with the depths that each pixel may show; returns whether there is a choice anywhere."""
     first, spacing, pitch, radius = grid.first, grid.spacing, lenses.pitch, lenses.radius
-    choice = False
+    least, choice = _LEAST * pitch, False
     for row in range(size):
         for column in range(size):
             work.open[row, column] = False
@@ -81,8 +85,8 @@ def _list_candidates(x, y, left, top, size, surface, grid, levels, lenses, depth
             settled = work.inside[row, column] and _is_settled(before, px, py, c.around, lenses.gap)
             for k in range(number):
                 s = depths[k]
-                if abs(s) < c.least:
-                    s = c.least if s > 0 else -c.least
+                if abs(s) < least:
+                    s = least if s > 0 else -least
                 at_x, at_y = x - dx * pitch / s, y - dy * pitch / s
                 here = value_at(surface, first, spacing, at_x, at_y)
                 own = abs(here - s) < lenses.gap
@@ -95,7 +99,7 @@ def _list_candidates(x, y, left, top, size, surface, grid, levels, lenses, depth
                     present = abs(s - before[py, px]) < lenses.gap
                 work.value[k, row, column], work.slope[k, row, column] = s, s / pitch
                 work.present[k, row, column] = present
-                work.cost[k, row, column] = 0.0 if present else c.absent
+                work.cost[k, row, column] = 0.0 if present else _NO_MATCH
                 among += present
             work.open[row, column] = work.inside[row, column] and among > 1
             choice = choice or work.open[row, column]
@@ -105,9 +109,8 @@ def _list_candidates(x, y, left, top, size, surface, grid, levels, lenses, depth
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _measure_lens(lens, image, lenses, surface, grid, levels, before, c, work, out):
     """Fill `out` with the patch sizes of the pixels of one lens."""
-    pitch, radius = lenses.pitch, lenses.radius
     x, y = lenses.centres[lens, 0], lenses.centres[lens, 1]
-    half = int(radius) + 2
+    half = int(lenses.radius) + 2
     size, left, top = 2 * half + 1, int(x + 0.5) - half, int(y + 0.5) - half
     depths = work.depths
     number = _list_depths(surface, grid, x, y, lenses, c.reach, work)
@@ -117,12 +120,8 @@ def _measure_lens(lens, image, lenses, surface, grid, levels, before, c, work, o
                               image.shape)  # fmt: skip
     if choice:
         allow_mismatch(image, left, top, size, c, work)
-        nearest = 0
-        for k in range(1, number):
-            if depth_order(depths[k], pitch) > depth_order(depths[nearest], pitch):
-                nearest = k
         for k in range(number):
-            share = 1.0 if before.size > 1 else c.open_share if k == nearest else c.occluded_share
+            share = 1.0 if before.size > 1 else c.visible_share
             compare_depth(image, lens, k, share, left, top, size, lenses, before, c, work)
         price_jumps(image, left, top, size, c, work)
         aggregate(size, number, lenses.gap, work)

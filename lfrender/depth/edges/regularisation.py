@@ -22,9 +22,7 @@ def price_jumps(image, left, top, size, c, work):
                         step = image[top + row, left + column, channel]
                         step -= image[top + row + down, left + column + across, channel]
                         apart += step * step
-                    work.jumps[direction, row, column] = c.jump * (
-                        c.edge_share + (1 - c.edge_share) * np.exp(-apart / c.edge2)
-                    )
+                    work.jumps[direction, row, column] = c.jump * np.exp(-apart / c.edge2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)

@@ -12,17 +12,13 @@ class EdgeSettings:
     """Tuned values of `locate_edges`."""
 
     reach: float = 2.0  # [pitch] a pixel may show a depth that the surface has so near to the place it would be at
-    absent_cost: float = 1.0  # mismatch of a depth that the surface has nowhere within `reach`
     noise: float = 0.02  # [white] difference of two pixels that is no mismatch, at least
     contrast_share: float = 2.0  # of the variance of a patch by which patches may differ: blur and resampling
-    least_patch_size: float = 0.02  # [pitch] a smaller one counts as this: its microimage spans too many lenses
     unseen_cost: float = 0.6  # mismatch of a pixel that no other lens shows; set by hand
     settled: int = 2  # [px] a pixel with one surface so far around it in the first round is not looked at again
-    open_share: float = 0.8  # first round: share of the views that must show the nearest depth: nothing occludes it
-    occluded_share: float = 0.6  # first round: the same for depths behind it
+    visible_share: float = 0.6  # first round: share of the views that must show a depth, since some are occluded
     jump: float = 0.3  # price of a depth edge between pixels of one colour, in units of the mismatch
-    edge_share: float = 0.3  # of that price between pixels of different colours
-    edge_colour: float = 0.1  # [white] difference of colour at which the price has fallen by 63 %
+    edge_colour: float = 0.1  # [white] difference of colour at which that price has fallen by 63 %
     finer: int = 2  # the grid of the surface becomes so many times as fine: outlines to half of 1/7 pitch
     speck: int = 5  # [points of the finer grid] width of the median that removes single wrong points
 
