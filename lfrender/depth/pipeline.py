@@ -39,7 +39,6 @@ from .same_surface import TOLERANCE
 from .settings import ESTIMATE, PIPELINE
 from .surface.densify import densify
 from .surface.second_layer import find_second_layer
-from .surface.settings import DensifySettings
 from .surface.thin_structures import find_thin_structures
 from .validity.classify import occurs_among
 from .validity.settings import CLASSIFY
@@ -92,7 +91,7 @@ class _Selection:
     @property
     def gap(self) -> float:
         """Difference of patch sizes [px] between two surfaces."""
-        return max(DensifySettings.least_same_surface, TOLERANCE * self.lattice.pitch)
+        return TOLERANCE * self.lattice.pitch
 
     def estimate(self, preset: Preset, ranges: bool) -> LensEstimates:
         """Estimate the lenses; with `ranges` only depths that occur in the larger flat are searched."""

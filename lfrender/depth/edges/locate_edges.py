@@ -14,7 +14,7 @@ from lfcal import Calibration
 from ...data.depth_map import DepthMap
 from ...data.surface import Surface
 from ...flat.gray_flat import white_level
-from ..surface.settings import DensifySettings
+from ..same_surface import TOLERANCE
 from .fusion import fuse_pixel_depths
 from .geometry import LensArray, PointGrid, lens_array, mark_levels
 from .microimage import PixelCosts
@@ -38,8 +38,7 @@ def locate_edges(
     settings : EdgeSettings
     """
     lattice, surface = calibration.lattice, depth.surface
-    same = DensifySettings()
-    gap = max(same.least_same_surface, same.same_surface * lattice.pitch)
+    gap = TOLERANCE * lattice.pitch
     values = surface.patch_size
     if values.max() - values.min() < gap:
         return depth

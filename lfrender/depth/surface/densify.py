@@ -20,16 +20,15 @@ from ...flat.lens_graph import neighbour_rows
 from ...runtime.buffers import allocate_scratch
 from ...runtime.cache import cached
 from ...runtime.order_statistics import select
-from ..same_surface import same_surface
+from ..same_surface import TOLERANCE, same_surface
 from .hypotheses import MAX_HYPOTHESES, find_agreeing_lenses, hypothesis_constants, propose_hypotheses
 from .photoconsistency import view_constants
 from .scene_grid import grid_shape, scene_grid
-from .settings import DensifySettings
+from .settings import SURFACE, SurfaceSettings
 from .update_mask import mark_changed_points
 
 __all__ = ["densify"]
 
-_DEFAULT = DensifySettings()
 _NOTHING = np.empty((0, 0), np.float32)
 
 
@@ -166,7 +165,7 @@ def densify(
     cells: int,
     unchanged: NDArray[np.bool_] | None = None,
     before: Surface | None = None,
-    settings: DensifySettings = _DEFAULT,
+    settings: SurfaceSettings = SURFACE,
 ) -> Surface:
     """Patch size of every scene point from the patch sizes of the lenses around it.
 
@@ -191,12 +190,12 @@ def densify(
     unchanged : (n,) bool, optional
         Lenses whose surroundings stay as in the surface `before`, if that is of the whole flat.
     before : Surface, optional
-    settings : DensifySettings
+    settings : SurfaceSettings
     """
     pitch = lattice.pitch
     shape, start, spacing = grid_shape(lattice, cells)
     ring = cached(lattice, "looking", lambda: _steps_nearby(lattice, settings.viewing_reach))
-    gap = np.float32(max(settings.least_same_surface, settings.same_surface * pitch))
+    gap = np.float32(TOLERANCE * pitch)
     grid = scene_grid(lattice, start[0], spacing)
     # Pixels that differ by no more than twice their noise match.
     constants = hypothesis_constants(
@@ -232,7 +231,7 @@ def densify(
     _, coarse = settle(half, 0.5, _every_other(old, half), _NOTHING, "coarse")
     depths, chosen = settle(shape, 1.0, old, coarse, "chosen")
     out = np.empty_like(chosen)
-    _remove_specks(chosen, depths, gap, settings.speck, out)
+    _remove_specks(chosen, depths, gap, 1, out)
     return Surface(out, start, spacing)
 
 

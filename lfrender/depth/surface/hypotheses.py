@@ -20,7 +20,7 @@ from .photoconsistency import (
     view_mismatch,
 )
 from .scene_grid import SceneGrid, lens_at
-from .settings import HypothesisSettings
+from .settings import SURFACE, SurfaceSettings
 from .votes import (
     cluster_votes,
     find_central,
@@ -34,15 +34,14 @@ from .votes import (
 
 __all__ = ["MAX_HYPOTHESES", "find_agreeing_lenses", "hypothesis_constants", "propose_hypotheses"]
 
-_DEFAULT = HypothesisSettings()
 #: Hypotheses of one scene point, at most.
 MAX_HYPOTHESES = 5
 
-# Float32 values of `HypothesisSettings`, the tolerance of one surface, the pitch [px], the squared distance within
+# Float32 values of `SurfaceSettings`, the tolerance of one surface, the pitch [px], the squared distance within
 # which lenses vote [px^2], and from the last but three on those of `ViewConstants`.
 HypothesisConstants = namedtuple(
     "HypothesisConstants",
-    "occluded_cost widest second_weight unvoted_cost gap pitch vote2 best_share unknown occluded_views radius floor",
+    "occluded_cost second_weight unvoted_cost gap pitch vote2 unknown occluded_views radius floor",
 )  # fmt: skip
 
 
@@ -51,10 +50,10 @@ def hypothesis_constants(
     pitch: float,
     voting_reach: float,
     views: ViewConstants,
-    settings: HypothesisSettings = _DEFAULT,
+    settings: SurfaceSettings = SURFACE,
 ) -> HypothesisConstants:
     """Values for `propose_hypotheses`: tolerance of one surface, pitch, and distance within which lenses vote [px]."""
-    named = [np.float32(getattr(settings, name)) for name in HypothesisConstants._fields[:4]]
+    named = [np.float32(getattr(settings, name)) for name in HypothesisConstants._fields[:3]]
     return HypothesisConstants._make((*named, gap, np.float32(pitch), np.float32(voting_reach**2), *views))
 
 
@@ -218,7 +217,7 @@ def propose_hypotheses(
                 continue
             everyone = shares[:found].sum()
             number = sort_votes(nearby, found, voters, shares, votes, sizes, weights)
-            found = cluster_votes(number, sizes, weights, gap, c.widest * gap, own, prices)
+            found = cluster_votes(number, sizes, weights, gap, own, prices)
             if coarse.size > 0:
                 found = _keep_coarse(coarse, v, u, gap, own, prices, found)
             if found > 1:

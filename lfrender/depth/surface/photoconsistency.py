@@ -12,11 +12,10 @@ import numpy as np
 
 from lfcal.runtime.kernels.jit import njit
 
-from .settings import PhotoconsistencySettings
+from .settings import SURFACE, SurfaceSettings
 
 __all__ = ["MAX_VIEWS", "WORK", "sample_views", "view_constants", "view_mismatch"]
 
-_DEFAULT = PhotoconsistencySettings()
 #: Only so many lenses, the most central ones, are compared.
 MAX_VIEWS = 6
 # Each of so many views is compared with all others: the first may be occluded.
@@ -31,13 +30,13 @@ _MEAN, _VARIANCE, _COST = np.uint64(216), np.uint64(224), np.uint64(232)
 #: Float32 values of work memory for one depth, finite: from place `base` of `work` on.
 WORK = 240
 
-# Float32 values of `PhotoconsistencySettings`, the radius of a microimage [px], and the mismatch `floor` that noise
+# Float32 values of `SurfaceSettings`, the radius of a microimage [px], and the mismatch `floor` that noise
 # explains.
-ViewConstants = namedtuple("ViewConstants", "best_share unknown occluded_views radius floor")
+ViewConstants = namedtuple("ViewConstants", "unknown occluded_views radius floor")
 
 
-def view_constants(radius: float, floor: float, settings: PhotoconsistencySettings = _DEFAULT) -> ViewConstants:
-    named = (getattr(settings, name) for name in ViewConstants._fields[:3])
+def view_constants(radius: float, floor: float, settings: SurfaceSettings = SURFACE) -> ViewConstants:
+    named = (getattr(settings, name) for name in ViewConstants._fields[:2])
     return ViewConstants(*map(np.float32, (*named, radius, floor)))
 
 
@@ -179,7 +178,8 @@ def view_mismatch(work, constants, nearest, seen, base):
         return unknown
     _interpolate(work, base)
     _compute_moments(work, base)
-    number = max(1, int(constants.best_share * (seen - 1) + np.float32(0.5)))
+    # Half of the others: an occluder may hide the rest.
+    number = seen // 2
     least = np.float32(np.inf)
     for r in range(np.uint64(_REFERENCES)):
         _compare(work, base, r, unknown, constants.floor)

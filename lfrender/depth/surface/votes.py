@@ -129,18 +129,16 @@ def sort_votes(table, count, voters, shares, votes, sizes, weights):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def cluster_votes(number, sizes, weights, gap, widest, depths, shares):
+def cluster_votes(number, sizes, weights, gap, depths, shares):
     """Means and weights of clusters of sorted votes, the weightiest first, as many as there is room for; their number.
 
-    Neighbouring votes of a cluster differ by at most one `gap`, all of them by at most `widest`.
+    The votes of a cluster differ by at most one `gap`.
     """
     most = len(depths)
     found = start = 0
     while start < number:
         stop = start + 1
-        while stop < number and sizes[stop] - sizes[stop - 1] <= gap:
-            if sizes[stop] - sizes[start] > widest:
-                break
+        while stop < number and sizes[stop] - sizes[start] <= gap:
             stop += 1
         weight = total = np.float32(0.0)
         for m in range(start, stop):

@@ -11,17 +11,17 @@ from lfcal.runtime.kernels.jit import njit
 
 from ...flat.microimages import copy_box
 
-__all__ = [
-    "BORDER", "add_where_within", "copy_windows", "inner_columns", "new_windows", "window_differences",
-    "window_variance",
-]  # fmt: skip
+__all__ = ["BORDER", "FEWEST", "copy_windows", "count_views", "inner_columns", "new_windows", "set_limits"]
 
 #: [px] that windows reach beyond their middle.
 BORDER = np.float32(1.0)
+#: Fewer pixels hardly tell a depth.
+FEWEST = 4
 
-# A microimage with what lies about it, `stride` rows and columns, and memory for its comparison with others. `corner`
-# (2,) is its first pixel x, y; `light` (stride^2,) its brightness; the others are work memory.
-Windows = namedtuple("Windows", "stride corner light other squares lines")
+# A microimage with what lies about it, `stride` rows and columns, and its comparison with others. `corner` (2,) is its
+# first pixel x, y; `light` (stride^2,) its brightness. Of every window there are the `limits` up to which a sum of
+# squared differences is none, how many views show it, and how many confirm it. The others are work memory.
+Windows = namedtuple("Windows", "stride corner light other squares lines differences limits showing confirming")
 
 
 @njit(cache=True, nogil=True)
@@ -31,7 +31,8 @@ def new_windows(radius):
     size = stride * stride
     return Windows(
         stride, np.zeros(2, np.int64), np.empty(size, np.float32), np.zeros(size + 2 * stride, np.float32),
-        np.empty(size, np.float32), np.zeros(size, np.float32),
+        np.empty(size, np.float32), np.zeros(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32),
+        np.empty(size, np.float32), np.empty(size, np.float32),
     )  # fmt: skip
 
 
@@ -70,12 +71,30 @@ def _sum_windows(squares, v, stride, begin, end, lines, out, at):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def window_differences(flat, windows, ax, ay, bx, by, radius, s, pitch, begin_row, row_step, out, at):
-    """Sums of squared differences over 3 x 3 pixels of lens a from lens b; infinite where b does not show the pixels.
+def set_limits(windows, begin_row, row_step, floor):
+    """Let windows that differ by less than their own variance and a `floor` be alike: every `row_step`-th row."""
+    stride, light, apart, squares = windows.stride, windows.light, windows.other, windows.squares
+    sums, limits, ninth = windows.differences, windows.limits, np.float32(1 / 9)
+    # Relative to one of them, squares of similar values keep their digits.
+    middle = light[stride * stride // 2]
+    for k in range(np.uint64(stride * stride)):
+        apart[k] = light[k] - middle
+        squares[k] = apart[k] * apart[k]
+    row = 0
+    for v in range(begin_row, stride - 1, row_step):
+        _sum_windows(apart, v, stride, 0, stride, windows.lines, sums, row)
+        _sum_windows(squares, v, stride, 0, stride, windows.lines, limits, row)
+        at = np.uint64(row)
+        for k in range(np.uint64(stride)):
+            limits[at + k] += 9 * floor - ninth * sums[at + k] * sums[at + k]
+        row += stride
 
-    `windows` holds lens a, centred at (ax, ay). Every `row_step`-th of its rows from `begin_row` on, except the last,
-    is written to `out`, from place `at` on.
-    """
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
+def _compare_windows(flat, windows, a, b, radius, s, pitch, begin_row, row_step):
+    """Sums of squared differences over 3 x 3 pixels of one lens from another, by their centres; infinite where that one
+    does not show the pixels."""
+    (ax, ay), (bx, by) = a, b
     stride, left, top = windows.stride, windows.corner[0], windows.corner[1]
     tx, ty = (bx - ax) * (1 + s / pitch), (by - ay) * (1 + s / pitch)
     x0, y0 = int(np.floor(tx)), int(np.floor(ty))
@@ -88,7 +107,7 @@ def window_differences(flat, windows, ax, ay, bx, by, radius, s, pitch, begin_ro
     qx, qy, r2 = bx - tx, by - ty, radius * radius
     first, last = max(1, 1 - x0), min(flat.width - 2, flat.width - 3 - x0)
     above, below = max(1, 1 - y0), min(flat.height - 2, flat.height - 3 - y0)
-    row = at
+    row = 0
     for v in range(begin_row, stride - 1, row_step):
         half = r2 - (top + v - qy) * (top + v - qy)
         begin, end = stride, -1
@@ -96,16 +115,34 @@ def window_differences(flat, windows, ax, ay, bx, by, radius, s, pitch, begin_ro
             half = np.sqrt(half)
             begin = max(int(np.ceil(qx - half)), first) - left
             end = min(int(np.floor(qx + half)), last) - left
-        _sum_windows(windows.squares, v, stride, begin, end, windows.lines, out, row)
+        _sum_windows(windows.squares, v, stride, begin, end, windows.lines, windows.differences, row)
         row += stride
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def add_where_within(differences, first, limits, number, out):
-    """Add one to `out` at each of so many places where the differences from `first` on are within the limits."""
-    one, none, begin = np.float32(1), np.float32(0), np.uint64(first)
-    for k in range(np.uint64(number)):
-        out[k] += one if differences[begin + k] <= limits[k] else none
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def count_views(flat, windows, centres, lens, radius, s, pitch, rows, begin_row, row_step):
+    """Count in `windows` the neighbours, by `rows`, that show each window of a lens at patch size `s`, and those that
+    differ by no more than its limit; returns the number of neighbours.
+
+    Every `row_step`-th row of windows from `begin_row` on, except the last, one after the other.
+    """
+    differences, limits = windows.differences, windows.limits
+    showing, confirming = windows.showing, windows.confirming
+    one, none, far = np.float32(1), np.float32(0), np.float32(np.inf)
+    number = ((windows.stride - 2 - begin_row) // row_step + 1) * windows.stride
+    showing[:number] = confirming[:number] = 0
+    neighbours = 0
+    for k in range(rows.shape[1]):
+        other = rows[lens, k]
+        if other < 0:
+            continue
+        a, b = (centres[lens, 0], centres[lens, 1]), (centres[other, 0], centres[other, 1])
+        _compare_windows(flat, windows, a, b, radius, s, pitch, begin_row, row_step)
+        for n in range(np.uint64(number)):
+            showing[n] += one if differences[n] < far else none
+            confirming[n] += one if differences[n] <= limits[n] else none
+        neighbours += 1
+    return neighbours
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -116,15 +153,3 @@ def inner_columns(y, ax, ay, radius, height, width):
         return 0, -1
     half = np.sqrt(half)
     return max(1, int(np.ceil(ax - half))), min(width - 2, int(np.floor(ax + half)))
-
-
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def window_variance(image, x, y):
-    """Variance of the 3 x 3 pixels about (x, y)."""
-    mean = squares = np.float32(0.0)
-    for v in range(-1, 2):
-        for u in range(-1, 2):
-            value = image[y + v, x + u] - image[y, x]
-            mean += value
-            squares += value * value
-    return squares / 9 - mean * mean / 81

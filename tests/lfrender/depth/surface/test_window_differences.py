@@ -7,7 +7,7 @@ from numba import njit
 from scipy.ndimage import map_coordinates, uniform_filter
 
 from lfrender.depth.refinement.pair_pixels import flat_pixels
-from lfrender.depth.surface.window_differences import copy_windows, new_windows, window_differences, window_variance
+from lfrender.depth.surface.window_differences import copy_windows, count_views, new_windows, set_limits
 
 IMAGE = np.random.default_rng(5).random((50, 60)).astype(np.float32)
 RADIUS, PITCH, SIZE = np.float32(7.5), np.float32(18.0), np.float32(5.3)
@@ -15,17 +15,22 @@ A, B = np.float32([20.2, 24.7]), np.float32([37.9, 26.1])
 
 
 @njit
-def differences(image, a, b, radius, s, pitch, windows, out):
+def differences(image, centres, radius, s, pitch, windows, floor):
     flat = flat_pixels(image)
-    copy_windows(flat, a[0], a[1], windows)
-    window_differences(flat, windows, a[0], a[1], b[0], b[1], radius, s, pitch, 1, 1, out, 0)
+    copy_windows(flat, centres[0, 0], centres[0, 1], windows)
+    set_limits(windows, 1, 1, floor)
+    count_views(flat, windows, centres, 0, radius, s, pitch, np.array([[1], [0]]), 1, 1)
 
 
 def test_window_differences_are_sums_of_squared_differences_over_3_x_3_pixels():
     windows = new_windows(RADIUS)
-    out = np.empty(windows.stride**2, np.float32)
-    differences(IMAGE, A, B, RADIUS, SIZE, PITCH, windows, out)
-    found = out[: (windows.stride - 2) * windows.stride].reshape(-1, windows.stride)
+    differences(IMAGE, np.stack([A, B]), RADIUS, SIZE, PITCH, windows, np.float32(0.1))
+    found, limits, showing, confirming = (
+        values[: (windows.stride - 2) * windows.stride].reshape(-1, windows.stride)
+        for values in (windows.differences, windows.limits, windows.showing, windows.confirming)
+    )
+    np.testing.assert_array_equal(showing, np.isfinite(found))
+    np.testing.assert_array_equal(confirming, found <= limits)
     left, top = windows.corner
     y, x = np.mgrid[top + 1 : top + windows.stride - 1, left : left + windows.stride]
     step = (B - A).astype(float) * (1 + float(SIZE) / float(PITCH))
@@ -40,5 +45,9 @@ def test_window_differences_are_sums_of_squared_differences_over_3_x_3_pixels():
     assert not shown[away > RADIUS + 0.01].any()
 
 
-def test_window_variance_is_that_of_the_3_x_3_pixels():
-    assert np.isclose(window_variance(IMAGE, 12, 30), IMAGE[29:32, 11:14].var(), rtol=1e-4)
+def test_limits_are_the_variance_of_the_3_x_3_pixels_and_a_floor():
+    windows = new_windows(RADIUS)
+    differences(IMAGE, np.stack([A, B]), RADIUS, SIZE, PITCH, windows, np.float32(0.1))
+    left, top = windows.corner
+    found = windows.limits[(30 - top - 1) * windows.stride + 20 - left]
+    assert np.isclose(found, 9 * (IMAGE[29:32, 19:22].var() + 0.1), rtol=1e-4)
