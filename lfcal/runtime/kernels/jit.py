@@ -11,20 +11,11 @@ from .sharing import share_out
 __all__ = ["Kernel", "njit"]
 
 _lock = RLock()
-# Names in kernels that make arrays.
+# Names in kernels that make arrays, or errors with values.
 _ALLOCATING = {
-    "arange",
-    "array",
-    "copy",
-    "empty",
-    "empty_like",
-    "full",
-    "ones",
-    "sort",
-    "argsort",
-    "zeros",
+    "ValueError", "arange", "argsort", "array", "copy", "empty", "empty_like", "full", "ones", "sort", "zeros",
     "zeros_like",
-}
+}  # fmt: skip
 
 
 class Kernel:
