@@ -64,9 +64,9 @@ def solve_detail(
         if pixels.dtype.kind in "ui":
             seen = np.clip(np.rint(seen), 0, np.iinfo(pixels.dtype).max)
         found += image - even.draw(seen.astype(pixels.dtype))[0]
-    # A pixel of the picture is a mean over its square.
-    side = np.array([settings.pixel, 1 - 2 * settings.pixel, settings.pixel], np.float32)
-    found = cv2.sepFilter2D(found, -1, side, side, borderType=cv2.BORDER_REFLECT_101).reshape(image.shape)
+    side = np.array([settings.smooth, 1 - 2 * settings.smooth, settings.smooth], np.float32)
+    added = cv2.sepFilter2D(found - natural, -1, side, side, borderType=cv2.BORDER_REFLECT_101)
+    found = natural + added.reshape(image.shape)
     around = np.ones((3, 3), np.uint8)
     low, high = (cut(image, around).reshape(image.shape) for cut in (cv2.erode, cv2.dilate))
     beyond = settings.overshoot * (high - low)
@@ -138,7 +138,15 @@ def _blur(
         for level in levels:
             grown = plan.scale / (level * pitch)
             disc = defocus.diameters(sign * float(level))[kind] * grown
-            blurred.append(cv2.filter2D(picture, -1, _point_spread(disc, grown), borderType=cv2.BORDER_REFLECT_101))
+            # A pixel of the picture is a mean over its own square.
+            blurred.append(
+                cv2.filter2D(
+                    picture,
+                    -1,
+                    _point_spread(disc, float(np.sqrt(max(grown**2 - 1, 0.0)))),
+                    borderType=cv2.BORDER_REFLECT_101,
+                )
+            )
         at = np.clip((ratio - levels[0]) / max(levels[1] - levels[0], 1e-6), 0, len(levels) - 1).astype(np.float32)
         for n, (one, other) in enumerate(pairwise(blurred)):
             here = places & (at >= n) & (at <= n + 1)
