@@ -239,7 +239,7 @@ def _refine(
     """
     texture = lenses.texture
     first = np.where(wanted, match.patch_size, np.nan).astype(np.float32)
-    occurs = wanted & occurs_among(match.second, occurring, 0.5 * CLASSIFY.uncertainty.same_surface * lenses.pitch)
+    occurs = wanted & occurs_among(match.second, occurring, 0.5 * CLASSIFY.same_surface * lenses.pitch)
     as_good = match.second_normalised >= settings.second_share * match.normalised_correlation
     second = np.where(occurs & as_good, match.second, np.float32(np.nan))
     own = refine_patch_sizes(

@@ -18,7 +18,7 @@ from .planes.detection import PlaneScene, find_plane
 from .planes.plane_fit import Plane, fit_plane, has_outlier_cluster
 from .planes.settings import PLANE
 from .presets import PRESETS
-from .same_surface import same_surface
+from .same_surface import TOLERANCE, same_surface
 from .surface.scene_grid import grid_shape
 from .validity.periodicity import find_periodic_texture
 from .validity.settings import CLASSIFY
@@ -109,7 +109,7 @@ def find_plane_of_few(
 def confirm_on_plane(plane: Plane, estimates: LensEstimates, lenses: LensSet) -> LensEstimates:
     """Resolve lenses at the border of the flat that match on the plane of all others, but with too few pairs."""
     own, reason = plane.at(lenses.centres), estimates.reason
-    on_plane = same_surface(estimates.patch_size, own, 2 * CLASSIFY.agreeing_error * lenses.pitch)
+    on_plane = same_surface(estimates.patch_size, own, TOLERANCE * lenses.pitch)
     on_plane &= np.abs(own) <= CLASSIFY.resolvable * lenses.pitch
     sure = on_plane & (estimates.match.confidence >= CLASSIFY.sure)
     return replace(estimates, reason=np.where((reason == 3) & sure, 0, reason).astype(np.int8))

@@ -55,7 +55,7 @@ _Robust = namedtuple("_Robust", "outlier2 rounds early")
 _Planes = namedtuple("_Planes", "sizes slants spreads")
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y):
     """Fill `s, v, x, y` with the patch sizes, variances and places of the pairs of a lens; returns their number."""
     half = neighbours.shape[1] // 2
@@ -79,7 +79,7 @@ def _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y):
     return count
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _fit_plane(count, s, v, x, y, z, gx, gy, known, robust):
     """Plane through the pairs by IRLS with the weights of Geman and McClure, with a prior slant (gx, gy).
 
@@ -123,7 +123,7 @@ def _fit_plane(count, s, v, x, y, z, gx, gy, known, robust):
     return z, gx, gy, height, slope, chi2, weights
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 def _fit_lens(lens, centres, pitch, neighbours, pairs, start, prior, robust, out):
     most = neighbours.shape[1]
     sizes, slants, spreads = out.sizes, out.slants, out.spreads
@@ -151,7 +151,7 @@ def _fit_lens(lens, centres, pitch, neighbours, pairs, start, prior, robust, out
 
 # In a parallel loop arrays are taken out of tuples without counting references, which would take as long as the fits.
 # Numba drops writes to arrays of a NamedTuple in such a function: all of them are in the function that it calls.
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST)
+@njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _fit_planes(centres, pitch, neighbours, pairs: PairFits, start, prior, robust: _Robust, out: _Planes):
     for lens in prange(len(centres)):
         _fit_lens(lens, centres, pitch, neighbours, pairs, start, prior, robust, out)

@@ -11,7 +11,8 @@ from ...flat.lens_graph import count_similar
 from ...flat.settings import SHADING
 from ...runtime.order_statistics import count_below
 from ..matching.matcher import MatchResult
-from ..same_surface import same_surface
+from ..same_surface import TOLERANCE, same_surface
+from .periodicity import sees_little_of_scene
 from .settings import CLASSIFY, ClassifySettings
 from .uncertainty import (
     combine_confidence,
@@ -19,7 +20,6 @@ from .uncertainty import (
     has_secondary_peak,
     inflate_errors,
     repeats_with_neighbours,
-    sees_same_content,
 )
 
 __all__ = [
@@ -60,25 +60,23 @@ def classify_lenses(
     reason[(reason == 0) & _unmeasured(refined, error, neighbours, pitch, settings)] = 2
     reason[_may_match_by_chance(reason == 0, found, refined, signal, neighbours, pitch, settings)] = 3
     correlation = found.normalised_correlation / signal
-    beside = confirmed_by_neighbours(reason == 0, refined, correlation, neighbours, pitch, settings.uncertainty)
+    beside = confirmed_by_neighbours(reason == 0, refined, correlation, neighbours, pitch, settings)
     reason[(reason > 1) & beside & (np.abs(refined) <= settings.resolvable * pitch)] = 0
-    same = sees_same_content(centres, refined, reason == 0, pitch, settings.uncertainty)
-    secondary = has_secondary_peak(found.primary_peak, found.secondary_peak, signal, same, settings.uncertainty)
+    secondary = has_secondary_peak(found.primary_peak, found.secondary_peak, signal, settings)
+    if sees_little_of_scene(centres, refined, reason == 0, pitch):
+        # Near zero all lenses see the same content, and match by chance alike.
+        secondary &= np.abs(refined) > TOLERANCE * pitch
     single = (reason == 0) & (found.uniqueness >= settings.sure) & ~secondary
     occurring = _occurs(refined, refined[single], pitch, settings)
-    reason[
-        repeats_with_neighbours(reason == 0, found.uniqueness, secondary, occurring, neighbours, settings.uncertainty)
-    ] = 2
-    faint = (reason > 1) & (found.correlation < settings.shared) & (signal < settings.faint_signal)
-    reason[faint] = 1
+    reason[repeats_with_neighbours(reason == 0, found.uniqueness, secondary, occurring, neighbours, settings)] = 2
+    blank = (reason > 1) & (found.correlation < settings.shared) & (signal < settings.faint_signal)
     for _ in range(2):
-        blank = _alone_and_weak(reason == 0, found, refined, signal, neighbours, pitch, settings)
         reason[blank] = 1
-        faint |= blank
-    error = inflate_errors(error, correlation, settings.uncertainty)
-    sure = np.where(textured & ~faint, np.minimum(found.confidence, found.uniqueness), 0)
-    sure = combine_confidence(sure, refined, error, correlation, neighbours, pitch, settings.uncertainty)
-    return reason, error, sure
+        blank |= _alone_and_weak(reason == 0, found, refined, signal, neighbours, pitch, settings)
+    reason[blank] = 1
+    error = inflate_errors(error, correlation, settings)
+    sure = np.where(textured & ~blank, np.minimum(found.confidence, found.uniqueness), 0)
+    return reason, error, combine_confidence(sure, error, pitch, settings)
 
 
 def _pairs_agree(
@@ -86,10 +84,10 @@ def _pairs_agree(
 ) -> NDArray[np.bool_]:
     """Lenses whose pairs agree, and those that two such neighbours confirm; at the border, where a lens has few pairs,
     one neighbour must confirm what they agree on."""
-    agree = error <= settings.agreeing_error * pitch
-    confirming = count_similar(agree, refined, neighbours, 2 * settings.agreeing_error * pitch)
+    agree = error <= 0.5 * TOLERANCE * pitch
+    confirming = count_similar(agree, refined, neighbours, TOLERANCE * pitch)
     whole = (neighbours >= 0).all(1)
-    return np.asarray((agree & whole) | (confirming >= np.where(agree, 1, 2)))
+    return np.asarray((agree & whole) | (confirming > np.where(agree, 0, settings.alone)))
 
 
 def _unmeasured(
@@ -102,7 +100,7 @@ def _unmeasured(
     measured = np.isfinite(error)
     if measured.all():
         return ~measured
-    similar = count_similar(measured, refined, neighbours, settings.uncertainty.same_surface * pitch)
+    similar = count_similar(measured, refined, neighbours, settings.same_surface * pitch)
     return np.asarray(~measured & (similar == 0))
 
 
@@ -123,8 +121,8 @@ def _may_match_by_chance(
     if 2 * sure.sum() > resolved.sum():
         resolved = resolved & ~_occurs(refined, refined[sure], pitch, settings)
     better = resolved & (found.correlation >= settings.shared * signal)
-    similar = count_similar(better, refined, neighbours, settings.uncertainty.same_surface * pitch)
-    return np.asarray(resolved & (found.correlation < settings.by_chance) & (similar < 2))
+    similar = count_similar(better, refined, neighbours, settings.same_surface * pitch)
+    return np.asarray(resolved & (found.correlation < settings.by_chance) & (similar <= settings.alone))
 
 
 def _alone_and_weak(
@@ -142,7 +140,7 @@ def _alone_and_weak(
     """
     if not resolved.any():
         return resolved
-    similar = count_similar(resolved, refined, neighbours, settings.uncertainty.same_surface * pitch)
+    similar = count_similar(resolved, refined, neighbours, settings.same_surface * pitch)
     # Contrasts over the noise, as squares, compared with those of typical lenses.
     share = np.float32(1) - signal
     weak = settings.weak_contrast**2 * share > np.median(share[resolved])
@@ -186,7 +184,7 @@ def occurs_among(
 
 
 def _occurs(values: NDArray, known: NDArray, pitch: float, settings: ClassifySettings) -> NDArray[np.bool_]:
-    return occurs_among(values, known, 0.5 * settings.uncertainty.same_surface * pitch, settings)
+    return occurs_among(values, known, 0.5 * settings.same_surface * pitch, settings)
 
 
 def shift_exceeds_shading(

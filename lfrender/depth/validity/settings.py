@@ -4,43 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["CLASSIFY", "ClassifySettings", "PeriodicitySettings", "TexturelessSettings", "UncertaintySettings"]
-
-
-@dataclass(frozen=True)
-class UncertaintySettings:
-    """Tuned values of `uncertainty`."""
-
-    matched_factor: float = 0.95  # of a standard error if all texture is matched; on ray-traced scenes
-    unmatched_factor: float = 2.7  # of it, added in squares, times the share of texture not matched; on the same
-    unrelated_error: float = 0.035  # [pitch] standard error of pairs of unrelated content
-    unmeasured: float = 0.4  # confidence left to lenses that could not be measured on their pixels: less than even
-    doubtful: float = 0.6  # a lens that correlates less than this, and of whose neighbours
-    alone: float = 0.3  # fewer than this share have its depth, may have met its match by chance:
-    chance: float = 0.5  # factor of its confidence
-    same_surface: float = 0.06  # [pitch] neighbours at the same depth; half of it for one depth anywhere; set by hand
-    least_same_surface: float = 0.3  # [px] at least, for half of it
-    ambiguous: float = 0.5  # uniqueness of a match below which its lens is ambiguous,
-    clearly_ambiguous: float = 1 / 3  # or below this where most lenses are not: another shift is twice as likely
-    secondary_peak: float = 0.3  # over the first; less on nine of ten lenses whose texture does not repeat
-    secondary_peak_alike: float = 0.6  # the same if all lenses see the same content, which they match by chance alike
-    near_zero: float = 0.05  # [pitch] patch sizes at which they may; beyond, waves out of reach have peaks of half
-    both_peaks: float = 1.1  # sum of two peaks over a perfect match: two depths in one lens reach 1
-    least_signal: float = 0.1  # share of the variance that is no noise, at least: below, correlation is useless
-    confirming: float = 0.25  # correlation of lenses that confirm a neighbour,
-    confirming_lenses: int = 2  # so many of them
-    clear_signal: float = 0.8  # if the signal is this share of the variance, a correct map has
-    clear_correlation: float = 0.55  # a median correlation above this; 0.58 on captures, periodic textures 0.3 to 0.75
-    clear_signal_alike: float = 0.5  # the same two if all lenses see nearly the same content;
-    clear_correlation_alike: float = 0.8  # planes reach 0.85 there
+__all__ = ["CLASSIFY", "ClassifySettings", "PeriodicitySettings", "TexturelessSettings"]
 
 
 @dataclass(frozen=True)
 class ClassifySettings:
-    """Tuned values of `classify`, and of the stages that use its classes."""
+    """Tuned values of `classify` and `uncertainty`, and of the stages that use their classes."""
 
     resolvable: float = 0.75  # [pitch] beyond this patch size neighbouring microimages share too little
     sure: float = 0.5  # confidence and uniqueness of resolved lenses, and the factor of a confidence in doubt
+    hardly_shared: float = 0.6  # [pitch] beyond this patch size pairs, or neighbours, must agree
+    same_surface: float = 0.06  # [pitch] neighbours at the same depth; half of it for one depth anywhere; set by hand
     occurring_share: float = 0.005  # of the lenses that have a depth, for it to be one that occurs
     proven_confidence: float = 0.95  # of a match that proves faint texture,
     least_correlation: float = 0.12  # and its correlation: of lenses without texture one in a hundred has both
@@ -54,9 +28,15 @@ class ClassifySettings:
     by_chance: float = 0.4  # correlation that unrelated content reaches at some shift
     alone: int = 1  # neighbours at the depth of a lens, at most, of one that must prove it
     weak_contrast: float = 0.6  # [contrast of the median lens] and has less; right ones, alone, have 0.8 and more
-    hardly_shared: float = 0.6  # [pitch] beyond this patch size,
-    agreeing_error: float = 0.02  # [pitch] pairs must agree to this: unrelated content scatters
-    uncertainty: UncertaintySettings = UncertaintySettings()
+    secondary_peak: float = 0.3  # over the first; less on nine of ten lenses whose texture does not repeat
+    both_peaks: float = 1.1  # sum of two peaks over a perfect match: two depths in one lens reach 1
+    matched_factor: float = 0.95  # of a standard error if all texture is matched; on ray-traced scenes
+    unmatched_factor: float = 2.7  # of it, added in squares, times the share of texture not matched; on the same
+    unrelated_error: float = 0.035  # [pitch] standard error of pairs of unrelated content
+    clear_signal: float = 0.8  # if the signal is this share of the variance, a correct map has
+    clear_correlation: float = 0.55  # a median correlation above this; 0.58 on captures, periodic textures 0.3 to 0.75
+    clear_signal_alike: float = 0.5  # the same two if all lenses see nearly the same content;
+    clear_correlation_alike: float = 0.8  # planes reach 0.85 there
 
 
 @dataclass(frozen=True)

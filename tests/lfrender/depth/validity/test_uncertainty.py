@@ -29,17 +29,11 @@ def test_an_error_grows_with_the_texture_that_is_not_matched():
     assert 1.7 < wide[2] / wide[0] < 2.2
 
 
-def test_scattered_pairs_and_isolated_depths_reduce_confidence():
-    sizes = np.array([-6.0, *[-6.1] * 6])
-    correlation = np.full(7, 0.5)
-    firm = combine_confidence(np.ones(7), sizes, np.full(7, 0.05), correlation, _ROWS, 23.0)[0]
-    loose = combine_confidence(np.ones(7), sizes, np.full(7, 0.9), correlation, _ROWS, 23.0)[0]
-    alone = combine_confidence(np.ones(7), np.array([4.0, *[-6.1] * 6]), np.full(7, 0.05), correlation, _ROWS, 23.0)[0]
-    unmeasured = combine_confidence(np.ones(7), sizes, np.full(7, np.inf), correlation, _ROWS, 23.0)[0]
+def test_scattered_or_unmeasured_pairs_reduce_confidence():
+    firm, loose, unmeasured = combine_confidence(np.ones(3), np.array([0.05, 0.9, np.inf]), 23.0)
     assert firm > 0.98
     assert loose < 0.5
-    assert alone < 0.51
-    assert unmeasured < 0.5
+    assert unmeasured <= 0.5
 
 
 def test_a_faint_lens_is_confirmed_by_two_good_ones_beside_it_and_not_by_one():
@@ -67,10 +61,7 @@ def test_periodic_texture_has_a_secondary_peak_and_two_depths_in_one_lens_have_n
     matched, echo = np.array([0.95, 0.6, 0.5, 0.9]), np.array([0.5, 0.35, 0.35, 0.22])
     # Half of the third is noise: the rest matches at both shifts.
     signal = np.array([1.0, 1.0, 0.5, 1.0])
-    apart = np.zeros(4, bool)
-    assert has_secondary_peak(matched, echo, signal, apart).tolist() == [True, False, True, False]
-    # Lenses of the same content match by chance alike, but not as well as periodic texture.
-    assert has_secondary_peak(matched, echo, signal, ~apart).tolist() == [False, False, True, False]
+    assert has_secondary_peak(matched, echo, signal).tolist() == [True, False, True, False]
     # If most lenses are periodic, those between them are too.
     most = np.array([False, True, True, True, True, False, False])
     sure = np.ones(7)
