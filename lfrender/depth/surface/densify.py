@@ -7,6 +7,7 @@ information, 2008) along rows and columns chooses one per point.
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,9 +20,8 @@ from ...flat.gray_flat import GrayFlat
 from ...flat.lens_graph import neighbour_rows
 from ...runtime.buffers import allocate_scratch
 from ...runtime.cache import cached
-from ...runtime.order_statistics import select
 from ..same_surface import TOLERANCE, same_surface
-from .hypotheses import MAX_HYPOTHESES, find_agreeing_lenses, hypothesis_constants, propose_hypotheses
+from .hypotheses import MAX_HYPOTHESES, hypothesis_constants, propose_hypotheses
 from .photoconsistency import view_constants
 from .scene_grid import grid_shape, scene_grid
 from .settings import SURFACE, SurfaceSettings
@@ -68,53 +68,24 @@ def _aggregate(depths, costs, single, gap, jump, total):
             previous[k] = message[k]
 
 
-def _choose(
-    depths: NDArray[np.float32],
-    costs: NDArray[np.float32],
-    gap: np.float32,
-    jump: np.float32,
-    total: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
-    """Choose one hypothesis per scene point by paths along its row and column, both ways."""
-    single = np.isnan(depths[1])
-    turned = np.ascontiguousarray(single.T)
-    _follow_rows(depths, costs, gap, jump, single, total)
-    _follow_columns(depths, costs, gap, jump, turned, total)
-    _take_cheapest(depths, single, total, out)
-
-
 @njit(cache=True, nogil=True, error_model="numpy", share=lambda depths, *_: depths.shape[1])
-def _follow_rows(begin, end, depths, costs, gap, jump, single, total):
-    most, _, columns = depths.shape
+def _follow_lines(begin, end, depths, costs, gap, jump, single, total, fresh, out):
+    """Add the paths along each line of scene points, both ways, to `total`, which is cleared first if `fresh`; or else
+    set `out` to the cheapest hypothesis of each point."""
+    most, _, places = depths.shape
     for v in range(begin, end):
         some = False
-        for u in range(columns):
-            if not single[v, u]:
-                some = True
+        for u in range(places):
+            some = some or not single[v, u]
+            if fresh and not single[v, u]:
                 for k in range(most):
                     total[k, v, u] = 0.0
         if some:
             _aggregate(depths[:, v], costs[:, v], single[v], gap, jump, total[:, v])
             _aggregate(depths[:, v, ::-1], costs[:, v, ::-1], single[v, ::-1], gap, jump, total[:, v, ::-1])
-
-
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda depths, *_: depths.shape[2])
-def _follow_columns(begin, end, depths, costs, gap, jump, turned, total):
-    for u in range(begin, end):
-        some = False
-        for v in range(turned.shape[1]):
-            some = some or not turned[u, v]
-        if some:
-            _aggregate(depths[:, :, u], costs[:, :, u], turned[u], gap, jump, total[:, :, u])
-            _aggregate(depths[:, ::-1, u], costs[:, ::-1, u], turned[u, ::-1], gap, jump, total[:, ::-1, u])
-
-
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda depths, *_: depths.shape[1])
-def _take_cheapest(begin, end, depths, single, total, out):
-    most, _, columns = depths.shape
-    for v in range(begin, end):
-        for u in range(columns):
+        if fresh:
+            continue
+        for u in range(places):
             best = 0
             if not single[v, u]:
                 for k in range(1, most):
@@ -125,26 +96,19 @@ def _take_cheapest(begin, end, depths, single, total, out):
             out[v, u] = depths[best, v, u]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda chosen, *_: len(chosen))
-def _remove_specks(begin, end, chosen, depths, gap, reach, out):
-    """Replace points with several hypotheses that differ from most points about them by the median of those."""
-    rows, columns = chosen.shape
-    side = 2 * reach + 1
-    for v in range(begin, end):
-        window = np.empty(side * side, np.float32)
-        for u in range(columns):
-            here = chosen[v, u]
-            out[v, u] = here
-            if np.isnan(depths[1, v, u]):
-                continue
-            count = agree = 0
-            for y in range(max(0, v - reach), min(rows, v + reach + 1)):
-                for x in range(max(0, u - reach), min(columns, u + reach + 1)):
-                    window[count] = chosen[y, x]
-                    count += 1
-                    agree += same_surface(chosen[y, x], here, gap)
-            if 2 * agree < count:
-                out[v, u] = select(window[:count], count // 2)
+def _choose(
+    depths: NDArray[np.float32],
+    costs: NDArray[np.float32],
+    gap: np.float32,
+    jump: np.float32,
+    total: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Choose one hypothesis per scene point by paths along its row and column, both ways."""
+    single = np.isnan(depths[1])
+    columns, column_costs, column_total = (values.transpose(0, 2, 1) for values in (depths, costs, total))
+    _follow_lines(columns, column_costs, gap, jump, np.ascontiguousarray(single.T), column_total, True, out)
+    _follow_lines(depths, costs, gap, jump, single, total, False, out)
 
 
 def _steps_nearby(lattice: Lattice, reach: float) -> NDArray[np.int64]:
@@ -201,13 +165,12 @@ def densify(
     constants = hypothesis_constants(
         gap, pitch, settings.voting_reach * pitch, view_constants(gray.radius, 4 * noise * noise)
     )
-    agreeing = np.empty(len(values), np.bool_)
-    find_agreeing_lenses(values, seconds, lattice.indices(), grid, ring, gap, agreeing)
     known = before is not None and before.patch_size.shape == shape and before.first == start
     old = before.patch_size if before is not None and known and unchanged is not None else _NOTHING
     table = np.empty((len(values), 6), np.float32)
     table[:, :2], table[:, 2], table[:, 3], table[:, 4:] = gray.centres, trust, values, seconds
     around = neighbour_rows(lattice, ring)
+    agreeing = _agree(values, seconds, around, gap)
 
     def settle(
         shape: tuple[int, int], part: float, old: NDArray[np.float32], coarse: NDArray[np.float32], purpose: str
@@ -218,9 +181,12 @@ def densify(
         points, changed = grid._replace(spacing=spacing / part), allocate_scratch("unsettled", old.shape, np.bool_)
         if old.size and unchanged is not None:
             mark_changed_points(unchanged, gray.centres, lattice.indices(), around, ring, points, changed)
-        propose_hypotheses(
-            gray.image, table, around, ring, agreeing, points, constants, changed, old, coarse, depths, costs
-        )
+        depths[1] = np.nan
+        open_ = _interpolate(coarse, shape, gap, depths[0]) if coarse.size else np.ones(shape, np.bool_)
+        if old.size:
+            open_ &= changed
+            np.copyto(depths[0], old, where=~changed)
+        propose_hypotheses(gray.image, table, around, ring, agreeing, points, constants, open_, coarse, depths, costs)
         chosen = allocate_scratch(purpose, shape, np.float32)
         # A step of a coarser grid stands for several steps, and so does its mismatch: both are scaled alike.
         _choose(depths, costs, gap, np.float32(part * settings.jump), totals, chosen)
@@ -230,9 +196,39 @@ def densify(
     half = shape[0] // 2 + 1, shape[1] // 2 + 1
     _, coarse = settle(half, 0.5, _every_other(old, half), _NOTHING, "coarse")
     depths, chosen = settle(shape, 1.0, old, coarse, "chosen")
-    out = np.empty_like(chosen)
-    _remove_specks(chosen, depths, gap, 1, out)
-    return Surface(out, start, spacing)
+    # Points with several hypotheses that differ from most points about them are specks.
+    usual = cv2.medianBlur(chosen, 3)
+    speck = ~np.isnan(depths[1]) & ~same_surface(chosen, usual, gap)
+    return Surface(np.where(speck, usual, chosen), start, spacing)
+
+
+def _agree(
+    values: NDArray[np.float32], seconds: NDArray[np.float32], around: NDArray[np.integer], gap: np.float32
+) -> NDArray[np.bool_]:
+    """(n,) bool: where all lenses `around` (n, k) agree to one `gap` and have no second depths."""
+    near = np.where(around >= 0, values[around], values[:, None])
+    several = np.isfinite(seconds).any(1)
+    alone = ~(several[around] & (around >= 0)).any(1) & ~several
+    return np.asarray(alone & (near.max(1) - near.min(1) <= gap))
+
+
+def _interpolate(
+    coarse: NDArray[np.float32], shape: tuple[int, int], gap: np.float32, out: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Fill `out` with the means of the values of a grid of twice the spacing about each point; where those differ by
+    more than a `gap`."""
+    differ = np.empty(shape, np.bool_)
+    for row, column in np.ndindex(2, 2):
+        beside = np.ones((3 - row, 3 - column), np.uint8)
+        anchor = (1 - column, 1 - row)
+        low, high = cv2.erode(coarse, beside, anchor=anchor), cv2.dilate(coarse, beside, anchor=anchor)
+        rows, columns = out[row::2, column::2].shape
+        mean = cv2.blur(coarse, (1 + column, 1 + row), anchor=(0, 0), borderType=cv2.BORDER_REPLICATE)
+        out[row::2, column::2] = mean[:rows, :columns]
+        # Beyond the flat the coarse grid may reach where no lens looks.
+        apart = ~same_surface(low, high, gap) | np.isnan(mean)
+        differ[row::2, column::2] = apart[:rows, :columns]
+    return differ
 
 
 def _every_other(values: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:

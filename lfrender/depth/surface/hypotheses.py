@@ -6,7 +6,6 @@ from collections import namedtuple
 
 import numpy as np
 
-from lfcal.runtime.fastmath import FAST
 from lfcal.runtime.kernels.jit import njit
 
 from ...flat.distorted_lookup import nearest_index
@@ -21,18 +20,9 @@ from .photoconsistency import (
 )
 from .scene_grid import SceneGrid, lens_at
 from .settings import SURFACE, SurfaceSettings
-from .votes import (
-    cluster_votes,
-    find_central,
-    find_voters,
-    gather_table,
-    mean_around,
-    mean_vote,
-    measure_distances,
-    sort_votes,
-)
+from .votes import cluster_votes, find_central, find_voters, gather_table, mean_around, sort_votes
 
-__all__ = ["MAX_HYPOTHESES", "find_agreeing_lenses", "hypothesis_constants", "propose_hypotheses"]
+__all__ = ["MAX_HYPOTHESES", "hypothesis_constants", "propose_hypotheses"]
 
 #: Hypotheses of one scene point, at most.
 MAX_HYPOTHESES = 5
@@ -72,46 +62,6 @@ def _add_occlusion(depths, costs, matches, c):
         costs[k] += c.occluded_cost * nearer
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, share=lambda values, *_: len(values))
-def find_agreeing_lenses(begin, end, values, seconds, indices, grid: SceneGrid, ring, gap, agreeing):
-    """Set `agreeing` (n,) where all lenses of `ring` agree to one `gap` and have no second depths."""
-    lookup, low = grid.rows, grid.low
-    for lens in range(begin, end):
-        lowest = highest = values[lens]
-        single = True
-        for r in range(len(ring)):
-            other = lens_at(lookup, low, indices[lens, 0] + ring[r, 0], indices[lens, 1] + ring[r, 1])
-            if other < 0:
-                continue
-            lowest = min(lowest, values[other])
-            highest = max(highest, values[other])
-            for m in range(seconds.shape[1]):
-                single = single and not np.isfinite(seconds[other, m])
-        agreeing[lens] = single and highest - lowest <= gap
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _interpolate_row(coarse, v, gap, values, differ):
-    """Row `v` of a grid from one of twice the spacing: means of the `coarse` values about each point, in `values`, and
-    whether those differ by more than a `gap`, in `differ`; both have two places for each column of `coarse`."""
-    columns = coarse.shape[1]
-    above, below = coarse[v // 2], coarse[(v + 1) // 2]
-    first, last = coarse[max(v - 1, 0) // 2], coarse[min((v + 2) // 2, len(coarse) - 1)]
-    quarter, half = np.float32(0.25), np.float32(0.5)
-    low, high = np.empty(columns, np.float32), np.empty(columns, np.float32)
-    for x in range(columns):
-        low[x] = min(min(first[x], last[x]), above[x])
-        high[x] = max(max(first[x], last[x]), above[x])
-    for x in range(columns):
-        values[2 * x] = half * (above[x] + below[x])
-        left, right = max(x - 1, 0), min(x + 1, columns - 1)
-        values[2 * x + 1] = quarter * ((above[x] + above[right]) + (below[x] + below[right]))
-        lowest, highest = min(low[x], low[right]), max(high[x], high[right])
-        # Beyond the flat the coarse grid may reach where no lens looks.
-        differ[2 * x + 1] = highest - lowest > gap or np.isnan(values[2 * x + 1])
-        differ[2 * x] = max(highest, high[left]) - min(lowest, low[left]) > gap or np.isnan(values[2 * x])
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def _keep_coarse(coarse, v, u, gap, depths, weights, count):
     """Keep those of `count` hypotheses that a value of twice the spacing about point (v, u) has; all if none has."""
@@ -144,14 +94,14 @@ def _measure_mismatch(image, near_x, near_y, work, c, central, x, y, everyone, d
         costs[k] = view_mismatch(work, c, k == nearest, seen[k], base) + c.unvoted_cost * unvoted
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: given[10].shape[1])
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda *given: given[9].shape[1])
 def propose_hypotheses(
-    begin, end, image, table, around, ring, agreeing, grid: SceneGrid, constants: HypothesisConstants, changed, old,
-    coarse, depths, costs,
+    begin, end, image, table, around, ring, agreeing, grid: SceneGrid, constants: HypothesisConstants, wanted, coarse,
+    depths, costs,
 ):  # fmt: skip
-    """Depth hypotheses of each scene point in `depths`, their cost in `costs`, both (most, rows, columns).
+    """Depth hypotheses of each `wanted` scene point in `depths`, their cost in `costs`, both (most, rows, columns).
 
-    A point on whose depth all lenses around agree has one hypothesis; the place after the last one is NaN; places
+    A point on whose depth all lenses around agree has one hypothesis; the place after the last one stays NaN; places
     beyond, and the costs of single hypotheses, are left as they are.
 
     Parameters
@@ -162,14 +112,13 @@ def propose_hypotheses(
     around : (n, k) int32
         Rows of the lenses of `ring` (k, 2) about each.
     agreeing : (n,) bool
-        As `find_agreeing_lenses`.
+        Lenses around which all have one depth.
     grid : SceneGrid
     constants : HypothesisConstants
-    changed, old : (rows, columns)
-        Points that are not `changed` have that of the `old` surface as their only hypothesis; both may be (0, 0).
+    wanted : (rows, columns) bool
     coarse : (rows / 2, columns / 2) float32
-        Surface of twice the spacing: where its values about a point agree, their mean is the only hypothesis, elsewhere
-        only those that one of them has; (0, 0) if there is none.
+        Surface of twice the spacing: only hypotheses that one of its values about a point has are kept; (0, 0) if there
+        is none.
     """
     most, _, columns = depths.shape
     c, gap = constants, constants.gap
@@ -183,20 +132,13 @@ def propose_hypotheses(
         voters, shares = np.empty(most_near, np.int64), np.empty(most_near, np.float32)
         sizes, weights = np.empty(known * most_near, np.float32), np.empty(known * most_near, np.float32)
         near_x, near_y = np.empty(MAX_VIEWS, np.float32), np.empty(MAX_VIEWS, np.float32)
-        central, work = np.empty(MAX_VIEWS, np.int64), np.zeros(most * WORK, np.float32)
         own, prices, matches = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
+        central, work = np.empty(MAX_VIEWS, np.int64), np.zeros(most * WORK, np.float32)
         seen = np.empty(most, np.int64)
-        values, differ = np.empty(columns + 2, np.float32), np.ones(columns + 2, np.bool_)
-        if coarse.size > 0:
-            _interpolate_row(coarse, v, gap, values, differ)
         count = 0
         around_i, around_j = 2**62, 0
         for u in range(columns):
-            depths[0, v, u], depths[1, v, u] = values[u], np.nan
-            if old.size > 0 and not changed[v, u]:
-                depths[0, v, u] = old[v, u]
-                continue
-            if not differ[u]:
+            if not wanted[v, u]:
                 continue
             x, y = first + u * spacing, first + v * spacing
             at_i, at_j = nearest_index(x, y, origin, inverse, bend, bend_low)
@@ -210,10 +152,9 @@ def propose_hypotheses(
             if lens >= 0 and agreeing[lens]:
                 depths[0, v, u] = mean_around(nearby, count, px, py, c.vote2)
                 continue
-            nearest = measure_distances(nearby, count, px, py, distance)
-            found, lowest, highest = find_voters(nearby, count, nearest, distance, c.vote2, voters, shares)
-            if found == 0 or highest - lowest <= gap:
-                depths[0, v, u] = mean_vote(nearby, found, voters, shares, votes) if found else np.float32(np.nan)
+            found, apart = find_voters(nearby, count, px, py, c.vote2, distance, voters, shares)
+            if found == 0 or apart <= gap:
+                depths[0, v, u] = mean_around(nearby, count, px, py, c.vote2)
                 continue
             everyone = shares[:found].sum()
             number = sort_votes(nearby, found, voters, shares, votes, sizes, weights)

@@ -191,7 +191,7 @@ def find_second_layer(
     best = total.argmin(1)
     lens = np.arange(len(best))
     at_first = np.abs(shifts - first[:, None] / matcher.factor).argmin(1)
-    matched = cost[lens, best] < cost[lens, at_first]
+    matched = cost[lens, best] < cost[lens, at_first] - settings.least_gain
     found = ((shifts[best] + fit_parabola(total, best) * matcher.step) * matcher.factor).astype(np.float32)
     gap = TOLERANCE * texture.flat.pitch
     new = wanted & matched & ~same_surface(found, first, gap)

@@ -9,13 +9,10 @@ from lfcal.runtime.kernels.jit import njit
 
 from .scene_grid import lens_at
 
-__all__ = [
-    "SIZE", "cluster_votes", "find_central", "find_voters", "gather_table", "mean_around", "mean_vote",
-    "measure_distances", "sort_votes",
-]  # fmt: skip
+__all__ = ["cluster_votes", "find_central", "find_voters", "gather_table", "mean_around", "sort_votes"]
 
 # Rows of the table of a lens: its centre, its weight, and from the last one on its depths.
-_X, _Y, _TRUST, SIZE = range(4)
+_X, _Y, _TRUST, _SIZE = range(4)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -34,29 +31,42 @@ def gather_table(table, rows, lookup, low, ring, i, j, lens, out):
 # Python's error model checks every division for zero, which prevents vector loops.
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def mean_around(table, count, x, y, vote2):
-    """Weighted mean of the first depths of the `count` lenses around a scene point."""
+    """Weighted mean of the first depths of the `count` lenses around a scene point; NaN if there are none."""
     weight = total = np.float32(0.0)
     per_vote2 = np.float32(1.0) / vote2
-    xs, ys, trusts, sizes = table[_X], table[_Y], table[_TRUST], table[SIZE]
+    xs, ys, trusts, sizes = table[_X], table[_Y], table[_TRUST], table[_SIZE]
     for m in range(np.uint64(count)):
         dx, dy = x - xs[m], y - ys[m]
-        share = max(np.float32(1.0) - (dx * dx + dy * dy) * per_vote2, np.float32(0.0))
+        # Beyond the border of the lattice all are far.
+        share = max(np.float32(1.0) - (dx * dx + dy * dy) * per_vote2, np.float32(1e-6))
         w = trusts[m] * share * share
         weight += w
         total += w * sizes[m]
-    return total / weight
+    return total / weight if count > 0 else np.float32(np.nan)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measure_distances(table, count, x, y, distance):
-    """Squared distances of the `count` lenses around a scene point; returns which of them is the nearest."""
+def find_voters(table, count, x, y, vote2, distance, voters, shares):
+    """Squared distances of the `count` lenses around a scene point, those that vote for its depth, and their weights;
+    how many, and the range of their depths."""
     for m in range(np.uint64(count)):
         dx, dy = x - table[_X, m], y - table[_Y, m]
         distance[m] = dx * dx + dy * dy
-    nearest = 0
+    nearest = found = 0
     for m in range(1, count):
         nearest = m if distance[m] < distance[nearest] else nearest
-    return nearest
+    low, high = np.float32(np.inf), np.float32(-np.inf)
+    for m in range(count):
+        if m != nearest and distance[m] > vote2:
+            continue
+        share = max(1 - distance[m] / vote2, np.float32(1e-3))
+        voters[found], shares[found] = m, table[_TRUST, m] * share * share
+        found += 1
+        for k in range(_SIZE, len(table)):
+            s = table[k, m]
+            # Comparisons with NaN are false.
+            low, high = s if s < low else low, s if s > high else high
+    return found, high - low
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -80,42 +90,11 @@ def find_central(table, count, distance, near, near_x, near_y):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def find_voters(table, count, nearest, distance, vote2, voters, shares):
-    """Lenses that vote for the depth of a scene point, and their weights; how many, and the range of their depths."""
-    found = 0
-    low, high = np.float32(np.inf), np.float32(-np.inf)
-    for m in range(count):
-        if m != nearest and distance[m] > vote2:
-            continue
-        share = max(1 - distance[m] / vote2, np.float32(1e-3))
-        voters[found], shares[found] = m, table[_TRUST, m] * share * share
-        found += 1
-        for k in range(SIZE, len(table)):
-            s = table[k, m]
-            # Comparisons with NaN are false.
-            low, high = s if s < low else low, s if s > high else high
-    return found, low, high
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def mean_vote(table, count, voters, shares, votes):
-    """Weighted mean of all depths of `count` voters."""
-    weight = total = np.float32(0.0)
-    for n in range(count):
-        for k in range(SIZE, len(table)):
-            s = table[k, voters[n]]
-            w = shares[n] * votes[k - SIZE] if np.isfinite(s) else np.float32(0.0)
-            weight += w
-            total += w * s if w > 0 else np.float32(0.0)
-    return total / weight
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def sort_votes(table, count, voters, shares, votes, sizes, weights):
     """Depths of `count` voters sorted by patch size, and their weights; returns their number."""
     number = 0
     for n in range(count):
-        for k in range(SIZE, len(table)):
+        for k in range(_SIZE, len(table)):
             s = table[k, voters[n]]
             if not np.isfinite(s):
                 continue
@@ -123,7 +102,7 @@ def sort_votes(table, count, voters, shares, votes, sizes, weights):
             while at > 0 and sizes[at - 1] > s:
                 sizes[at], weights[at] = sizes[at - 1], weights[at - 1]
                 at -= 1
-            sizes[at], weights[at] = s, votes[k - SIZE] * shares[n]
+            sizes[at], weights[at] = s, votes[k - _SIZE] * shares[n]
             number += 1
     return number
 
