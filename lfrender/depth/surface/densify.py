@@ -207,7 +207,7 @@ def _agree(
 ) -> NDArray[np.bool_]:
     """(n,) bool: where all lenses `around` (n, k) agree to one `gap` and have no second depths."""
     near = np.where(around >= 0, values[around], values[:, None])
-    several = np.isfinite(seconds).any(1)
+    several: NDArray[np.bool_] = np.asarray(np.isfinite(seconds).any(1))
     alone = ~(several[around] & (around >= 0)).any(1) & ~several
     return np.asarray(alone & (near.max(1) - near.min(1) <= gap))
 

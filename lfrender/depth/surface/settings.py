@@ -16,7 +16,7 @@ class SurfaceSettings:
     matched_whole: float = 0.8  # correlation above which a lens is explained by its first depth
     # A pixel is unexplained if it differs by more than the variance of its window, four times that of the noise, and
     share_of_lens: float = 0.2  # this share of the variance of its lens
-    half_trust: float = 0.012  # share of a microimage shown by a neighbour at which its match counts half
+    half_trust: float = 0.015  # share of a microimage shown by a neighbour at which its match counts half
     least_gain: float = 0.1  # in mismatch of a second depth over the first
     # Depth of scene points
     voting_reach: float = 1.45  # [pitch] lenses within it vote for the depth of a point; set by hand
