@@ -111,8 +111,6 @@ def render(
     at_most_one("--scale", scale, *mean)
     at_most_one("--detail", detail, "--sharpen", sharpen, "--patch-size", patch_size, *mean)
     at_most_one("--roi", roi, "--sharpen", sharpen, *mean, "--tile", tile)
-    if detail == "restored" and (roi or tile or on_cluster):
-        raise click.UsageError("--detail restored needs the whole picture: leave out --roi, --tile and --workers")
     at_most_one("--workers", workers, "--scheduler", scheduler)
     at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--sharpen", sharpen, *mean)
     for other in (("--depth", capture.depth_file), ("--patch-size", patch_size), ("--roi", roi), mean):
@@ -122,7 +120,7 @@ def render(
     width = _sharpen_width(sharpen)
     options: dict[str, Any] = {"patch_size": patch_size, "scale": scale, "blend": blend or None, "detail": detail}
     # Sharpening estimates blur and noise on the whole picture.
-    if not (traditional or roi or sharpen or detail == "restored"):
+    if not (traditional or roi or sharpen):
         from ..output.ome import is_ome_name
 
         # A plain Zarr array is written tile by tile, OME-Zarr as a whole.

@@ -25,9 +25,7 @@ def draw_detail(
     plan: RenderPlan, pixels: NDArray[Any], corner: tuple[int, int], part: Part
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """As `RenderPlan.draw`, (rows, columns, C) float32."""
-    columns, rows = plan.size
-    left, top = max(part[0] - HALO, 0), max(part[1] - HALO, 0)
-    wide = left, top, min(part[2] + HALO, columns), min(part[3] + HALO, rows)
+    wide = left, top, _, _ = plan.expand_part(part, HALO)
     shape = wide[3] - top, wide[2] - left, pixels.shape[2]
     image, valid = plan.blend_part(pixels, corner, wide, np.empty(shape, np.float32))
     image = _restore(plan, pixels, wide, image, valid)
@@ -70,11 +68,15 @@ def _restore(
     )  # fmt: skip
     first = plan.affine[:, 2] + plan.spacing * np.array(part[:2])
     shown = sample_surface_at(plan.surface, edge_step(pitch), image.shape[:2], first, plan.spacing)
+    white, encoded = white_level(pixels, plan.calibration), is_encoded(pixels.dtype)
+    return restore_detail(image, valid, shown, filters, white, encoded, pitch, plan_border(plan, part))
+
+
+def plan_border(plan: RenderPlan, part: Part) -> NDArray[np.float32]:
+    """(rows, columns) of a part of the picture: 0 beside the border of the whole, where few lenses are averaged, 1 off it."""
     columns, rows = plan.size
     beside = [
         np.minimum(np.arange(low, high) + 0.5, total - 0.5 - np.arange(low, high)) / (RESTORE.border * plan.scale)
         for low, high, total in ((part[1], part[3], rows), (part[0], part[2], columns))
     ]
-    inner = np.clip(np.minimum(beside[0][:, None], beside[1]) - 1, 0, 1).astype(np.float32)
-    white, encoded = white_level(pixels, plan.calibration), is_encoded(pixels.dtype)
-    return restore_detail(image, valid, shown, filters, white, encoded, pitch, inner)
+    return np.clip(np.minimum(beside[0][:, None], beside[1]) - 1, 0, 1).astype(np.float32)

@@ -14,7 +14,7 @@ from ..runtime.buffers import allocate_scratch
 from .filters import DetailFilters
 from .settings import AVERAGING, RESTORE, SMOOTHING, RestoreSettings
 
-__all__ = ["off_edges", "restore_detail"]
+__all__ = ["convolve", "off_edges", "restore_detail", "smooth_picture"]
 
 _SOFT_EDGE = (1, 0.25)
 # Bands whose power is measured; the finest is mostly noise.
@@ -98,6 +98,23 @@ def off_edges(
     return soft * cv2.erode(valid.view(np.uint8), np.ones((reach, reach), np.uint8))
 
 
+def smooth_picture(image: NDArray[np.float32], side: float) -> NDArray[np.float32]:
+    """A picture (h, w, C) averaged with its neighbours, which have the weight `side` along each axis."""
+    rows = np.ascontiguousarray(image, np.float32).reshape(len(image), -1)
+    out = np.empty_like(rows)
+    _smooth(rows, image.shape[2], 1, np.float32(side), out)
+    return out.reshape(image.shape)
+
+
+def convolve(image: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A picture (h, w, C) convolved with a symmetric kernel of odd sides; beyond its border it goes on."""
+    half, (height, width, channels) = len(kernel) // 2, image.shape
+    wide = np.pad(image, ((half, half), (half, half), (0, 0)), "edge").reshape(height + 2 * half, -1)
+    out = np.empty((height, width * channels), np.float32)
+    _convolve(wide, np.ascontiguousarray(kernel), channels, out)
+    return out.reshape(image.shape)
+
+
 # Without fastmath: a part of a picture gets the same bits as the whole, whatever pixels a vector loop takes together.
 @njit(cache=True, nogil=True, share=lambda image, *_: len(image))
 def _smooth(begin, end, image, channels, step, side, out):
@@ -118,6 +135,21 @@ def _smooth(begin, end, image, channels, step, side, out):
             c = k % channels
             left, right = max(k - far, c), min(k + far, wide - channels + c)
             into[k] = middle * line[k] + side * (line[left] + line[right])
+
+
+@njit(cache=True, nogil=True, share=lambda image, kernel, channels, out: len(out))
+def _convolve(begin, end, image, kernel, channels, out):
+    """Sum of the rows of `image`, moved by as much and times as much as the kernel tells."""
+    for y in range(begin, end):
+        into = out[y]
+        into[:] = 0
+        for j in range(kernel.shape[0]):
+            row = image[y + j]
+            for i in range(kernel.shape[1]):
+                weight, moved = kernel[j, i], row[i * channels :]
+                if weight != 0:
+                    for k in range(len(into)):
+                        into[k] += weight * moved[k]
 
 
 @njit(cache=True, nogil=True, share=lambda image, *_: len(image))

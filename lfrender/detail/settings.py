@@ -106,9 +106,8 @@ class SolveSettings:
     fine: tuple[float, float] = (0.7, 0.9)  # [px of the picture per px of the flat] below which none, all is taken
     beside_edge: int = 6  # [px] the solution is not taken so near a depth edge
     smooth: float = 0.22  # weight of the neighbours along each axis in what is added: less noise
-    levels: int = 6  # depths at which a picture is blurred; between them it is interpolated
-    depths: tuple[float, float] = (0.01, 0.99)  # quantiles of the depths that these span
-    one_depth: float = 0.02  # [s / D] range below which two are enough
+    levels: int = 32  # depths |s / D| at which pictures are blurred; between them it is interpolated
+    kernel: int = 8  # [px] that interpolation, rounding and smoothing reach
 
 
 SPECTRA = SpectraSettings()

@@ -147,8 +147,6 @@ def render_large(
         raise ValueError("give depth (analyze_large makes it) or patch_size")
     check_large_picture(output, source.dtype, alpha)
     exposed = match_exposure(reader.sample_exposure(), calibration)
-    if detail == "restored":
-        raise ValueError("detail='restored' needs the whole flat; draw it with render, or detail='natural' in tiles")
     drawing = make_plan(reader.read, exposed, depth, patch_size, scale, blend, detail)
     workers = choose_workers(reader, client, threads, tuning)
     side = _tile_size(drawing, reader, tile, 1 if client is None else tuning.tiles_per_thread * workers.count, tuning)
@@ -160,7 +158,7 @@ def render_large(
     key = fingerprint(
         file_identity(source.path), [source.page], file_identity(source.dark), calibration.to_dict(), depth_key,
         drawing.scale, drawing.blend, drawing.blur,
-        repr(drawing.defocus), side,
+        repr(drawing.defocus), drawing.solved, side,
         text, [alpha, compress, output.suffix.lower(), str(source.dtype)],
     )  # fmt: skip
     checkpoint = Checkpoint(output)

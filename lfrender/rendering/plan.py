@@ -118,6 +118,10 @@ class RenderPlan:
         lattice = self.calibration.lattice
         aside = float(np.hypot(*self.viewpoint.offset)) + float(np.abs(self._moved).max())
         beside = self.spacing * (1 if self.defocus is None else 1 + HALO)
+        if self.solved:
+            from ..detail.solve import solve_halo
+
+            beside += self.spacing * solve_halo(self)
         return int(np.ceil(self.reach * lattice.pitch + lattice.radius + 2 * aside + beside)) + DEFAULT.margin
 
     def required_part(self, part: Part) -> Part:
@@ -127,6 +131,12 @@ class RenderPlan:
         low = [int(first + self.spacing * k) - self.halo for k in part[:2]]
         high = [int(np.ceil(first + self.spacing * (k - 1))) + self.halo + 1 for k in part[2:]]
         return max(0, low[0]), max(0, low[1]), min(width, high[0]), min(height, high[1])
+
+    def expand_part(self, part: Part, halo: int) -> Part:
+        """A part of the picture with `halo` pixels about it, as far as there are any."""
+        columns, rows = self.size
+        left, top, right, bottom = part
+        return max(left - halo, 0), max(top - halo, 0), min(right + halo, columns), min(bottom + halo, rows)
 
     def part_of_region(self, roi: tuple[float, float, float, float]) -> Part:
         """Columns and rows of the picture whose scene points lie in `x0, y0, x1, y1`, at least one of each."""
@@ -174,7 +184,8 @@ class RenderPlan:
             from ..detail.draw import draw_detail
             from ..detail.solve import solve_detail
 
-            image, valid = solve_detail(self, pixels) if self.solved else draw_detail(self, pixels, corner, part)
+            draw = solve_detail if self.solved else draw_detail
+            image, valid = draw(self, pixels, corner, part)
             return convert_to_dtype(image, pixels.dtype) if stored else image, valid
         shape = (part[3] - part[1], part[2] - part[0], pixels.shape[2])
         if not self._shows_patches:

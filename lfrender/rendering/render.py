@@ -65,8 +65,8 @@ def render(
     detail : "natural", "restored" or "off", optional
         Undo the blur of the microlenses, place by place, as noise, seams and depth edges allow; it is measured on the
         flat, by the lenses that `depth` resolves. By default "natural" for the mean over lenses of a depth map, unless
-        `sharpen` is given; with `previous` as in that picture. "restored" solves for the whole picture whose
-        microimages are those of the flat: slower, more detail, and too much where a soft scene looks blurred.
+        `sharpen` is given; with `previous` as in that picture. "restored" solves for the picture whose
+        microimages are those of the flat: slower, and more detail.
     sharpen : float or "auto", optional
         Instead of `detail`, one filter for the whole picture that undoes the blur of the microlenses as far as noise
         allows: "auto" measures it on the flat, a number is the side of the square that it averages over [output px].
@@ -115,8 +115,8 @@ def render(
         raise ValueError(f"give either detail={detail!r} or sharpen")
     if detail not in (None, "off") and (patch_size is not None or blend is False):
         raise ValueError(f"detail={detail!r} needs a depth map and the mean over lenses")
-    if detail == "restored" and (roi is not None or previous is not None):
-        raise ValueError("detail='restored' needs the whole picture; leave out roi and previous")
+    if detail == "restored" and previous is not None:
+        raise ValueError("detail='restored' needs a whole picture, not changes of the previous one")
     if previous is not None:
         if depth is None or roi is not None or sharpen is not None:
             raise ValueError("previous needs depth, and the whole picture without roi and sharpen")
