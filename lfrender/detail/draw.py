@@ -73,7 +73,7 @@ def _restore(
 
 
 def plan_border(plan: RenderPlan, part: Part) -> NDArray[np.float32]:
-    """(rows, columns) of a part of the picture: 0 beside the border of the whole, where few lenses are averaged, 1 off it."""
+    """(rows, columns) of a part of the picture: 0 at the border of the whole, where few lenses are averaged, else 1."""
     columns, rows = plan.size
     beside = [
         np.minimum(np.arange(low, high) + 0.5, total - 0.5 - np.arange(low, high)) / (RESTORE.border * plan.scale)
