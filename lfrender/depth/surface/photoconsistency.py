@@ -62,7 +62,9 @@ def _between(work, at, fx):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _interpolate(work, base):
-    """The 3 x 3 samples about the place of each lane; those a pixel apart share their weights, and most pixels."""
+    """The 3 x 3 samples about the place of each lane, their mean and variance; those a pixel apart share their weights,
+    and most pixels."""
+    ninth = np.float32(1 / 9)
     for m in range(_EIGHT):
         at = base + m
         fx, fy = work[at + _FX], work[at + _FY]
@@ -70,25 +72,16 @@ def _interpolate(work, base):
         left1, middle1, right1 = _between(work, at + np.uint64(32), fx)
         left2, middle2, right2 = _between(work, at + np.uint64(64), fx)
         left3, middle3, right3 = _between(work, at + np.uint64(96), fx)
-        work[at + _P0], work[at + _P1] = left0 + fy * (left1 - left0), middle0 + fy * (middle1 - middle0)
-        work[at + _P2], work[at + _P3] = right0 + fy * (right1 - right0), left1 + fy * (left2 - left1)
-        work[at + _P4], work[at + _P5] = middle1 + fy * (middle2 - middle1), right1 + fy * (right2 - right1)
-        work[at + _P6], work[at + _P7] = left2 + fy * (left3 - left2), middle2 + fy * (middle3 - middle2)
-        work[at + _P8] = right2 + fy * (right3 - right2)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _compute_moments(work, base):
-    """Mean and variance of the samples of each lane."""
-    ninth = np.float32(1 / 9)
-    for m in range(_EIGHT):
-        p0, p1, p2 = work[base + _P0 + m], work[base + _P1 + m], work[base + _P2 + m]
-        p3, p4, p5 = work[base + _P3 + m], work[base + _P4 + m], work[base + _P5 + m]
-        p6, p7, p8 = work[base + _P6 + m], work[base + _P7 + m], work[base + _P8 + m]
+        p0, p1, p2 = left0 + fy * (left1 - left0), middle0 + fy * (middle1 - middle0), right0 + fy * (right1 - right0)
+        p3, p4, p5 = left1 + fy * (left2 - left1), middle1 + fy * (middle2 - middle1), right1 + fy * (right2 - right1)
+        p6, p7, p8 = left2 + fy * (left3 - left2), middle2 + fy * (middle3 - middle2), right2 + fy * (right3 - right2)
+        work[at + _P0], work[at + _P1], work[at + _P2] = p0, p1, p2
+        work[at + _P3], work[at + _P4], work[at + _P5] = p3, p4, p5
+        work[at + _P6], work[at + _P7], work[at + _P8] = p6, p7, p8
         mean = ninth * (((p0 + p1) + (p2 + p3)) + ((p4 + p5) + (p6 + p7)) + p8)
         squares = ((p0 * p0 + p1 * p1) + (p2 * p2 + p3 * p3)) + ((p4 * p4 + p5 * p5) + (p6 * p6 + p7 * p7)) + p8 * p8
-        work[base + _MEAN + m] = mean
-        work[base + _VARIANCE + m] = max(ninth * squares - mean * mean, np.float32(0.0))
+        work[at + _MEAN] = mean
+        work[at + _VARIANCE] = max(ninth * squares - mean * mean, np.float32(0.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -177,7 +170,6 @@ def view_mismatch(work, constants, nearest, seen, base):
     if seen < 2:
         return unknown
     _interpolate(work, base)
-    _compute_moments(work, base)
     # Half of the others: an occluder may hide the rest.
     number = seen // 2
     least = np.float32(np.inf)
