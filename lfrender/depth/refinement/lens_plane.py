@@ -9,7 +9,6 @@ from collections import namedtuple
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from lfcal.runtime.fastmath import FAST, square
@@ -123,38 +122,29 @@ def _fit_plane(count, s, v, x, y, z, gx, gy, known, robust):
     return z, gx, gy, height, slope, chi2, weights
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
-def _fit_lens(lens, centres, pitch, neighbours, pairs, start, prior, robust, out):
-    most = neighbours.shape[1]
-    sizes, slants, spreads = out.sizes, out.slants, out.spreads
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda centres, *_: len(centres))
+def _fit_planes(begin, end, centres, pitch, neighbours, pairs: PairFits, start, prior, robust: _Robust, out: _Planes):
+    """Fit a plane to the pairs of each lens, from `start` (n,) and with the `prior` (n, 3): slant, inverse variance."""
+    most, sizes, slants, spreads = neighbours.shape[1], out.sizes, out.slants, out.spreads
     s, v = np.empty(most, np.float32), np.empty(most, np.float32)
     x, y = np.empty(most, np.float32), np.empty(most, np.float32)
-    count = 0
-    if np.isfinite(start[lens]):
-        count = _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y)
-    if count == 0:
-        sizes[lens] = np.nan
-        slants[lens, 0] = slants[lens, 1] = 0.0
-        spreads[lens, 0] = spreads[lens, 1] = np.inf
-        spreads[lens, 2] = spreads[lens, 3] = 0.0
-        return
-    z, gx, gy, height, slope, chi2, weights = _fit_plane(
-        count, s, v, x, y, start[lens], prior[lens, 0], prior[lens, 1], prior[lens, 2], robust
-    )
-    sizes[lens] = z
-    slants[lens, 0], slants[lens, 1] = gx, gy
-    # Each parameter takes a degree of freedom as far as the pairs, and not the prior, determine it.
-    own = 1 - min(np.float32(1.0), slope * prior[lens, 2])
-    spreads[lens, 0], spreads[lens, 1], spreads[lens, 2] = height, slope, chi2
-    spreads[lens, 3] = max(weights - 1 - 2 * own, np.float32(0.0))
-
-
-# In a parallel loop arrays are taken out of tuples without counting references, which would take as long as the fits.
-# Numba drops writes to arrays of a NamedTuple in such a function: all of them are in the function that it calls.
-@njit(cache=True, nogil=True, parallel=True, fastmath=FAST, error_model="numpy")
-def _fit_planes(centres, pitch, neighbours, pairs: PairFits, start, prior, robust: _Robust, out: _Planes):
-    for lens in prange(len(centres)):
-        _fit_lens(lens, centres, pitch, neighbours, pairs, start, prior, robust, out)
+    for lens in range(begin, end):
+        count = _gather(lens, centres, pitch, neighbours, pairs, s, v, x, y) if np.isfinite(start[lens]) else 0
+        if count == 0:
+            sizes[lens] = np.nan
+            slants[lens, 0] = slants[lens, 1] = 0.0
+            spreads[lens, 0] = spreads[lens, 1] = np.inf
+            spreads[lens, 2] = spreads[lens, 3] = 0.0
+            continue
+        z, gx, gy, height, slope, chi2, weights = _fit_plane(
+            count, s, v, x, y, start[lens], prior[lens, 0], prior[lens, 1], prior[lens, 2], robust
+        )
+        sizes[lens] = z
+        slants[lens, 0], slants[lens, 1] = gx, gy
+        # Each parameter takes a degree of freedom as far as the pairs, and not the prior, determine it.
+        own = 1 - min(np.float32(1.0), slope * prior[lens, 2])
+        spreads[lens, 0], spreads[lens, 1], spreads[lens, 2] = height, slope, chi2
+        spreads[lens, 3] = max(weights - 1 - 2 * own, np.float32(0.0))
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", share=lambda neighbours, *_: len(neighbours))
