@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from .figures import (
 )
 from .inputs import CaptureInput
 from .options import (
+    OUTPUT,
     at_most_one,
     capture_command,
     cluster_options,
@@ -35,6 +37,9 @@ from .options import (
 if TYPE_CHECKING:
     from typing import Literal
 
+    from lfcal import Calibration
+
+    from ..data.rendering import Rendering
     from ..rendering.render import Detail
 
 __all__ = ["render"]
@@ -64,6 +69,12 @@ __all__ = ["render"]
         help="Undo the blur of the microlenses, place by place, as noise allows. [default: natural, for depth maps]",
     ),
     click.option(
+        "--save-blur",
+        type=OUTPUT,
+        metavar="CAMERA.json",
+        help="Write the camera with the blur of its microlenses that was measured: later flats need not measure it.",
+    ),
+    click.option(
         "--sharpen",
         metavar="auto|PX",
         help="Correct the blur of the microlenses, as far as noise allows: as measured, or of so many output pixels.",
@@ -90,6 +101,7 @@ def render(
     traditional: bool,
     scale: float | None,
     detail: Detail | None,
+    save_blur: Path | None,
     sharpen: str | None,
     eight_bits: bool,
     alpha: bool,
@@ -111,6 +123,9 @@ def render(
     at_most_one("--scale", scale, *mean)
     at_most_one("--detail", detail, "--sharpen", sharpen, "--patch-size", patch_size, *mean)
     at_most_one("--roi", roi, "--sharpen", sharpen, *mean, "--tile", tile)
+    no_detail = "--detail off", detail == "off" or None
+    for other in (no_detail, ("--sharpen", sharpen), ("--patch-size", patch_size), mean):
+        at_most_one("--save-blur", save_blur, *other)
     at_most_one("--workers", workers, "--scheduler", scheduler)
     at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--sharpen", sharpen, *mean)
     for other in (("--depth", capture.depth_file), ("--patch-size", patch_size), ("--roi", roi), mean):
@@ -130,6 +145,8 @@ def render(
             raise click.UsageError("--edges is for flats that are analysed as a whole: leave it out here")
         if eight_bits and (in_tiles or is_large(capture.flat)):
             raise click.UsageError("--8bit is for flats that are drawn as a whole: write the pixels as they are")
+        if save_blur and (in_tiles or is_large(capture.flat)):
+            raise click.UsageError("--save-blur is for flats that are drawn as a whole: draw a crop of this one first")
         if in_tiles or is_large(capture.flat):
             from .large import render_in_tiles
 
@@ -167,6 +184,8 @@ def render(
             traditional = True
             capture.report.warn(TOO_LITTLE.format("--scale"))
         picture = run_traditional(pixels, calibration) if traditional else run(pixels, calibration, depth, **options)
+    if save_blur:
+        _save_blur(save_blur, calibration, picture, capture)
     from ..output.picture import eight_bits as to_eight_bits
     from ..output.picture import needs_eight_bits
 
@@ -185,6 +204,13 @@ def render(
         camera_sentence(calibration), *depth_sentences(calibration, None if traditional else depth),
         picture_sentence(output, picture, what, capture.report.took), *stated,
     )  # fmt: skip
+
+
+def _save_blur(path: Path, calibration: Calibration, picture: Rendering, capture: CaptureInput) -> None:
+    if picture.defocus is None:
+        capture.report.warn("the blur of the microlenses could not be measured: too few of them have a depth")
+        return
+    replace(calibration, lens_blur=picture.defocus.blur).save(path)
 
 
 def _describe_drawing(traditional: bool, patch_size: float | None, blend: bool) -> str:

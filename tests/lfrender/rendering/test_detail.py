@@ -13,6 +13,7 @@ from click.testing import CliRunner
 import lfrender
 from data_synth import SCENES, Camera, simulate
 from data_synth.metrics import compare_pictures, resample
+from lfcal import load
 from lfrender.cli.main import main
 from lfrender.detail.settings import RESTORE
 from lfrender.rendering.render import make_plan
@@ -135,6 +136,9 @@ def test_the_command_restores_detail(tmp_path):
     depth.save(tmp_path / "depth.npz")
     out = tmp_path / "picture.png"
     given = ["render", str(tmp_path / "flat.png"), "-c", str(tmp_path / "camera.json"), "-o", str(out), "--quiet"]
-    result = CliRunner().invoke(main, [*given, "--depth", str(tmp_path / "depth.npz"), "--detail", "natural"])
+    known = tmp_path / "known.json"
+    more = ["--depth", str(tmp_path / "depth.npz"), "--detail", "natural", "--save-blur", str(known)]
+    result = CliRunner().invoke(main, [*given, *more])
     assert result.exit_code == 0, result.output
     np.testing.assert_array_equal(cv2.imread(str(out))[..., ::-1], picture("natural").image)
+    assert load(known).lens_blur.discs.shape[0] == 1
