@@ -123,9 +123,9 @@ def render(
     at_most_one("--scale", scale, *mean)
     at_most_one("--detail", detail, "--sharpen", sharpen, "--patch-size", patch_size, *mean)
     at_most_one("--roi", roi, "--sharpen", sharpen, *mean, "--tile", tile)
-    no_detail = "--detail off", detail == "off" or None
-    for other in (no_detail, ("--sharpen", sharpen), ("--patch-size", patch_size), mean):
-        at_most_one("--save-blur", save_blur, *other)
+    plain = "--detail off", detail == "off" or None
+    for without in (plain, ("--sharpen", sharpen), ("--patch-size", patch_size), mean):
+        at_most_one("--save-blur", save_blur, *without)
     at_most_one("--workers", workers, "--scheduler", scheduler)
     at_most_one("--workers or --scheduler", on_cluster, "--roi", roi, "--sharpen", sharpen, *mean)
     for other in (("--depth", capture.depth_file), ("--patch-size", patch_size), ("--roi", roi), mean):
