@@ -25,7 +25,6 @@ __all__ = ["VECTOR_LENGTH", "OverlapMasks", "Strips", "copy_box", "extract_strip
 
 #: Vector loops handle so many values at a time, the unwanted ones masked. Interpolation reads one beyond.
 VECTOR_LENGTH = 64
-_SPARE = VECTOR_LENGTH + 16
 # Mean error of centres rounded to pixels, over both directions [px].
 _ROUNDING = 0.25
 
@@ -73,7 +72,7 @@ class Strips:
 @lru_cache(maxsize=8)
 def _offsets(half: int, width: int, rows: int, step: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     at = np.arange(rows * width)
-    off = np.full(_SPARE, np.inf)
+    off = np.full(VECTOR_LENGTH, np.inf)
     columns, lines = (np.append(place - half, off).astype(np.float32) for place in (at % width, at // width * step))
     return columns, lines
 
@@ -137,11 +136,11 @@ def _extract(begin, end, image, middle, means, half, width, rows, step, wanted, 
 
 
 @njit(cache=True, nogil=True)
-def _clear_beyond(size, wanted, done, values):
+def _clear_beyond(size, spare, wanted, done, values):
     """Vector loops read on beyond a strip: what is there must be a number."""
     for lens in range(len(wanted)):
         if wanted[lens]:
-            for k in range((lens + 1) * size, min((lens + 1) * size + _SPARE, len(wanted) * size)):
+            for k in range((lens + 1) * size, min((lens + 1) * size + spare, len(wanted) * size)):
                 if not done[k // size]:
                     values[k] = 0.0
 
@@ -163,8 +162,13 @@ def extract_strips(
         strips.step, np.empty(0, bool) if wanted is None else wanted, strips.extracted, strips.values,
     )  # fmt: skip
     if wanted is not None:
-        _clear_beyond(strips.rows * strips.step * strips.width, wanted, strips.extracted, strips.values)
+        _clear_beyond(strips.size, _spare_values(strips.width), wanted, strips.extracted, strips.values)
     return strips
+
+
+def _spare_values(width: int) -> int:
+    """Values that vector loops may read beyond a strip, of pixels that another microimage shows up to `width` away."""
+    return VECTOR_LENGTH + width
 
 
 def _allocate_strips(gray: GrayFlat, step: int) -> Strips:
@@ -174,8 +178,8 @@ def _allocate_strips(gray: GrayFlat, step: int) -> Strips:
     rows = -(-width // step)
     middle = np.rint(gray.centres).astype(np.int32)
     inside = (middle >= half) & (middle + half < np.array(gray.image.shape[::-1]))
-    values = allocate_pooled((len(middle) * rows * step * width + _SPARE,), np.float32)
-    values[-_SPARE:] = 0.0
+    values = allocate_pooled((len(middle) * rows * step * width + _spare_values(width),), np.float32)
+    values[-_spare_values(width) :] = 0.0
     return Strips(values, middle, inside[:, 0] & inside[:, 1], np.zeros(len(middle), bool), half, width, rows, step)
 
 
@@ -237,7 +241,7 @@ def _masks_of(half: int, width: int, rows: int, step: int, radius: float, shifts
     used[wanted[:, 1] + reach, wanted[:, 0] + reach] = True
     slots = np.where(used, np.cumsum(used.ravel()).reshape(side, side) - 1, -1).astype(np.int32)
     count = int(used.sum())
-    masks = np.zeros((count, rows * width + _SPARE), np.float32)
+    masks = np.zeros((count, rows * width + VECTOR_LENGTH), np.float32)
     ends, counts = np.empty((count, 4), np.int32), np.empty(count, np.int32)
     _fill_masks(slots, reach, half, width, rows, step, max(radius - _ROUNDING, 1.0) ** 2, masks, ends, counts)
     return OverlapMasks(slots, masks, ends, counts)

@@ -9,6 +9,7 @@ import pytest
 
 from data_synth import SCENES, Camera, simulate
 from lfrender.depth.matching.cost_volume import compute_pair_costs
+from lfrender.flat import microimages
 from lfrender.flat.gray_flat import make_gray_flat
 from lfrender.flat.lens_graph import neighbour_rows
 from lfrender.flat.microimages import extract_strips
@@ -44,3 +45,16 @@ def test_costs_from_strips_agree_with_costs_from_the_flat(house, row_step):
     assert (quick[tried][:, far] < 1).mean() > 0.3
     if row_step == 1:
         assert (np.abs(quick - slow)[tried][:, far] < 1e-3).mean() > 0.999
+
+
+@pytest.mark.parametrize("row_step", [1, 2])
+def test_costs_do_not_depend_on_what_memory_held_before(house, row_step, monkeypatch):
+    calibration = house.truth.calibration
+    lattice = calibration.lattice
+    rows = neighbour_rows(lattice, lattice.steps)[:, : len(lattice.steps) // 2]
+    means, every = np.full(len(lattice), 0.4, np.float32), np.ones(len(lattice), bool)
+    shifts = np.arange(-19, 20).astype(np.float32)
+    monkeypatch.setattr(microimages, "allocate_pooled", lambda shape, kind: np.full(shape, np.nan, kind))
+    gray = make_gray_flat(house.flat, calibration)
+    costs = compute_pair_costs(gray, rows, means, means, every, shifts, 0.004, 0.02, row_step)
+    assert np.isfinite(costs).all()
