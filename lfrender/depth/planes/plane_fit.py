@@ -93,7 +93,7 @@ def fit_plane(
         inverse = _fit_inverse(terms[:, :count], sizes, settings)
         predicted = 1 / (terms[:, :count] @ inverse)
         size = np.abs(predicted) / pitch
-        within = (settings.min_ratio < size).all() and (size < CLASSIFY.resolvable).all()
+        within = (0.5 * CLASSIFY.shading_reach < size).all() and (size < CLASSIFY.resolvable).all()
         if not within or np.ptp(np.sign(predicted)) > 0:
             continue
         residual = sizes - predicted

@@ -14,7 +14,6 @@ class PlaneSettings:
     min_textured_share: float = 0.5  # of the lenses, that must clearly carry texture
     fewest_lenses: int = 40  # that determine a plane, and show whether their texture is periodic
     min_inliers: float = 0.85  # share of lenses on it; planes have 93 % and more, several depths at most 75 %
-    min_ratio: float = 0.1  # |s| / D below which shading may imitate a match
     significance: float = 4.0  # [standard errors] by which a lens, a bend, or a slant differs from a plane
     bend_errors: float = 2.0  # [standard errors] of a smooth surface through them, allowed beside the tolerance
     tolerance: float = 0.025  # [px] of a bend: half of the regularity error allowed; so much per `significance`, too

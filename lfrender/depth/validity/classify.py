@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lfcal.runtime.kernels.jit import njit
-
 from ...flat.lens_graph import count_similar
 from ...flat.settings import SHADING
-from ...runtime.order_statistics import count_below
 from ..matching.matcher import MatchResult
 from ..same_surface import TOLERANCE, same_surface
 from .periodicity import sees_little_of_scene
@@ -164,23 +161,13 @@ def initial_reasons(
     return np.select([~textured, unshared, unsure], [1, 3, 2], 0).astype(np.int8)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda values, *_: len(values))
-def _have_similar(begin, end, values, ordered, gap, least, out):
-    for k in range(begin, end):
-        # On all threads, which NumPy's search is not. Comparisons with NaN are false.
-        last = count_below(ordered, values[k] - gap) + least - 1
-        out[k] = last < len(ordered) and ordered[last] < values[k] + gap
-
-
 def occurs_among(
     values: NDArray[np.float32], known: NDArray[np.float32], gap: float, settings: ClassifySettings = CLASSIFY
 ) -> NDArray[np.bool_]:
     """Which `values` occur among the `known` ones, within `gap`; false matches of a periodic texture do not."""
-    ordered = np.sort(known)
-    similar = np.empty(len(values), bool)
-    least = max(1, int(np.ceil(settings.occurring_share * len(ordered))))
-    _have_similar(values, ordered, ordered.dtype.type(gap), least, similar)
-    return similar
+    least = max(1, int(np.ceil(settings.occurring_share * len(known))))
+    ordered = np.append(np.sort(known), np.full(least, np.inf, known.dtype))
+    return np.asarray(ordered[np.searchsorted(ordered[:-least], values - gap) + least - 1] < values + gap)
 
 
 def _occurs(values: NDArray, known: NDArray, pitch: float, settings: ClassifySettings) -> NDArray[np.bool_]:

@@ -67,7 +67,7 @@ def is_periodic(
     away = np.hypot(x, y)
     beside = np.where((parts == parts[middle, middle]) | (away > middle), -1, correlation)
     at = np.unravel_index(beside.argmax(), beside.shape)
-    along = np.abs(x * x[at] + y * y[at]) > settings.same_direction * away * away[at]
+    along = np.abs(x * x[at] + y * y[at]) > np.abs(x * y[at] - y * x[at])
     peak = 0.5 * float(beside[at] + np.where(along, -1, beside).max())
     above = (peak - settings.decayed) * np.sqrt(seen) if seen >= settings.least_area else -1.0
     # Where neighbours see a wave at wrong depths, its peaks are lower: then it may repeat.

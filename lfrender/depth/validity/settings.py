@@ -61,7 +61,6 @@ class PeriodicitySettings:
     least_overlap: float = 0.2  # share of what is seen that must overlap itself at a lag
     decayed: float = 0.3  # correlation of what does not repeat, and below which the central peak has ended
     chance: float = 0.8  # mean of two peaks above that, times the root of the area, that proves a period; half: maybe
-    same_direction: float = 0.87  # cosine between two lags
     least_area: float = 3.0  # of which less cannot show whether it repeats
     little_area: float = 8.0  # lenses that together see less all see nearly the same
 
