@@ -158,7 +158,8 @@ def densify(
     """
     pitch = lattice.pitch
     shape, start, spacing = grid_shape(lattice, cells)
-    ring = cached(lattice, "looking", lambda: _steps_nearby(lattice, settings.viewing_reach))
+    # Seen from the lens of a cell: half a diagonal farther.
+    ring = cached(lattice, "looking", lambda: _steps_nearby(lattice, settings.voting_reach + np.sqrt(0.5)))
     gap = np.float32(TOLERANCE * pitch)
     grid = scene_grid(lattice, start[0], spacing)
     # Pixels that differ by no more than twice their noise match.

@@ -20,7 +20,6 @@ class SurfaceSettings:
     least_gain: float = 0.1  # in mismatch of a second depth over the first
     # Depth of scene points
     voting_reach: float = 1.45  # [pitch] lenses within it vote for the depth of a point; set by hand
-    viewing_reach: float = 2.1  # [pitch] lenses within it may show the point; set by hand
     jump: float = 0.35  # price of a depth edge in units of the mismatch, between grid values and between lenses
     occluded_cost: float = 2.0  # a hypothesis pays this times what the mismatch of a nearer one stays below `unknown`
     unvoted_cost: float = 0.07  # price of a depth that no lens around votes for, in units of the mismatch
