@@ -34,7 +34,7 @@ preset_option = click.option(
 edges_option = click.option(
     "--edges/--no-edges",
     default=None,
-    help="Place depth edges on the pixels of the microimages: cleaner outlines, in some eight times the time. The "
+    help="Place depth edges on the pixels of the microimages: cleaner outlines, in some ten times the time. The "
     "preset 'accurate' does so, unless --roi is given or the flat is read in tiles.",
 )
 scale_option = click.option(

@@ -59,7 +59,7 @@ def analyze(
         add up.
     edges : bool, optional
         Locate depth edges of the surface on every pixel of the microimages: 0.3 to 3 dB in pictures of scenes with
-        occlusion, for some eight times the time of `"balanced"`. Of whole flats: not with `roi` or `previous`. By
+        occlusion, for some ten times the time of `"balanced"`. Of whole flats: not with `roi` or `previous`. By
         default `"accurate"` does so where it can.
 
     Returns
