@@ -72,36 +72,38 @@ def _is_settled(before, px, py, around, gap):
 def _list_candidates(x, y, left, top, size, surface, grid, levels, lenses, depths, number, before, c, work, shape):
     """Fill `work` with the depths that each pixel may show; returns whether there is a choice anywhere."""
     first, spacing, pitch, radius = grid.first, grid.spacing, lenses.pitch, lenses.radius
-    least, choice = _LEAST * pitch, False
+    settled, among = work.wanted, work.count
     for row in range(size):
         for column in range(size):
-            work.open[row, column] = False
             px, py = left + column, top + row
-            dx, dy = px - x, py - y
-            work.inside[row, column] = (
-                dx * dx + dy * dy <= radius * radius and 1 <= px < shape[1] - 1 and 1 <= py < shape[0] - 1
-            )
-            among = 0
-            settled = work.inside[row, column] and _is_settled(before, px, py, c.around, lenses.gap)
-            for k in range(number):
-                s = depths[k]
-                if abs(s) < least:
-                    s = least if s > 0 else -least
-                at_x, at_y = x - dx * pitch / s, y - dy * pitch / s
-                here = value_at(surface, first, spacing, at_x, at_y)
-                own = abs(here - s) < lenses.gap
-                if own:
-                    s = here
-                    at_x, at_y = x - dx * pitch / s, y - dy * pitch / s
-                bit = np.uint64(level_of(s, pitch))
-                present = own or (value_at(levels, first, spacing, at_x, at_y) >> bit) & np.uint64(1) != 0
-                if settled:
-                    present = abs(s - before[py, px]) < lenses.gap
+            inside = (px - x) ** 2 + (py - y) ** 2 <= radius * radius
+            inside = inside and 1 <= px < shape[1] - 1 and 1 <= py < shape[0] - 1
+            work.inside[row, column] = inside
+            settled[row * size + column] = inside and _is_settled(before, px, py, c.around, lenses.gap)
+    among[:] = 0
+    for k in range(number):
+        expected = depths[k]
+        if abs(expected) < _LEAST * pitch:
+            expected = _LEAST * pitch if expected > 0 else -_LEAST * pitch
+        reach, bit = pitch / expected, np.uint64(level_of(expected, pitch))
+        for row in range(size):
+            for column in range(size):
+                at_x, at_y = x - (left + column - x) * reach, y - (top + row - y) * reach
+                s = value_at(surface, first, spacing, at_x, at_y)
+                present = abs(s - expected) < lenses.gap
+                if not present:
+                    s = expected
+                    present = (value_at(levels, first, spacing, at_x, at_y) >> bit) & np.uint64(1) != 0
+                if settled[row * size + column]:
+                    present = abs(s - before[top + row, left + column]) < lenses.gap
                 work.value[k, row, column], work.slope[k, row, column] = s, s / pitch
                 work.present[k, row, column] = present
                 work.cost[k, row, column] = 0.0 if present else _NO_MATCH
-                among += present
-            work.open[row, column] = work.inside[row, column] and among > 1
+                among[row * size + column] += present
+    choice = False
+    for row in range(size):
+        for column in range(size):
+            work.open[row, column] = work.inside[row, column] and among[row * size + column] > 1
             choice = choice or work.open[row, column]
     return choice
 
