@@ -33,15 +33,16 @@ def shading_decay(ratio: NDArray[np.float32]) -> NDArray[np.float32]:
 
 # No fast math here: Numba optimises such a body once when it compiles and twice when it loads it from the cache, which
 # would add in another order. The loops over pixels keep their order.
-@njit(cache=True, nogil=True, error_model="numpy", share=lambda terms, rows, *_: len(rows))
-def _pair_costs(
-    begin, end, terms: PairTerms, rows, active, done, shifts, near_zero, which, table: StripTable, fresh, out
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_pair_costs(
+    begin, end, terms: PairTerms, rows, active, done, shifts, near_zero, which, table: StripTable, own_mask, fresh, out
 ):
+    """As `_pair_costs`, with room for a mask: without arrays of its own, so that no references are counted."""
     centres, radius, pitch, means, doubts, noise2, shading, half_weight = terms
     values, middle, whole, columns, lines, slots, masks, ends, counts, layout, height, across = table
     _, width, tall, step, _ = layout
     size, length = tall * step * width, masks.shape[1]
-    line, own_mask, one = masks.reshape(-1), np.empty(length, np.float32), np.float32(1.0)
+    line, one = masks.reshape(-1), np.float32(1.0)
     for lens in range(begin, end):
         if fresh:
             out[lens] = 1.0
@@ -79,6 +80,14 @@ def _pair_costs(
                 out[lens, d, k] = match_cost(
                     count, sa, sb, squares, srr, difference, count * step, floor, half_weight, doubt * near_zero[k]
                 )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", share=lambda terms, rows, *_: len(rows))
+def _pair_costs(
+    begin, end, terms: PairTerms, rows, active, done, shifts, near_zero, which, table: StripTable, fresh, out
+):
+    own_mask = np.empty(table.masks.shape[1], np.float32)
+    _add_pair_costs(begin, end, terms, rows, active, done, shifts, near_zero, which, table, own_mask, fresh, out)
 
 
 def overlap_masks(
