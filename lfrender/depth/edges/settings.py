@@ -1,4 +1,4 @@
-"""Tuned values of `edges`, chosen on s3_r5, simulated houses of 17 and 21 px and clutter of 22 px, with a look at others."""
+"""Tuned values of `edges`, chosen on s3_r5, simulated houses of 17 and 21 px and clutter of 22 px, among others."""
 
 from __future__ import annotations
 
